@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from cosim.logs.log import Log, read_log
 from cosim.model import Moment, Stepper
+from cosim.residuals.drive import Drive
+from cosim.residuals.windows import Replay, free_run, windows
 from plant.hovercraft import INPUTS, OUTPUTS, STATES, Hovercraft
 
 Array = NDArray[np.float64]
@@ -107,3 +109,15 @@ def write_log(path: Path, columns: Mapping[str, Array]) -> Path:
 def log_of(path: Path, columns: Mapping[str, Array]) -> Log:
     """The log of these columns, through its file."""
     return read_log(write_log(path, columns), INPUTS, OUTPUTS)
+
+
+def replay(log: Log, fmu: Path, start: Mapping[str, Any] | None = None) -> Replay:
+    """Replay a whole log in one run of an FMU that is loaded for it."""
+    with Drive(log, fmu) as drive:
+        return free_run(drive, start)
+
+
+def replay_windows(log: Log, fmu: Path, starts: Mapping[int, Mapping[str, Any]], horizon: float) -> Replay:
+    """Replay a log in windows of `horizon` seconds of an FMU that is loaded for it."""
+    with Drive(log, fmu) as drive:
+        return windows(drive, starts, horizon)

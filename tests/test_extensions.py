@@ -45,7 +45,7 @@ from acme import tank
 from cosim.base.registry import ModelEntry, Page, Verb
 from cosim.fmi.fmu_build import model_recipe
 from cosim.report.html_tables import Row
-from cosim.simulation.report.subject import Subject
+from cosim.simulation.report.component_page import ComponentPage
 from cosim.storage.artefact import Artefact
 
 TANK = ModelEntry(name="acme_tank", model="acme.tank:Tank", recipe="acme.registered:tank_recipe")
@@ -72,7 +72,7 @@ def tank_recipe(values=None):
 
 
 def subject(run, drawing):
-    return Subject(Path(__file__).with_name("tank.html.j2"), {"maker": "Acme"}, [Row("Made by", "Acme")])
+    return ComponentPage(Path(__file__).with_name("tank.html.j2"), {"maker": "Acme"}, [Row("Made by", "Acme")])
 
 
 def volume(level: float) -> float:

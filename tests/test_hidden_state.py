@@ -105,7 +105,7 @@ def test_windows_of_an_fmu_whose_state_cannot_be_set_are_no_measure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     values = REMEMBER["second order"]
-    monkeypatch.setattr(starts, "_placed", lambda drive, found: found)  # as of another tool
+    monkeypatch.setattr(starts, "_with_places", lambda drive, found: found)  # as of another tool
     fmu = build(plant_recipe(values), tmp_path / "own.fmu")
     comparison = write_replay(tmp_path, craft_log(tmp_path, values), fmu)
     told = verdict(comparison)

@@ -24,7 +24,7 @@ from cosim.residuals.drive import Drive, StoppedReplay, log_of_fmu, model_signal
 from cosim.residuals.replay_sentences import verdict
 from cosim.residuals.residual_statistics import rmse
 from cosim.residuals.starts import start_parameters
-from cosim.residuals.windows import Replay, chains, replay, replay_windows, window_rows
+from cosim.residuals.windows import Replay, chains, window_rows
 from cosim.residuals.workflow import write_replay
 from cosim.simulation.workflow import run
 from cosim.storage.table import read_columns, read_table
@@ -32,7 +32,20 @@ from cosim.storage.table_columns import Column, Faults
 from cosim.verbs.cli import app
 from plant.hovercraft import INPUTS, OUTPUTS, STATES, Hovercraft
 from tests.cart import cart_fmu
-from tests.logs import IMU, MOVING, NOISE, POSITION, Flight, fly, log_of, measured, times, write_log
+from tests.logs import (
+    IMU,
+    MOVING,
+    NOISE,
+    POSITION,
+    Flight,
+    fly,
+    log_of,
+    measured,
+    replay,
+    replay_windows,
+    times,
+    write_log,
+)
 from tests.misbehaving import misbehaving_fmu
 from tests.seen import faults
 from tests.test_hidden_state import OVEN
@@ -94,7 +107,7 @@ def test_an_fmu_of_equal_steps_is_given_equal_steps(tmp_path: Path) -> None:
         columns = {"time": time, "force": np.where(time < 2.0, 1.0, -1.0), "position": 0.0 * time}
         log = read_log(write_log(tmp_path / f"{k}.csv", columns), *model_signals(fmu))
         with Drive(log, fmu) as driven:
-            _, steps, _ = driven._steps(0, log.rows - 1)
+            steps = driven._steps(0, log.rows - 1).lengths
             assert set(steps) == {log.step}
         ends.append(replay(log, fmu, {}).outputs["position"])
     # the force may turn a step late: 2 N on 2 kg for 0.02 s, then up to 2 s of 0.02 m/s
@@ -299,7 +312,7 @@ def test_a_right_model_is_not_accused_for_a_free_run_that_drifts(
     seed: int, ours: bool, tmp_path: Path, plant_fmu: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if not ours:
-        monkeypatch.setattr(starts, "_placed", lambda drive, found: found)  # as of another tool
+        monkeypatch.setattr(starts, "_with_places", lambda drive, found: found)  # as of another tool
     flown = fly(times(40.0), start=MOVING, seed=seed)
     log = log_of(tmp_path / "a.csv", measured(flown, noise=1.0, seed=seed))
     comparison = write_replay(tmp_path, log, plant_fmu, report=False)

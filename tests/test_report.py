@@ -428,7 +428,7 @@ def test_text_and_items_are_spelled_out_with_the_times_of_their_changes(tmp_path
 def test_of_very_many_signals_the_first_are_drawn_and_the_rest_is_said(tmp_path: Path) -> None:
     names = tuple(f"a.y{k}" for k in range(1003))
     text = page(tmp_path, Results(np.arange(2.0), names, np.zeros((2, 1003))), {})
-    assert "The first 1000 of 1003 signals; results.csv has all." in text
+    assert "The first 1000 of 1003 signals; the file of rows has all." in text
     assert "a.y999" in text
     assert "a.y1000" not in text
 

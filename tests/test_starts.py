@@ -19,7 +19,7 @@ from cosim.fmi.state import MEMORY, STATE
 from cosim.logs.log import Log
 from cosim.model.planar import PlanarFrame
 from cosim.residuals import starts
-from cosim.residuals.drive import Drive, as_columns
+from cosim.residuals.drive import Drive, Steps, as_columns
 from cosim.residuals.starts import StartParameter, first_start, kept, noise_levels, readable, sigma_of, window_start
 
 ALL = (-math.inf, math.inf)
@@ -44,14 +44,12 @@ def parameter(name: str = "y_start", gain: float = 1.0, low: float = -math.inf, 
 class Trial:
     """A drive that tells what an output is at the start, by a function of one start parameter."""
 
-    traits = None
+    has_readable_state = False
 
     def __init__(self, shown: Any, name: str = "y_start", output: str = "y", **variable: Any) -> None:
         start = {"start": variable.get("start"), "min": variable.get("min"), "max": variable.get("max")}
         kind = {"type": variable.get("type", "Real"), "causality": variable.get("causality", "parameter")}
-        self.description = SimpleNamespace(
-            modelVariables=[SimpleNamespace(name=name, **start, **kind)], coSimulation=None
-        )
+        self.description = SimpleNamespace(modelVariables=[SimpleNamespace(name=name, **start, **kind)])
         self.outputs, self.shown, self.name, self.tried = (output,), shown, name, list[float]()
 
     def initial(self, start: Mapping[str, float]) -> dict[str, float]:
@@ -296,15 +294,14 @@ def test_velocities_of_the_world_are_turned_into_the_axes_of_the_body() -> None:
     carrier = {"X": zero, "Y": zero, "heading": zero, "forward": zero, "right": zero}
     state = dict.fromkeys(carrier, 0.0)
     sigma = dict.fromkeys(log.outputs, 1e-4)
-    names = starts._correct(log, carrier, sigma, state, 50, np.arange(51), frame)
-    assert {*names} == {"X", "Y", "heading", "forward", "right"}
-    assert (state["forward"], state["right"]) == (pytest.approx(forward), pytest.approx(right))
-    assert state["X"] == pytest.approx(world[0] * time[50])
-    assert state["heading"] == pytest.approx(heading)
-    seen = log_of(time, **log.outputs, forward=zero)  # which is measured itself
-    state = dict.fromkeys(carrier, 0.0)
-    starts._correct(seen, carrier, sigma | {"forward": 1e-4}, state, 50, np.arange(51), frame)
-    assert state["forward"] == pytest.approx(0.0)
+    corrected = starts._corrected(SimpleNamespace(log=log, frame=frame), carrier, sigma, state, 50, np.arange(51))
+    assert corrected.keys() == {"X", "Y", "heading", "forward", "right"}
+    assert (corrected["forward"], corrected["right"]) == (pytest.approx(forward), pytest.approx(right))
+    assert corrected["X"] == pytest.approx(world[0] * time[50])
+    assert corrected["heading"] == pytest.approx(heading)
+    seen = SimpleNamespace(log=log_of(time, **log.outputs, forward=zero), frame=frame)  # which is measured itself
+    corrected = starts._corrected(seen, carrier, sigma | {"forward": 1e-4}, state, 50, np.arange(51))
+    assert corrected["forward"] == pytest.approx(0.0)
 
 
 # -- steps between rows -----------------------------------------------------------------------------
@@ -314,44 +311,49 @@ def drive_of(time: Array, ramps: tuple[bool, ...] = (False,), any_step: bool = T
     drive: Any = object.__new__(Drive)
     drive.log, drive.variable_step, drive._ramps = log_of(time, step, y=time), any_step, np.array(ramps)
     drive._table = np.column_stack([10.0 * time, -time])
+    drive._commands = drive._table.tolist()
     return drive
 
 
 def test_steps_are_as_logged_and_over_a_hole_about_as_long_as_the_others() -> None:
     time = np.array([0.0, 0.1, 0.26, 0.36, 0.76, 0.81])
-    times, held, rows = drive_of(time)._steps(0, 5)
-    assert times == pytest.approx([0.0, 0.1, 0.18, 0.26, 0.36, 0.46, 0.56, 0.66, 0.76])
-    assert held == pytest.approx([0.1, 0.08, 0.08, 0.1, 0.1, 0.1, 0.1, 0.1, 0.05])
-    assert rows == [0, 1, 1, 2, 3, 3, 3, 3, 4]
-    assert drive_of(time)._steps(2, 4)[2] == [2, 3, 3, 3, 3]
-    assert drive_of(time)._steps(3, 3) == ([], [], [])
+    steps = drive_of(time)._steps(0, 5)
+    assert steps.times == pytest.approx([0.0, 0.1, 0.18, 0.26, 0.36, 0.46, 0.56, 0.66, 0.76])
+    assert steps.lengths == pytest.approx([0.1, 0.08, 0.08, 0.1, 0.1, 0.1, 0.1, 0.1, 0.05])
+    assert steps.rows == [0, 1, 1, 2, 3, 3, 3, 3, 4]
+    assert steps.reads == [True, False, True, True, False, False, False, True, True]
+    assert steps.reached == pytest.approx(time)
+    assert drive_of(time)._steps(2, 4).rows == [2, 3, 3, 3, 3]
+    assert drive_of(time)._steps(3, 3) == Steps([], [], [], [], [0.36])
 
 
 def test_the_rounding_of_printed_times_is_no_jitter() -> None:
     time = 0.1 * np.arange(6) + np.array([0.0, 4e-8, -4e-8, 0.0, 4e-6, 0.0])
-    _, held, _ = drive_of(time)._steps(0, 5)
+    held = drive_of(time)._steps(0, 5).lengths
     assert held[:3] == [0.1, 0.1, 0.1]
     assert held[3] == pytest.approx(0.100004, abs=1e-9)
 
 
 def test_an_fmu_that_takes_equal_steps_alone_takes_those_of_the_log() -> None:
     time = np.array([0.0, 0.1, 0.21, 0.3, 0.6])
-    times, held, rows = drive_of(time, any_step=False)._steps(0, 4)
-    assert times == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4, 0.5])
-    assert (held, rows) == ([0.1] * 6, [0, 1, 1, 3, 3, 3])  # the command that acts when a step begins
-    assert drive_of(time, any_step=False)._read([0, 0, 1]) == [True, True, True]
-    assert drive_of(time)._read([0, 0, 1, 2, 2]) == [False, True, True, False, True]
+    drive = drive_of(time, any_step=False)
+    steps = drive._steps(0, 4)
+    assert steps.times == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4, 0.5])
+    assert (steps.lengths, steps.rows) == ([0.1] * 6, [0, 1, 1, 3, 3, 3])  # the command that acts when a step begins
+    assert steps.reads == [True] * 6
+    assert drive._puts(steps, 0) == [None, *([10.0 * time[k], -time[k]] if k else None for k in (1, 0, 3, 0, 0))]
 
 
 def test_an_input_that_is_interpolated_is_the_mean_of_each_step_and_any_other_is_held() -> None:
     drive = drive_of(np.array([0.0, 0.1, 0.3]), (True, False))
-    times, held, rows = drive._steps(0, 2)
-    assert len(times) == 24
-    commands = np.array(drive._between(times, held, rows))
-    middle = np.array(times) + 0.5 * np.array(held)
+    steps = drive._steps(0, 2)
+    assert len(steps.times) == 24
+    commands = np.array(drive._puts(steps, 0))
+    middle = np.array(steps.times) + 0.5 * np.array(steps.lengths)
     np.testing.assert_allclose(commands[:, 0], 10.0 * middle)
-    np.testing.assert_allclose(commands[:, 1], -drive.log.time[rows])
-    assert drive._between([0.3], [0.1], [2]) == [[pytest.approx(3.0), pytest.approx(-0.3)]]  # of the last row: held
+    np.testing.assert_allclose(commands[:, 1], -drive.log.time[steps.rows])
+    last = Steps([0.3], [0.1], [2], [True], [])
+    assert drive._puts(last, 2) == [[pytest.approx(3.0), pytest.approx(-0.3)]]  # of the last row: held
 
 
 def test_rows_between_two_steps_are_interpolated_and_those_not_reached_are_left_out() -> None:

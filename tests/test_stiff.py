@@ -23,9 +23,9 @@ from cosim.model.namespaces import SCALAR
 from cosim.model.rosenbrock import step
 from cosim.model.symbolic.linearize import linearize
 from cosim.refinement.workflow import refine
-from cosim.residuals.windows import replay
 from cosim.subject.model_subject import ModelSubject
 from plant.hovercraft import Hovercraft
+from tests.logs import replay
 from tests.motor import motor_log, motor_study
 from tests.native import NEEDS_COMPILER
 from tests.test_substep import message_of, motor

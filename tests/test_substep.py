@@ -19,9 +19,9 @@ from cosim.loading.substep import MAX_CHOSEN, with_substep
 from cosim.logs.log import read_log
 from cosim.model import Model
 from cosim.refinement.workflow import refine
-from cosim.residuals.windows import replay
 from cosim.subject.model_subject import ModelSubject
 from cosim.verbs.check_verb import check as check_files
+from tests.logs import replay
 from tests.motor import motor_file, motor_log, motor_study
 
 WINDING = 578.0  # [1/s], eigenvalue of the winding beside that of the shaft

@@ -16,18 +16,18 @@ from typing import Any, TypeVar
 
 from cosim.base.errors import FmuError
 from cosim.blocks.description import CPP, C, library_file
-from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, library_command, library_of
+from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, fmi_headers, library_command, library_of
 
 SOURCES = "sources"
 LIMIT = 300.0  # [s] that a compiler may take for one FMU
 SHOWN_LINES, SHOWN_WIDTH = 20, 200  # of a compiler's output
 OPTIMIZED = ("-O3", "-DNDEBUG", "-w")
 PLAIN_NAMES = ("-DFMI2_OVERRIDE_FUNCTION_PREFIX", "-DFMI3_OVERRIDE_FUNCTION_PREFIX")  # as a shared library has them
-STANDARDS = {
-    "": "", "C89": "gnu90", "C90": "gnu90", "C99": "gnu99", "C11": "gnu11", "C17": "gnu17", "C18": "gnu17",
-    "C23": "gnu2x", "C++98": "gnu++98", "C++03": "gnu++03", "C++11": "gnu++11", "C++14": "gnu++14",
-    "C++17": "gnu++17", "C++20": "gnu++20", "C++23": "gnu++2b",
-}  # fmt: skip
+LANGUAGES = (
+    "C89:gnu90 C90:gnu90 C99:gnu99 C11:gnu11 C17:gnu17 C18:gnu17 C23:gnu2x C++98:gnu++98 C++03:gnu++03 "
+    "C++11:gnu++11 C++14:gnu++14 C++17:gnu++17 C++20:gnu++20 C++23:gnu++2b"
+)
+STANDARDS = dict(language.split(":") for language in LANGUAGES.split())  # by the name that FMI has for them
 ENTRY = {"1": "{identifier}_fmiGetVersion", "2": "fmi2GetVersion", "3": "fmi3GetVersion"}
 permission: ContextVar[bool] = ContextVar("compile the sources of FMUs", default=False)
 Answer = TypeVar("Answer")
@@ -67,16 +67,14 @@ class Sources:
 
 def compile_library(folder: Path, description: Any, identifier: str) -> Path:
     """Compile the sources of an unpacked FMU into its folder, or take the library from the cache; FmuError."""
-    import fmpy
-
     try:
         sources = _sources_of(folder / SOURCES, description, identifier)
-        headers = Path(fmpy.__file__).parent / "c-code"
-        includes = (f"-I{part}" for part in (SOURCES, *(f"{SOURCES}/{name}" for name in sources.includes)))
-        command = [
-            *library_command(), *OPTIMIZED, *PLAIN_NAMES, *([f"-std={sources.standard}"] if sources.standard else ()),
-            *(f"-D{text}" for text in sources.definitions), *includes, f"-I{headers}",
-        ]  # fmt: skip
+        options = [f"-std={sources.standard}"] if sources.standard else []
+        options += [f"-D{text}" for text in sources.definitions]
+        options += [
+            f"-I{part}" for part in (SOURCES, *(f"{SOURCES}/{name}" for name in sources.includes), fmi_headers())
+        ]
+        command = [*library_command(), *OPTIMIZED, *PLAIN_NAMES, *options]
         *others, last = (f"{SOURCES}/{name}" for name in sources.files)
         libraries = ["-lm", *(["-lstdc++"] if any(name.lower().endswith(CPP) for name in sources.files) else [])]
         entry = ENTRY[description.fmiVersion[0]].format(identifier=identifier)
@@ -94,20 +92,11 @@ def compile_library(folder: Path, description: Any, identifier: str) -> Path:
 
 
 def _sources_of(folder: Path, description: Any, identifier: str) -> Sources:
-    """Return what a build description says, else `all.c`, else every source in the folder; FmuError."""
-    builds = [b for b in description.buildConfigurations if b.modelIdentifier == identifier]
-    sets = [part for build in (builds or description.buildConfigurations)[:1] for part in build.sourceFileSets]
-    if sets:
-        listed = Sources(
-            files=tuple(dict.fromkeys(name for part in sets for name in part.sourceFiles)),
-            standard=_standard(part.language for part in sets),
-            definitions=tuple(dict.fromkeys(_defined(d) for part in sets for d in part.preprocessorDefinitions)),
-            includes=tuple(dict.fromkeys(name for part in sets for name in part.includeDirectories)),
-        )
-    elif (folder / "all.c").is_file():
-        listed = Sources(("all.c",))
-    else:
-        listed = Sources(tuple(sorted(p.name for p in folder.glob("*") if p.suffix.lower() in (*C, *CPP))))
+    """Return the sources that the FMU lists, else `all.c`, else every source in the folder; FmuError."""
+    listed = _listed(description, identifier)
+    if listed is None:
+        names = (p.name for p in folder.glob("*") if p.suffix.lower() in (*C, *CPP))
+        listed = Sources(("all.c",) if (folder / "all.c").is_file() else tuple(sorted(names)))
     for name in (*listed.files, *listed.includes):
         if not (folder / name).resolve().is_relative_to(folder.resolve()):
             raise FmuError(f'its sources cannot be compiled: "{name[:60]}" lies outside its folder')
@@ -117,14 +106,28 @@ def _sources_of(folder: Path, description: Any, identifier: str) -> Sources:
     return listed
 
 
+def _listed(description: Any, identifier: str) -> Sources | None:
+    """Return the sources in the build description of a library, or else in the first; None if it lists none."""
+    builds = sorted(description.buildConfigurations, key=lambda build: build.modelIdentifier != identifier)
+    sets = builds[0].sourceFileSets if builds else []
+    if not sets:
+        return None
+    return Sources(
+        files=tuple(dict.fromkeys(name for part in sets for name in part.sourceFiles)),
+        standard=_standard(part.language for part in sets),
+        definitions=tuple(dict.fromkeys(_defined(d) for part in sets for d in part.preprocessorDefinitions)),
+        includes=tuple(dict.fromkeys(name for part in sets for name in part.includeDirectories)),
+    )
+
+
 def _standard(languages: Iterable[str | None]) -> str:
     """Return the standard of a language as compilers call it, the last of several; FmuError."""
-    asked = [language for language in languages if language] or [""]
+    asked = [language for language in languages if language]
     for language in asked:
         if language not in STANDARDS:
-            known = ", ".join(name for name in STANDARDS if name)
+            known = ", ".join(STANDARDS)
             raise FmuError(f"its sources cannot be compiled: they are in {language}; known are {known}")
-    return STANDARDS[asked[-1]]
+    return STANDARDS[asked[-1]] if asked else ""
 
 
 def _defined(definition: Any) -> str:

@@ -78,12 +78,16 @@ class FmuBlock:
         self.name, self.path, self.description = name, path, description
         self.start_values, self.connected = start, connected
         self.compiles = compiles = permission.get() if compiles is None else compiles
-        asked: Any = {
-            "way": way, "tolerance": tolerance, "recorded": recorded, "logging": logging, "solver": solver,
-            "compiles": compiles,
-        }  # fmt: skip
-        made: Callable[..., FmuBlock] = partial(type(self), **asked)
-        self._made_of = made, (name, path, description, start, connected)
+        make: Callable[..., FmuBlock] = partial(
+            type(self),
+            way=way,
+            tolerance=tolerance,
+            recorded=recorded,
+            logging=logging,
+            solver=solver,
+            compiles=compiles,
+        )
+        self._made_of = make, (name, path, description, start, connected)
         self._calls = FOUND[description.fmiVersion[0], way or ways(description)[0]](name, description)
         self._calls.tolerance = default_tolerance(description) if tolerance is None else tolerance
         if isinstance(self._calls, ModelExchange2):

@@ -26,10 +26,8 @@ from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, loaded
 
 SOURCE = Path(__file__).with_name("stepping.c")
 NEVER = -1
-TYPES: dict[Any, int] = {
-    ctypes.c_double: 0, ctypes.c_float: 1, ctypes.c_int8: 2, ctypes.c_uint8: 3, ctypes.c_int16: 4,
-    ctypes.c_uint16: 5, ctypes.c_int32: 6, ctypes.c_uint32: 7, ctypes.c_int64: 8, ctypes.c_bool: 9,
-}  # fmt: skip
+NAMES = ("double", "float", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "bool")
+TYPES = {getattr(ctypes, f"c_{name}"): number for number, name in enumerate(NAMES)}  # as stepping.c numbers them
 
 
 class Why(IntEnum):
@@ -251,6 +249,7 @@ class Loop:
         held: Sequence[Transfer],
         row: Row,
         table: Array,
+        *,
         begin: float,
         h: float,
         made: Any,

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import Fault, FmuError, InputError
+from cosim.base.errors import Fault, FmuError, InputError, refuse
 from cosim.blocks.description import (
     platform_of,
     platforms_among,
@@ -21,13 +21,25 @@ from cosim.blocks.description import (
 from cosim.storage.kinds import FMU, check_given
 
 CAPABILITIES = (
-    "canHandleVariableCommunicationStepSize", "canGetAndSetFMUState", "canGetAndSetFMUstate", "canSerializeFMUState",
-    "canSerializeFMUstate", "providesDirectionalDerivative", "providesDirectionalDerivatives", "canInterpolateInputs",
-    "canBeInstantiatedOnlyOncePerProcess", "needsExecutionTool", "canNotUseMemoryManagementFunctions",
-    "hasEventMode", "canReturnEarlyAfterIntermediateUpdate", "providesIntermediateUpdate",
-    "providesEvaluateDiscreteStates", "completedIntegratorStepNotNeeded", "fixedInternalStepSize",
+    "canHandleVariableCommunicationStepSize",
+    "canGetAndSetFMUState",
+    "canGetAndSetFMUstate",
+    "canSerializeFMUState",
+    "canSerializeFMUstate",
+    "providesDirectionalDerivative",
+    "providesDirectionalDerivatives",
+    "canInterpolateInputs",
+    "canBeInstantiatedOnlyOncePerProcess",
+    "needsExecutionTool",
+    "canNotUseMemoryManagementFunctions",
+    "hasEventMode",
+    "canReturnEarlyAfterIntermediateUpdate",
+    "providesIntermediateUpdate",
+    "providesEvaluateDiscreteStates",
+    "completedIntegratorStepNotNeeded",
+    "fixedInternalStepSize",
     "maxOutputDerivativeOrder",
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)
@@ -74,7 +86,7 @@ class Summary:
     states: list[str]
     variables: list[Variable]
     slips: list[str]
-    state_count: int = 0
+    state_count: int
 
     def of(self, *causalities: str) -> list[Variable]:
         """Variables of these causalities, in the order of the file."""
@@ -97,8 +109,7 @@ def read_fmus(paths: Sequence[Path]) -> list[Any]:
             faults += error.faults
         except FmuError as error:
             faults.append(Fault(path, 0, 0, str(error).removeprefix(f"{path} "), FmuError.exit_code))
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
     return found
 
 
@@ -160,14 +171,22 @@ def platforms_of(path: Path) -> list[str]:
 
 def _variable(v: Any) -> Variable:
     declared = v.declaredType
-    display = v.displayUnit or getattr(declared, "displayUnit", None)
-    items = {i.name: int(i.value) for i in declared.items or ()} if v.type == "Enumeration" and declared else {}
-    limits = (
-        getattr(v, end) if getattr(v, end) is not None else getattr(declared, end, None) for end in ("min", "max")
-    )
-    low, high = (None if limit is None else str(limit) for limit in limits)
+    is_enumeration = v.type == "Enumeration" and declared
     return Variable(
-        v.name, v.causality or "local", v.variability or "continuous", v.type, unit_of(v), display or "",
-        None if v.start is None else str(v.start), low, high, " ".join((v.description or "").split()),
-        list(v.shape or ()), items,
-    )  # fmt: skip
+        name=v.name,
+        causality=v.causality or "local",
+        variability=v.variability or "continuous",
+        type=v.type,
+        unit=unit_of(v),
+        display_unit=v.displayUnit or getattr(declared, "displayUnit", None) or "",
+        start=_text(v.start),
+        min=_text(getattr(declared, "min", None) if v.min is None else v.min),
+        max=_text(getattr(declared, "max", None) if v.max is None else v.max),
+        description=" ".join((v.description or "").split()),
+        dimensions=list(v.shape or ()),
+        items={i.name: int(i.value) for i in declared.items or ()} if is_enumeration else {},
+    )
+
+
+def _text(value: Any) -> str | None:
+    return None if value is None else str(value)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import itertools
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -32,19 +33,20 @@ class Ports:
         self.kinds, self.fmi3 = kinds_of(description.fmiVersion), description.fmiVersion.startswith("3")
         supported = [v for v in description.modelVariables if v.type in self.kinds]
         inputs = [v for v in supported if v.causality == "input" and v.name not in optional - connected]
-        meant = [not connected.isdisjoint({v.name, *element_names(v)}) for v in inputs]
-        fed, unfed = ([v for v, is_fed in zip(inputs, meant, strict=True) if is_fed is way] for way in (True, False))
+        fed, unfed = list[Any](), list[Any]()
+        for v in inputs:
+            (unfed if connected.isdisjoint({v.name, *element_names(v)}) else fed).append(v)
         outputs = [v for v in supported if v.causality == "output"]
         others = [v for v in supported if v.name in recorded and v.causality not in {"input", "output"}]
-        self._outputs = frozenset(name for v in outputs for name in element_names(v))
+        self._outputs = frozenset(itertools.chain.from_iterable(map(element_names, outputs)))
         self.fed = self._exchanges(fed)
         self.unfed = self._exchanges(unfed)
         self.read = self._exchanges([*outputs, *others])
         self.inward = (*self.fed, *self.unfed)
-        self.inputs = self._signals(e for e in self.inward if not e.kind.beside)
-        self.exact_inputs = self._signals(e for e in self.inward if e.kind.beside)
-        self.outputs = self._signals(e for e in self.read if not e.kind.beside)
-        self.exact_outputs = self._signals(e for e in self.read if e.kind.beside)
+        self.inputs = self._signals(self.inward, beside=False)
+        self.exact_inputs = self._signals(self.inward, beside=True)
+        self.outputs = self._signals(self.read, beside=False)
+        self.exact_outputs = self._signals(self.read, beside=True)
 
     def place(self, first: int, first_beside: int) -> None:
         """Give every exchange its places, inputs first."""
@@ -86,8 +88,10 @@ class Ports:
         kinds = sorted(groups, key=lambda kind: kind.ctype is not ctypes.c_double)
         return tuple(Exchange(kind, groups[kind]) for kind in kinds)
 
-    def _signals(self, exchanges: Iterable[Exchange]) -> tuple[Signal, ...]:
-        return tuple(self._signal(v, name) for e in exchanges for v in e.variables for name in element_names(v))
+    def _signals(self, exchanges: Iterable[Exchange], *, beside: bool) -> tuple[Signal, ...]:
+        """Return the signals in the row, or those beside it."""
+        variables = (v for e in exchanges if e.kind.beside == beside for v in e.variables)
+        return tuple(self._signal(v, name) for v in variables for name in element_names(v))
 
     def _signal(self, variable: Any, name: str) -> Signal:
         unit, declared = unit_of(variable), variable.declaredType

@@ -78,9 +78,16 @@ class CompiledSteps:
         for k, (slot, stage) in enumerate(zip(slots, system.stages, strict=True)):
             slot.every, slot.doing = stage.every, CALLS * k
             slot.length = stage.every * run.h if stage.component.nominal_step else 0.0
-        pulls = [(slot, self._ways(stage.pulls)) for slot, stage in zip(slots, system.stages, strict=True)]
-        rows, held = run.rows, self._ways(system.held, every)
-        self.loop = Loop(pulls, held, run.row, rows.table, system.start, run.h, rows.made, rows.doing)
+        self.loop = Loop(
+            [(slot, self._ways(stage.pulls)) for slot, stage in zip(slots, system.stages, strict=True)],
+            self._ways(system.held, every),
+            run.row,
+            run.rows.table,
+            begin=system.start,
+            h=run.h,
+            made=run.rows.made,
+            doing=run.rows.doing,
+        )
         self.sources = {k: c for k, c in enumerate(run.components) if isinstance(c, Source)}
         self._values: list[Array] = []
 

@@ -35,12 +35,10 @@ def delays(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
         which = "trails" if time > 0 else "leads"
         why = "a delay, a slower actuator" if time > 0 else "a faster actuator, a command logged late"
         doubt = "or clocks that differ" if sure else "or, the motion being so regular, a wrong friction or inertia"
-        yield Finding(
-            "warning" if sure and abs(time) > log.step else "note", "delay", name,
-            f"{which} the model by {amount(abs(time) * 1000, 'ms', 2)} ± {amount(error * 1000, 'ms', 1)}: "
-            f"{why}, {doubt}",
-            {"delay": time, "error": error, "correlation": rho},
-        )  # fmt: skip
+        by = f"{amount(abs(time) * 1000, 'ms', 2)} ± {amount(error * 1000, 'ms', 1)}"
+        numbers = {"delay": time, "error": error, "correlation": rho}
+        sentence = f"{which} the model by {by}: {why}, {doubt}"
+        yield Finding("warning" if sure and abs(time) > log.step else "note", "delay", name, sentence, numbers)
 
 
 def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
@@ -57,21 +55,18 @@ def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
         rho, slope = both / size, both / float(ref[good] @ ref[good])
         numbers = {"slope": slope, "correlation": rho}
         if rho < -LIKE:
-            yield Finding(
-                "warning", "sign", name, f"moves against the model (correlation {plain(rho, 2)}): it, or a command, "
-                "has the wrong sign", numbers,
-            )  # fmt: skip
+            against = f"moves against the model (correlation {plain(rho, 2)})"
+            yield Finding("warning", "sign", name, f"{against}: it, or a command, has the wrong sign", numbers)
         elif rho > LIKE and _unconverted(log, name, slope):
             written = log.written[name]
-            yield Finding(
-                "fault", "unit", name, f"moves as the model does in {written}, which declares no unit: "
-                f'leave "[{written}]" out of the header, so that nothing is converted', numbers,
-            )  # fmt: skip
+            cure = f'leave "[{written}]" out of the header, so that nothing is converted'
+            sentence = f"moves as the model does in {written}, which declares no unit: {cure}"
+            yield Finding("fault", "unit", name, sentence, numbers)
         elif rho > LIKE and (unit := _other_unit(log.units[name], slope)):
+            cure = f'is it in {unit}? Then call the column "{name} [{unit}]"'
             yield Finding(
-                "fault", "unit", name, f"moves as the model does, but {plain(slope)} times as far: "
-                f'is it in {unit}? Then call the column "{name} [{unit}]"', numbers,
-            )  # fmt: skip
+                "fault", "unit", name, f"moves as the model does, but {plain(slope)} times as far: {cure}", numbers
+            )
 
 
 def _other_unit(unit: str, slope: float) -> str | None:
@@ -87,7 +82,11 @@ def _unconverted(log: Log, name: str, slope: float) -> bool:
 
 
 class Delay(NamedTuple):
-    """Of a measured signal against the model's [s], with its standard error; how alike they are; how fast [rad/s]."""
+    """Time delay of a measured signal relative to the model [s], with its standard error.
+
+    correlation: of the two, the delay taken off
+    frequency:   mean of the signal's [rad/s]
+    """
 
     time: float
     error: float

@@ -125,12 +125,10 @@ def steps_of(log: Log) -> int:
 
 def _lost(channels: Sequence[ChannelSummary]) -> Iterator[Finding]:
     for c in (c for c in channels if c.lost):
-        yield Finding(
-            "warning", "hidden_state", c.name,
-            f"is missed by {size(c.floor.astray, c.unit)} over {plain(c.horizon)}\u00a0s where the FMU is restarted "
-            "from its own outputs: it keeps a state that no output shows, and only the free run measures it",
-            {"rmse": c.floor.astray, "noise": c.floor.rmse},
-        )  # fmt: skip
+        error = f"{size(c.floor.astray, c.unit)} over {plain(c.horizon)}\u00a0s"
+        why = "it keeps a state that no output shows, and only the free run measures it"
+        sentence = f"is missed by {error} where the FMU is restarted from its own outputs: {why}"
+        yield Finding("warning", "hidden_state", c.name, sentence, {"rmse": c.floor.astray, "noise": c.floor.rmse})
 
 
 def _summary(log: Log, replays: Mapping[float, Replay], name: str, horizon: float, floor: Floor) -> ChannelSummary:
@@ -138,7 +136,6 @@ def _summary(log: Log, replays: Mapping[float, Replay], name: str, horizon: floa
     scores = {horizon: score(measured, r.outputs[name]) for horizon, r in sorted(replays.items())}
     residual = measured - replays[min(replays)].outputs[name]
     lags = lags_of(log.rows, log.step)
-    return ChannelSummary(
-        name, log.units[name], horizon, noise_beside(measured, replays[FREE_RUN].outputs[name]), floor, scores,
-        whiteness(residual, lags), input_correlations(residual, log.inputs, lags),
-    )  # fmt: skip
+    noise = noise_beside(measured, replays[FREE_RUN].outputs[name])
+    inputs = input_correlations(residual, log.inputs, lags)
+    return ChannelSummary(name, log.units[name], horizon, noise, floor, scores, whiteness(residual, lags), inputs)

@@ -19,11 +19,16 @@ def as_json(comparison: Comparison) -> list[dict[str, Any]]:
 
 def _channel(c: ChannelSummary) -> dict[str, Any]:
     return {
-        "name": c.name, "unit": c.unit, "horizon": _finite(c.measure), **_score(c.scores[c.measure]),
-        "noise_floor": _finite(c.floor.rmse), "times_noise": _finite(c.excess), "explained": c.explained,
+        "name": c.name,
+        "unit": c.unit,
+        "horizon": _finite(c.measure),
+        **_score(c.scores[c.measure]),
+        "noise_floor": _finite(c.floor.rmse),
+        "times_noise": _finite(c.excess),
+        "explained": c.explained,
         "free_run": _score(c.scores[FREE_RUN]),
         "windows": [{"horizon": h, **_score(s)} for h, s in sorted(c.scores.items()) if h != FREE_RUN],
-    }  # fmt: skip
+    }
 
 
 def _score(score: Score) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import copy
 import ctypes
 import math
 from collections.abc import Callable, Container, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Self
@@ -13,7 +14,7 @@ from typing import Any, Self
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import Fault, FmuError, InputError, SimulationError
+from cosim.base.errors import Fault, FmuError, InputError, SimulationError, refuse
 from cosim.base.units import Conversion, conversion
 from cosim.blocks.component import Signal
 from cosim.blocks.description import takes_any_step
@@ -30,7 +31,23 @@ from cosim.storage.yaml_file import did_you_mean
 PLANT = "plant"  # the component's name in results and messages
 PROGRESS_EVERY = 500
 PER_ROW = 8  # steps from row to row where inputs run straight between them, each held in its middle
-Steps = tuple[list[float], list[float], list[int]]
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Steps of an FMU along a stretch of a log.
+
+    times, lengths: of each step [s]
+    rows:    row of the log whose command acts, of each step
+    reads:   whether the outputs are read after each step
+    reached: times at which outputs are read, the start first [s]
+    """
+
+    times: list[float]
+    lengths: list[float]
+    rows: list[int]
+    reads: list[bool]
+    reached: list[float]
 
 
 def model_signals(fmu: Path) -> tuple[Sequence[Signal], Sequence[Signal]]:
@@ -52,8 +69,7 @@ def check_files(log: Path, fmu: Path | None) -> None:
             faults += error.faults
         except FmuError as error:
             faults.append(Fault(Path(given or ""), 0, 0, str(error).removeprefix(f"{given} "), error.exit_code))
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
 
 
 def log_of_fmu(path: Path, fmu: Path, columns: Mapping[str, str] = MappingProxyType({})) -> Log:
@@ -135,6 +151,13 @@ class Drive:
         return self.traits.planar if self.traits else None
 
     @property
+    def has_readable_state(self) -> bool:
+        """Whether the FMU is one of ours whose state can be read and put back."""
+        about = self.description.coSimulation  # None of one for model exchange alone
+        flags = about and about.canGetAndSetFMUstate and about.canSerializeFMUstate
+        return bool(self.traits and flags and self.variable_step)
+
+    @property
     def units(self) -> dict[str, str]:
         """Unit of every output."""
         return {s.name: s.unit for s in self.block.outputs}
@@ -189,37 +212,32 @@ class Drive:
         memory: what an FMU of ours keeps at the first row, in place of what follows from `start`
         visit:  called at each row between, where the FMU takes steps of any length
         """
-        times, held, rows = self._steps(first, last)
-        read = self._read(rows)
-        ends = [t + h for t, h in zip(times, held, strict=True)]
-        reached = [float(self.log.time[first]), *(t for t, wanted in zip(ends, read, strict=True) if wanted)]
-        written = self._new_rows(len(reached), len(self.outputs))
+        steps = self._steps(first, last)
+        written = self._new_rows(len(steps.reached), len(self.outputs))
         table, done, doing = written.table, written.made, written.doing
         here, size = ctypes.addressof(self._row) + 8 * len(self.block.inputs), 8 * len(self.outputs)
-        there, block, acting, whole, made = table.ctypes.data, self.block, first, 0, 0
-        ramping = bool(self._ramps.any())
-        commands: list[Any] = self._between(times, held, rows) if ramping else self._commands
+        there, block, acting, whole = table.ctypes.data, self.block, first, 0
+        each = zip(steps.times, steps.lengths, steps.rows, self._puts(steps, first), steps.reads, strict=True)
         try:
             doing[0] = OTHER
-            self._begin(start, first, max(float(self.log.time[last]), reached[-1]))
+            self._begin(start, first, max(float(self.log.time[last]), steps.reached[-1]))
             block.start()
             block.get()  # of FMI 1.0 for the first time, and some FMUs are right only from now on
             if memory:
                 block.remember(memory)
             ctypes.memmove(there, here, size)
             whole = done[0] = 1
-            for j, (t, h, k) in enumerate(zip(times, held, rows, strict=True)):
+            for made, (t, h, k, command, reads) in enumerate(each, 1):
                 if k != acting and visit is not None:
                     visit(k)
-                if commands and (ramping or k != acting):
-                    self._row[: len(self.inputs)] = commands[j if ramping else k]
+                acting = k
+                if command is not None:
+                    self._row[: len(self.inputs)] = command
                     doing[0] = PUT
                     block.put()
-                acting = k
                 doing[0] = ADVANCE
                 block.advance(t, h)
-                made = j + 1
-                if read[j]:
+                if reads:
                     doing[0] = GET
                     block.get()
                     ctypes.memmove(there + whole * size, here, size)
@@ -227,11 +245,9 @@ class Drive:
                 if self.progress is not None and made % PROGRESS_EVERY == 0:
                     self.progress(self._driven[0] + made)
         except SimulationError as error:
-            raise StoppedReplay(error, self._at_rows(table[:whole], reached[:whole], first, last)) from None
-        self._driven[0] += len(times)
-        if self.progress is not None:
-            self.progress(self._driven[0])
-        return self._at_rows(table, reached, first, last)
+            raise StoppedReplay(error, self._at_rows(table[:whole], steps.reached, first, last)) from None
+        self._count(steps)
+        return self._at_rows(table, steps.reached, first, last)
 
     def rows(self, start: Mapping[str, Any]) -> Array:
         """Outputs at the inputs of each row of a table, shape (rows, outputs), of an FMU without states."""
@@ -263,11 +279,17 @@ class Drive:
             self.block.put()
         self.block.get()
 
+    def _count(self, steps: Steps) -> None:
+        """Add steps to those that are done, and tell the observer."""
+        self._driven[0] += len(steps.times)
+        if self.progress is not None:
+            self.progress(self._driven[0])
+
     def _steps(self, first: int, last: int) -> Steps:
-        """Time, length and row of the acting command of each step.
+        """Return the steps between two rows of the log.
 
         As logged where the FMU takes steps of any length (over a hole: several, about as long as the
-        others); else equal steps of the log's median.
+        others; outputs are read at rows); else equal steps of the log's median.
         """
         time, step = self.log.time[first : last + 1], self.log.step
         if self.variable_step:
@@ -278,25 +300,29 @@ class Drive:
             length[np.abs(length - usual) < 1e-6 * usual] = usual  # rounding of printed times is no jitter
             number = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
             times = np.repeat(time[:-1], count) + number * np.repeat(length, count)
-            rows = np.repeat(np.arange(first, last), count)
-            return times.tolist(), np.repeat(length, count).tolist(), rows.tolist()
-        steps = max(0, math.ceil((time[-1] - time[0]) / step - 1e-6))
-        times = time[0] + step * np.arange(steps)
-        rows = first + np.searchsorted(time, times + 1e-6 * step, side="right") - 1
-        return times.tolist(), [step] * steps, rows.tolist()
+            lengths, rows = np.repeat(length, count), np.repeat(np.arange(first, last), count)
+            reads = np.diff(rows, append=-1) != 0
+        else:
+            times = time[0] + step * np.arange(max(0, math.ceil((time[-1] - time[0]) / step - 1e-6)))
+            lengths, reads = np.full(times.size, step), np.ones(times.size, bool)
+            rows = first + np.searchsorted(time, times + 1e-6 * step, side="right") - 1
+        reached = [float(time[0]), *(times + lengths)[reads].tolist()]
+        return Steps(times.tolist(), lengths.tolist(), rows.tolist(), reads.tolist(), reached)
 
-    def _read(self, rows: Sequence[int]) -> list[bool]:
-        """Whether outputs are read after each step: of several within a row, where all end on rows, after the last."""
-        if not self.variable_step:
-            return [True] * len(rows)
-        return [k != following for k, following in zip(rows, [*rows[1:], -1], strict=True)]
+    def _puts(self, steps: Steps, first: int) -> list[Any]:
+        """Return the command to put before each step, None where it acts already.
 
-    def _between(self, times: Sequence[float], held: Sequence[float], rows: Sequence[int]) -> list[list[float]]:
-        """The command of each step, midway: on the way to the next row where it is interpolated, else as held."""
-        k, time = np.array(rows, np.intp), self.log.time
+        Midway of the step: on the way to the next row where an input is interpolated, else as held.
+        """
+        if not self._commands:
+            return [None] * len(steps.rows)
+        if not self._ramps.any():
+            acting = zip(steps.rows, [first, *steps.rows], strict=False)
+            return [None if k == before else self._commands[k] for k, before in acting]
+        k, time = np.array(steps.rows, np.intp), self.log.time
         here, following = self._table[k], np.minimum(k + 1, time.size - 1)
         lasts = np.where(following > k, time[following] - time[k], 1.0)
-        share = (np.array(times) + 0.5 * np.array(held) - time[k]) / lasts
+        share = (np.array(steps.times) + 0.5 * np.array(steps.lengths) - time[k]) / lasts
         moved: list[list[float]] = (
             here + np.where(self._ramps, share[:, None] * (self._table[following] - here), 0.0)
         ).tolist()
@@ -304,7 +330,7 @@ class Drive:
 
     def _at_rows(self, table: Array, times: Sequence[float], first: int, last: int) -> Array:
         """The rows of the log among the steps that were made; between two steps by interpolation."""
-        wanted = self.log.time[first : last + 1]
+        times, wanted = times[: len(table)], self.log.time[first : last + 1]
         reached = wanted[wanted <= (times[-1] if times else -math.inf) + 1e-6 * self.log.step]
         if len(times) == reached.size and np.allclose(times, reached, rtol=0.0, atol=1e-6 * self.log.step):
             return table
@@ -323,13 +349,12 @@ class Drive:
                 elif conversion(self.log.units[name], known[name].unit) != Conversion():
                     units = f"{known[name].unit} here and in {self.log.units[name]} in the log as it was read"
                     faults.append(Fault(self.fmu, 0, 0, f"{name} is in {units}; read the log for this FMU"))
-        if faults:
-            raise InputError(faults)
+        refuse(faults)
 
     def _check_start(self, start: Mapping[str, Any]) -> None:
-        if unknown := start.keys() - self.variables:
-            hints = {name: did_you_mean(name, self.variables) for name in unknown}
-            raise InputError([Fault(self.fmu, 0, 0, f'has no parameter "{n}"{hint}') for n, hint in hints.items()])
+        unknown = start.keys() - self.variables
+        hints = {name: did_you_mean(name, self.variables) for name in unknown}
+        refuse(Fault(self.fmu, 0, 0, f'has no parameter "{name}"{hint}') for name, hint in hints.items())
 
 
 def rows_of(log: Log, first: int, seconds: float) -> int:

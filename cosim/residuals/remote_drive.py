@@ -80,6 +80,7 @@ class DriveApart(Drive):
         log: Log,
         fmu: Path,
         progress: Callable[[int], None] | None = None,
+        *,
         interpolated: Container[str] = (),
         limits: Limits | None = None,
         given: Mapping[str, Any] = MappingProxyType({}),
@@ -88,7 +89,7 @@ class DriveApart(Drive):
         self._worker, self._limits, self._interpolated = worker, limits or Limits(), interpolated
         self._number, self._process = next(self._numbers), 0
         self._full = log  # of which others are made
-        self._most = max(len(self._steps(0, log.rows - 1)[0]), log.rows) + 2  # rows of a run
+        self._most = max(len(self._steps(0, log.rows - 1).times), log.rows) + 2  # rows of a run
         self._held: Held | None = None
 
     def __enter__(self) -> Self:
@@ -152,26 +153,21 @@ class DriveApart(Drive):
     # -- within -------------------------------------------------------------------------------
 
     def _run(self, method: str, first: int, last: int, *arguments: Any) -> Any:
-        times, held, rows = self._steps(first, last)
-        read = self._read(rows)
-        ends = (t + h for t, h in zip(times, held, strict=True))
-        reached = [float(self.log.time[first]), *(t for t, wanted in zip(ends, read, strict=True) if wanted)]
+        steps = self._steps(first, last)
         self.left = None
         try:
-            answer = self._ask(method, first, last, *arguments, times=reached)
+            answer = self._ask(method, first, last, *arguments, times=steps.reached)
         except StoppedReplay:
             raise
         except SimulationError as error:
             table = self._made()
-            raise StoppedReplay(error, self._at_rows(table, reached[: len(table)], first, last)) from None
+            raise StoppedReplay(error, self._at_rows(table, steps.reached, first, last)) from None
         except BaseException:
             table = self._made()
             if last == self._full.rows - 1:
-                self.left = self._at_rows(table, reached[: len(table)], first, last)
+                self.left = self._at_rows(table, steps.reached, first, last)
             raise
-        self._driven[0] += len(times)
-        if self.progress is not None:
-            self.progress(self._driven[0])
+        self._count(steps)
         return answer
 
     def _ask(self, method: str, *arguments: Any, times: Any = ()) -> Any:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import Fault, InputError
-from cosim.base.units import read_quantity
-from cosim.blocks.description import is_difference, read_description, unit_of
+from cosim.base.errors import Fault, refuse
+from cosim.blocks.description import read_description
+from cosim.scenario.start_values import NOT_NUMBERS, Misfit, settable, typed
 from cosim.storage.yaml_file import did_you_mean, short
 
 Given = Mapping[str, float | int | bool | str]
@@ -17,48 +17,37 @@ SWITCHES = {"true": True, "on": True, "1": True, "false": False, "off": False, "
 
 
 def start_values(fmu: Path, texts: Sequence[str]) -> dict[str, float | int | bool | str]:
-    """Values by variable of texts such as `gain=0.9`, `angle=12 deg`; InputError with every fault."""
+    """Return values by variable of texts such as `gain=0.9`, `angle=12 deg`; InputError with every fault."""
     if not texts:
         return {}
-    variables = {v.name: v for v in read_description(fmu).modelVariables}
-    found: dict[str, float | int | bool | str] = {}
+    description = read_description(fmu)
+    variables = {v.name: v for v in description.modelVariables}
+    values: dict[str, float | int | bool | str] = {}
     faults = []
     for text in texts:
-        try:
-            name, value = _given(variables, text)
-        except ValueError as error:
-            faults.append(Fault(fmu, 0, 0, f'--start "{short(text)}": {error}'))
+        name, _, written = (part.strip() for part in text.rpartition("="))
+        variable = variables.get(name)
+        if not (name and written):
+            value: Any = Misfit("it is NAME=VALUE, as in gain=0.9")
+        elif variable is None:
+            value = Misfit(f"the FMU has no such variable{did_you_mean(name, variables)}")
+        elif not settable(variable):
+            value = Misfit("FMI lets nobody set it before a run")
         else:
-            found[name] = value
-    if faults:
-        raise InputError(faults)
-    return found
+            value = typed(description, variable, _read(written, variable.type))
+        if isinstance(value, Misfit):
+            faults.append(Fault(fmu, 0, 0, f'--start "{short(text)}": {value.reason}'))
+        else:
+            values[name] = value
+    refuse(faults)
+    return values
 
 
-def _given(variables: Mapping[str, Any], text: str) -> tuple[str, float | int | bool | str]:
-    """Name and value; ValueError says what is wrong."""
-    name, sign, value = (part.strip() for part in text.rpartition("=") if part is not None)
-    if not (name and sign and value):
-        raise ValueError("it is NAME=VALUE, as in gain=0.9")
-    variable = variables.get(name)
-    if variable is None:
-        raise ValueError(f"the FMU has no such variable{did_you_mean(name, variables)}")
-    if variable.variability == "constant" or not (
-        variable.causality == "input" or variable.initial in {"exact", "approx"}
-    ):
-        raise ValueError("FMI lets nobody set it before a run")
-    if variable.type == "String":
-        return name, value
-    if variable.type == "Boolean":
-        if value.lower() not in SWITCHES:
-            raise ValueError("it is true or false")
-        return name, SWITCHES[value.lower()]
-    number = read_quantity(value, unit_of(variable), difference=is_difference(variable))
-    low, high = (s * math.inf if v is None else float(v) for v, s in ((variable.min, -1), (variable.max, 1)))
-    if not low <= number <= high:
-        raise ValueError(f"it lies in [{low:g}, {high:g}] {unit_of(variable)}".removesuffix(" 1").rstrip())
-    if variable.type in {"Real", "Float32", "Float64"}:
-        return name, number
-    if number != math.floor(number):
-        raise ValueError("it is a whole number")
-    return name, int(number)
+def _read(text: str, kind: str) -> float | int | bool | str:
+    """Return the value of a variable of this kind; text that is no number, such as `12 deg`, as it is written."""
+    if kind == "Boolean":
+        return SWITCHES.get(text.lower(), text)
+    for number in (int, float) if kind not in NOT_NUMBERS else ():
+        with suppress(ValueError):
+            return number(text)
+    return text

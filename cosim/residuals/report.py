@@ -140,8 +140,8 @@ def _residual_panels(comparison: Comparison) -> list[Panel]:
         unit, factor = display(c.unit)
         error = comparison.replays[c.measure].errors(comparison.log)[c.name] * factor
         width = np.full(error.size, 2.0 * factor * (c.noise if np.isfinite(c.noise) else 0.0))
-        panels.append(Panel(f"Residual of {c.name}", unit or "1", [Trace("measured − model", error, "error")],
-                            Band("±2σ of its noise", -width, width)))  # fmt: skip
+        traces, band = [Trace("measured − model", error, "error")], Band("±2σ of its noise", -width, width)
+        panels.append(Panel(f"Residual of {c.name}", unit or "1", traces, band))
     return panels
 
 
@@ -166,9 +166,8 @@ def _autocorrelation(comparison: Comparison, charts: Charts) -> list[Plot]:
             drawings[size] = lag_drawing(charts, rows, comparison.log.step, 3 * len(comparison.channels))
         width = np.full(rows.size, c.whiteness.band)
         stem = Trace("residual", c.whiteness.rho[rows], "error", stems=True)
-        panel = Panel(f"Autocorrelation of {c.name}", "1", [stem],
-                      Band("95 % band if white", -width, width))  # fmt: skip
-        plots += drawings[size].plots([panel])
+        band = Band("95 % band if white", -width, width)
+        plots += drawings[size].plots([Panel(f"Autocorrelation of {c.name}", "1", [stem], band)])
     return plots
 
 
@@ -192,11 +191,16 @@ def _row(channel: ChannelSummary, horizons: Sequence[float]) -> TableRow:
     )
     p = channel.whiteness.p_value
     return TableRow(
-        channel.name, size(channel.noise, channel.unit), scores,
-        f"{plain(channel.excess, 2)} ×" if np.isfinite(channel.excess) else MISSING, channel.matched,
-        neighbours(channel.whiteness), "< 0.001" if p < 1e-3 else plain(p, 2),
-        words.whiteness_words(channel), words.input_words(channel),
-    )  # fmt: skip
+        name=channel.name,
+        noise=size(channel.noise, channel.unit),
+        scores=scores,
+        excess=f"{plain(channel.excess, 2)} ×" if np.isfinite(channel.excess) else MISSING,
+        matched=channel.matched,
+        neighbours=neighbours(channel.whiteness),
+        p_value="< 0.001" if p < 1e-3 else plain(p, 2),
+        white=words.whiteness_words(channel),
+        follows=words.input_words(channel),
+    )
 
 
 def _start(drive: Drive, name: str, value: Any) -> Row:

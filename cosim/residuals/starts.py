@@ -23,7 +23,7 @@ from cosim.fmi.state import MEMORY, STATE, Memory, Own
 from cosim.logs.channel_noise import noise_beside, noise_level
 from cosim.logs.log import Log
 from cosim.model.namespaces import SCALAR
-from cosim.model.planar import PlanarFrame, local_vector, world_velocity
+from cosim.model.planar import local_vector, world_velocity
 from cosim.model.traits import rate_of
 from cosim.residuals.drive import Drive, as_columns, rows_of
 
@@ -69,15 +69,12 @@ def start_parameters(drive: Drive) -> dict[str, StartParameter]:
         variable = next((variables[n] for n in names if n in variables), None)
         if variable is not None and (parameter := _tried(drive, output, variable)) is not None:
             found[output] = parameter
-    return _placed(drive, found)
+    return _with_places(drive, found)
 
 
-def _placed(drive: Drive, found: dict[str, StartParameter]) -> dict[str, StartParameter]:
-    """The same with their places in the state, where the FMU is one of ours: what moves with each."""
-    about = drive.description.coSimulation  # None of one for model exchange alone
-    if not (found and drive.traits and about and drive.variable_step):
-        return found
-    if not (about.canGetAndSetFMUstate and about.canSerializeFMUstate):
+def _with_places(drive: Drive, found: dict[str, StartParameter]) -> dict[str, StartParameter]:
+    """Return start parameters with their places in the state, if it is readable: what moves with each."""
+    if not found or not drive.has_readable_state:
         return found
     tried = {p.name: p.tried[0] for p in found.values()}
     try:
@@ -124,8 +121,8 @@ def first_start(drive: Drive, parameters: Mapping[str, StartParameter]) -> dict[
     for _ in range(PASSES if seen else 0):
         carrier = as_columns(drive.run(0, last, start), drive.outputs)
         state = {name: float(carrier[name][0]) for name in parameters}
-        corrected = _correct(log, carrier, sigma, state, 0, np.arange(last + 1), drive.frame)
-        start = start | {parameters[n].name: parameters[n].value(state[n]) for n in corrected} | given
+        corrected = _corrected(drive, carrier, sigma, state, 0, np.arange(last + 1))
+        start = start | {parameters[n].name: parameters[n].value(value) for n, value in corrected.items()} | given
     return start
 
 
@@ -144,9 +141,9 @@ def window_start(
     log = drive.log
     state = {name: float(carrier[name][k]) for name in parameters}
     oldest = int(np.searchsorted(log.time, log.time[k] - OLDEST * log.slowness))
-    corrected = _correct(log, carrier, sigma, state, k, np.arange(max(since, oldest), k + 1), drive.frame)
-    names = corrected if readable(parameters) else parameters
-    return {parameters[name].name: parameters[name].value(state[name]) for name in names}
+    corrected = _corrected(drive, carrier, sigma, state, k, np.arange(max(since, oldest), k + 1))
+    state = corrected if readable(parameters) else state | corrected
+    return {parameters[name].name: parameters[name].value(value) for name, value in state.items()}
 
 
 def noise_levels(log: Log, model: Mapping[str, Array] | None = None) -> dict[str, float]:
@@ -166,45 +163,47 @@ def kept(own: Own, parameters: Mapping[str, StartParameter], start: Mapping[str,
     return {place: value for place, value in whole.items() if place not in given}
 
 
-def _correct(
-    log: Log,
+def _corrected(
+    drive: Drive,
     carrier: Mapping[str, Array],
     sigma: Mapping[str, float],
-    state: dict[str, float],
+    state: Mapping[str, float],
     at: int,
     rows: Rows,
-    frame: PlanarFrame | None,
-) -> list[str]:
-    """Put right the state at row `at` by what was measured at `rows`; returns the names that were."""
-    corrected: dict[str, float] = {}
-    slopes: dict[str, float] = {}
-    for name in (n for n in log.outputs if n in carrier):
+) -> dict[str, float]:
+    """Return what the measurements at `rows` correct of the state at row `at`."""
+    log, changes, slopes = drive.log, dict[str, float](), dict[str, float]()
+    rates = {rate_of(name, log.outputs) for name in log.outputs}
+    for name in log.outputs:
+        if name not in carrier or name in rates:
+            continue  # a rate is corrected together with its integral
         rate = rate_of(name, carrier)
-        if name in {rate_of(other, log.outputs) for other in log.outputs}:
-            continue  # corrected together with its integral
         channels = [name, rate] if rate is not None and rate in log.outputs else [name]
         errors = [(log.outputs[c][rows] - carrier[c][rows], sigma[c], c == rate) for c in channels]
         value, slope = _parabola(log, errors, at, rows)
         if value is not None:
-            corrected[name] = value
+            changes[name] = value
         if slope is not None:
             slopes[name] = slope
             if rate is not None:
-                corrected[rate] = slope
-    before = dict(state)
-    for name, change in corrected.items():
-        if name in state:
-            state[name] += change
-    if (
-        frame
-        and {frame.x, frame.y} <= slopes.keys()
-        and frame.local <= state.keys()
-        and frame.forward not in log.outputs
-    ):
-        velocity = _turned(frame, before, state[frame.heading], (slopes[frame.x], slopes[frame.y]))
-        state[frame.forward], state[frame.right] = velocity
-        corrected |= {frame.forward: 0.0, frame.right: 0.0}
-    return [name for name in corrected if name in state]
+                changes[rate] = slope
+    corrected = {name: state[name] + change for name, change in changes.items() if name in state}
+    return corrected | _velocity(drive, state, corrected, slopes)
+
+
+def _velocity(
+    drive: Drive, state: Mapping[str, float], corrected: Mapping[str, float], slopes: Mapping[str, float]
+) -> dict[str, float]:
+    """Return the local velocity at the corrected heading; nothing if it is measured or the position is not."""
+    frame = drive.frame
+    if frame is None or frame.forward in drive.log.outputs:
+        return {}
+    if not ({frame.x, frame.y} <= slopes.keys() and frame.local <= state.keys()):
+        return {}
+    x, y = world_velocity(SCALAR, state[frame.heading], state[frame.forward], state[frame.right])
+    heading = corrected.get(frame.heading, state[frame.heading])
+    forward, right = local_vector(SCALAR, heading, x + slopes[frame.x], y + slopes[frame.y])
+    return {frame.forward: forward, frame.right: right}
 
 
 def _parabola(log: Log, errors: Sequence[Error], at: int, rows: Rows) -> tuple[float | None, float | None]:
@@ -256,13 +255,3 @@ def sigma_of(values: Array, model: Array | None = None) -> float:
     level = noise_level(values) if model is None else noise_beside(values, model)
     floor = 1e-6 * float(np.nanmax(np.abs(values)))
     return max(floor, 1e-12) if math.isnan(level) else max(level, floor, 1e-12)
-
-
-def _turned(
-    frame: PlanarFrame, before: Mapping[str, float], heading: float, change: tuple[float, float]
-) -> tuple[float, float]:
-    """Local velocity at a heading, of the world velocity before with a change of it."""
-    velocity = (before[name] for name in (frame.forward, frame.right))
-    x, y = world_velocity(SCALAR, before[frame.heading], *velocity)
-    local: tuple[float, float] = local_vector(SCALAR, heading, x + change[0], y + change[1])
-    return local

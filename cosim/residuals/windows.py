@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -66,26 +65,8 @@ class Chain:
     begin: int
 
 
-def replay(log: Log, fmu: Path, start: Mapping[str, Any] | None = None) -> Replay:
-    """Free run over the whole log, from `start` (FMU parameters by name) or, without, from the first measurements.
-
-    Raises InputError, FmuError, and StoppedReplay with the rows before.
-    """
-    with Drive(log, fmu) as drive:
-        return free_run(drive, start)
-
-
-def replay_windows(log: Log, fmu: Path, starts: Mapping[int, Mapping[str, Any]], horizon: float) -> Replay:
-    """Runs of `horizon` seconds, each from row k at time t_k with the start values `starts[k]`.
-
-    A row belongs to the run that ends there; the row of a start is not predicted by it.
-    """
-    with Drive(log, fmu) as drive:
-        return windows(drive, starts, horizon)
-
-
 def free_run(drive: Drive, start: Mapping[str, Any] | None = None) -> Replay:
-    """`replay` on an FMU that is loaded."""
+    """Return the whole log as one run, from `start` (FMU parameters by name) or else from its first measurements."""
     log, parameters = drive.log, start_parameters(drive)
     chosen = first_start(drive, parameters) if start is None else start
     rows = {c.rows[0] for span in horizons(log) for c in chains(log, span)} if readable(parameters) else set()
@@ -105,7 +86,11 @@ def windows(
     horizon: float,
     memories: Mapping[int, Memory] = MappingProxyType({}),
 ) -> Replay:
-    """`replay_windows` on an FMU that is loaded; memories: row → what an FMU of ours keeps there."""
+    """Return runs of `horizon` seconds, each from row k at time t_k with the start values `starts[k]`.
+
+    A row belongs to the run that ends there; the row of a start is not predicted by it.
+    memories: row → what an FMU of ours keeps there
+    """
     table = np.full((drive.log.rows, len(drive.outputs)), np.nan)
     done = -1
     for first in sorted(starts):

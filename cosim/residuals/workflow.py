@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -35,13 +34,14 @@ from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.residuals.windows import Replay, free_run
 from cosim.storage.files import (
     FilePath,
-    atomic_write,
     check_writable,
     hold_stops,
     is_full,
     named_path,
     one_stop,
     release_stops,
+    write_json,
+    write_text,
 )
 from cosim.storage.folder_lock import folder_locks
 from cosim.storage.folders import REPLAY, check_left, keep_earlier
@@ -163,8 +163,7 @@ def write_replay(
             of = {"log": str(log.path), "fmu": "" if passing else str(fmu)}
             _record(folder, {**of, "sentence": verdict(comparison), "units": units})
             if report:
-                with atomic_write(folder / "report.html") as stream:
-                    stream.write(render(TEMPLATE, context(comparison, passing=passing)))
+                write_text(folder / "report.html", render(TEMPLATE, context(comparison, passing=passing)))
         except OSError as error:
             if not is_full(error):
                 raise
@@ -223,18 +222,15 @@ def _write_rows(made: Results, file: Path) -> None:
 
 def _record(folder: Path, content: Mapping[str, Any]) -> None:
     """replay.json: what rows do not say of themselves."""
-    with atomic_write(folder / REPLAY) as stream:
-        stream.write(json.dumps({"schema_version": SCHEMA_VERSION, **content}, ensure_ascii=False, indent=1) + "\n")
+    write_json(folder / REPLAY, {"schema_version": SCHEMA_VERSION, **content}, indent=1)
 
 
 def _older(drive: Drive) -> Iterator[Finding]:
     """An FMU of ours that does not say so yet: it is taken for anybody's, and less is known of it."""
     if drive.traits is None and drive.description.author == AUTHOR:
-        yield Finding(
-            "warning", "older", "",
-            f"{drive.fmu.name} was built by an earlier version, which says nothing of frame, limits and state: the log "
-            "is checked less and windows start worse; build it again",
-        )  # fmt: skip
+        older = f"{drive.fmu.name} was built by an earlier version, which says nothing of frame, limits and state"
+        worse = "the log is checked less and windows start worse; build it again"
+        yield Finding("warning", "older", "", f"{older}: {worse}")
 
 
 def results(drive: Drive, outputs: Mapping[str, Array]) -> Results:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import platform
 import subprocess
 from collections.abc import Mapping
@@ -10,12 +9,11 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import InputError
+from cosim.base.errors import refuse
 from cosim.base.version import __version__
 from cosim.scenario.pinned import key_of, sha256
 from cosim.scenario.scenario import FmuComponent, Scenario, resolved
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.storage.files import atomic_write
 from cosim.system.system import System
 
 SCHEMA_VERSION = 1
@@ -53,8 +51,7 @@ def check_pinned(file: ScenarioFile) -> None:
                 f"{path} is not the {what} of this run: its SHA-256 differs; put that one back, or run the scenario"
             )
             faults.append(file.fault(("components", name, key), message))
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
 
 
 def manifest(
@@ -107,13 +104,6 @@ def made_with() -> dict[str, Any]:
     }
 
 
-def write_manifest(path: Path, content: Mapping[str, Any]) -> None:
-    """Write a manifest, whole or not at all."""
-    with atomic_write(path) as stream:
-        json.dump(content, stream, indent=2, ensure_ascii=False)
-        stream.write("\n")
-
-
 def _versions() -> dict[str, str]:
     found = {}
     for package in PACKAGES:
@@ -129,11 +119,8 @@ def _git(folder: Path) -> dict[str, Any] | None:
     if not (folder / ".git").exists():
         return None
     try:
-        done = subprocess.run(
-            ["git", "-C", str(folder), "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty"],
-            capture_output=True, text=True, timeout=10, check=True,
-        )  # fmt: skip
+        command = ["git", "-C", str(folder), "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty"]
+        text = subprocess.check_output(command, stderr=subprocess.DEVNULL, text=True, timeout=10).strip()
     except (OSError, subprocess.SubprocessError):
         return None
-    text = done.stdout.strip()
     return {"revision": text.removesuffix("-dirty"), "dirty": text.endswith("-dirty")}

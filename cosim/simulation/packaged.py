@@ -23,7 +23,7 @@ from cosim.ssp.levels import Flat
 from cosim.ssp.read import Reader
 from cosim.ssp.ssp_package import Package, opened
 from cosim.ssp.structure import Structure
-from cosim.storage.files import atomic_write, check_writable
+from cosim.storage.files import check_writable, write_json
 from cosim.storage.folders import keep_earlier
 from cosim.storage.kinds import SSP, kind_by_form
 from cosim.storage.yaml_nodes import Location
@@ -109,9 +109,7 @@ def lay_out(
         for name, source in found.files.items():
             with draft_of(within / name) as draft:
                 shutil.copyfile(source, draft)
-        with atomic_write(within / SCENARIO) as stream:
-            json.dump(found.scenario, stream, indent=2, ensure_ascii=False)
-            stream.write("\n")
+        write_json(within / SCENARIO, found.scenario)
         return ScenarioFile(within / SCENARIO, overrides, found.places.fault), found.warnings
 
 

@@ -11,6 +11,7 @@ from cosim.base.errors import Fault, InputError
 from cosim.storage.folders import left_by_replay, manifest_in
 from cosim.storage.kinds import LOG, check_given, refuse_folder
 from cosim.storage.results import Results, read_results, rows_in
+from cosim.storage.table_source import suffixes
 
 WANTED = "the folder of a run or a table of its rows"
 
@@ -32,17 +33,17 @@ class Ran:
 
 
 def read_ran(path: Path) -> Ran:
-    """Results in a folder or a CSV; InputError where there are none."""
+    """Return the results in a folder or a table of rows; InputError if there are none."""
     if not path.exists():
-        raise InputError([Fault(path, 0, 0, "no such folder or file; give the folder that a run left, or a CSV")])
+        raise InputError([Fault(path, 0, 0, f"no such folder or file; give {WANTED}")])
     if not path.is_dir():
         check_given(path, LOG)
         return Ran(path, path.stem, read_results(path))
     rows = rows_in(path)
     if rows is None:
         refuse_folder(path, WANTED)
-        cure = "give the folder that a run left, or a CSV"
-        raise InputError([Fault(path, 0, 0, f"holds no results.csv; {cure}")])
+        names = " or ".join(f"results{suffix}" for suffix in suffixes())
+        raise InputError([Fault(path, 0, 0, f"holds no rows ({names}); give {WANTED}")])
     manifest = manifest_in(path)
     units = manifest.get("units") or left_by_replay(path).get("units")
     text = manifest.get("beside")

@@ -55,10 +55,8 @@ def check_fmu(path: Path, worker: Worker | None = None) -> list[Fault]:
     if worker is None:
         return []
     start, step = _experiment(description)
-    content = {
-        "name": path.stem, "start_time": start, "duration": step, "step": step,
-        "components": {"fmu": {"fmu": str(path.resolve())}},
-    }  # fmt: skip
+    times = {"start_time": start, "duration": step, "step": step}
+    content = {"name": path.stem, **times, "components": {"fmu": {"fmu": str(path.resolve())}}}
     worker.start()
     scenario = worker.folder / "check.json"
     scenario.write_text(json.dumps(content), encoding="utf-8")

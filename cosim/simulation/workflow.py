@@ -22,7 +22,7 @@ from cosim.scenario.pinned import sha256
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.criteria import evaluate
-from cosim.simulation.manifest import check_pinned, made_with, manifest, write_manifest
+from cosim.simulation.manifest import check_pinned, made_with, manifest
 from cosim.simulation.packaged import is_ssp, lay_out
 from cosim.storage import kinds
 from cosim.storage.files import (
@@ -34,6 +34,7 @@ from cosim.storage.files import (
     one_stop,
     release_stops,
     uninterrupted,
+    write_json,
 )
 from cosim.storage.folder_lock import folder_locks
 from cosim.storage.folders import check_ours, folder_named, keep_earlier
@@ -206,7 +207,7 @@ def _write(file: Path, results: Results, record: dict[str, Any], written: list[s
         results.write(file)
         remove_rows(folder, file.stem, besides=file.name)  # they would be of another run
         written.append(file.name)
-        write_manifest(folder / MANIFEST, record)
+        write_json(folder / MANIFEST, record)
         written.append(MANIFEST)
 
 
@@ -223,9 +224,13 @@ def _draw(folder: Path, results: Results, record: dict[str, Any], *, report: boo
 
 
 def _write_what_fits(
-    file: Path, results: Results, record: dict[str, Any], written: Sequence[str], rows: int,
+    file: Path,
+    results: Results,
+    record: dict[str, Any],
+    written: Sequence[str],
+    rows: int,
     failure: SimulationError | None,
-) -> SimulationError:  # fmt: skip
+) -> SimulationError:
     """What a full disk has room for of the rows and the manifest of a run; what to tell of it."""
     folder = file.parent
     (folder / "report.html").unlink(missing_ok=True)
@@ -236,7 +241,7 @@ def _write_what_fits(
     at = results.time[max(0, count - 1)].item() if len(results.time) else 0.0
     record["status"] = f"failed: {DiskFull('the run', at, told + before)}"
     try:
-        write_manifest(folder / MANIFEST, record)
+        write_json(folder / MANIFEST, record)
     except OSError:
         if MANIFEST not in written:
             (folder / MANIFEST).unlink(missing_ok=True)  # an earlier run's

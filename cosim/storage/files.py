@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import stat
@@ -14,7 +15,7 @@ from types import FrameType
 from typing import Any, TextIO
 
 from cosim.base.drafts import draft_of, is_full, remove_drafts
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.scratch import Held, scratch
 from cosim.storage.folder_lock import take_folder
 
@@ -31,6 +32,8 @@ __all__ = [
     "release_stops",
     "scratch_folder",
     "uninterrupted",
+    "write_json",
+    "write_text",
 ]
 
 FilePath = str | os.PathLike[str]
@@ -43,6 +46,17 @@ def atomic_write(path: Path) -> Iterator[TextIO]:
     """Open a text file that takes the place of `path` only when the block ends without an error."""
     with draft_of(path) as draft, draft.open("w", encoding="utf-8", newline="") as stream:
         yield stream
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text, whole or not at all."""
+    with atomic_write(path) as stream:
+        stream.write(text)
+
+
+def write_json(path: Path, content: Any, *, indent: int = 2, allow_nan: bool = True) -> None:
+    """Write JSON that ends in a line break, whole or not at all."""
+    write_text(path, json.dumps(content, indent=indent, ensure_ascii=False, allow_nan=allow_nan) + "\n")
 
 
 def check_text(names: Iterable[str]) -> None:
@@ -58,8 +72,7 @@ def check_text(names: Iterable[str]) -> None:
             except UnicodeDecodeError:
                 cure = "is not UTF-8 text; give the file or folder another name"
             faults.append(Fault(Path(name), 0, 0, cure))
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
 
 
 @contextmanager
@@ -197,23 +210,18 @@ def check_writable(folder: Path, names: Sequence[str], read: Iterable[Path] = ()
     except OSError as error:
         check_folder(folder)
         raise InputError([Fault(folder, 0, 0, f"cannot be the folder for results: {error.strerror}")]) from None
-    faults = [
-        Fault(folder / n, 0, 0, "is a folder; a file is to be written there") for n in names if (folder / n).is_dir()
-    ]
-    written = [path for n in names if (path := folder / n).is_file()]
-    faults += [
-        Fault(path, 0, 0, "is read, and results would be written over it; give another folder as --out")
-        for path in dict.fromkeys(read)
-        if path.is_file() and any(path.samefile(other) for other in written)
-    ]
-    faults += [
-        Fault(
-            folder / n, 0, 0, "belongs to another user, and only its owner may replace it; give another folder as --out"
-        )
-        for n in names
-        if _is_kept_by_another(folder / n)
-    ]
+    paths = [folder / name for name in names]
+    faults = []
+    for path in paths:
+        if path.is_dir():
+            faults.append(Fault(path, 0, 0, "is a folder; a file is to be written there"))
+        if _is_kept_by_another(path):
+            why = "belongs to another user, and only its owner may replace it; give another folder as --out"
+            faults.append(Fault(path, 0, 0, why))
+    for source in dict.fromkeys(read):
+        if source.is_file() and any(path.is_file() and source.samefile(path) for path in paths):
+            why = "is read, and results would be written over it; give another folder as --out"
+            faults.append(Fault(source, 0, 0, why))
     if not os.access(folder, os.W_OK):
         faults.append(Fault(folder, 0, 0, "cannot be written"))
-    if faults:
-        raise InputError(faults)
+    refuse(faults)

@@ -13,7 +13,7 @@ from typing import Any
 from cosim.base.drafts import draft_of, remove_drafts
 from cosim.base.errors import Fault, InputError
 from cosim.storage.artefact import artefacts
-from cosim.storage.files import atomic_write, uninterrupted
+from cosim.storage.files import uninterrupted, write_text
 from cosim.storage.folder_lock import take_folder
 
 RESULTS = Path("results")
@@ -93,17 +93,16 @@ def check_left(folder: Path, by: str, *sources: str, force: bool = False, keep: 
     prepare_folder(folder, keep=keep)
     if force or not folder.is_dir():
         return
-    for other in artefacts():
-        if other.verb not in ("", by) and other.is_left_in(folder):
-            raise InputError([Fault(folder, 0, 0, f"holds what `{other.verb}` left; {CURE}")])
-    own = next((a for a in artefacts() if a.verb == by and a.sources), None)
-    if not sources or own is None:
-        return
-    content = content_of(folder / own.marks[0])
-    before = [str(content.get(key) or "") for key in own.sources]
-    if any(before) and not all(map(_same, before, sources)):
-        of = " and ".join(filter(None, before))
-        raise InputError([Fault(folder, 0, 0, f"holds what `{by}` left of {of}; {CURE}")])
+    for left in sorted(artefacts(), key=lambda a: a.verb == by):  # those of other commands first
+        if not left.verb or not left.is_left_in(folder):
+            continue
+        if left.verb != by:
+            raise InputError([Fault(folder, 0, 0, f"holds what `{left.verb}` left; {CURE}")])
+        content = content_of(folder / left.marks[0])
+        before = [str(content.get(key) or "") for key in left.sources]
+        if sources and any(before) and not all(map(_same, before, sources)):
+            of = " and ".join(filter(None, before))
+            raise InputError([Fault(folder, 0, 0, f"holds what `{by}` left of {of}; {CURE}")])
 
 
 def _same(one: str, other: str) -> bool:
@@ -147,8 +146,7 @@ def keep_earlier(folder: Path, verb: str, also: Iterable[str] = ()) -> Path | No
     moving = folder / EARLIER / MOVING
     with uninterrupted():
         moving.mkdir(parents=True, exist_ok=True)
-        with atomic_write(moving / LIST) as stream:
-            stream.write("\n".join(path.relative_to(folder).as_posix() for path in paths))
+        write_text(moving / LIST, "\n".join(path.relative_to(folder).as_posix() for path in paths))
         return _finish_move(folder)
 
 

@@ -5,17 +5,19 @@ from __future__ import annotations
 import re
 import shlex
 import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from cosim.base.errors import Fault, InputError
-from cosim.storage.artefact import artefacts, kind_by_keys, kind_where, left_in, of_kind
-from cosim.storage.table_source import suffixes
+from cosim.storage.artefact import Artefact, artefacts, kind_by_keys, kind_where, left_in, of_kind
+from cosim.storage.table_source import sources, suffixes
 from cosim.storage.yaml_file import YamlFile
 
-LOG, FMU, SSP, SCENARIO, MANIFEST, STUDY, MODEL, ANSWER, CODE, SWEEP, RESULTS, TABLE = (
-    "a log", "an FMU", "an SSP", "a scenario", "a manifest", "a study", "a model file", "an answer of `cosim refine`",
-    "a model's Python file", "a sweep", "the rows of a run", "a table of runs",
-)  # fmt: skip
+LOG, FMU, SSP, SCENARIO = "a log", "an FMU", "an SSP", "a scenario"
+MANIFEST, STUDY, MODEL, ANSWER = "a manifest", "a study", "a model file", "an answer of `cosim refine`"
+CODE, SWEEP, RESULTS, TABLE = "a model's Python file", "a sweep", "the rows of a run", "a table of runs"
 TEXT, BINARY = "a text", "a binary file"
 WRITTEN = {".yaml", ".yml", ".json"}  # whose keys say what they are
 PROSE = {".md", ".rst", ".mmd", ".tex", ".c", ".h", ".toml", ".sh"}
@@ -28,34 +30,74 @@ HEAD = 1024  # bytes
 UNREAD = "no command reads it; `cosim --help` lists what each takes"
 
 
+@dataclass(frozen=True)
+class Form:
+    """A file by its path and its first bytes, none of one that cannot be read."""
+
+    path: Path
+    head: bytes
+
+    @property
+    def ending(self) -> str:
+        """Suffix in small letters."""
+        return self.path.suffix.lower()
+
+    @property
+    def text(self) -> str:
+        """The first bytes as text."""
+        return self.head.decode("utf-8", errors="replace").lstrip("\ufeff")
+
+    @cached_property
+    def members(self) -> Sequence[str]:
+        """Names of what is in an archive; none if the file only begins like one, or its ending says what it is."""
+        if not self.head.startswith(b"PK") or self.ending in {".fmu", ".ssp"}:
+            return ()
+        try:
+            with zipfile.ZipFile(self.path) as archive:
+                return archive.namelist()
+        except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError):
+            return ()
+
+    def is_of(self, a: Artefact) -> bool:
+        """Return whether the file begins as those of a kind do, or holds as an archive what they hold."""
+        text = "" if self.ending in WRITTEN else self.text.lstrip("\ufeff \t\r\n")
+        begins = bool(a.heads and self.head.startswith(a.heads)) or bool(text and a.text and re.match(a.text, text))
+        return begins or bool(a.member and any(a.member == "*" or n.startswith(a.member) for n in self.members))
+
+
 def kind_by_form(path: Path) -> str | None:
-    """The kind of a file by its first bytes or its ending, whatever its case; None of one whose keys will say."""
-    ending = path.suffix.lower()
+    """Return the kind of a file by its first bytes or its ending; None if its keys will say."""
     try:
         head = _head(path) if path.is_file() else b""
     except (OSError, ValueError):
         head = b""
-    kind = kind_where(lambda a: head.startswith(a.heads) if a.heads else False)
-    if kind is None and head.startswith(b"PK") and ending not in {".fmu", ".ssp"}:
-        kind = _packed(path)
-    if kind is None and ending not in WRITTEN:
-        kind = _marked(head)
-    if kind is not None:
-        return kind
-    if beside := kind_where(lambda a: a.beside and _is_named(path, a.beside)):
-        return beside
-    if head.startswith(b"PAR1") or (ending in suffixes() and ending != ".csv"):
+    form = Form(path, head)
+    return (
+        kind_where(form.is_of)
+        or kind_where(lambda a: a.beside and _is_named(path, a.beside))
+        or _table(form)
+        or kind_where(lambda a: form.ending in a.endings)
+        or _undeclared(form)
+    )
+
+
+def _table(form: Form) -> str | None:
+    """Return what a file of a format of tables is; None of CSV that may be a log."""
+    if any(source.magic and form.head.startswith(source.magic) for source in sources()):
         return LOG  # its columns say whether it is one
-    if ending == ".csv" and _no_text(head):
+    if form.ending != ".csv":
+        return LOG if form.ending in suffixes() else None
+    if _no_text(form.head):
         return BINARY
-    if ending == ".csv" and _keyed(head):
-        return _by_keys(path) or LOG
-    by_ending = kind_where(lambda a: ending in a.endings)
-    if by_ending is not None or not head:
-        return by_ending
-    if b"\0" in head and ending not in WRITTEN and not head.startswith(UTF_16):
+    return (_by_keys(form.path) or LOG) if _keyed(form.text) else None
+
+
+def _undeclared(form: Form) -> str | None:
+    """Return what a file is that no declaration describes; None if it may be a table or a mapping."""
+    if b"\0" in form.head and form.ending not in WRITTEN and not form.head.startswith(UTF_16):
         return BINARY
-    return TEXT if ending in PROSE or (ending in COLUMNS and not _tabular(head)) else None
+    is_text = form.ending in PROSE or (form.ending in COLUMNS and not _tabular(form.text))
+    return TEXT if form.head and is_text else None
 
 
 def _is_named(path: Path, beside: tuple[str, str]) -> bool:
@@ -70,19 +112,9 @@ def _head(path: Path) -> bytes:
         return stream.read(HEAD)
 
 
-def _packed(path: Path) -> str | None:
-    """The kind of an archive by what is in it; None of what only begins like one."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            names = set(archive.namelist())
-    except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError):
-        return None
-    return kind_where(lambda a: a.member and any(a.member == "*" or name.startswith(a.member) for name in names))
-
-
-def _tabular(head: bytes) -> bool:
-    """Whether a text may be a table or a mapping: it has a row of numbers, or begins with a column or a key."""
-    lines = head.decode("utf-8", errors="replace").splitlines()
+def _tabular(text: str) -> bool:
+    """Return whether a text may be a table or a mapping: a row of numbers in it, or a column or a key at its start."""
+    lines = text.splitlines()
     return any(ROW.match(line) for line in lines[1:]) or bool(lines and FIRST.match(lines[0]))
 
 
@@ -94,17 +126,11 @@ def _no_text(head: bytes) -> bool:
     return b"\0" in head.partition(b"\n")[0] or (controls > 0.05 * len(head) and any(byte > 127 for byte in head))
 
 
-def _keyed(head: bytes) -> bool:
-    """Whether a text begins as YAML or JSON does, with a key."""
-    lines = (line.strip() for line in head.decode("utf-8", errors="replace").lstrip("\ufeff").splitlines())
+def _keyed(text: str) -> bool:
+    """Return whether a text begins as YAML or JSON does, with a key."""
+    lines = (line.strip() for line in text.splitlines())
     first = next((line for line in lines if line and not line.startswith(("#", "---", "%"))), "")
     return bool(first == "{" or KEYED.match(first))
-
-
-def _marked(head: bytes) -> str | None:
-    """The kind of a text that begins as XML does."""
-    text = head.decode("utf-8", errors="replace").lstrip("\ufeff \t\r\n")
-    return kind_where(lambda a: a.text and re.match(a.text, text))
 
 
 def next_step(kind: str, path: Path) -> str:

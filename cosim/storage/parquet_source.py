@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Container, Sequence
+from collections.abc import Callable, Collection, Container, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
 from cosim.base.drafts import draft_of
@@ -96,29 +97,36 @@ def _content(parquet: Any, path: Path) -> Any:
 
 def _column(name: str, unit: str, column: Any, *, is_text: bool) -> SourceColumn:
     types = optional("pyarrow.types", "Parquet")
-    kind = column.type
-    if types.is_dictionary(kind):
-        column = column.cast(kind.value_type)
-        kind = column.type
-    if types.is_floating(kind) or types.is_null(kind):
-        return SourceColumn(name, unit, _doubles(column))
-    if types.is_boolean(kind) or types.is_integer(kind):
-        if is_text:
-            return SourceColumn(name, unit, [str(value) for value in column.to_pylist()])
-        if column.null_count or types.is_uint64(kind):
-            return SourceColumn(name, unit, _doubles(column))
-        return SourceColumn(name, unit, column.to_numpy().astype(np.int64))
-    if types.is_string(kind) or types.is_large_string(kind):
-        return SourceColumn(name, unit, [value or "" for value in column.to_pylist()])
-    if types.is_binary(kind) or types.is_large_binary(kind) or types.is_fixed_size_binary(kind):
-        return SourceColumn(name, unit, [(value or b"").hex() for value in column.to_pylist()])
-    return SourceColumn(name, unit, fault=_no_numbers(types, kind))
+    if types.is_dictionary(column.type):
+        column = column.cast(column.type.value_type)
+    for tests, values in READERS:
+        if any(getattr(types, f"is_{test}")(column.type) for test in tests.split()):
+            return SourceColumn(name, unit, _texts(column) if is_text and values is _whole else values(column))
+    return SourceColumn(name, unit, fault=_no_numbers(types, column.type))
+
+
+def _texts(column: Any) -> list[str]:
+    return ["" if value is None else str(value) for value in column.to_pylist()]
+
+
+def _whole(column: Any) -> Array | NDArray[np.int64]:
+    """Return whole numbers; doubles if a value is missing or may not fit."""
+    is_safe = not column.null_count and str(column.type) != "uint64"
+    return column.to_numpy().astype(np.int64) if is_safe else _doubles(column)
 
 
 def _doubles(column: Any) -> Array:
     """The numbers of a column, NaN where there is none."""
     values = column.cast("float64", safe=False).to_numpy()
     return np.asarray(values, dtype=np.float64)
+
+
+READERS: tuple[tuple[str, Callable[[Any], Any]], ...] = (  # types of columns, and how their values are read
+    ("floating null", _doubles),
+    ("boolean integer", _whole),
+    ("string large_string", _texts),
+    ("binary large_binary fixed_size_binary", lambda column: [(v or b"").hex() for v in column.to_pylist()]),
+)
 
 
 def _no_numbers(types: Any, kind: Any) -> str:

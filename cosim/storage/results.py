@@ -144,22 +144,25 @@ def read_results(path: Path, units: Mapping[str, str] | None = None, text: Colle
     units: of columns whose header says none
     text:  columns that are no numbers, whatever they look like; others are told by their cells
     """
-    faults = Faults(path)
-    frame = source_of(path).frame(path, units or {}, text) if is_there(faults) else Frame()
+    faults, units = Faults(path), units or {}
+    frame = source_of(path).frame(path, units, text) if is_there(faults) else Frame()
     faults.raise_any()
     time = _time_of(frame, faults)
-    signals = frame.columns[1:]
-    for cell, column in enumerate(signals, 2):
+    numbers: dict[str, Array] = {}
+    exact, whole = dict[str, list[Any]](), set[str]()
+    for cell, column in enumerate(frame.columns[1:], 2):
         if column.fault:
             faults.note(0, cell, f"column {column.name} {column.fault}")
+        elif not column.numeric:
+            exact[column.name] = list(column.values)
+        else:
+            numbers[column.name] = values = np.asarray(column.values, dtype=np.float64)
+            whole |= {column.name} if np.asarray(column.values).dtype.kind == "i" else set()
     faults.raise_any()
-    numbers = {c.name: np.asarray(c.values, dtype=np.float64) for c in signals if c.numeric}
-    exact = {c.name: list(c.values) for c in signals if not c.numeric}
-    whole = frozenset(c.name for c in signals if isinstance(c.values, np.ndarray) and c.values.dtype.kind == "i")
     values = np.column_stack(list(numbers.values())) if numbers else np.empty((time.size, 0))
-    known = {c.name: c.unit for c in signals if c.unit}
-    known |= {name: unit for name, unit in (units or {}).items() if name in numbers or name in exact}
-    return Results(time, tuple(numbers), values, known, exact, whole)
+    known = {c.name: c.unit for c in frame.columns[1:] if c.unit}
+    known |= {name: unit for name, unit in units.items() if name in numbers or name in exact}
+    return Results(time, tuple(numbers), values, known, exact, frozenset(whole))
 
 
 def _time_of(frame: Frame, faults: Faults) -> Array:

@@ -95,17 +95,12 @@ def _fmu(
         diagnosis.note(("components", name, "fmu"), f"no such FMU: {path}{cure}")
         return None
     description = read(path)
-    given = {**designed, **component.start}
-    variables = {v.name: v for v in description.modelVariables} if given else {}
-    given = with_elements(given, variables)
-    typed_values = {
-        variable: _start(name, description, variables, variable, value, diagnosis) for variable, value in given.items()
-    }
-    start = {variable: value for variable, value in typed_values.items() if value is not None}
+    start = _start_values(name, description, {**designed, **component.start}, diagnosis)
     targets = (connection.target.partition(".") for connection in file.scenario.connections)
     connected = frozenset(variable for owner, _, variable in targets if owner == name)
-    if component.interface is not None and component.interface not in (offered := ways(description)):
-        diagnosis.note(("components", name, "interface"), f"{path.name} offers {' and '.join(offered)} only")
+    if component.interface not in (None, *ways(description)):
+        offered = " and ".join(ways(description))
+        diagnosis.note(("components", name, "interface"), f"{path.name} offers {offered} only")
         return None
     scenario = file.scenario
     return FmuBlock(
@@ -134,21 +129,23 @@ def recorded(patterns: Sequence[str], name: str, description: Any) -> frozenset[
     return frozenset(found)
 
 
-def _start(
-    name: str, description: Any, variables: Mapping[str, Any], variable_name: str, given: Any, diagnosis: Diagnosis
-) -> Any:
-    """A start value in the type and unit of its variable; a fault and None where it does not fit."""
-    where: Place = ("components", name, "start", variable_name)
-    variable = variables.get(variable_name)
-    if variable is None:
-        known = [v.name for v in variables.values() if settable(v)]
-        diagnosis.note(where, f'{name} has no variable "{variable_name}"{did_you_mean(variable_name, known)}')
-        return None
-    if not settable(variable):
-        diagnosis.note(where, f"{name}.{variable_name} is {kind_of(variable)}; it takes no start value")
-        return None
-    value = typed(description, variable, given)
-    if isinstance(value, Misfit):
-        diagnosis.note(where, f"{name}.{variable_name} is {given!r}; {value.reason}")
-        return None
-    return value
+def _start_values(component: str, description: Any, stated: Mapping[str, Any], diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return start values in the type and unit of their variables; note a fault for each that does not fit."""
+    variables = {v.name: v for v in description.modelVariables} if stated else {}
+    values = {}
+    for name, value in with_elements(stated, variables).items():
+        variable = variables.get(name)
+        if variable is None:
+            hint = did_you_mean(name, [v.name for v in variables.values() if settable(v)])
+            converted: Any = Misfit(f'{component} has no variable "{name}"{hint}')
+        elif not settable(variable):
+            converted = Misfit(f"{component}.{name} is {kind_of(variable)}; it takes no start value")
+        else:
+            converted = typed(description, variable, value)
+            if isinstance(converted, Misfit):
+                converted = Misfit(f"{component}.{name} is {value!r}; {converted.reason}")
+        if isinstance(converted, Misfit):
+            diagnosis.note(("components", component, "start", name), converted.reason)
+        elif converted is not None:
+            values[name] = converted
+    return values

@@ -35,7 +35,7 @@ class Schedule:
 def schedule(
     scenario: Scenario, components: Components, transfers: Sequence[Sequence[Transfer]], diagnosis: Diagnosis
 ) -> Schedule:
-    """Order of a scenario whose components and connections are all there; empty, a fault noted, where it has none.
+    """Return the order of a sound scenario's components and transfers; empty, a fault noted, if it has none.
 
     transfers: of each connection
     """
@@ -45,7 +45,7 @@ def schedule(
     if stated is not None and not _names_all(stated, components, diagnosis):
         return Schedule()
     try:
-        order, immediate, notes = algorithm.plan(components, [_edge(c) for c in scenario.connections], stated)
+        order, immediate, notes = algorithm.plan(components, list(map(_edge, scenario.connections)), stated)
     except AlgebraicLoop as loop:
         names = ", ".join(sorted(set(loop.cycle)))
         message = (
@@ -59,11 +59,12 @@ def schedule(
         diagnosis.note(("algorithm",), message)
         return Schedule()
     diagnosis.warnings += notes
-    both = list(zip(transfers, immediate, strict=True))
-    now = [t for each, is_now in both if is_now for t in each]
-    held = tuple(t for each, is_now in both if not is_now for t in each)
-    pulls = {name: tuple(t for t in now if t.name.partition(".")[0] == name) for name in order}
-    return Schedule(tuple(Stage(components[name], pulls[name], every[name]) for name in order), held)
+    held: list[Transfer] = []
+    pulls: dict[str, list[Transfer]] = {name: [] for name in order}
+    for connection, is_immediate in zip(transfers, immediate, strict=True):
+        for transfer in connection:
+            (pulls[transfer.name.partition(".")[0]] if is_immediate else held).append(transfer)
+    return Schedule(tuple(Stage(components[n], tuple(pulls[n]), every[n]) for n in order), tuple(held))
 
 
 def _every(scenario: Scenario, name: str, diagnosis: Diagnosis) -> int:

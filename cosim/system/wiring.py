@@ -26,6 +26,7 @@ from cosim.scenario.scenario import (
     ReferenceComponent,
 )
 from cosim.scenario.scenario_file import ScenarioFile
+from cosim.scenario.start_values import Misfit
 from cosim.storage.yaml_file import did_you_mean
 
 Components = Mapping[str, Component]
@@ -152,52 +153,9 @@ def connect(
     """Transfers of each connection, in their order, of arrays one an element; none of one with a fault."""
     _check_sources(file, diagnosis)
     _check_faults(file, diagnosis)
+    wiring = _Wiring(file, components, layout, diagnosis)
     lines = zip(file.places["connections"], file.scenario.connections, strict=True)
-    ends = _Ends(file, components, diagnosis)
-    faults: dict[str, list[Disturbance]] = {}
-    for fault in file.scenario.faults:
-        faults.setdefault(fault.on, []).append(fault)
-    return [_transfers(ends, layout, k, connection, faults) for k, connection in lines]
-
-
-def _transfers(
-    found_ends: _Ends, layout: RowLayout, k: int, connection: Connection, disturbances: Mapping[str, list[Disturbance]]
-) -> tuple[Transfer, ...]:
-    file, diagnosis = found_ends.file, found_ends.diagnosis
-    sources = found_ends.of(("connections", k, "from"), connection.source, "outputs")
-    targets = found_ends.of(("connections", k, "to"), connection.target, "inputs")
-    if not sources or not targets:
-        return ()
-    ends = f"{connection.source} to {connection.target}"
-    if len(sources) != len(targets):
-        diagnosis.note(("connections", k), f"{ends}: {len(sources)} values do not go to {len(targets)}")
-        return ()
-    noise = connection.noise if file.scenario.noise else None
-    owners = connection.source.partition(".")[0], connection.target.partition(".")[0]
-    found = []
-    for source, target in zip(sources, targets, strict=True):
-        if misfit := _misfit(connection, source, target):
-            diagnosis.note(("connections", k), misfit)
-            return ()
-        conversion = connection.conversion or source.conversion(target)
-        if (assumed := taken_for(file, connection, source, target)) is not None:
-            conversion = assumed.factor, assumed.offset
-            told = f"{connection.target} {assumed.sentence}"
-            if assumed.sentence and told not in diagnosis.warnings:  # of an array once
-                diagnosis.warnings.append(told)
-        origin, name = (f"{owner}.{end.name}" for owner, end in zip(owners, (source, target), strict=True))
-        (from_beside, at), (to_beside, to) = layout.place[origin], layout.place[name]
-        faults = tuple(f for key in dict.fromkeys((connection.target, name)) for f in disturbances.get(key, ()))
-        if from_beside or to_beside:
-            counts = [f.kind for f in faults if f.kind not in PASSING]
-            if noise or conversion != (1.0, 0.0) or counts:
-                what = f"{' or '.join(counts)} fault" if counts else "noise or factor"
-                diagnosis.note(("connections", k), f"{ends}: no {what} on {source.kind or target.kind}")
-                return ()
-        factor, offset = conversion or (1.0, 0.0)
-        sides = from_beside, to_beside
-        found.append(Transfer(at, to, name, noise, factor, offset, faults, sides, target.items, origin))
-    return tuple(found)
+    return [wiring.transfers(k, connection) for k, connection in lines]
 
 
 def taken_for(file: ScenarioFile, connection: Connection, source: Signal, target: Signal) -> Taken | None:
@@ -224,15 +182,65 @@ def _misfit(connection: Connection, source: Signal, target: Signal) -> str:
     return ""
 
 
-class _Ends:
-    """Finds the ends of connections: a signal, or the elements of an array."""
+class _Wiring:
+    """Connections to be made: their ends, each a signal or the elements of an array, and the transfers between."""
 
-    def __init__(self, file: ScenarioFile, components: Components, diagnosis: Diagnosis) -> None:
-        self.file, self.components, self.diagnosis = file, components, diagnosis
+    def __init__(self, file: ScenarioFile, components: Components, layout: RowLayout, diagnosis: Diagnosis) -> None:
+        self.file, self.components, self.layout, self.diagnosis = file, components, layout, diagnosis
         self._known: dict[tuple[str, str], dict[str, list[Signal]]] = {}
+        self._faults: dict[str, list[Disturbance]] = {}
+        for fault in file.scenario.faults:
+            self._faults.setdefault(fault.on, []).append(fault)
 
-    def of(self, where: Place, text: str, side: str) -> list[Signal]:
-        """One end among a component's `side`, its inputs or outputs; none, a fault noted, where there is none."""
+    def transfers(self, k: int, connection: Connection) -> tuple[Transfer, ...]:
+        """Return the transfers of a connection, of arrays one an element; none, a fault noted, if it has a fault."""
+        sources = self._ends(("connections", k, "from"), connection.source, "outputs")
+        targets = self._ends(("connections", k, "to"), connection.target, "inputs")
+        if not sources or not targets:
+            return ()
+        if len(sources) != len(targets):
+            ends = f"{connection.source} to {connection.target}"
+            self.diagnosis.note(("connections", k), f"{ends}: {len(sources)} values do not go to {len(targets)}")
+            return ()
+        made = []
+        for source, target in zip(sources, targets, strict=True):
+            transfer = self._transfer(connection, source, target)
+            if isinstance(transfer, Misfit):
+                self.diagnosis.note(("connections", k), transfer.reason)
+                return ()
+            made.append(transfer)
+        return tuple(made)
+
+    def _transfer(self, connection: Connection, source: Signal, target: Signal) -> Transfer | Misfit:
+        """Return the transfer between two signals, or why there is none."""
+        if misfit := _misfit(connection, source, target):
+            return Misfit(misfit)
+        noise = connection.noise if self.file.scenario.noise else None
+        factor, offset = self._conversion(connection, source, target)
+        origin = f"{connection.source.partition('.')[0]}.{source.name}"
+        name = f"{connection.target.partition('.')[0]}.{target.name}"
+        (from_beside, at), (to_beside, to) = self.layout.place[origin], self.layout.place[name]
+        faults = tuple(f for key in dict.fromkeys((connection.target, name)) for f in self._faults.get(key, ()))
+        changes = [f"{fault.kind} fault" for fault in faults if fault.kind not in PASSING]
+        changes += ["noise or factor"] if noise or (factor, offset) != (1.0, 0.0) else []
+        if changes and (from_beside or to_beside):
+            ends = f"{connection.source} to {connection.target}"
+            return Misfit(f"{ends}: no {' or '.join(changes)} on {source.kind or target.kind}")
+        sides = from_beside, to_beside
+        return Transfer(at, to, name, noise, factor, offset, faults, sides, target.items, origin)
+
+    def _conversion(self, connection: Connection, source: Signal, target: Signal) -> tuple[float, float]:
+        """Return factor and offset between two signals; note a warning if a unit is assumed."""
+        assumed = taken_for(self.file, connection, source, target)
+        if assumed is None:
+            return connection.conversion or source.conversion(target) or (1.0, 0.0)
+        warning = f"{connection.target} {assumed.sentence}"
+        if assumed.sentence and warning not in self.diagnosis.warnings:  # of an array once
+            self.diagnosis.warnings.append(warning)
+        return assumed.factor, assumed.offset
+
+    def _ends(self, where: Place, text: str, side: str) -> list[Signal]:
+        """Return one end among a component's `side`, its inputs or outputs; none, a fault noted, if there is none."""
         name, _, variable = text.partition(".")
         if name not in self.file.scenario.components and name not in self.file.broken:
             hint = did_you_mean(name, self.file.scenario.components)

@@ -14,8 +14,8 @@ from cosim.report.drawing import Drawing
 from cosim.report.html_tables import Grid
 from cosim.report.panels import Panel
 from cosim.report.svg import Plot
+from cosim.simulation.report.component_page import ComponentPage
 from cosim.simulation.report.recorded import Run
-from cosim.simulation.report.subject import Subject
 from fmus.report import account
 from fmus.report.figures_of_merit import ResponseRow, error_grid, response_rows, tiles, tilt_grid
 from fmus.report.lines import error_panels, shown_columns, state_panels, tilt_panels
@@ -54,7 +54,7 @@ class CraftPage:
     grids: list[Grid]
 
 
-def subject(run: Run, drawing: Drawing) -> Subject:
+def subject(run: Run, drawing: Drawing) -> ComponentPage:
     """The page about the crafts of a run: motion, states, estimation, tilts."""
     crafts = find_crafts(run)
     called = [craft.name if len(crafts) > 1 else "the craft" for craft in crafts]
@@ -62,7 +62,7 @@ def subject(run: Run, drawing: Drawing) -> Subject:
     view = make_view(crafts, rows) if run.time.size else None
     drawn = [craft for craft in crafts if view and last_row(true_track(craft)) is not None]
     pages = [craft_page(*pair, drawing) for pair in zip(crafts, called, strict=True)] if run.time.size else []
-    return Subject(
+    return ComponentPage(
         template=TEMPLATE,
         values={"pages": pages, "view": view},
         tiles=tiles(run, crafts),

@@ -11,9 +11,9 @@ from cosim.base.drafts import draft_of
 from cosim.report.figure import new_figure
 from cosim.report.panels import Panel
 from cosim.report.svg import TICKS_ACROSS, TICKS_UP, lone_axis, make_axis, thin, time_axis, value_axis
+from cosim.simulation.report.component_page import figures_of
 from cosim.simulation.report.recorded import Run
 from cosim.simulation.report.run_page import recorded, signal_panels
-from cosim.simulation.report.subject import figures_of
 from cosim.storage.results import Results
 
 if TYPE_CHECKING:

@@ -19,6 +19,7 @@ from cosim.report.html_tables import Row
 from cosim.report.panels import Band, Panel, Trace, by_unit
 from cosim.report.svg import extent
 from cosim.report.template import render
+from cosim.simulation.report.component_page import ComponentPage, component_page
 from cosim.simulation.report.recorded import Run, mapping, mappings, number, texts
 from cosim.simulation.report.run_rows import (
     Connection,
@@ -31,10 +32,9 @@ from cosim.simulation.report.run_rows import (
     spelled,
     starts,
 )
-from cosim.simulation.report.subject import Subject, subject_of
 from cosim.simulation.report.system_diagram import graph_of_run
 from cosim.simulation.report.verdicts import Criterion, criteria, failed, outcome
-from cosim.storage.files import atomic_write
+from cosim.storage.files import write_text
 from cosim.storage.results import Results
 
 TEMPLATE = Path(__file__).with_name("templates") / "run.html.j2"
@@ -51,10 +51,8 @@ def write_report(path: Path, results: Results, manifest: Mapping[str, Any]) -> N
     """Write one self-contained HTML page about a run; `manifest` may lack any of its keys."""
     run = recorded(results, manifest)
     drawing = Drawing(run.time, min(MOST_DRAWN, len(run.results.columns)))
-    subject = subject_of(run, drawing)
-    page = render(subject.template if subject else TEMPLATE, context(run, drawing, subject), [TEMPLATE.parent])
-    with atomic_write(path) as stream:
-        stream.write(page)
+    page = component_page(run, drawing) or ComponentPage(TEMPLATE, tiles=_goals(criteria(run)))
+    write_text(path, render(page.template, context(run, drawing, page), [TEMPLATE.parent]))
 
 
 def recorded(results: Results, manifest: Mapping[str, Any]) -> Run:
@@ -65,28 +63,27 @@ def recorded(results: Results, manifest: Mapping[str, Any]) -> Run:
     return Run(replace(results, time=results.time[timed], values=drawable), manifest)
 
 
-def context(run: Run, drawing: Drawing, subject: Subject | None) -> Mapping[str, Any]:
-    """Everything the template names."""
+def context(run: Run, drawing: Drawing, page: ComponentPage) -> Mapping[str, Any]:
+    """Return everything the template names."""
     judged = criteria(run)
-    shown = subject.shown if subject else frozenset[str]()
     connected = connections(run)
-    links = connection_panels(run, connected, shown) if run.time.size else {}
-    others = signal_panels(run, shown.union(*links)) if run.time.size else []
+    links = connection_panels(run, connected, page.shown) if run.time.size else {}
+    others = signal_panels(run, page.shown.union(*links)) if run.time.size else []
     return {
         "name": str(run.scenario.get("name") or "Run"),
         "description": str(run.scenario.get("description") or ""),
         "outcome": outcome(run, judged),
         "tone": "bad" if failed(run) or not all(c.met for c in judged) else "good" if judged else "plain",
         "badges": badges(run, judged),
-        "tiles": [*(subject.tiles if subject else _goals(judged)), *_speed(run)],
+        "tiles": [*page.tiles, *_speed(run)],
         "links": drawing.plots(list(links.values())),
         "others": drawing.plots(others),
         "spelled": spelled(run),
-        "undrawn": _undrawn(len(_left(run, shown))),
+        "undrawn": _undrawn(len(_undisplayed(run, page.shown))),
         "criteria": judged,
         "rows": run.time.size,
         "end": run.time[-1] if run.time.size else 0.0,
-        "data": to_json(drawing.series, subject.data if subject else {}),
+        "data": to_json(drawing.series, page.data),
         "diagram": _diagram(run),
         "provenance": provenance(run),
         "connections": connected[:MOST_LISTED],
@@ -95,8 +92,8 @@ def context(run: Run, drawing: Drawing, subject: Subject | None) -> Mapping[str,
         "warnings": texts(run.manifest.get("warnings")),
         "repeat": shlex.join(["cosim", "run", "manifest.json"]),
         "version": str(run.manifest.get("cosim_version") or ""),
-        "own": bool(subject and subject.shown),
-        **(subject.values if subject else {}),
+        "own": bool(page.shown),
+        **page.values,
     }
 
 
@@ -147,18 +144,18 @@ def connection_panels(
     return panels
 
 
-def _left(run: Run, shown: frozenset[str]) -> list[str]:
+def _undisplayed(run: Run, shown: frozenset[str]) -> list[str]:
     return [column for column in run.results.columns if column not in shown]
 
 
 def _undrawn(signals: int) -> str:
-    return f"The first {MOST_DRAWN} of {signals} signals; results.csv has all." if signals > MOST_DRAWN else ""
+    return f"The first {MOST_DRAWN} of {signals} signals; the file of rows has all." if signals > MOST_DRAWN else ""
 
 
 def signal_panels(run: Run, shown: frozenset[str] = frozenset()) -> list[Panel]:
     """The columns not `shown` elsewhere, grouped by unit in the order the units come; no more than a page shows."""
     panels, items, whole = [], items_of(run), run.results.whole
-    for unit, columns in by_unit(_left(run, shown)[:MOST_DRAWN], run.unit):
+    for unit, columns in by_unit(_undisplayed(run, shown)[:MOST_DRAWN], run.unit):
         shown_unit, factor = display(unit)
         traces = [
             Trace(column, run.results[column] * factor, f"s{i}", held=column in whole, items=items.get(column, {}))

@@ -30,24 +30,26 @@ class Connection:
 
 
 def badges(run: Run, judged: Sequence[Criterion]) -> list[Badge]:
-    """Status, criteria, algorithm, noise, seed, then what asks for attention."""
-    found = [Badge("failed", "bad") if failed(run) else Badge("completed", "good")]
-    if judged:
-        met = sum(criterion.met for criterion in judged)
-        found.append(
-            Badge(f"{met} of {counted(len(judged), 'criterion')} met", "good" if met == len(judged) else "bad")
-        )
-    scenario, seed = run.scenario, run.manifest.get("seed")
-    found += [Badge(_title(run.algorithm))] if run.algorithm else []
-    measured = (mapping(c).get("signals") for c in mapping(scenario.get("components")).values())
-    sources = (*mappings(scenario.get("connections")), *(s for found in measured for s in mapping(found).values()))
-    noisy = any(mapping(mapping(source).get("noise")) for source in sources)
-    found += [Badge("noise on" if noisy and scenario.get("noise", True) else "noise off")] if run.links else []
-    found += [Badge(f"seed {seed}")] if seed is not None else []
-    warnings = texts(run.manifest.get("warnings"))
-    found += [Badge(counted(len(warnings), "warning"), "warn")] if warnings else []
-    found += [Badge("uncommitted changes", "warn")] if mapping(run.manifest.get("git")).get("dirty") else []
-    return found
+    """Return badges: status, criteria, algorithm, noise, seed, then what asks for attention."""
+    met = sum(criterion.met for criterion in judged)
+    seed, warnings = run.manifest.get("seed"), texts(run.manifest.get("warnings"))
+    badges = (
+        (True, Badge("failed", "bad") if failed(run) else Badge("completed", "good")),
+        (judged, Badge(f"{met} of {counted(len(judged), 'criterion')} met", "good" if met == len(judged) else "bad")),
+        (run.algorithm, Badge(_title(run.algorithm))),
+        (run.links, Badge("noise on" if _has_noise(run.scenario) else "noise off")),
+        (seed is not None, Badge(f"seed {seed}")),
+        (warnings, Badge(counted(len(warnings), "warning"), "warn")),
+        (mapping(run.manifest.get("git")).get("dirty"), Badge("uncommitted changes", "warn")),
+    )
+    return [badge for applies, badge in badges if applies]
+
+
+def _has_noise(scenario: Mapping[str, Any]) -> bool:
+    """Return whether a connection or a sensor of fixes adds noise."""
+    sensors = (mapping(mapping(c).get("signals")) for c in mapping(scenario.get("components")).values())
+    sources = (*mappings(scenario.get("connections")), *(signal for signals in sensors for signal in signals.values()))
+    return bool(scenario.get("noise", True)) and any(mapping(mapping(source).get("noise")) for source in sources)
 
 
 def _title(algorithm: str) -> str:
@@ -88,13 +90,13 @@ def _over_time(run: Run, values: Mapping[int, str], points: int) -> str:
 def connections(run: Run) -> list[Connection]:
     """The connections of the scenario."""
     return [
-        Connection(str(link.get("from", "?")), str(link.get("to", "?")), "; ".join(_acting(run, link)))
+        Connection(str(link.get("from", "?")), str(link.get("to", "?")), "; ".join(disturbances(run, link)))
         for link in mappings(run.scenario.get("connections"))
     ]
 
 
-def _acting(run: Run, link: Mapping[str, Any]) -> list[str]:
-    """What acts on a connection: its noise, then each injected fault."""
+def disturbances(run: Run, link: Mapping[str, Any]) -> list[str]:
+    """Return what acts on a connection: its noise, then each injected fault."""
     noise, target = _noise(run, link), str(link.get("to"))
     return [*([noise] if noise else []), *(fault_text(fault) for fault in faults_on(run, [target]))]
 
@@ -154,33 +156,33 @@ def _said(value: object) -> str:
 
 
 def provenance(run: Run) -> list[Row]:
-    """What is needed to get the same numbers again."""
+    """Return what is needed to get the same numbers again; facts that the manifest lacks are left out."""
     manifest, scenario = run.manifest, run.scenario
-    found = []
-    for name, fmu in mapping(manifest.get("fmus")).items():
-        fields = mapping(fmu)
-        identity = [
-            f"{key.replace('_', ' ')} {fields[key]}"
-            for key in ("model_name", "version", "guid", "sha256", "generation_tool")
-            if fields.get(key)
-        ]
-        found.append(Row(f"FMU {name}", "\n".join(identity), str(fields.get("path") or "")))
-    if manifest.get("cosim_version"):
-        found.append(Row("cosim", str(manifest["cosim_version"])))
-    versions = mapping(manifest.get("versions"))
-    found += [Row("Versions", ", ".join(f"{key} {value}" for key, value in versions.items()))] if versions else []
-    git = mapping(manifest.get("git"))
-    state = "with uncommitted changes" if git.get("dirty") else "clean"
-    found += [Row("Git revision", str(git["revision"]), state)] if git.get("revision") else []
-    facts = {"Duration": ("duration", "s"), "Step": ("step", "s")}
-    found += [
-        Row(label, f"{number(scenario[key]):g} {unit}") for label, (key, unit) in facts.items() if key in scenario
-    ]
-    found += [Row("Algorithm", run.algorithm)] if run.algorithm else []
-    found += [Row("Seed", str(manifest["seed"]))] if manifest.get("seed") is not None else []
+    git, timings, seed = mapping(manifest.get("git")), mapping(manifest.get("timings")), manifest.get("seed")
     design = mapping(manifest.get("design")) or mapping(scenario.get("design"))
-    found += [Row("Design", ", ".join(f"{key} = {value}" for key, value in design.items()))] if design else []
-    timings = mapping(manifest.get("timings"))
-    wall = [f"{key} {amount(number(timings[key]), 's')}" for key in ("load", "simulate") if key in timings]
-    found += [Row("Wall time", ", ".join(wall))] if wall else []
-    return found
+    wall = (f"{key} {amount(number(timings[key]), 's')}" for key in ("load", "simulate") if key in timings)
+    facts = (
+        Row("cosim", str(manifest.get("cosim_version") or "")),
+        Row("Versions", _pairs(mapping(manifest.get("versions")), " ")),
+        Row(
+            "Git revision", str(git.get("revision") or ""), "with uncommitted changes" if git.get("dirty") else "clean"
+        ),
+        *(Row(k.title(), f"{number(scenario[k]):g} s") for k in ("duration", "step") if k in scenario),
+        Row("Algorithm", run.algorithm),
+        Row("Seed", "" if seed is None else str(seed)),
+        Row("Design", _pairs(design, " = ")),
+        Row("Wall time", ", ".join(wall)),
+    )
+    fmus = (_fmu_row(name, mapping(fmu)) for name, fmu in mapping(manifest.get("fmus")).items())
+    return [*fmus, *(fact for fact in facts if fact.value)]
+
+
+def _pairs(facts: Mapping[str, Any], between: str) -> str:
+    return ", ".join(f"{key}{between}{value}" for key, value in facts.items())
+
+
+def _fmu_row(name: str, fmu: Mapping[str, Any]) -> Row:
+    """Return the identity of an FMU, a line a fact."""
+    keys = ("model_name", "version", "guid", "sha256", "generation_tool")
+    lines = [f"{key.replace('_', ' ')} {fmu[key]}" for key in keys if fmu.get(key)]
+    return Row(f"FMU {name}", "\n".join(lines), str(fmu.get("path") or ""))

@@ -11,7 +11,7 @@ from cosim.base.text import counted, written
 from cosim.coupling.algorithms import DEFAULT, Algorithm, algorithms
 from cosim.report.diagram import Box, Port, Wire, diagram
 from cosim.simulation.report.recorded import Run, mapping, mappings
-from cosim.simulation.report.run_rows import connections
+from cosim.simulation.report.run_rows import disturbances
 from cosim.storage.results import Results
 from cosim.storage.yaml_file import short
 
@@ -108,23 +108,21 @@ def graph_from(scenario: Mapping[str, Any], order: Sequence[str], held: set[str]
     components = mapping(scenario.get("components"))
     about = {name: _about(mapping(components.get(name))) for name in order}
     alone = Run(_no_rows(units), {"scenario": scenario})
-    acting = {c.target: tuple(c.noise.split("; ")) if c.noise else () for c in connections(alone)}
     silent = scenario.get("noise") is False
     arrays = {name.partition("[")[0] for name in held}
-    found = []
+    links = []
     for link in mappings(scenario.get("connections")):
         source, target = str(link.get("from")), str(link.get("to"))
         what = tuple(
             text if text.startswith("fault") else f"noise {text}"
-            for text in acting.get(target, ())
+            for text in disturbances(alone, link)
             if text.startswith("fault") or not silent
         )
         pair = units.get(source, ""), units.get(target, "")
-        found.append(Link(source, target, pair, what, target in held or target in arrays))
-    links = [link for link in found if all(end in about for end in link.ends)]
-    return Graph(
-        str(scenario.get("name") or ""), about, links, algorithms().get(str(scenario.get("algorithm")), DEFAULT)
-    )
+        drawn = Link(source, target, pair, what, target in held | arrays)
+        links += [drawn] if about.keys() >= {*drawn.ends} else []
+    algorithm = algorithms().get(str(scenario.get("algorithm")), DEFAULT)
+    return Graph(str(scenario.get("name") or ""), about, links, algorithm)
 
 
 def _no_rows(units: Mapping[str, str]) -> Results:

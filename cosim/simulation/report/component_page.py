@@ -14,7 +14,7 @@ from cosim.simulation.report.recorded import Run
 
 
 @dataclass(frozen=True)
-class Subject:
+class ComponentPage:
     """A page of its own for some components; without one, a run has its signals alone.
 
     template: extends run.html.j2
@@ -31,16 +31,16 @@ class Subject:
     data: Mapping[str, Any] = field(default_factory=dict)
 
 
-def subject_of(run: Run, drawing: Drawing) -> Subject | None:
-    """The page that is registered for a component with these variables, if there is one."""
-    found: Subject | None = None
-    if page := registry.page_for(run.variables.values()):
-        found = registry.resolve(page.subject)(run, drawing)
-    return found
+def component_page(run: Run, drawing: Drawing) -> ComponentPage | None:
+    """Return the page that is registered for a component with these variables, None without one."""
+    page: ComponentPage | None = None
+    if declared := registry.page_for(run.variables.values()):
+        page = registry.resolve(declared.subject)(run, drawing)
+    return page
 
 
 def figures_of(run: Run, folder: Path) -> list[Path]:
-    """Figures that are registered for a component with these variables; none without."""
+    """Return figures that are registered for a component with these variables; none without."""
     drawn: list[Path] = []
     if (page := registry.page_for(run.variables.values())) and page.figures:
         drawn = registry.resolve(page.figures)(run, folder)
