@@ -75,7 +75,7 @@ def _against_rate(log: Log, name: str, rate: str, severity: Severity) -> Iterato
 
 
 def _unit_of(log: Log, degrees: str, other: str, unit: str) -> str:
-    """What to do about one of two columns that is in degrees, for what their headers say."""
+    """Say what to do about one of two columns that is in degrees, for what their headers say."""
     said = " and ".join(f'"{name} [{log.written[name]}]"' for name in (degrees, other) if log.written.get(name))
     if log.written.get(degrees):
         return f"The header says {said}: one of the units is wrong"
@@ -99,7 +99,7 @@ def _blocks(log: Log, values: Array, rates: Array) -> tuple[Array, Array, Array]
 
 
 def degrees_or(log: Log, name: str) -> str:
-    """What may be wrong with an angle that is too large: its unit, where the header says none, or what it says."""
+    """Say what may be wrong with an angle that is too large: its unit, where the header says none, or its header."""
     if written := log.written.get(name):
         return f'its header says "{written}": is it so, and may the model not go there?'
     return f'if it is in degrees, call it "{name} [deg]"'

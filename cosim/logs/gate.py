@@ -49,7 +49,7 @@ def gate(
 
 
 def refuse_faults(log: Log, findings: Sequence[Finding]) -> None:
-    """InputError where a finding makes the log unusable."""
+    """Raise InputError where a finding makes the log unusable."""
     if faults := gate_faults(log, findings):
         raise InputError(faults)
 
@@ -65,13 +65,13 @@ def gate_faults(log: Log, findings: Sequence[Finding]) -> list[Fault]:
 
 
 def _undeclared(log: Log) -> Iterator[Finding]:
-    """Columns with a unit of signals without one: how their numbers were taken."""
+    """Warn of columns with a unit of signals without one: how their numbers were taken."""
     for name, said in log.undeclared.items():
         yield Finding("warning", "undeclared", name, said)
 
 
 def _unread(log: Log) -> Iterator[Finding]:
-    """Columns that the model does not have; a warning of each whose name is close to one that it has."""
+    """Note columns that the model does not have; warn of each whose name is close to one that it has."""
     for name, hint in ((n, h) for n, h in log.unread.items() if h):
         yield Finding("warning", "unread", name, f"is not read: the model has none of this name{hint}")
     others = [name or "one without a name" for name, hint in log.unread.items() if not hint]
@@ -119,7 +119,7 @@ def _timing(log: Log) -> Iterator[Finding]:
 
 
 def _unit_meant(log: Log, ratio: float) -> str | None:
-    """The unit that the time is in, for all it seems; None where the header says which, or where seconds can be meant.
+    """Return the unit that the time seems to be in; None where the header says it, or seconds can be meant.
 
     A log in minutes seems to be over in seconds; one that is not has rows that far apart.
     """

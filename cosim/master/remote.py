@@ -43,12 +43,12 @@ class Stepped:
 
 
 def said_of(system: System) -> list[str]:
-    """What its FMUs said, a line each."""
+    """Return the messages of its FMUs, a line each."""
     return [f"{s.component.name}: {text}" for s in system.stages for text in getattr(s.component, "log", ())]
 
 
 def simulate_here(system: System, steps: int, h: float, observers: Sequence[Observer] = ()) -> Stepped:
-    """The steps of a run in this process. Raises FmuError."""
+    """Return the steps of a run in this process. Raises FmuError."""
     feed = _feed(observers, system, steps, h)
     rows = Rows.in_memory(steps + 1, len(system.columns))
     feed.table = rows.table
@@ -69,7 +69,7 @@ def simulate_here(system: System, steps: int, h: float, observers: Sequence[Obse
 
 
 def _feed(observers: Sequence[Observer], system: System, steps: int, h: float) -> Feed:
-    """What gives the rows of a run to its observers."""
+    """Return the feed of the rows of a run to its observers."""
     time = system.start + h * np.arange(steps + 1, dtype=np.float64)
     return Feed(observers, Observed(system.columns, steps + 1, system.start, h), time)
 
@@ -87,7 +87,7 @@ def _reached(system: System, h: float, made: int) -> float:
 def _stepped(
     system: System, steps: int, h: float, progress: Callable[[int], None] | None = None, rows: Rows | None = None
 ) -> Results:
-    """The rows of a run, or of what halves of its steps make of it."""
+    """Return the rows of a run, or of what halves of its steps make of it."""
     if not system.halved:
         return simulate(system, steps, h, progress, rows)
     return Halved(system, steps, h, progress, rows or Rows.in_memory(steps + 1, len(system.columns))).results()

@@ -340,13 +340,13 @@ class _Untitled(GenerateJsonSchema):
 
 
 def schema() -> dict[str, Any]:
-    """The JSON schema, draft 2020-12; refine.schema.json holds it."""
+    """Return the JSON schema, draft 2020-12; refine.schema.json holds it."""
     body = Record.model_json_schema(mode="serialization", schema_generator=_Untitled)
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **body}
 
 
 def known(channels: Mapping[str, float]) -> dict[str, float]:
-    """Figures of the channels that were predicted at all: a log too short for one replay gives none."""
+    """Return figures of the channels that were predicted at all: a log too short for one replay gives none."""
     return {name: value for name, value in channels.items() if math.isfinite(value)}
 
 
@@ -366,7 +366,7 @@ def effects(subject: Subject, claimed: Hypothesis, tried: Iterable[Hypothesis]) 
 
 
 def per_log(study: Study, f: Fit, ends: Mapping[str, float]) -> dict[str, PerLog]:
-    """Every parameter per log: what the fit has of each group, and what the filter ended with where it has nothing."""
+    """Return every parameter per log: what the fit has of each group, else what the filter ended with."""
     declared, found = study.subject.declared, {}
     for name in study.settings.per_log:
         unit, (mean, sd) = declared[name].unit, expected(f, name)
@@ -383,13 +383,13 @@ def _estimate(f: Fit, name: str, unit: str) -> Estimate:
 
 
 def unseen(a: Attribution, claims: Claims) -> list[str]:
-    """Effects that would not have shown at their usual size; not those that are claimed, for they did."""
+    """Return effects that would not have shown at their usual size; not those that are claimed, for they did."""
     claimed = claims.claimed.names if claims.claimed else ()
     return [name for name in a.hidden if name not in claimed]
 
 
 def ranking(a: Attribution, claims: Claims) -> list[CandidateEntry]:
-    """Every hypothesis tried, best first, with its scores and why it lost."""
+    """Return every hypothesis tried, best first, with its scores and why it lost."""
     return [
         CandidateEntry(
             names=list(h.names),

@@ -209,7 +209,7 @@ def experiment_for(subject: Subject, names: Sequence[str]) -> str:
 
 
 def name_of(candidates: Sequence[Candidate], subject: Subject) -> Name:
-    """The verdict that claims these candidates, by their kind."""
+    """Return the verdict that claims these candidates, by their kind."""
     kinds = {kind_within(c, subject) for c in candidates}
     return "parameter_error" if kinds == {"parameter"} else "sensor_error" if kinds == {"sensor"} else "effect_found"
 

@@ -180,7 +180,7 @@ def _is_rival(search: Search, best: Hypothesis, h: Hypothesis) -> bool:
 
 
 def _with_tolerance(h: Hypothesis, times: float, weight: float) -> float:
-    """The objective where every tolerance is so many times as wide, by the fit's own quadratic.
+    """Return the objective where every tolerance is so many times as wide, by the fit's own quadratic.
 
     weight: of priors against likelihood. With F the information without priors and θ̂ where it alone would lead, the
     minimum of ½(θ−θ̂)'F(θ−θ̂) + priors.
@@ -216,7 +216,7 @@ def noise_gain(problem: Problem, f: Fit) -> tuple[float, ...]:
 
 
 def at_limit(h: Hypothesis, f: Free, neutral: Mapping[str, float]) -> bool:
-    """Moved, and as far as it may; to neutral is where an effect that the model has too much of belongs."""
+    """Whether a parameter was moved as far as it may; neutral is where an effect belongs that there is too much of."""
     value = h.fit.values[f.name]
     limits = f.low, f.high, h.fit.values.get(f.above)
     return value in limits and value not in (neutral[f.name], f.neutral)

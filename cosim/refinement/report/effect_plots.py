@@ -96,7 +96,7 @@ def shown(r: Refinement) -> list[Shown]:
 
 
 def _without(claim: Hypothesis, candidate: Candidate, neutral: Mapping[str, float]) -> dict[str, float]:
-    """The claim's values with one candidate's at neutral."""
+    """Return the claim's values with one candidate's at neutral."""
     return {**claim.fit.values, **{n: neutral[n] for n in candidate.parameters}}
 
 
