@@ -20,7 +20,7 @@ JITTER = 0.01  # of a row, from which rows are no longer taken to be equally far
 def as_data(
     subject: Subject, log: Log, layout: Layout, settle: float, interpolated: frozenset[str] = frozenset()
 ) -> Data:
-    """A log as the filter takes it: equal steps; where a row is missing the command is held and nothing is measured.
+    """Return a log in equal steps; where a row is missing the command is held and nothing is measured.
 
     settle: [s] until lags have forgotten an unknown start, see `settling`
     """
@@ -46,7 +46,7 @@ def as_data(
 
 
 def _as_table(log: Log, layout: Layout) -> Data:
-    """A table: the outputs of a row are those of its own inputs, as where these run straight from row to row."""
+    """Return a table: the outputs of a row are those of its own inputs, as where these run straight from row to row."""
     u = np.column_stack([log.inputs[name] for name in layout.inputs])
     nothing = np.full(log.rows, np.nan)
     y = np.column_stack([log.outputs.get(name, nothing) for name in layout.outputs])
@@ -54,7 +54,7 @@ def _as_table(log: Log, layout: Layout) -> Data:
 
 
 def folds(logs: Sequence[Data]) -> list[Data]:
-    """Tables in parts, of which each can be left out in turn: row by row, or rows spread evenly where there are many.
+    """Return tables in parts that can be left out in turn: row by row, or rows spread evenly where there are many.
 
     Rows in which nothing is measured are left away.
     """
@@ -68,7 +68,7 @@ def folds(logs: Sequence[Data]) -> list[Data]:
 
 
 def _as_acted(log: Log, u: Array, grid: Rows) -> Array:
-    """The mean of each command over each equal step, where it was given at times between: its impulse is exact."""
+    """Return the mean of each command over each equal step, where commands change in between: the impulse is exact."""
     edges = np.arange(len(u) + 1, dtype=np.float64)
     given = (log.time - log.time[0]) / log.step
     commands = u[grid]
@@ -81,7 +81,7 @@ def _as_acted(log: Log, u: Array, grid: Rows) -> Array:
 
 
 def unscored(data: Data) -> int:
-    """Rows at the start of a log that are not scored: the filter settles. None of a table."""
+    """Return rows at the start of a log that are not scored: the filter settles. None of a table."""
     if data.table:
         return 0
     return round(UNSCORED * slowness(data.step) / data.step)

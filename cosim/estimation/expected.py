@@ -15,12 +15,12 @@ from cosim.logs.channel_noise import NORMAL_95
 
 
 def means(f: Fit) -> dict[str, float]:
-    """Each parameter per log as a mean over the groups."""
+    """Return each parameter per log as a mean over the groups."""
     return {name: expected(f, name)[0] for name in dict.fromkeys(x.parameter for x in f.free if x.group)}
 
 
 def expected(f: Fit, name: str, besides: str = "") -> tuple[float, float]:
-    """Mean over groups of a parameter per log, and the standard deviation that a further group is expected to have.
+    """Return the mean over groups of a parameter per log, and the standard deviation expected of a further group.
 
     Of estimates θ̂ of n groups, that scatter by s about their mean, t·s·√(1 + 1/n), with Student's t for the few that
     they are (95 % of both distributions alike); s is no less than they are uncertain. Of a single one, the prior's.
@@ -40,7 +40,7 @@ def expected(f: Fit, name: str, besides: str = "") -> tuple[float, float]:
 
 
 def as_expected(f: Fit, group: str) -> dict[str, float]:
-    """Values of a group as they are expected of what the fit has of the others, with their spread."""
+    """Return values of a group as they are expected of what the fit has of the others, with their spread."""
     values = {}
     for name in dict.fromkeys(x.parameter for x in f.free if x.group):
         values[own(name, group)], values[spread(name, group)] = expected(f, name, group)
@@ -48,7 +48,7 @@ def as_expected(f: Fit, group: str) -> dict[str, float]:
 
 
 def unseen(problem: Problem, f: Fit, left_out: int) -> Fit:
-    """A fit of all logs but one; of that one's parameters nothing is known where no other is of its group."""
+    """Return a fit of all logs but one; of that one's parameters nothing is known where no other is of its group."""
     if not problem.own:
         return f
     group = problem.origins[left_out].group
@@ -58,7 +58,7 @@ def unseen(problem: Problem, f: Fit, left_out: int) -> Fit:
 
 
 def of_every_log(f: Fit, groups: Iterable[str]) -> dict[str, float]:
-    """Values of parameters per log, for each of the groups: as fitted, or as expected."""
+    """Return values of parameters per log, for each of the groups: as fitted, or as expected."""
     fitted = {x.name: f.values[x.name] for x in f.free if x.group}
     known = {x.group for x in f.free if x.group}
     return {**{k: v for g in dict.fromkeys(groups) if g not in known for k, v in as_expected(f, g).items()}, **fitted}

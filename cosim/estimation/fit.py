@@ -70,14 +70,14 @@ class Fit:
         return self.nll + self.penalty
 
     def marginal(self, names: Sequence[str]) -> Array:
-        """Information on some parameters when all others are free too: the Schur complement of theirs."""
+        """Return the information on some parameters when all others are free too: the Schur complement of theirs."""
         F = self.information
         own = np.isin([f.name for f in self.free] + [""] * (len(F) - len(self.free)), names)
         mended = F[np.ix_(own, ~own)] @ inverse(F[np.ix_(~own, ~own)]) @ F[np.ix_(~own, own)]
         return np.asarray(F[np.ix_(own, own)] - mended)
 
     def sigma(self, name: str) -> float:
-        """Standard deviation of an estimate: from the inverse of the information, or its scatter where that is more."""
+        """Return the standard deviation of an estimate: by the information, or by its scatter where that is more."""
         k = [f.name for f in self.free].index(name)
         variance = inverse(self.information)[k, k]
         return float(np.sqrt(max(0.0, variance, self.scattered[k, k] if self.scattered is not None else 0.0)))
@@ -89,7 +89,7 @@ def unfitted(problem: Problem) -> Fit:
 
 
 def inverse(information: Array) -> Array:
-    """Pseudo-inverse; of each parameter in its own unit, or it would drop the least identifiable of them."""
+    """Return the pseudo-inverse, each parameter in its own unit, or the least identifiable would be dropped."""
     scale = np.sqrt(np.diag(information).clip(min=0.0))
     scale[scale == 0.0] = 1.0
     return np.asarray(pseudo_inverse(information / np.outer(scale, scale)) / np.outer(scale, scale))
@@ -114,7 +114,7 @@ def fit(
 
 
 def scores(problem: Problem, f: Fit) -> tuple[Array, Array]:
-    """Derivative of each measurement's NLL by the free parameters and all free noise, and their information."""
+    """Return derivative of each measurement's NLL by the free parameters and all free noise, and their information."""
     scoring = _Scoring(problem, f.free, f.values, f.noise, None, sensing=True)
     scoring.scored = scoring._evaluate(scoring.theta)
     e, s = scoring.scored.errors, scoring.scored.variances
@@ -191,7 +191,7 @@ class _Scoring:
         return vector
 
     def _within(self, theta: Array) -> Array:
-        """The nearest within the limits; what may not be below another is raised to it."""
+        """Return the nearest within the limits; what may not be below another is raised to it."""
         there = np.clip(theta, self.low, self.high)
         for upper, lower in self.ordered:
             there[upper] = max(there[upper], there[lower])
@@ -210,7 +210,7 @@ class _Scoring:
         return scored.nll + self._penalty(theta)
 
     def sensitivities(self, *, both: bool = False) -> tuple[Array, Array]:
-        """∂e and ∂ln s by θ in units of the parameters' sizes: one-sided differences, inwards from an upper limit.
+        """Return ∂e and ∂ln s by θ in units of the parameters' sizes: one-sided, inwards from an upper limit.
 
         both: differences to both sides, where the limits leave room
         """
@@ -230,13 +230,13 @@ class _Scoring:
         return np.nan_to_num(de, posinf=0.0, neginf=0.0), np.nan_to_num(dls, posinf=0.0, neginf=0.0)
 
     def _beside(self, i: int, h: float) -> Scored:
-        """What is scored with one of θ moved by h."""
+        """Filter with one of θ moved by h."""
         there = self.theta.copy()
         there[i] += h
         return self._evaluate(there)
 
     def derivatives(self, de: Array, dls: Array) -> tuple[Array, Array]:
-        """Gradient ∂NLL/∂θ and information of NLL and priors, θ in units of the parameters' sizes."""
+        """Return gradient ∂NLL/∂θ and information of NLL and priors, θ in units of the parameters' sizes."""
         e, s = self.scored.errors, self.scored.variances
         gradient = de @ (e / s) + 0.5 * dls @ (1.0 - e * e / s)
         information = (de / s) @ de.T + 0.5 * dls @ dls.T

@@ -40,7 +40,7 @@ class Noise:
         return np.concatenate([self.power, [self.memory], self.sensors, self.timing])
 
     def like(self, vector: Array) -> Self:
-        """Others of the same sizes, from one row."""
+        """Return others of the same sizes, from one row."""
         n, m = len(self.power), len(self.sensors)
         power, memory, sensors, timing = np.split(vector, [n, n + 1, n + 1 + m])
         return type(self)(power, float(memory[0]), sensors, timing)
@@ -77,13 +77,13 @@ class NoiseLimits:
         return places
 
     def penalty(self, vector: Array) -> float:
-        """½ Σ ((v − mean)/sigma)²."""
+        """Return ½ Σ ((v − mean)/sigma)²."""
         held = np.isfinite(self.sigma)
         return float(0.5 * np.sum(((vector[held] - self.mean[held]) / self.sigma[held]) ** 2))
 
 
 def noise_range(variances: Callable[[Array, bool], Array], count: int) -> NoiseRange:
-    """The range; `variances` gives those of the innovations at the ln of the power of the `count` unknown inputs.
+    """Return the range; `variances` gives those of innovations at the ln of the power of `count` unknown inputs.
 
     Its second argument: whether they last as long as they may, else as long as usual. The least is none, however long
     it lasts: else a fit that takes it to last longer would have an unknown input for nothing.

@@ -19,7 +19,7 @@ _idle = Semaphore(min(2, os.cpu_count() or 1) - 1)  # cores, beside that of the 
 
 
 def in_parallel(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-    """The results of `work`, in the order of the items; raises what the first of them that fails does."""
+    """Return the results of `work`, in the order of the items; raises what the first of them that fails does."""
     results: dict[int, Result] = {}
     faults: dict[int, BaseException] = {}
     numbers = count()

@@ -32,12 +32,12 @@ class Origin:
 
 
 def own(name: str, group: str) -> str:
-    """What the value of a parameter for a group goes by among the values."""
+    """Return the name of the value of a parameter for a group."""
     return f"{name}@{group}"
 
 
 def spread(name: str, group: str) -> str:
-    """The same of the standard deviation of that value; without it, the value is known."""
+    """Return the name of the standard deviation of that value; without it, the value is known."""
     return f"spread of {name}@{group}"
 
 
@@ -48,7 +48,7 @@ def own_parameters(
     values: Mapping[str, float],
     tolerance: Mapping[str, float],
 ) -> Iterator[Free]:
-    """Each parameter once for each group, held near the subject's value: by its tolerance, or else its usual size."""
+    """Yield each parameter once for each group, held near the subject's value: by its tolerance or its usual size."""
     for name in names:
         p, value = subject.declared[name], values[name]
         share = tolerance.get(name, p.tolerance)
@@ -59,7 +59,7 @@ def own_parameters(
 
 
 def not_per_log(candidates: Sequence[Candidate], names: Sequence[str]) -> Iterator[Candidate]:
-    """Candidates without parameters that are per log: those are free in every hypothesis."""
+    """Yield candidates without parameters that are per log: those are free in every hypothesis."""
     for c in candidates:
         if free := tuple(f for f in c.free if f.name not in names):
             starts = tuple({n: v for n, v in s.items() if n not in names} for s in c.starts)
@@ -93,7 +93,7 @@ def started(
 
 
 def _slopes(read: Callable[[Array], Array], x: Array, places: Sequence[int], here: Array) -> Array:
-    """Derivatives of readings by some states, shape (readings, states)."""
+    """Return derivatives of readings by some states, shape (readings, states)."""
     columns = []
     for place in places:
         step = STEP * max(1.0, abs(float(x[place])))

@@ -54,9 +54,9 @@ def build_problem(
     values |= {f.name: values[f.parameter] for f in own}
     x0, P0 = [start_state(subject, d, measured, layout.states) for d in data], np.empty((0, 0))
     r, late = np.array([_variance(subject, name, noise) for name in measured]), _late(subject, measured)
-    known, free = np.isin(measured, [*subject.sensor_variance]), ~np.isin(measured, [*noise])
+    stated, adjusted = np.isin(measured, [*subject.sensor_variance]), ~np.isin(measured, [*noise])
     problem = Problem(
-        kernel, data, readings, x0, P0, r, values, settle, settings, late, known, free, own=own, origins=begins
+        kernel, data, readings, x0, P0, r, values, settle, settings, late, stated, adjusted, own=own, origins=begins
     )
     return replace(problem, P0=start_covariance(subject, problem))
 
@@ -72,7 +72,7 @@ def _late(subject: Subject, measured: Sequence[str]) -> dict[str, list[int]]:
 
 
 def start_state(subject: Subject, data: Data, measured: Sequence[str], states: Sequence[str]) -> Array:
-    """The subject's own start, with what is measured near the start of the log in its place."""
+    """Return the subject's own start, with what is measured near the start of the log in its place."""
     start = {**subject.start(), **_first_measured(subject, data, measured)}
     return np.array([start.get(name, 0.0) for name in states])
 
@@ -92,7 +92,7 @@ def origins(
 
 
 def start_covariance(subject: Subject, problem: Problem) -> Array:
-    """P0 of the stochastic states: 10·r of what every log measures at its start, else what the model says of it.
+    """Return P0 of the stochastic states: 10·r of what every log measures at its start, else what the model says of it.
 
     Of a state of which it says nothing, the squared range of the model's own run on the commands, or 1 without.
     """
@@ -109,7 +109,7 @@ def start_covariance(subject: Subject, problem: Problem) -> Array:
 
 
 def with_equations_trusted(subject: Subject, problem: Problem) -> Problem:
-    """The problem without unknown inputs; one of free runs starts from what was read first, whatever is read later."""
+    """Return the problem without unknown inputs; one of free runs starts from what was read first."""
     P0 = problem.P0.copy()
     if math.isinf(subject.horizon):
         for k, name in enumerate(problem.layout.uncertain):
@@ -119,13 +119,13 @@ def with_equations_trusted(subject: Subject, problem: Problem) -> Problem:
 
 
 def _measured_at_start(subject: Subject, problem: Problem) -> set[str]:
-    """States that every log measures at its start."""
+    """Return states that every log measures at its start."""
     outputs = problem.layout.outputs
     return set.intersection(*(set(_first_measured(subject, data, outputs)) for data in problem.logs))
 
 
 def _range(problem: Problem) -> Array:
-    """Of each state, the range within which the model's own run moves; 0 at rest.
+    """Return the range of each state within which the model's own run moves; 0 at rest.
 
     0 also where the run is further from what was measured than that itself moves, as the run of an unstable model is.
     """
@@ -141,13 +141,13 @@ def _range(problem: Problem) -> Array:
 
 
 def own_run(problem: Problem, index: int) -> Simulated:
-    """The model on the commands of a log, free of noise; NaN from where it runs away."""
+    """Return the model on the commands of a log, free of noise; NaN from where it runs away."""
     p, memory = problem.numbers(problem.of_log(problem.values, index)), np.zeros(problem.layout.memory)
     return problem.kernel.simulate(problem.logs[index], p, problem.start(problem.values, index)[0], memory)
 
 
 def _first_measured(subject: Subject, data: Data, measured: Sequence[str]) -> dict[str, float]:
-    """State → its first measurement, of the states that an output shows and that are measured near the start."""
+    """Return state → its first measurement, of the states that an output shows and that are measured near the start."""
     shown, first = subject.shown, {}
     early = data.y[: round(STARTING * slowness(data.step) / data.step) + 1]
     for j, name in enumerate(measured):
@@ -158,12 +158,12 @@ def _first_measured(subject: Subject, data: Data, measured: Sequence[str]) -> di
 
 
 def varied_inputs(subject: Subject, logs: Sequence[Log]) -> list[str]:
-    """Inputs that are not constant in some log."""
+    """Return inputs that are not constant in some log."""
     return [q.name for q in subject.inputs if any(np.ptp(log.inputs[q.name]) > 1e-9 for log in logs)]
 
 
 def coarsened(problem: Problem, values: Mapping[str, float] | None = None) -> Problem:
-    """The problem with the fewest substeps that give a model's likelihood as the model's own number does.
+    """Return the problem with the fewest substeps that give a model's likelihood as the model's own number does.
 
     values: where that model is not the base model; an effect that is awake may need finer steps
     """
@@ -178,7 +178,7 @@ def coarsened(problem: Problem, values: Mapping[str, float] | None = None) -> Pr
 
 
 def halved(problem: Problem) -> Problem:
-    """One log as two; the second starts where a filter is then that follows what is measured."""
+    """Return one log as two; the second starts where a filter is then that follows what is measured."""
     (log,), (x0,) = problem.logs, problem.x0
     half = len(log.u) // 2
     halves = [log.rows(0, half), log.rows(half, len(log.u))]

@@ -107,7 +107,7 @@ class Problem:
     origins: Sequence[Origin] = ()
 
     def with_noise(self, levels: Mapping[str, float]) -> Problem:
-        """The problem with a first guess of the noise [standard deviation] of some outputs."""
+        """Return the problem with a first guess of the noise [standard deviation] of some outputs."""
         guess = [levels.get(name, 0.0) ** 2 for name in self.layout.outputs]
         return replace(self, r=np.where(np.array(guess) > 0.0, guess, self.r))
 
@@ -159,7 +159,7 @@ class Problem:
         return max(LONGEST_MEMORY * longest, 4.0 * min(d.step for d in self.logs))
 
     def at(self, power: Array) -> Noise:
-        """Unknown inputs of this power; memory and sensors as they are known so far."""
+        """Return unknown inputs of this power; memory and sensors as they are known so far."""
         if self.sensing is not None:
             return replace(self.sensing, power=power)
         return Noise(power, float(np.log(self.values[MEMORY])), np.log(self.r), np.full(len(self.r), -np.inf))
@@ -200,7 +200,7 @@ class Problem:
         return NoiseLimits(*map(np.concatenate, zip(*parts, strict=True)))
 
     def undisturbed(self, state: Array) -> Array:
-        """A state of the kernel without unknown inputs, of which no prediction is made; constants within bounds."""
+        """Return a state without unknown inputs, of which no prediction is made; constants within bounds."""
         plain = state.copy()
         for f in self.own:
             place = self.layout.constants[f.parameter]
@@ -210,11 +210,11 @@ class Problem:
         return plain
 
     def numbers(self, values: Mapping[str, float]) -> Array:
-        """Values of the parameters in the kernel's order."""
+        """Return values of the parameters in the kernel's order."""
         return np.array([values[name] if name in values else self.values[name] for name in self.layout.parameters])
 
     def of_log(self, values: Mapping[str, float], index: int) -> Mapping[str, float]:
-        """The values that hold for a log: parameters per log as its group has them."""
+        """Return the values that hold for a log: parameters per log as its group has them."""
         known = {name: value for name, (value, _) in self._own(values, index).items()}
         return {**values, **known} if known else values
 
@@ -227,7 +227,7 @@ class Problem:
         return started(self.kernel, self.logs[index], p, x0, known, self.origins[index].shown)
 
     def _own(self, values: Mapping[str, float], index: int) -> dict[str, tuple[float, float]]:
-        """Parameter per log → its value for a log and the standard deviation of that; 0 where it is known."""
+        """Return parameter per log → its value for a log and the standard deviation of that; 0 where it is known."""
         known = {}
         for name in self.layout.constants:
             group = self.origins[index].group
@@ -236,7 +236,7 @@ class Problem:
         return known
 
     def densities(self, noise: Noise) -> Array:
-        """q of every stochastic state, its unit squared per second, 0 where no noise enters.
+        """Return q of every stochastic state, its unit squared per second, 0 where no noise enters.
 
         An unknown input of variance σ² that lasts T is driven by 2·σ²/T.
         """
@@ -246,13 +246,13 @@ class Problem:
         return q
 
     def lateness(self, values: Mapping[str, float], index: int) -> dict[int, float]:
-        """Rows by which readings are late, by the place of their output; nothing where none are."""
+        """Return rows by which readings are late, by the place of their output; nothing where none are."""
         step, values = self.logs[index].step, self.of_log(values, index) if self.late else values
         late = {k: values.get(name, self.values[name]) / step for name, places in self.late.items() for k in places}
         return late if any(late.values()) else {}
 
     def data(self, values: Mapping[str, float], index: int) -> Data:
-        """A log with its late readings put where they belong.
+        """Return a log with its late readings put where they belong.
 
         To the nearest row; by how much of a row they are older or younger than that, the filter takes into account.
         """
@@ -267,7 +267,7 @@ class Problem:
         return replace(data, y=y, late=older)
 
     def variances(self, noise: Noise, index: int) -> Array:
-        """Variance of each reading of a log: its sensor's, and what an error of its time stamp makes of its speed."""
+        """Return the variance of each reading of a log: its sensor's, and the error of its time stamp by its speed."""
         r = np.exp(noise.sensors)
         if not np.isfinite(noise.timing).any():
             return r
@@ -312,7 +312,7 @@ class Problem:
         return replace(filtered, states=states)
 
     def innovations(self, values: Mapping[str, float], noise: Noise, index: int) -> tuple[Array, Array]:
-        """Errors and variances (rows, outputs) of a log, in the rows in which the readings were logged."""
+        """Return errors and variances (rows, outputs) of a log, in the rows in which the readings were logged."""
         filtered = self.run(values, noise, index)
         e, s = filtered.errors, filtered.variances
         for k, late in self.lateness(values, index).items():

@@ -43,7 +43,7 @@ class Readings:
 
     @staticmethod
     def earlier(table: Array, late: Mapping[int, int]) -> Array:
-        """A table of the readings' size, the columns of some outputs put so many whole rows earlier."""
+        """Return a table of the readings' size, the columns of some outputs put so many whole rows earlier."""
         moved = table.copy()
         for j, rows in late.items():
             if rows:
@@ -53,7 +53,7 @@ class Readings:
 
 
 def readings_of(y: Array, unscored: int) -> Readings:
-    """The readings of a log of which the first rows are not scored."""
+    """Return the readings of a log of which the first rows are not scored."""
     scored = np.isfinite(y)
     scored[:unscored] = False
     columns = list(y.T)
@@ -66,7 +66,7 @@ def readings_of(y: Array, unscored: int) -> Readings:
 
 
 def readings_of_table(parts: Sequence[Array]) -> list[Readings]:
-    """The readings of a table in parts: no neighbours, so no slopes; resolution and spread are those of the whole."""
+    """Return readings of a table in parts: no neighbours, no slopes; resolution and spread are those of the whole."""
     whole = readings_of(np.vstack(parts), 0)
     return [Readings(np.isfinite(y), np.zeros_like(y), whole.resolution, whole.spread) for y in parts]
 
@@ -86,7 +86,7 @@ def _slopes(column: Array) -> Array:
 
 
 def _resolution(column: Array) -> float:
-    """The step in which readings come, where nearly all differ by whole numbers of the smallest one."""
+    """Return the step in which readings come, where nearly all differ by whole numbers of the smallest one."""
     values = np.unique(column[np.isfinite(column)])
     if values.size < 3:
         return 0.0

@@ -86,12 +86,12 @@ class ScoreTest:
         return self.noise.like(vector)
 
     def row(self, steps: Mapping[str, float]) -> Array:
-        """What finite steps of parameters change, less what the free ones can mend."""
+        """Return the change by finite steps of parameters, less what the free ones can mend."""
         row = self._row(steps)
         return row - self.basis @ (self.basis.T @ row)
 
     def gain(self, rows: Sequence[Array]) -> tuple[float, Array]:
-        """Promised gain of terms together, and how many steps of each they would take."""
+        """Return the promised gain of terms together, and how many steps of each they would take."""
         detected = np.array([r if r @ r > NOTHING * (self.residual @ self.residual) else 0.0 * r for r in rows])
         taken = -least_squares(detected.T, self.residual, rcond=1e-8)
         fitted = detected.T @ taken
@@ -137,7 +137,7 @@ class ScoreTest:
         return Terms(c, np.array(rows), tuple(steps), identifiable, switched)
 
     def _loosened(self, c: Candidate) -> Terms:
-        """A base parameter on trial is one whose prior no longer counts: it moves as the others want it."""
+        """Return the terms of a base parameter on trial: its prior no longer counts, it moves as the others want it."""
         (name,) = c.parameters
         row = np.zeros(self.residual.size)
         row[len(row) - len(self.held) + self.held[name]] = 1.0
@@ -176,7 +176,7 @@ class Choice:
         self.square = float(test.residual @ test.residual)
 
     def promise(self, names: Sequence[str]) -> Promise:
-        """What a fit of these candidates together would gain on that of the parts that stand; negative without them.
+        """Return what a fit of these candidates together would gain on the present one; negative without its parts.
 
         An estimate beyond a limit counts as none.
         """
@@ -202,7 +202,7 @@ class Choice:
         return dict(sorted(promises.items(), key=lambda item: -item[1].gain))
 
     def _back(self, gone: Sequence[str]) -> Array:
-        """Steps from where parts are to neutral."""
+        """Return the steps from where parts are to neutral."""
         back = np.zeros(len(self.against))
         for name in gone:
             for k, step in zip(self.places[name], self.terms[name].steps, strict=True):

@@ -23,7 +23,7 @@ SMOOTH = 0.3  # of a channel's level, that the model's own motion may make of it
 
 
 def sensor_noise(problem: Problem) -> dict[str, float]:
-    """Output → standard deviation of its noise in the logs [its unit], of the outputs in which it is identifiable.
+    """Return the standard deviation of the noise in the logs of each output in which it is identifiable.
 
     The level is that of what four neighbours do not say of a reading, so of white noise and of fast motion alike. The
     model's own run says how much is motion; an output in which that is much, as of a sensor slower than what it
@@ -44,7 +44,7 @@ def sensor_noise(problem: Problem) -> dict[str, float]:
 
 
 def stamps_err(problem: Problem, at: Fit) -> Flags:
-    """Outputs whose stamps seem to err and are not known to: the faster a reading changes, the larger its innovation.
+    """Return outputs whose stamps seem to err: the faster a reading changes, the larger its innovation.
 
     Rao's score test of a variance τ²·ẏ² beside the others, at τ = 0: Σ ½ ẏ²/s·(e²/s − 1) over √(Σ ½ (ẏ²/s)²).
     """

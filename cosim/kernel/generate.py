@@ -186,7 +186,7 @@ def _disturbed(body: Body, reach: Reach) -> Body:
 def _with_constants(
     body: Body, reach: Reach, measured: Sequence[str], constant: Sequence[str]
 ) -> tuple[Body, tuple[str, ...]]:
-    """The body with parameters as constant states, and the states that only these make uncertain, in order."""
+    """Return the body with parameters as constant states, and the states that only these make uncertain, in order."""
     import sympy
 
     if not constant:

@@ -49,7 +49,7 @@ class _AloneReader(LogReader):
         return super()._column(heading)
 
     def _check_header(self) -> None:
-        """Something is measured; a model that says what is missing is not known."""
+        """Note a fault where nothing is measured; a model that says what is missing is not known."""
         if not self.outputs:
             self.faults.note(self.table.header, 1, "holds no column beside the time; a log holds what was measured")
 
@@ -70,7 +70,7 @@ class _AloneReader(LogReader):
         self.faults.found = [f for f in self.faults.found if f.column != column.cell or f.line <= header]
 
     def notes(self, log: Log) -> Iterator[Finding]:
-        """Columns of text, units that are not known here, and that no model was asked."""
+        """Yield notes on columns of text, on units that are not known here, and that no model was asked."""
         for name, unit in self.unknown.items():
             if name in log.outputs:
                 text = f'"{unit}" is no unit known here: its numbers are taken as they are'

@@ -13,7 +13,7 @@ APART = 1.5  # times the usual span of five readings, beyond which they are no n
 
 
 def noise_level(values: Array) -> float:
-    """Standard deviation of the white noise on a smooth signal, robust against steps and outliers; NaN below 5 values.
+    """Return the standard deviation of white noise on a smooth signal, robustly; NaN below 5 values.
 
     A smooth signal leaves its fourth derivative times h⁴/6, which counts as noise.
     """
@@ -21,18 +21,18 @@ def noise_level(values: Array) -> float:
 
 
 def noise_beside(values: Array, model: Array) -> float:
-    """The same on a signal that a model follows: what the model moves too is no noise. The lesser of both counts."""
+    """Return the noise on a signal that a model follows: what the model moves too is none. The lesser counts."""
     return float(np.fmin(noise_level(values), noise_level(values - model)))
 
 
 def white_noise(left: Array) -> float:
-    """Standard deviation of the white noise that leaves these surprises, by their median; NaN without any."""
+    """Return standard deviation of the white noise that leaves these surprises, by their median; NaN without any."""
     left = left[np.isfinite(left)]
     return float(1.4826 * np.median(np.abs(left))) if left.size else math.nan
 
 
 def surprise(values: Array) -> Array:
-    """What its four nearest neighbours do not say of a value, scaled to be as large as the noise; NaN where unknown.
+    """Return how far values are from what four neighbours say, scaled to be as large as the noise; NaN for unknown.
 
     The cubic through two on each side predicts y_k, between equal rows as (−1, 4, 4, −1)/6; white noise σ leaves
     σ·√(1 + Σ w²) of difference. Neighbours of a sensor slower than the log are its own samples, not those

@@ -22,7 +22,7 @@ BLOCK = 0.5  # [s] over which a signal's change is held against the integral of 
 
 
 def frames(log: Log, traits: Traits | None = None) -> Iterator[Finding]:
-    """Degrees in place of radians, jumps of a turn, rates of the wrong sign or scale, a mirrored frame.
+    """Yield findings on degrees for radians, jumps of a turn, rates of the wrong sign or scale, a mirrored frame.
 
     traits: what the model says of its signals. Without, names alone say what is a rate, and they are not relied on.
     """
@@ -75,7 +75,7 @@ def _against_rate(log: Log, name: str, rate: str, severity: Severity) -> Iterato
 
 
 def _unit_of(log: Log, degrees: str, other: str, unit: str) -> str:
-    """What to do about one of two columns that is in degrees, for what their headers say."""
+    """Say what to do about one of two columns that is in degrees, for what their headers say."""
     said = " and ".join(f'"{name} [{log.written[name]}]"' for name in (degrees, other) if log.written.get(name))
     if log.written.get(degrees):
         return f"The header says {said}: one of the units is wrong"
@@ -99,14 +99,14 @@ def _blocks(log: Log, values: Array, rates: Array) -> tuple[Array, Array, Array]
 
 
 def degrees_or(log: Log, name: str) -> str:
-    """What may be wrong with an angle that is too large: its unit, where the header says none, or what it says."""
+    """Say what may be wrong with an angle that is too large: its unit, where the header says none, or its header."""
     if written := log.written.get(name):
         return f'its header says "{written}": is it so, and may the model not go there?'
     return f'if it is in degrees, call it "{name} [deg]"'
 
 
 def _magnitude(log: Log, name: str, values: Array, bounds: tuple[float, float] | None) -> Iterator[Finding]:
-    """Angles too large to be radians, and jumps of a turn that were not undone; bounds: as the model declares them."""
+    """Yield findings on angles too large to be radians, and on jumps of a turn; bounds: as the model declares them."""
     good = values[np.isfinite(values)]
     size, numbers = float(np.abs(good).max()), {"largest": float(np.abs(good).max())}
     cure, stated = degrees_or(log, name), bool(log.written.get(name))

@@ -30,7 +30,7 @@ def gate(
     traits: Traits | None = None,
     spikes: Spikes | None = None,
 ) -> list[Finding]:
-    """Everything there is to say about a log, faults first.
+    """Return all findings on a log, faults first.
 
     rate:   step the model is made for [s], None where it has none
     strict: a log slower than `rate` is a fault, not a warning
@@ -49,30 +49,29 @@ def gate(
 
 
 def refuse_faults(log: Log, findings: Sequence[Finding]) -> None:
-    """InputError where a finding makes the log unusable."""
+    """Raise InputError where a finding makes the log unusable."""
     if faults := gate_faults(log, findings):
         raise InputError(faults)
 
 
 def gate_faults(log: Log, findings: Sequence[Finding]) -> list[Fault]:
-    """The findings that make a log unusable, as faults of its file."""
-    return [
-        Fault(
-            log.path, log.header, log.cells.get(f.channel, 1), f"{f.channel}: {f.sentence}" if f.channel else f.sentence
-        )
-        for f in findings
-        if f.severity == "fault"
-    ]
+    """Return the findings that make a log unusable, as faults of its file."""
+    faults = []
+    for f in findings:
+        if f.severity == "fault":
+            text = f"{f.channel}: {f.sentence}" if f.channel else f.sentence
+            faults.append(Fault(log.path, log.header, log.cells.get(f.channel, 1), text))
+    return faults
 
 
 def _undeclared(log: Log) -> Iterator[Finding]:
-    """Columns with a unit of signals without one: how their numbers were taken."""
+    """Warn of columns with a unit of signals without one: how their numbers were taken."""
     for name, said in log.undeclared.items():
         yield Finding("warning", "undeclared", name, said)
 
 
 def _unread(log: Log) -> Iterator[Finding]:
-    """Columns that the model does not have; a warning of each whose name is close to one that it has."""
+    """Note columns that the model does not have; warn of each whose name is close to one that it has."""
     for name, hint in ((n, h) for n, h in log.unread.items() if h):
         yield Finding("warning", "unread", name, f"is not read: the model has none of this name{hint}")
     others = [name or "one without a name" for name, hint in log.unread.items() if not hint]
@@ -120,7 +119,7 @@ def _timing(log: Log) -> Iterator[Finding]:
 
 
 def _unit_meant(log: Log, ratio: float) -> str | None:
-    """The unit that the time is in, for all it seems; None where the header says which, or where seconds can be meant.
+    """Return the unit that the time seems to be in; None where the header says it, or seconds can be meant.
 
     A log in minutes seems to be over in seconds; one that is not has rows that far apart.
     """
@@ -172,7 +171,7 @@ def _inputs(log: Log) -> Iterator[Finding]:
 
 
 def _excitation(log: Log, name: str, values: Array) -> Finding:
-    """RMS about the mean, the frequency below which 95 % of the power lies, share of rows at the extremes."""
+    """Note RMS about the mean, the frequency below which 95 % of the power lies, share of rows at the extremes."""
     power = np.abs(np.fft.rfft(values - values.mean())) ** 2
     power[0] = 0.0
     below = int(np.searchsorted(np.cumsum(power), 0.95 * power.sum()))
@@ -209,7 +208,7 @@ def _outputs(log: Log) -> Iterator[Finding]:
 
 
 def _repeats(log: Log, name: str, time: Array, values: Array) -> Iterator[Finding]:
-    """A slow sensor that is held, or one that froze for a while; either passes for a delay or an effect."""
+    """Warn of a slow sensor that is held, or one that froze for a while; either passes for a delay or an effect."""
     starts = np.concatenate(([0], 1 + np.flatnonzero(np.diff(values)), [values.size]))
     runs = np.diff(starts)
     usual = float(np.median(runs))
@@ -227,7 +226,7 @@ def _repeats(log: Log, name: str, time: Array, values: Array) -> Iterator[Findin
 
 
 def outliers(log: Log, spikes: Spikes) -> Iterator[Finding]:
-    """A warning of each channel that has spikes."""
+    """Warn of each channel that has spikes."""
     for name, rows in spikes.items():
         off = out_of_line(log, log.outputs[name])[rows]
         first, worst = float(log.time[rows[0]]), float(off.max())

@@ -13,7 +13,7 @@ SMOOTH = 0.5  # of what holding misses, up to which a straight line between neig
 
 
 def filled(log: Log) -> Log:
-    """The log with its lost rows put in, nothing measured in them, where some input runs smoothly enough for a guess.
+    """Return the log with its lost rows put in, where some input runs smoothly enough for a guess.
 
     Each input is held or taken on the straight line, whichever misses less of the rows that are there.
     """
@@ -41,7 +41,7 @@ def filled(log: Log) -> Log:
 
 
 def _is_smooth(values: Array, grid: Rows) -> bool:
-    """Of three rows in a line the middle one is nearer to the mean of the others than to the first."""
+    """Whether the middle of three rows is nearer to the mean of the others than to the first."""
     whole = (np.diff(grid)[:-1] == 1) & (np.diff(grid)[1:] == 1)
     first, middle, last = values[:-2][whole], values[1:-1][whole], values[2:][whole]
     held, line = float(np.sum((middle - first) ** 2)), float(np.sum((middle - 0.5 * (first + last)) ** 2))

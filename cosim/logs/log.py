@@ -178,7 +178,7 @@ class LogReader:
         return Log(*known, header, unread, called, self.undeclared, cells, table=not self.timed)
 
     def _unread(self) -> dict[str, str]:
-        """Columns that are not read → one that may have been meant: of the model, and not in the file."""
+        """Return columns that are not read → one that may have been meant: of the model, and not in the file."""
         missing = [name for name in self.known if name not in self.table.columns]
         close = (
             closest(name, missing, ALIKE) or closest(name.rpartition(".")[2], missing, ALIKE)
@@ -190,7 +190,7 @@ class LogReader:
     # -- header -------------------------------------------------------------------------------
 
     def _column(self, heading: Heading) -> Column | None:
-        """How a column is read: in the unit of the model."""
+        """Return how a column is read, in the unit of the model; None of one that is not."""
         self.seen.setdefault(heading.name, heading.cell)
         written, heading = heading.name, replace(heading, name=self.called.get(heading.name, heading.name))
         name, is_time = heading.name, self.timed and heading.cell == 1
@@ -254,7 +254,7 @@ class LogReader:
                 self.faults.note(line, 1, message)
 
     def _about_the_model(self) -> bool:
-        """Some column has, or nearly has, the name of an input or an output, or a name is given for one."""
+        """Whether some column has, or nearly has, the name of an input or an output, or a name is given for one."""
         if self.called or len(self.unread) > HINTS or any(name in self.table.columns for name in self.known):
             return True
         return any(closest(name, self.unread) for name in self.known)
@@ -262,7 +262,7 @@ class LogReader:
     # -- rows ---------------------------------------------------------------------------------
 
     def _check_values(self) -> None:
-        """What only the whole column shows: too few rows, nothing measured, values that no sensor ever read."""
+        """Note faults that only whole columns show: too few rows, nothing measured, values that no sensor ever read."""
         table, counts = self.table, self.faults.counts
         if table.rows < 2 and not counts:
             seen = "no row" if table.rows == 0 else "one row"
@@ -288,7 +288,7 @@ class LogReader:
 
 
 def renamed(texts: Sequence[str], log: Path) -> dict[str, str]:
-    """Column of the log → name in the model, of texts such as `measured_speed=motor.w`, `stamp=time`; InputError."""
+    """Return names in the model by columns, of texts such as `measured_speed=motor.w`, `stamp=time`; InputError."""
     parts = [(text, *text.partition("=")) for text in texts]
     if wrong := [t for t, name, sign, meant in parts if not (name.strip() and sign and meant.strip())]:
         cure = "is not COLUMN=VARIABLE, as in measured_speed=motor.w"
@@ -297,13 +297,13 @@ def renamed(texts: Sequence[str], log: Path) -> dict[str, str]:
 
 
 def named(names: Collection[str]) -> str:
-    """Names in a line, the first of very many."""
+    """Return names in a line, the first of very many."""
     more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
     return ", ".join(islice(names, SHOWN)) + more
 
 
 def _absurd(values: Array) -> Rows:
-    """Rows of values so far beyond the column's usual size that they are a logger's mark, as 3.4e38 for `invalid`."""
+    """Return rows of values far beyond the column's usual size: a logger's mark, as 3.4e38 for `invalid`."""
     size = np.abs(values)
     seen = size[~np.isnan(size)]
     if not seen.size:
@@ -313,7 +313,7 @@ def _absurd(values: Array) -> Rows:
 
 
 def _continuous(angle: Array) -> tuple[Array, Rows]:
-    """The angle without jumps of a turn, and the rows after them; one that spans more than a turn is left alone."""
+    """Return the angle without jumps of a turn, and their rows; one that spans more than a turn is left alone."""
     rows = np.flatnonzero(np.isfinite(angle))
     values = angle[rows]
     jumps = rows[1:][np.abs(np.diff(values)) > math.pi]
@@ -337,7 +337,7 @@ def _unwrapped(
 
 
 def usual_step(time: Array) -> float:
-    """[s] from row to row: of the straight line through the times by their number, each hole so many steps long.
+    """Return [s] from row to row: of the straight line through the times by their number, each hole so many steps long.
 
     The median alone, off by a thousandth where stamps jitter, would be off by whole rows at the end of a log.
     """
@@ -352,7 +352,7 @@ def usual_step(time: Array) -> float:
 
 
 def slowness(step: float) -> int:
-    """How many times longer everything lasts in a log with rows slower than 50 ms, so that it spans as many rows.
+    """Return how many times longer all lasts in a log with rows slower than 50 ms, to span as many rows.
 
     Who logs a tank every half second means a slow tank: a second, or a memory of 0.15 s, would be two rows or none.
     """
@@ -360,7 +360,7 @@ def slowness(step: float) -> int:
 
 
 def _measuring(log: Log, first: int, end: int) -> list[tuple[int, int]]:
-    """Within some rows, where something is measured without a pause: (first, end) from `first`; all where nothing is.
+    """Return where something is measured without a pause: (first, end) from `first`; all where nothing is.
 
     A pause is longer than what is usual between measured rows too: a slow sensor is no pause.
     """
@@ -382,7 +382,7 @@ def _measuring(log: Log, first: int, end: int) -> list[tuple[int, int]]:
 
 
 def stretches(log: Log) -> list[Log]:
-    """A log cut at its pauses; each stretch is a log of its own.
+    """Return a log cut at its pauses; each stretch is a log of its own.
 
     In a pause rows are missing, and neither commands nor state are known, or nothing is measured, and the state is not.
     """

@@ -34,7 +34,7 @@ def check_log(path: Path, checking: Checking) -> list[str]:
 
 
 def log_findings(path: Path, loaded: LoadedModel, columns: Mapping[str, str] = MappingProxyType({})) -> list[str]:
-    """What the gate says of a log, a line each; InputError with its faults."""
+    """Return the findings on a log, a line each; InputError with its faults."""
     model = loaded.model
     log = read_log(path, model.inputs, model.outputs, table=model.static, columns=columns)
     stepping = with_substep(loaded)[0].model

@@ -16,7 +16,7 @@ SPACING = 0.2  # [s] from place to place
 
 
 def mirrored(log: Log, frame: PlanarFrame) -> Iterator[Finding]:
-    """An axis that is turned round: only the mirror image goes where it points."""
+    """Warn of an axis that is turned round: only the mirror image goes where it points."""
     if not {frame.x, frame.y, frame.heading} <= log.outputs.keys():
         return
     x, y, heading = (log.outputs[name] for name in (frame.x, frame.y, frame.heading))

@@ -68,7 +68,7 @@ def out_of_line(log: Log, values: Array) -> Array:
 
 
 def _suspects(log: Log, values: Array) -> Rows:
-    """Rows whose neighbours agree among themselves when the reading is left out, and that are far from them."""
+    """Return rows whose neighbours agree among themselves when the reading is left out, and that are far from them."""
     level = noise_level(values) * SCALE
     if not level > 0.0:
         return np.zeros(0, np.intp)
@@ -92,12 +92,12 @@ def _moves_too(values: Array, model: Array | None, rows: Rows) -> Flags:
 
 
 def _off_neighbours(values: Array) -> Array:
-    """How far each reading is from what the four nearest readings say."""
+    """Return how far each reading is from what the four nearest readings say."""
     return SCALE * np.nan_to_num(np.abs(surprise(values)))
 
 
 def _close_together(values: Array, apart: float) -> list[int]:
-    """Rows of wild readings beside a missing one or another that is wild, where those around agree without them.
+    """Return rows of wild readings beside a missing one or another that is wild, where those around agree without them.
 
     Of a stretch whose readings are all out of line with their neighbours, the readings that are off the cubic through
     three on each side of it.
@@ -123,7 +123,7 @@ def _close_together(values: Array, apart: float) -> list[int]:
 
 
 def _off_the_others(y: Array, rows: Rows, apart: float) -> Rows:
-    """Rows of a stretch that are off the cubic through SIDE readings on each side; none where the sides disagree."""
+    """Return rows that are off the cubic through SIDE readings on each side; none where the sides disagree."""
     time = (rows - rows[0]).astype(np.float64)
     sides = [slice(None, SIDE), slice(-SIDE, None)]
     around = np.concatenate([np.arange(y.size)[s] for s in sides])
@@ -138,7 +138,7 @@ def _off_the_others(y: Array, rows: Rows, apart: float) -> Rows:
 
 
 def _neighbours_agree(values: Array, k: int, apart: float) -> bool:
-    """The two readings on each side, without the one between, change evenly."""
+    """Whether the two readings on each side, without the one between, change evenly."""
     if not 2 <= k < values.size - 2:
         return False
     left, right = values[k - 2 : k], values[k + 1 : k + 3]
@@ -149,7 +149,7 @@ def _neighbours_agree(values: Array, k: int, apart: float) -> bool:
 
 
 def _answering(log: Log) -> Flags:
-    """Rows at which an input has just jumped, or that have such a row as a neighbour."""
+    """Return rows at which an input has just jumped, or that have such a row as a neighbour."""
     jumps = np.zeros(log.rows)
     for values in log.inputs.values():
         change = np.abs(np.diff(values, prepend=values[0]))

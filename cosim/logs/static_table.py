@@ -21,7 +21,7 @@ STILL = 1e-9  # of its largest value, within which a column is constant
 
 
 def table_findings(log: Log, traits: Traits | None = None) -> Iterator[Finding]:
-    """Time that nobody asks for, few rows, constant columns, inputs that move together, angles in degrees."""
+    """Yield findings on a time column, few rows, constant columns, inputs that move together, angles in degrees."""
     if "time" in log.written:
         yield Finding("note", "time", "time", "time is not read: the model has no states, each row stands for itself")
     measured = int(np.isfinite(np.column_stack(list(log.outputs.values()))).any(axis=1).sum())
@@ -37,7 +37,7 @@ def table_findings(log: Log, traits: Traits | None = None) -> Iterator[Finding]:
 
 
 def _angles(log: Log, bounds: Mapping[str, tuple[float, float]]) -> Iterator[Finding]:
-    """Angles beyond what the model declares: in degrees, most likely."""
+    """Yield faults of angles beyond what the model declares: in degrees, most likely."""
     columns = {**log.inputs, **log.outputs}
     for name, (low, high) in bounds.items():
         if name not in columns or log.units[name] != "rad":

@@ -48,7 +48,7 @@ class Run:
 
 
 def compiled(run: Run) -> CompiledSteps:
-    """The steps in C. Raises NotCompiled with the reason why there are none."""
+    """Return the steps in C. Raises NotCompiled with the reason why there are none."""
     if run.system.beside:
         raise NotCompiled(f"{run.system.beside[0]} is no number that a double holds")
     slots = []
@@ -122,7 +122,7 @@ class CompiledSteps:
     # -- within -------------------------------------------------------------------------------
 
     def _ways(self, transfers: Iterable[Transfer], every: Mapping[str, int] = MappingProxyType({})) -> list[Way]:
-        """Transfers for C; those that are held are made when their target steps."""
+        """Return transfers for C; those that are held are made when their target steps."""
         ways = []
         for t in transfers:
             links = [linked.link() for linked in self.run.links(t)]
@@ -130,7 +130,7 @@ class CompiledSteps:
         return ways
 
     def _prepare(self, first: int, last: int) -> None:
-        """What sources give at these points: at the end of a step that is theirs, as they compute it."""
+        """Prepare the values of sources at these points: at the end of a step that is theirs, as they compute them."""
         if not self.sources:
             return
         begin, h = self.run.system.start, self.run.h
@@ -143,7 +143,7 @@ class CompiledSteps:
             self.loop.prepare(k, self._values[-1], first)
 
     def _no_item(self) -> None:
-        """SimulationError that tells which value is none."""
+        """Raise SimulationError that tells which value is none."""
         system, plan = self.run.system, self.loop.plan
         stages = system.stages
         transfers = stages[plan.place].pulls if plan.place < len(stages) else system.held

@@ -30,7 +30,7 @@ class Copying:
         self._made: dict[str, tuple[int, tuple[Any, ...]]] = {}  # name → which of the three, and its entry
 
     def of(self, transfers: Iterable[Transfer]) -> Copies:
-        """Transfers as (from, to); where noise is on them (from, to, samples); and what else becomes of them."""
+        """Return transfers as (from, to); where noise is on them (from, to, samples); and what else becomes of them."""
         kinds: tuple[list[Any], list[Any], list[Any]] = ([], [], [])
         for transfer in transfers:
             if transfer.name not in self._made:
@@ -41,11 +41,11 @@ class Copying:
         return self._stretches(plain), tuple(noisy), tuple(others)
 
     def by_component(self) -> Mapping[str, Copies]:
-        """Component → what is copied right before it steps."""
+        """Return component → what is copied right before it steps."""
         return {stage.component.name: self.of(stage.pulls) for stage in self.system.stages}
 
     def _stretches(self, places: Sequence[tuple[int, int]]) -> Plain:
-        """Places that follow one another, from and to, as one."""
+        """Return places that follow one another, from and to, as one."""
         found: list[list[int]] = []
         for source, target in places:
             if found and (source, target) == (found[-1][0] + found[-1][2], found[-1][1] + found[-1][2]):
@@ -78,6 +78,6 @@ def copy_values(row: Any, copies: Copies, k: int) -> None:
 
 
 def doubles(buffer: Any) -> memoryview[float]:
-    """A buffer of doubles as one flat sequence of them."""
+    """Return a buffer of doubles as one flat sequence of them."""
     flat = memoryview(buffer)
     return flat.cast("B").cast("d") if flat.nbytes else memoryview(array("d"))

@@ -21,7 +21,7 @@ from cosim.system.system import System
 
 
 def why_not(system: System) -> str:
-    """Why the steps of a system cannot be taken back; empty where they can."""
+    """Return why the steps of a system cannot be taken back; empty where they can."""
     if system.beside or system.events or system.apart or any(stage.every > 1 for stage in system.stages):
         return "values beside numbers, events, several rates or processes are not taken back"
     for stage in system.stages:
@@ -67,7 +67,7 @@ class Halved(Master):
             step(t, end - t)
 
     def _saved(self, parts: Sequence[FmuBlock]) -> list[Any]:
-        """The state of each."""
+        """Return the state of each FMU."""
         states = []
         for part in parts:
             self.doing[0] = CALLS * self.components.index(part) + OTHER
@@ -81,7 +81,7 @@ class Halved(Master):
             part.instance.take_back(state)
 
     def _check_back(self, parts: Sequence[FmuBlock], row: bytes, t: float) -> None:
-        """Outputs are what they were: SimulationError of an FMU that only says that it takes its state back."""
+        """Check that restoring the FMU state restores the outputs; raise SimulationError if it does not."""
         for part in parts:
             before = list(self.row)
             self.doing[0] = CALLS * self.components.index(part) + GET

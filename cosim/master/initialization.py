@@ -77,5 +77,5 @@ class Initialization:
 
 
 def settled(before: Iterable[float], after: Iterable[float]) -> bool:
-    """No value has changed by more than what rounding makes of it."""
+    """Whether no value has changed by more than what rounding makes of it."""
     return all(abs(a - b) <= SETTLED * max(1.0, abs(b)) for a, b in zip(after, before, strict=True))

@@ -138,7 +138,7 @@ class Master:
         self.done = self.made[0] = 1
 
     def _step_on(self) -> None:
-        """All steps: in C where every component can be stepped by it, else here."""
+        """Make all steps: in C where every component can be stepped by it, else here."""
         try:
             in_c = self._compiled()
         except NotCompiled as reason:
@@ -152,7 +152,7 @@ class Master:
             self.done = self.made[0]
 
     def _step_in_python(self) -> None:
-        """All steps. What is called in here decides the time that a run takes."""
+        """Make all steps. What is called in here decides the time that a run takes."""
         row, h, begin, after = self.view, self.h, self.system.start, self.after
         table, width = doubles(self.table), len(row)
         rounds = itertools.islice(itertools.cycle(self._cycle()), 1, None)  # the first is for point 0
@@ -183,7 +183,7 @@ class Master:
             self.done = done
 
     def _end(self, end: EndedEarly) -> None:
-        """The run ends well where an FMU ends it: with a row for that time where nobody else has a state then."""
+        """End the run where an FMU ends it: with a row for that time where nobody else has a state then."""
         self.notes.append(f"{end.component} ended the simulation at t = {end.reached:.6g} s: {end.reason}")
         alone = len(self.system.fmus) == 1
         k = self.done
@@ -200,7 +200,7 @@ class Master:
     # -- parts --------------------------------------------------------------------------------
 
     def _compiled(self) -> CompiledSteps:
-        """The steps in C. Raises NotCompiled."""
+        """Return the steps in C. Raises NotCompiled."""
         if not self.in_c:
             raise NotCompiled("asked for")
         links = self.copying.links
@@ -212,7 +212,7 @@ class Master:
         self.rows.tell_loop(loop)
 
     def _asked(self, k: int) -> int:
-        """The next point from k on at the end of whose step something is to be called; `NEVER` where none is."""
+        """Return the next point from k on at the end of whose step something is to be called; `NEVER` where none is."""
         if self.beside:
             return k
         found = [self.events[place]] if (place := bisect.bisect_left(self.events, k)) < len(self.events) else []
@@ -221,7 +221,7 @@ class Master:
         return min(found, default=NEVER)
 
     def _after(self, progress: Progress | None) -> tuple[Progress, ...]:
-        """What is called at the end of a step that is asked for, before its row is kept: only what this run needs."""
+        """Return the calls at the end of a step that is asked for, before its row is kept: only what this run needs."""
         calls: list[Progress] = []
         if self.system.events:
             calls.append(self._change)
@@ -272,7 +272,7 @@ class Master:
 def results_of(
     system: System, time: Array, table: Array, kept: Sequence[Any], notes: Sequence[str] = (), loop: str = ""
 ) -> Results:
-    """Results of a run, by its rows and what stands beside them."""
+    """Return the results of a run, by its rows and what stands beside them."""
     exact = {name: [row[k] for row in kept[: len(time)]] for k, name in enumerate(system.beside)}
     whole = frozenset(c for c in system.columns if system.signals[c].whole)
     return Results(time, system.columns, table, system.units, exact, whole, tuple(notes), loop)
@@ -283,5 +283,5 @@ def _no_step(t: float, h: float) -> None:
 
 
 def _first_places(columns: Sequence[str]) -> dict[str, int]:
-    """Component → place of its first column."""
+    """Return component → place of its first column."""
     return {name: k for k, name in reversed(list(enumerate(c.partition(".")[0] for c in columns)))}

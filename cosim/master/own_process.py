@@ -101,7 +101,7 @@ class OwnProcess:
         self._stepped: Values | None = None  # outputs that came back with a step
 
     def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
-        """As the component says."""
+        """Return what the component says."""
         return self._component.depends_on(name, outputs)
 
     def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
@@ -128,7 +128,7 @@ class OwnProcess:
         self._call(OTHER, begin, self.name)
 
     def change(self, values: Mapping[str, Any]) -> None:
-        """An event's values."""
+        """Take an event's values."""
         self._show_inputs(self._call(OTHER, change, self.name, dict(values)))
 
     def put(self) -> None:
@@ -180,7 +180,7 @@ def _behind_one_another(first: int, *groups: Sequence[Signal]) -> list[slice]:
 
 
 def in_own_processes(system: System, limits: Limits) -> System:
-    """The system, those components in a process of their own each that are to be, and FMUs that cannot share one."""
+    """Put components into processes of their own where asked, and FMUs that cannot share one; return the system."""
     seen: set[Any] = set()
     stages = []
     for stage in system.stages:

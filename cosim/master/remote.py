@@ -43,12 +43,12 @@ class Stepped:
 
 
 def said_of(system: System) -> list[str]:
-    """What its FMUs said, a line each."""
+    """Return the messages of its FMUs, a line each."""
     return [f"{s.component.name}: {text}" for s in system.stages for text in getattr(s.component, "log", ())]
 
 
 def simulate_here(system: System, steps: int, h: float, observers: Sequence[Observer] = ()) -> Stepped:
-    """The steps of a run in this process. Raises FmuError."""
+    """Return the steps of a run in this process. Raises FmuError."""
     feed = _feed(observers, system, steps, h)
     rows = Rows.in_memory(steps + 1, len(system.columns))
     feed.table = rows.table
@@ -69,13 +69,13 @@ def simulate_here(system: System, steps: int, h: float, observers: Sequence[Obse
 
 
 def _feed(observers: Sequence[Observer], system: System, steps: int, h: float) -> Feed:
-    """What gives the rows of a run to its observers."""
+    """Return the feed of the rows of a run to its observers."""
     time = system.start + h * np.arange(steps + 1, dtype=np.float64)
     return Feed(observers, Observed(system.columns, steps + 1, system.start, h), time)
 
 
 def _early(system: System, h: float, done: int) -> EndedEarly:
-    """The end of a run that an observer asked for."""
+    """Return the early end of a run that an observer asked for."""
     return EndedEarly("an observer", _reached(system, h, done), "it asked for the end")
 
 
@@ -87,7 +87,7 @@ def _reached(system: System, h: float, made: int) -> float:
 def _stepped(
     system: System, steps: int, h: float, progress: Callable[[int], None] | None = None, rows: Rows | None = None
 ) -> Results:
-    """The rows of a run, or of what halves of its steps make of it."""
+    """Return the rows of a run, or of what halves of its steps make of it."""
     if not system.halved:
         return simulate(system, steps, h, progress, rows)
     return Halved(system, steps, h, progress, rows or Rows.in_memory(steps + 1, len(system.columns))).results()
@@ -206,7 +206,7 @@ def simulate_apart(
 
 
 def _unforeseen(error: Exception, watch: Watch, counters: Progress) -> SimulationError:
-    """An error of no kind of ours, with the call in which it came."""
+    """Return an error of no kind of ours, with the call in which it came."""
     component, at, call = Clock(watch, counters).place()
     words = " ".join(str(error).split())[:LONGEST_WORDS]
     return SimulationError(component, at, f"{call}: {type(error).__name__}: {words} (--in-process shows where)")
@@ -218,7 +218,7 @@ def _disk_full(time: float, count: int, rows: int) -> DiskFull:
 
 
 def _room(folders: Sequence[Path], rows: int, width: int) -> tuple[Held, int]:
-    """A folder with the file of the rows, beside the results or, where there is no room, elsewhere; and for how many.
+    """Return a folder with the file of the rows, beside the results or, without room, elsewhere; and for how many.
 
     For all of them, or as many as a full disk takes. DiskFull where that is none.
     """

@@ -298,14 +298,10 @@ def record(study: Study, a: Attribution, claims: Claims, problem: Problem, betwe
     """Return the content of refine.json."""
     judged, static = study.subject.horizon, study.subject.static
     rows = LeftOut.model_validate(claims.left_out) if claims.left_out else None
-    claimed, floors = claims.claimed, proof.floors
+    claimed, floors, sets = claims.claimed, proof.floors, proof.played.items()
 
     def errors(horizon: float) -> Errors:
-        sizes = {
-            name: {part: known(rmse(played[horizon])) for part, played in parts.items()}
-            for name, parts in proof.played.items()
-        }
-        return Errors(**sizes)
+        return Errors(**{name: {part: known(rmse(e[horizon])) for part, e in parts.items()} for name, parts in sets})
 
     return Record(
         study=str(study.path or ""),
@@ -344,21 +340,20 @@ class _Untitled(GenerateJsonSchema):
 
 
 def schema() -> dict[str, Any]:
-    """The JSON schema, draft 2020-12; refine.schema.json holds it."""
+    """Return the JSON schema, draft 2020-12; refine.schema.json holds it."""
     body = Record.model_json_schema(mode="serialization", schema_generator=_Untitled)
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **body}
 
 
 def known(channels: Mapping[str, float]) -> dict[str, float]:
-    """Figures of the channels that were predicted at all: a log too short for one replay gives none."""
+    """Return figures of the channels that were predicted at all: a log too short for one replay gives none."""
     return {name: value for name, value in channels.items() if math.isfinite(value)}
 
 
 def effects(subject: Subject, claimed: Hypothesis, tried: Iterable[Hypothesis]) -> list[EffectEntry]:
-    """What was added, most important first: that whose loss alone would cost most."""
+    """Return what was added, most important first: the part whose loss alone would cost most."""
     declared = subject.declared
     alone = {h.names: h.score for h in tried if len(h.candidates) == 1}
-
     return [
         EffectEntry(
             name=c.name,
@@ -371,7 +366,7 @@ def effects(subject: Subject, claimed: Hypothesis, tried: Iterable[Hypothesis]) 
 
 
 def per_log(study: Study, f: Fit, ends: Mapping[str, float]) -> dict[str, PerLog]:
-    """Every parameter per log: what the fit has of each group, and what the filter ended with where it has nothing."""
+    """Return every parameter per log: what the fit has of each group, else what the filter ended with."""
     declared, found = study.subject.declared, {}
     for name in study.settings.per_log:
         unit, (mean, sd) = declared[name].unit, expected(f, name)
@@ -388,13 +383,13 @@ def _estimate(f: Fit, name: str, unit: str) -> Estimate:
 
 
 def unseen(a: Attribution, claims: Claims) -> list[str]:
-    """Effects that would not have shown at their usual size; not those that are claimed, for they did."""
+    """Return effects that would not have shown at their usual size; not those that are claimed, for they did."""
     claimed = claims.claimed.names if claims.claimed else ()
     return [name for name in a.hidden if name not in claimed]
 
 
 def ranking(a: Attribution, claims: Claims) -> list[CandidateEntry]:
-    """Every hypothesis tried, best first, with its scores and why it lost."""
+    """Return every hypothesis tried, best first, with its scores and why it lost."""
     return [
         CandidateEntry(
             names=list(h.names),

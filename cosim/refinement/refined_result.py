@@ -54,7 +54,7 @@ class Refined:
         return self.folder / REFINED[1]
 
     def to_pandas(self) -> pandas.DataFrame:
-        """Errors before and after by part and channel; ImportError where pandas is not installed."""
+        """Return errors before and after by part and channel; ImportError where pandas is not installed."""
         try:
             import pandas
         except ImportError:
@@ -70,7 +70,7 @@ class Refined:
         return pandas.DataFrame(rows, columns=["model", "part", "channel", "rmse"])
 
     def plot(self, part: str = "validation") -> Figure:
-        """A matplotlib figure of the errors of each channel before and after, of the `validation` or `estimation` logs.
+        """Draw the errors of each channel before and after with matplotlib, of the `validation` or `estimation` logs.
 
         ValueError where the record holds none of that part.
         """

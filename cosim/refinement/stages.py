@@ -30,5 +30,5 @@ _PLACE = {words: number for number, stage in enumerate(ORDER, 1) for words in st
 
 
 def numbered(words: str) -> tuple[int, int]:
-    """Number of the stage in which this is told, 0 where it is told in none, and how many stages there are."""
+    """Return number of the stage in which this is told, 0 where it is told in none, and how many stages there are."""
     return _PLACE.get(words.partition(":")[0], 0), len(ORDER)

@@ -45,7 +45,7 @@ NARROWEST, WIDEST = 1e-6, 2.0  # of a parameter: a tolerance closer than any dat
 
 
 def _share(value: Any) -> Any:
-    """A tolerance: one message, with its cure, whatever is wrong with it."""
+    """Return a tolerance: one message, with its cure, whatever is wrong with it."""
     if isinstance(value, str) and has_unit(value):
         with suppress(ValueError):
             value = read_quantity(value, "1")
@@ -118,12 +118,12 @@ class StudyFile(BaseModel):
     limits: Limits | None = None
 
     def interpolated(self, subject: Subject) -> frozenset[str]:
-        """The inputs that run straight from row to row."""
+        """Return the inputs that run straight from row to row."""
         ways = self.inputs if isinstance(self.inputs, dict) else {q.name: self.inputs for q in subject.inputs}
         return frozenset(name for name, way in ways.items() if way == "interpolated")
 
     def tolerance_of(self, subject: Subject) -> dict[str, float]:
-        """Base parameter → share by which it may be off: a number is of all that are recalibrated."""
+        """Return base parameter → share by which it may be off: a number is of all that are recalibrated."""
         if isinstance(self.tolerance, dict):
             return dict(self.tolerance)
         base = [p.name for p in subject.parameters]
@@ -262,13 +262,13 @@ def study_of(
 def _lists(
     logs: FilePath | Sequence[FilePath], validation: FilePath | Sequence[FilePath]
 ) -> Iterator[tuple[str, Sequence[FilePath]]]:
-    """The lists of logs; one file may stand alone."""
+    """Yield the lists of logs; one file may stand alone."""
     for name, files in (("estimation", logs), ("validation", validation)):
         yield name, [files] if isinstance(files, (str, os.PathLike)) else files
 
 
 def _faults_of_keys(places: Places, content: StudyFile, subject: Subject, *, unlisted: bool) -> list[Fault]:
-    """Everything wrong with a study before its logs are read; unlisted: no log to learn from is listed."""
+    """Return all faults of a study before its logs are read; unlisted: no log to learn from is listed."""
     faults, logs = _unknown_names(places, content, subject), content.logs.model_dump()
     faults += per_log_faults(places, subject, content.per_log, content.groups, logs, content.candidates or ())
     if unlisted:
@@ -281,7 +281,7 @@ def _faults_of_keys(places: Places, content: StudyFile, subject: Subject, *, unl
 def _faults_beside_logs(
     places: Places, content: StudyFile, subject: Subject, logs: Sequence[Log], digests: Mapping[str, str]
 ) -> Iterator[Fault]:
-    """Everything wrong between a study and the logs it learns from."""
+    """Yield all faults between a study and the logs it learns from."""
     yield from _noise_of_no_sensor(places, content.noise, logs)
     yield from _listed_twice(places, content.logs, digests)
     yield from _too_few(places, content, subject, logs)
@@ -290,7 +290,7 @@ def _faults_beside_logs(
 def _read_logs(
     yaml: Places, content: StudyFile, subject: Subject
 ) -> tuple[dict[str, list[Log]], dict[str, str], list[str], list[Fault]]:
-    """Each list's stretches that can be used, the digest of each file, warnings, and every fault."""
+    """Return each list's stretches that can be used, the digest of each file, warnings, and every fault."""
     folder, traits = yaml.path.parent, subject.traits
     logs: dict[str, list[Log]] = {"estimation": [], "validation": []}
     digests: dict[str, str] = {}
@@ -325,12 +325,12 @@ def _read_logs(
 
 
 def _entries(logs: LogLists) -> list[tuple[str, str]]:
-    """Each log with the list in which it stands."""
+    """Return each log with the list in which it stands."""
     return [*(("estimation", name) for name in logs.estimation), *(("validation", name) for name in logs.validation)]
 
 
 def _listed_twice(yaml: Places, logs: LogLists, digests: Mapping[str, str]) -> Iterator[Fault]:
-    """One file, or one content (name → digest), stands once: in whatever list, under whatever name."""
+    """Yield faults of a file, or a content (name → digest), that is listed twice, in whatever list."""
     listed: dict[str, tuple[str, str]] = {}
     for n, (part, name) in enumerate(_entries(logs)):
         path = os.path.realpath(yaml.path.parent / name)
@@ -348,7 +348,7 @@ def _listed_twice(yaml: Places, logs: LogLists, digests: Mapping[str, str]) -> I
 
 
 def _digest(log: Log) -> str:
-    """Of the numbers, however they are written: two files of one run are one log."""
+    """Return a digest of the numbers, however they are written: two files of one run are one log."""
     content = hashlib.sha256(log.time.tobytes())
     for name, values in sorted({**log.inputs, **log.outputs}.items()):
         content.update(name.encode() + b"\0" + np.where(np.isnan(values), np.nan, values).tobytes())
@@ -356,17 +356,17 @@ def _digest(log: Log) -> str:
 
 
 def _spikes(log: Log, subject: Subject) -> dict[str, Rows]:
-    """Readings of a recorder; a table has none."""
+    """Return readings of a recorder; a table has none."""
     return {} if log.table else find_spikes(log, subject.prediction(log))
 
 
 def least_duration(log: Log, horizon: float) -> float:
-    """[s] a log must last to be judged: what is skipped, one replay, and a second that is scored; a slow log longer."""
+    """Return the time a log must last [s]: what is skipped, one replay, and a second scored; a slow log longer."""
     return (SKIPPED + SCORED) * log.slowness + (horizon if math.isfinite(horizon) else 0.0)
 
 
 def judged(log: Log, horizon: float) -> list[Log]:
-    """The stretches of a log that measure something and last long enough; a table is whole."""
+    """Return the stretches of a log that measure something and last long enough; a table is whole."""
     if log.table:
         return [log]
     least = least_duration(log, horizon) - 0.5 * log.step
@@ -387,7 +387,7 @@ def _too_short(log: Log, horizon: float) -> Fault:
 
 
 def _too_few(yaml: Places, content: StudyFile, subject: Subject, logs: Sequence[Log]) -> Iterator[Fault]:
-    """Tables with fewer rows than it takes to recalibrate the model, to add one parameter, and to see the noise."""
+    """Yield faults of tables with too few rows to recalibrate the model, add one parameter, and see the noise."""
     if not logs or not subject.static:
         return
     numbers = len(tolerances(subject, content.tolerance_of(subject)))
@@ -399,7 +399,7 @@ def _too_few(yaml: Places, content: StudyFile, subject: Subject, logs: Sequence[
 
 
 def _too_late(model_file: Path, loaded: LoadedModel, logs: Sequence[Log]) -> Iterator[Fault]:
-    """Latencies of sensors in the model.yaml, by which too little of a log is left to be judged."""
+    """Yield faults of latencies in the model.yaml, by which too little of a log is left to be judged."""
     for name in (f"{kind.name}.value" for kind in loaded.model.sensors if kind.late):
         seconds = loaded.sensors.get(name, 0.0)
         lasts: dict[Path, float] = {}
@@ -414,7 +414,7 @@ def _too_late(model_file: Path, loaded: LoadedModel, logs: Sequence[Log]) -> Ite
 
 
 def _noise_of_no_sensor(yaml: Places, noise: Mapping[str, float], logs: Sequence[Log]) -> Iterator[Fault]:
-    """Stated noise that is out of all proportion to what was measured: a unit mistaken, or a slip of the keyboard."""
+    """Yield faults of noise out of all proportion to what was measured: a unit mistaken, or a slip of the keyboard."""
     for name, level in noise.items():
         read = np.concatenate([np.zeros(0), *(log.outputs[name] for log in logs if name in log.outputs)])
         read = read[np.isfinite(read)]
@@ -442,7 +442,7 @@ def _unknown_names(yaml: Places, content: StudyFile, subject: Subject) -> list[F
 
 
 def _unknown_settings(yaml: Places, content: StudyFile, subject: Subject) -> Iterator[Fault]:
-    """Tolerances of what is no base parameter, and ways of what is no input."""
+    """Yield faults of tolerances of no base parameter, and of ways of no input."""
     numbers = [p.name for p in subject.parameters if not isinstance(p.default, bool)]
     for name in content.tolerance if isinstance(content.tolerance, dict) else ():
         if name not in numbers:
@@ -454,5 +454,5 @@ def _unknown_settings(yaml: Places, content: StudyFile, subject: Subject) -> Ite
 
 
 def candidate_names(subject: Subject) -> Sequence[str]:
-    """Everything a study may put on trial."""
+    """Return everything a study may put on trial."""
     return [c.name for c in subject.candidates([q.name for q in subject.inputs])]

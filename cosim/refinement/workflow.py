@@ -137,7 +137,7 @@ def refine(
 
 
 def _posed(study: Study) -> Problem:
-    """The fitting problem."""
+    """Return the fitting problem."""
     subject, given = study.subject, study.content.noise
     problem = build_problem(subject, study.logs, noise=given, settings=study.settings)
     guessed = {n: level for n, level in sensor_noise(problem).items() if n not in subject.sensor_variance}
@@ -145,7 +145,7 @@ def _posed(study: Study) -> Problem:
 
 
 def _refuse_runaway(study: Study, problem: Problem) -> None:
-    """InputError if the filter of the model diverges on a log before anything is fitted: no estimate can follow."""
+    """Raise InputError if the filter diverges on a log before anything is fitted: no estimate can follow."""
     faults = []
     for index, (log, data) in enumerate(zip(study.logs, problem.logs, strict=False)):
         by_log = problem.scored(problem.values, problem.plain, [index]).by_log
@@ -163,14 +163,14 @@ def _refuse_runaway(study: Study, problem: Problem) -> None:
 
 
 def _on_trial(study: Study) -> list[Candidate]:
-    """The candidates that the study names; all of them where it names none."""
+    """Return the candidates that the study names; all of them where it names none."""
     subject, named = study.subject, study.content.candidates
     every = list(not_per_log(subject.candidates(varied_inputs(subject, study.logs)), study.settings.per_log))
     return every if named is None else [c for c in every if c.name in named]
 
 
 def _judged(study: Study, a: Attribution, found: Found, progress: Progress) -> Claims:
-    """The answer: by what is left beside the best hypothesis, then by replays."""
+    """Return the answer: by what is left beside the best hypothesis, then by replays."""
     subject, search = study.subject, found.search
     progress("looking for what has no name", 0.0)
     bare = build_problem(subject, study.logs, True, study.content.noise, study.settings)
@@ -191,14 +191,14 @@ def _judged(study: Study, a: Attribution, found: Found, progress: Progress) -> C
 
 
 def _follows(problem: Problem, left: Leftover, beside: Fit, alone: Fit, horizon: float) -> bool:
-    """What is left follows a signal from block to block of time, or from log to log, more than chance would have it."""
+    """Whether the residual follows a signal from block to block, or from log to log, more than by chance."""
     if problem.trusted:
         return predicts(problem, horizon, beside, alone) >= best_of(BETTER, left.among)
     return steadiness(problem, beside, alone) >= beyond_chance(problem, beside, left.among)
 
 
 def _with_nearest(study: Study, claims: Claims, found: Found, a: Attribution) -> Claims:
-    """The answer with the nearest model where not all is claimed, and of a table the errors on rows left out."""
+    """Return the answer with the nearest model where not all is claimed, and of a table the errors on rows left out."""
     if claims.grade != "claimed":
         close = {h.names: h for h in (a.best, found.best) if h.candidates}
         claims = replace(claims, nearest=Nearest(nearest(found.search, a, list(close.values()))))
@@ -207,7 +207,7 @@ def _with_nearest(study: Study, claims: Claims, found: Found, a: Attribution) ->
 
 
 def _variants(study: Study, a: Attribution, claims: Claims) -> dict[str, Variant]:
-    """Before, recalibrated and after, and the nearest where not all is claimed: what is replayed."""
+    """Return before, recalibrated and after, and the nearest where not all is claimed: what is replayed."""
     subject, settings, claimed, near = study.subject, study.settings, claims.claimed, claims.near
     refined = refined_subject(subject, settings, claimed)
     variants = variants_of(subject, settings, a, claimed, refined)
@@ -219,19 +219,19 @@ def _variants(study: Study, a: Attribution, claims: Claims) -> dict[str, Variant
 
 
 def _unsealed(study: Study) -> LogSets:
-    """The logs of the study; those of validation, where there are any, are opened here."""
+    """Return the logs of the study; those of validation, where there are any, are opened here."""
     sealed = study.unseal()
     return {"estimation": study.logs, "validation": sealed} if sealed else {"estimation": study.logs}
 
 
 def _floors(quiet: Variant, problem: Problem, sets: LogSets) -> Floors:
-    """What noise alone leaves of each set's errors; from one seed, so that a study gives the same again."""
+    """Return the errors by noise alone of each set, from one seed, so that a study gives the same again."""
     rng = np.random.default_rng(FLOOR_SEED)
     return {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
 
 
 def _rises(claims: Claims, replayed: Replayed, subject: Subject) -> Mapping[str, Rise]:
-    """Errors that rise on the sealed logs, with the claim or without one with the nearest model."""
+    """Return errors that rise on the sealed logs, with the claim or without one with the nearest model."""
     variant = "after" if claims.claimed is not None else "nearest"
     if "validation" not in replayed["before"] or variant not in replayed:
         return {}
@@ -240,7 +240,7 @@ def _rises(claims: Claims, replayed: Replayed, subject: Subject) -> Mapping[str,
 
 
 def _too_calm(floors: Floors, replayed: Replayed, subject: Subject) -> Iterator[str]:
-    """Where a floor is above the error."""
+    """Warn where a floor is above the error."""
     units = {q.name: q.unit for q in subject.outputs}
     for part, floor in floors.items():
         if found := floor.above(known(rmse(replayed["after"][part][subject.horizon]))):
@@ -248,7 +248,7 @@ def _too_calm(floors: Floors, replayed: Replayed, subject: Subject) -> Iterator[
 
 
 def _write(path: Path, written: Record) -> None:
-    """refine.json."""
+    """Write refine.json."""
     with atomic_write(path) as stream:
         json.dump(written.model_dump(mode="json"), stream, indent=2, ensure_ascii=False, allow_nan=False)
         stream.write("\n")

@@ -209,13 +209,13 @@ def experiment_for(subject: Subject, names: Sequence[str]) -> str:
 
 
 def name_of(candidates: Sequence[Candidate], subject: Subject) -> Name:
-    """The verdict that claims these candidates, by their kind."""
+    """Return the verdict that claims these candidates, by their kind."""
     kinds = {kind_within(c, subject) for c in candidates}
     return "parameter_error" if kinds == {"parameter"} else "sensor_error" if kinds == {"sensor"} else "effect_found"
 
 
 def _disputed(a: Attribution, left: Leftover) -> bool:
-    """What has no name gains much beside the claim, or takes a part's place: that part only stood for it."""
+    """Whether terms without a name gain much beside the claim, or take the place of a part that only stood for them."""
     if left.fit is None:
         return False
     if left.gain > MUCH * (a.base.score - a.best.score):
@@ -236,7 +236,7 @@ def _disputed(a: Attribution, left: Leftover) -> bool:
 
 
 def _misfit(a: Attribution, left: Leftover, forced: Sequence[str]) -> dict[str, Any]:
-    """Where the misfit sits and on what it depends."""
+    """Return where the misfit is and on what it depends."""
     q0, q1 = a.base.fit.noise.density, a.best.fit.noise.density
     noise = {
         equation: {"before": float(q0[k]), "after": float(q1[k]), "inflated": a.noisy[k], "gain": a.noise_gain[k]}

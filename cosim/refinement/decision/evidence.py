@@ -36,7 +36,7 @@ PREDICTED = 8  # replays of a log at least, where the model is judged by a free 
 
 
 def blocks_of(problem: Problem, scored: Scored, memory: float) -> Rows:
-    """Number of the block of time in which each scored measurement stands: longer than what is left is like itself."""
+    """Return the block of time of each scored measurement: longer than what is left is like itself."""
     data = problem.logs[0]
     lasting = correlated(scored) if problem.trusted else memory / data.step
     rows = max(BLOCK, round(LASTING * lasting))
@@ -51,12 +51,12 @@ def blocks_of(problem: Problem, scored: Scored, memory: float) -> Rows:
 
 
 def number_of_blocks(problem: Problem, f: Fit) -> int:
-    """How many blocks of time the scored measurements of a fit fall into."""
+    """Return how many blocks of time the scored measurements of a fit fall into."""
     return int(np.unique(blocks_of(problem, problem.scored(f.values, f.noise), math.exp(f.noise.memory))).size)
 
 
 def correlated(scored: Scored) -> float:
-    """Rows within which normalised errors forget each other: the sum of their autocorrelation until it is none."""
+    """Return the rows within which normalised errors forget each other: the sum of their autocorrelation."""
     parts, rows = scored.of_each_log(scored.errors / np.sqrt(scored.variances)), scored.of_each_log(scored.rows)
     longest = 0.0
     for part, at in zip(parts, rows, strict=True):
@@ -69,7 +69,7 @@ def correlated(scored: Scored) -> float:
 
 
 def steadiness(problem: Problem, better: Fit, worse: Fit, costs: float = 0.0) -> float:
-    """Gain, what priors say included, over the scatter of that in log-likelihood from block to block of time.
+    """Return a gain, priors included, over the scatter of that in log-likelihood from block to block of time.
 
     costs: by how much more the worse costs than the better (Vuong 1989, eq. 5.9)
     """
@@ -88,13 +88,13 @@ def by_block(block: Rows, worse: Scored, better: Scored, known: float) -> float:
 
 
 def in_scatter(gains: Array, known: float = 0.0) -> float:
-    """A sum, and what is known beside it, over the standard deviation of the sum as its terms scatter."""
+    """Return a sum, and what is known beside it, over the standard deviation of the sum as its terms scatter."""
     total, spread = known + float(np.sum(gains)), float(np.std(gains)) * math.sqrt(gains.size)
     return total / spread if spread > 0.0 else math.copysign(math.inf, total) if total else 0.0
 
 
 def held_out(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[float, float]:
-    """What `better` gains on each log left out, by likelihood, and by open-loop predictions over their scatter.
+    """Return the gain of `better` on logs left out, by likelihood, and by open-loop predictions over their scatter.
 
     What one claims and the other does not is as the other logs have it, or as the model has it. For the likelihood the
     rest, what both claim, base parameters and noise, settles on the log itself, for both alike: logs that excite little
@@ -127,7 +127,7 @@ def held_out(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[flo
 
 
 def predicts(problem: Problem, horizon: float, better: Fit, worse: Fit) -> float:
-    """By how many times its scatter the square error of predictions of logs left out is less; of one log, of halves."""
+    """Return how much better logs left out are predicted, over its scatter; of one log, halves."""
     problem = problem if len(problem.logs) > 1 else halved(problem)
     logs = range(len(problem.logs))
 
@@ -141,7 +141,7 @@ def predicts(problem: Problem, horizon: float, better: Fit, worse: Fit) -> float
 
 
 def best_of(scatters: float, tried: int) -> float:
-    """How many times its scatter the best of several must gain, to be as unlikely by chance as one that gains so much.
+    """Return how many times its scatter the best of several must gain to be as unlikely by chance as one.
 
     Of n that gain nothing the best passes z with a probability of at most n·(1 − Φ(z)) (Bonferroni).
     """
@@ -151,7 +151,7 @@ def best_of(scatters: float, tried: int) -> float:
 
 
 def beyond_chance(problem: Problem, f: Fit, tried: int) -> float:
-    """How many times its scatter the gain of the best of several must be, for chance to be unlikely.
+    """Return how many times its scatter the gain of the best of several must be, for chance to be unlikely.
 
     What gains ½·t² by an estimate t times its scatter is ½·|t| times the scatter of its gain; t is Student's, of the
     blocks of time, and any of those tried could have come by it (Bonferroni).
@@ -163,7 +163,7 @@ def beyond_chance(problem: Problem, f: Fit, tried: int) -> float:
 
 
 def learnt_without(search: Search, problem: Problem, h: Hypothesis, left_out: int) -> Fit:
-    """A hypothesis as all logs but one have it."""
+    """Return a hypothesis as all logs but one have it."""
     key = (h.names, left_out)
     if key not in search.learnt:
         others = [k for k in range(len(problem.logs)) if k != left_out]
@@ -174,7 +174,7 @@ def learnt_without(search: Search, problem: Problem, h: Hypothesis, left_out: in
 
 
 def _nearer(found: Sequence[Sequence[Array]]) -> Array:
-    """By how much square errors are less, in each replay of each log, every output in units of its own."""
+    """Return by how much square errors are less in each replay of each log, every output in units of its own."""
     longest = max(missed[0].shape[1] for missed in found)  # rows of a replay, where logs are of unlike length
     worse, better = (np.concatenate([_padded(missed[k], longest) for missed in found]) for k in (0, 1))
     both = np.isfinite(worse) & np.isfinite(better)
@@ -187,12 +187,12 @@ def _nearer(found: Sequence[Sequence[Array]]) -> Array:
 
 
 def _padded(missed: Array, rows: int) -> Array:
-    """Replays with NaN behind their end, so that all have as many rows."""
+    """Return replays with NaN behind their end, so that all have as many rows."""
     return np.pad(missed, ((0, 0), (0, rows - missed.shape[1]), (0, 0)), constant_values=np.nan)
 
 
 def open_loop(problem: Problem, horizon: float, values: Mapping[str, float], f: Fit, index: int) -> Array:
-    """Measured − predicted, shape (replays, rows, outputs), NaN where nothing is; each from the filtered state.
+    """Return measured − predicted, shape (replays, rows, outputs), NaN for nothing; each from the filtered state.
 
     Replays of the model's horizon follow each other; where that is a free run, an eighth of the log.
     """
@@ -214,7 +214,7 @@ def open_loop(problem: Problem, horizon: float, values: Mapping[str, float], f: 
 
 
 def as_given(problem: Problem, base: Fit, left_out: int | None = None) -> Fit:
-    """The model as it was given, unknown inputs free; of its parameters per log what all logs say, or all but one.
+    """Fit unknown inputs of the model as it was given; its parameters per log are those of all logs, or all but one.
 
     A filter that takes the given model for as good as the recalibrated one would not follow what is measured.
     """
@@ -228,7 +228,7 @@ def as_given(problem: Problem, base: Fit, left_out: int | None = None) -> Fit:
 
 
 def scatter(problem: Problem, f: Fit) -> float:
-    """How many times larger variances of estimates are as they scatter over time than for a white residual."""
+    """Return how many times larger variances of estimates are as they scatter over time than for a white residual."""
     spread, white = scattered(problem, f).scattered, inverse(f.information)
     assert spread is not None
     ratios = [spread[k, k] / white[k, k] for k in range(len(f.free)) if white[k, k] > 0.0]
@@ -236,7 +236,7 @@ def scatter(problem: Problem, f: Fit) -> float:
 
 
 def _of_few(covariance: Array, rows: int, free: int) -> Array:
-    """A covariance for few rows: what is left is less than the noise, and normal intervals are too narrow (Student)."""
+    """Widen a covariance for few rows: residuals are less than the noise, normal intervals too narrow (Student)."""
     from scipy.special import stdtrit
 
     left = max(1, rows - free)
@@ -244,7 +244,7 @@ def _of_few(covariance: Array, rows: int, free: int) -> Array:
 
 
 def scattered(problem: Problem, f: Fit) -> Fit:
-    """The fit with the covariance of what was free as it scatters over blocks of time, by White's sandwich."""
+    """Return the fit with the covariance of what was free as it scatters over blocks of time, by White's sandwich."""
     each, information = scores(problem, f)
     scored = problem.scored(f.values, f.noise)
     block = blocks_of(problem, scored, math.exp(f.noise.memory))

@@ -162,38 +162,25 @@ def _rivals(search: Search, best: Hypothesis) -> tuple[Hypothesis, ...]:
     """Return hypotheses that explain as well; of no more candidates, those too that would with other tolerances."""
     if not best.candidates:
         return ()
-    near = [
-        h
-        for h in search.tried.values()
-        if h.ended
-        and h.score - best.score < NEAR
-        and (len(h.candidates) <= len(best.candidates) or h.score - best.score < RIVAL)
-        and not set(h.names) <= set(best.names)
-        and not set(h.names) >= set(best.names)
-    ]
+    near = [h for h in search.tried.values() if h.ended and h.score - best.score < NEAR and h.is_apart(best)]
+    near = [h for h in near if len(h.candidates) <= len(best.candidates) or h.score - best.score < RIVAL]
     rivals = [h for h in sorted(near, key=lambda h: h.score) if _is_rival(search, best, h)]
     # one with more than another, and no better for it, is no rival of its own
-    simplest = [h for k, h in enumerate(rivals) if not any(set(r.names) < set(h.names) for r in rivals[:k])]
-    return tuple(simplest)
+    return tuple(h for k, h in enumerate(rivals) if not any(set(r.names) < set(h.names) for r in rivals[:k]))
 
 
 def _is_rival(search: Search, best: Hypothesis, h: Hypothesis) -> bool:
     if h.score - best.score < RIVAL:
         return True
-    weight = search.problem.scatter
-    if any(
-        _with_tolerance(h, t, weight) + search.cost(h.candidates)
-        < _with_tolerance(best, t, weight) + search.cost(best.candidates)
-        for t in TOLERANCES
-    ):
+    weight, cost, least = search.problem.scatter, search.cost(h.candidates), search.cost(best.candidates)
+    if any(_with_tolerance(h, t, weight) + cost < _with_tolerance(best, t, weight) + least for t in TOLERANCES):
         return True
     # that a richer one costs more counts against it, or one that holds the best as a special case always were a rival
-    richer = max(0.0, search.cost(h.candidates) - search.cost(best.candidates))
-    return steadiness(search.problem, best.fit, h.fit, richer) < UNSURE
+    return steadiness(search.problem, best.fit, h.fit, max(0.0, cost - least)) < UNSURE
 
 
 def _with_tolerance(h: Hypothesis, times: float, weight: float) -> float:
-    """The objective where every tolerance is so many times as wide, by the fit's own quadratic.
+    """Return the objective where every tolerance is so many times as wide, by the fit's own quadratic.
 
     weight: of priors against likelihood. With F the information without priors and θ̂ where it alone would lead, the
     minimum of ½(θ−θ̂)'F(θ−θ̂) + priors.
@@ -229,7 +216,7 @@ def noise_gain(problem: Problem, f: Fit) -> tuple[float, ...]:
 
 
 def at_limit(h: Hypothesis, f: Free, neutral: Mapping[str, float]) -> bool:
-    """Moved, and as far as it may; to neutral is where an effect that the model has too much of belongs."""
+    """Whether a parameter was moved as far as it may; neutral is where an effect belongs that there is too much of."""
     value = h.fit.values[f.name]
     limits = f.low, f.high, h.fit.values.get(f.above)
     return value in limits and value not in (neutral[f.name], f.neutral)

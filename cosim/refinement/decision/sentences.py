@@ -28,7 +28,7 @@ def sentence(c: Claims, subject: Subject) -> str:
 
 
 def _prefaces(c: Claims, subject: Subject) -> Iterator[str]:
-    """Sentences before the answer: a rise on sealed logs, and that a claim is of a part only."""
+    """Yield sentences before the answer: a rise on sealed logs, and that a claim is of a part only."""
     units = {q.name: q.unit for q in subject.outputs}
     files = (REFINED[0], NEAREST[0]) if c.written else ("the refined object", "the nearest object")
     if rise := rises(c.risen, units, files[c.claimed is None]):
@@ -44,7 +44,7 @@ def _prefaces(c: Claims, subject: Subject) -> Iterator[str]:
 
 
 def _answer(c: Claims, subject: Subject) -> str:
-    """The answer itself."""
+    """Return the answer itself."""
     if c.name == "ambiguous" and c.claimed is None:
         return excites_too_little(len(c.unshown), c.experiment, still=c.still)
     if c.name == "ambiguous" and c.claimed is not None:
@@ -63,7 +63,7 @@ def _answer(c: Claims, subject: Subject) -> str:
 
 
 def _remarks(c: Claims, subject: Subject) -> Iterator[str]:
-    """Sentences after the answer: what is left of a table, the nearest model, what was tried, rows left out."""
+    """Yield sentences after the answer: what is left of a table, the nearest model, what was tried, rows left out."""
     if c.left_of is not None and c.claimed is not None and c.left_share is None:
         output, signal = c.left_of
         yield f"Something is left of {output} that {follows(signal)}."
@@ -77,7 +77,7 @@ def _remarks(c: Claims, subject: Subject) -> Iterator[str]:
 
 
 def excites_too_little(effects: int, experiment: str, *, still: bool) -> str:
-    """That these logs would show none of the effects, and what would show them."""
+    """Say that these logs would show none of the effects, and what would show them."""
     which = "the one effect" if effects == 1 else f"none of {effects} effects"
     opening = "Nothing moves in these logs" if still else "These logs excite too little"
     would = "would not" if effects == 1 else "would"
@@ -88,7 +88,7 @@ def excites_too_little(effects: int, experiment: str, *, still: bool) -> str:
 
 
 def nothing(hidden: Sequence[str], moves: Mapping[str, float]) -> str:
-    """That nothing is missing, how large a disturbance is left, and what would not have shown.
+    """Say that nothing is missing, how large a disturbance is left, and what would not have shown.
 
     moves: forced state → size of its unknown input over that of its derivative on the logs, where there is one
     """
@@ -100,7 +100,7 @@ def nothing(hidden: Sequence[str], moves: Mapping[str, float]) -> str:
 
 
 def cannot_tell(names: Sequence[str], experiment: str, certain: str, subject: Subject) -> str:
-    """What rivals leave open, beside what they have in common."""
+    """Say what rivals leave open, beside what they have in common."""
     opening = f"{certain} Beside it, these logs" if certain else "These logs"
     designed = "" if subject.static else "; `cosim excite` designs it, and says whether any would"
     apart = f"{' from '.join(names)}" if len(names) < 3 else f"these apart: {', or '.join(names)}"
@@ -108,7 +108,7 @@ def cannot_tell(names: Sequence[str], experiment: str, certain: str, subject: Su
 
 
 def unexplained(residual: Mapping[str, Any], nearest: Sequence[str], otherwise: str = NO_HYPOTHESIS) -> str:
-    """Where something acts that has no name, on what it depends, and what comes nearest."""
+    """Say where something acts that has no name, on what it depends, and what comes nearest."""
     where = residual["equation"]
     if residual["signals"]:
         # a term may promise likelihood where noise, not its own share, fills what is missing
@@ -124,7 +124,7 @@ def unexplained(residual: Mapping[str, Any], nearest: Sequence[str], otherwise: 
 
 
 def doubted(doubt: Doubt) -> str:
-    """Why a claim was withdrawn after replays."""
+    """Say why a claim was withdrawn after replays."""
     if doubt.kind == "missed":
         return f"With it, replays still miss {doubt.channel} by {plain(doubt.size, 2)} times what noise makes."
     if doubt.kind == "no_nearer":
@@ -135,14 +135,14 @@ def doubted(doubt: Doubt) -> str:
 
 
 def part(residual: Mapping[str, Any], left: str) -> str:
-    """That a claim is a part of what is missing: what is left, and where that acts."""
+    """Say that a claim is a part of what is missing: what is left, and where that acts."""
     where = f" acts on {residual['equation']}" if residual["equation"] else " has no place in the equations"
     on = f" and {_goes(residual)}" if residual["signals"] else ""
     return f"A part of what is missing: {left}, and the rest{where}{on}."
 
 
 def misses(channel: str, times: float, recalibrated: Sequence[Moved]) -> str:
-    """By how much the model as it stands misses a channel, and how far recalibration had to go to mend that."""
+    """Say by how much the unchanged model misses a channel, and how far recalibration had to go to mend that."""
     moved = ", ".join(map(_moved, recalibrated))
     further = f"; recalibrated further than a data sheet is off ({moved}) it does not" if moved else ""
     return (
@@ -152,7 +152,7 @@ def misses(channel: str, times: float, recalibrated: Sequence[Moved]) -> str:
 
 
 def further(moved: Sequence[Moved]) -> str:
-    """That other numbers come out beyond their tolerances beside a claim."""
+    """Say that other numbers come out beyond their tolerances beside a claim."""
     verb = "is" if len(moved) == 1 else "are"
     return f" Beside it, {' and '.join(map(_moved, moved))} {verb} further off than stated." if moved else ""
 
@@ -162,7 +162,7 @@ def _moved(m: Moved) -> str:
 
 
 def rises(errors: Mapping[str, tuple[float, float]], units: Mapping[str, str], file: str) -> str:
-    """That sealed logs are predicted worse than before, and on which channels; empty where no reader sees a rise.
+    """Say that sealed logs are predicted worse than before, on which channels; empty where no reader sees a rise.
 
     errors: channel → root mean square before and after; file: the model that is meant by after
     """
@@ -176,7 +176,7 @@ def rises(errors: Mapping[str, tuple[float, float]], units: Mapping[str, str], f
 
 
 def calmer(part: str, found: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -> str:
-    """That a noise floor is above the error: channel → floor and error."""
+    """Say that a noise floor is above the error; found: channel → floor and error."""
     which = "sealed" if part == "validation" else "estimation"
     said = []
     for name, (floor, error) in found.items():
@@ -189,13 +189,13 @@ def calmer(part: str, found: Mapping[str, tuple[float, float]], units: Mapping[s
 
 
 def holds(names: Sequence[str], *, fitted: bool, file: str = NEAREST[0]) -> str:
-    """What the nearest model holds: what was added, or nothing; fitted: base parameters are recalibrated."""
+    """Say what the nearest model holds: what was added, or nothing; fitted: base parameters are recalibrated."""
     what = f"has {' and '.join(names)}" if names else f"is the model {'recalibrated' if fitted else 'as it was'}"
     return f"{file}, which predicts logs left out best, {what}."
 
 
 def on_rows_left_out(c: Claims, subject: Subject) -> str:
-    """The errors on rows left out, in words: of what is claimed, or of the model recalibrated, and without it."""
+    """Say the errors on rows left out: of what is claimed, or of the model recalibrated, and without it."""
     units, errors = {q.name: q.unit for q in subject.outputs}, c.left_out or {}
     effect = c.claimed is not None and any(part.kind != "parameter" for part in c.claimed.candidates)
     best, other = ("after", "recalibrated") if effect else ("recalibrated", "before")
@@ -206,7 +206,7 @@ def on_rows_left_out(c: Claims, subject: Subject) -> str:
 
 
 def follows(signal: str, shape: Shape | None = None) -> str:
-    """How a term goes with its signal, and where; `1` is the constant."""
+    """Say how a term goes with its signal, and where; `1` is the constant."""
     if shape is None:
         return "is constant" if signal == "1" else f"depends on {signal}"
     place, width = amount(shape.place, shape.unit), amount(shape.width, shape.unit, 2)
@@ -218,14 +218,14 @@ def follows(signal: str, shape: Shape | None = None) -> str:
 
 
 def _goes(residual: Mapping[str, Any]) -> str:
-    """How what is left goes, by the first of its terms."""
+    """Say how the residual depends on a signal, by the first of its terms."""
     first = residual["terms"][0] if residual["terms"] else {}
     shape = Shape.of_entry(first["equation"], first["local"]) if first.get("local") else None
     return follows(residual["signals"][0], shape)
 
 
 def claim(best: Hypothesis, candidates: Sequence[Candidate], subject: Subject) -> str:
-    """What these candidates of the best hypothesis are, with their values and intervals."""
+    """Say what these candidates of the best hypothesis are, with their values and intervals."""
     parts: dict[str, list[str]] = {"effect": [], "parameter": [], "sensor": []}
     for c in candidates:
         values = ", ".join(_estimate(best, f, written(subject.declared[f.name].unit)) for f in c.free)
@@ -239,7 +239,7 @@ def claim(best: Hypothesis, candidates: Sequence[Candidate], subject: Subject) -
 
 
 def _estimate(best: Hypothesis, f: Free, unit: str) -> str:
-    """A parameter with its interval, where that is narrower than its bounds are apart."""
+    """Return a parameter with its interval, where that is narrower than its bounds are apart."""
     name, value, half = f.name.rpartition(".")[2], best.fit.values[f.name], NORMAL_95 * best.fit.sigma(f.name)
     if half > f.high - f.low:
         return f"{name} not identified by these logs"
@@ -247,12 +247,12 @@ def _estimate(best: Hypothesis, f: Free, unit: str) -> str:
 
 
 def perhaps(names: Sequence[str]) -> str:
-    """That something would gain, but too little."""
+    """Say that something would gain, but too little."""
     return f" (Perhaps {' and '.join(names)}: what that gains may be chance.)" if names else ""
 
 
 def left_over(term: Unnamed | None, gained: float) -> str:
-    """What a claim leaves, where that is plain: how much of the log-likelihood it gained a term without a name adds."""
+    """Say what a claim leaves, where that is plain: how much a term without a name adds to its gain."""
     if term is None:
         return ""
     more = f"a term without a name promises {percent(term.gain / gained)} of the claim's gain on top"

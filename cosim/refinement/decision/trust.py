@@ -31,7 +31,7 @@ CLEARLY = 0.05  # of the error of open-loop predictions, by which one way must b
 
 
 def attributed(subject: Subject, problem: Problem, candidates: Sequence[Candidate], progress: Progress) -> Found:
-    """The best hypothesis with unknown inputs free, or with the equations trusted where that predicts better."""
+    """Return the best hypothesis with unknown inputs free, or with the equations trusted where that predicts better."""
     found = Attributor(subject, problem, candidates, progress).run()
     if not any(gain > NOISE for gain in noise_gain(found.search.problem, found.best.fit)):
         return found
@@ -50,12 +50,12 @@ def attributed(subject: Subject, problem: Problem, candidates: Sequence[Candidat
 
 
 def missed(problem: Problem, subject: Subject, f: Fit) -> float:
-    """Logarithm of the error of open-loop predictions over the model's horizon, a mean over the outputs."""
+    """Return logarithm of the error of open-loop predictions over the model's horizon, a mean over the outputs."""
     return size([open_loop(problem, subject.horizon, f.values, f, k) for k in range(len(problem.logs))])
 
 
 def size(errors: Sequence[Array]) -> float:
-    """Mean over the outputs of the logarithm of the root mean square."""
+    """Return mean over the outputs of the logarithm of the root mean square."""
     rows = np.concatenate([e.reshape(-1, e.shape[-1]) for e in errors])
     with np.errstate(invalid="ignore", divide="ignore"):
         sizes = 0.5 * np.log(np.nanmean(rows**2, axis=0))

@@ -40,7 +40,7 @@ Evidence = list[tuple[Log, Replay]]
 
 
 def filtering(problem: Problem, subject: Subject, logs: Sequence[Log]) -> Problem:
-    """The filter of a problem, its kernel too, for a variant of its subject on other logs; what these lack is missing.
+    """Return the filter of a problem for a variant of its subject on other logs; what these lack is missing.
 
     The kernel of the problem takes all numbers, those of the variant too.
     """
@@ -56,7 +56,7 @@ def filtering(problem: Problem, subject: Subject, logs: Sequence[Log]) -> Proble
 def replays(
     variant: Variant, replayer: Replayer, problem: Problem, logs: Sequence[Log], horizons: Sequence[float] = ()
 ) -> dict[float, Evidence]:
-    """Horizon → each log, its readings corrected, and its consecutive replays through what is delivered.
+    """Return horizon → each log, its readings corrected, and its consecutive replays through what is delivered.
 
     The subject's own horizon comes first. Over another, a subject that runs away may end its FMU: that log is left out.
     """
@@ -88,7 +88,7 @@ def replays(
 def _starts(
     variant: Variant, problem: Problem, log: Log, index: int, horizon: float
 ) -> tuple[dict[int, Start], dict[str, Array]]:
-    """Starts of the replays of a log, as the filter knew them by then, and parameters per log in every row."""
+    """Return starts of the replays of a log, as the filter knew them by then, and parameters per log in every row."""
     rows, layout = first_rows(log, horizon), problem.layout
     data = problem.data(variant.values, index)
     filtered = problem.known(data, variant.values, variant.noise, index, log.grid[rows].tolist())
@@ -103,17 +103,17 @@ def _starts(
 
 
 def first_rows(log: Log, horizon: float) -> list[int]:
-    """Where replays start; a free run is one, from the first row."""
+    """Return the rows where replays start; a free run is one, from the first row."""
     return [0] if horizon == FREE_RUN else window_rows(log, horizon)
 
 
 def rmse(evidence: Evidence) -> dict[str, float]:
-    """Channel → RMSE pooled over the logs."""
+    """Return channel → RMSE pooled over the logs."""
     return pooled(replay.errors(log) for log, replay in evidence)
 
 
 def without_sensor_errors(log: Log, variant: Variant, acting: Mapping[str, Array], said: Mapping[str, Array]) -> Log:
-    """The log with its readings corrected for what the model knows of its sensors, and what is `acting` in each row.
+    """Return the log with readings corrected for what the model knows of its sensors, and what is `acting`.
 
     said: output → what the model says is there; where a reading is late or goes by other outputs, these are the model's
     """
@@ -128,20 +128,20 @@ def without_sensor_errors(log: Log, variant: Variant, acting: Mapping[str, Array
 
 
 def _sensors(variant: Variant, acting: Mapping[str, Array]) -> Iterator[SensorError]:
-    """The errors of the sensors, the last to act first."""
+    """Yield the errors of the sensors, the last to act first."""
     values = {**variant.values, **acting}
     for kind in reversed(variant.subject.sensors):
         yield kind(value=values[f"{kind.name}.value"])
 
 
 def _line(sensor: SensorError) -> tuple[Any, Any]:
-    """Reading at zero, and gain, of one whose readings are a straight line."""
+    """Return reading at zero, and gain, of one whose readings are a straight line."""
     at_zero = sensor.measure(0.0)
     return at_zero, sensor.measure(1.0) - at_zero
 
 
 def _added(sensor: Any, time: Array, said: Mapping[str, Array]) -> dict[str, Array]:
-    """Output → what one that is no straight line adds to it, at what the model says is there."""
+    """Return output → what one that is no straight line adds to it, at what the model says is there."""
     own = {n: said[n] for n in sensor.affected()}
     if sensor.late:
         return {n: np.interp(time - sensor.value, time, there, left=np.nan) - there for n, there in own.items()}
@@ -151,7 +151,7 @@ def _added(sensor: Any, time: Array, said: Mapping[str, Array]) -> dict[str, Arr
 
 
 def _acting(problem: Problem, filtered: Filtered, starts: Rows, rows: Rows) -> dict[str, Array]:
-    """Parameter per log → its value in some rows: as the filter knew it where the replay of that row started."""
+    """Return parameter per log → its value in some rows: as the filter knew it where the replay of that row started."""
     constants = problem.layout.constants
     if not constants:
         return {}
@@ -162,7 +162,7 @@ def _acting(problem: Problem, filtered: Filtered, starts: Rows, rows: Rows) -> d
 
 
 def predicted_errors(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
-    """Channel → root mean square of measured − model over the model's horizon, as the kernel replays the logs."""
+    """Return the root mean square of measured − model of each channel over the horizon, as the kernel replays."""
     problem = filtering(problem, variant.subject, logs)
     missed = [
         _missed(variant, problem, log, index, problem.data(variant.values, index)) for index, log in enumerate(logs)
@@ -181,14 +181,14 @@ class Floor:
     scatter: Mapping[str, float]
 
     def above(self, error: Mapping[str, float]) -> dict[str, tuple[float, float]]:
-        """Channel → floor and error, where the floor is plainly above: the logs hold less noise than it."""
+        """Return channel → floor and error, where the floor is plainly above: the logs hold less noise than it."""
         there = {n: (f, error[n]) for n, f in self.level.items() if error.get(n, 0.0) > 0.0}
         limits = {n: max(math.log(CALMER), UNLIKE * self.scatter.get(n, 0.0)) for n in there}
         return {n: (f, e) for n, (f, e) in there.items() if f > 0.0 and math.log(f / e) > limits[n]}
 
 
 def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np.random.Generator) -> Floor:
-    """The same statistic for the model against itself, simulated with the estimated process and sensor noise."""
+    """Return the same statistic for the model against itself, simulated with the estimated process and sensor noise."""
     problem = filtering(problem, variant.subject, logs)
     draws: list[list[Array]] = [[] for _ in range(-(-DRAWS // len(logs)))]
     for index, log in enumerate(logs):
@@ -204,7 +204,7 @@ def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np
 
 
 def followed(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
-    """Values of parameters per log with which the filter ends each log; of a log in pieces, the last."""
+    """Return values of parameters per log with which the filter ends each log; of a log in pieces, the last."""
     if not logs or not problem.layout.constants:
         return {}
     problem = filtering(problem, variant.subject, logs)
@@ -213,7 +213,7 @@ def followed(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[st
 
 
 def _known_at_the_end(variant: Variant, problem: Problem, index: int) -> dict[str, float]:
-    """Values of parameters per log, known as the filter has them when it has seen the whole log."""
+    """Return values of parameters per log, known as the filter has them when it has seen the whole log."""
     if not (constants := problem.layout.constants):
         return {}
     last = problem.undisturbed(problem.run(variant.values, variant.noise, index, states=True).states[-1])
@@ -223,7 +223,7 @@ def _known_at_the_end(variant: Variant, problem: Problem, index: int) -> dict[st
 
 
 def _drawn(problem: Problem, index: int, variant: Variant, first: Array, rng: np.random.Generator) -> Data:
-    """A log as the model would have made it from a first state, with unknown inputs and sensor noise drawn anew.
+    """Return a log as the model would have made it from a first state, with unknown inputs and sensor noise drawn anew.
 
     Late readings are where they belong, as of `Problem.data`.
     """
@@ -240,12 +240,12 @@ def _drawn(problem: Problem, index: int, variant: Variant, first: Array, rng: np
 
 
 def _older(outputs: Array, late: Array | None) -> Array:
-    """Outputs by part of a row earlier, as the filter takes readings that are older than their row."""
+    """Return outputs by part of a row earlier, as the filter takes readings that are older than their row."""
     return outputs if late is None else outputs - np.nan_to_num(late) * np.diff(outputs, axis=0, prepend=outputs[:1])
 
 
 def _missed(variant: Variant, problem: Problem, log: Log, index: int, data: Data) -> Array:
-    """Measured, corrected for errors of the sensors, − model of replays over the model's horizon.
+    """Return measured, corrected for errors of the sensors, − model of replays over the model's horizon.
 
     Each starts from the state that the filter knew by then.
     """
@@ -275,7 +275,7 @@ def _root_mean_squares(problem: Problem, missed: Sequence[Array]) -> dict[str, f
 
 
 def _predicted(problem: Problem, data: Data, p: Array, filtered: Filtered, rows: Sequence[int], length: int) -> Array:
-    """Outputs of replays as the kernel runs them; NaN where none predicts."""
+    """Return outputs of replays as the kernel runs them; NaN where none predicts."""
     predicted = np.full(data.y.shape, np.nan)
     for k in rows:
         end = min(k + length, len(data.u) - 1)

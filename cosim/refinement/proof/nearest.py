@@ -19,7 +19,7 @@ SIMPLER = 0.01  # of the error, within which the simpler model is taken
 
 
 def nearest(search: Search, a: Attribution, best: Sequence[Hypothesis]) -> Hypothesis | None:
-    """The hypothesis that predicts logs left out best; the base's where recalibrating is all; None: the model as given.
+    """Return the hypothesis that predicts logs left out best; None: the model as given.
 
     best: hypotheses that were nearly claimed, simplest first
     """

@@ -79,7 +79,7 @@ class Proof:
 
 
 def difference(one: Replay, other: Replay) -> float:
-    """The largest difference of an output, of max(1, its largest value); infinite where only one predicts."""
+    """Return the largest difference of an output, of max(1, its largest value); infinite where only one predicts."""
     return max((_apart(values, other.outputs[name]) for name, values in one.outputs.items()), default=0.0)
 
 
@@ -93,6 +93,6 @@ def _apart(one: Array, other: Array) -> float:
 
 
 def warnings_of(way: Replays) -> Iterator[str]:
-    """A native FMU that does not equal the one in Python; nothing where there is none to be had."""
+    """Warn of a native FMU that does not equal the one in Python; of none where there is none to be had."""
     if way.through == "python" and way.log:
         yield f"the native FMU of the model is not used: {way.why}; every error is that of FMUs in Python"

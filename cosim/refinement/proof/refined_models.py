@@ -53,7 +53,7 @@ def variants_of(
 
 
 def of_noise(after: Variant, a: Attribution, claimed: Hypothesis | None, heard: Array | None) -> Variant:
-    """The refined subject with the noise that is in the logs: what a model misses that is far off is none.
+    """Return the refined subject with the noise that is in the logs: what a model misses that is far off is none.
 
     heard: ln of the variances of sensor noise, where those of a fit hold what its model misses too
     """

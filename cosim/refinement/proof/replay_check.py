@@ -98,13 +98,13 @@ def checked_claim(
 
 
 def _still_missed(error: ErrorOf, floor: Channels) -> Doubt | None:
-    """Replays must be down to the noise with what leaves the equations as they are: a sensor's error, a number."""
+    """Doubt a claim that leaves the equations as they are, a sensor's error or a number, if replays still miss much."""
     worst, times = max(_missed(error["after"], floor).items(), key=itemgetter(1), default=("", 0.0))
     return Doubt("missed", worst, times) if worst else None
 
 
 def _plant_doubt(error: ErrorOf, floor: Channels, *, effects: bool) -> Doubt | None:
-    """Effects must bring replays nearer than recalibration does; every claim must mend some channel by half."""
+    """Doubt effects that are no nearer in replays than recalibration, and claims that mend no channel by half."""
     recalibrated, after = error["recalibrated"], error["after"]
     if effects and floor and all(after[n] >= recalibrated[n] for n in floor):
         return Doubt("no_nearer")

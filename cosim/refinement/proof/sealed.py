@@ -20,7 +20,7 @@ Rise = tuple[float, float]  # root mean square before and after
 
 
 def risen(before: Evidence, after: Evidence) -> dict[str, Rise]:
-    """Channel → error before and after, where that is larger after; the greatest rise first.
+    """Return channel → error before and after, where that is larger after; the greatest rise first.
 
     With d = ln(Σe² after / Σe² before) of each replay, t = d̄·√n / s_d is held against Student's t of n − 1: replays in
     which much moves, and much is missed, count no more than the others. The channels share the chance (Bonferroni).
@@ -47,7 +47,7 @@ def plain_rise(rises: Sequence[float], chance: float) -> bool:
 
 
 def _rises(before: Evidence, after: Evidence, name: str) -> list[float]:
-    """Logarithm of how many times larger the sum of squares of each replay is."""
+    """Return logarithm of how many times larger the sum of squares of each replay is."""
     found: list[float] = []
     for (log, first), (corrected, second) in zip(before, after, strict=True):
         if name not in log.outputs:
@@ -67,7 +67,7 @@ def _squares(log: Log, replay: Replay, name: str) -> Array:
 
 
 def _edges(replay: Replay) -> list[int]:
-    """First row of each replay, and the end; a row that one starts belongs to the one before. Of one run, its parts."""
+    """Return the first row of each replay, and the end; a row that one starts belongs to the one before."""
     rows, starts = replay.time.size, sorted(replay.starts)
     if math.isinf(replay.horizon):
         return [round(k * rows / PARTS) for k in range(PARTS + 1)]

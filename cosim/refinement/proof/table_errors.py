@@ -26,7 +26,7 @@ Channels = dict[str, float]
 
 
 def errors_left_out(search: Search, a: Attribution, claims: Claims) -> dict[str, Channels]:
-    """Before, recalibrated, after, nearest → output → root mean square on rows left out, fitted to the others."""
+    """Return the root mean square of each model and output on rows left out, fitted to the others."""
     given = _missed(search, None)
     found = {"before": given, "recalibrated": _missed(search, a.base)}
     found["after"] = _missed(search, claims.claimed) if claims.claimed else given
@@ -34,7 +34,7 @@ def errors_left_out(search: Search, a: Attribution, claims: Claims) -> dict[str,
 
 
 def _missed(search: Search, h: Hypothesis | None) -> Channels:
-    """Of one hypothesis; None: the model as it was given, of which nothing is fitted."""
+    """Return the errors of one hypothesis; None: the model as it was given, of which nothing is fitted."""
     problem, rows = search.problem, []
     for k in range(len(problem.logs)):
         fit = search.tried[()].fit if h is None else learnt_without(search, problem, h, k)
@@ -46,7 +46,7 @@ def _missed(search: Search, h: Hypothesis | None) -> Channels:
 
 
 def with_leftover(claims: Claims, a: Attribution, problem: Problem, subject: Subject) -> Claims:
-    """The answer, and what of an output goes with an input beside the best hypothesis, where something does."""
+    """Return the answer, and what of an output goes with an input beside the best hypothesis, where something does."""
     left = _leftover(problem, a.best, subject)
     if left is None:
         return claims
@@ -62,7 +62,7 @@ def with_leftover(claims: Claims, a: Attribution, problem: Problem, subject: Sub
 
 
 def _leftover(problem: Problem, h: Hypothesis, subject: Subject) -> tuple[str, str] | None:
-    """Output and input over which what is left goes most, where neighbours are plainly alike.
+    """Return output and input over which what is left goes most, where neighbours are plainly alike.
 
     By Σ r_k·r_k+1 / Σ r² of the ranks r of what is left, about their mean, in the order of the input: of noise it is
     0 ± 1/√n, be it larger here than there (Bartels 1982). A dozen rows are too few to tell.
@@ -83,10 +83,10 @@ def _leftover(problem: Problem, h: Hypothesis, subject: Subject) -> tuple[str, s
 
 
 def _left(problem: Problem, h: Hypothesis) -> Array:
-    """Measured − model of every row: rows, outputs."""
+    """Return measured − model of every row: rows, outputs."""
     return np.vstack([open_loop(problem, 0.0, h.fit.values, h.fit, k)[:, 0] for k in range(len(problem.logs))])
 
 
 def _sizes(problem: Problem, h: Hypothesis) -> Array:
-    """Root mean square of what is left of each output."""
+    """Return root mean square of what is left of each output."""
     return np.asarray(np.sqrt(np.nanmean(_left(problem, h) ** 2, axis=0)))

@@ -48,12 +48,12 @@ def _is_own(subject: Subject, state: str) -> bool:
 
 
 def _turned(values: Array, unit: str) -> Array:
-    """An angle of several turns brought into one."""
+    """Return an angle of several turns brought into one."""
     return np.mod(values, 2.0 * np.pi) if unit == "rad" and np.ptp(values) > 2.0 * np.pi else values
 
 
 def _commands(subject: Subject, problem: Problem, parts: Smoothed) -> list[Regressor]:
-    """Commands that move, and of two of one unit the mean and the half difference, each with its rate."""
+    """Return commands that move, and of two of one unit the mean and the half difference, each with its rate."""
     columns, rates = [], []
     for index, m in parts:
         data = problem.logs[index]
@@ -77,7 +77,7 @@ def _commands(subject: Subject, problem: Problem, parts: Smoothed) -> list[Regre
 
 
 def explained(values: Array, by: Array) -> float:
-    """Share of the variance of `values` between bins of `by`: 1 where it is a function of it."""
+    """Return share of the variance of `values` between bins of `by`: 1 where it is a function of it."""
     good = np.isfinite(values) & np.isfinite(by)
     v, x = values[good], by[good]
     total = float(v.var()) if v.size else 0.0
@@ -88,7 +88,7 @@ def explained(values: Array, by: Array) -> float:
 
 
 def bins(x: Array, count: int, least: int = 1) -> list[Rows]:
-    """Rows in each of `count` equal stretches of x; neighbours that hold fewer than `least` rows are joined."""
+    """Return rows in each of `count` equal stretches of x; neighbours that hold fewer than `least` rows are joined."""
     low, high = float(x.min()), float(x.max())
     places = np.minimum((count * (x - low) / (high - low or 1.0)).astype(int), count - 1)
     joined: list[Rows] = []
@@ -104,13 +104,13 @@ def bins(x: Array, count: int, least: int = 1) -> list[Rows]:
 
 
 def choose(known: Mapping[str, Regressor], suggested: Sequence[str], values: Array) -> Regressor:
-    """The signal of which `values` are most nearly a function, among those that the form of a term suggests."""
+    """Return the signal of which `values` are most nearly a function, among those that the form of a term suggests."""
     names = [n for n in suggested if n in known] or [n for n in known if " · " not in n]
     return known[max(names, key=lambda n: explained(values, known[n].values))]
 
 
 def local(problem: Problem, parts: Smoothed, shape: Shape, sizes: Sequence[float]) -> tuple[Regressor, Array]:
-    """The signal that a local shape is over, and the term at the rows of some logs."""
+    """Return the signal that a local shape is over, and the term at the rows of some logs."""
     signals = signals_of(problem, parts)
     return Regressor(shape.signal, shape.unit, shape.over(signals)), shape.columns(signals) @ np.array(sizes)
 
@@ -118,7 +118,7 @@ def local(problem: Problem, parts: Smoothed, shape: Shape, sizes: Sequence[float
 def nameless(
     subject: Subject, problem: Problem, parts: Smoothed, term: Mapping[str, Any]
 ) -> tuple[Regressor, Array] | None:
-    """The signal that a term of refine.json without a name depends on, and the term at the rows of some logs."""
+    """Return the signal that a term of refine.json without a name depends on, and the term at the rows of some logs."""
     signal, coefficient = term["signal"], term["coefficient"]
     if term.get("local"):
         shape = Shape.of_entry(term["equation"], term["local"])

@@ -80,7 +80,7 @@ class Shown:
 
 
 def shown(r: Refinement) -> list[Shown]:
-    """One picture for each part of a claim; without a claim, one of what is left."""
+    """Draw one picture for each part of a claim; without a claim, one of what is left."""
     claim, base = r.verdict.claimed, r.attribution.base
     if claim is None:
         return [_left(r)] if r.verdict.name == "unexplained" else []
@@ -96,7 +96,7 @@ def shown(r: Refinement) -> list[Shown]:
 
 
 def _without(claim: Hypothesis, candidate: Candidate, neutral: Mapping[str, float]) -> dict[str, float]:
-    """The claim's values with one candidate's at neutral."""
+    """Return the claim's values with one candidate's at neutral."""
     return {**claim.fit.values, **{n: neutral[n] for n in candidate.parameters}}
 
 
@@ -143,7 +143,7 @@ def _per_second(unit: str) -> str:
 
 
 def _reading(subject: Subject, problem: Problem, c: Candidate, without: Filter, with_it: Filter) -> Shown:
-    """A sensor's reading less what is there, along the refined estimate, against what its error comes of.
+    """Draw a sensor's reading less what is there, along the refined estimate, against what its error comes of.
 
     That is the output itself, or how fast it moves where readings are late; otherwise what suits the error best. Of
     several outputs the one on which the error is largest is shown.
@@ -184,7 +184,7 @@ class _Sensed:
 
 
 def _sensed(problem: Problem, c: Candidate, with_it: Filter, index: int, *, late: bool) -> _Sensed:
-    """Along the refined estimate of a log, every measured output."""
+    """Return every measured output along the refined estimate of a log."""
     data = problem.logs[index]
     run = problem.run({**problem.values, **with_it.values}, loosened(problem, with_it.noise), index, states=True)
     clean = Steps(problem, index, {**with_it.values, **{n: problem.values[n] for n in c.parameters}})

@@ -14,7 +14,7 @@ MODELS = {"before": "#8c8c8c", "recalibrated": "#56b4e9", "after": "#0072b2"}
 
 
 def errors_figure(record: Mapping[str, Any], part: str) -> Figure:
-    """RMSE of each channel, an axis each as units differ, a bar for each model; ValueError where there is none."""
+    """Draw RMSE of each channel, an axis each as units differ, a bar for each model; ValueError where there is none."""
     errors = {m: dict(record.get("error", {}).get(m, {}).get(part) or {}) for m in MODELS}
     channels = list(dict.fromkeys(name for of in errors.values() for name in of))
     if not channels:

@@ -63,24 +63,24 @@ class HorizonTable:
 
 
 def units(r: Refinement) -> dict[str, str]:
-    """Unit of each output."""
+    """Return unit of each output."""
     return {q.name: q.unit for q in r.study.subject.outputs}
 
 
 def error_size(value: float, unit: str, like: float) -> str:
-    """An error in a unit that suits one of size `like`."""
+    """Return an error in a unit that suits one of size `like`."""
     shown, factor = finer(unit, like)
     return joined(plain(value * factor), shown)
 
 
 def horizon(r: Refinement) -> str:
-    """How long the model runs by itself: `2 s`, or `a whole run`."""
+    """Return how long the model runs by itself: `2 s`, or `a whole run`."""
     horizons = [played.horizon for _, played in r.evidence["before"]["estimation"]]
     return "a whole run" if not horizons or math.isinf(horizons[0]) else horizon_name(horizons[0])
 
 
 def error_tables(r: Refinement) -> list[ErrorTable]:
-    """One table for each set of logs there is."""
+    """Return one table for each set of logs there is."""
     error, tables = r.record["error"], []
     for part, title in PARTS.items():
         if part not in error["before"]:
@@ -92,7 +92,7 @@ def error_tables(r: Refinement) -> list[ErrorTable]:
 
 
 def horizon_table(r: Refinement) -> HorizonTable:
-    """Before → refined, or → nearest where nothing was claimed, from the shortest horizon to the longest.
+    """Return before → refined, or → nearest where nothing was claimed, from the shortest horizon to the longest.
 
     Horizons shorter than the rows are apart are left away.
     """
@@ -113,7 +113,7 @@ def horizon_table(r: Refinement) -> HorizonTable:
 
 
 def judged(r: Refinement) -> str:
-    """The logs that count: the sealed ones where there are any."""
+    """Return the logs that count: the sealed ones where there are any."""
     return "validation" if "validation" in r.record["error"]["before"] else "estimation"
 
 
@@ -136,7 +136,7 @@ def _error_row(r: Refinement, part: str, name: str) -> ErrorRow:
 
 
 def _marks(before: float, after: float, floor: float) -> Marks | None:
-    """On a logarithmic scale of a decade about the three, or as many as they need."""
+    """Return places on a logarithmic scale of a decade about the three, or as many as they need."""
     good = [v for v in (before, after, floor) if math.isfinite(v) and v > 0]
     if len(good) < 3:
         return None
@@ -147,7 +147,7 @@ def _marks(before: float, after: float, floor: float) -> Marks | None:
 
 
 def second_sentence(r: Refinement) -> str:
-    """The error of the channel that fell most, on sealed runs where there are any."""
+    """Tell the error of the channel that fell most, on sealed runs where there are any."""
     part = judged(r)
     what = "rows" if r.problem.table else "runs"
     where = f"On sealed {what}" if part == "validation" else f"On the {what} that were learnt from (none are sealed)"
@@ -173,7 +173,7 @@ def _over(r: Refinement) -> str:
 
 
 def _causes(r: Refinement, after: str, floor: str, *, above: bool) -> str:
-    """How the sentence goes on: what the error would be without anything missing."""
+    """Say what the error would be without anything missing."""
     causes = "noise and disturbance make"
     if r.problem.table:
         causes = "noise, and what is taken for it, make" if r.verdict.residual.get("equation") else "noise makes"
@@ -183,7 +183,7 @@ def _causes(r: Refinement, after: str, floor: str, *, above: bool) -> str:
 
 
 def _unchanged(r: Refinement, part: str, where: str) -> str:
-    """How far the model as it stands is from its noise floor."""
+    """Tell how far the model as it stands is from its noise floor."""
     worst, ratio = "", 0.0
     for name in r.record["error"]["before"][part]:
         *_, after, floor, _ = _numbers(r, part, name)

@@ -36,12 +36,12 @@ class WhitenessRow:
 
 
 def modes(r: Refinement) -> tuple[str, str]:
-    """What is compared: two models in one filter, or one model in two filters."""
+    """Return the names of what is compared: two models in one filter, or one model in two filters."""
     return ("before", "refined") if r.verdict.claimed else ("equations trusted", "disturbance estimated")
 
 
 def innovations(r: Refinement, charts: Charts) -> list[WhitenessRow]:
-    """One-step errors over what the filter expects, channel by channel in the order of the logs.
+    """Return one-step errors over what the filter expects, channel by channel in the order of the logs.
 
     A filter trusts its equations where their process noise is too small for any log to show.
     """
@@ -86,13 +86,13 @@ def _innovations(r: Refinement, values: dict[str, float], noise: Noise, index: i
 
 
 def _joined(parts: Sequence[Array], lags: int) -> Array:
-    """Logs one after the other, so far apart that no lag reaches from one into the next."""
+    """Return logs one after the other, so far apart that no lag reaches from one into the next."""
     gap = np.full(lags + 1, np.nan)
     return np.concatenate([piece for part in parts for piece in (part, gap)])
 
 
 def _autocorrelation(channel: str, tests: Sequence[Whiteness], names: Sequence[str], over: Drawing) -> Panel:
-    """Two stems side by side at each lag."""
+    """Return two stems side by side at each lag."""
     rows, lag = every_lag(tests[0].rho.size - 1, STEMS), over.series.time
     beside = 0.16 * (lag[1] - lag[0] if lag.size > 1 else lag[0])
     traces = [

@@ -20,7 +20,7 @@ class PerLogRow(NamedTuple):
 
 
 def per_log_rows(r: Refinement) -> list[PerLogRow]:
-    """One row for each parameter and group, those that were fitted first."""
+    """Return one row for each parameter and group, those that were fitted first."""
     rows = []
     for name, entry in r.record.get("per_log", {}).items():
         found = PerLog.model_validate(entry)

@@ -53,7 +53,7 @@ class Run:
 
 
 def runs(r: Refinement, charts: Charts) -> list[Run]:
-    """The first estimation and the first sealed log."""
+    """Return the first estimation and the first sealed log."""
     drawn = []
     words: dict[Part, str] = {"estimation": "learnt from", "validation": "sealed"}
     for part, word in words.items():
@@ -69,7 +69,7 @@ def runs(r: Refinement, charts: Charts) -> list[Run]:
 
 
 def _pair(r: Refinement, drawing: Drawing, before: Evidence, after: Evidence, name: str, floor: float) -> Pairs:
-    """The model's reading is the log's less its error: sensors that are known to be wrong are in it."""
+    """Draw one channel; the model's reading is the log's less its error: sensors known to be wrong are in it."""
     log, old = before[0]
     unit, factor = display(log.units.get(name, ""))
     fine, scale = finer(log.units.get(name, ""), max(rmse(e[0][1].errors(e[0][0])[name]) for e in (before, after)))
@@ -88,7 +88,7 @@ def _pair(r: Refinement, drawing: Drawing, before: Evidence, after: Evidence, na
 
 
 def _windows(time: Array, starts: Array, horizon: float, panel: Panel) -> Band | None:
-    """Every other replay as a shade over the whole height, so that each restart shows."""
+    """Return every other replay as a shade over the whole height, so that each restart shows."""
     span = extent([trace.values for trace in panel.traces])
     if span is None or starts.size < 2:
         return None
@@ -103,7 +103,7 @@ def _windows(time: Array, starts: Array, horizon: float, panel: Panel) -> Band |
 
 
 def against_signal(s: Shown, charts: Charts) -> Plot:
-    """Means of what the data say, with 95 % bars, and the claimed term."""
+    """Return means of what the data say, with 95 % bars, and the claimed term."""
     unit, factor = display(s.unit)
     shown, scale = display(s.against.unit)
     x = s.against.values * scale
@@ -128,7 +128,7 @@ def against_signal(s: Shown, charts: Charts) -> Plot:
 
 
 def over_time(s: Shown, charts: Charts) -> Plot:
-    """A close-up of the first log, where the claim moves most."""
+    """Return a close-up of the first log, where the claim moves most."""
     unit, factor = display(s.unit)
     count = max(2, min(s.first, round(CLOSE_UP * slowness(s.step) / s.step)))
     signal = s.estimated if s.term is None else s.term
@@ -144,7 +144,7 @@ def over_time(s: Shown, charts: Charts) -> Plot:
 
 
 def axis_label(s: Shown) -> str:
-    """What stands under the first of the two plots."""
+    """Return the label under the first of the two plots."""
     shown = " · ".join(display(u)[0] or u for u in s.against.unit.split(" · "))
     return f"{s.against.name} [{shown or '1'}]"
 
@@ -154,7 +154,7 @@ def _what(s: Shown) -> str:
 
 
 def _standard_error(s: Shown, rows: Rows) -> float:
-    """Of a mean over rows that are alike within the memory of the smoother; a slope within them is no error."""
+    """Return the standard error of a mean over rows alike within the smoother's memory; a slope is no error."""
     alike = 1.0 if s.kind == "sensor" else max(1.0, MEMORIES * slowness(s.step) / s.step)
     count = max(1.0, rows.size / alike)
     x, y = s.against.values[rows], s.estimated[rows]
@@ -164,5 +164,5 @@ def _standard_error(s: Shown, rows: Rows) -> float:
 
 
 def rows_shown(s: Shown) -> str:
-    """How much data stands behind a picture."""
+    """Return how much data stands behind a picture."""
     return f"{counted(s.estimated.size, 'row')} of the estimation logs"

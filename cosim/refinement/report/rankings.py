@@ -71,7 +71,7 @@ class NoiseRow:
 
 
 def ranked(r: Refinement) -> tuple[list[Ranked], list[Ranked], list[Ranked]]:
-    """Single candidates shown, those folded away, and candidates together."""
+    """Return single candidates shown, those folded away, and candidates together."""
     rows = [row for row in r.record["candidates"] if row["names"]]
     best = max((_gain(row) for row in rows), default=0.0)
     claimed = tuple(r.verdict.claimed.names) if r.verdict.claimed else ()
@@ -100,7 +100,7 @@ def _why(r: Refinement, row: Mapping[str, Any]) -> str:
 
 
 def _gain(row: Mapping[str, Any]) -> float:
-    """The score gained; none at all where the filter diverged."""
+    """Return the score gained; none at all where the filter diverged."""
     return -math.inf if row["score_gain"] is None else float(row["score_gain"])
 
 
@@ -171,7 +171,7 @@ def _bare(value: float, unit: str, digits: int) -> str:
 
 
 def _digits(value: float, sigma: float) -> int:
-    """Digits that show two of the interval."""
+    """Return digits that show two of the interval."""
     if not (math.isfinite(value) and math.isfinite(sigma)) or value == 0 or sigma <= 0:
         return 4
     return min(7, max(3, math.floor(math.log10(abs(value))) - math.floor(math.log10(NORMAL_95 * sigma)) + 2))
@@ -181,7 +181,7 @@ def _digits(value: float, sigma: float) -> int:
 
 
 def noise_rows(r: Refinement) -> list[NoiseRow]:
-    """√q is how far the state drifts in one second for what its equation does not say."""
+    """Return the process noise of each equation; √q is how far a state drifts in a second for what it does not say."""
     noise, size = r.verdict.residual.get("process_noise", {}), r.problem.noise
     usual = math.log(2.0) + r.problem.plain.memory  # from ln of a power to ln of a density
     unit = {q.name: q.unit for q in r.study.subject.states}
@@ -202,7 +202,7 @@ def _drift(value: float, unit: str) -> str:
 
 
 def _width(q: float, smallest: float, largest: float) -> float:
-    """Width of a bar [%]: ln q between the limits of a fit of this equation."""
+    """Return width of a bar [%]: ln q between the limits of a fit of this equation."""
     log_q = math.log(q) if q > 0.0 else smallest
     return round(100 * min(1.0, max(0.0, (log_q - smallest) / (largest - smallest))), 1)
 

@@ -47,7 +47,7 @@ def write_refine_report(path: Path, r: Refinement) -> None:
 
 
 def context(r: Refinement) -> Mapping[str, Any]:
-    """Everything the template names."""
+    """Return everything the template names."""
     charts = Charts()
     return {
         "name": f"Study {r.study.name}",
@@ -80,7 +80,7 @@ _NO_TIME: Mapping[str, Any] = {"horizons": None, "terms": [], "runs": [], "white
 
 
 def _in_time(r: Refinement, charts: Charts) -> Mapping[str, Any]:
-    """What is drawn over time, or told of it."""
+    """Return the drawings and texts over time."""
     return {
         "horizons": horizon_table(r),
         "horizon": horizon(r),
@@ -93,7 +93,7 @@ def _in_time(r: Refinement, charts: Charts) -> Mapping[str, Any]:
 
 
 def _whiteness(r: Refinement, charts: Charts) -> Mapping[str, Any]:
-    """The innovations; channels that are white before and after are folded away where others are not."""
+    """Return the innovations; channels that are white before and after are folded away where others are not."""
     white = innovations(r, charts)
     coloured = [w for w in white if w.tells]
     return {
@@ -106,7 +106,7 @@ def _whiteness(r: Refinement, charts: Charts) -> Mapping[str, Any]:
 
 
 def _ranking(r: Refinement) -> Mapping[str, Any]:
-    """The hypotheses tried: the best single ones, the others, and the best of several candidates together."""
+    """Return the hypotheses tried: the best single ones, the others, and the best of several candidates together."""
     singles, more, pairs = ranked(r)
     return {
         "singles": singles,
@@ -138,14 +138,14 @@ def _badges(r: Refinement) -> list[Badge]:
 
 
 def _tried(r: Refinement) -> str:
-    """How many hypotheses, and how many of them only by a score test."""
+    """Return how many hypotheses, and how many of them only by a score test."""
     fitted = sum(bool(row["fitted"]) for row in r.record["candidates"])
     screened = len(r.record["candidates"]) - fitted
     return f"{fitted} hypotheses fitted" + (f", {screened} screened" if screened else "")
 
 
 def _rivals(r: Refinement) -> str:
-    """What would settle an open question."""
+    """Say what would settle an open question."""
     if r.verdict.name == "ambiguous" and r.verdict.claimed is None:
         return (
             f"Would not have shown in these logs, present or not: {', '.join(r.verdict.rivals)}. "
@@ -189,7 +189,7 @@ def _term(s: Shown, charts: Charts) -> Mapping[str, Any]:
 
 
 def _term_sentence(s: Shown) -> str:
-    """How well the claim takes away what is missing, in numbers."""
+    """Say how well the claim takes away what is missing, in numbers."""
     what = s.what
     if s.term is None:
         return f"The {what} is drawn against {s.against.name}, which it follows most ({rows_shown(s)})."
@@ -205,7 +205,7 @@ def _term_sentence(s: Shown) -> str:
 
 
 def _error_lead(r: Refinement) -> str:
-    """What the errors are of, and what the floor."""
+    """Say what the errors are of, and what the floor."""
     claimed = r.verdict.claimed is not None
     if r.problem.table:
         how = "over the rows, each predicted through the FMU from its own inputs"
@@ -272,7 +272,7 @@ def _provenance(r: Refinement) -> list[Row]:
 
 
 def _inputs(r: Refinement) -> list[Row]:
-    """How inputs were taken between rows, and what the other way would be worth."""
+    """Return how inputs were taken between rows, and what the other way would be worth."""
     inputs = r.record.get("inputs")
     if not inputs:
         return []

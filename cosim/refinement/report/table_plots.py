@@ -46,14 +46,14 @@ class DrawnTable:
 
 
 def table_parts(r: Refinement, charts: Charts) -> Mapping[str, Any]:
-    """What the template names of tables; nothing of other logs."""
+    """Return the values that the template names of tables; none of other logs."""
     if not r.problem.table:
         return {"left_out": None, "tables_drawn": []}
     return {"left_out": left_out(r), "tables_drawn": drawn(r, charts)}
 
 
 def left_out(r: Refinement) -> Grid:
-    """Errors on rows left out, a row each output; what is the same for want of a claim is left away."""
+    """Return errors on rows left out, a row each output; what is the same for want of a claim is left away."""
     errors = r.record["error"]["left_out"]
     shown = [k for k in COLUMNS if errors.get(k) and (k != "after" or r.verdict.claimed)]
     rows = []
@@ -64,7 +64,7 @@ def left_out(r: Refinement) -> Grid:
 
 
 def drawn(r: Refinement, charts: Charts) -> list[DrawnTable]:
-    """Every table, by its sets."""
+    """Return every table, by its sets."""
     found = []
     for part, word in WORDS.items():
         for k, (log, _) in enumerate(r.evidence["before"].get(part, ())):
@@ -76,7 +76,7 @@ def drawn(r: Refinement, charts: Charts) -> list[DrawnTable]:
 
 
 def _plots(r: Refinement, charts: Charts, of: Mapping[str, Evidence], name: str) -> list[Drawn]:
-    """An output over the first input that varies, and its residual over each."""
+    """Draw an output over the first input that varies, and its residual over each."""
     log = of["before"][0][0]
     models = [("before", "s1 solid", "before"), ("refined", "true", "after")]
     models = models if r.verdict.claimed else [("model", "true", "after")]

@@ -258,7 +258,5 @@ class Attributor:
 
     def _finalists(self, best: Hypothesis) -> list[Hypothesis]:
         """Return hypotheses close to the best that do not contain it and are not contained in it."""
-        names = set(best.names)
-        near = [h for h in self.search.tried.values() if h.score - best.score < NEAR]
-        other = [h for h in near if not (set(h.names) >= names or set(h.names) <= names)]
-        return sorted(other, key=lambda h: h.score)[:FINALISTS]
+        near = [h for h in self.search.tried.values() if h.score - best.score < NEAR and h.is_apart(best)]
+        return sorted(near, key=lambda h: h.score)[:FINALISTS]

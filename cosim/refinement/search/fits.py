@@ -36,7 +36,7 @@ Item = TypeVar("Item")
 
 
 def key_of(parts: Sequence[Candidate]) -> tuple[str, ...]:
-    """By what a hypothesis is known: the names of its candidates, sorted."""
+    """Return the key of a hypothesis: the names of its candidates, sorted."""
     return tuple(sorted(c.name for c in parts))
 
 

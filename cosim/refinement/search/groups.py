@@ -26,19 +26,19 @@ class Places(Protocol):
 
 
 def full_name(subject: Subject, name: str) -> str:
-    """A parameter as the fits call it: an error of a sensor may go without its `.value`."""
+    """Return a parameter as the fits call it: an error of a sensor may go without its `.value`."""
     return f"{name}.value" if name in {kind.name for kind in subject.sensors} else name
 
 
 def numbers_of(subject: Subject) -> list[str]:
-    """What may be per log: numbers of the base, of effects that act in it, errors of its sensors."""
+    """Return the parameters that may be per log: of the base, of effects that act in it, errors of its sensors."""
     base = [p.name for p in subject.parameters if not isinstance(p.default, bool)]
     of_effects = [n for n in subject.candidate_parameters if n.partition(".")[0] in subject.present]
     return [*base, *of_effects, *subject.sensor_parameters]
 
 
 def group_of(folder: Path, files: Sequence[str], groups: Groups) -> dict[Path, str]:
-    """File of each log → its group; one in no group is one of its own."""
+    """Return file of each log → its group; one in no group is one of its own."""
     named = {os.path.realpath(folder / f): group for group, members in groups.items() for f in members}
     return {folder / f: named.get(os.path.realpath(folder / f), f) for f in files}
 
@@ -94,7 +94,7 @@ def _unlearnt(folder: Path, groups: Groups, logs: Mapping[str, Sequence[str]]) -
 
 
 def _wrong_groups(places: Places, groups: Groups, listed: Sequence[str]) -> Iterator[Fault]:
-    """Groups without logs, files that are no logs of the study or stand in two groups."""
+    """Yield faults of groups without logs, and of files that are no logs of the study or stand in two groups."""
     folder, owner = places.path.parent, dict[str, str]()
     files = {os.path.realpath(folder / f) for f in listed}
     for group, members in groups.items():
@@ -125,5 +125,5 @@ def _unknown(subject: Subject, name: str) -> str:
 
 
 def _whole(subject: Subject, name: str) -> set[str]:
-    """Parameters of a candidate."""
+    """Return parameters of a candidate."""
     return {n for n in subject.declared if n.startswith(f"{name}.")} or {name}

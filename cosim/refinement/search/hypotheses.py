@@ -32,6 +32,11 @@ class Hypothesis:
         """It says something of sensors and nothing of the plant."""
         return {c.kind for c in self.candidates} == {"sensor"}
 
+    def is_apart(self, other: Hypothesis) -> bool:
+        """Whether neither hypothesis contains the other."""
+        names, others = set(self.names), set(other.names)
+        return not (names <= others or names >= others)
+
     def is_away(self, c: Candidate, times: float) -> bool:
         """Whether a parameter of a candidate is more than so many standard deviations from neutral."""
         away = {f.name: abs(self.fit.values[f.name] - f.neutral) for f in c.free if f.neutral is not None}

@@ -49,7 +49,7 @@ class Between:
 
 
 def between_rows(problem: Problem, base: Hypothesis) -> Between:
-    """The model recalibrated, fitted again with every input taken the other way."""
+    """Fit the model recalibrated again with every input taken the other way."""
     ramped, names = problem.settings.interpolated, problem.layout.inputs
     flipped = frozenset(names) - ramped
     logs = [replace(data, interpolated=flipped) for data in problem.logs]

@@ -68,7 +68,7 @@ class Steps:
         self.back = 2 + math.ceil(late)  # rows of commands before a step, for a delay to look into
 
     def step(self, row: int, state: Array, memory: Array) -> tuple[Array, Array]:
-        """The state at the next row, and the outputs at this one."""
+        """Return the state at the next row, and the outputs at this one."""
         d = self.data
         back = min(row, self.back)
         first = row - back
@@ -106,7 +106,7 @@ def smoothed(problem: Problem, base: Filter, every: int = 1) -> tuple[Smoothed, 
 
 
 def unknown_inputs(problem: Problem, at: Fit, noisy: Sequence[bool], units: Mapping[str, str]) -> dict[str, float]:
-    """Of each forced equation with an unknown input: its size over that of what moves states of its unit on the logs.
+    """Return the size of each unknown input over that of what moves states of its unit on the logs.
 
     units: of the states
     """
@@ -121,7 +121,7 @@ def unknown_inputs(problem: Problem, at: Fit, noisy: Sequence[bool], units: Mapp
 
 
 def loosened(problem: Problem, noise: Noise) -> Noise:
-    """A filter that follows what an equation lacks: in each at least what is plainly detected, as short as usual.
+    """Return noise of a filter that follows what equations lack: at least what is plainly detected, short as usual.
 
     A fit without any unknown input takes for noise of sensors what equations lack: then sensors are as stated.
     """
@@ -131,7 +131,7 @@ def loosened(problem: Problem, noise: Noise) -> Noise:
 
 
 def claimed(problem: Problem, base: Filter, after: Filter, index: int) -> Array:
-    """What the claim adds to each forced equation at the rows of `missing`.
+    """Return the claim's addition to each forced equation at the rows of `missing`.
 
     Both steps start from the refined estimate of what is measured, each from its own of the rest.
     """
@@ -182,7 +182,7 @@ class _Linear:
 
 
 def _linear(problem: Problem, steps: Steps, states: Array, memory: Array, rows: int, every: int) -> _Linear:
-    """Differences of single steps, for the states that noise reaches."""
+    """Take differences of single steps, for the states that noise reaches."""
     reached = list(problem.layout.stochastic)
     size = NUDGE * np.maximum(np.abs(states[:rows, reached]).max(axis=0), np.sqrt(np.diag(problem.P0)))
     size = np.where(size > 0.0, size, NUDGE)  # a parameter per log may be 0, and known
@@ -205,7 +205,7 @@ def _linear(problem: Problem, steps: Steps, states: Array, memory: Array, rows: 
 
 
 def _smooth(problem: Problem, model: _Linear, states: Array, noise: Noise, index: int, y: Array) -> tuple[Array, Array]:
-    """Forward filter and backward smoother of δ; the unknown inputs and their standard deviation."""
+    """Filter and smooth δ; return the unknown inputs and their standard deviation."""
     layout, data = problem.layout, problem.logs[index]
     places, rows, n = list(layout.noisy), len(y), model.F.shape[1]
     r = np.broadcast_to(problem.variances(noise, index), data.y.shape)

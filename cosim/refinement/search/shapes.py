@@ -63,7 +63,7 @@ class Shape:
 
     @classmethod
     def of_entry(cls, equation: str, entry: Mapping[str, Any]) -> Shape:
-        """The shape that an entry of refine.json tells."""
+        """Return the shape that an entry of refine.json tells."""
         lists = {name: tuple(entry[name]) for name in ("of", "times")}
         return cls(equation, **{n: v for n, v in entry.items() if n != "sizes"} | lists)
 
@@ -94,7 +94,7 @@ class Shape:
         return float({"bump": 2.0 * HALF, "step": 2.0, "spline": 1.0}[self.kind] / self.width)
 
     def settings(self, slot: int) -> dict[str, float]:
-        """What sets a slot of the kernel to this shape, all but its coefficients."""
+        """Return the parameters that set a slot of the kernel to this shape, all but its coefficients."""
 
         def mixed(role: str, names: Sequence[str], size: float) -> dict[str, float]:
             return {f"{LOCAL}.{slot}.{role}.{n}": s * size for n, s in zip(names, (1.0, -1.0), strict=False)}
@@ -113,17 +113,17 @@ class Shape:
         return found | (mixed("by", self.times, 1.0) or {f"{LOCAL}.{slot}.by.1": 1.0})
 
     def coefficients(self, slot: int) -> tuple[str, ...]:
-        """Parameters of a slot that scale it."""
+        """Return parameters of a slot that scale it."""
         own = {"bump": ("0",), "step": ("rise",), "spline": tuple(map(str, range(KNOTS)))}[self.kind]
         return tuple(f"{LOCAL}.{slot}.{name}" for name in own)
 
     def over(self, signals: Signals) -> Array:
-        """The signal that it is over; an angle that turns within one turn about its place."""
+        """Return the signal that it is over; an angle that turns within one turn about its place."""
         z = _mixed(signals, self.of)
         return np.mod(z - self.place + np.pi, TURN) + self.place - np.pi if self.turned else z
 
     def columns(self, signals: Signals) -> Array:
-        """What each coefficient multiplies, shape (rows, coefficients)."""
+        """Return the factor of each coefficient, shape (rows, coefficients)."""
         z = self.over(signals)
         over = self.per * (1.0 - np.cos(z - self.place) if self.turned else z - self.place)
         if self.kind == "step":
@@ -203,7 +203,7 @@ class _Best:
             (self.groups if len(taken) > 1 else self.single).append((gain, shape, left @ taken))
 
     def kept(self) -> list[Shape]:
-        """The most promising that are not alike."""
+        """Return the most promising that are not alike."""
         chosen: list[tuple[Shape, Array]] = []
         for _, shape, row in sorted(self.single, key=lambda entry: -entry[0]):
             direction = row / np.linalg.norm(row)

@@ -149,7 +149,7 @@ class _Terms:
         return self.problem.scatter * (self.price + ENTRY + math.log(max(1, len(self.names))))
 
     def costs(self, u: Unnamed) -> float:
-        """What a term must gain to count."""
+        """Return the gain from which a term counts."""
         if u.shape is None:
             return self.cost
         count, tried = len(u.names), max(1, len(self.names) + self.tried)
@@ -173,7 +173,7 @@ class _Terms:
         return [u for e in forced for u in _distinct([(u, row) for u, row in terms if u.equation == e])]
 
     def local(self, units: Mapping[str, str]) -> list[tuple[Unnamed, list[Array]]]:
-        """Local shapes, and what each of their coefficients changes."""
+        """Return local shapes, and what each of their coefficients changes."""
         shapes, self.tried = promising(self.problem, self.at, units, self.cost)
 
         def term(shape: Shape) -> tuple[Unnamed, list[Array]]:
@@ -187,7 +187,7 @@ class _Terms:
         return in_parallel(term, shapes)
 
     def beside(self, simple: Sequence[Unnamed], local: Sequence[tuple[Unnamed, list[Array]]]) -> list[Unnamed]:
-        """Simple terms, and local ones that promise plainly more than any simple one of their equation.
+        """Return simple terms, and local ones that promise plainly more than any simple one of their equation.
 
         Of local ones of an equation each must be worth its cost beside those that promise more.
         """
@@ -206,11 +206,11 @@ class _Terms:
         return found
 
     def net(self, u: Unnamed) -> float:
-        """What a term promises more than it costs."""
+        """Return the promised gain of a term less its cost."""
         return u.most - self.costs(u)
 
     def _sized(self, equation: str, known: Mapping[str, float], name: str) -> tuple[float, Array]:
-        """A step of a coefficient that makes a plain difference, and the difference."""
+        """Return a step of a coefficient that makes a plain difference, and the difference."""
         first = self.steps[equation]
         row = self.test.row({**known, name: first})
         with np.errstate(over="ignore"):  # of a term that runs away: then its step is none
@@ -222,7 +222,7 @@ class _Terms:
 
 
 def _placed(terms: Sequence[Unnamed]) -> list[Unnamed]:
-    """Terms, each local shape among them in a slot of its own."""
+    """Return terms, each local shape among them in a slot of its own."""
     placed: list[Unnamed] = []
     for u in terms:
         slot = 1 + sum(p.shape is not None for p in placed)
@@ -232,7 +232,7 @@ def _placed(terms: Sequence[Unnamed]) -> list[Unnamed]:
 
 
 def _fitted(problem: Problem, at: Fit, terms: Sequence[Unnamed]) -> Fit:
-    """The fit with some terms free beside what is."""
+    """Return the fit with some terms free beside what is."""
     sizes = {name: abs(value) or 1.0 for u in terms for name, value in u.values.items() if name in u.names}
     known = {name: value for u in terms for name, value in u.known.items()}
     free = [*at.free, *(Free(name, -math.inf, math.inf, size) for name, size in sizes.items())]
@@ -241,19 +241,19 @@ def _fitted(problem: Problem, at: Fit, terms: Sequence[Unnamed]) -> Fit:
 
 
 def _alone(fitted: Fit, u: Unnamed) -> float:
-    """What one of the fitted terms gains beside the others."""
+    """Return the gain of one of the fitted terms beside the others."""
     sizes = np.array([fitted.values[name] for name in u.names])
     return 0.5 * float(sizes @ fitted.marginal(u.names) @ sizes)
 
 
 def _as_fitted(u: Unnamed, fitted: Fit, gain: float) -> Unnamed:
-    """The term as a fit has it."""
+    """Return the term as a fit has it."""
     sizes = tuple(fitted.values[name] for name in u.names)
     return replace(u, gain=gain, most=gain, coefficient=max(sizes, key=abs), sizes=sizes if u.shape else ())
 
 
 def _distinct(promising: Sequence[tuple[Unnamed, Array]]) -> list[Unnamed]:
-    """Of terms of one equation that change the same, one: the simplest of those that promise about as much."""
+    """Keep one of the terms of an equation that change the same: the simplest that promises about as much."""
     left = [(u, row / np.linalg.norm(row)) for u, row in promising]
     kept = []
     while left:
@@ -267,7 +267,7 @@ def _distinct(promising: Sequence[tuple[Unnamed, Array]]) -> list[Unnamed]:
 
 
 def _share(problem: Problem, at: Fit, u: Unnamed) -> float | None:
-    """1 − Σ(d − t)²/Σd²: d the input that the equation lacks, as a smoother estimates it, t the term at its best size.
+    """Return 1 − Σ(d − t)²/Σd²: d the smoothed input that the equation lacks, t the term at its best size.
 
     On the first logs. None where a filter has diverged.
     """
