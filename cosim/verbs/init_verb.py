@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from cosim.storage.kinds import as_typed
-from cosim.verbs.terminal import Json, say, say_json, warn
+from cosim.verbs.options import Json
+from cosim.verbs.terminal import say, say_json, warn
 
 
 def command(
@@ -29,11 +30,9 @@ def command(
         connections = [
             {"from": text(m.source), "to": text(m.target), "guess": m.guess, "others": m.others} for m in found
         ]
-        left = [text(port) for port, _ in draft.matches.left]
-        say_json({
-            "scenario": str(out), "algorithm": draft.algorithm, "connections": connections, "not_connected": left,
-            "choices": dict(draft.matches.choices),
-        })  # fmt: skip
+        content = {"scenario": str(out), "algorithm": draft.algorithm, "connections": connections}
+        unconnected = [text(port) for port, _ in draft.matches.left]
+        say_json({**content, "not_connected": unconnected, "choices": dict(draft.matches.choices)})
         return
     for m in found:
         say(f"  {text(m.source)} → {text(m.target)}" + (f"   guess: {m.guess}" if m.guess else ""))

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from cosim.verbs.terminal import Json, Open, say, say_json, show
+from cosim.verbs.options import Json, Open
+from cosim.verbs.terminal import say, say_json, show
 
 
 def command(

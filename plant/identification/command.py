@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from cosim.verbs.terminal import Force, Json, Open, Report, files_in, say, say_json, show, stages, warn
+from cosim.verbs.options import Force, Json, Open, Report
+from cosim.verbs.terminal import files_in, say, say_json, show, stages, warn
 
 
 def command(
@@ -17,8 +18,7 @@ def command(
     ],
     *,
     out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", help="Folder for what it leaves; results/NAME of the file without."),
+        Path | None, typer.Option("--out", "-o", help="Folder for what it leaves; results/NAME of the file without.")
     ] = None,
     seed: Annotated[
         int | None, typer.Option(min=0, help="Of the bench that is played, over the protocol's own.")
