@@ -11,13 +11,14 @@ from typing import Annotated
 
 import typer
 
+from cosim.base.drafts import is_full
 from cosim.base.errors import Crashed, Fault, FmuError, InputError, Interrupted, NotExecuted, Signalled, Terminated
 from cosim.base.program import STOPPED
 from cosim.base.registry import resolve
 from cosim.base.settings import Files, ModelName
 from cosim.storage import kinds
 from cosim.storage.artefact import Checking, kind_by_keys, of_kind
-from cosim.storage.files import FilePath, is_full
+from cosim.storage.files import FilePath
 from cosim.storage.yaml_file import YamlFile
 from cosim.verbs.options import Compile, Json, Texts
 from cosim.verbs.terminal import say, say_json

@@ -13,12 +13,13 @@ from typing import Annotated, Any
 
 import typer
 
+from cosim.base.drafts import is_full
 from cosim.base.errors import CosimError, InputError, SimulationError, Terminated
 from cosim.base.garbage import collect_seldom
 from cosim.base.program import as_program
 from cosim.base.registry import ExtensionWarning, attempt
 from cosim.base.version import __version__
-from cosim.storage.files import check_text, is_full
+from cosim.storage.files import check_text
 from cosim.verbs import verbs
 from cosim.verbs.manner import with_manner
 from cosim.verbs.outcome import say_partial

@@ -86,8 +86,7 @@ def command(
         say(f"differences: {folder / 'comparison.json'}")
         if report:
             say(f"report:      {folder / 'report.html'}")
-    if report and open_:
-        show(folder / "report.html")
+    show(folder / "report.html", asked=report and open_)
     if made.judged and not made.same:
         raise CriterionMissed("; ".join(made.reasons))
 

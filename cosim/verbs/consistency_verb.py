@@ -36,8 +36,7 @@ def command(
     with progress_bar("estimating") as progress:
         rows = over_runs(runs, steps, seed, progress)
     write(out, rows, steps, seed, report=report, keep=keep)
-    if report and open_:
-        show(out / "report.html")
+    show(out / "report.html", asked=report and open_)
     if as_json:
         say_json([row.as_json() for row in rows])
         return

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from cosim.base.errors import Fault, InputError
 from cosim.verbs.options import Json, Open, Overrides
 from cosim.verbs.streams import echo
 from cosim.verbs.terminal import say, say_json, show
@@ -37,8 +38,6 @@ def command(
         return
     path = Path(f"{scenario.stem}.svg") if out is None else out
     if not path.parent.is_dir() or path.suffix.lower() not in (".svg", ".mmd"):
-        from cosim.base.errors import Fault, InputError
-
         why = "name an .svg or .mmd file" if path.parent.is_dir() else "its folder is not there; make it first"
         raise InputError([Fault(path, 0, 0, why)])
     if not force:
@@ -47,5 +46,4 @@ def command(
     say(f"graph: {path}")
     if as_json:
         say_json({"graph": str(path)})
-    if open_:
-        show(path)
+    show(path, asked=open_)

@@ -42,14 +42,9 @@ def command(
         say(f"  {name} is left open, for several fit alike: {', '.join(sources)}")
     for warning in draft.warnings:
         warn(warning)
-    guesses = sum(bool(m.guess) for m in found)
-    say(
-        f"wrote {out}: {counted(len(fmus), 'FMU')}, {counted(len(found), 'connection')}"
-        + (f", {guesses} guessed (marked in the file)" if guesses else "")
-        + (
-            f", {counted(len(draft.matches.choices), 'input')} to choose for (in the file)"
-            if draft.matches.choices
-            else ""
-        )
-    )
+    guesses, choices = sum(bool(m.guess) for m in found), draft.matches.choices
+    parts = [counted(len(fmus), "FMU"), counted(len(found), "connection")]
+    parts += [f"{guesses} guessed (marked in the file)"] if guesses else []
+    parts += [f"{counted(len(choices), 'input')} to choose for (in the file)"] if choices else []
+    say(f"wrote {out}: {', '.join(parts)}")
     say(f"next: cosim run {as_typed(out)}")

@@ -76,8 +76,7 @@ def command(
         say_json(content(outcome.name, outcome.title, outcome.linear, outcome.structure, outcome.notes))
     else:
         _tell(outcome, place, report=report)
-    if report and open_:
-        show(place / "report.html")
+    show(place / "report.html", asked=report and open_)
 
 
 def _names(given: list[str] | None) -> list[str]:
@@ -96,11 +95,8 @@ def _tell(outcome: Outcome, out: Path, *, report: bool) -> None:
     for line in table(HEAD, pole_table(outcome.structure)):
         say(line)
     say(headline(outcome.structure, m))
-    several = (
-        f", {len(outcome.linear)} times from {m.point.time:g} s on; above is the first"
-        if len(outcome.linear) > 1
-        else ""
-    )
+    count = len(outcome.linear)
+    several = f", {count} times from {m.point.time:g} s on; above is the first" if count > 1 else ""
     say(f"by {m.method}{several}")
     page = f"; report: {out / 'report.html'}" if report else ""
     say(f"linear model: {out / 'linear.json'}, linear.mat, linear.py{page}")

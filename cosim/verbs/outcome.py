@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,8 +17,10 @@ if TYPE_CHECKING:
 SHOWN = 12  # signals whose values are told
 
 
-def say_outcome(outcome: Outcome, *, report: bool, open_: bool = False, as_json: bool = False) -> None:
-    """Say warnings, criteria and where the files are; CriterionMissed if a criterion is."""
+def say_outcome(
+    outcome: Outcome, *, report: bool, open_: bool = False, as_json: bool = False, lines: Sequence[str] = ()
+) -> None:
+    """Say warnings, these lines, criteria and where the files are; CriterionMissed if a criterion is."""
     from cosim.simulation.criteria import sentence
 
     criteria: list[dict[str, Any]] = outcome.manifest["criteria"]
@@ -27,6 +30,8 @@ def say_outcome(outcome: Outcome, *, report: bool, open_: bool = False, as_json:
     if as_json:
         say_json(_content(outcome))
     else:
+        for line in lines:
+            say(line)
         for criterion in criteria:
             say(judged(criterion["met"], sentence(criterion)))
         timings = outcome.manifest["timings"]
@@ -35,8 +40,7 @@ def say_outcome(outcome: Outcome, *, report: bool, open_: bool = False, as_json:
         say(f"results: {outcome.file}")
         if report:
             say(f"report:  {page}")
-    if report and open_:
-        show(page)
+    show(page, asked=report and open_)
     if outcome.missed:
         which = ": " + "; ".join(map(sentence, outcome.missed)) if MANNER.quiet or as_json else ""
         raise CriterionMissed(f"{len(outcome.missed)} of {len(criteria)} criteria missed{which}")

@@ -90,8 +90,7 @@ def command(
         told_of = ("verdict", "sentence", "effects", "rivals", "error")
         answer = {key: result.record[key] for key in told_of if key in result.record}
         say_json({**answer, **files_in(place, "refine.json", "model.yaml", "plant.fmu")})
-    if report and open_:
-        show(place / "report.html")
+    show(place / "report.html", asked=report and open_)
     if result.record["verdict"] == "ambiguous" and not result.study.subject.static:
         from cosim.experiment.ranges import inputs_to_limit
 

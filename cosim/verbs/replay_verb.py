@@ -112,5 +112,4 @@ def command(
         content = {"sentence": verdict(comparison), "findings": findings, "channels": numbers(comparison)}
         rows = [path.name for stem in ("results", "residual") if (path := rows_in(place, stem))]
         say_json({**content, **files_in(place, *rows)})
-    if report and open_:
-        show(place / "report.html")
+    show(place / "report.html", asked=report and open_)

@@ -24,5 +24,4 @@ def command(
     say(f"report:  {page}")
     if as_json:
         say_json({"report": str(page)})
-    if open_:
-        show(page)
+    show(page, asked=open_)

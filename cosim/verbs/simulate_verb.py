@@ -98,6 +98,4 @@ def command(
         warn(note)
     if not as_json:
         say(f"scenario: {outcome.folder / 'scenario.yaml'} (change it, and `cosim run` it)")
-        for line in value_lines(outcome.results):
-            say(line)
-    say_outcome(outcome, report=report, open_=open_, as_json=as_json)
+    say_outcome(outcome, report=report, open_=open_, as_json=as_json, lines=value_lines(outcome.results))

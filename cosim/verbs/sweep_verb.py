@@ -48,8 +48,7 @@ def command(
         say(f"runs:   {swept.folder / 'sweep.parquet'}")
         if report:
             say(f"report: {swept.folder / 'report.html'}")
-    if report and open_:
-        show(swept.folder / "report.html")
+    show(swept.folder / "report.html", asked=report and open_)
 
 
 @contextmanager

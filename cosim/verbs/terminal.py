@@ -111,9 +111,9 @@ def some(names: Sequence[str], most: int) -> str:
     return ", ".join(names[:most]) + (", …" if len(names) > most else "")
 
 
-def show(report: Path) -> None:
-    """Open a report in the browser."""
-    if not webbrowser.open(report.resolve().as_uri()):
+def show(report: Path, *, asked: bool) -> None:
+    """Open a report in the browser, if it is asked for."""
+    if asked and not webbrowser.open(report.resolve().as_uri()):
         warn(f"no browser is found here; open {report}")
 
 

@@ -45,5 +45,4 @@ def command(
     if as_json:
         said = {"sentences": list(outcome.sentences), "closing": outcome.closing(place), "warnings": outcome.warnings}
         say_json({**said, **files_in(place, "identify.json", "powertrain.yaml", "model.yaml")})
-    if report and open_:
-        show(place / "report.html")
+    show(place / "report.html", asked=report and open_)
