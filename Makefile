@@ -81,7 +81,7 @@ check: $(CHECKING)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	@if command -v npm >/dev/null; then npm install --silent --no-audit --no-fund --no-package-lock && npm run --silent check; \
-	else echo "no npm: scripts and styles of pages are not checked"; fi
+	else echo "no npm: scripts of pages are not checked"; fi
 
 # the site, docs/_site: reports for the gallery, pages, every link tried; LINKS=--external those to other sites too
 docs: $(DOCUMENTING)

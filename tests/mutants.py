@@ -31,6 +31,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from fnmatch import fnmatch
 from importlib import import_module
+from itertools import islice
 from pathlib import Path
 from types import CodeType, FrameType, FunctionType
 from typing import Any, NoReturn
@@ -238,8 +239,18 @@ def drawn(files: list[str], count: int, seed: int) -> list[Mutant]:
         share = count // len(rooms) + (number < count % len(rooms))
         for file, wanted in sorted(Counter(rng.choices(rooms[room], sizes, k=share)).items()):
             places = mutants_of(file, tried)
-            sample += [rng.choice(place) for place in rng.sample(places, min(wanted, len(places)))]
+            chosen = (rng.choice(place) for place in rng.sample(places, len(places)))
+            sample += islice((mutant for mutant in chosen if _is_python(mutated(mutant, tried))), wanted)
     return sample
+
+
+def _is_python(text: str) -> bool:
+    """Return whether a mutant is of valid syntax: `not` without the brackets of `:=` is none."""
+    try:
+        compile(text, "mutant", "exec")
+    except SyntaxError:
+        return False
+    return True
 
 
 def mutated(mutant: Mutant, tried: dict[str, Any]) -> str:

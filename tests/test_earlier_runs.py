@@ -96,6 +96,8 @@ def test_a_stop_during_the_move_waits_for_its_end(results: Path, monkeypatch: py
     import signal
 
     real, sent = folders._move, []
+    # a shell's background job is started with it ignored
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def moving(path: Path, place: Path) -> None:
         if not sent:
@@ -103,8 +105,11 @@ def test_a_stop_during_the_move_waits_for_its_end(results: Path, monkeypatch: py
         real(path, place)
 
     monkeypatch.setattr(folders, "_move", moving)
-    with pytest.raises(KeyboardInterrupt):
-        keep_earlier(results, "cosim run")
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            keep_earlier(results, "cosim run")
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert sent
     assert files_in(results / "runs" / "0001") == set(FILES)
 

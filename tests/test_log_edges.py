@@ -207,9 +207,10 @@ def test_a_sensor_that_freezes_is_told_from_one_that_rests() -> None:
         found = kinds(with_output(stuck)).get("frozen")
         assert (found is not None) is frozen
         assert found is None or found.numbers == {"rows": rows, "first": pytest.approx(8.0)}
-    fast = y.copy()
-    fast[400:409] = fast[400]
-    assert "frozen" not in kinds(replace(with_output(fast), step=0.1))  # nine rows
+    for rows, frozen in ((9, False), (10, True)):
+        slow = y.copy()
+        slow[400 : 400 + rows] = slow[400]
+        assert ("frozen" in kinds(replace(with_output(slow), step=0.1))) is frozen
 
 
 @pytest.mark.parametrize(("times", "told"), [(6.0, False), (14.0, True)])
@@ -435,6 +436,10 @@ def test_columns_of_a_table_that_stand_still_or_go_together_are_named() -> None:
     for v, kind in ((2.0 * u + 0.1 * np.cos(k), "alike"), (np.cos(k), None), (5.0 + 2e-9 * u, "constant")):
         log = replace(log_of(k, {"u": u, "v": v}, {"y": k}), table=True)
         assert [f.kind for f in table_findings(log) if f.channel in "uv"] == ([kind] if kind else [])
+    for sign, word in ((1.0, "with"), (-1.0, "against")):
+        log = replace(log_of(k, {"u": u, "v": sign * u}, {"y": k}), table=True)
+        (found,) = (f for f in table_findings(log) if f.kind == "alike")
+        assert f"goes {word} v" in found.sentence
     still = replace(log_of(k, {"u": 0.0 * k + 3.0}, {"y": 0.0 * k + 2.0}), table=True)
     assert [(f.kind, f.channel) for f in gate(still)] == [("no_excitation", ""), ("constant", "y"), ("constant", "u")]
     assert [f.kind for f in gate(replace(still, written={"time": "s"})) if f.channel == "time"] == ["time"]

@@ -13,6 +13,7 @@ import sys
 import tempfile
 import time
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -139,6 +140,22 @@ def test_an_fmu_changes_neither_folder_nor_environment_of_the_caller(tmp_path: P
     run(deeds_scenario(tmp_path, "Instantiate", "folder"), tmp_path / "out", report=False)
     assert Path.cwd() == before
     assert "DEED" not in os.environ
+
+
+@pytest.mark.fresh  # so that the mark is in the environment of the worker
+@pytest.mark.skipif(not LINUX, reason="processes as Linux has them")
+def test_a_process_that_an_fmu_starts_ends_with_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mark = f"DEED_MARK={tmp_path}"
+    monkeypatch.setenv(*mark.split("=", 1))
+    assert len(run(deeds_scenario(tmp_path, "DoStep", "child", 3), tmp_path / "out", report=False).results.time) == 11
+
+    def marked() -> Iterator[str]:
+        for path in Path("/proc").glob("[0-9]*/environ"):
+            with contextlib.suppress(OSError):
+                if mark.encode() in path.read_bytes().split(b"\0"):
+                    yield path.parent.name
+
+    waited_for(lambda: not [*marked()])
 
 
 def test_a_process_that_an_fmu_starts_in_a_session_of_its_own_is_not_waited_for(

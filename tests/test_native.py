@@ -21,7 +21,7 @@ import cosim.fmi.native
 from controller.gains import Settings
 from controller.loop import Loop
 from cosim.base.errors import InputError
-from cosim.fmi.native.compiler import can_cross, compiler, loaded
+from cosim.fmi.native.compiler import can_cross, compiler, fmi_headers, loaded
 from cosim.fmi.native.compiler import commands as compilers
 from cosim.fmi.native.platforms import glibc_floor, here
 from cosim.fmi.ports import model_ports
@@ -264,6 +264,18 @@ def test_a_native_fmu_is_valid_and_runs_without_a_tool(name: str, native_fmus: P
 
 
 def test_two_builds_are_the_same_bytes(native_plant: Path, tmp_path: Path) -> None:
+    again, _ = build_native(tmp_path)
+    assert again.path.read_bytes() == native_plant.read_bytes()
+
+
+def test_headers_whose_lines_end_with_crlf_make_the_same_bytes(
+    native_plant: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    headers = tmp_path / "headers"
+    headers.mkdir()
+    for file in fmi_headers().glob("fmi2*.h"):
+        (headers / file.name).write_text(file.read_text(encoding="utf-8"), encoding="utf-8", newline="\r\n")
+    monkeypatch.setattr("cosim.fmi.native.package.fmi_headers", lambda: headers)
     again, _ = build_native(tmp_path)
     assert again.path.read_bytes() == native_plant.read_bytes()
 

@@ -12,6 +12,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
 from cosim.master.observer import Observed, Observer
 from cosim.storage.results import read_results
+from tests.deeds import deeds_scenario
 
 
 class Recorder(Observer):
@@ -54,6 +55,16 @@ def test_an_observer_ends_a_run_with_its_rows_kept(project: Path) -> None:
     ran = cosim.run(project / "scenarios" / "regulate.yaml", in_process=True, observers=[recorder])
     assert 2.0 <= ran.results.time[-1] < 4.0
     assert recorder.time == ran.results.time.tolist()
+    assert any("an observer ended the simulation" in warning for warning in ran.manifest["warnings"])
+
+
+def test_an_observer_ends_a_run_in_a_worker_with_its_rows_kept(tmp_path: Path) -> None:
+    recorder = Recorder(end=0.1)
+    scenario = deeds_scenario(tmp_path, "DoStep", "slow", 0, duration=200.0)
+    ran = cosim.run(scenario, tmp_path / "o", observers=[recorder], report=False)
+    assert 0.1 <= ran.results.time[-1] < 200.0
+    assert recorder.time == ran.results.time.tolist()
+    assert recorder.ended == 1
     assert any("an observer ended the simulation" in warning for warning in ran.manifest["warnings"])
 
 

@@ -360,6 +360,13 @@ def test_a_library_of_another_name_and_slips_of_the_schema_are_warnings(tmp_path
     assert "its library is typed.so, its modelIdentifier other" in told
     assert "breaks FMI's rules" in told
     assert "sloppy" in told
+    assert "more)" not in told
+    (tmp_path / "two").mkdir()
+    two = {'modelIdentifier="typed" canHandle': 'modelIdentifier="typed" sloppy="1" slow="1" canHandle'}
+    slips = run(
+        scenario(tmp_path, {"a": {"fmu": str(typed_fmu(tmp_path / "two", **two))}}), tmp_path / "out", report=False
+    )
+    assert "(and 1 more)" in " ".join(slips.manifest["warnings"])
 
 
 def test_of_several_libraries_none_is_guessed(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import pickle
+import shutil
 import signal
 import subprocess
 import sys
@@ -112,6 +113,14 @@ def test_what_a_process_holds_is_at_least_what_it_has_taken() -> None:
     block = np.ones(8_000_000)
     assert resident(os.getpid()) - before > 0.8 * block.nbytes
     assert 1e6 < before < 1e11
+    assert resident(2**22 + 1) == 0
+
+
+@pytest.mark.skipif(shutil.which("ps") is None, reason="no ps here")
+def test_what_a_process_holds_is_asked_of_ps_on_other_systems(monkeypatch: pytest.MonkeyPatch) -> None:
+    here = resident(os.getpid())
+    monkeypatch.setattr(sys, "platform", "darwin")
+    assert 0.5 * here < resident(os.getpid()) < 2.0 * here
     assert resident(2**22 + 1) == 0
 
 

@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 
 from cosim.base.errors import FmuError
 from cosim.blocks.description import CPP, C, library_file
-from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, library_command, library_of
+from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, fmi_headers, library_command, library_of
 
 SOURCES = "sources"
 LIMIT = 300.0  # [s] that a compiler may take for one FMU
@@ -67,14 +67,13 @@ class Sources:
 
 def compile_library(folder: Path, description: Any, identifier: str) -> Path:
     """Compile the sources of an unpacked FMU into its folder, or take the library from the cache; FmuError."""
-    import fmpy
-
     try:
         sources = _sources_of(folder / SOURCES, description, identifier)
-        headers = Path(fmpy.__file__).parent / "c-code"
         options = [f"-std={sources.standard}"] if sources.standard else []
         options += [f"-D{text}" for text in sources.definitions]
-        options += [f"-I{part}" for part in (SOURCES, *(f"{SOURCES}/{name}" for name in sources.includes), headers)]
+        options += [
+            f"-I{part}" for part in (SOURCES, *(f"{SOURCES}/{name}" for name in sources.includes), fmi_headers())
+        ]
         command = [*library_command(), *OPTIMIZED, *PLAIN_NAMES, *options]
         *others, last = (f"{SOURCES}/{name}" for name in sources.files)
         libraries = ["-lm", *(["-lstdc++"] if any(name.lower().endswith(CPP) for name in sources.files) else [])]

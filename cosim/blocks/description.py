@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import ctypes
 import math
-import sys
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -154,17 +152,6 @@ def default_tolerance(description: Any) -> float | None:
     """The relative tolerance that an FMU's default experiment asks for."""
     experiment = description.defaultExperiment
     return float(experiment.tolerance) if experiment is not None and experiment.tolerance else None
-
-
-def offer_libm() -> bool:
-    """Let libraries see libm that use its functions without saying so; false where there is none of its own."""
-    if not sys.platform.startswith("linux"):
-        return False
-    try:
-        ctypes.CDLL("libm.so.6", mode=ctypes.RTLD_GLOBAL)
-    except OSError:
-        return False
-    return True
 
 
 # -- units ----------------------------------------------------------------------------------------

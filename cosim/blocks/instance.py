@@ -16,7 +16,7 @@ from cosim.base.errors import DiskFull, FmuError, SimulationError, Terminated
 from cosim.base.scratch import process_folder
 from cosim.blocks.compiling import compile_library
 from cosim.blocks.component import EndedEarly
-from cosim.blocks.description import C_CODE, library_of, no_library, offer_libm, platform_of, platforms_among
+from cosim.blocks.description import C_CODE, library_of, no_library, platform_of, platforms_among
 from cosim.blocks.fmi import Calls, CoSimulation2, CoSimulation3, Step
 from cosim.blocks.guard import without_wrapping
 from cosim.blocks.loading import load_error
@@ -94,12 +94,7 @@ class Instance:
     def _load_library(self, folder: Path, library: Path) -> None:
         """Load the library; FmuError with the loader's own text and the cure."""
         try:
-            try:
-                self.calls.load(folder, library)
-            except Exception as error:
-                if "undefined symbol" not in str(error) or not offer_libm():
-                    raise
-                self.calls.load(folder, library)
+            self.calls.load(folder, library)
         except Exception as error:  # FMPy raises bare Exceptions
             raise FmuError(load_error(library, error)) from None
 

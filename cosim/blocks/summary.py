@@ -65,7 +65,7 @@ class Summary:
     states: list[str]
     variables: list[Variable]
     slips: list[str]
-    state_count: int = 0
+    state_count: int
 
     def of(self, *causalities: str) -> list[Variable]:
         """Variables of these causalities, in the order of the file."""

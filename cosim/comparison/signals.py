@@ -141,7 +141,8 @@ def of_text(a: Ran, b: Ran, name: str, rows: slice, between: Between | None, *, 
     aligned = between is None
     first, second = (list(r.results.exact.get(name) or [str(v) for v in r.results[name]]) for r in (a, b))
     time = a.results.time[rows]
-    places = range(time.size) if aligned else np.searchsorted(b.results.time, time + SAME_TIME, side="right") - 1
+    close = near(a.results.time)
+    places = range(time.size) if aligned else np.searchsorted(b.results.time, time + close, side="right") - 1
     pairs = zip(first[rows], (second[max(0, int(k))] for k in places), strict=True)
     differs = next((float(time[k]) for k, (x, y) in enumerate(pairs) if x != y), None)
     if differs is None and between is not None:

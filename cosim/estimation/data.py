@@ -63,8 +63,7 @@ def folds(logs: Sequence[Data]) -> list[Data]:
     parts = []
     for data, rows in zip(logs, measured, strict=True):
         count = rows.size if total <= MOST_ROWS else max(1, round(FOLDS * rows.size / total))
-        for chosen in (rows[k::count] for k in range(count)):
-            parts.append(replace(data, u=data.u[chosen], y=data.y[chosen]))
+        parts += [replace(data, u=data.u[rows[k::count]], y=data.y[rows[k::count]]) for k in range(count)]
     return parts
 
 
@@ -76,13 +75,8 @@ def _as_acted(log: Log, u: Array, grid: Rows) -> Array:
     lasting = np.vstack([np.zeros(u.shape[1]), np.cumsum(commands[:-1] * np.diff(given)[:, None], axis=0)])
     # the last command goes on, and so does the first before it was given
     times = np.concatenate([[min(0.0, given[0]) - 1.0], given, [edges[-1] + 1.0]])
-    total = np.vstack(
-        [
-            lasting[0] + commands[0] * (times[0] - given[0]),
-            lasting,
-            lasting[-1] + commands[-1] * (times[-1] - given[-1]),
-        ]
-    )
+    before, after = (lasting[k] + commands[k] * (times[k] - given[k]) for k in (0, -1))
+    total = np.vstack([before, lasting, after])
     return np.column_stack([np.diff(np.interp(edges, times, column)) for column in total.T])
 
 

@@ -29,6 +29,23 @@ PROMISE = 3.0  # times the improvement the quadratic model promises, before a fi
 
 
 @dataclass(frozen=True)
+class Patience:
+    """When a fit is given up where it is.
+
+    goal:    after `fair` iterations the quadratic model must promise an objective below it
+    reached: while the objective is above what some values of these parameters are known to reach, that model says
+             little: then the fit goes on as long as the pace of its last iteration would bring it below `goal` in time
+    """
+
+    goal: float = np.inf
+    fair: int = FAIR
+    reached: float = np.inf
+
+
+ENDLESS = Patience()
+
+
+@dataclass(frozen=True)
 class Fit:
     """Result: values of all parameters, noise, NLL by log, and the information of what is free, noise last."""
 
@@ -56,10 +73,8 @@ class Fit:
         """Information on some parameters when all others are free too: the Schur complement of theirs."""
         F = self.information
         own = np.isin([f.name for f in self.free] + [""] * (len(F) - len(self.free)), names)
-        reduced: Array = (
-            F[np.ix_(own, own)] - F[np.ix_(own, ~own)] @ inverse(F[np.ix_(~own, ~own)]) @ F[np.ix_(~own, own)]
-        )
-        return reduced
+        mended = F[np.ix_(own, ~own)] @ inverse(F[np.ix_(~own, ~own)]) @ F[np.ix_(~own, own)]
+        return np.asarray(F[np.ix_(own, own)] - mended)
 
     def sigma(self, name: str) -> float:
         """Standard deviation of an estimate: from the inverse of the information, or its scatter where that is more."""
@@ -68,12 +83,16 @@ class Fit:
         return float(np.sqrt(max(0.0, variance, self.scattered[k, k] if self.scattered is not None else 0.0)))
 
 
+def unfitted(problem: Problem) -> Fit:
+    """Return the model as it was given, of which nothing is free."""
+    return Fit(problem.values, problem.plain, (), (), 0.0, np.zeros((0, 0)), 0, False)
+
+
 def inverse(information: Array) -> Array:
     """Pseudo-inverse; of each parameter in its own unit, or it would drop the least identifiable of them."""
     scale = np.sqrt(np.diag(information).clip(min=0.0))
     scale[scale == 0.0] = 1.0
-    unscaled: Array = pseudo_inverse(information / np.outer(scale, scale)) / np.outer(scale, scale)
-    return unscaled
+    return np.asarray(pseudo_inverse(information / np.outer(scale, scale)) / np.outer(scale, scale))
 
 
 def fit(
@@ -83,19 +102,15 @@ def fit(
     noise: Noise,
     only: Sequence[int] | None = None,
     iterations: int = ITERATIONS,
-    goal: float = np.inf,
-    fair: int = FAIR,
-    reached: float = np.inf,
+    *,
+    patience: Patience = ENDLESS,
     sensing: bool = True,
 ) -> Fit:
     """Move the free parameters and the process noise to the maximum of the posterior, from a start.
 
-    A fit is given up where it is when, after `fair` iterations, the quadratic model promises no objective below `goal`.
-    While the objective is above `reached`, which some values of these parameters are known to reach, that model says
-    little: then the fit goes on as long as the pace of its last iteration would bring it below `goal` in time.
     Without `sensing`, of the noise only the power of the unknown inputs is moved.
     """
-    return _Scoring(problem, tuple(free), start, noise, only, sensing).run(iterations, goal, fair, reached)
+    return _Scoring(problem, tuple(free), start, noise, only, sensing=sensing).run(iterations, patience)
 
 
 def scores(problem: Problem, f: Fit) -> tuple[Array, Array]:
@@ -120,6 +135,7 @@ class _Scoring:
         start: Mapping[str, float],
         noise: Noise,
         only: Sequence[int] | None,
+        *,
         sensing: bool,
     ) -> None:
         self.problem, self.free, self.only = problem, free, only
@@ -138,7 +154,7 @@ class _Scoring:
         self.damping = 1e-3
         self.enough = CONVERGED if sensing else NEARLY
 
-    def run(self, iterations: int, goal: float, fair: int, reached: float) -> Fit:
+    def run(self, iterations: int, patience: Patience) -> Fit:
         """Iterate until the objective stops moving."""
         self.scored = self._evaluate(self.theta)
         done, converged, pace, limit = 0, False, 0.0, iterations
@@ -152,32 +168,27 @@ class _Scoring:
             information = found
             before = self._objective(self.theta, self.scored)
             hope = PROMISE * 0.5 * float(gradient @ least_squares(information, gradient))
-            limit = iterations * (LONGER if before > reached else 1)  # it is far from where it will end
-            if before > reached:
+            limit = iterations
+            if before > patience.reached:  # it is far from where it will end
+                limit *= LONGER
                 hope = max(hope, pace * (limit - done))
-            if done >= fair and before - hope > goal:
+            if done >= patience.fair and before - hope > patience.goal:
                 break
             pace = self._move(gradient, information)
             converged = pace < self.enough
             done += 1
-        values, noise = self._unpack(self.theta)
-        return Fit(
-            values,
-            noise,
-            self.free,
-            self.scored.by_log,
-            self._penalty(self.theta),
-            information / np.outer(self.size, self.size),
-            done,
-            converged,
-        )
+        unscaled, penalty = information / np.outer(self.size, self.size), self._penalty(self.theta)
+        return Fit(*self._unpack(self.theta), self.free, self.scored.by_log, penalty, unscaled, done, converged)
 
     def _unpack(self, theta: Array) -> tuple[dict[str, float], Noise]:
-        n = len(self.free)
-        moved = {f.name: float(v) for f, v in zip(self.free, theta[:n], strict=True)}
+        moved = {f.name: float(v) for f, v in zip(self.free, theta[: len(self.free)], strict=True)}
+        return {**self.known, **moved}, self.noise.like(self._noise_vector(theta))
+
+    def _noise_vector(self, theta: Array) -> Array:
+        """Return all of the noise in one row."""
         vector = self.fixed.copy()
-        vector[self.moved] = theta[n:]
-        return {**self.known, **moved}, self.noise.like(vector)
+        vector[self.moved] = theta[len(self.free) :]
+        return vector
 
     def _within(self, theta: Array) -> Array:
         """The nearest within the limits; what may not be below another is raised to it."""
@@ -191,9 +202,7 @@ class _Scoring:
 
     def _penalty(self, theta: Array) -> float:
         pairs = zip(self.free, theta[: len(self.free)], strict=True)
-        noise = self.fixed.copy()
-        noise[self.moved] = theta[len(self.free) :]
-        of_noise = self.problem.limits.penalty(noise)
+        of_noise = self.problem.limits.penalty(self._noise_vector(theta))
         of_values = float(sum(0.5 * ((v - f.prior[0]) / f.prior[1]) ** 2 for f, v in pairs if f.prior))
         return self.problem.scatter * (of_noise + of_values)
 

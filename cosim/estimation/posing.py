@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from cosim.subject.interface import Subject
 
 SAME, ALIKE = 0.5, 1e-5  # of NLL, and of what a wrong model makes of it, by which fewer substeps may change it
 STARTING = 0.2  # [s] within which a measurement still counts as of the start
+NO_SETTINGS = Settings()
 USUAL_MEMORY = 0.15  # [s] for which an unknown input lasts, where nothing is known of it: longer than a few rows
 
 
@@ -26,41 +28,47 @@ def build_problem(
     subject: Subject,
     logs: Sequence[Log],
     unnamed: bool = False,
-    noise: Mapping[str, float] | None = None,
-    settings: Settings | None = None,
+    noise: Mapping[str, float] = MappingProxyType({}),
+    settings: Settings = NO_SETTINGS,
 ) -> Problem:
-    """Kernel and data; an output that only some logs hold is missing in the others.
+    """Return kernel and data; an output that only some logs hold is missing in the others.
 
     noise: standard deviations of outputs, as the study states them
     """
-    settings = settings or Settings()
-    measured = tuple(q.name for q in subject.outputs if any(q.name in log.outputs for log in logs))
+    logged = set().union(*(log.outputs for log in logs))
+    measured = tuple(q.name for q in subject.outputs if q.name in logged)
     kernel = subject.kernel(measured, unnamed=unnamed, constant=settings.per_log)
     layout = kernel.layout
     settle = subject.settling([layout.states[k] for k in layout.driven])
     data = [as_data(subject, log, layout, settle, settings.interpolated) for log in logs]
-    data = folds(data) if subject.static else data
-    readings = (
-        readings_of_table([d.y for d in data]) if subject.static else [readings_of(d.y, unscored(d)) for d in data]
-    )
-    stated = {name: sigma * sigma for name, sigma in (noise or {}).items()}
-    variance = {q.name: subject.sensor_variance.get(q.name, 1.0) for q in subject.outputs} | stated
-    r = np.array([variance[name] for name in measured])
-    x0 = [start_state(subject, d, measured, layout.states) for d in data]
+    if subject.static:
+        data = folds(data)
+        readings = readings_of_table([d.y for d in data])
+    else:
+        readings = [readings_of(d.y, unscored(d)) for d in data]
     values = {**dict.fromkeys(layout.parameters, 0.0), **subject.values}
     values[MEMORY] = USUAL_MEMORY * max(slowness(d.step) for d in data)
-    late = {name: [measured.index(n) for n in of if n in measured] for name, of in subject.late.items()}
-    known = np.array([name in subject.sensor_variance for name in measured])
-    free = np.array([name not in stated for name in measured])
     begins = origins(subject, layout, logs, data, settings)
     groups = [origin.group for origin in begins]
     own = tuple(own_parameters(subject, settings.per_log, groups, values, settings.tolerance))
-    values |= {f.name: f.prior[0] for f in own if f.prior}
+    values |= {f.name: values[f.parameter] for f in own}
+    x0, P0 = [start_state(subject, d, measured, layout.states) for d in data], np.empty((0, 0))
+    r, late = np.array([_variance(subject, name, noise) for name in measured]), _late(subject, measured)
+    known, free = np.isin(measured, [*subject.sensor_variance]), ~np.isin(measured, [*noise])
     problem = Problem(
-        kernel, data, readings, x0, np.empty((0, 0)), r, values, settle, settings, late, known, free,
-        own=own, origins=begins,
-    )  # fmt: skip
+        kernel, data, readings, x0, P0, r, values, settle, settings, late, known, free, own=own, origins=begins
+    )
     return replace(problem, P0=start_covariance(subject, problem))
+
+
+def _variance(subject: Subject, output: str, noise: Mapping[str, float]) -> float:
+    """Return the variance of a sensor: as the study states it, else as the subject does, else 1."""
+    return noise[output] * noise[output] if output in noise else subject.sensor_variance.get(output, 1.0)
+
+
+def _late(subject: Subject, measured: Sequence[str]) -> dict[str, list[int]]:
+    """Return the places of the outputs that each latency delays."""
+    return {name: [measured.index(n) for n in of if n in measured] for name, of in subject.late.items()}
 
 
 def start_state(subject: Subject, data: Data, measured: Sequence[str], states: Sequence[str]) -> Array:
@@ -72,7 +80,7 @@ def start_state(subject: Subject, data: Data, measured: Sequence[str], states: S
 def origins(
     subject: Subject, layout: Layout, logs: Sequence[Log], data: Sequence[Data], settings: Settings
 ) -> list[Origin]:
-    """Group and start of each log, where there are parameters per log; else none."""
+    """Return group and start of each log where there are parameters per log, else none."""
     if not settings.per_log:
         return []
     states, outputs = layout.states, layout.outputs

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -68,8 +69,12 @@ class Scored:
     @property
     def by_log(self) -> tuple[float, ...]:
         """NLL of each log."""
-        sums = [float(part.sum()) for part in np.split(self.terms, np.cumsum(self.counts)[:-1])]
+        sums = [float(part.sum()) for part in self.of_each_log(self.terms)]
         return tuple(v if np.isfinite(v) else np.inf for v in sums)
+
+    def of_each_log(self, numbers: Any) -> list[Any]:
+        """Return numbers of all measurements log by log."""
+        return np.split(numbers, np.cumsum(self.counts)[:-1])
 
 
 @dataclass
@@ -177,27 +182,22 @@ class Problem:
         high = np.maximum(np.log(np.maximum(spread**2, 1e-300)), stated + np.log(100.0))
         low, high = (np.where(self.adjusted, limit, stated) for limit in (np.minimum(low, high), high))
         timed = np.isfinite(now.timing)
-        in_time = np.full(ny, 2.0 * np.log(1e-3 * min(steps))), np.full(ny, 2.0 * np.log(4.0 * max(steps)))
-        wide = np.full(ny, np.inf)
-        power = len(self.layout.noisy)
+        shortest, longest = (
+            np.where(timed, 2.0 * np.log(t), now.timing) for t in (1e-3 * min(steps), 4.0 * max(steps))
+        )
         memory = np.log([2.0 * min(steps), self.longest_memory])
         if not self.layout.coloured or self.trusted:
             memory = np.full(2, now.memory)
-        return NoiseLimits(
-            low=np.concatenate([self.noise.smallest, memory[:1], low, np.where(timed, in_time[0], now.timing)]),
-            high=np.concatenate(
-                [
-                    self.noise.smallest if self.trusted else self.noise.largest,
-                    memory[1:],
-                    high,
-                    np.where(timed, in_time[1], now.timing),
-                ]
-            ),
-            mean=np.concatenate([np.zeros(power + 1), stated, np.zeros(ny)]),
-            sigma=np.concatenate(
-                [np.full(power + 1, np.inf), np.where(self.stated & self.adjusted, np.log(WITHIN), np.inf), wide]
-            ),
+        largest = self.noise.smallest if self.trusted else self.noise.largest
+        power, nothing = len(self.layout.noisy), np.zeros(ny)
+        within = np.where(self.stated & self.adjusted, np.log(WITHIN), np.inf)
+        parts = (  # low, high, mean and standard deviation of each
+            (self.noise.smallest, largest, np.zeros(power), np.full(power, np.inf)),
+            (memory[:1], memory[1:], np.zeros(1), np.full(1, np.inf)),
+            (low, high, stated, within),
+            (shortest, longest, nothing, nothing + np.inf),
         )
+        return NoiseLimits(*map(np.concatenate, zip(*parts, strict=True)))
 
     def undisturbed(self, state: Array) -> Array:
         """A state of the kernel without unknown inputs, of which no prediction is made; constants within bounds."""

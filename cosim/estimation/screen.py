@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate, pairwise
 
 import numpy as np
 
@@ -97,27 +98,41 @@ class ScoreTest:
         return 0.5 * float(fitted @ fitted), taken
 
     def terms(self, c: Candidate) -> Terms:
-        """A candidate's terms: away from where the fit has it, or from neutral towards its usual size."""
+        """Return a candidate's terms: away from where the fit has it, or from neutral towards its usual size."""
         if c.kind == "parameter" and c.parameters[0] in self.held:
             return self._loosened(c)
-        here = {name: self.values[name] for name in c.parameters}
-        away = {n: c.starts[0][n] - here[n] for n in c.parameters if c.starts[0][n] != here[n]}
-        at_neutral = all(f.neutral is None or here[f.name] == f.neutral for f in c.free)
+        at_neutral = all(f.neutral is None or self.values[f.name] == f.neutral for f in c.free)
+        apart = {n: c.starts[0][n] - self.values[n] for n in c.parameters}
+        away = {n: d for n, d in apart.items() if d}
         if away and at_neutral and c.kind != "parameter":
-            steps = [{n: SHARE * d for n, d in away.items()}, *({n: SHARE * d} for n, d in away.items())]
-            jump = self.row({n: TINY * d for n, d in away.items()})
-            steps = steps if len(away) > 1 else steps[:1]
-            rows = [self.row(s) for s in steps]
-            switched = float(jump @ jump) > max(DETECTED, JUMP * float(rows[0] @ rows[0]))
-        else:
-            share = SHARE if at_neutral else DIFFERENCE
-            steps = [
-                {f.name: share * f.size * (1.0 if here[f.name] + share * f.size <= f.high else -1.0)} for f in c.free
-            ]
-            rows, switched = [self.row(s) for s in steps], False
-            rows = [SHARE / share * row for row in rows]
-            steps = [{n: SHARE / share * d for n, d in s.items()} for s in steps]
-        read = [r[: len(self.scored.errors)] for r in rows]  # in what is read, not in how well the filter knows it
+            return self._toward_usual_size(c, away)
+        return self._away_from_fit(c, SHARE if at_neutral else DIFFERENCE)
+
+    def _away_from_fit(self, c: Candidate, share: float) -> Terms:
+        """Return the terms of a candidate whose parameters move, each alone, by a share of their sizes."""
+        rows, steps = [], []
+        for f in c.free:
+            step = share * f.size
+            step = step if self.values[f.name] + step <= f.high else -step
+            rows.append(SHARE / share * self.row({f.name: step}))
+            steps.append({f.name: SHARE / share * step})
+        return self._make_terms(c, rows, steps)
+
+    def _toward_usual_size(self, c: Candidate, away: Mapping[str, float]) -> Terms:
+        """Return the terms of a candidate at neutral: all parameters together, and each, towards its usual size."""
+        steps = [{n: SHARE * d for n, d in away.items()}]
+        if len(away) > 1:
+            steps += [{n: SHARE * d} for n, d in away.items()]
+        rows = [self.row(s) for s in steps]
+        jump = self.row({n: TINY * d for n, d in away.items()})
+        switched = float(jump @ jump) > max(DETECTED, JUMP * float(rows[0] @ rows[0]))
+        return self._make_terms(c, rows, steps, switched)
+
+    def _make_terms(
+        self, c: Candidate, rows: Sequence[Array], steps: Sequence[Mapping[str, float]], switched: bool = False
+    ) -> Terms:
+        """Return terms with how well they can be detected in what is read, not in how well the filter knows it."""
+        read = [r[: len(self.scored.errors)] for r in rows]
         identifiable = max((float(r @ r) for r in read), default=0.0) / SHARE**2
         return Terms(c, np.array(rows), tuple(steps), identifiable, switched)
 
@@ -154,11 +169,8 @@ class Choice:
         self.test, self.neutral = test, neutral
         self.terms = {t.candidate.name: t for t in every if len(t.rows)}
         self.standing = {c.name: c for c in standing}
-        self.places: dict[str, slice] = {}
-        count = 0
-        for name, t in self.terms.items():
-            self.places[name] = slice(count, count + len(t.rows))
-            count += len(t.rows)
+        edges = accumulate((len(t.rows) for t in self.terms.values()), initial=0)
+        self.places = {name: range(*ends) for name, ends in zip(self.terms, pairwise(edges), strict=True)}
         rows = np.vstack([t.rows for t in self.terms.values()]) if self.terms else np.zeros((0, test.residual.size))
         self.products, self.against = rows @ rows.T, rows @ test.residual
         self.square = float(test.residual @ test.residual)
@@ -170,7 +182,7 @@ class Choice:
         """
         gone = [name for name in self.standing if name not in names]
         back = self._back(gone)
-        places = [k for name in names for k in range(self.places[name].start, self.places[name].stop)]
+        places = [k for name in names for k in self.places[name]]
         # r without the parts that go: r + R·back
         against = self.against + self.products @ back
         square = self.square + 2.0 * float(self.against @ back) + float(back @ self.products @ back)
@@ -184,12 +196,16 @@ class Choice:
         values, within = self._values(names, taken, spread)
         return Promise(0.5 * (self.square - left), values, within)
 
+    def beside(self, names: Sequence[str]) -> dict[str, Promise]:
+        """Return the promise of these with each other candidate, the largest gain first."""
+        promises = {n: self.promise([*names, n]) for n in self.terms if n not in names}
+        return dict(sorted(promises.items(), key=lambda item: -item[1].gain))
+
     def _back(self, gone: Sequence[str]) -> Array:
         """Steps from where parts are to neutral."""
         back = np.zeros(len(self.against))
         for name in gone:
-            terms, place = self.terms[name], self.places[name]
-            for k, step in zip(range(place.start, place.stop), terms.steps, strict=True):
+            for k, step in zip(self.places[name], self.terms[name].steps, strict=True):
                 ((parameter, size),) = step.items()
                 back[k] = (self.neutral[parameter] - self.test.values[parameter]) / size
         return back
@@ -200,18 +216,18 @@ class Choice:
         values: dict[str, float] = {}
         within = True
         for name in names:
-            terms, place = self.terms[name], self.places[name]
-            found = {f.name: self.test.values[f.name] for f in terms.candidate.free}
-            sigma = dict.fromkeys(found, 0.0)
-            for k, step in zip(range(place.start, place.stop), terms.steps, strict=True):
+            terms = self.terms[name]
+            estimates = {f.name: self.test.values[f.name] for f in terms.candidate.free}
+            sigma = dict.fromkeys(estimates, 0.0)
+            for k, step in zip(self.places[name], terms.steps, strict=True):
                 for parameter, size in step.items():
-                    found[parameter] += taken[k] * size
+                    estimates[parameter] += taken[k] * size
                     sigma[parameter] += spread[k] * abs(size)
             for f in terms.candidate.free:
                 slack = BEYOND * sigma[f.name]
-                low = max(f.low, found.get(f.above, f.low))
-                there = f.neutral is None or low - slack <= found[f.name] <= f.high + slack
+                low = max(f.low, estimates.get(f.above, f.low))
+                there = f.neutral is None or low - slack <= estimates[f.name] <= f.high + slack
                 # of an effect that the model has, too much may be taken away: none is left
                 within = within and (there or self.neutral[f.name] != f.neutral)
-                values[f.name] = float(np.clip(found[f.name], low, f.high))
+                values[f.name] = float(np.clip(estimates[f.name], low, f.high))
         return values, within

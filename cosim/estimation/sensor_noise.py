@@ -65,27 +65,23 @@ def stamps_err(problem: Problem, at: Fit) -> Flags:
 
 
 def noise_warnings(problem: Problem, found: Noise, subject: Subject) -> tuple[str, ...]:
-    """Where the logs have another noise than is stated, or none is stated; to be read beside a verdict."""
-    stated, levels = np.sqrt(problem.r).tolist(), np.exp(0.5 * found.sensors).tolist()
-    known = dict(zip(problem.layout.outputs, stated, strict=True))
-    estimated = dict(zip(problem.layout.outputs, levels, strict=True))
-    free = {n for n, moved in zip(problem.layout.outputs, problem.adjusted, strict=True) if moved}
-    units = {q.name: q.unit for q in subject.outputs}
-    off = {
-        n: level
-        for n, level in estimated.items()
-        if n in free and n in subject.sensor_variance and not known[n] / OFF <= level <= OFF * known[n]
-    }
+    """Warn where the logs have another noise than is stated, or none is stated; to be read beside a verdict."""
+    names, units = problem.layout.outputs, {q.name: q.unit for q in subject.outputs}
+    known = dict(zip(names, np.sqrt(problem.r).tolist(), strict=True))
+    levels = zip(names, np.exp(0.5 * found.sensors).tolist(), problem.adjusted, strict=True)
+    estimated = {name: level for name, level, adjusted in levels if adjusted}
+    unknown = {n: level for n, level in estimated.items() if n not in subject.sensor_variance}
+    stated = {n: level for n, level in estimated.items() if n not in unknown}
+    off = {n: level for n, level in stated.items() if not known[n] / OFF <= level <= OFF * known[n]}
     warnings = []
     if off:
         warnings.append(
             f"the noise in the logs is not the model's ({_beside(off, known, units)}); "
             f"that of the logs is used, as {_line(off)} in the study would say"
         )
-    if unknown := {n: estimated[n] for n in estimated if n in free and n not in subject.sensor_variance}:
-        names = " and ".join(unknown)
+    if unknown:
         warnings.append(
-            f"how much noise {names} has, the model does not say (sensor_variance); "
+            f"how much noise {' and '.join(unknown)} has, the model does not say (sensor_variance); "
             f"the logs say {_line(unknown)}, unless the study says another"
         )
     return tuple(warnings)

@@ -102,14 +102,11 @@ def main() -> None:
 
 
 def _end() -> None:
-    """End at once, as to take all modules apart takes longer than to load them; what an FMU has started ends too."""
+    """End at once, as to take all modules apart takes longer than to load them; the caller ends what FMUs started."""
     sys.stdout.flush()
     sys.stderr.flush()
     if os.name == "posix":
         ctypes.CDLL(None).fflush(None)  # files that FMUs have written to
-        if os.getpgid(0) == os.getpid():
-            signal.signal(signal.SIGTERM, signal.SIG_IGN)
-            os.killpg(0, signal.SIGTERM)
     os._exit(0)
 
 

@@ -19,15 +19,9 @@ FILTER = Path(__file__).with_name("filter.c")
 
 class _Log(ctypes.Structure):
     _fields_ = (
-        ("rows", ctypes.c_int),
-        ("substeps", ctypes.c_int),
-        ("settle", ctypes.c_int),
-        ("step", ctypes.c_double),
-        ("start", ctypes.c_double),
-        ("u", ctypes.c_void_p),
-        ("y", ctypes.c_void_p),
-        ("ramps", ctypes.c_void_p),
-        ("late", ctypes.c_void_p),
+        *((name, ctypes.c_int) for name in ("rows", "substeps", "settle")),
+        *((name, ctypes.c_double) for name in ("step", "start")),
+        *((name, ctypes.c_void_p) for name in ("u", "y", "ramps", "late")),
     )
 
 

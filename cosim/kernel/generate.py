@@ -56,7 +56,7 @@ class Reach:
 
 
 def generate(model: Model, measured: Sequence[str], unnamed: bool = False, constant: Sequence[str] = ()) -> Generated:
-    """Functions for a model and the outputs a log holds.
+    """Return functions for a model and the outputs that a log holds.
 
     With `unnamed`, each forced state's equation gets terms of no catalogue, `unnamed.state.basis`, each a coefficient
     times a basis function of one signal, and local shapes: they say that something is missing where no effect fits.
@@ -76,11 +76,9 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
     stochastic = tuple(names.index(n) for n in random)
     x = [body.symbols.state[k] for k in stochastic]
     f, g = [body.derivative[n] for n in names], [sympy.sympify(body.outputs[n]) for n in measured]
-    asked = srepr([f, g, x, list(body.parameters.items()), list(body.symbols.state), list(body.symbols.command)])
-    asked += srepr([list(stage.items()) for stage in body.shaping.stages])
-    asked += srepr([body.shaping.results, body.shaping.remembered, body.symbols.time])
-    asked += srepr([(s.factor, s.shape, [list(p.items()) for p in s.stages], list(s.slopes.items())) for s in shapes])
-    asked += srepr([list(term.items()) for term in body.terms])
+    symbols, shaping, local = body.symbols, body.shaping, [(s.factor, s.shape, s.stages, s.slopes) for s in shapes]
+    asked = srepr([f, g, x, body.parameters, list(symbols.state), list(symbols.command), symbols.time])
+    asked += srepr([shaping.stages, shaping.results, shaping.remembered, local, body.terms])
     stiff = model.integrator == STIFF
     made = (stochastic, stiff, fingerprint(("cosim.model.symbolic", "cosim.kernel")))
     text: str = kept(f"{made} {asked}", lambda: _printed(body, (f, g), (stochastic, x), shapes, stiff))
@@ -197,13 +195,14 @@ def _with_constants(
     body.derivative.update({n: e.xreplace(states) for n, e in body.derivative.items()})
     body.outputs.update({n: sympy.sympify(e).xreplace(states) for n, e in body.outputs.items()})
     places = [k for k, e in enumerate(body.derivative.values()) if e.free_symbols & set(states.values())]
-    own = {q.name for q in body.symbols.model.base_states}
-    names, reaching = list(body.derivative), _upstream(body, [body.outputs[n] for n in measured])
-    carrying = [names[k] for k in sorted(_downstream(body, places) & reaching)]
+    between = _downstream(body, places) & _upstream(body, [body.outputs[n] for n in measured])
     # what only an effect couples of the base model's own states is left out, as with noise
-    carrying = [n for n in carrying if n in reach.driven or not (n in own or n.startswith(DISTURBANCE))]
+    apart = {q.name for q in body.symbols.model.base_states} - {*reach.driven}
+    carrying = tuple(
+        n for k, n in enumerate(body.derivative) if k in between and not (n in apart or n.startswith(DISTURBANCE))
+    )
     body.derivative.update({CONSTANT + n: sympy.Integer(0) for n in constant})
-    return replace(body, symbols=replace(body.symbols, state=(*body.symbols.state, *states.values()))), tuple(carrying)
+    return replace(body, symbols=replace(body.symbols, state=(*body.symbols.state, *states.values()))), carrying
 
 
 def _reach(model: Model, measured: Sequence[str]) -> Reach:

@@ -13,9 +13,7 @@ from typing import Protocol
 from cosim.base.arrays import Array
 
 DISTURBANCE = "disturbance."  # before the name of a forced state: the unknown input of its equation, a state of its own
-CONSTANT = (
-    "constant."  # before the name of a parameter that is a state which never changes, to be estimated in the filter
-)
+CONSTANT = "constant."  # before the name of a parameter that is a state which never changes: the filter estimates it
 MEMORY = "disturbance.time"  # the parameter that says how long it lasts [s]
 
 

@@ -98,12 +98,7 @@ def local_shape(
         tuple(number(f"{LOCAL}.{slot}.to.{name}") * factor * shape for name in equations),
         (
             {over: number(f"{LOCAL}.{slot}.of.1") + mixed["of"], plain: mixed["by"]},
-            {
-                factor: told,
-                shape: value,
-                bend: sympy.diff(value, over),
-                edge: sympy.diff(told, plain),
-            },
+            {factor: told, shape: value, bend: sympy.diff(value, over), edge: sympy.diff(told, plain)},
         ),
         {x: (edge * slope("by", x), bend * slope("of", x)) for x in signals.values() if x.is_Symbol},
     )

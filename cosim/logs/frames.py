@@ -36,11 +36,8 @@ def frames(log: Log, traits: Traits | None = None) -> Iterator[Finding]:
         if log.units[name] == "rad":
             yield from _magnitude(log, name, values, bounds.get(name))
     for name, times in log.unwrapped.items():
-        yield Finding(
-            "note", "wrapped", name,
-            f"has {counted(len(times), 'jump')} of a turn, first at t = {times[0]:.6g} s; undone, it is continuous",
-            {"count": float(len(times)), "first": times[0]},
-        )  # fmt: skip
+        text = f"has {counted(len(times), 'jump')} of a turn, first at t = {times[0]:.6g} s; undone, it is continuous"
+        yield Finding("note", "wrapped", name, text, {"count": float(len(times)), "first": times[0]})
     if traits and traits.planar:
         yield from mirrored(log, traits.planar)
 
@@ -60,26 +57,21 @@ def _against_rate(log: Log, name: str, rate: str, severity: Severity) -> Iterato
     if abs(rho) < 0.9:
         return
     if slope < 0.0:
-        yield Finding(
-            severity, "sign", rate, f"has the opposite sign of d {name}/dt (slope {plain(float(slope))}); "
-            "turn one of them round: the rate is positive where the signal grows", numbers,
-        )  # fmt: skip
+        cure = "turn one of them round: the rate is positive where the signal grows"
+        text = f"has the opposite sign of d {name}/dt (slope {plain(float(slope))}); {cure}"
+        yield Finding(severity, "sign", rate, text, numbers)
     elif any(0.7 < slope / scale < 1.4 for scale in (DEGREES, 1.0 / DEGREES)):
-        degrees, other = (name, rate) if slope > 1.0 else (rate, name)
-        yield Finding(
-            severity, "degrees", degrees,
-            f"is {plain(float(max(slope, 1 / slope)), 3)} times what {other} says: one is in degrees, the other in "
-            f"radians. {_unit_of(log, degrees, other, 'deg' if slope > 1.0 else 'deg/s')}", numbers,
-        )  # fmt: skip
+        degrees, other, unit = (name, rate, "deg") if slope > 1.0 else (rate, name, "deg/s")
+        times, cure = plain(float(max(slope, 1 / slope)), 3), _unit_of(log, degrees, other, unit)
+        text = f"is {times} times what {other} says: one is in degrees, the other in radians. {cure}"
+        yield Finding(severity, "degrees", degrees, text, numbers)
     elif abs(slope - 1.0) > max(0.03, 5.0 * error_slope):
-        share = plain(float(1 / slope), 3)
-        yield Finding(
-            "warning", "scale", rate, f"integrates to {share} times the change of {name}: a scale is off", numbers
-        )
+        text = f"integrates to {plain(float(1 / slope), 3)} times the change of {name}: a scale is off"
+        yield Finding("warning", "scale", rate, text, numbers)
     if slope > 0.0 and abs(drift) > 5.0 * error_drift and abs(drift) > 0.003 * float(np.nanstd(log.outputs[rate])):
         bias = amount(float(-drift / slope), log.units[rate], 2)
-        yield Finding("note", "drift", rate, f"is {bias} above d {name}/dt throughout: a bias of one of the sensors",
-                      numbers)  # fmt: skip
+        text = f"is {bias} above d {name}/dt throughout: a bias of one of the sensors"
+        yield Finding("note", "drift", rate, text, numbers)
 
 
 def _unit_of(log: Log, degrees: str, other: str, unit: str) -> str:
@@ -127,7 +119,6 @@ def _magnitude(log: Log, name: str, values: Array, bounds: tuple[float, float] |
     jumps = np.flatnonzero(np.abs(np.diff(good)) > math.pi)
     if jumps.size and name in log.outputs and size <= 20.0 * TURN:
         first = float(log.time[np.isfinite(values)][jumps[0] + 1])
-        yield Finding(
-            "warning", "jumps", name, f"jumps by more than half a turn {counted(jumps.size, 'time')}, first at "
-            f"t = {first:.6g} s; an angle is continuous", {"count": float(jumps.size), "first": first},
-        )  # fmt: skip
+        place = f"jumps by more than half a turn {counted(jumps.size, 'time')}, first at t = {first:.6g} s"
+        numbers = {"count": float(jumps.size), "first": first}
+        yield Finding("warning", "jumps", name, f"{place}; an angle is continuous", numbers)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from itertools import combinations
 
 import numpy as np
 
@@ -12,17 +11,16 @@ from cosim.base.arrays import Array
 from cosim.base.errors import Fault, InputError
 from cosim.base.text import amount, counted, percent, plain
 from cosim.logs.channel_noise import noise_level
-from cosim.logs.finding import Finding
+from cosim.logs.finding import Finding, Severity
 from cosim.logs.frames import frames
 from cosim.logs.log import MISSING, Log, named
 from cosim.logs.spikes import Spikes, find_spikes, out_of_line
-from cosim.logs.static_table import table_findings
+from cosim.logs.static_table import alike, table_findings
 from cosim.model.traits import Traits
 
 ORDER = ("fault", "warning", "note")
 SLOWER, FASTER = 1.5, 50.0  # times the model's step, from which a log's step is no longer its model's
 SHORT = 10.0  # [s]; the first 2 s and whole windows of 2 s must leave enough to count
-ALIKE = 0.98  # correlation of two inputs that cannot be separated
 
 
 def gate(
@@ -40,15 +38,14 @@ def gate(
     spikes: readings of a recorder that are known by a model; looked for without one where they are not given
     """
     if log.table:
-        return sorted(
-            (*table_findings(log, traits), *_undeclared(log), *_unread(log)), key=lambda f: ORDER.index(f.severity)
-        )
-    clock = [*_timing(log), *_rate(log, rate, strict)]
-    wild = outliers(log, find_spikes(log) if spikes is None else spikes)
-    found = [*clock, *_inputs(log), *_outputs(log), *wild, *frames(log, traits), *_undeclared(log), *_unread(log)]
-    if any(f.severity == "fault" for f in clock):  # by a clock in other units every rate is off: no second fault
-        found = [f for f in found if f.kind != "scale"]
-    return sorted(found, key=lambda f: ORDER.index(f.severity))
+        findings = list(table_findings(log, traits))
+    else:
+        clock = [*_timing(log), *_rate(log, rate, strict)]
+        wild = outliers(log, find_spikes(log) if spikes is None else spikes)
+        findings = [*clock, *_inputs(log), *_outputs(log), *wild, *frames(log, traits)]
+        if any(f.severity == "fault" for f in clock):  # by a clock in other units every rate is off: no second fault
+            findings = [f for f in findings if f.kind != "scale"]
+    return sorted((*findings, *_undeclared(log), *_unread(log)), key=lambda f: ORDER.index(f.severity))
 
 
 def refuse_faults(log: Log, findings: Sequence[Finding]) -> None:
@@ -93,34 +90,33 @@ def _timing(log: Log) -> Iterator[Finding]:
     regular = ratio[ratio <= MISSING]
     spread, worst = float(np.std(regular)), float(np.max(np.abs(regular - 1.0), initial=0.0))
     if worst > 0.01:
-        yield Finding(
-            "warning" if spread > 0.1 else "note", "jitter", "time",
+        severity: Severity = "warning" if spread > 0.1 else "note"
+        text = (
             f"rows are {amount(log.step, 's')} apart, give or take {percent(spread)} (at most {percent(worst)}); "
-            "replays step at their times, the filter of `cosim refine` at equal ones",
-            {"step": log.step, "spread": spread, "worst": worst},
-        )  # fmt: skip
+            "replays step at their times, the filter of `cosim refine` at equal ones"
+        )
+        yield Finding(severity, "jitter", "time", text, {"step": log.step, "spread": spread, "worst": worst})
     holes = np.flatnonzero(ratio > MISSING)
-    missing = np.rint(ratio[holes]) - 1.0
+    missing = np.maximum(1.0, np.rint(ratio[holes]) - 1.0)
     gaps = dt[holes] > log.pause
-    for kind, chosen in (("dropouts", holes[~gaps]), ("gaps", holes[gaps])):
-        if chosen.size:
-            rows = int(np.maximum(1.0, missing[gaps if kind == "gaps" else ~gaps]).sum())
-            longest = float(dt[chosen].max())
-            yield Finding(
-                "warning", kind, "time",
-                f"{counted(rows, 'row')} missing in {counted(chosen.size, 'place')}, first after "
-                f"t = {log.time[chosen[0]]:.6g} s, the longest {amount(longest, 's')}; commands are held over them, "
-                "so what was commanded in between is not replayed",
-                {"rows": rows, "places": chosen.size, "first": float(log.time[chosen[0]]), "longest": longest},
-            )  # fmt: skip
+    for kind, chosen in (("dropouts", ~gaps), ("gaps", gaps)):
+        places = holes[chosen]
+        if places.size:
+            rows, first, longest = int(missing[chosen].sum()), float(log.time[places[0]]), float(dt[places].max())
+            text = (
+                f"{counted(rows, 'row')} missing in {counted(places.size, 'place')}, first after t = {first:.6g} s, "
+                f"the longest {amount(longest, 's')}; commands are held over them, so what was commanded in between is "
+                "not replayed"
+            )
+            numbers = {"rows": rows, "places": places.size, "first": first, "longest": longest}
+            yield Finding("warning", kind, "time", text, numbers)
     duration = float(log.time[-1] - log.time[0])
     if duration < SHORT * log.slowness:
-        more = plain(2.0 * SHORT * log.slowness)
-        yield Finding("warning", "short", "time", f"the log lasts {amount(duration, 's')}; {more} s and more tell more",
-                      {"duration": duration})  # fmt: skip
-    if abs(log.time[0]) > 1e6:
-        yield Finding("note", "epoch", "time", f"time starts at {log.time[0]:.0f} s; a model whose effects depend on "
-                      "time takes it as it is", {"start": float(log.time[0])})  # fmt: skip
+        text = f"the log lasts {amount(duration, 's')}; {plain(2.0 * SHORT * log.slowness)} s and more tell more"
+        yield Finding("warning", "short", "time", text, {"duration": duration})
+    if abs(start := float(log.time[0])) > 1e6:
+        text = f"time starts at {start:.0f} s; a model whose effects depend on time takes it as it is"
+        yield Finding("note", "epoch", "time", text, {"start": start})
 
 
 def _unit_meant(log: Log, ratio: float) -> str | None:
@@ -164,26 +160,15 @@ def _inputs(log: Log) -> Iterator[Finding]:
     moving = {}
     for name, values in log.inputs.items():
         if np.count_nonzero(np.diff(values)) < 3 or np.ptp(values) <= 1e-9 * np.abs(values).max():
-            yield Finding(
-                "note", "constant", name,
-                f"stands at {amount(float(np.median(values)), log.units[name])}: it excites nothing, and what acts "
-                "through it alone cannot be identified",
-                {"rms": float(values.std())},
-            )  # fmt: skip
+            where = amount(float(np.median(values)), log.units[name])
+            text = f"stands at {where}: it excites nothing, and what acts through it alone cannot be identified"
+            yield Finding("note", "constant", name, text, {"rms": float(values.std())})
         else:
             moving[name] = values
             yield _excitation(log, name, values)
     if log.inputs and not moving:
         yield Finding("warning", "no_excitation", "", "no input moves: such a log says next to nothing about a model")
-    for one, other in combinations(moving, 2):
-        rho = float(np.corrcoef(moving[one], moving[other])[0, 1])
-        if abs(rho) > ALIKE:
-            yield Finding(
-                "note", "alike", one,
-                f"moves {'with' if rho > 0 else 'against'} {other} (correlation {plain(rho, 3)}): "
-                "what one does cannot be separated from what the other does",
-                {"correlation": rho},
-            )  # fmt: skip
+    yield from alike(moving, "moves")
 
 
 def _excitation(log: Log, name: str, values: Array) -> Finding:
@@ -195,14 +180,13 @@ def _excitation(log: Log, name: str, values: Array) -> Finding:
     low, high, slack = float(values.min()), float(values.max()), 1e-6 * float(np.ptp(values))
     ends = [int(np.count_nonzero(np.abs(values - end) <= slack)) for end in (low, high)]
     share = sum(ends) / values.size if max(ends) > 2 else 0.0
-    unit = log.units[name]
-    limits = f"between {amount(low, unit)} and {amount(high, unit)}" + (f", there {percent(share)}" if share else "")
-    return Finding(
-        "note", "excitation", name,
-        f"moves {amount(rms, unit)} (rms) with 95 % of its power below {amount(bandwidth, 'Hz', 2)}, {limits}"
-        + (" of the rows" if share else ""),
-        {"rms": rms, "bandwidth": bandwidth, "saturated": share, "low": low, "high": high},
-    )  # fmt: skip
+    unit, there = log.units[name], f", there {percent(share)} of the rows" if share else ""
+    text = (
+        f"moves {amount(rms, unit)} (rms) with 95 % of its power below {amount(bandwidth, 'Hz', 2)}, "
+        f"between {amount(low, unit)} and {amount(high, unit)}{there}"
+    )
+    numbers = {"rms": rms, "bandwidth": bandwidth, "saturated": share, "low": low, "high": high}
+    return Finding("note", "excitation", name, text, numbers)
 
 
 # -- the outputs ------------------------------------------------------------------------------
@@ -212,17 +196,14 @@ def _outputs(log: Log) -> Iterator[Finding]:
     for name, values in log.outputs.items():
         good = np.isfinite(values)
         seen = values[good]
-        if good.mean() < 1.0:
+        share = float(good.mean())
+        if share < 1.0:
             every = float(np.median(np.diff(log.time[good]))) if seen.size > 1 else math.nan
-            yield Finding(
-                "note", "missing", name,
-                f"measured in {percent(float(good.mean()))} of the rows, every {amount(every, 's')}",
-                {"share": float(good.mean()), "every": every},
-            )  # fmt: skip
+            text = f"measured in {percent(share)} of the rows, every {amount(every, 's')}"
+            yield Finding("note", "missing", name, text, {"share": share, "every": every})
         if np.ptp(seen) <= 1e-12 * max(1.0, float(np.abs(seen).max())):
-            where = amount(float(seen[0]), log.units[name])
-            yield Finding("warning", "constant", name, f"stands at {where} throughout: is the sensor connected?",
-                          {"value": float(seen[0])})  # fmt: skip
+            text = f"stands at {amount(float(seen[0]), log.units[name])} throughout: is the sensor connected?"
+            yield Finding("warning", "constant", name, text, {"value": float(seen[0])})
         else:
             yield from _repeats(log, name, log.time[good], seen)
 
@@ -234,20 +215,15 @@ def _repeats(log: Log, name: str, time: Array, values: Array) -> Iterator[Findin
     usual = float(np.median(runs))
     noise, span = noise_level(values), float(np.ptp(values))
     if usual >= 2.0 and np.mean(np.abs(runs - usual) <= 1.0) > 0.8:
-        yield Finding(
-            "warning", "held", name,
-            f"changes only every {usual:.0f} rows: a slower sensor, held. Leave the cells in between empty, or the "
-            "hold passes for a delay",
-            {"rows": usual},
-        )  # fmt: skip
+        cure = "Leave the cells in between empty, or the hold passes for a delay"
+        text = f"changes only every {usual:.0f} rows: a slower sensor, held. {cure}"
+        yield Finding("warning", "held", name, text, {"rows": usual})
     elif usual == 1.0 and runs.max() * log.step > 0.2 and runs.max() >= 10 and noise > 1e-5 * span:
         k = int(np.argmax(runs))
-        yield Finding(
-            "warning", "frozen", name,
-            f"repeats {amount(float(values[starts[k]]), log.units[name])} for {runs[k]} rows from "
-            f"t = {time[starts[k]]:.6g} s, at its noise that is no measurement: frozen, or at the end of its range",
-            {"rows": float(runs[k]), "first": float(time[starts[k]])},
-        )  # fmt: skip
+        value, first = amount(float(values[starts[k]]), log.units[name]), float(time[starts[k]])
+        place = f"repeats {value} for {runs[k]} rows from t = {first:.6g} s"
+        text = f"{place}, at its noise that is no measurement: frozen, or at the end of its range"
+        yield Finding("warning", "frozen", name, text, {"rows": float(runs[k]), "first": first})
 
 
 def outliers(log: Log, spikes: Spikes) -> Iterator[Finding]:
@@ -255,10 +231,9 @@ def outliers(log: Log, spikes: Spikes) -> Iterator[Finding]:
     for name, rows in spikes.items():
         off = out_of_line(log, log.outputs[name])[rows]
         first, worst = float(log.time[rows[0]]), float(off.max())
-        yield Finding(
-            "warning", "outliers", name,
+        text = (
             f"has {counted(rows.size, 'reading')} that its neighbours and the model do not explain, first at "
             f"t = {first:.6g} s, the farthest off by {amount(worst, log.units[name])}; `cosim refine` leaves such "
-            "readings out, other commands take them as they are: leave the cells empty",
-            {"count": float(rows.size), "first": first, "worst": worst},
-        )  # fmt: skip
+            "readings out, other commands take them as they are: leave the cells empty"
+        )
+        yield Finding("warning", "outliers", name, text, {"count": float(rows.size), "first": first, "worst": worst})

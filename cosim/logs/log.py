@@ -146,7 +146,7 @@ class LogReader:
         self.called, self.alone = columns, alone
         self.units = dict(self.known)  # in which values are once they are read
         self.faults = Faults(path)
-        self.timeless = 0  # cell of a time that a table does not need
+        self.timeless: dict[str, str] = {}  # a time that a table does not need, without a unit
         self.unread: dict[str, str] = {}
         self.undeclared: dict[str, str] = {}
         self.seen: dict[str, int] = {}  # column → its cell
@@ -158,7 +158,7 @@ class LogReader:
         )
 
     def log(self) -> Log:
-        """The log, or InputError."""
+        """Return the log; InputError with every fault."""
         if "time" in self.table.columns or (not self.timed and self.table.whole):
             self._check_header()
         if self.table.whole:
@@ -166,36 +166,16 @@ class LogReader:
         self.faults.raise_any()
         columns = {name: self.table[name] for name in self.table.columns}
         time = columns.pop("time") if self.timed else np.arange(self.table.rows, dtype=np.float64)
-        outputs, unwrapped = dict[str, Array](), dict[str, tuple[float, ...]]()
-        for name in (n for n in columns if n in self.outputs):
-            outputs[name] = columns[name]
-            if self.timed and self.units[name] == "rad":
-                outputs[name], jumps = _continuous(columns[name])
-                unwrapped |= {name: tuple(time[jumps].tolist())} if jumps.size else {}
-        inputs, units = {n: columns[n] for n in self.inputs}, {n: self.units[n] for n in columns}
-        written = {name: column.heading.unit for name, column in self.table.columns.items()}
-        if self.timeless:
-            names = list(written)
-            names.insert(self.timeless - 1, "time")
-            written = {name: written.get(name, "") for name in names}
-        step = usual_step(time)
-        path, header = self.faults.path, self.table.header
-        return Log(
-            path,
-            time,
-            inputs,
-            outputs,
-            units,
-            step,
-            written,
-            unwrapped,
-            header,
-            self._unread(),
-            dict(self.called),
-            self.undeclared,
-            {name: column.cell for name, column in self.table.columns.items()},
-            not self.timed,
-        )
+        units, unwrapped = {n: self.units[n] for n in columns}, dict[str, tuple[float, ...]]()
+        outputs = {n: values for n, values in columns.items() if n in self.outputs}
+        if self.timed:
+            outputs, unwrapped = _unwrapped(outputs, units, time)
+        inputs, step = {name: columns[name] for name in self.inputs}, usual_step(time)
+        cells = {name: column.cell for name, column in self.table.columns.items()}
+        written = {name: column.heading.unit for name, column in self.table.columns.items()} | self.timeless
+        path, header, unread, called = self.faults.path, self.table.header, self._unread(), dict(self.called)
+        known = (path, time, inputs, outputs, units, step, written, unwrapped)
+        return Log(*known, header, unread, called, self.undeclared, cells, table=not self.timed)
 
     def _unread(self) -> dict[str, str]:
         """Columns that are not read → one that may have been meant: of the model, and not in the file."""
@@ -215,7 +195,7 @@ class LogReader:
         written, heading = heading.name, replace(heading, name=self.called.get(heading.name, heading.name))
         name, is_time = heading.name, self.timed and heading.cell == 1
         if not self.timed and name == "time":
-            self.timeless = heading.cell
+            self.timeless = {"time": ""}
             return None
         if not is_time and name not in self.known:
             self.unread[written] = ""
@@ -237,20 +217,9 @@ class LogReader:
         return Column(heading, by.factor, known, offset=by.offset)
 
     def _check_header(self) -> None:
-        """Every input of the model, and one output at least."""
+        """Note faults unless every input of the model is there, and one output at least."""
+        self._check_called()
         line, columns = self.table.header, self.table.columns
-        for name, meant in self.called.items():
-            if meant == "time" and self.timed:
-                if name != self.table.first:
-                    message = f'"{name}" is to be the time, which is the first column, "{self.table.first}"'
-                    self.faults.note(line, 1, message)
-                continue
-            if meant not in self.known:
-                message = f'"{name}" is to be {meant}, which the model does not have{did_you_mean(meant, self.known)}'
-                self.faults.note(line, 1, f"{message} (it has {named(self.known)})")
-            elif name not in self.seen and (self.alone or meant not in columns):
-                message = f'has no column "{name}"{did_you_mean(name, self.seen)} (it is to be {meant})'
-                self.faults.note(line, 1, message)
         missing = [name for name in self.inputs if name not in columns]
         if missing and not self._about_the_model():
             self.faults.note(line, 1, f"holds none of the columns of the model: {named(self.known)}; {OTHER_MODEL}")
@@ -269,6 +238,20 @@ class LogReader:
             hints = "".join(dict.fromkeys(self._unread().values()))
             one = f"at least one of {named(self.outputs)} is measured"
             self.faults.note(line, 1, f"holds no output of the model{hints}; {one}")
+
+    def _check_called(self) -> None:
+        """Note names that are given for no signal of the model, and to no column of the file."""
+        line, first = self.table.header, self.table.first
+        for name, meant in self.called.items():
+            if meant == "time" and self.timed:
+                if name != first:
+                    self.faults.note(line, 1, f'"{name}" is to be the time, which is the first column, "{first}"')
+            elif meant not in self.known:
+                message = f'"{name}" is to be {meant}, which the model does not have{did_you_mean(meant, self.known)}'
+                self.faults.note(line, 1, f"{message} (it has {named(self.known)})")
+            elif name not in self.seen and (self.alone or meant not in self.table.columns):
+                message = f'has no column "{name}"{did_you_mean(name, self.seen)} (it is to be {meant})'
+                self.faults.note(line, 1, message)
 
     def _about_the_model(self) -> bool:
         """Some column has, or nearly has, the name of an input or an output, or a name is given for one."""
@@ -338,6 +321,18 @@ def _continuous(angle: Array) -> tuple[Array, Rows]:
         return angle, jumps[:0]
     smooth = angle.copy()
     smooth[rows] = np.unwrap(values)
+    return smooth, jumps
+
+
+def _unwrapped(
+    outputs: Mapping[str, Array], units: Mapping[str, str], time: Array
+) -> tuple[dict[str, Array], dict[str, tuple[float, ...]]]:
+    """Return the outputs with angles free of jumps of a turn, and the times of these jumps."""
+    smooth, jumps = dict(outputs), dict[str, tuple[float, ...]]()
+    for name in outputs:
+        if units[name] == "rad":
+            smooth[name], rows = _continuous(outputs[name])
+            jumps |= {name: tuple(time[rows].tolist())} if rows.size else {}
     return smooth, jumps
 
 

@@ -26,8 +26,6 @@ def mirrored(log: Log, frame: PlanarFrame) -> Iterator[Finding]:
     dx, dy, pointing = np.diff(x[good]), np.diff(y[good]), 0.5 * (heading[good][1:] + heading[good][:-1])
     ways = {sign: float(np.sum((dx * np.sin(pointing) - sign * dy * np.cos(pointing)) ** 2)) for sign in (1.0, -1.0)}
     if ways[1.0] > TURNED * ways[-1.0]:
-        yield Finding(
-            "warning", "mirrored", frame.y, f"the body moves sideways unless {frame.y}, or {frame.heading}, is turned "
-            f"round: world Y points left and {frame.heading} is positive to the left",
-            {"ratio": ways[1.0] / ways[-1.0]},
-        )  # fmt: skip
+        cure = f"world Y points left and {frame.heading} is positive to the left"
+        text = f"the body moves sideways unless {frame.y}, or {frame.heading}, is turned round: {cure}"
+        yield Finding("warning", "mirrored", frame.y, text, {"ratio": ways[1.0] / ways[-1.0]})

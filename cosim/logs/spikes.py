@@ -42,7 +42,7 @@ def find_spikes(log: Log, predict: Prediction | None = None) -> dict[str, Rows]:
     spikes = {}
     for name, rows in suspects.items():
         values = log.outputs[name]
-        genuine = answering[rows] if predict is None else _moves_too(log, values, model.get(name), rows)
+        genuine = answering[rows] if predict is None else _moves_too(values, model.get(name), rows)
         if not genuine.all():
             spikes[name] = rows[~genuine]
     return spikes
@@ -81,7 +81,7 @@ def _suspects(log: Log, values: Array) -> Rows:
     return np.flatnonzero(np.isfinite(values) & np.isnan(kept))
 
 
-def _moves_too(log: Log, values: Array, model: Array | None, rows: Rows) -> Flags:
+def _moves_too(values: Array, model: Array | None, rows: Rows) -> Flags:
     """Whether the model is as far out of line near each of these rows, by its uncertainty in size and in time."""
     if model is None:
         return np.zeros(rows.size, bool)

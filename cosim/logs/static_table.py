@@ -7,6 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
+from cosim.base.arrays import Array
 from cosim.base.text import amount, counted, percent, plain
 from cosim.logs.finding import Finding
 from cosim.logs.frames import degrees_or
@@ -60,15 +61,17 @@ def _inputs(log: Log) -> Iterator[Finding]:
     if log.inputs and not moving:
         text = "no input varies: such a table says next to nothing about a model"
         yield Finding("warning", "no_excitation", "", text)
-    for one, other in combinations(moving, 2):
-        rho = float(np.corrcoef(moving[one], moving[other])[0, 1])
+    yield from alike(moving, "goes")
+
+
+def alike(inputs: Mapping[str, Array], verb: str) -> Iterator[Finding]:
+    """Yield a note on each two inputs that cannot be separated."""
+    for one, other in combinations(inputs, 2):
+        rho = float(np.corrcoef(inputs[one], inputs[other])[0, 1])
         if abs(rho) > ALIKE:
-            yield Finding(
-                "note", "alike", one,
-                f"goes {'with' if rho > 0 else 'against'} {other} (correlation {plain(rho, 3)}): "
-                "what one does cannot be separated from what the other does",
-                {"correlation": rho},
-            )  # fmt: skip
+            way = f"{verb} {'with' if rho > 0 else 'against'} {other} (correlation {plain(rho, 3)})"
+            text = f"{way}: what one does cannot be separated from what the other does"
+            yield Finding("note", "alike", one, text, {"correlation": rho})
 
 
 def _outputs(log: Log) -> Iterator[Finding]:

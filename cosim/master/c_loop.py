@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -120,18 +121,13 @@ class CompiledSteps:
 
     # -- within -------------------------------------------------------------------------------
 
-    def _ways(self, transfers: Iterable[Transfer], every: Mapping[str, int] | None = None) -> list[Way]:
+    def _ways(self, transfers: Iterable[Transfer], every: Mapping[str, int] = MappingProxyType({})) -> list[Way]:
         """Transfers for C; those that are held are made when their target steps."""
-        return [
-            way(
-                self.run.row,
-                t.source,
-                t.target,
-                [linked.link() for linked in self.run.links(t)],
-                1 if every is None else every[t.name.partition(".")[0]],
-            )
-            for t in transfers
-        ]
+        ways = []
+        for t in transfers:
+            links = [linked.link() for linked in self.run.links(t)]
+            ways.append(way(self.run.row, t.source, t.target, links, every.get(t.name.partition(".")[0], 1)))
+        return ways
 
     def _prepare(self, first: int, last: int) -> None:
         """What sources give at these points: at the end of a step that is theirs, as they compute it."""

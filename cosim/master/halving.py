@@ -16,7 +16,7 @@ from cosim.blocks.sources import Source
 from cosim.isolation.rows import CALLS, GET, OTHER
 from cosim.master.copying import copy_values
 from cosim.master.initialization import settled
-from cosim.master.master import Master
+from cosim.master.master import Master, Round
 from cosim.system.system import System
 
 
@@ -41,19 +41,18 @@ class Halved(Master):
         self.table[0] = 0.0
         parts = [c for c in self.components if isinstance(c, FmuBlock)]
         begin = self.system.start
-        ((active, *held), *_) = self._cycle()  # of one rate: every round is alike
-        calls, copies = [a[0] for a in active], [a[3:] for a in active]
+        actives = self._cycle()[0]  # of one rate: every round is alike
         try:
             for k in range(1, self.steps + 1):
                 t, end = begin + (k - 1) * self.h, begin + k * self.h
                 before, row = self._saved(parts), bytes(self.row)
-                self._once(calls, copies, held, k, t, end)
+                self._once(actives, k, t, end)
                 whole, after, values = bytes(self.row), self._saved(parts), list(self.row)
                 self._back(parts, before)
                 ctypes.memmove(self.row, row, len(row))
                 self._check_back(parts, row, t)
                 for since, until in ((t, 0.5 * (t + end)), (0.5 * (t + end), end)):
-                    self._once(calls, copies, held, k, since, until)
+                    self._once(actives, k, since, until)
                 self.table[k] = [abs(a - b) for a, b in zip(values, self.row, strict=True)]
                 self._back(parts, after)
                 ctypes.memmove(self.row, whole, len(whole))
@@ -61,12 +60,11 @@ class Halved(Master):
         finally:
             self.doing[0] = 0
 
-    def _once(self, calls: Sequence[Any], copies: Sequence[Any], held: Any, k: int, t: float, end: float) -> None:
-        """One exchange of values and the steps of all."""
-        for step, transfers in zip(calls, copies, strict=True):
-            copy_values(self.row, transfers, k)
+    def _once(self, actives: Round, k: int, t: float, end: float) -> None:
+        """Exchange the values once, and make all steps."""
+        for step, _, _, plain, noisy, others in actives:
+            copy_values(self.row, (plain, noisy, others), k)
             step(t, end - t)
-        copy_values(self.row, held, k)
 
     def _saved(self, parts: Sequence[FmuBlock]) -> list[Any]:
         """The state of each."""

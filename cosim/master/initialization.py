@@ -60,11 +60,8 @@ class Initialization:
                 if not change < SHRINKS * earlier:
                     break
                 earlier = change
-        raise SimulationError(
-            "initialization",
-            self.start,
-            f"values still change after {sweep} exchanges: an algebraic loop that exchanging values does not settle",
-        )
+        text = f"values still change after {sweep} exchanges: an algebraic loop that exchanging values does not settle"
+        raise SimulationError("initialization", self.start, text)
 
     def _sweep(self) -> None:
         for k, component in enumerate(self.components):

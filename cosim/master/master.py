@@ -29,10 +29,11 @@ from cosim.storage.results import Results
 from cosim.system.schedule import Stage
 from cosim.system.system import System
 
-# what steps it; the number of steps that are one of its own, and the length of that, 0.0 of one from communication
-# point to communication point; and the transfers before it
+# the step; how many steps of the run it spans, and its length, 0.0 of one from communication point to communication
+# point; and the transfers before it
 Active = tuple[Callable[[float, float], None], int, float, Plain, Noisy, Through]
-Round = tuple[tuple[Active, ...], Plain, Noisy, Through]
+Progress = Callable[[int], None]  # told at which communication point a run is
+Round = tuple[Active, ...]  # the last makes no step: its transfers are those that wait for the end of the step
 PROGRESS_EVERY = 50
 LONGEST_CYCLE = 10_000  # communication points after which components of several rates are in step again
 
@@ -49,7 +50,7 @@ def simulate(
     system: System,
     steps: int,
     h: float,
-    progress: Callable[[int], None] | None = None,
+    progress: Progress | None = None,
     rows: Rows | None = None,
     *,
     in_c: bool = True,
@@ -71,14 +72,7 @@ class Master:
     """
 
     def __init__(
-        self,
-        system: System,
-        steps: int,
-        h: float,
-        progress: Callable[[int], None] | None,
-        rows: Rows,
-        *,
-        in_c: bool = True,
+        self, system: System, steps: int, h: float, progress: Progress | None, rows: Rows, *, in_c: bool = True
     ) -> None:
         self.system, self.steps, self.h = system, steps, h
         self.components = [stage.component for stage in system.stages]
@@ -165,9 +159,9 @@ class Master:
         made, asked = self.made, self._asked(1)
         done, next_t = self.done, begin
         try:
-            for k, (active, held, held_noisy, held_through) in zip(range(1, self.steps + 1), rounds, strict=False):
+            for k, actives in zip(range(1, self.steps + 1), rounds, strict=False):
                 t, next_t = next_t, begin + k * h
-                for step, every, length, plain, noisy, through in active:
+                for step, every, length, plain, noisy, through in actives:
                     for target_places, places in plain:
                         target_places[:] = places
                     for source, target, samples in noisy:
@@ -179,13 +173,6 @@ class Master:
                         step(t, length or next_t - t)
                     else:
                         step(since := begin + (k - every) * h, length or next_t - since)
-                for target_places, places in held:
-                    target_places[:] = places
-                for source, target, samples in held_noisy:
-                    row[target] = row[source] + samples[k]
-                if held_through:
-                    for origin, source, goal, target, function in held_through:
-                        goal[target] = function(k, origin[source])
                 if k == asked:
                     for call in after:
                         call(k)
@@ -233,9 +220,9 @@ class Master:
             found.append(-(-k // PROGRESS_EVERY) * PROGRESS_EVERY)
         return min(found, default=NEVER)
 
-    def _after(self, progress: Callable[[int], None] | None) -> tuple[Callable[[int], None], ...]:
+    def _after(self, progress: Progress | None) -> tuple[Progress, ...]:
         """What is called at the end of a step that is asked for, before its row is kept: only what this run needs."""
-        calls: list[Callable[[int], None]] = []
+        calls: list[Progress] = []
         if self.system.events:
             calls.append(self._change)
         if self.beside:
@@ -252,7 +239,7 @@ class Master:
                 component.change(changes[component.name])  # type: ignore[attr-defined]
 
     def _cycle(self) -> Sequence[Round]:
-        """Who steps, and what is transferred, at each communication point of a cycle; all at each, without rates."""
+        """Return the steps and transfers of each communication point of a cycle: all at each point, without rates."""
         stages, held = self.system.stages, self.system.held
         period = math.lcm(*(stage.every for stage in stages), 1)
         every = {stage.component.name: stage.every for stage in stages}
@@ -264,10 +251,8 @@ class Master:
             stepping = [stage for stage in stages if k % stage.every == 0]
             key = tuple(stage.component.name for stage in stepping)
             if key not in made:
-                made[key] = (
-                    tuple(self._active(stage) for stage in stepping),
-                    *self.copying.of(t for t in held if k % every[t.name.partition(".")[0]] == 0),
-                )
+                waiting = self.copying.of(t for t in held if k % every[t.name.partition(".")[0]] == 0)
+                made[key] = (*map(self._active, stepping), (_no_step, 1, 0.0, *waiting))
             return made[key]
 
         return [at(k) for k in range(period)]
@@ -285,17 +270,16 @@ class Master:
 
 
 def results_of(
-    system: System,
-    time: Array,
-    table: Array,
-    kept: Sequence[tuple[Any, ...]],
-    notes: Sequence[str] = (),
-    loop: str = "",
+    system: System, time: Array, table: Array, kept: Sequence[Any], notes: Sequence[str] = (), loop: str = ""
 ) -> Results:
     """Results of a run, by its rows and what stands beside them."""
     exact = {name: [row[k] for row in kept[: len(time)]] for k, name in enumerate(system.beside)}
     whole = frozenset(c for c in system.columns if system.signals[c].whole)
     return Results(time, system.columns, table, system.units, exact, whole, tuple(notes), loop)
+
+
+def _no_step(t: float, h: float) -> None:
+    """Make no step."""
 
 
 def _first_places(columns: Sequence[str]) -> dict[str, int]:

@@ -32,7 +32,10 @@ class Observer:
         """Get ready for the rows of a run."""
 
     def rows(self, time: Array, values: Array) -> bool | None:
-        """Take rows that are new, shape (rows, columns), valid during this call; True asks the run to end."""
+        """Take rows that are new, shape (rows, columns), valid during this call; True asks the run to end.
+
+        Rows that were made before the run heard of it still come.
+        """
 
     def end(self) -> None:
         """Take note that there are no more rows, also where the run failed."""
@@ -80,7 +83,7 @@ class Feed:
     def __call__(self, done: int) -> None:
         """Give the rows that are new of `done` rows."""
         first, self._given = self._given, max(self._given, done)
-        if self.table is None or first >= done or self.over:
+        if self.table is None or first >= done or self.failure is not None:
             return
         time, values = self._time[first:done], self.table[first:done]
         for observer in self._observers:

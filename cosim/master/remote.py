@@ -77,7 +77,12 @@ def _feed(observers: Sequence[Observer], system: System, steps: int, h: float) -
 
 def _early(system: System, h: float, done: int) -> EndedEarly:
     """The end of a run that an observer asked for."""
-    return EndedEarly("an observer", system.start + h * max(0, done - 1), "it asked for the end")
+    return EndedEarly("an observer", _reached(system, h, done), "it asked for the end")
+
+
+def _reached(system: System, h: float, made: int) -> float:
+    """Return the time of the last of the rows that are made [s]."""
+    return system.start + h * max(0, made - 1)
 
 
 def _stepped(
@@ -126,9 +131,8 @@ def simulate_rows(system: System, steps: int, h: float, table: Path, limits: Lim
     except OSError as error:
         if not is_full(error):
             raise
-        now = system.start + h * max(0, progress.made[0] - 1)
-        full = f"the disk is full: {_too_few(progress.made[0], steps + 1)}"
-        return Ended(said_of(system), DiskFull("the run", now, full))
+        made_rows = progress.made[0]
+        return Ended(said_of(system), _disk_full(_reached(system, h, made_rows), made_rows, steps + 1))
     finally:
         beside.close()
     return Ended(said_of(system), failure, float(made.time[-1]) if len(made.time) else None, made.notes)
@@ -152,7 +156,7 @@ def simulate_apart(
     *,
     observers: Sequence[Observer] = (),
 ) -> Stepped:
-    """The steps of a run in a worker, its rows in a file within `folder` until it has ended. Raises FmuError."""
+    """Make the steps of a run in a worker, its rows in a file within `folder` until it has ended. Raises FmuError."""
     columns, limits = len(system.columns), limits or Limits()
     feed = _feed(observers, system, steps, h)
 
@@ -166,7 +170,7 @@ def simulate_apart(
         lambda made, call: system.start + h * (max(0, made - 1) + (call == GET and 0 < made <= steps)),
         limits,
         8 * columns,
-        progress=give if observers else None,
+        progress=give,
     )
     ended = Ended()
     compile_beforehand(system)
@@ -183,24 +187,21 @@ def simulate_apart(
         try:
             ended = worker.call(simulate_rows, system, count - 1, h, table, limits, bool(observers), watch=watch)
             hold_stops()  # there are rows to be kept
-        except SimulationError as error:
-            ended = Ended(failure=error)
-        except (KeyboardInterrupt, Terminated) as stop:
-            ended = Ended(failure=stopped(stop, system.start + h * max(0, counters.made[0] - 1)))
+        except (SimulationError, KeyboardInterrupt, Terminated) as stop:
+            ended = Ended(failure=stopped(stop, _reached(system, h, counters.made[0])))
         except (CosimError, OSError, MemoryError):
             raise
         except Exception as error:  # of a library, which nobody foresaw: no reason to lose the rows
             ended = Ended(failure=_unforeseen(error, watch, counters))
-        done, failure = counters.made[0], ended.failure
-        values = read_table(table, done, columns)
-        beside = read_beside(table.with_name(BESIDE), done) if system.beside else []
+        done = counters.made[0]
+        values, beside = read_table(table, done, columns), read_beside(table.with_name(BESIDE), done)
     feed.end(values)
-    failure = failure or feed.failure
+    failure = ended.failure or feed.failure
     time = system.start + h * np.arange(steps + 1, dtype=np.float64)
-    if done and ended.last is not None:
+    if ended.last is not None:
         time[done - 1] = ended.last
-    if failure is None and count <= steps and done == count:
-        failure = DiskFull("the run", time[count - 1].item(), f"the disk is full: {_too_few(count, steps + 1)}")
+    if failure is None and done == count <= steps:
+        failure = _disk_full(time[count - 1].item(), count, steps + 1)
     loop = counters.loop.decode("utf-8", "ignore")
     return Stepped(results_of(system, time[:done], values, beside, ended.notes, loop), ended.said, failure)
 
@@ -212,8 +213,9 @@ def _unforeseen(error: Exception, watch: Watch, counters: Progress) -> Simulatio
     return SimulationError(component, at, f"{call}: {type(error).__name__}: {words} (--in-process shows where)")
 
 
-def _too_few(count: int, rows: int) -> str:
-    return f"it has room for {count} of {rows} rows while the run lasts"
+def _disk_full(time: float, count: int, rows: int) -> DiskFull:
+    """Return the error of a disk without room for the rows."""
+    return DiskFull("the run", time, f"the disk is full: it has room for {count} of {rows} rows while the run lasts")
 
 
 def _room(folders: Sequence[Path], rows: int, width: int) -> tuple[Held, int]:
@@ -234,4 +236,4 @@ def _room(folders: Sequence[Path], rows: int, width: int) -> tuple[Held, int]:
             else:
                 return held, count
         count = int(SMALLER * count)
-    raise DiskFull("the run", 0.0, f"the disk is full: {_too_few(0, rows)}")
+    raise _disk_full(0.0, 0, rows)

@@ -32,8 +32,7 @@ OTHER_HORIZONS: Mapping[Literal["0.5 s", "free run"], float] = {"0.5 s": 0.5, "f
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Likelihood = Annotated[  # null where the filter diverged
-    Finite | None,
-    BeforeValidator(lambda value: value if value is not None and math.isfinite(value) else None),
+    Finite | None, BeforeValidator(lambda value: value if value is not None and math.isfinite(value) else None)
 ]
 Channels = Annotated[dict[str, Finite], Field(description="measured output → root mean square, in its SI unit")]
 Part = Literal["estimation", "validation"]
@@ -320,7 +319,7 @@ def record(study: Study, a: Attribution, claims: Claims, problem: Problem, betwe
         per_log=per_log(study, claimed.fit if claimed else a.given, proof.ends),
         candidates=ranking(a, claims),
         hidden=unseen(a, claims),
-        measured=[q.name for q in study.subject.outputs if any(q.name in log.outputs for log in study.logs)],
+        measured=list(problem.layout.outputs),
         sensor_noise=dict(zip(problem.layout.outputs, np.exp(0.5 * a.best.fit.noise.sensors).tolist(), strict=True)),
         inputs=Inputs(taken=dict(between.taken), gain_otherwise=between.gain),
         warnings=list(study.warnings),

@@ -269,14 +269,11 @@ def _lists(
 
 def _faults_of_keys(places: Places, content: StudyFile, subject: Subject, *, unlisted: bool) -> list[Fault]:
     """Everything wrong with a study before its logs are read; unlisted: no log to learn from is listed."""
-    lists, on_trial = content.logs, content.candidates or ()
-    faults = _unknown_names(places, content, subject)
-    faults += per_log_faults(
-        places, subject, content.per_log, content.groups, lists.estimation, lists.validation, on_trial
-    )
+    faults, logs = _unknown_names(places, content, subject), content.logs.model_dump()
+    faults += per_log_faults(places, subject, content.per_log, content.groups, logs, content.candidates or ())
     if unlisted:
         cure = "none is left to learn from; move one to estimation"
-        sealed = f"every log is sealed, and {cure}" if lists.validation else "no log is listed; list one"
+        sealed = f"every log is sealed, and {cure}" if content.logs.validation else "no log is listed; list one"
         faults.append(places.fault(("logs", "estimation"), sealed))
     return faults
 
@@ -377,9 +374,8 @@ def judged(log: Log, horizon: float) -> list[Log]:
 
 
 def _left_out(log: str, channel: str, count: int) -> str:
-    return (
-        f"{log}: {counted(count, 'reading')} of {channel} left out, which its neighbours and the model do not explain"
-    )
+    readings = f"{log}: {counted(count, 'reading')} of {channel}"
+    return f"{readings} left out, which its neighbours and the model do not explain"
 
 
 def _too_short(log: Log, horizon: float) -> Fault:
@@ -404,12 +400,8 @@ def _too_few(yaml: Places, content: StudyFile, subject: Subject, logs: Sequence[
 
 def _too_late(model_file: Path, loaded: LoadedModel, logs: Sequence[Log]) -> Iterator[Fault]:
     """Latencies of sensors in the model.yaml, by which too little of a log is left to be judged."""
-    late = {
-        f"{kind.name}.value": loaded.sensors.get(f"{kind.name}.value", 0.0)
-        for kind in loaded.model.sensors
-        if kind.late
-    }
-    for name, seconds in late.items():
+    for name in (f"{kind.name}.value" for kind in loaded.model.sensors if kind.late):
+        seconds = loaded.sensors.get(name, 0.0)
         lasts: dict[Path, float] = {}
         for log in logs:
             left = float(log.time[-1] - log.time[0]) - seconds
@@ -417,10 +409,8 @@ def _too_late(model_file: Path, loaded: LoadedModel, logs: Sequence[Log]) -> Ite
                 lasts[log.path] = left + seconds
         if seconds > 0.0 and lasts:
             which = ", ".join(f"{path.name} lasts {plain(whole)} s" for path, whole in lasts.items())
-            text = (
-                f"{name} is {plain(seconds)} s, and {which}: too little is left to be judged; correct it, or log longer"
-            )
-            yield YamlFile(model_file).fault(("sensors", name), text)
+            text = f"{name} is {plain(seconds)} s, and {which}: too little is left to be judged"
+            yield YamlFile(model_file).fault(("sensors", name), f"{text}; correct it, or log longer")
 
 
 def _noise_of_no_sensor(yaml: Places, noise: Mapping[str, float], logs: Sequence[Log]) -> Iterator[Fault]:

@@ -93,7 +93,7 @@ def refine(
     check_writable(folder, (*RESULTS, "report.html"), study.files)
     problem = _posed(study)
     _refuse_runaway(study, problem)
-    found = attributed(subject, problem, _on_trial(study, problem), progress)
+    found = attributed(subject, problem, _on_trial(study), progress)
     progress("weighing what was found", 0.0)
     attribution = decided(found)
     claims = _judged(study, attribution, found, progress)
@@ -162,7 +162,7 @@ def _refuse_runaway(study: Study, problem: Problem) -> None:
         raise InputError(faults)
 
 
-def _on_trial(study: Study, problem: Problem) -> list[Candidate]:
+def _on_trial(study: Study) -> list[Candidate]:
     """The candidates that the study names; all of them where it names none."""
     subject, named = study.subject, study.content.candidates
     every = list(not_per_log(subject.candidates(varied_inputs(subject, study.logs)), study.settings.per_log))

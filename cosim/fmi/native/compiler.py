@@ -70,6 +70,13 @@ def commands(asked: tuple[str, ...] = ()) -> dict[Platform, list[str]]:
     return {p: [*_for(p, p == own, bool(asked)), *OPTIONS, "-fvisibility=hidden", *p.position] for p in wanted}
 
 
+def fmi_headers() -> Path:
+    """Return the folder with the headers of the FMI standard, which FMPy brings."""
+    import fmpy
+
+    return Path(fmpy.__file__).with_name("c-code")
+
+
 def library_command() -> list[str]:
     """Return the command that makes a library of this machine, without a language or an optimization; NoCompiler."""
     command = compiler()

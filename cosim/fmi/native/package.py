@@ -13,7 +13,7 @@ from cosim.base.version import __version__
 from cosim.fmi.documentation import GUID_PLACEHOLDER, write_documentation
 from cosim.fmi.fmu_build import ASSETS, Recipe, digest, write_zip
 from cosim.fmi.native.check import check
-from cosim.fmi.native.compiler import commands, library_of
+from cosim.fmi.native.compiler import commands, fmi_headers, library_of
 from cosim.fmi.native.layout import Layout, model_layout
 from cosim.fmi.native.native_description import description2, description3
 from cosim.fmi.native.platforms import PLATFORMS, Platform, glibc_floor
@@ -109,7 +109,7 @@ def build_native(native: Native, path: Path, fmi: int = 2, platforms: Sequence[s
 def _sources(native: Native, fmi: int) -> dict[str, bytes]:
     """All of the C but the GUID."""
     layer = f"fmi{fmi}.c"
-    headers = {file.name: file.read_bytes() for file in sorted((HERE / "fmi").glob(f"fmi{fmi}*.h"))}
+    headers = sorted(fmi_headers().glob(f"fmi{fmi}*.h"))
     order = ["model.c", "instance.c", *native.parts, layer]
     head = "/* One translation unit: nothing but FMI's own functions is seen from outside. */\n"
     every = head + "".join(f'#include "{name}"\n' for name in order)
@@ -123,8 +123,9 @@ def _sources(native: Native, fmi: int) -> dict[str, bytes]:
         "model.c": f'#include "model.h"\n\n{native.printed.body}'.encode(),
         "instance.c": part("instance.c"),
         **native.parts,
+        "fmi.c": part("fmi.c"),
         layer: part(layer),
-        **headers,
+        **{file.name: file.read_text(encoding="utf-8").encode() for file in headers},  # lines end with LF
         "config.h": _config(native, ""),
     }
 

@@ -158,43 +158,42 @@ def judge(
     moves: forced state → size of its unknown input over that of its derivative on the logs
     still: nothing moves in the logs
     """
-    residual = _misfit(a, left, forced)
-    large = max((name for name in moves if moves[name] > LARGE), key=lambda name: moves[name], default=None)
-    small = tuple(n for n in a.fuller.names if n not in a.best.names) if a.fuller else ()
+    residual, large = _misfit(a, left, forced), _large(moves)
     if not a.best.candidates:
-        unseen = large is None and a.hidden and len(a.hidden) == a.effects
-        if still or unseen:  # nothing is claimed of logs in which nothing would show
+        if still or (a.blind and not large):  # nothing is claimed of logs in which nothing would show
             rivals = a.hidden if len(a.hidden) > 1 else (*a.hidden, "no_effect")
             experiment = usual_experiment(subject)
             return Claims("ambiguous", None, rivals, experiment, residual, unshown=a.hidden, still=still)
-        if left.terms or large is not None:
-            where = residual if left.terms else {**residual, "equation": large}
-            return Claims("unexplained", misfit=where)
-        return Claims("no_effect", misfit=residual, unshown=a.hidden, moves=moves, small=small)
+        if left.terms:
+            return Claims("unexplained", misfit=residual)
+        if large:
+            return Claims("unexplained", misfit={**residual, "equation": large})
+        return Claims("no_effect", misfit=residual, unshown=a.hidden, moves=moves, small=a.small)
     gained = a.base.score - a.best.score
-    hides = large is not None and gained < MUCH * a.noise_gain[list(forced).index(large)]
-    if _disputed(a, left) or hides:
+    hides = large and gained < MUCH * a.noise_gain[list(forced).index(large)]
+    if hides or _disputed(a, left):
         return Claims("unexplained", rivals=a.best.names, misfit=residual)
     if a.rivals:
         return _ambiguous(a, subject, residual)
-    claims = Claims(
-        name_of(a.best.candidates, subject), a.best, misfit=residual, grade="claimed", small=small,
-        beside=left.terms[0] if left.terms else None, gained=gained,
-    )  # fmt: skip
-    return replace(claims, grade="part", disturbed=large, moves=moves) if large is not None else claims
+    name = name_of(a.best.candidates, subject)
+    claims = Claims(name, a.best, misfit=residual, grade="claimed", small=a.small, beside=left.first, gained=gained)
+    return replace(claims, grade="part", disturbed=large, moves=moves) if large else claims
+
+
+def _large(moves: Mapping[str, float]) -> str:
+    """Return the state with the largest unknown input that is no small disturbance; empty where none is."""
+    return max((name for name in moves if moves[name] > LARGE), key=lambda name: moves[name], default="")
 
 
 def _ambiguous(a: Attribution, subject: Subject, residual: Mapping[str, Any]) -> Claims:
-    """The best is in the model until an experiment separates it from its rivals; what they share is certain."""
+    """Claim the best until an experiment separates it from its rivals; what they share is certain."""
     every = (a.best, *a.rivals, *([a.fuller] if a.fuller and a.fuller.score < a.best.score else []))
     common = set(a.best.names).intersection(*(h.names for h in a.rivals))
     apart = [[n for n in h.names if n not in common] for h in every]
     experiment = experiment_for(subject, [n for names in apart for n in names])
-    return Claims(
-        "ambiguous", a.best, tuple(TOGETHER.join(h.names) for h in every), experiment, residual,
-        apart=tuple(" and ".join(names) for names in apart),
-        certain=tuple(c for c in a.best.candidates if c.name in common),
-    )  # fmt: skip
+    rivals = tuple(TOGETHER.join(h.names) for h in every)
+    claims = Claims("ambiguous", a.best, rivals, experiment, residual, apart=tuple(map(" and ".join, apart)))
+    return replace(claims, certain=tuple(c for c in a.best.candidates if c.name in common))
 
 
 def usual_experiment(subject: Subject) -> str:
@@ -243,16 +242,13 @@ def _misfit(a: Attribution, left: Leftover, forced: Sequence[str]) -> dict[str, 
         equation: {"before": float(q0[k]), "after": float(q1[k]), "inflated": a.noisy[k], "gain": a.noise_gain[k]}
         for k, equation in enumerate(forced)
     }
-    terms = left.terms
     # densities of states in different units do not compare; what they are worth does
-    inflated = {
-        equation: gain for equation, gain in zip(forced, a.noise_gain, strict=True) if noise[equation]["inflated"]
-    }
-    where = terms[0].equation if terms else max(inflated, key=lambda k: inflated[k]) if inflated else None
+    inflated = {name: entry["gain"] for name, entry in noise.items() if entry["inflated"]}
+    where = left.first.equation if left.first else max(inflated, key=lambda k: inflated[k], default=None)
     return {
         "equation": where,
-        "signals": list(dict.fromkeys(u.signal for u in terms if u.equation == where)),
-        "share": terms[0].share if terms else None,
+        "signals": list(dict.fromkeys(u.signal for u in left.terms if u.equation == where)),
+        "share": left.first.share if left.first else None,
         "process_noise": noise,
-        "terms": [u.entry for u in terms],
+        "terms": [u.entry for u in left.terms],
     }

@@ -43,7 +43,7 @@ def blocks_of(problem: Problem, scored: Scored, memory: float) -> Rows:
     total = sum(len(d.u) for d in problem.logs)
     rows = max(1, min(rows, total // FEWEST))
     numbers, first = [], 0
-    for part in np.split(scored.rows, np.cumsum(scored.counts)[:-1]):
+    for part in scored.of_each_log(scored.rows):
         block = first + part // rows
         numbers.append(block)
         first = int(block.max()) + 1 if block.size else first
@@ -57,8 +57,7 @@ def number_of_blocks(problem: Problem, f: Fit) -> int:
 
 def correlated(scored: Scored) -> float:
     """Rows within which normalised errors forget each other: the sum of their autocorrelation until it is none."""
-    parts = np.split(scored.errors / np.sqrt(scored.variances), np.cumsum(scored.counts)[:-1])
-    rows = np.split(scored.rows, np.cumsum(scored.counts)[:-1])
+    parts, rows = scored.of_each_log(scored.errors / np.sqrt(scored.variances)), scored.of_each_log(scored.rows)
     longest = 0.0
     for part, at in zip(parts, rows, strict=True):
         series = np.bincount(at, np.nan_to_num(part))
@@ -78,9 +77,14 @@ def steadiness(problem: Problem, better: Fit, worse: Fit, costs: float = 0.0) ->
     if scored[0].errors.size != scored[1].errors.size:
         return math.inf
     block = blocks_of(problem, scored[0], math.exp(better.noise.memory))
-    better_terms, worse_terms = (np.nan_to_num(s.terms, nan=DIVERGED, posinf=DIVERGED) for s in scored)
-    gains = np.bincount(block, worse_terms - better_terms).astype(np.float64)
-    return in_scatter(gains[np.bincount(block) > 0], costs + worse.penalty - better.penalty)
+    return by_block(block, scored[1], scored[0], costs + worse.penalty - better.penalty)
+
+
+def by_block(block: Rows, worse: Scored, better: Scored, known: float) -> float:
+    """Return a gain, and what is known beside it, over its scatter from block to block of time."""
+    terms, others = (np.nan_to_num(s.terms, nan=DIVERGED, posinf=DIVERGED) for s in (worse, better))
+    gains = np.bincount(block, terms - others).astype(np.float64)
+    return in_scatter(gains[np.bincount(block) > 0], known)
 
 
 def in_scatter(gains: Array, known: float = 0.0) -> float:
@@ -113,9 +117,8 @@ def held_out(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[flo
                 continue
             own = {f.name for c in h.candidates for f in c.free}
             stays = {n: learnt.values[n] if n in own else problem.values[n] for n in names}
-            settled = fit(
-                problem, settling, {**h.fit.values, **stays}, h.fit.noise, [left_out], SCREEN_ITERATIONS, sensing=False
-            )
+            values, only = {**h.fit.values, **stays}, [left_out]
+            settled = fit(problem, settling, values, h.fit.noise, only, SCREEN_ITERATIONS, sensing=False)
             objectives.append(settled.objective)
         return objectives[0] - objectives[1], missed
 
@@ -131,9 +134,8 @@ def predicts(problem: Problem, horizon: float, better: Fit, worse: Fit) -> float
     def one(left_out: int) -> list[Array]:
         others = [k for k in logs if k != left_out]
         learnt = [fit(problem, f.free, f.values, f.noise, others, SCREEN_ITERATIONS) for f in (worse, better)]
-        return [
-            open_loop(problem, horizon, f.values, f, left_out) for f in (unseen(problem, f, left_out) for f in learnt)
-        ]
+        known = [unseen(problem, f, left_out) for f in learnt]
+        return [open_loop(problem, horizon, f.values, f, left_out) for f in known]
 
     return in_scatter(_nearer(in_parallel(one, list(logs))))
 
@@ -203,17 +205,11 @@ def open_loop(problem: Problem, horizon: float, values: Mapping[str, float], f: 
     run = problem.run(values, f.noise, index, states=True)
     p = problem.numbers(problem.of_log(values, index))
     missed = np.full((max(1, (rows - 1 - first) // length), length, data.y.shape[1]), np.nan)
-    for k, row in enumerate(range(first, rows - length, length)):
-        if k >= len(missed):
-            break
-        first_row = max(0, row - BACK)
-        part, back, start = (
-            data.rows(first_row, row + length + 1),
-            row - first_row,
-            problem.undisturbed(run.states[row]),
-        )
+    for replay, row in zip(missed, range(first, rows - length, length), strict=False):
+        back = min(row, BACK)
+        part, start = data.rows(row - back, row + length + 1), problem.undisturbed(run.states[row])
         predicted = problem.kernel.simulate(part, p, start, run.memory[row], first=back).outputs
-        missed[k] = data.y[row + 1 : row + 1 + length] - predicted[back + 1 : back + 1 + length]
+        replay[:] = data.y[row + 1 : row + 1 + length] - predicted[back + 1 : back + 1 + length]
     return np.where(np.abs(missed) < 1e30, missed, np.nan)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -31,58 +31,75 @@ TOLERANCES = (0.5, 2.0)  # times which the tolerances are taken, to see whether 
 
 
 def decided(found: Found) -> Attribution:
-    """The best hypothesis of which every part is borne out, its rivals, and why the others lost."""
-    search, best = found.search, found.best
-    support: dict[str, Support] = {}
-    dropped: dict[str, str] = {}
-    whole: tuple[Hypothesis, dict[str, Hypothesis]] | None = None  # before the first of parts that are merely small
-    while best.candidates:
-        without = _without_each(search, best)
-        support = {}
-        for c in sorted(best.candidates, key=lambda c: without[c.name].fit.objective):  # the weakest first
-            support[c.name] = _support(search, best, without[c.name])
-            if doubt := _doubt(search, best, c, support[c.name]):
-                dropped[c.name] = doubt
-                whole = (whole or (best, without)) if doubt.startswith(LITTLE) else None
-                best = without[c.name]
-                break
-        else:
-            break
-    fuller = whole[0] if whole is not None else None
-    if whole is not None and (every := _together(search, whole[0], best)):
-        fuller, best = None, every
-        support = {c.name: _support(search, every, whole[1][c.name]) for c in every.candidates}
-        dropped = {n: doubt for n, doubt in dropped.items() if n not in every.names}
-    base = search.tried[()]
+    """Return the best hypothesis of which every part is borne out, its rivals, and why the others lost."""
+    search, base = found.search, found.search.tried[()]
+    kept = _borne_out(search, found.best)
+    best = kept.best
     if best.candidates:
         best = replace(best, fit=scattered(search.problem, best.fit))
     rivals = _rivals(search, best)
-    ranking = tuple(sorted(search.tried.values(), key=lambda h: h.score))
-    reasons = Reasons(base, best, ranking, rivals, search, dropped).all()
+    tried = tuple(sorted(search.tried.values(), key=lambda h: h.score))
+    reasons = Reasons(base, best, tried, rivals, search, kept.dropped).all()
     total = _support(search, best, base) if best.candidates else Support(0.0, 0.0)
-    noise = noise_gain(search.problem, best.fit)
-    given = as_given(search.problem, base.fit)
+    given, noise = as_given(search.problem, base.fit), noise_gain(search.problem, best.fit)
     return Attribution(
-        base, given, ranking, best, rivals, total, support, noise, reasons, found.hidden, found.effects, fuller
+        base, given, tried, best, rivals, total, kept.support, noise, reasons, found.hidden, found.effects, kept.fuller
     )
 
 
-def _together(search: Search, every: Hypothesis, left: Hypothesis) -> Hypothesis | None:
-    """The hypothesis with all of several parts that are merely small, where together they are not."""
+@dataclass
+class _Kept:
+    """What is left of a hypothesis without the parts that are not borne out.
+
+    support: of each part that is left; dropped: part → why it is not borne out
+    fuller:  the hypothesis before the first of parts that are merely small, where these were dropped
+    """
+
+    best: Hypothesis
+    support: dict[str, Support] = field(default_factory=dict)
+    dropped: dict[str, str] = field(default_factory=dict)
+    fuller: Hypothesis | None = None
+
+
+def _borne_out(search: Search, best: Hypothesis) -> _Kept:
+    """Drop the weakest part that is not borne out, until every part is; small ones stay where together they gain."""
+    kept, of_fuller = _Kept(best), dict[str, Hypothesis]()
+    while kept.best.candidates:
+        best, without = kept.best, _without_each(search, kept.best)
+        kept.support = {}
+        for c in sorted(best.candidates, key=lambda c: without[c.name].fit.objective):  # the weakest first
+            kept.support[c.name] = _support(search, best, without[c.name])
+            if doubt := _doubt(search, best, c, kept.support[c.name]):
+                break
+        else:
+            break
+        kept.dropped[c.name], kept.best = doubt, without[c.name]
+        if not doubt.startswith(LITTLE):
+            kept.fuller = None
+        elif kept.fuller is None:
+            kept.fuller, of_fuller = best, without
+    if kept.fuller is None or not _stand_together(search, kept.fuller, kept.best):
+        return kept
+    every = kept.fuller
+    support = {c.name: _support(search, every, of_fuller[c.name]) for c in every.candidates}
+    return _Kept(every, support, {n: doubt for n, doubt in kept.dropped.items() if n not in every.names})
+
+
+def _stand_together(search: Search, every: Hypothesis, left: Hypothesis) -> bool:
+    """Whether several parts that are merely small gain enough together."""
     small = [c for c in every.candidates if c.name not in left.names]
-    gain = left.fit.objective - every.fit.objective
-    if len(small) < 2 or gain < search.cost(small):
-        return None
-    return every if steadiness(search.problem, every.fit, left.fit) > surely(search, every.fit) else None
+    if len(small) < 2 or left.fit.objective - every.fit.objective < search.cost(small):
+        return False
+    return steadiness(search.problem, every.fit, left.fit) > surely(search, every.fit)
 
 
 def surely(search: Search, f: Fit) -> float:
-    """How many times its scatter a gain must be for chance to be unlikely, with so many candidates on trial."""
+    """Return how many times its scatter a gain must be for chance to be unlikely, with so many candidates."""
     return beyond_chance(search.problem, f, search.on_trial)
 
 
 def _without_each(search: Search, h: Hypothesis) -> dict[str, Hypothesis]:
-    """The hypothesis without each of its parts, fitted to the end."""
+    """Fit the hypothesis without each of its parts to the end."""
 
     def one(c: Candidate) -> Hypothesis:
         left = tuple(other for other in h.candidates if other.name != c.name)
@@ -90,11 +107,9 @@ def _without_each(search: Search, h: Hypothesis) -> dict[str, Hypothesis]:
         if known and known.ended:
             return known
         made = search.hypothesis(left, h.fit, loosen=False, patient=False)
-        if (
-            made.fit.objective > search.reached_within(left) + NO_WORSE
-        ):  # the noise of `h` explains too little without it
-            made = search.hypothesis(left, h.fit)
-        return made
+        if made.fit.objective <= search.reached_within(left) + NO_WORSE:
+            return made
+        return search.hypothesis(left, h.fit)  # the noise of `h` explains too little without the part
 
     fitted = dict(zip((c.name for c in h.candidates), in_parallel(one, list(h.candidates)), strict=True))
     search.tried |= {f.names: f for f in fitted.values()}
@@ -110,10 +125,10 @@ def _support(search: Search, better: Hypothesis, worse: Hypothesis) -> Support:
 
 
 def _doubt(search: Search, h: Hypothesis, c: Candidate, s: Support) -> str:
-    """Why a part does not stand; empty where it does."""
+    """Return the reason why a part is not borne out; empty where it is."""
     if s.gain < search.cost([c]):
         return f"gains {s.gain:.1f}, less than the {search.cost([c]):.0f} that it costs"
-    if limits := [f.name for f in c.free if at_limit(h, f, search.problem.values)]:
+    if limits := _limits(h, [c], search.problem.values):
         return f"{limits[0]} is at its limit"
     if c.kind == "parameter":  # what logs left out say of it, they say to the base model too
         return "" if outside(search, h, c) else "is within its tolerance"
@@ -129,7 +144,7 @@ def _doubt(search: Search, h: Hypothesis, c: Candidate, s: Support) -> str:
 
 
 def outside(search: Search, h: Hypothesis, c: Candidate) -> bool:
-    """The interval of a base parameter is wholly beyond its tolerance."""
+    """Whether the interval of a base parameter is wholly beyond its tolerance."""
     (name,) = c.parameters
     held = {f.name: f.prior for f in search.free(()) if f.prior}
     if name not in held:
@@ -138,13 +153,13 @@ def outside(search: Search, h: Hypothesis, c: Candidate) -> bool:
 
 
 def beyond(f: Fit, name: str, prior: tuple[float, float]) -> bool:
-    """The 95 % interval of a base parameter is wholly further from its stated value than its tolerance."""
+    """Whether the 95 % interval of a base parameter is wholly further from its stated value than its tolerance."""
     mean, sigma = prior
     return abs(f.values[name] - mean) - NORMAL_95 * f.sigma(name) > WIDTHS * sigma
 
 
 def _rivals(search: Search, best: Hypothesis) -> tuple[Hypothesis, ...]:
-    """Other hypotheses that explain as well; of no more candidates, those too that would with other tolerances."""
+    """Return hypotheses that explain as well; of no more candidates, those too that would with other tolerances."""
     if not best.candidates:
         return ()
     near = [
@@ -202,13 +217,13 @@ def _with_tolerance(h: Hypothesis, times: float, weight: float) -> float:
 
 
 def loss_without(h: Hypothesis, c: Candidate, neutral: Mapping[str, float]) -> float:
-    """Log-likelihood that a hypothesis would lose without a part, by the information of its fit."""
+    """Return the log-likelihood that a hypothesis would lose without a part, by the information of its fit."""
     away = np.array([h.fit.values[f.name] - neutral[f.name] for f in c.free])
     return 0.5 * float(away @ h.fit.marginal(c.parameters) @ away)
 
 
 def noise_gain(problem: Problem, f: Fit) -> tuple[float, ...]:
-    """Log-likelihood that the unknown input of each forced equation gains in a fit."""
+    """Return the log-likelihood that the unknown input of each forced equation gains in a fit."""
     without = np.diag(problem.noise.smallest - f.noise.power) + f.noise.power
     return tuple(problem.scored(f.values, replace(f.noise, power=power)).nll - f.nll for power in without)
 
@@ -218,6 +233,11 @@ def at_limit(h: Hypothesis, f: Free, neutral: Mapping[str, float]) -> bool:
     value = h.fit.values[f.name]
     limits = f.low, f.high, h.fit.values.get(f.above)
     return value in limits and value not in (neutral[f.name], f.neutral)
+
+
+def _limits(h: Hypothesis, parts: Sequence[Candidate], neutral: Mapping[str, float]) -> list[str]:
+    """Return the parameters of some parts that are at a limit."""
+    return [f.name for c in parts for f in c.free if at_limit(h, f, neutral)]
 
 
 @dataclass(frozen=True)
@@ -232,22 +252,22 @@ class Reasons:
     dropped: Mapping[str, str]
 
     def all(self) -> dict[tuple[str, ...], str]:
-        """By the names of each."""
+        """Return the reasons by the names of each hypothesis."""
         return {h.names: self._reason(h) for h in self.tried if h.names != self.best.names}
 
     def _reason(self, h: Hypothesis) -> str:
-        """The first that applies."""
+        """Return the first reason that applies."""
         gained, behind = self.base.score - h.score, h.score - self.best.score
         than = " and ".join(self.best.names) or "the base model"
         if any(h.names == r.names for r in self.rivals):
             return f"a rival: explains as well as {than}"
-        if extra := [n for n in h.names if n in self.dropped and n not in self.best.names]:
+        if extra := [n for n in h.names if n in self.dropped]:
             return f"{extra[0]}: {self.dropped[extra[0]]}"
         if h.fit.objective >= self.base.fit.objective:
             return "no gain"
         if gained < 0.0:
             return "gains less than it costs"
-        if limits := [f.name for c in h.candidates for f in c.free if at_limit(h, f, self.search.problem.values)]:
+        if limits := _limits(h, h.candidates, self.search.problem.values):
             return f"{limits[0]} is at its limit"
         if behind < 0.0:
             return f"gains {-behind:.1f} on {than}, but not with every part borne out"

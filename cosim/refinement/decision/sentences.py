@@ -190,9 +190,7 @@ def calmer(part: str, found: Mapping[str, tuple[float, float]], units: Mapping[s
 
 def holds(names: Sequence[str], *, fitted: bool, file: str = NEAREST[0]) -> str:
     """What the nearest model holds: what was added, or nothing; fitted: base parameters are recalibrated."""
-    what = (
-        f"has {' and '.join(names)}" if names else "is the model recalibrated" if fitted else "is the model as it was"
-    )
+    what = f"has {' and '.join(names)}" if names else f"is the model {'recalibrated' if fitted else 'as it was'}"
     return f"{file}, which predicts logs left out best, {what}."
 
 
@@ -231,19 +229,13 @@ def claim(best: Hypothesis, candidates: Sequence[Candidate], subject: Subject) -
     parts: dict[str, list[str]] = {"effect": [], "parameter": [], "sensor": []}
     for c in candidates:
         values = ", ".join(_estimate(best, f, written(subject.declared[f.name].unit)) for f in c.free)
-        gone = all(
-            abs(best.fit.values[f.name] - f.neutral) <= NORMAL_95 * best.fit.sigma(f.name)
-            for f in c.free
-            if f.neutral is not None
-        )
-        note = "; the logs show none" if kind_within(c, subject) != c.kind and gone else ""
-        parts[kind_within(c, subject)].append(f"{c.name} ({values}{note})")
+        kind = kind_within(c, subject)
+        note = "; the logs show none" if kind != c.kind and not best.is_away(c, NORMAL_95) else ""
+        parts[kind].append(f"{c.name} ({values}{note})")
     openings = {"effect": "the model lacks", "parameter": "the model has a wrong", "sensor": "the sensors have"}
     text = "; ".join(f"{openings[kind]} {' and '.join(names)}" for kind, names in parts.items() if names)
-    moving = (
-        "" if best.fit.converged else " The fit was still moving when it was ended: these intervals are too narrow."
-    )
-    return f"{text[0].upper()}{text[1:]}.{moving}"
+    moving = " The fit was still moving when it was ended: these intervals are too narrow."
+    return f"{text[0].upper()}{text[1:]}.{'' if best.fit.converged else moving}"
 
 
 def _estimate(best: Hypothesis, f: Free, unit: str) -> str:

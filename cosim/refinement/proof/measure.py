@@ -54,11 +54,7 @@ def filtering(problem: Problem, subject: Subject, logs: Sequence[Log]) -> Proble
 
 
 def replays(
-    variant: Variant,
-    replayer: Replayer,
-    problem: Problem,
-    logs: Sequence[Log],
-    horizons: Sequence[float] = (),
+    variant: Variant, replayer: Replayer, problem: Problem, logs: Sequence[Log], horizons: Sequence[float] = ()
 ) -> dict[float, Evidence]:
     """Horizon → each log, its readings corrected, and its consecutive replays through what is delivered.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from operator import itemgetter
 from types import MappingProxyType
 
 import numpy as np
@@ -31,16 +32,16 @@ ErrorOf = Mapping[str, Channels]  # of replays before, recalibrated and after
 
 
 def held_against_replays(study: Study, a: Attribution, claims: Claims, found: Found, problem: Problem) -> Claims:
-    """The answer, its claim or that nothing is missing compared with replays of the estimation logs."""
-    within, single = _within_tolerances(a.base.fit), False
+    """Compare the answer, its claim or that nothing is missing, with replays of the estimation logs."""
+    within, single = not _beyond(a.base.fit), False
     if claims.name == "no_effect":
         error, floor = _replay_errors(study, a, claims, problem, found.heard)
         if missed := _missed(error["before"], floor):
             explained = within and not _missed(error["recalibrated"], floor)
-            claims = claims if explained else standing(claims, a, study.subject, found, missed)
+            claims = claims if explained else single_number(claims, a, study.subject, found, missed)
             single = True
     elif claims.name == "parameter_error" and claims.claimed and (others := _beyond(claims.claimed.fit)):
-        otherwise = standing(claims, a, study.subject, found, {})
+        otherwise = single_number(claims, a, study.subject, found, {})
         further = _moved(claims.claimed.fit, others)
         claims = otherwise if otherwise.claimed is not None else replace(claims, further=further)
     if claims.claimed is None:
@@ -48,13 +49,13 @@ def held_against_replays(study: Study, a: Attribution, claims: Claims, found: Fo
     error, floor = _replay_errors(study, a, claims, problem, found.heard)
     if single and (doubt := _still_missed(error, floor)):
         return claims.withdrawn(doubt)
-    return proven(claims, error, floor, a.support, recalibrated=within)
+    return checked_claim(claims, error, floor, a.support, recalibrated=within)
 
 
 def _replay_errors(
     study: Study, a: Attribution, claims: Claims, problem: Problem, heard: Array | None
 ) -> tuple[ErrorOf, Channels]:
-    """Error of replays before, recalibrated and after, and the last's floor, by the kernel: nothing is built yet."""
+    """Return errors of replays before, recalibrated and after, and the last's floor, by the kernel."""
     subject, settings = study.subject, study.settings
     refined = refined_subject(subject, settings, claims.claimed)
     variants = variants_of(subject, settings, a, claims.claimed, refined)
@@ -66,7 +67,7 @@ def _replay_errors(
 # -- a claim ----------------------------------------------------------------------------------
 
 
-def proven(
+def checked_claim(
     claims: Claims,
     error: ErrorOf,
     floor: Channels,
@@ -74,7 +75,7 @@ def proven(
     *,
     recalibrated: bool = True,
 ) -> Claims:
-    """The answer, its claim one of a part where replays still miss much, and none where they are no better for it.
+    """Grade a claim as one of a part where replays still miss much; withdraw it where they are no better for it.
 
     What takes away innovations a row ahead need not be what acts: the replay shows it.
     recalibrated: the base model is, within its tolerances; else it is no alternative
@@ -86,21 +87,20 @@ def proven(
     doubt = _still_missed(error, floor) if of_sensors else _plant_doubt(error, floor, effects=effects)
     if doubt:
         return claims.withdrawn(doubt)
-    left = _left(error, floor)
-    whole = claims.name != "ambiguous" and claims.grade == "claimed"
-    if whole and left and (worst := max(left, key=lambda n: left[n])) and left[worst] > PART:
-        if weak := tuple(n for n in claims.claimed.names if n in support and support[n].predicted < BETTER):
-            return claims.withdrawn(Doubt("unsteady", names=weak))
-        return replace(claims, grade="part", part=Part(worst, left[worst]))
-    return claims
+    if claims.name == "ambiguous" or claims.grade != "claimed":
+        return claims
+    worst, share = max(_left(error, floor).items(), key=itemgetter(1), default=("", 0.0))
+    if share <= PART:
+        return claims
+    if weak := tuple(n for n in claims.claimed.names if n in support and support[n].predicted < BETTER):
+        return claims.withdrawn(Doubt("unsteady", names=weak))
+    return replace(claims, grade="part", part=Part(worst, share))
 
 
 def _still_missed(error: ErrorOf, floor: Channels) -> Doubt | None:
     """Replays must be down to the noise with what leaves the equations as they are: a sensor's error, a number."""
-    if not (missed := _missed(error["after"], floor)):
-        return None
-    worst = max(missed, key=lambda n: missed[n])
-    return Doubt("missed", worst, missed[worst])
+    worst, times = max(_missed(error["after"], floor).items(), key=itemgetter(1), default=("", 0.0))
+    return Doubt("missed", worst, times) if worst else None
 
 
 def _plant_doubt(error: ErrorOf, floor: Channels, *, effects: bool) -> Doubt | None:
@@ -113,7 +113,7 @@ def _plant_doubt(error: ErrorOf, floor: Channels, *, effects: bool) -> Doubt | N
 
 
 def _left(error: ErrorOf, floor: Channels) -> dict[str, float]:
-    """Channel → share of the excess error that a claim leaves, where there was an excess."""
+    """Return the share of the excess error that a claim leaves on each channel with an excess."""
     shares = {n: excess_left(error["before"][n], error["after"][n], f) for n, f in floor.items()}
     return {n: x for n, x in shares.items() if not math.isnan(x)}
 
@@ -121,30 +121,35 @@ def _left(error: ErrorOf, floor: Channels) -> dict[str, float]:
 # -- that nothing is missing ------------------------------------------------------------------
 
 
-def standing(claims: Claims, a: Attribution, subject: Subject, found: Found, missed: Channels) -> Claims:
-    """`no_effect`, taken back where the model explains the logs only recalibrated beyond its tolerances.
+def single_number(claims: Claims, a: Attribution, subject: Subject, found: Found, missed: Channels) -> Claims:
+    """Claim a single number where the model explains the logs only recalibrated beyond its tolerances.
 
-    Then the one number that is off is claimed, or the gain of an input: what leaves all others within theirs. Where the
-    logs do not separate several of these, the best is claimed until an experiment does.
+    What is claimed, the one number that is off or the gain of an input, leaves all others within theirs. Where the logs
+    do not separate several of these, the best is claimed until an experiment does.
     missed: channel → how many times what noise makes the model as it stands misses it
     """
-    search, misfit = found.search, claims.misfit
-    single = [c for c in found.candidates if c.kind == "parameter" or c.gain]
-    # from numbers as stated: from where they are recalibrated a fit would have to follow what they share
-    stated = [search.hypothesis((c,), replace(a.base.fit, values=search.problem.values)) for c in single]
-    known = [h for c in single if (h := search.tried.get((c.name,))) and h.ended]
-    best = {h.names: h for h in sorted((*stated, *known), key=lambda h: -h.score)}
-    off = sorted((h for h in best.values() if _alone_off(search, h)), key=lambda h: h.score)
-    near = [h for h in off if h is off[0] or h.score - off[0].score < RIVAL]
+    misfit, near = claims.misfit, _alone_off(found, a.base)
     if len(near) > 1:
         names = tuple(n for h in near for n in h.names)
         experiment = experiment_for(subject, names)
         return Claims("ambiguous", near[0], names, experiment, misfit, claims.grade, apart=names)
     if near:
         return Claims(name_of(near[0].candidates, subject), near[0], misfit=misfit, grade="claimed")
-    worst, fit = max(missed, key=lambda n: missed[n], default=""), a.base.fit
+    worst, fit = max(missed.items(), key=itemgetter(1), default=("", 0.0)), a.base.fit
     moved = [x.name for x in fit.free if x.prior and not x.group and _is_far(fit.values[x.name], x.prior)]
-    return Claims("unexplained", misfit=misfit, missed=(worst, missed.get(worst, 0.0)), recalibrated=_moved(fit, moved))
+    return Claims("unexplained", misfit=misfit, missed=worst, recalibrated=_moved(fit, moved))
+
+
+def _alone_off(found: Found, base: Hypothesis) -> list[Hypothesis]:
+    """Return the hypotheses that one number, or one gain, is off, and no other, as near as the best of them."""
+    search = found.search
+    single = [c for c in found.candidates if c.kind == "parameter" or c.gain]
+    # from numbers as stated: from where they are recalibrated a fit would have to follow what they share
+    stated = [search.hypothesis((c,), replace(base.fit, values=search.problem.values)) for c in single]
+    known = [h for c in single if (h := search.tried.get((c.name,))) and h.ended]
+    best = {h.names: h for h in sorted((*stated, *known), key=lambda h: -h.score)}
+    off = sorted((h for h in best.values() if _is_off(search, h)), key=lambda h: h.score)
+    return [h for h in off if h is off[0] or h.score - off[0].score < RIVAL]
 
 
 def _is_far(value: float, prior: tuple[float, float]) -> bool:
@@ -153,32 +158,23 @@ def _is_far(value: float, prior: tuple[float, float]) -> bool:
 
 
 def _moved(f: Fit, names: Sequence[str]) -> tuple[Moved, ...]:
-    """Base parameters of a fit, stated and fitted."""
+    """Return base parameters of a fit, stated and fitted."""
     return tuple(Moved(x.name, x.prior[0], f.values[x.name]) for x in f.free if x.prior and x.name in names)
 
 
-def _alone_off(search: Search, h: Hypothesis) -> bool:
-    """The one number of a hypothesis is off, or its gain is none of 1, and no other number is."""
+def _is_off(search: Search, h: Hypothesis) -> bool:
+    """Whether the one number of a hypothesis is off, or its gain is none of 1, and no other number is."""
     (c,) = h.candidates
-    if c.kind == "parameter":
-        return outside(search, h, c) and _within_tolerances(h.fit)
-    moved = any(
-        f.neutral is not None and abs(h.fit.values[f.name] - f.neutral) > SIGNIFICANT * h.fit.sigma(f.name)
-        for f in c.free
-    )
-    return moved and _within_tolerances(h.fit)
-
-
-def _within_tolerances(f: Fit) -> bool:
-    """No base parameter is plainly further from its stated value than its tolerance."""
-    return not _beyond(f)
+    if _beyond(h.fit):
+        return False
+    return outside(search, h, c) if c.kind == "parameter" else h.is_away(c, SIGNIFICANT)
 
 
 def _beyond(f: Fit) -> list[str]:
-    """Base parameters that are plainly further from their stated values than their tolerances."""
+    """Return base parameters that are plainly further from their stated values than their tolerances."""
     return [x.name for x in f.free if x.prior and not x.group and beyond(f, x.name, x.prior)]
 
 
 def _missed(error: Channels, floor: Channels) -> dict[str, float]:
-    """Channels on which replays miss clearly more than noise makes, and how many times that."""
+    """Return channels on which replays miss clearly more than noise makes, and how many times that."""
     return {n: error[n] / f for n, f in floor.items() if f > 0.0 and error.get(n, 0.0) > COUNTS_FROM * f}

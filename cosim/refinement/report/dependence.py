@@ -11,7 +11,7 @@ import numpy as np
 
 from cosim.base.arrays import Array, Rows
 from cosim.estimation.problem import Problem
-from cosim.refinement.search.missing import Missing
+from cosim.refinement.search.missing import Smoothed
 from cosim.refinement.search.shapes import Shape, signals_of
 from cosim.subject.interface import Subject
 
@@ -27,20 +27,12 @@ class Regressor:
     values: Array
 
 
-def regressors(subject: Subject, problem: Problem, parts: Sequence[tuple[int, Missing]]) -> dict[str, Regressor]:
-    """Time, states that are filtered, commands, their rates, sums and differences, products of velocities.
-
-    parts: index of a log in the problem, and what was smoothed of it
-    """
-    names = problem.layout.states
-    time = np.concatenate([m.time for _, m in parts])
-    states = np.vstack([m.states for _, m in parts])
-    known = [Regressor("time", "s", time)]
-    base = [q for q in subject.states if q.name in names and _is_own(subject, q.name)]
-    reached = {names[k] for k in problem.layout.stochastic}
-    for q in base:
-        if q.name in reached:
-            known.append(Regressor(q.name, q.unit, _turned(states[:, names.index(q.name)], q.unit)))
+def regressors(subject: Subject, problem: Problem, parts: Smoothed) -> dict[str, Regressor]:
+    """Return time, states that are filtered, commands, their rates, sums and differences, products of velocities."""
+    signals, reached = signals_of(problem, parts), problem.layout.uncertain
+    own = [q for q in subject.states if q.name in reached and _is_own(subject, q.name)]
+    known = [Regressor("time", "s", signals["time"])]
+    known += [Regressor(q.name, q.unit, _turned(signals[q.name], q.unit)) for q in own]
     speeds = [s for s in known if s.unit in {"m/s", "rad/s"}]
     products = [
         Regressor(f"{b.name} · {a.name}", f"{b.unit} · {a.unit}", a.values * b.values)
@@ -60,13 +52,12 @@ def _turned(values: Array, unit: str) -> Array:
     return np.mod(values, 2.0 * np.pi) if unit == "rad" and np.ptp(values) > 2.0 * np.pi else values
 
 
-def _commands(subject: Subject, problem: Problem, parts: Sequence[tuple[int, Missing]]) -> list[Regressor]:
+def _commands(subject: Subject, problem: Problem, parts: Smoothed) -> list[Regressor]:
     """Commands that move, and of two of one unit the mean and the half difference, each with its rate."""
     columns, rates = [], []
     for index, m in parts:
         data = problem.logs[index]
-        first = round((m.time[0] - data.start) / data.step)
-        chosen = slice(first, first + len(m.time))
+        chosen = m.rows(data)
         columns.append(data.u[chosen])
         rates.append(np.gradient(data.u, data.step, axis=0)[chosen])
     u, du = np.vstack(columns), np.vstack(rates)
@@ -118,16 +109,14 @@ def choose(known: Mapping[str, Regressor], suggested: Sequence[str], values: Arr
     return known[max(names, key=lambda n: explained(values, known[n].values))]
 
 
-def local(
-    problem: Problem, parts: Sequence[tuple[int, Missing]], shape: Shape, sizes: Sequence[float]
-) -> tuple[Regressor, Array]:
+def local(problem: Problem, parts: Smoothed, shape: Shape, sizes: Sequence[float]) -> tuple[Regressor, Array]:
     """The signal that a local shape is over, and the term at the rows of some logs."""
     signals = signals_of(problem, parts)
     return Regressor(shape.signal, shape.unit, shape.over(signals)), shape.columns(signals) @ np.array(sizes)
 
 
 def nameless(
-    subject: Subject, problem: Problem, parts: Sequence[tuple[int, Missing]], term: Mapping[str, Any]
+    subject: Subject, problem: Problem, parts: Smoothed, term: Mapping[str, Any]
 ) -> tuple[Regressor, Array] | None:
     """The signal that a term of refine.json without a name depends on, and the term at the rows of some logs."""
     signal, coefficient = term["signal"], term["coefficient"]
@@ -137,19 +126,9 @@ def nameless(
     known = subject.nameless(signal)
     if known is None:
         return None
-    evaluate, depends = known
-    states = [q for q in subject.states if _is_own(subject, q.name)]
-    called = ["time", *(q.name for q in states), *(f"command {q.name}" for q in subject.inputs)]
-    unit_of = dict(zip(called, ["s", *(q.unit for q in (*states, *subject.inputs))], strict=True))
-    columns: dict[str, list[Array]] = {name: [] for name in called}
-    names, values = problem.layout.states, []
-    for index, m in parts:
-        data = problem.logs[index]
-        first = round((m.time[0] - data.start) / data.step)
-        u = data.u[first : first + len(m.time)]
-        x = [m.states[:, names.index(q.name)] for q in states]
-        values.append(np.broadcast_to(evaluate(m.time, *x, *u.T), m.time.shape))
-        for name, column in zip(called, (m.time, *x, *u.T), strict=True):
-            columns[name].append(column)
+    (evaluate, depends), signals = known, signals_of(problem, parts)
+    units = {"time": "s", **{q.name: q.unit for q in subject.states if _is_own(subject, q.name)}}
+    units |= {f"command {q.name}": q.unit for q in subject.inputs}
+    values = np.broadcast_to(evaluate(*(signals[name] for name in units)), signals["time"].shape)
     chosen = depends[0] if depends else "time"
-    return Regressor(chosen, unit_of[chosen], np.concatenate(columns[chosen])), coefficient * np.concatenate(values)
+    return Regressor(chosen, units[chosen], signals[chosen]), coefficient * values

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +13,17 @@ from cosim.estimation.problem import Problem
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.dependence import Regressor, choose, nameless, regressors
 from cosim.refinement.search.hypotheses import Hypothesis
-from cosim.refinement.search.missing import LOGS, MOST_ROWS, Filter, Missing, Steps, at_best, claimed, loosened, missing
+from cosim.refinement.search.missing import (
+    MOST_ROWS,
+    Filter,
+    Smoothed,
+    Steps,
+    at_best,
+    claimed,
+    loosened,
+    smoothed,
+    smoothed_logs,
+)
 from cosim.subject.candidates import Candidate
 from cosim.subject.interface import Subject
 
@@ -53,13 +63,10 @@ class Shown:
     @property
     def correlation(self) -> float:
         """Of what the data say with what the claim says."""
-        if (
-            self.term is None
-            or np.std(self.term) <= VARIES * np.sqrt(np.mean(self.term**2))
-            or not np.std(self.estimated)
-        ):
+        if self.term is None or not np.std(self.estimated):
             return float("nan")
-        return float(np.corrcoef(self.estimated, self.term)[0, 1])
+        varies = np.std(self.term) > VARIES * np.sqrt(np.mean(self.term**2))
+        return float(np.corrcoef(self.estimated, self.term)[0, 1]) if varies else float("nan")
 
     @property
     def share(self) -> float:
@@ -67,17 +74,16 @@ class Shown:
         if self.recorded is not None:
             return self.recorded
         power = float(np.mean(self.estimated**2))
-        return float("nan") if self.term is None or not power else 1.0 - float(
-            np.mean((self.estimated - self.term) ** 2)
-        ) / power  # fmt: skip
+        if self.term is None or not power:
+            return float("nan")
+        return 1.0 - float(np.mean((self.estimated - self.term) ** 2)) / power
 
 
 def shown(r: Refinement) -> list[Shown]:
     """One picture for each part of a claim; without a claim, one of what is left."""
     claim, base = r.verdict.claimed, r.attribution.base
-    logs = range(min(LOGS, len(r.problem.logs)))
     if claim is None:
-        return [_left(r, logs)] if r.verdict.name == "unexplained" else []
+        return [_left(r)] if r.verdict.name == "unexplained" else []
     pictures = []
     for candidate in claim.candidates:
         with_it = Filter(claim.fit.values, claim.fit.noise)
@@ -85,7 +91,7 @@ def shown(r: Refinement) -> list[Shown]:
         if len(claim.candidates) > 1:  # the others stay, so that what is missing is this one
             without = Filter(_without(claim, candidate, r.problem.values), base.fit.noise)
         picture = _reading if candidate.kind == "sensor" else _term
-        pictures.append(picture(r.study.subject, r.problem, candidate, without, with_it, logs))
+        pictures.append(picture(r.study.subject, r.problem, candidate, without, with_it))
     return pictures
 
 
@@ -94,23 +100,20 @@ def _without(claim: Hypothesis, candidate: Candidate, neutral: Mapping[str, floa
     return {**claim.fit.values, **{n: neutral[n] for n in candidate.parameters}}
 
 
-def _term(
-    subject: Subject, problem: Problem, c: Candidate, without: Filter, with_it: Filter, logs: Sequence[int]
-) -> Shown:
-    """The equation in which the claim is largest against what is known of the missing acceleration."""
-    parts = [(k, missing(problem, without, k)) for k in logs]
-    terms = np.vstack([claimed(problem, without, with_it, k) for k in logs])
-    value, sigma = (np.vstack([getattr(m, n) for _, m in parts]) for n in ("value", "sigma"))
+def _term(subject: Subject, problem: Problem, c: Candidate, without: Filter, with_it: Filter) -> Shown:
+    """Draw the equation in which the claim is largest against what is known of the missing acceleration."""
+    parts, _, sigma = smoothed(problem, without)
+    terms = np.vstack([claimed(problem, without, with_it, k) for k, _ in parts])
     column = int(np.argmax(np.sqrt(np.mean(terms**2, axis=0)) / np.median(sigma, axis=0)))
     against = choose(regressors(subject, problem, parts), subject.drawn_against.get(c.name, ()), terms[:, column])
-    return _picture(subject, parts, c.name, c.kind, column, against, value, sigma, terms[:, column])
+    picture = _picture(subject, parts, column, against)
+    return replace(picture, effect=c.name, kind=c.kind, term=terms[:, column])
 
 
-def _left(r: Refinement, logs: Sequence[int]) -> Shown:
-    """What the best hypothesis leaves, with the term without a name that promises most beside it."""
+def _left(r: Refinement) -> Shown:
+    """Draw what the best hypothesis leaves, with the term without a name that promises most beside it."""
     subject, problem, best = r.study.subject, r.problem, r.attribution.best.fit
-    parts = [(k, missing(problem, Filter(best.values, best.noise), k)) for k in logs]
-    value, sigma = (np.vstack([getattr(m, n) for _, m in parts]) for n in ("value", "sigma"))
+    parts, value, sigma = smoothed(problem, Filter(best.values, best.noise))
     residual, equations = r.verdict.residual, parts[0][1].equations
     column = int(np.argmax(value.std(axis=0) / np.median(sigma, axis=0)))
     if residual.get("equation") in equations:
@@ -118,47 +121,35 @@ def _left(r: Refinement, logs: Sequence[int]) -> Shown:
     first = next(iter(residual.get("terms", ())), None)
     drawn = nameless(subject, problem, parts, first) if first else None
     if first is None or drawn is None:
-        against = choose(regressors(subject, problem, parts), (), value[:, column])
-        return _picture(subject, parts, "", "nameless", column, against, value, sigma, None)
-    term = at_best(problem, best, logs, column, drawn[1], value[:, column])
-    picture = _picture(subject, parts, "", "nameless", column, drawn[0], value, sigma, term)
-    return replace(picture, effect=first["signal"], recorded=residual.get("share"))
+        return _picture(subject, parts, column, choose(regressors(subject, problem, parts), (), value[:, column]))
+    term = at_best(problem, best, column, drawn[1], value[:, column])
+    picture = _picture(subject, parts, column, drawn[0])
+    return replace(picture, effect=first["signal"], term=term, recorded=residual.get("share"))
 
 
-def _picture(
-    subject: Subject,
-    parts: Sequence[tuple[int, Missing]],
-    effect: str,
-    kind: str,
-    column: int,
-    against: Regressor,
-    value: Array,
-    sigma: Array,
-    term: Array | None,
-) -> Shown:
-    where = parts[0][1].equations[column]
-    unit = next((q.unit for q in subject.states if q.name == where), "")
-    time, first = np.concatenate([m.time for _, m in parts]), len(parts[0][1].time)
-    step = float(np.median(np.diff(parts[0][1].time))) if first > 1 else 1.0
-    return Shown(
-        effect, kind, where, _per_second(unit), against, time, value[:, column], sigma[:, column], term, first, step
-    )
+def _picture(subject: Subject, parts: Smoothed, column: int, against: Regressor) -> Shown:
+    """Draw what is missing in one equation, without a claim."""
+    where, logs = parts[0][1].equations[column], [m for _, m in parts]
+    unit = _per_second(next((q.unit for q in subject.states if q.name == where), ""))
+    first = len(logs[0].time)
+    step = float(np.median(np.diff(logs[0].time))) if first > 1 else 1.0
+    time = np.concatenate([m.time for m in logs])
+    value, sigma = (np.concatenate([getattr(m, of)[:, column] for m in logs]) for of in ("value", "sigma"))
+    return Shown("", "nameless", where, unit, against, time, value, sigma, None, first, step)
 
 
 def _per_second(unit: str) -> str:
     return {"m/s": "m/s2", "rad/s": "rad/s2"}.get(unit, f"{unit}/s")
 
 
-def _reading(
-    subject: Subject, problem: Problem, c: Candidate, without: Filter, with_it: Filter, logs: Sequence[int]
-) -> Shown:
+def _reading(subject: Subject, problem: Problem, c: Candidate, without: Filter, with_it: Filter) -> Shown:
     """A sensor's reading less what is there, along the refined estimate, against what its error comes of.
 
     That is the output itself, or how fast it moves where readings are late; otherwise what suits the error best. Of
     several outputs the one on which the error is largest is shown.
     """
     kind = next(k for k in subject.sensors if k.name == c.name)
-    parts = [_sensed(problem, c, with_it, index, late=kind.late) for index in logs]
+    parts = [_sensed(problem, c, with_it, index, late=kind.late) for index in smoothed_logs(problem)]
     first = len(parts[0].time)
     time = np.concatenate([p.time for p in parts])
     there, read, y, rate = (np.vstack([getattr(p, n) for p in parts]) for n in ("there", "read", "y", "rate"))
@@ -177,10 +168,8 @@ def _reading(
         known = {"time": Regressor("time", "s", time[rows]), **said}
         against = choose(known, subject.drawn_against.get(c.name, ()), term)
     sigma = np.full(len(term), float(np.sqrt(problem.r[channel])))
-    return Shown(
-        c.name, "sensor", name, unit[name], against, time[rows], missed, sigma, term, int(rows[:first].sum()),
-        problem.logs[logs[0]].step,
-    )  # fmt: skip
+    count, step = int(rows[:first].sum()), problem.logs[0].step
+    return Shown(c.name, "sensor", name, unit[name], against, time[rows], missed, sigma, term, count, step)
 
 
 @dataclass(frozen=True, eq=False)

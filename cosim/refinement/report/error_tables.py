@@ -117,24 +117,22 @@ def judged(r: Refinement) -> str:
     return "validation" if "validation" in r.record["error"]["before"] else "estimation"
 
 
-def _numbers(r: Refinement, part: str, name: str) -> tuple[float, float, float, float]:
-    """Before, recalibrated, after, floor."""
-    error = r.record["error"]
-    before, between, after = (float(error[v][part].get(name, math.nan)) for v in ("before", "recalibrated", "after"))
-    return before, between, after, float(r.record["noise_floors"].get(part, {}).get(name, math.nan))
+def _numbers(r: Refinement, part: str, name: str) -> list[float]:
+    """Return the errors before, recalibrated, after, of the floor, and of the nearest model; NaN for none."""
+    error, floors = r.record["error"], r.record["noise_floors"].get(part, {})
+    parts = [error[v][part] for v in ("before", "recalibrated", "after")]
+    parts += [floors, (error.get("nearest") or {}).get(part) or {}]
+    return [float(of.get(name, math.nan)) for of in parts]
 
 
 def _error_row(r: Refinement, part: str, name: str) -> ErrorRow:
-    numbers = _numbers(r, part, name)
-    before, _, after, floor = numbers
-    texts = [error_size(value, units(r).get(name, ""), after) for value in numbers]
+    before, _, after, floor, _ = numbers = _numbers(r, part, name)
+    *texts, near = (error_size(value, units(r).get(name, ""), after) for value in numbers)
     left = excess_left(before, after, floor)
     said = percent(max(0.0, left))
     if math.isnan(left):
         said = "within noise" if before < NOISE * floor else "under twice the floor" if floor else MISSING
-    near = float(((r.record["error"].get("nearest") or {}).get(part) or {}).get(name, math.nan))
-    said_near = error_size(near, units(r).get(name, ""), after) if math.isfinite(near) else MISSING
-    return ErrorRow(name, texts[0], texts[1], texts[2], texts[3], said, _marks(before, after, floor), said_near)
+    return ErrorRow(name, texts[0], texts[1], texts[2], texts[3], said, _marks(before, after, floor), near)
 
 
 def _marks(before: float, after: float, floor: float) -> Marks | None:
@@ -155,7 +153,7 @@ def second_sentence(r: Refinement) -> str:
     where = f"On sealed {what}" if part == "validation" else f"On the {what} that were learnt from (none are sealed)"
     ratios = {}
     for name in r.record["error"]["before"][part]:
-        before, _, after, floor = _numbers(r, part, name)
+        before, _, after, *_ = _numbers(r, part, name)
         if before > 0 and after > 0 and math.isfinite(before + after):
             ratios[name] = after / before
     if not ratios:
@@ -163,7 +161,7 @@ def second_sentence(r: Refinement) -> str:
     if r.verdict.claimed is None:
         return _unchanged(r, part, where)
     name = min(ratios, key=lambda n: ratios[n])
-    before, _, after, floor = _numbers(r, part, name)
+    before, _, after, floor, _ = _numbers(r, part, name)
     said = [error_size(v, units(r).get(name, ""), after) for v in (before, after, floor)]
     verb = "fell from" if after < before else "went from"
     lead = f"{where} the error of {name}{_over(r)} {verb} {said[0]} to {said[1]}"
@@ -188,16 +186,13 @@ def _unchanged(r: Refinement, part: str, where: str) -> str:
     """How far the model as it stands is from its noise floor."""
     worst, ratio = "", 0.0
     for name in r.record["error"]["before"][part]:
-        _, _, after, floor = _numbers(r, part, name)
+        *_, after, floor, _ = _numbers(r, part, name)
         if floor > 0 and after / floor > ratio:
             worst, ratio = name, after / floor
     if not worst:
         return ""
-    _, _, after, floor = _numbers(r, part, worst)
-    said = [error_size(v, units(r).get(worst, ""), after) for v in (after, floor)]
-    near = float(((r.record["error"].get("nearest") or {}).get(part) or {}).get(worst, math.nan))
-    beside = ""
-    if near < after:
-        beside = f", and nearest.yaml by {error_size(near, units(r).get(worst, ''), after)}"
+    *_, after, floor, near = _numbers(r, part, worst)
+    said = [error_size(v, units(r).get(worst, ""), after) for v in (after, floor, near)]
+    beside = f", and nearest.yaml by {said[2]}" if near < after else ""
     lead = f"{where} the model, unchanged, misses {worst} by {said[0]}{_over(r)}{beside}"
     return f"{lead}{_causes(r, said[0], said[1], above=floor > after)}"

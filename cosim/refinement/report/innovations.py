@@ -71,7 +71,11 @@ def _channel(
     edge = np.full(both[0][0].size, NORMAL_95)
     panel = Panel(f"Innovation of {channel}", "σ", traces, Band("95 % of what is expected", -edge, edge))
     plots = drawing.plots([panel])[0], over.plots([_autocorrelation(channel, tests, names, over)])[0]
-    return _row(channel, [np.concatenate(parts) for parts in both], tests, plots)
+    size = [plain(rmse(np.concatenate(parts)), 2) for parts in both]
+    rho = [neighbours(t) for t in tests]
+    white = [MISSING if np.isnan(t.p_value) else "yes" if t.white else "no" for t in tests]
+    tells = not all(t.white for t in tests)
+    return WhitenessRow(channel, (size[0], size[1]), (rho[0], rho[1]), (white[0], white[1]), tells, plots)
 
 
 def _innovations(r: Refinement, values: dict[str, float], noise: Noise, index: int) -> Array:
@@ -97,11 +101,3 @@ def _autocorrelation(channel: str, tests: Sequence[Whiteness], names: Sequence[s
     ]
     width = np.full(rows.size, tests[1].band if np.isfinite(tests[1].band) else 0.0)
     return Panel(f"Autocorrelation of {channel}", "1", traces, Band("95 % band if white", -width, width))
-
-
-def _row(channel: str, parts: Sequence[Array], tests: Sequence[Whiteness], plots: tuple[Plot, ...]) -> WhitenessRow:
-    size = [plain(rmse(p), 2) for p in parts]
-    rho = [neighbours(t) for t in tests]
-    white = [MISSING if np.isnan(t.p_value) else "yes" if t.white else "no" for t in tests]
-    tells = not all(t.white for t in tests)
-    return WhitenessRow(channel, (size[0], size[1]), (rho[0], rho[1]), (white[0], white[1]), tells, plots)

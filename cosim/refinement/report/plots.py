@@ -104,7 +104,7 @@ def _windows(time: Array, starts: Array, horizon: float, panel: Panel) -> Band |
 
 def against_signal(s: Shown, charts: Charts) -> Plot:
     """Means of what the data say, with 95 % bars, and the claimed term."""
-    unit, factor = _fitting(s)
+    unit, factor = display(s.unit)
     shown, scale = display(s.against.unit)
     x = s.against.values * scale
     low, high = extent([x]) or (0.0, 1.0)
@@ -129,7 +129,7 @@ def against_signal(s: Shown, charts: Charts) -> Plot:
 
 def over_time(s: Shown, charts: Charts) -> Plot:
     """A close-up of the first log, where the claim moves most."""
-    unit, factor = _fitting(s)
+    unit, factor = display(s.unit)
     count = max(2, min(s.first, round(CLOSE_UP * slowness(s.step) / s.step)))
     signal = s.estimated if s.term is None else s.term
     power = np.convolve((signal[: s.first] - signal[: s.first].mean()) ** 2, np.ones(count), "valid")
@@ -151,10 +151,6 @@ def axis_label(s: Shown) -> str:
 
 def _what(s: Shown) -> str:
     return f"{s.what[0].upper()}{s.what[1:]}"
-
-
-def _fitting(s: Shown) -> tuple[str, float]:
-    return display(s.unit)
 
 
 def _standard_error(s: Shown, rows: Rows) -> float:

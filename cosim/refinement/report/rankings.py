@@ -9,10 +9,10 @@ from typing import Any
 
 from cosim.base.text import amount, display, joined, plain
 from cosim.logs.channel_noise import NORMAL_95
-from cosim.model.quantities import Parameter
 from cosim.refinement.proof.refined_models import refined_subject
 from cosim.refinement.refinement import Refinement
-from cosim.subject.candidates import Candidate, Free
+from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.subject.candidates import Free
 
 SHOWN_SINGLES = 8
 SHOWN_PAIRS = 15
@@ -83,9 +83,9 @@ def ranked(r: Refinement) -> tuple[list[Ranked], list[Ranked], list[Ranked]]:
 def _ranked(r: Refinement, row: Mapping[str, Any], best: float, claimed: Sequence[str]) -> Ranked:
     gain = _gain(row)
     chosen = tuple(row["names"]) == tuple(claimed)
-    declared = _declared(r)
+    declared = r.study.subject.declared
     fitted = ", ".join(
-        f"{_short(n, row['names'])} = {_value(float(v), declared[n].unit if n in declared else '')}"
+        f"{_short(n, row['names'])} = {amount(float(v), declared[n].unit if n in declared else '', 4)}"
         for n, v in row["parameters"].items()
     )
     width = round(100 * max(0.0, gain) / best, 1) if best > 0 else 0.0
@@ -93,7 +93,7 @@ def _ranked(r: Refinement, row: Mapping[str, Any], best: float, claimed: Sequenc
 
 
 def _why(r: Refinement, row: Mapping[str, Any]) -> str:
-    """Why a hypothesis is, or is not, the answer."""
+    """Return the reason why a hypothesis is, or is not, the answer."""
     if r.verdict.name == "ambiguous" and row["why"] == "claimed":
         return "fits best, by a hair"
     return str(row["why"])
@@ -111,47 +111,42 @@ def _short(name: str, owners: Sequence[str]) -> str:
     return own or "value"
 
 
-def _value(value: float, unit: str, digits: int = 4) -> str:
-    return amount(value, unit, digits)
-
-
 # -- parameters -------------------------------------------------------------------------------
 
 
-def _declared(r: Refinement) -> Mapping[str, Parameter]:
-    """Every parameter by name."""
-    return r.study.subject.declared
-
-
 def parameter_tables(r: Refinement) -> list[ParameterTable]:
-    """What was added, and what was recalibrated with it."""
+    """Return the tables of what was added, and of what was recalibrated with it."""
     hypothesis = r.verdict.claimed or r.attribution.base
     own = {n for c in hypothesis.candidates for n in c.parameters}
-    names: dict[bool, list[ParameterRow]] = {True: [], False: []}
-    for free in (f for f in hypothesis.fit.free if not f.group):
-        names[free.name in own].append(_parameter_row(r, free, hypothesis.fit.values[free.name], hypothesis.candidates))
-    added = ParameterTable(
-        "What was added" if r.verdict.name != "parameter_error" else "What was wrong",
-        "The bar is the 95 % interval, the dashed line the neutral value or the data sheet.", "Neutral",
-        tuple(names[True]),
-    )  # fmt: skip
-    subject, settings = r.study.subject, r.study.settings
-    refined = refined_subject(subject, settings, hypothesis).values
-    alone = hypothesis.of_sensors and all(
-        refined[n] == value for n, value in subject.values.items() if n not in subject.sensor_parameters
-    )
-    note = "The model keeps its own: a sensor's error is none of the plant's." if alone else ""
-    rest = ParameterTable(
-        f"Base parameters, {'fitted beside it' if note else 'recalibrated'}",
-        note or "Held to the data sheet: within its tolerance is no discovery.", "Data sheet", tuple(names[False]),
-    )  # fmt: skip
-    return [t for t in (added, rest) if t.rows]
+    added: list[ParameterRow] = []
+    rest: list[ParameterRow] = []
+    for free in hypothesis.fit.free:
+        if not free.group:
+            rows = added if free.name in own else rest
+            rows.append(_parameter_row(r, free, hypothesis))
+    title = "What was added" if r.verdict.name != "parameter_error" else "What was wrong"
+    note = "The bar is the 95 % interval, the dashed line the neutral value or the data sheet."
+    tables = [ParameterTable(title, note, "Neutral", tuple(added))]
+    if _stays(r, hypothesis):
+        title, note = "fitted beside it", "The model keeps its own: a sensor's error is none of the plant's."
+    else:
+        title, note = "recalibrated", "Held to the data sheet: within its tolerance is no discovery."
+    tables.append(ParameterTable(f"Base parameters, {title}", note, "Data sheet", tuple(rest)))
+    return [t for t in tables if t.rows]
 
 
-def _parameter_row(r: Refinement, free: Free, value: float, candidates: Sequence[Candidate]) -> ParameterRow:
-    declaration = _declared(r)[free.name]
+def _stays(r: Refinement, hypothesis: Hypothesis) -> bool:
+    """Whether the refined subject has the base parameters of the subject: a sensor alone is wrong."""
+    subject = r.study.subject
+    refined = refined_subject(subject, r.study.settings, hypothesis).values
+    base = {n: value for n, value in subject.values.items() if n not in subject.sensor_parameters}
+    return hypothesis.of_sensors and base.items() <= refined.items()
+
+
+def _parameter_row(r: Refinement, free: Free, hypothesis: Hypothesis) -> ParameterRow:
+    """Return the row of an estimate."""
+    declaration, value = r.study.subject.declared[free.name], hypothesis.fit.values[free.name]
     unit = declaration.unit
-    hypothesis = r.verdict.claimed or r.attribution.base
     sigma, known = hypothesis.fit.sigma(free.name), float(r.problem.values[free.name])
     shaping = "." in free.name and declaration.neutral is None
     low, high = value - NORMAL_95 * sigma, value + NORMAL_95 * sigma
@@ -159,17 +154,16 @@ def _parameter_row(r: Refinement, free: Free, value: float, candidates: Sequence
     room = 0.12 * (most - least) or 0.1 * abs(value) or 1.0
     least, most = max(free.low, least - room), min(free.high, most + room)
     digits = _digits(value, sigma)
-    neutral = f"{_value(known, unit)}{' (start)' if shaping else ''}"
+    neutral = f"{amount(known, unit, 4)}{' (start)' if shaping else ''}"
 
     def at(x: float) -> float:
         return round(100 * min(1.0, max(0.0, (x - least) / (most - least))), 2) if most > least else 50.0
 
-    return ParameterRow(
-        free.name, neutral, _value(value, unit, digits),
-        f"{_value(low, '', digits) if not unit else _bare(low, unit, digits)} … {_value(high, unit, digits)}",
-        f"{_bare(free.low, unit, 3)} … {_value(free.high, unit, 3)}",
-        at(known), at(low), round(at(high) - at(low), 2), at(value),
-    )  # fmt: skip
+    lowest = _bare(low, unit, digits) if unit else amount(low, "", digits)
+    interval = f"{lowest} … {amount(high, unit, digits)}"
+    bounds = f"{_bare(free.low, unit, 3)} … {amount(free.high, unit, 3)}"
+    places = at(known), at(low), round(at(high) - at(low), 2), at(value)
+    return ParameterRow(free.name, neutral, amount(value, unit, digits), interval, bounds, *places)
 
 
 def _bare(value: float, unit: str, digits: int) -> str:

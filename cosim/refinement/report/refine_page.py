@@ -6,7 +6,7 @@ import hashlib
 import math
 import platform
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -264,10 +264,9 @@ def _provenance(r: Refinement) -> list[Row]:
     for name, what in (("model.yaml", "Refined model"), ("plant.fmu", "Refined FMU")):
         if (file := r.folder / name).is_file():
             rows.append(Row(what, str(file), _digest(file)))
-    known = study.subject.sensor_parameters
-    if any(study.subject.values[n] != float(p.default) for n, p in known.items()) or any(
-        c.kind == "sensor" for c in _parts(r)
-    ):
+    known, claim = study.subject.sensor_parameters, r.verdict.claimed
+    stated = any(study.subject.values[n] != float(p.default) for n, p in known.items())
+    if stated or any(c.kind == "sensor" for c in (claim.candidates if claim else ())):
         rows.append(Row("Sensors", "errors stand in model.yaml; the FMU says what is there, not what is read"))
     return [*rows, Row("Made by", f"cosim {__version__}, Python {platform.python_version()}, numpy {np.__version__}")]
 
@@ -281,10 +280,6 @@ def _inputs(r: Refinement) -> list[Row]:
     likelier = "likelier" if gain is not None and gain > 0.0 else "less likely"
     by = "" if gain is None else f"the other way the logs are {likelier} by {plain(abs(gain))} in log-likelihood"
     return [Row("Inputs between rows", ", ".join(f"{name} {way}" for name, way in inputs["taken"].items()), by)]
-
-
-def _parts(r: Refinement) -> Sequence[Any]:
-    return r.verdict.claimed.candidates if r.verdict.claimed else ()
 
 
 def _log_row(label: str, log: Log) -> Row:

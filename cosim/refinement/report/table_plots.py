@@ -88,41 +88,47 @@ def _plots(r: Refinement, charts: Charts, of: Mapping[str, Evidence], name: str)
     fine, scale = finer(log.units[name], max(rmse(e) for _, e in errors.values()))
     plots: list[Drawn] = []
     for q in varied or r.study.subject.inputs[:1]:
-        x, alone = log.inputs[q.name], len(varied) < 2
+        axis, alone = _axis(log, q), len(varied) < 2
         if not plots:
             whole = [("measured", "estimate dots", reading)]
             whole += [(n, style, reading - e) for n, (style, e) in errors.items()]
             drawn = [(n, s, v * times) for n, s, v in whole]
-            plots.append(_over(charts, name, unit, _axis(log, q), x, drawn, alone))
+            plots.append(_over(charts, name, unit, axis, drawn, alone))
         left = [(n, f"{style} dots", e * scale) for n, (style, e) in errors.items()]
-        plots.append(_over(charts, f"{name}: measured − model", fine, _axis(log, q), x, left, alone))
+        plots.append(_over(charts, f"{name}: measured − model", fine, axis, left, alone))
     return plots
 
 
-def _axis(log: Log, q: Quantity) -> tuple[str, str, float]:
-    """Name of an input, its unit as the table was written or as usual, and what its values are multiplied by."""
-    scale = factor(log.written[q.name], q.unit or log.units[q.name]) if log.written.get(q.name) else None
-    return (q.name, log.written[q.name], 1.0 / scale) if scale else (q.name, *display(q.unit))
+@dataclass(frozen=True, eq=False)
+class _Axis:
+    """An input, its unit as the table was written or as usual, its values, and what they are multiplied by."""
+
+    name: str
+    unit: str
+    values: Array
+    scale: float
+
+
+def _axis(log: Log, q: Quantity) -> _Axis:
+    """Return the axis of an input."""
+    written, values = log.written.get(q.name), log.inputs[q.name]
+    if written and (scale := factor(written, q.unit or log.units[q.name])):
+        return _Axis(q.name, written, values, 1.0 / scale)
+    unit, scale = display(q.unit)
+    return _Axis(q.name, unit, values, scale)
 
 
 def _over(
-    charts: Charts,
-    title: str,
-    unit: str,
-    axis_of: tuple[str, str, float],
-    x: Array,
-    traces: Sequence[tuple[str, str, Array]],
-    alone: bool,
+    charts: Charts, title: str, unit: str, axis: _Axis, traces: Sequence[tuple[str, str, Array]], alone: bool
 ) -> Drawn:
-    """Rows in the order of an input: dots, and lines where it is the only one that varies."""
-    name, shown, scale = axis_of
-    order = np.argsort(x, kind="stable")
-    places = x[order] * scale
+    """Draw rows in the order of an input: dots, and lines where it is the only one that varies."""
+    order, shown = np.argsort(axis.values, kind="stable"), axis.unit or "1"
+    places = axis.values[order] * axis.scale
     panel = [
         Trace(label, values[order], style if alone or "dots" in style else f"{style} dots")
         for label, style, values in traces
     ]
     low, high = float(places.min()), float(places.max())
     room = 0.03 * (high - low) or 0.1 * abs(high) or 1.0
-    drawing = charts.over(places, len(panel), Abscissa((name, shown or "1"), (low - room, high + room)))
-    return Drawn(drawing.plots([Panel(title, unit or "1", panel)])[0], f"{name} [{shown or '1'}]")
+    drawing = charts.over(places, len(panel), Abscissa((axis.name, shown), (low - room, high + room)))
+    return Drawn(drawing.plots([Panel(title, unit or "1", panel)])[0], f"{axis.name} [{shown}]")

@@ -8,9 +8,9 @@ more. So one of several missing effects that alone fits with a wrong sign, or in
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import combinations
+from itertools import chain, combinations
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from cosim.estimation.sensor_noise import stamps_err
 from cosim.refinement.decision.evidence import scatter
 from cosim.refinement.decision.judgement import SIGNIFICANT, loss_without
 from cosim.refinement.search.fits import SCREEN_ITERATIONS, Found, Progress, Search, Trial, key_of
-from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.refinement.search.hypotheses import Hypothesis, leading
 from cosim.subject.candidates import Candidate
 from cosim.subject.interface import Subject
 
@@ -57,43 +57,43 @@ class Attributor:
         self.identifiable: dict[str, float] = {}
 
     def run(self) -> Found:
-        """Base fit, rounds, finalists."""
+        """Fit the base, then rounds of sets, then the finalists."""
         search = self.search
         self.progress("recalibrating the base model", 0.0)
-        base = self._timed(self._heard(search.hypothesis((), None)))
+        base = self._with_stamp_errors(self._with_stated_noise(search.hypothesis((), None)))
         search.tried[()] = base
         search.reached = base.fit.objective
         search.problem = replace(search.problem, sensing=base.fit.noise)
-        best, idle = self._scattered(base), 0
+        best, idle = self._rescore(base), 0
         for number in range(ROUNDS):
-            proposed = self._proposed(best)
+            proposed = self._proposals(best)
             if not proposed:
                 break
             stage = "trying every effect, sensor and parameter" if number == 0 else "looking for what is missing beside"
             fitted = search.fit_all(proposed, best, stage, NEAR)
-            reduced = search.fit_all(self._reduced(fitted), best, "leaving out what does nothing", NEAR)
-            before, best = best.score, min((best, *fitted, *reduced), key=lambda h: h.score)
+            reduced = search.fit_all(self._reductions(fitted), best, "leaving out what does nothing", NEAR)
+            before, best = best.score, leading((best, *fitted, *reduced))
             if best.score > before - DONE:
                 idle += 1
                 if idle > 1:
                     break
             else:
                 idle = 0
-                best = self._leading(self._settled(best))
-        return self._decided(base, best)
+                best = self._leader(self._with_own_noise(best))
+        return self._finish(base, best)
 
-    def _settled(self, h: Hypothesis) -> Hypothesis:
-        """The best with noise of its own; what was fitted beside it with that of the last is taken to gain as much."""
+    def _with_own_noise(self, h: Hypothesis) -> Hypothesis:
+        """Fit the best with noise of its own; hypotheses fitted with that of the last are taken to gain as much."""
         search = self.search
         (settled,) = search.fit_again([h], SETTLING)
-        settled = self._timed(settled)
+        settled = self._with_stamp_errors(settled)
         further = h.score - settled.score
         search.tried = {n: replace(o, score=o.score - further) for n, o in search.tried.items()}
         search.tried[settled.names] = settled
-        return self._scattered(settled)
+        return self._rescore(settled)
 
-    def _scattered(self, h: Hypothesis) -> Hypothesis:
-        """The hypothesis, and what candidates cost beside it where equations are trusted: what is left is not white."""
+    def _rescore(self, h: Hypothesis) -> Hypothesis:
+        """Score anew what candidates cost where equations are trusted: what the hypothesis leaves is not white."""
         search = self.search
         if not search.problem.trusted:
             return h
@@ -103,12 +103,12 @@ class Attributor:
         }
         return replace(h, score=h.fit.objective + search.cost(h.candidates))
 
-    def _leading(self, best: Hypothesis) -> Hypothesis:
-        """The best, or what has been tried and leads now that candidates cost otherwise."""
-        return min((best, *self.search.tried.values()), key=lambda h: h.score) if self.search.problem.trusted else best
+    def _leader(self, best: Hypothesis) -> Hypothesis:
+        """Return the best, or the hypothesis that leads now that candidates cost otherwise."""
+        return leading((best, *self.search.tried.values())) if self.search.problem.trusted else best
 
-    def _heard(self, base: Hypothesis) -> Hypothesis:
-        """The base fit; with the stated noise of sensors in which the logs show next to none: it may stand for more."""
+    def _with_stated_noise(self, base: Hypothesis) -> Hypothesis:
+        """Fit with the stated noise those sensors in which the logs show next to none: it may stand for more."""
         search, problem = self.search, self.search.problem
         low = base.fit.noise.like(problem.limits.low).sensors
         silent = problem.stated & problem.adjusted & (base.fit.noise.sensors <= low + SILENT)
@@ -120,8 +120,8 @@ class Attributor:
         start = replace(base.fit, noise=replace(base.fit.noise, sensors=sensors))
         return search.hypothesis((), start)
 
-    def _timed(self, h: Hypothesis) -> Hypothesis:
-        """The hypothesis, fitted with stamps that err where innovations are larger the faster readings change."""
+    def _with_stamp_errors(self, h: Hypothesis) -> Hypothesis:
+        """Fit with time stamps that err where innovations are larger the faster readings change."""
         search = self.search
         problem, noise = search.problem, h.fit.noise
         late = stamps_err(problem, h.fit)
@@ -134,53 +134,48 @@ class Attributor:
         timed = search.hypothesis(h.candidates, start, loosen=False)
         return timed if timed.fit.objective < h.fit.objective else h
 
-    def _proposed(self, best: Hypothesis) -> list[Trial]:
-        """The sets that promise most about a hypothesis, not tried yet, each with where its fit should start."""
-        search, parts = self.search, {c.name: c for c in self.candidates}
-        test = ScoreTest(search.problem, best.fit, best.candidates)
+    def _proposals(self, best: Hypothesis) -> list[Trial]:
+        """Return the sets that promise most about a hypothesis, not tried yet, each with where its fit should start."""
+        test = ScoreTest(self.search.problem, best.fit, best.candidates)
         self.progress("asking what every candidate promises", 0.0)
         terms: list[Terms] = in_parallel(test.terms, list(self.candidates))
         for t in terms:
             name = t.candidate.name
             self.identifiable[name] = max(t.identifiable, self.identifiable.get(name, 0.0))
-        grown = [t for t in terms if not t.switched or t.candidate.name in best.names]
-        choice = Choice(test, grown, best.candidates, search.problem.values)
-        ranked: list[tuple[float, tuple[str, ...], Mapping[str, float]]] = []
+        switched = {t.candidate.name: t.candidate for t in terms if t.switched and t.candidate.name not in best.names}
+        grown = [t for t in terms if t.candidate.name not in switched]
+        ranking = self._ranking(Choice(test, grown, best.candidates, self.search.problem.values), best)
+        return [*(trial for _, trial in ranking[:FITTED]), *(((*best.candidates, c), None) for c in switched.values())]
+
+    def _ranking(self, choice: Choice, best: Hypothesis) -> list[tuple[float, Trial]]:
+        """Return the sets near a hypothesis that are worth a fit, with the scores that they promise, the best first."""
+        search, parts, ranking = self.search, {c.name: c for c in self.candidates}, []
         for names in self._sets(choice, best):
             if tuple(sorted(names)) in search.tried:
                 continue
-            promise = choice.promise(names)
-            dearer = search.cost([parts[n] for n in names]) - search.cost(best.candidates)
+            promise, candidates = choice.promise(names), tuple(parts[n] for n in names)
+            dearer = search.cost(candidates) - search.cost(best.candidates)
             worth = HOPE * promise.gain > dearer if dearer > 0.0 else promise.gain > dearer - NEAR
             if promise.within and worth:
-                ranked.append((best.score - promise.gain + dearer, names, promise.values))
-        ranked.sort(key=lambda one: one[0])
-        chosen = ranked[:FITTED]
-        proposed: list[Trial] = [(tuple(parts[n] for n in names), values) for _, names, values in chosen]
-        switched = [t.candidate for t in terms if t.switched and t.candidate.name not in best.names]
-        proposed += [((*best.candidates, c), None) for c in switched]
-        return proposed
+                ranking.append((best.score - promise.gain + dearer, (candidates, promise.values)))
+        return sorted(ranking, key=lambda entry: entry[0])
 
     def _sets(self, choice: Choice, best: Hypothesis) -> Iterator[tuple[str, ...]]:
-        """Sets near a hypothesis: with one or two more, with one in place of another, with one less."""
-        standing = list(best.names)
-        others = [name for name in choice.terms if name not in standing]
-        gains = {name: choice.promise([*standing, name]) for name in others}
-        first = sorted((n for n in others if gains[n].within), key=lambda n: -gains[n].gain)
-        alone = sorted(others, key=lambda n: -gains[n].gain)[:AMONG]
-        yield from ((*standing, name) for name in first)
-        for count in range(2, TOGETHER + 1 if not standing else 3):
-            yield from ((*standing, *more) for more in combinations(alone, count))
-        for gone in standing:
-            if choice.terms[gone].candidate.kind == "parameter":
-                continue
-            left = [name for name in standing if name != gone]
-            yield tuple(left)
-            yield from ((*left, name) for name in others)
-            yield from ((*left, *more) for more in combinations(alone[: AMONG // 2], 2))
+        """Yield sets near a hypothesis: with one or more beside it, with one or two in place of another, one less."""
+        others = [name for name in choice.terms if name not in best.names]
+        promises = choice.beside(best.names)
+        ranked = list(promises)
+        yield from ((*best.names, name) for name in ranked if promises[name].within)
+        for count in range(2, 3 if best.names else TOGETHER + 1):
+            yield from ((*best.names, *more) for more in combinations(ranked[:AMONG], count))
+        for part in best.names:
+            if choice.terms[part].candidate.kind != "parameter":
+                rest = [name for name in best.names if name != part]
+                likely = combinations(ranked[: AMONG // 2], 2)
+                yield from ((*rest, *more) for more in chain([()], combinations(others, 1), likely))
 
-    def _reduced(self, fitted: Sequence[Hypothesis]) -> list[Trial]:
-        """Of each fit, what is left without the parts that gain less than they cost."""
+    def _reductions(self, fitted: Sequence[Hypothesis]) -> list[Trial]:
+        """Return each fit without the parts that gain less than they cost."""
         sets: dict[tuple[str, ...], Trial] = {}
         for h in fitted:
             neutral = self.search.problem.values
@@ -189,77 +184,80 @@ class Attributor:
                 sets[key_of(kept)] = kept, {n: h.fit.values[n] for c in kept for n in c.parameters}
         return list(sets.values())
 
-    def _decided(self, base: Hypothesis, best: Hypothesis) -> Found:
-        """Base, best and what comes near it, fitted to the end at the model's own substeps; base and best of these."""
+    def _finish(self, base: Hypothesis, best: Hypothesis) -> Found:
+        """Fit base, best and what comes near it to the end, at the model's own substeps; return the best of these."""
         search = self.search
         self.progress("fitting the best to the end", 0.0)
         search.problem = replace(self._fine_enough(best), sensing=best.fit.noise, scatter=search.problem.scatter)
-        (again,) = search.fit_again([base], only=True) if best.candidates else [base]
-        (best,) = search.fit_again([best])
-        again, best = again if best.candidates else best, self._scattered(best)
-        if (leading := self._leading(best)) is not best:
-            best = min((best, *search.fit_again([leading])), key=lambda h: h.score)
-        best = self._replaced(self._enlarged(best))
+        if best.candidates:
+            (again,), (best,) = search.fit_again([base], only=True), search.fit_again([best])
+        else:
+            (again,) = (best,) = search.fit_again([best])
+        best = self._rescore(best)
+        if (ahead := self._leader(best)) is not best:
+            best = leading((best, *search.fit_again([ahead])))
+        best = self._with_replacement(self._with_addition(best))
         search.reached = again.fit.objective
         for _ in range(2):  # one that comes out best has rivals of its own
-            beside = [h for h in self._beside(best) if not h.ended]
-            fitted = search.fit_alike([h for h in beside if h.names], best)
-            before, best = best, min((again, best, *fitted), key=lambda h: h.score)
+            beside = [h for h in self._finalists(best) if h.names and not h.ended]
+            before, best = best, leading((again, best, *search.fit_alike(beside, best)))
             if best is before:
                 break
-        shown = self.identifiable
-        effects = [c.name for c in self.candidates if c.kind == "effect"]
-        hidden = [n for n in effects if n not in best.names and shown.get(n, np.inf) < SIGNIFICANT**2]
-        return Found(search, best, tuple(hidden), tuple(self.candidates))
+        absent = [c.name for c in self.candidates if c.kind == "effect" and c.name not in best.names]
+        hidden = tuple(n for n in absent if self.identifiable.get(n, np.inf) < SIGNIFICANT**2)
+        return Found(search, best, hidden, tuple(self.candidates))
 
-    def _enlarged(self, best: Hypothesis) -> Hypothesis:
-        """The best, or one that has more.
+    def _with_addition(self, best: Hypothesis) -> Hypothesis:
+        """Return the best, or a larger hypothesis.
 
         Beside unknown inputs that last as those of the best do, another effect that lasts gains little.
         """
         tried = sorted(self.search.tried.values(), key=lambda h: h.score)
         larger = [h for h in tried if set(h.names) > set(best.names) and h.score - best.score < NEAR]
-        return min((best, *self.search.fit_again(larger[:MOST_ENLARGED])), key=lambda h: h.score)
+        return leading((best, *self.search.fit_again(larger[:MOST_ENLARGED])))
 
     def _fine_enough(self, best: Hypothesis) -> Problem:
-        """The problem with substeps that are fine enough for the base model and for the best."""
+        """Return the problem with substeps that are fine enough for the base model and for the best."""
         enough = zip(self.search.problem.logs, coarsened(self.fine, best.fit.values).logs, strict=True)
         substeps = [max(base.substeps, other.substeps) for base, other in enough]
         logs = [replace(log, substeps=n) for log, n in zip(self.fine.logs, substeps, strict=True)]
         return replace(self.fine, logs=logs)
 
-    def _replaced(self, best: Hypothesis) -> Hypothesis:
-        """The best, or one with another candidate in place of one of its parts, asked for where the part is left out.
-
-        From far away a score test misjudges what a simpler candidate would do in place of a richer one.
-        """
-        search, sets = self.search, dict[tuple[str, ...], Trial]()
-        for gone in best.candidates if len(best.candidates) <= MOST_REPLACED else ():
-            left = tuple(c for c in best.candidates if c is not gone)
-            without = search.hypothesis(left, best.fit, SCREEN_ITERATIONS, sensing=False)
-            test = ScoreTest(search.problem, without.fit)
-            others = [c for c in self.candidates if c.name not in best.names and c.kind != "parameter"]
-            terms = [t for t in in_parallel(test.terms, others) if not t.switched]
-            choice = Choice(test, terms, (), search.problem.values)
-            promises = {t.candidate.name: choice.promise([t.candidate.name]) for t in terms if len(t.rows)}
-            likely = sorted((n for n, p in promises.items() if p.within), key=lambda n: -promises[n].gain)[:REPLACING]
-            for c in (c for c in others if c.name in likely):
-                sets[key_of((*left, c))] = (*left, c), {**without.fit.values, **promises[c.name].values}
-        ended: list[Hypothesis] = []
+    def _with_replacement(self, best: Hypothesis) -> Hypothesis:
+        """Return the best, or one with another candidate in place of one of its parts."""
+        search, ended = self.search, list[Hypothesis]()
+        if len(best.candidates) > MOST_REPLACED:
+            return best
+        sets = {key_of(trial[0]): trial for trial in self._replacements(best)}
         if any(c.kind == "parameter" for c in best.candidates):
             # along what it shares with a base parameter a fit is slow: one that was left halfway goes on
             base = search.tried[()].score
-            halfway = [h for k in sets if (h := search.tried.get(k)) and not h.ended]
+            halfway = [search.tried[k] for k in sets if k in search.tried and not search.tried[k].ended]
             ended = search.fit_again([h for h in halfway if h.score - best.score < base - h.score])
-        fitted = search.fit_all(
-            [s for k, s in sets.items() if k not in search.tried], best, "replacing each part", NEAR
-        )
-        if not (nearer := [h for h in (*ended, *fitted) if h.score < best.score]):
-            return best
-        return min((best, *search.fit_again([min(nearer, key=lambda h: h.score)])), key=lambda h: h.score)
+        untried = [trial for k, trial in sets.items() if k not in search.tried]
+        fitted = search.fit_all(untried, best, "replacing each part", NEAR)
+        nearest = leading((best, *ended, *fitted))
+        return best if nearest is best else leading((best, *search.fit_again([nearest])))
 
-    def _beside(self, best: Hypothesis) -> list[Hypothesis]:
-        """What comes near the best and is not more, or less, of the same."""
+    def _replacements(self, best: Hypothesis) -> Iterator[Trial]:
+        """Yield what promises most in place of each part, by a score test where that part is left out.
+
+        From far away a score test misjudges what a simpler candidate would do in place of a richer one.
+        """
+        search = self.search
+        others = [c for c in self.candidates if c.name not in best.names and c.kind != "parameter"]
+        for part in best.candidates:
+            rest = tuple(c for c in best.candidates if c is not part)
+            without = search.hypothesis(rest, best.fit, SCREEN_ITERATIONS, sensing=False)
+            test = ScoreTest(search.problem, without.fit)
+            terms = [t for t in in_parallel(test.terms, others) if not t.switched]
+            promises = Choice(test, terms, (), search.problem.values).beside(())
+            likely = [name for name in promises if promises[name].within][:REPLACING]
+            for c in (c for c in others if c.name in likely):
+                yield (*rest, c), {**without.fit.values, **promises[c.name].values}
+
+    def _finalists(self, best: Hypothesis) -> list[Hypothesis]:
+        """Return hypotheses close to the best that do not contain it and are not contained in it."""
         names = set(best.names)
         near = [h for h in self.search.tried.values() if h.score - best.score < NEAR]
         other = [h for h in near if not (set(h.names) >= names or set(h.names) <= names)]

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import count
+from itertools import chain, count
 from typing import TypeVar
 
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.estimation.fit import FAIR, Fit, fit
+from cosim.estimation.fit import FAIR, Fit, Patience, fit, unfitted
+from cosim.estimation.noise_model import Noise
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
 from cosim.refinement.search.hypotheses import Hypothesis
@@ -37,6 +38,13 @@ Item = TypeVar("Item")
 def key_of(parts: Sequence[Candidate]) -> tuple[str, ...]:
     """By what a hypothesis is known: the names of its candidates, sorted."""
     return tuple(sorted(c.name for c in parts))
+
+
+def starts_of(parts: Parts, moved: set[str]) -> list[dict[str, float]]:
+    """Return the starts of candidates that were not moved before: as many as the candidate has that has most."""
+    starts = [c.starts for c in parts if not moved.issuperset(c.parameters)]
+    most = max([1, *(len(c.starts) for c in parts)])
+    return [dict(chain.from_iterable(s[min(k, len(s) - 1)].items() for s in starts)) for k in range(most)]
 
 
 @dataclass(frozen=True)
@@ -95,57 +103,46 @@ class Search:
         With `loosen`, the unknown inputs start no lower than where they are plain enough to move.
         `patient`: with more iterations while it is above what hypotheses within it have reached.
         """
-        free = self.free(parts)
+        problem, free = self.problem, self.free(parts)
+        start = start or unfitted(problem)
         # of the start only what this fit may move: the parts of another hypothesis go back to neutral
-        moved = {f.name for f in start.free} & {f.name for f in free} if start is not None else set()
-        known = {**self.problem.values, **{name: start.values[name] for name in moved if start is not None}}
-        noise = start.noise if start is not None else self.problem.plain
-        if self.problem.trusted:
-            noise = replace(self.problem.plain, sensors=noise.sensors, timing=noise.timing)
-        elif loosen:
-            noise = replace(noise, power=np.maximum(noise.power, self.problem.noise.quiet))
-        begins = [{**known, **promised}] if promised else []
-        starts = max([1, *(len(c.starts) for c in parts)])
-        for k in range(starts if starts > 1 or not begins else 0):
-            values = dict(known)
-            for c in parts:
-                if not set(c.parameters) <= moved:
-                    values |= c.starts[min(k, len(c.starts) - 1)]
-            begins.append(values)
+        moved = {f.name for f in start.free} & {f.name for f in free}
+        known = {**problem.values, **{name: start.values[name] for name in moved}}
+        begins = [{**known, **values} for values in starts_of(parts, moved)]
+        if promised:
+            begins = [{**known, **promised}, *(begins if len(begins) > 1 else ())]
+        noise = self._noise_at_start(start.noise, loosen=loosen)
         reached = self.reached_within(parts) if patient else np.inf
         fits = []
         for values in begins:
-            fair = 1 if values == known else FAIR
-            fits.append(fit(self.problem, free, values, noise, None, iterations, goal, fair, reached, sensing))
+            patience = Patience(goal, 1 if values == known else FAIR, reached)
+            fits.append(fit(problem, free, values, noise, None, iterations, patience=patience, sensing=sensing))
         best = min(fits, key=lambda f: f.objective)
         return Hypothesis(parts, best, best.objective + self.cost(parts), ended=sensing and iterations == TO_THE_END)
 
+    def _noise_at_start(self, noise: Noise, *, loosen: bool) -> Noise:
+        """Return the noise from which a fit starts; loosened, unknown inputs are plain enough to move."""
+        if self.problem.trusted:
+            return replace(self.problem.plain, sensors=noise.sensors, timing=noise.timing)
+        return replace(noise, power=np.maximum(noise.power, self.problem.noise.quiet)) if loosen else noise
+
     def free(self, parts: Parts) -> list[Free]:
-        """What a fit of these candidates may move."""
+        """Return the parameters that a fit of these candidates may move."""
         own = [*(f for c in parts for f in c.free), *self.problem.own]
         on_trial = {*(f.name for f in own), *self.problem.settings.per_log}
         base = base_parameters(self.subject, self.problem.values, self.problem.settings.tolerance)
         return [b for b in base if b.name not in on_trial] + own
 
-    def fit_all(
-        self,
-        sets: Sequence[Trial],
-        start: Hypothesis,
-        stage: str,
-        margin: float,
-    ) -> list[Hypothesis]:
+    def fit_all(self, sets: Sequence[Trial], start: Hypothesis, stage: str, margin: float) -> list[Hypothesis]:
         """Fit sets of candidates, each from what it was promised, until they cannot come within `margin` of `start`."""
-        todo = [(parts, promised) for parts, promised in sets if key_of(parts) not in self.tried]
+        todo = [trial for trial in sets if key_of(trial[0]) not in self.tried]
 
         def one(which: Trial) -> Hypothesis:
             parts, promised = which
             goal = start.score + margin - self.cost(parts)
-            h = self.hypothesis(parts, start.fit, SCREEN_ITERATIONS, goal, promised=promised, sensing=False)
-            return h
+            return self.hypothesis(parts, start.fit, SCREEN_ITERATIONS, goal, promised=promised, sensing=False)
 
-        fitted = self._each(stage, one, todo)
-        self.tried |= {h.names: h for h in fitted}
-        return fitted
+        return self._each(stage, one, todo)
 
     def fit_again(
         self, hypotheses: Sequence[Hypothesis], iterations: int = TO_THE_END, *, only: bool = False
@@ -156,11 +153,9 @@ class Search:
             fitted = self.hypothesis(h.candidates, h.fit, iterations, loosen=False)
             if only or self.problem.trusted or not fitted.ended:
                 return fitted
-            return self._without_noise(self._otherwise(fitted))
+            return self._without_noise(self._from_plain_inputs(fitted))
 
-        fitted = self._each("fitting the best further", one, hypotheses)
-        self.tried |= {h.names: h for h in fitted}
-        return fitted
+        return self._each("fitting the best further", one, hypotheses)
 
     def fit_alike(self, hypotheses: Sequence[Hypothesis], like: Hypothesis) -> list[Hypothesis]:
         """Fit hypotheses to the end, from where they are and with the noise of another."""
@@ -168,12 +163,10 @@ class Search:
         def one(h: Hypothesis) -> Hypothesis:
             return self.hypothesis(h.candidates, replace(h.fit, noise=like.fit.noise), loosen=False)
 
-        fitted = self._each("fitting what comes near the best", one, hypotheses)
-        self.tried |= {h.names: h for h in fitted}
-        return fitted
+        return self._each("fitting what comes near the best", one, hypotheses)
 
     def _each(self, stage: str, one: Callable[[Item], Hypothesis], todo: Sequence[Item]) -> list[Hypothesis]:
-        """Fits side by side, in the order of `todo`; each that is done is told."""
+        """Fit side by side, in the order of `todo`; keep every hypothesis, and tell of each that is done."""
         done = count()
         self.progress(stage, 0.0)
 
@@ -182,40 +175,41 @@ class Search:
             self.progress(f"{stage}: candidate {number} of {len(todo)}", number / len(todo))
             return h
 
-        return in_parallel(told, todo)
+        fitted = in_parallel(told, todo)
+        self.tried |= {h.names: h for h in fitted}
+        return fitted
 
-    def _otherwise(self, h: Hypothesis) -> Hypothesis:
-        """The hypothesis, or one fitted from unknown inputs that are plain enough to move, where that leads further."""
+    def _from_plain_inputs(self, h: Hypothesis) -> Hypothesis:
+        """Return the hypothesis, or it fitted from unknown inputs that are plain enough to move."""
         plain = self.problem.plain
         power = np.maximum(h.fit.noise.power, self.problem.noise.quiet)
-        start = replace(h.fit, noise=replace(h.fit.noise, power=power, memory=plain.memory))
+        return self._further(h, replace(h.fit.noise, power=power, memory=plain.memory))
+
+    def _further(self, h: Hypothesis, noise: Noise) -> Hypothesis:
+        """Return the hypothesis fitted from another noise where that leads further, else as it is."""
         goal = h.fit.objective - DONE
-        other = self.hypothesis(h.candidates, start, LEADING, goal, loosen=False)
+        other = self.hypothesis(h.candidates, replace(h.fit, noise=noise), LEADING, goal, loosen=False)
         return replace(other, ended=h.ended) if other.fit.objective < goal else h
 
     def _without_noise(self, h: Hypothesis) -> Hypothesis:
-        """The hypothesis, or one fitted without some unknown input where that leads further: a fit is slow there."""
+        """Return the hypothesis, or it fitted without some unknown input: near none of it a fit is slow."""
         least = self.problem.noise.smallest
         for k in np.argsort(h.fit.noise.power - least)[::-1]:
             if h.fit.noise.power[k] < least[k] + NEGLIGIBLE:
                 continue
             power = h.fit.noise.power.copy()
             power[k] = least[k]
-            start = replace(h.fit, noise=replace(h.fit.noise, power=power))
-            if self.problem.scored(h.fit.values, start.noise).nll > h.fit.nll + NEEDED:
-                continue
-            goal = h.fit.objective - DONE
-            other = self.hypothesis(h.candidates, start, LEADING, goal, loosen=False)
-            if other.fit.objective < goal:
-                h = replace(other, ended=h.ended)
+            noise = replace(h.fit.noise, power=power)
+            if self.problem.scored(h.fit.values, noise).nll <= h.fit.nll + NEEDED:
+                h = self._further(h, noise)
         return h
 
     def cost(self, parts: Sequence[Candidate]) -> float:
-        """What candidates cost a hypothesis."""
+        """Return the score that candidates cost a hypothesis."""
         return self.problem.scatter * float(sum(self.entry + self.price * len(c.free) for c in parts))
 
     def reached_within(self, parts: Parts) -> float:
-        """Objective that some of the parts reach without the others: all together can do no worse when fitted."""
+        """Return the objective that some of the parts reach without the others: all together can do no worse."""
         names = {c.name for c in parts}
         fitted = (h.fit.objective for h in self.tried.values() if h.fit.iterations and names.issuperset(h.names))
         return min(fitted, default=self.reached)

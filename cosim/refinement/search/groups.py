@@ -44,72 +44,72 @@ def group_of(folder: Path, files: Sequence[str], groups: Groups) -> dict[Path, s
 
 
 def per_log_faults(
-    yaml: Places,
+    places: Places,
     subject: Subject,
     names: Sequence[str] | None,
     groups: Groups,
-    learnt: Sequence[str],
-    sealed: Sequence[str],
+    logs: Mapping[str, Sequence[str]],
     on_trial: Sequence[str],
 ) -> Iterator[Fault]:
-    """Everything wrong with `per_log` and `groups`.
+    """Yield everything wrong with `per_log` and `groups`.
 
-    learnt, sealed: files of the logs; on_trial: what the study names as candidates
+    logs: files by `estimation` and `validation`; on_trial: what the study names as candidates
     """
-    yield from _wrong_groups(yaml, groups, [*learnt, *sealed])
+    yield from _wrong_groups(places, groups, [*logs["estimation"], *logs["validation"]])
     if names is None:
         if groups:
             cure = "say with per_log which parameters differ between them, or leave the groups out"
-            yield yaml.fault(("groups",), f"groups, but no parameter per log; {cure}", key=True)
+            yield places.fault(("groups",), f"groups, but no parameter per log; {cure}", key=True)
         return
     if subject.static:
         cure = "a model without states reads tables; give it an input that tells them apart"
-        yield yaml.fault(("per_log",), f"parameters per log are not for tables: {cure}", key=True)
+        yield places.fault(("per_log",), f"parameters per log are not for tables: {cure}", key=True)
         return
     if not names:
-        yield yaml.fault(("per_log",), "names none; name some, or leave the key out", key=True)
-    folder = yaml.path.parent
-    group = group_of(folder, [*learnt, *sealed], groups)
-    known = {group[folder / f] for f in learnt}
-    apart = [f for f in sealed if group[folder / f] not in known]
-    seen: set[str] = set()
+        yield places.fault(("per_log",), "names none; name some, or leave the key out", key=True)
+    apart = _unlearnt(places.path.parent, groups, logs)
+    known, seen = numbers_of(subject), set[str]()
     for k, name in enumerate(names):
         place, full = ("per_log", k), full_name(subject, name)
-        if full not in numbers_of(subject):
-            yield yaml.fault(place, _unknown(subject, name))
+        if full not in known:
+            yield places.fault(place, _unknown(subject, name))
             continue
         if full in seen:
-            yield yaml.fault(place, f"{name} stands there twice; keep one")
+            yield places.fault(place, f"{name} stands there twice; keep one")
         elif apart and full in subject.only_known:
-            cure = f"put {apart[0]} in a group with a log of estimation"
-            yield yaml.fault(
-                place, f"{name} cannot be learnt while the filter runs, as it would be on {apart[0]}; {cure}"
-            )
+            text = f"{name} cannot be learnt while the filter runs, as it would be on {apart[0]}"
+            yield places.fault(place, f"{text}; put {apart[0]} in a group with a log of estimation")
         seen.add(full)
     for k, name in enumerate(on_trial):
         if _whole(subject, name) <= seen:
             cure = "one per log is free in every hypothesis; name it in one place"
-            yield yaml.fault(("candidates", k), f"{name} is per log too; {cure}")
+            yield places.fault(("candidates", k), f"{name} is per log too; {cure}")
 
 
-def _wrong_groups(yaml: Places, groups: Groups, listed: Sequence[str]) -> Iterator[Fault]:
+def _unlearnt(folder: Path, groups: Groups, logs: Mapping[str, Sequence[str]]) -> list[str]:
+    """Return the sealed logs of whose group no log is learnt from."""
+    group = group_of(folder, [*logs["estimation"], *logs["validation"]], groups)
+    known = {group[folder / f] for f in logs["estimation"]}
+    return [f for f in logs["validation"] if group[folder / f] not in known]
+
+
+def _wrong_groups(places: Places, groups: Groups, listed: Sequence[str]) -> Iterator[Fault]:
     """Groups without logs, files that are no logs of the study or stand in two groups."""
-    folder, owner = yaml.path.parent, dict[str, str]()
+    folder, owner = places.path.parent, dict[str, str]()
     files = {os.path.realpath(folder / f) for f in listed}
     for group, members in groups.items():
         if group in listed:
-            yield yaml.fault(
-                ("groups", group), f'a group with the name of the log "{group}"; call it otherwise', key=True
-            )
+            text = f'a group with the name of the log "{group}"; call it otherwise'
+            yield places.fault(("groups", group), text, key=True)
         if not members:
-            yield yaml.fault(("groups", group), f"{group} holds no log; name some, or leave it out", key=True)
+            yield places.fault(("groups", group), f"{group} holds no log; name some, or leave it out", key=True)
         for k, name in enumerate(members):
             path, place = os.path.realpath(folder / name), ("groups", group, k)
             if path not in files:
-                yield yaml.fault(place, f"{name} is not listed under logs{did_you_mean(name, listed)}")
+                yield places.fault(place, f"{name} is not listed under logs{did_you_mean(name, listed)}")
             elif path in owner:
                 twice = "twice" if owner[path] == group else f"in {owner[path]} too"
-                yield yaml.fault(place, f"{name} stands {twice}; a log has one group, keep one")
+                yield places.fault(place, f"{name} stands {twice}; a log has one group, keep one")
             owner.setdefault(path, group)
 
 
@@ -119,12 +119,9 @@ def _unknown(subject: Subject, name: str) -> str:
         return f"{name} acts nowhere in the model; an effect that the model lacks is a candidate, so leave {effect} out"
     known = numbers_of(subject)
     own = [n for n in known if n.startswith(f"{name}.")]
-    hint = f"; name its parameters: {', '.join(own)}" if own else did_you_mean(name, [*known, *_short(subject)])
+    short = [kind.name for kind in subject.sensors]
+    hint = f"; name its parameters: {', '.join(own)}" if own else did_you_mean(name, [*known, *short])
     return f'no parameter "{name}" of the model or of its sensors{hint}'
-
-
-def _short(subject: Subject) -> list[str]:
-    return [kind.name for kind in subject.sensors]
 
 
 def _whole(subject: Subject, name: str) -> set[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from cosim.estimation.fit import Fit
@@ -31,6 +31,16 @@ class Hypothesis:
     def of_sensors(self) -> bool:
         """It says something of sensors and nothing of the plant."""
         return {c.kind for c in self.candidates} == {"sensor"}
+
+    def is_away(self, c: Candidate, times: float) -> bool:
+        """Whether a parameter of a candidate is more than so many standard deviations from neutral."""
+        away = {f.name: abs(self.fit.values[f.name] - f.neutral) for f in c.free if f.neutral is not None}
+        return any(distance > times * self.fit.sigma(name) for name, distance in away.items())
+
+
+def leading(hypotheses: Iterable[Hypothesis]) -> Hypothesis:
+    """Return the hypothesis with the best score, of equal ones the first."""
+    return min(hypotheses, key=lambda h: h.score)
 
 
 @dataclass(frozen=True)
@@ -74,3 +84,13 @@ class Attribution:
     def noisy(self) -> tuple[bool, ...]:
         """Whether an unknown input is left in each forced equation."""
         return tuple(gain > NOISE for gain in self.noise_gain)
+
+    @property
+    def small(self) -> tuple[str, ...]:
+        """Names of the parts that gain too little to be told from chance."""
+        return tuple(n for n in self.fuller.names if n not in self.best.names) if self.fuller else ()
+
+    @property
+    def blind(self) -> bool:
+        """Whether the logs could show none of the effects on trial."""
+        return 0 < len(self.hidden) == self.effects

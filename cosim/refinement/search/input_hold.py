@@ -11,12 +11,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
-import numpy as np
-
 from cosim.base.text import plain
 from cosim.estimation.fit import fit
 from cosim.estimation.problem import Problem
-from cosim.refinement.decision.evidence import DIVERGED, blocks_of, in_scatter
+from cosim.refinement.decision.evidence import blocks_of, by_block
 from cosim.refinement.search.hypotheses import Hypothesis
 
 Way = Literal["held", "interpolated"]
@@ -61,9 +59,7 @@ def between_rows(problem: Problem, base: Hypothesis) -> Between:
     taken: dict[str, Way] = {name: "interpolated" if name in ramped else "held" for name in names}
     now, then = problem.scored(base.fit.values, base.fit.noise), other.scored(again.values, again.noise)
     block = blocks_of(problem, now, math.exp(base.fit.noise.memory))
-    terms, others = (np.nan_to_num(s.terms, nan=DIVERGED, posinf=DIVERGED) for s in (now, then))
-    gains = np.bincount(block, terms - others).astype(np.float64)
-    steady = in_scatter(gains[np.bincount(block) > 0], base.fit.penalty - again.penalty)
+    steady = by_block(block, now, then, base.fit.penalty - again.penalty)
     return Between(taken, base.fit.objective - again.objective, steady)
 
 

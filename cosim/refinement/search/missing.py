@@ -21,6 +21,7 @@ from cosim.estimation.data import unscored
 from cosim.estimation.fit import DIFFERENCE, Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.problem import Problem
+from cosim.kernel.kernel import Data
 
 MOST_ROWS = 3000  # of a log, smoothed
 LOGS = 2  # the first of a study, that are smoothed
@@ -38,6 +39,14 @@ class Missing:
     sigma: Array
     states: Array  # filtered by the base fit, all of the kernel's
 
+    def rows(self, data: Data) -> slice:
+        """Return its rows in its log."""
+        first = round((self.time[0] - data.start) / data.step)
+        return slice(first, first + len(self.time))
+
+
+Smoothed = Sequence[tuple[int, Missing]]  # index of a log in the problem, and what was smoothed of it
+
 
 @dataclass(frozen=True, eq=False)
 class Filter:
@@ -53,9 +62,8 @@ class Steps:
     def __init__(self, problem: Problem, index: int, values: Mapping[str, float]) -> None:
         self.kernel, self.data = problem.kernel, problem.logs[index]
         layout = problem.layout
-        self.p = problem.numbers(
-            problem.of_log({**problem.values, **values}, index)
-        )  # an unknown input lasts as long as usual
+        # an unknown input lasts as long as usual
+        self.p = problem.numbers(problem.of_log({**problem.values, **values}, index))
         late = self.p[layout.delay] / self.data.step if layout.delay >= 0 else 0.0
         self.back = 2 + math.ceil(late)  # rows of commands before a step, for a delay to look into
 
@@ -84,6 +92,17 @@ def missing(problem: Problem, base: Filter, index: int, every: int = 1) -> Missi
     kept = slice(min(unscored(data), rows - 1), rows - 1)
     time = data.start + data.step * np.arange(rows, dtype=np.float64)
     return Missing(time[kept], equations, value[kept], sigma[kept], run.states[:rows][kept])
+
+
+def smoothed_logs(problem: Problem) -> range:
+    """Return the logs of a study that are smoothed."""
+    return range(min(LOGS, len(problem.logs)))
+
+
+def smoothed(problem: Problem, base: Filter, every: int = 1) -> tuple[Smoothed, Array, Array]:
+    """Smooth the first logs; return each, and their missing inputs and standard deviations one after the other."""
+    parts = [(k, missing(problem, base, k, every)) for k in smoothed_logs(problem)]
+    return parts, np.vstack([m.value for _, m in parts]), np.vstack([m.sigma for _, m in parts])
 
 
 def unknown_inputs(problem: Problem, at: Fit, noisy: Sequence[bool], units: Mapping[str, str]) -> dict[str, float]:
@@ -132,8 +151,8 @@ def claimed(problem: Problem, base: Filter, after: Filter, index: int) -> Array:
     return added[min(unscored(data), rows - 1) : rows - 1]
 
 
-def at_best(problem: Problem, at: Fit, logs: Sequence[int], column: int, term: Array, lacking: Array) -> Array:
-    """A term in one equation at the size at which it takes away most of what is lacking there.
+def at_best(problem: Problem, at: Fit, column: int, term: Array, lacking: Array) -> Array:
+    """Return a term in one equation at the size at which it takes away most of what is lacking on the first logs.
 
     What parameters that the fit moves without a prior can mend of it is left out: they have done what they can. A term
     that points the other way takes away nothing.
@@ -143,7 +162,8 @@ def at_best(problem: Problem, at: Fit, logs: Sequence[int], column: int, term: A
         if f.prior is None:
             step = DIFFERENCE * f.size * (1.0 if at.values[f.name] + DIFFERENCE * f.size <= f.high else -1.0)
             moved = Filter({**at.values, f.name: at.values[f.name] + step}, at.noise)
-            rows.append(np.concatenate([claimed(problem, here, moved, k)[:, column] for k in logs]) / step)
+            added = [claimed(problem, here, moved, k)[:, column] for k in smoothed_logs(problem)]
+            rows.append(np.concatenate(added) / step)
     if rows and np.isfinite(rows).all() and np.isfinite(term).all():
         basis = np.array(rows).T
         term = term - basis @ least_squares(basis, term)

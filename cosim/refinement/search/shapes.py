@@ -20,7 +20,7 @@ from cosim.estimation.fit import Fit
 from cosim.estimation.problem import Problem
 from cosim.kernel.kernel import CONSTANT, DISTURBANCE
 from cosim.kernel.nameless import KNOTS, LOCAL, bump, clipped, rise
-from cosim.refinement.search.missing import LOGS, Filter, Missing, missing
+from cosim.refinement.search.missing import Filter, Smoothed, smoothed
 
 HALF = 2.0 * np.sqrt(1.0 - 0.5 ** (1.0 / 3.0))  # of ζ, at which a bump is half as high
 INSIDE = (2.0, 98.0)  # percent of the rows, between which places lie
@@ -143,23 +143,17 @@ def _mixed(signals: Signals, names: Sequence[str]) -> Array:
     return signals[names[0]] - signals[names[1]] if len(names) > 1 else signals[names[0]]
 
 
-def signals_of(problem: Problem, parts: Sequence[tuple[int, Missing]]) -> dict[str, Array]:
-    """Over what shapes may be local, at the rows of some logs: index of a log and what was smoothed of it."""
-    layout = problem.layout
-    found: dict[str, Array] = {"time": np.concatenate([m.time for _, m in parts])}
-    states = np.vstack([m.states for _, m in parts])
-    for k, name in enumerate(layout.states):
-        if not name.startswith((DISTURBANCE, CONSTANT)):
-            found[name] = states[:, k]
-    rows = []
-    for index, m in parts:
-        first = round((m.time[0] - problem.logs[index].start) / problem.logs[index].step)
-        rows.append(problem.logs[index].u[first : first + len(m.time)])
-    return found | {f"command {n}": u for n, u in zip(layout.inputs, np.vstack(rows).T, strict=True)}
+def signals_of(problem: Problem, parts: Smoothed) -> dict[str, Array]:
+    """Return the signals over which shapes may be local, at the rows of some logs."""
+    layout, states = problem.layout, np.vstack([m.states for _, m in parts])
+    commands = np.vstack([problem.logs[k].u[m.rows(problem.logs[k])] for k, m in parts])
+    time, named = np.concatenate([m.time for _, m in parts]), zip(layout.states, states.T, strict=True)
+    known = {n: z for n, z in named if not n.startswith((DISTURBANCE, CONSTANT))}
+    return {"time": time, **known, **{f"command {n}": u for n, u in zip(layout.inputs, commands.T, strict=True)}}
 
 
 def promising(problem: Problem, at: Fit, units: Mapping[str, str], worth: float) -> tuple[list[Shape], int]:
-    """Shapes that a regression on what the equations lack finds most promising, and how many coefficients were tried.
+    """Return the shapes that take away most of what the equations lack, and how many coefficients were tried.
 
     units: of the signals; of two states of one unit the difference is a signal too
     worth: log-likelihood that a shape must promise, were each row of its own
@@ -169,23 +163,22 @@ def promising(problem: Problem, at: Fit, units: Mapping[str, str], worth: float)
     if not known or not problem.layout.forced:
         return [], 0
     with np.errstate(invalid="ignore", over="ignore"):
-        here = Filter(at.values, at.noise)
-        parts = [(k, missing(problem, here, k, EVERY)) for k in range(min(LOGS, len(problem.logs)))]
-    lacking, sigma = (np.vstack([getattr(m, name) for _, m in parts]) for name in ("value", "sigma"))
+        parts, lacking, sigma = smoothed(problem, Filter(at.values, at.noise), EVERY)
     signals = {n: z for n, z in signals_of(problem, parts).items() if n in known}
-    if not np.isfinite(lacking).all() or not all(np.isfinite(z).all() for z in signals.values()):
+    if not all(np.isfinite(z).all() for z in (lacking, *signals.values())):
         return [], 0
-    found: list[Shape] = []
+    shapes: list[Shape] = []
     tried = 0
     for column, equation in enumerate(problem.layout.forced):
         weight = 1.0 / np.sqrt(np.mean(sigma[:, column] ** 2))
         own = [signals[equation]] if equation in signals else []
         best = _Best(lacking[:, column] * weight, own, worth)
-        for shape in _family(problem, equation, signals, units):
-            tried += len(shape.coefficients(1))
-            best.try_one(shape, shape.columns(signals))
-        found += best.kept()
-    return found, tried
+        for ground in _grounds(problem, equation, signals, units):
+            for shape in ground.shapes():
+                tried += len(shape.coefficients(1))
+                best.try_one(shape, shape.columns(signals))
+        shapes += best.kept()
+    return shapes, tried
 
 
 class _Best:
@@ -222,70 +215,77 @@ class _Best:
         return [s for s, _ in chosen] + [s for _, s, _ in groups]
 
 
-def _family(problem: Problem, equation: str, signals: Signals, units: Mapping[str, str]) -> Iterator[Shape]:
-    """Every shape that is tried in one equation."""
-    rates = problem.layout.rates
+@dataclass(frozen=True, eq=False)
+class _Ground:
+    """What shapes in one equation are over.
+
+    flat:    the signal as a shape without place and width
+    z:       its values; low, high: range of the places
+    factors: signals by which a shape is multiplied → value within which the sign of each turns
+    """
+
+    flat: Shape
+    z: Array
+    low: float
+    high: float
+    factors: Mapping[tuple[str, ...], float]
+
+    def shapes(self) -> Iterator[Shape]:
+        """Yield every shape that is tried."""
+        if len(self.flat.of) == 1 and self.flat.unit == "rad" and self.high - self.low > TURN:
+            yield from self._round()
+            return
+        span = self.high - self.low
+        for place in np.linspace(self.low, self.high, STEPS + 2)[1:-1]:
+            step = replace(self.flat, kind="step", place=float(place), width=span / STEPS)
+            yield step
+            yield from (replace(step, times=times) for times in self.factors)
+        if self.flat.of == ("time",):
+            return
+        yield replace(self.flat, kind="spline", place=float(self.low), width=span / (KNOTS - 1))
+        for width in WIDTHS:
+            for place in np.linspace(self.low, self.high, round(2 / width) + 1):
+                if np.count_nonzero(abs(self.z - place) < 0.5 * width * span) >= FEWEST:
+                    shape = replace(self.flat, place=float(place), width=float(width * span))
+                    yield shape
+                    yield replace(shape, well=True)
+                    yield from self._multiplied(shape)
+
+    def _round(self) -> Iterator[Shape]:
+        """Yield the shapes over an angle that turns."""
+        for width in WIDTHS:
+            for place in np.arange(round(2 / width)) * 0.5 * width * TURN:
+                shape = replace(self.flat, place=float(place), width=width * TURN, turned=True)
+                yield shape
+                yield from self._multiplied(shape)
+
+    def _multiplied(self, shape: Shape) -> Iterator[Shape]:
+        """Yield a shape times each factor, and times its sign."""
+        for times, slip in self.factors.items():
+            yield replace(shape, times=times)
+            yield replace(shape, times=times, dry=True, slip=slip)
+
+
+def _grounds(problem: Problem, equation: str, signals: Signals, units: Mapping[str, str]) -> Iterator[_Ground]:
+    """Yield what shapes in one equation may be over: signals that vary, and differences of two states of a unit."""
     states = [n for n in signals if n in problem.layout.states]
     pairs = [(a, b) for a, b in combinations(states, 2) if units.get(a, a) == units.get(b, b)]
-    over: list[tuple[str, ...]] = [*((n,) for n in signals), *pairs]
-    for of in over:
+    for of in (*((n,) for n in signals), *pairs):
         z = _mixed(signals, of)
         low, high = np.percentile(z, INSIDE)
-        if not high > low or np.unique(z).size < FEWEST:
-            continue
-        moving: list[tuple[str, ...]] = [(equation,)] if equation in signals else []
-        if all(n in rates and rates[n] in signals for n in of):
-            moving = list(dict.fromkeys(((*(rates[n] for n in of),), *moving)))
-        slips = [(t, _slip(signals, t)) for t in moving if not set(t) & set(of)]
-        if len(of) == 1 and units.get(of[0]) == "rad" and high - low > TURN:
-            shapes = _round(equation, of, slips)
-        else:
-            shapes = _over(equation, of, z, low, high, slips)
-        yield from (replace(shape, unit=units.get(of[0], "")) for shape in shapes)
+        if high > low and np.unique(z).size >= FEWEST:
+            factors = {t: _slip(signals, t) for t in _factors(problem, equation, signals, of) if not set(t) & set(of)}
+            yield _Ground(Shape(equation, of, "bump", 0.0, 0.0, unit=units.get(of[0], "")), z, low, high, factors)
 
 
-def _round(equation: str, of: tuple[str, ...], moving: Sequence[tuple[tuple[str, ...], float]]) -> Iterator[Shape]:
-    """The shapes over an angle that turns."""
-    for width in WIDTHS:
-        for place in np.arange(round(2 / width)) * 0.5 * width * TURN:
-            where = Shape(equation, of, "bump", float(place), width * TURN, turned=True)
-            yield where
-            for times, slip in moving:
-                yield replace(where, times=times)
-                yield replace(where, times=times, dry=True, slip=slip)
+def _factors(problem: Problem, equation: str, signals: Signals, of: tuple[str, ...]) -> list[tuple[str, ...]]:
+    """Return what a shape may be multiplied by: how fast that moves which it is over, and the state of the equation."""
+    rates = [problem.layout.rates.get(n, "") for n in of]
+    factors = [tuple(rates)] if all(rate in signals for rate in rates) else []
+    return [*factors, *((t,) for t in (equation,) if t in signals and (t,) not in factors)]
 
 
 def _slip(signals: Signals, names: tuple[str, ...]) -> float:
+    """Return the value within which the sign of a velocity turns."""
     low, high = np.percentile(_mixed(signals, names), INSIDE)
     return SLIP * float(high - low) or 1.0
-
-
-def _over(
-    equation: str,
-    of: tuple[str, ...],
-    z: Array,
-    low: float,
-    high: float,
-    moving: Sequence[tuple[tuple[str, ...], float]],
-) -> Iterator[Shape]:
-    """The shapes over one signal."""
-    span = high - low
-    for place in np.linspace(low, high, STEPS + 2)[1:-1]:
-        step = Shape(equation, of, "step", float(place), span / STEPS)
-        yield step
-        for times, _ in moving:
-            yield replace(step, times=times)
-    if of == ("time",):
-        return
-    yield Shape(equation, of, "spline", float(low), span / (KNOTS - 1))
-    for width in WIDTHS:
-        for place in np.linspace(low, high, round(2 / width) + 1):
-            near = np.count_nonzero(abs(z - place) < 0.5 * width * span)
-            if near < FEWEST:
-                continue
-            where = Shape(equation, of, "bump", float(place), float(width * span))
-            yield where
-            yield replace(where, well=True)
-            for times, slip in moving:
-                yield replace(where, times=times)
-                yield replace(where, times=times, dry=True, slip=slip)

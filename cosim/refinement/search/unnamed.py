@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from cosim.estimation.problem import Problem
 from cosim.estimation.screen import ScoreTest
 from cosim.kernel.nameless import PREFIX, SLOTS
 from cosim.refinement.search.fits import ENTRY, SCREEN_ITERATIONS
-from cosim.refinement.search.missing import LOGS, Filter, at_best, claimed, missing
+from cosim.refinement.search.missing import Filter, at_best, claimed, smoothed
 from cosim.refinement.search.shapes import Shape, promising
 from cosim.subject.candidates import Free
 
@@ -97,34 +98,36 @@ class Leftover:
     cost: float
     among: int = 1
 
+    @property
+    def first(self) -> Unnamed | None:
+        """The most promising term."""
+        return self.terms[0] if self.terms else None
 
-def left_beside(problem: Problem, at: Fit, price: float, units: Mapping[str, str] | None = None) -> Leftover:
-    """Terms beside a fit; `problem` is built with them, `at` is a fit of the same logs without.
+
+def left_beside(problem: Problem, at: Fit, price: float, units: Mapping[str, str] = MappingProxyType({})) -> Leftover:
+    """Return the terms beside a fit; `problem` is built with them, `at` is a fit of the same logs without.
 
     price: score that a parameter costs where what is left is white
     units: of time, states and commands; of two states of one unit shapes may be local over the difference
     """
     looked = _Terms(problem, at, price)
-    promising = looked.simple()
-    local = looked.local(units or {})
-    cost = looked.cost
-    distinct = [u for e in problem.layout.forced for u in _distinct([p for p in promising if p[0].equation == e])]
-    distinct = looked.beside(distinct, local)
-    terms = sorted(distinct, key=looked.net, reverse=True)
+    simple, local = looked.simple(), looked.local(units)
+    terms = sorted(looked.beside(simple, local), key=looked.net, reverse=True)
     chosen = _placed([u for u in terms if looked.net(u) > 0.0][:FITTED])
-    without = fit(problem, at.free, at.values, at.noise, iterations=SCREEN_ITERATIONS) if chosen else at
+    if not chosen:
+        return Leftover((), None, 0.0, looked.cost)
+    without = fit(problem, at.free, at.values, at.noise, iterations=SCREEN_ITERATIONS)
     while chosen:
         fitted = _fitted(problem, at, chosen)
         gains = {u: _alone(fitted, u) for u in chosen}
         if all(gain > looked.costs(u) for u, gain in gains.items()):
-            named = [_as_fitted(u, fitted, gains[u]) for u in chosen]
-            named.sort(key=looked.net, reverse=True)
+            named = sorted((_as_fitted(u, fitted, gains[u]) for u in chosen), key=looked.net, reverse=True)
             named[0] = replace(named[0], share=_share(problem, at, named[0]))
-            tried = len(looked.names) + (looked.tried if any(u.shape for u in named) else 0)
-            return Leftover(tuple(named), fitted, without.objective - fitted.objective, cost, tried)
+            gain = without.objective - fitted.objective
+            return Leftover(tuple(named), fitted, gain, looked.cost, looked.number_tried(named))
         weakest = min(chosen, key=lambda u: gains[u] - looked.costs(u))
         chosen = [u for u in chosen if u is not weakest]
-    return Leftover((), None, 0.0, cost)
+    return Leftover((), None, 0.0, looked.cost)
 
 
 class _Terms:
@@ -152,8 +155,12 @@ class _Terms:
         count, tried = len(u.names), max(1, len(self.names) + self.tried)
         return self.problem.scatter * (self.price * count + ENTRY + math.log(tried))
 
-    def simple(self) -> list[tuple[Unnamed, Array]]:
-        """Terms of one basis each, simple ones first, and what each changes."""
+    def number_tried(self, terms: Sequence[Unnamed]) -> int:
+        """Return how many terms were tried beside these; local ones count where one of these is local."""
+        return len(self.names) + (self.tried if any(u.shape for u in terms) else 0)
+
+    def simple(self) -> list[Unnamed]:
+        """Return terms of one basis each, of those that change the same in an equation one."""
 
         def term(name: str) -> tuple[Unnamed, Array]:
             _, equation, signal = name.split(".", 2)
@@ -161,7 +168,9 @@ class _Terms:
             gain, (taken,) = self.test.gain([row])
             return Unnamed(equation, signal, gain, float(taken * step), gain), row
 
-        return [(u, row) for u, row in in_parallel(term, self.names) if u.gain > 0.0]
+        terms = [(u, row) for u, row in in_parallel(term, self.names) if u.gain > 0.0]
+        forced = self.problem.layout.forced
+        return [u for e in forced for u in _distinct([(u, row) for u, row in terms if u.equation == e])]
 
     def local(self, units: Mapping[str, str]) -> list[tuple[Unnamed, list[Array]]]:
         """Local shapes, and what each of their coefficients changes."""
@@ -172,9 +181,8 @@ class _Terms:
             rows = [row for _, row in sized]
             gain, taken = self.test.gain(rows)
             sizes = tuple(float(t * step) for t, (step, _) in zip(taken, sized, strict=True))
-            return Unnamed(
-                shape.equation, shape.signal, gain, max(sizes, key=abs), gain, shape=shape, sizes=sizes
-            ), rows
+            largest = max(sizes, key=abs)
+            return Unnamed(shape.equation, shape.signal, gain, largest, gain, shape=shape, sizes=sizes), rows
 
         return in_parallel(term, shapes)
 
@@ -263,14 +271,12 @@ def _share(problem: Problem, at: Fit, u: Unnamed) -> float | None:
 
     On the first logs. None where a filter has diverged.
     """
-    without = Filter(at.values, at.noise)
-    with_it = Filter({**at.values, **u.values}, at.noise)
-    logs = range(min(LOGS, len(problem.logs)))
+    without, with_it = Filter(at.values, at.noise), Filter({**at.values, **u.values}, at.noise)
     with np.errstate(invalid="ignore", over="ignore"):
-        parts = [missing(problem, without, k) for k in logs]
-        column = parts[0].equations.index(u.equation)
-        lacking = np.concatenate([m.value[:, column] for m in parts])
-        term = np.concatenate([claimed(problem, without, with_it, k)[:, column] for k in logs])
-        left = float(np.mean((lacking - at_best(problem, at, logs, column, term, lacking)) ** 2))
+        parts, value, _ = smoothed(problem, without)
+        column = parts[0][1].equations.index(u.equation)
+        lacking = value[:, column]
+        term = np.concatenate([claimed(problem, without, with_it, k)[:, column] for k, _ in parts])
+        left = float(np.mean((lacking - at_best(problem, at, column, term, lacking)) ** 2))
         power = float(np.mean(lacking**2))
     return 1.0 - left / power if np.isfinite(left) and 0.0 < power < np.inf else None
