@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -261,6 +262,17 @@ def test_an_error_of_a_job_is_raised_here_and_the_process_goes_on() -> None:
         with pytest.raises(ValueError, match="invalid literal") as error:
             own.call(int, "x")
         assert [note.startswith("in a worker:\nTraceback") for note in error.value.__notes__] == [True]
+        assert own.call(os.getpid) == pid
+
+
+def test_an_argument_that_cannot_be_sent_is_answered_and_the_process_goes_on() -> None:
+    here: Any = type("Here", (), {"__module__": "__main__"})  # as a class of a notebook: the worker cannot import it
+    sys.modules["__main__"].Here = here  # type: ignore[attr-defined]
+    with Worker() as own:
+        pid = own.call(os.getpid)
+        for argument in (lambda: 0, threading.Lock(), here()):
+            with pytest.raises(InputError, match=r"the worker process: cannot take over an object .*--in-process"):
+                own.call(str, argument)
         assert own.call(os.getpid) == pid
 
 

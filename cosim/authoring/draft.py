@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.authoring.draft_text import BY, scenario_text
+from cosim.authoring.draft_text import BY, is_edited, scenario_text, sealed
 from cosim.authoring.matching import Match, Matches, Port, matched, text
 from cosim.authoring.parts import SLACK, STEPS, STOP, Asked, Part, Times, parts_of, times_of
 from cosim.base.arrays import Array
@@ -66,7 +66,8 @@ def write_single(
     (part,) = parts_of([fmu], start)
     path = folder / "scenario.yaml"
     check_ours(folder, part.name, force=force, keep=keep)
-    if path.is_file() and not path.read_text(encoding="utf-8", errors="replace").startswith(BY.format("simulate")):
+    earlier = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else BY.format("simulate")
+    if not earlier.startswith(BY.format("simulate")) or (is_edited(earlier) and not keep):
         cure = "is a scenario of yours and would be written over; give another folder as --out"
         raise InputError([Fault(path, 0, 0, cure)])
     played = _played(recorded, part) if recorded is not None else None
@@ -78,7 +79,7 @@ def write_single(
     names = [n if n.startswith(f"{part.name}.") else f"{part.name}.{n}" for n in record]
     lines += f"record: {json.dumps(names)}\n" if names else ""
     with draft_of(path) as made:
-        _write_sound(made, lines, fmu)
+        _write_sound(made, sealed(lines), fmu)
         if keep:
             keep_earlier(folder, "cosim run", [path.name])
     return path, (*notes, *times.notes)

@@ -6,6 +6,7 @@ import json
 import os
 import re
 from collections.abc import Iterator, Sequence
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from cosim.coupling.algorithms import DEFAULT, Algorithm
 from cosim.scenario.start_values import settable
 
 BY = "# Written by `cosim {}`."
+SEAL = "# SHA-256 of the lines above: "  # by which `cosim simulate` sees that a scenario of its own was edited
 PARAMETERS = 12  # shown of each FMU
 PLAIN = re.compile(r"[A-Za-z_][\w.]*")
 NOT_TEXT = {"true", "false", "yes", "no", "on", "off", "null", "y", "n"}  # words of YAML that are no text
@@ -58,6 +60,17 @@ def scenario_text(
         ]
     lines += _connections(matches) + _more(parts)
     return "\n".join(lines) + "\n"
+
+
+def sealed(text: str) -> str:
+    """Return a scenario with the digest of its lines below them."""
+    return f"{text}{SEAL}{sha256(text.encode()).hexdigest()}\n"
+
+
+def is_edited(text: str) -> bool:
+    """Return whether a scenario was changed since it was sealed; False of one that is not sealed."""
+    lines, seal, _ = text.rpartition(SEAL)
+    return bool(seal) and text != sealed(lines)
 
 
 def _whole(value: float) -> str:

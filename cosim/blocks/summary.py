@@ -20,27 +20,6 @@ from cosim.blocks.description import (
 )
 from cosim.storage.kinds import FMU, check_given
 
-CAPABILITIES = (
-    "canHandleVariableCommunicationStepSize",
-    "canGetAndSetFMUState",
-    "canGetAndSetFMUstate",
-    "canSerializeFMUState",
-    "canSerializeFMUstate",
-    "providesDirectionalDerivative",
-    "providesDirectionalDerivatives",
-    "canInterpolateInputs",
-    "canBeInstantiatedOnlyOncePerProcess",
-    "needsExecutionTool",
-    "canNotUseMemoryManagementFunctions",
-    "hasEventMode",
-    "canReturnEarlyAfterIntermediateUpdate",
-    "providesIntermediateUpdate",
-    "providesEvaluateDiscreteStates",
-    "completedIntegratorStepNotNeeded",
-    "fixedInternalStepSize",
-    "maxOutputDerivativeOrder",
-)
-
 
 @dataclass(frozen=True)
 class Variable:
@@ -151,16 +130,14 @@ def experiment_of(description: Any) -> dict[str, float]:
 
 
 def _capabilities(description: Any) -> dict[str, dict[str, Any]]:
+    """Return the flags and numbers of each way that are set, by FMI's names."""
     parts = {"co-simulation": description.coSimulation, "model-exchange": description.modelExchange}
-    return {
-        way: {
-            name: value
-            for name in CAPABILITIES
-            if (value := getattr(part, name, None)) is not None and value is not False and value != 0
-        }
-        for way, part in parts.items()
-        if part is not None
-    }
+    return {way: _flags(part) for way, part in parts.items() if part is not None}
+
+
+def _flags(part: Any) -> dict[str, Any]:
+    values = {field.name: getattr(part, field.name) for field in type(part).__attrs_attrs__}
+    return {name: value for name, value in values.items() if value and isinstance(value, (bool, int, float))}
 
 
 def platforms_of(path: Path) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import shlex
 from collections.abc import Mapping
@@ -20,7 +19,7 @@ from cosim.report.chart_data import to_json
 from cosim.report.drawing import Drawing
 from cosim.report.template import render
 from cosim.simulation.run_files import Ran
-from cosim.storage.files import FilePath, atomic_write, check_writable, named_path
+from cosim.storage.files import FilePath, check_writable, named_path, write_json, write_text
 from cosim.storage.folder_lock import folder_locks
 from cosim.storage.folders import check_left, folder_named, keep_earlier
 
@@ -60,13 +59,10 @@ def compare(
     check_writable(place, MADE, read)
     if folder is None:
         keep_earlier(place, "cosim compare")
-    with atomic_write(place / "comparison.json") as stream:
-        json.dump(made.as_json(), stream, indent=2, ensure_ascii=False)
-        stream.write("\n")
+    write_json(place / "comparison.json", made.as_json())
     (place / "report.html").unlink(missing_ok=True)
     if report:
-        with atomic_write(place / "report.html") as stream:
-            stream.write(render(TEMPLATE, context(made)))
+        write_text(place / "report.html", render(TEMPLATE, context(made)))
     return made, place
 
 

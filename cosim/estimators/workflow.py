@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from cosim.base.registry import model_entry, resolve
 from cosim.base.settings import Count, Seed
 from cosim.estimators.consistency import Row, consistency_of
 from cosim.estimators.report import page
-from cosim.storage.files import atomic_write, check_writable
+from cosim.storage.files import check_writable, write_json, write_text
 from cosim.storage.folders import check_left, keep_earlier
 
 FEWEST = 2  # runs
@@ -74,8 +73,6 @@ def write(folder: Path, rows: Sequence[Row], steps: int, seed: int, *, report: b
     if keep:
         keep_earlier(folder, "cosim consistency")
     record = {"runs": rows[0].result.runs, "steps": steps, "seed": seed, "rows": [row.as_json() for row in rows]}
-    with atomic_write(folder / RECORD) as stream:
-        stream.write(json.dumps(record, indent=1, ensure_ascii=False) + "\n")
+    write_json(folder / RECORD, record, indent=1)
     if report:
-        with atomic_write(folder / PAGE) as stream:
-            stream.write(page(rows, steps, seed))
+        write_text(folder / PAGE, page(rows, steps, seed))

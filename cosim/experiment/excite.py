@@ -23,7 +23,7 @@ from cosim.experiment.question import Question, ask, refinement_folder
 from cosim.experiment.rigs import OpenLoop, Rig, Trial
 from cosim.experiment.separation import Pair, Separation
 from cosim.logs.log import slowness
-from cosim.storage.files import FilePath, atomic_write, check_writable, named_path
+from cosim.storage.files import FilePath, check_writable, named_path, write_text
 from cosim.storage.folder_lock import folder_locks
 from cosim.storage.folders import check_left, keep_earlier
 from cosim.storage.table import write_columns
@@ -230,8 +230,7 @@ def _write(folder: Path, found: Excitation, seed: int) -> None:
     write_columns(folder / "excitation.csv", trial.time, trial.inputs, {q.name: q.unit for q in model.inputs})
     build(found.question.loaded.recipe(), folder / "plant.fmu")
     found.rig.write(folder, trial)
-    with atomic_write(folder / "excitation.yaml") as stream:
-        stream.write("\n".join(_scenario(found, seed)) + "\n")
+    write_text(folder / "excitation.yaml", "\n".join(_scenario(found, seed)) + "\n")
 
 
 def _scenario(found: Excitation, seed: int) -> Iterator[str]:

@@ -18,7 +18,7 @@ from cosim.base.errors import Crashed, SimulationError
 from cosim.base.scratch import Held, scratch
 from cosim.isolation.rows import NOTHING, Progress, mapped_progress
 from cosim.isolation.watch import Clock, Watch, how_ended
-from cosim.isolation.worker import ALONG, PROGRESS, Begin, receive, send
+from cosim.isolation.worker import ALONG, PROGRESS, Begin, not_sent, receive, send
 from cosim.storage.cache import cache_environment
 from cosim.storage.files import uninterrupted
 
@@ -95,6 +95,7 @@ class Worker:
         """What a function of a module gives in the worker; errors of ours are raised here.
 
         doing: what is being called, for one that does not say so itself
+        InputError if the arguments cannot be sent.
         Crashed where the process ends, TimedOut or SimulationError where a limit is exceeded: rows and counters that
         it shares with the caller are as it left them, and the next call has another process.
         """
@@ -102,7 +103,11 @@ class Worker:
         self.progress.made[0], self.progress.doing[0], self.progress.named[0] = 0, doing, 0
         self.progress.words = b""
         clock = Clock(watch or Watch(), self.progress)
-        self._ask(pickle.dumps((function, arguments)))
+        try:
+            content = pickle.dumps((function, arguments))
+        except Exception as refusal:  # pickle raises what the object's own methods raise
+            raise not_sent(refusal) from None
+        self._ask(content)
         try:
             content = self._wait(clock)
         except BaseException:

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from cosim.base.errors import CosimError
+from cosim.base.errors import CosimError, Fault, InputError
 from cosim.base.garbage import collect_seldom
 from cosim.base.scratch import remove
 from cosim.isolation.rows import Progress, mapped_progress
@@ -180,9 +180,19 @@ def _answer(content: bytes) -> bytes:
     """Do a job: (answer, None), or (None, the error), which says where it came from where it is none of ours."""
     try:
         function, arguments = pickle.loads(content)
+    except Exception as error:  # of a class that only the caller can import
+        return pickle.dumps((None, not_sent(error)))
+    try:
         return pickle.dumps((function(*arguments), None))
     except Exception as error:
         return _sent(error, traceback.format_exc())
+
+
+def not_sent(error: Exception) -> InputError:
+    """Return the answer to an argument that does not come through to a worker process."""
+    cure = "define it in a module that can be imported, or run in this process (in_process=True, --in-process)"
+    message = f"cannot take over an object ({type(error).__name__}: {' '.join(str(error).split())[:200]}); {cure}"
+    return InputError([Fault(Path("the worker process"), 0, 0, message)])
 
 
 def _sent(error: Exception, place: str) -> bytes:

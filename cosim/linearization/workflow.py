@@ -28,7 +28,7 @@ from cosim.linearization.system_structure import structure
 from cosim.linearization.write import FILES, write
 from cosim.loading.file import LoadedModel, load_model, named_model
 from cosim.loading.refined import names_refine, refined_file
-from cosim.storage.files import FilePath, atomic_write, check_writable, named_path
+from cosim.storage.files import FilePath, check_writable, named_path, write_text
 from cosim.storage.folder_lock import folder_locks
 from cosim.storage.folders import check_left, keep_earlier
 from cosim.storage.kinds import CODE, FMU, MODEL, check_given, kind_of
@@ -118,8 +118,7 @@ def linearize(
         if report:
             from cosim.linearization.report import page
 
-            with atomic_write(folder / "report.html") as stream:
-                stream.write(page(outcome))
+            write_text(folder / "report.html", page(outcome))
     return outcome
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -17,7 +16,7 @@ from cosim.base.drafts import draft_of
 from cosim.base.version import __version__
 from cosim.linearization.linear_model import Linear
 from cosim.linearization.system_structure import Structure
-from cosim.storage.files import atomic_write
+from cosim.storage.files import write_json, write_text
 
 FILES = ("linear.json", "linear.mat", "linear.py")
 HEADER = 116  # bytes of text at the beginning of a .mat, in which scipy writes the time of day
@@ -44,13 +43,10 @@ def write(
     folder: Path, name: str, title: str, linear: Sequence[Linear], structure: Structure, notes: Sequence[str]
 ) -> None:
     """All of them, each whole or not at all."""
-    with atomic_write(folder / "linear.json") as stream:
-        json.dump(content(name, title, linear, structure, notes), stream, indent=1, ensure_ascii=False, allow_nan=False)
-        stream.write("\n")
+    write_json(folder / "linear.json", content(name, title, linear, structure, notes), indent=1, allow_nan=False)
     with draft_of(folder / "linear.mat") as draft:
         draft.write_bytes(mat(linear))
-    with atomic_write(folder / "linear.py") as stream:
-        stream.write(SCRIPT)
+    write_text(folder / "linear.py", SCRIPT)
 
 
 def content(

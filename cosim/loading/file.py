@@ -26,7 +26,7 @@ from cosim.loading.refined import NoNearest, names_refine, refined_file
 from cosim.loading.source import Source
 from cosim.model.model import Model
 from cosim.storage.artefact import kind_by_keys
-from cosim.storage.files import atomic_write
+from cosim.storage.files import write_text
 from cosim.storage.kinds import CODE, MODEL, check_form, refuse_other
 from cosim.storage.yaml_file import UNIT_OF_KEY, YamlFile, did_you_mean
 
@@ -371,8 +371,7 @@ def write_model(path: Path, loaded: LoadedModel, folder: Path | None = None) -> 
         lines += [
             f"  {name}: {str(v).lower() if isinstance(v, bool) else repr(float(v))}" for name, v in values.items()
         ]
-    with atomic_write(path) as stream:
-        stream.write("\n".join(lines) + "\n")
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def meant_model(model: str | None, *, nearest: bool) -> LoadedModel:

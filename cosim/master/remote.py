@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cosim.base.drafts import is_full
 from cosim.base.errors import CosimError, DiskFull, SimulationError, Terminated, stopped
 from cosim.base.scratch import Held, scratch
 from cosim.blocks.component import EndedEarly
@@ -23,7 +24,7 @@ from cosim.master.halving import Halved
 from cosim.master.master import StoppedRun, results_of, simulate
 from cosim.master.observer import Feed, Observed, Observer
 from cosim.master.own_process import in_own_processes
-from cosim.storage.files import hold_stops, is_full
+from cosim.storage.files import hold_stops
 from cosim.storage.results import Results
 from cosim.system.system import System
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
 
 import numpy as np
@@ -42,7 +43,8 @@ class Drawing:
     def plots(self, panels: Sequence[Panel]) -> list[Plot]:
         """Plots whose values can be read at the cursor."""
         time = self._broken(self.series.time)
-        return [make_plot(self._parted(p), time, self.axis, self._keys(p), self.limit, self.over) for p in panels]
+        draw = partial(make_plot, limit=self.limit, over=self.over)
+        return [draw(self._parted(p), time, self.axis, self._keys(p)) for p in panels]
 
     def _keys(self, panel: Panel) -> Keys:
         return Keys(tuple(self.series.add(panel)), self.series.band(panel))
@@ -107,7 +109,7 @@ class Charts:
         band, last = panel.band, len(places) - 1
         edges = (series.column(spread(band.lower, last)), series.column(spread(band.upper, last))) if band else ()
         limit = max([2, *(p.size for p in places)])
-        return make_plot(panel, x, axis, Keys(tuple(keys), edges), min(limit, POINTS), over_x.label)
+        return make_plot(panel, x, axis, Keys(tuple(keys), edges), limit=min(limit, POINTS), over=over_x.label)
 
     def points(
         self, panel: Panel, axes: tuple[Axis, Axis], over: tuple[str, str], also: Mapping[str, Array] = NOTHING

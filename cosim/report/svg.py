@@ -286,6 +286,7 @@ def make_plot(
     time: Array,
     x: Axis,
     keys: Keys = NO_KEYS,
+    *,
     limit: int = 1000,
     over: str = "time in s",
     y: Axis | None = None,

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array, far_beyond
+from cosim.base.drafts import is_full
 from cosim.base.errors import DiskFull, Terminated, stopped
 from cosim.base.registry import BASE
 from cosim.base.scratch import temporary_folder
@@ -36,7 +37,6 @@ from cosim.storage.files import (
     FilePath,
     check_writable,
     hold_stops,
-    is_full,
     named_path,
     one_stop,
     release_stops,

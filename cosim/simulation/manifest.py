@@ -30,9 +30,8 @@ def resolve_scenario(file: ScenarioFile, designed: Mapping[str, Mapping[str, Any
             pinned = {"fmu": str(path), "start": start, "sha256": sha256(path)}
             components[name] = component.model_copy(update=pinned)
         elif component.block == "playback":
-            components[name] = component.model_copy(
-                update={"file": str(file.resolve(component.file)), "sha256": sha256(file.resolve(component.file))}
-            )
+            path = file.resolve(component.file)
+            components[name] = component.model_copy(update={"file": str(path), "sha256": sha256(path)})
         else:
             components[name] = component
     return file.scenario.model_copy(update={"components": components, "design": None})

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cosim.base.drafts import is_full
 from cosim.base.errors import DiskFull, SimulationError, Terminated, stopped
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import allocate
@@ -29,7 +30,6 @@ from cosim.storage.files import (
     FilePath,
     check_writable,
     hold_stops,
-    is_full,
     named_path,
     one_stop,
     release_stops,

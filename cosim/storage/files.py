@@ -14,27 +14,10 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, TextIO
 
-from cosim.base.drafts import draft_of, is_full, remove_drafts
+from cosim.base.drafts import draft_of, remove_drafts
 from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.scratch import Held, scratch
 from cosim.storage.folder_lock import take_folder
-
-__all__ = [
-    "FilePath",
-    "atomic_write",
-    "check_folder",
-    "check_text",
-    "check_writable",
-    "hold_stops",
-    "is_full",
-    "named_path",
-    "one_stop",
-    "release_stops",
-    "scratch_folder",
-    "uninterrupted",
-    "write_json",
-    "write_text",
-]
 
 FilePath = str | os.PathLike[str]
 NOT_BLANK = "give a name, or . for the current folder"

@@ -8,13 +8,15 @@ from typing import Annotated
 import typer
 
 from cosim.base.errors import Fault, InputError
-from cosim.verbs.terminal import Json, say, say_json
+from cosim.verbs.options import Json
+from cosim.verbs.terminal import say, say_json
 
 Out = Annotated[Path, typer.Option("--out", "-o", help="Folder for what the command leaves; made if missing.")]
 
 
 def command(
     out: Out = Path("build"),
+    *,
     model: Annotated[
         str | None,
         typer.Option(

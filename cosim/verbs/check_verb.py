@@ -11,15 +11,17 @@ from typing import Annotated
 
 import typer
 
+from cosim.base.drafts import is_full
 from cosim.base.errors import Crashed, Fault, FmuError, InputError, Interrupted, NotExecuted, Signalled, Terminated
 from cosim.base.program import STOPPED
 from cosim.base.registry import resolve
 from cosim.base.settings import Files, ModelName
 from cosim.storage import kinds
 from cosim.storage.artefact import Checking, kind_by_keys, of_kind
-from cosim.storage.files import FilePath, is_full
+from cosim.storage.files import FilePath
 from cosim.storage.yaml_file import YamlFile
-from cosim.verbs.terminal import Compile, Json, say, say_json
+from cosim.verbs.options import Compile, Json, Texts
+from cosim.verbs.terminal import say, say_json
 
 WANTED = "a scenario, study, sweep, protocol, model, log, SSP or FMU"
 
@@ -112,7 +114,7 @@ def command(
         bool, typer.Option("--load/--no-load", help="Load FMUs and step them once, in a process of their own.")
     ] = True,
     column: Annotated[
-        list[str] | None,
+        Texts,
         typer.Option("--column", help="COLUMN=VARIABLE where logs have other names; measured_speed=w, stamp=time."),
     ] = None,
     compile_: Compile = False,

@@ -7,24 +7,22 @@ import os
 import signal
 import sys
 import warnings
-from typing import Annotated, TextIO
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Annotated, Any
 
 import typer
 
-from cosim.base.errors import (
-    CosimError,
-    InputError,
-    SimulationError,
-    Terminated,
-)
+from cosim.base.drafts import is_full
+from cosim.base.errors import CosimError, InputError, SimulationError, Terminated
 from cosim.base.garbage import collect_seldom
 from cosim.base.program import as_program
 from cosim.base.registry import ExtensionWarning, attempt
 from cosim.base.version import __version__
-from cosim.storage.files import check_text, is_full
+from cosim.storage.files import check_text
 from cosim.verbs import verbs
 from cosim.verbs.manner import with_manner
-from cosim.verbs.outcome import told_left
+from cosim.verbs.outcome import say_partial
 from cosim.verbs.streams import echo, open_streams
 from cosim.verbs.terminal import say, say_failure, say_usage
 
@@ -52,15 +50,12 @@ def main(
     """Options that stand before the command."""
 
 
-def _show_warning(
-    message: Warning | str, category: type[Warning], filename: str, lineno: int, file: TextIO | None = None,
-    line: str | None = None,
-) -> None:  # fmt: skip
+def _show_warning(message: Warning | str, category: type[Warning], *place: Any, **options: Any) -> None:
     """Show a package that cannot be loaded as one line, other warnings as Python does."""
     if issubclass(category, ExtensionWarning):
         echo(f"warning: {message}", err=True)
     else:
-        _python_shows(message, category, filename, lineno, file, line)
+        _python_shows(message, category, *place, **options)
 
 
 _python_shows = warnings.showwarning
@@ -74,11 +69,15 @@ def entry() -> None:
     """Console entry: an error of ours is a message and its exit code, never a traceback."""
     open_streams()
     collecting = collect_seldom()
-    ends = [number for name in ("SIGTERM", "SIGHUP") if (number := getattr(signal, name, None)) is not None]
-    before, terminating = {number: signal.getsignal(number) for number in ends}, _Terminating()
-    for number, handler in before.items():
-        if handler != signal.SIG_IGN:  # nohup
-            signal.signal(number, terminating)
+    try:
+        with _terminable():
+            _run()
+    finally:
+        gc.set_threshold(*collecting)
+
+
+def _run() -> None:
+    """Run the command of this process; SystemExit with its exit code."""
     try:
         check_text([*sys.argv[1:], *_here(), os.environ.get("TMPDIR", "")])
         app(standalone_mode=True)
@@ -89,7 +88,7 @@ def entry() -> None:
         echo(str(error) if isinstance(error, InputError) else f"error: {error}", err=True)
         say_failure(error)
         if isinstance(error, SimulationError) and error.left is not None:
-            told_left(error.left)
+            say_partial(error.left)
         sys.exit(error.exit_code)
     except Terminated as ended:
         echo(f"error: {ended}", err=True)
@@ -101,8 +100,26 @@ def entry() -> None:
         where = f"{error.filename}: " if error.filename else ""
         echo(f"error: {where}{'the disk is full' if is_full(error) else error.strerror or error}", err=True)
         sys.exit(SimulationError.exit_code if is_full(error) else 2)
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Have the first signal that asks to end raise Terminated, so that what is half done is removed on the way out."""
+    numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    before = {number: signal.getsignal(number) for number in numbers}
+    asked: list[int] = []
+
+    def terminate(number: int, frame: object) -> None:
+        asked.append(number)
+        if len(asked) == 1:
+            raise Terminated(signal.Signals(number).name)
+
+    for number, handler in before.items():
+        if handler != signal.SIG_IGN:  # nohup
+            signal.signal(number, terminate)
+    try:
+        yield
     finally:
-        gc.set_threshold(*collecting)
         for number, handler in before.items():
             signal.signal(number, handler or signal.SIG_DFL)
 
@@ -113,18 +130,6 @@ def _here() -> list[str]:
         return [os.getcwd()]
     except OSError:
         return []
-
-
-class _Terminating:
-    """What a command does when it is asked to end: it raises once, and what is half done is removed on the way out."""
-
-    def __init__(self) -> None:
-        self.asked = False
-
-    def __call__(self, number: int, frame: object) -> None:
-        if not self.asked:
-            self.asked = True
-            raise Terminated(signal.Signals(number).name)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,8 @@ import typer
 from cosim.base.errors import CriterionMissed
 from cosim.base.settings import NotNegative
 from cosim.storage.files import FilePath
-from cosim.verbs.terminal import Force, Json, Open, Report, judged, say, say_json, show, table
+from cosim.verbs.options import Force, Json, Open, Report, out_option
+from cosim.verbs.terminal import judged, say, say_json, show, some, table
 
 if TYPE_CHECKING:
     from cosim.comparison.differences import Compared
@@ -56,23 +57,19 @@ def _ran(side: FilePath | Signals) -> Any:
 def command(
     a: Annotated[Path, typer.Argument(help="The folder that a run left, or a CSV with time first.")],
     b: Annotated[Path, typer.Argument(help="Another one, held against it.")],
+    *,
     tolerance: Annotated[
         float | None,
         typer.Option("--tol", help="Share of each signal's range by which it may differ; beyond it exits 5."),
     ] = None,
     absolute: Annotated[float, typer.Option("--abs", help="In each signal's unit, added to --tol.")] = 0.0,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", help="Folder for comparison.json and report.html; results/A-and-B without."),
-    ] = None,
+    out: Annotated[Path | None, out_option("results/A-and-B")] = None,
     report: Report = True,
     open_: Open = False,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Hold one run against another: differences of every signal, criteria side by side, both drawn over each other."""
-    from cosim.comparison.differences import sentence
-    from cosim.comparison.signals import shared, sized
     from cosim.comparison.workflow import compare as compare_runs
     from cosim.simulation.run_files import read_ran
 
@@ -84,24 +81,29 @@ def command(
     if as_json:
         say_json(made.as_json())
     else:
-        ranked = [d for d in sorted(made.differences, key=lambda d: -d.share) if d.largest]
-        rows = [
-            (f"  {d.name}", sized(d, d.largest), f"{d.at:.6g} s", sized(d, d.rms), shared(d),
-             ("beyond" if d.beyond else "within") if made.judged else "", d.note)
-            for d in ranked[:SHOWN]
-        ]  # fmt: skip
-        for line in table(("  signal", "largest", "at", "rms", "of its range", "", ""), rows) if rows else []:
+        for line in _lines(made):
             say(line)
-        if len(ranked) > SHOWN:
-            say(f"  … and {len(ranked) - SHOWN} more that differ")
-        for name, only in (("a", made.only_a), ("b", made.only_b)):
-            if only:
-                say(f"  only in {name}: {', '.join(only[:SHOWN])}{', …' if len(only) > SHOWN else ''}")
-        say(judged(made.same, sentence(made)) if made.judged else sentence(made))
         say(f"differences: {folder / 'comparison.json'}")
         if report:
             say(f"report:      {folder / 'report.html'}")
-    if report and open_:
-        show(folder / "report.html")
+    show(folder / "report.html", asked=report and open_)
     if made.judged and not made.same:
         raise CriterionMissed("; ".join(made.reasons))
+
+
+def _lines(made: Compared) -> list[str]:
+    """Return the signals with the largest differences, those of one run alone, and the verdict."""
+    from cosim.comparison.differences import sentence
+    from cosim.comparison.signals import shared, sized
+
+    ranked = [d for d in sorted(made.differences, key=lambda d: -d.share) if d.largest]
+    rows = []
+    for d in ranked[:SHOWN]:
+        verdict = ("beyond" if d.beyond else "within") if made.judged else ""
+        rows.append((f"  {d.name}", sized(d, d.largest), f"{d.at:.6g} s", sized(d, d.rms), shared(d), verdict, d.note))
+    lines = table(("  signal", "largest", "at", "rms", "of its range", "", ""), rows) if rows else []
+    if len(ranked) > SHOWN:
+        lines.append(f"  … and {len(ranked) - SHOWN} more that differ")
+    for name, only in (("a", made.only_a), ("b", made.only_b)):
+        lines += [f"  only in {name}: {some(only, SHOWN)}"] if only else []
+    return [*lines, judged(made.same, sentence(made)) if made.judged else sentence(made)]

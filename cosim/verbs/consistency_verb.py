@@ -9,17 +9,17 @@ import typer
 
 from cosim.storage.folder_lock import folder_locks
 from cosim.storage.folders import folder_named
-from cosim.verbs.terminal import Force, Json, Open, Report, judged, progress_bar, say, say_json, show, table
+from cosim.verbs.options import Force, Json, Open, Report, out_option
+from cosim.verbs.terminal import judged, progress_bar, say, say_json, show, table
 
 
 @folder_locks()
 def command(
+    *,
     runs: Annotated[int, typer.Option("--runs", min=2, help="Monte Carlo runs of each case.")] = 50,
     steps: Annotated[int, typer.Option("--steps", min=100, help="Samples of each run.")] = 500,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of the random numbers.")] = 1,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Folder for what it leaves; results/consistency without.")
-    ] = None,
+    out: Annotated[Path | None, out_option("results/consistency")] = None,
     report: Report = True,
     open_: Open = False,
     force: Force = False,
@@ -36,19 +36,19 @@ def command(
     with progress_bar("estimating") as progress:
         rows = over_runs(runs, steps, seed, progress)
     write(out, rows, steps, seed, report=report, keep=keep)
-    if report and open_:
-        show(out / "report.html")
+    show(out / "report.html", asked=report and open_)
     if as_json:
         say_json([row.as_json() for row in rows])
         return
     for flight, motion in {row.flight: row.motion for row in rows}.items():
         say(f"{flight}: {motion}")
     header = ("case", "flight", "of", "dof", "mean", "its region", "times above", "below", "at most", "verdict")
-    lines = [
-        (row.case, row.flight, row.of, str(r.degrees), f"{r.mean:.3f}", f"{r.region[0]:.3f} … {r.region[1]:.3f}",
-         f"{r.above:.1%}", f"{r.below:.1%}", f"{r.most:.1%}", r.sentence)
-        for row in rows for r in (row.result,)
-    ]  # fmt: skip
+    lines = []
+    for row in rows:
+        r = row.result
+        mean = f"{r.mean:.3f}", f"{r.region[0]:.3f} … {r.region[1]:.3f}"
+        shares = f"{r.above:.1%}", f"{r.below:.1%}", f"{r.most:.1%}"
+        lines.append((row.case, row.flight, row.of, str(r.degrees), *mean, *shares, r.sentence))
     head, *body = table(header, lines)
     say(head)
     for row, line in zip(rows, body, strict=True):

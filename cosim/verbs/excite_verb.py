@@ -10,37 +10,29 @@ import typer
 
 from cosim.base.program import ending_when_stuck
 from cosim.storage.folders import folder_named, name_of
-from cosim.verbs.terminal import Force, Json, say, say_json, seconds, stages, warn
+from cosim.verbs.options import Force, Json, Texts, out_option, time_option
+from cosim.verbs.terminal import say, say_json, stages, warn
 
 
 def command(
     model: Annotated[
         str, typer.Argument(help="base, a model.yaml, file.py:Class, or a refine.json (or its folder) with rivals.")
     ],
+    *,
     against: Annotated[
-        list[str] | None, typer.Option("--against", help="An effect, sensor or parameter to tell apart; repeatable.")
+        Texts, typer.Option("--against", help="An effect, sensor or parameter to tell apart; repeatable.")
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Folder for what it leaves; results/MODEL-excitation without.")
-    ] = None,
+    out: Annotated[Path | None, out_option("results/MODEL-excitation")] = None,
     limit: Annotated[
-        list[str] | None,
-        typer.Option("--limit", help="NAME=VALUE: how far an input or output may go from its start; angle=8deg."),
+        Texts, typer.Option("--limit", help="NAME=VALUE: how far an input or output may go from its start; angle=8deg.")
     ] = None,
     range_: Annotated[
-        list[str] | None,
+        Texts,
         typer.Option("--range", help="NAME=MIN..MAX: between what an input stays, within what the model declares."),
     ] = None,
-    measured: Annotated[
-        list[str] | None, typer.Option("--measured", help="An output that will be logged; repeatable.")
-    ] = None,
+    measured: Annotated[Texts, typer.Option("--measured", help="An output that will be logged; repeatable.")] = None,
     duration: Annotated[
-        float | None,
-        typer.Option(
-            help="Of the experiment, in seconds or 2min; 40 without, longer for a slow model.",
-            parser=seconds,
-            metavar="TIME",
-        ),
+        float | None, time_option("Of the experiment, in seconds or 2min; 40 without, longer for a slow model.")
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the experiments that are tried.")] = 1,
     force: Force = False,
@@ -52,9 +44,18 @@ def command(
     place = folder_named(name_of(model), "excitation") if out is None else out
     with stages() as progress, ending_when_stuck():
         found = choose(
-            model, place, against or (), limits=limit or (), ranges=range_ or (), measured=measured or (),
-            duration=duration, seed=seed, force=force, keep=out is None, progress=progress,
-        )  # fmt: skip
+            model,
+            place,
+            against or (),
+            limits=limit or (),
+            ranges=range_ or (),
+            measured=measured or (),
+            duration=duration,
+            seed=seed,
+            force=force,
+            keep=out is None,
+            progress=progress,
+        )
     if found.warning:
         warn(found.warning)
     for line in found.sentences:

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from cosim.verbs.terminal import Json, say, say_json, say_note
+from cosim.verbs.options import Json, Nearest, Overrides
+from cosim.verbs.terminal import say, say_json, say_note
 
 
 def command(
@@ -15,12 +16,8 @@ def command(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="The file to write; without, NAME.ssp in this folder.")
     ] = None,
-    set_: Annotated[
-        list[str] | None, typer.Option("--set", help="path=value, over the scenario's own; e.g. step=0.01.")
-    ] = None,
-    nearest: Annotated[
-        bool, typer.Option("--nearest", help="Of each refine that the scenario names, what came nearest in it.")
-    ] = False,
+    set_: Overrides = None,
+    nearest: Nearest = False,
     as_json: Json = False,
 ) -> None:
     """Write a scenario as an SSP 1.0 that other simulators run: noise off, references as FMUs."""

@@ -8,12 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cosim.blocks.description import C_CODE
-from cosim.verbs.terminal import Json, say, say_json, table
+from cosim.verbs.options import Json
+from cosim.verbs.terminal import say, say_json, some, table
 
 if TYPE_CHECKING:
     from cosim.blocks.summary import Summary, Variable
 
-SHOWN = {"input": "inputs", "output": "outputs", "parameter": "parameters"}
+SHOWN = {"inputs": ("input",), "outputs": ("output",), "parameters": ("parameter", "structuralParameter")}
+UNITS = {"start": " s", "stop": " s", "step": " s", "tolerance": ""}  # of a default experiment
+MOST_NAMES = 8  # states, and items of an enumeration
 MOST = 60  # parameters in the table; --all shows every one
 
 
@@ -30,41 +33,35 @@ def command(
         say_json([s.as_json() for s in found] if len(found) > 1 else found[0].as_json())
         return
     for number, summary in enumerate(found):
-        for line in ([""] if number else []) + _told(summary, every=every):
+        for line in ([""] if number else []) + [*_overview(summary), *_variables(summary, every=every)]:
             say(line)
 
 
-def _told(s: Summary, *, every: bool) -> list[str]:
-    ways = ", ".join(s.ways)
-    lines = [f"{s.file}: {s.name}, FMI {s.fmi_version} for {ways}" + (f", by {s.tool}" if s.tool else "")]
-    lines += [f"  {s.description}"] if s.description else []
-    e = s.experiment
-    named = [
-        f"{key} {e[key]:g}{'' if key == 'tolerance' else ' s'}"
-        for key in ("start", "stop", "step", "tolerance")
-        if key in e
+def _overview(s: Summary) -> list[str]:
+    """Return the lines of an FMU before its variables."""
+    experiment = [f"{key} {s.experiment[key]:g}{unit}" for key, unit in UNITS.items() if key in s.experiment]
+    without = " without --compile" if C_CODE in s.platforms else ""
+    here = "" if s.runs_here else f", so it does not run on this machine{without}"
+    return [
+        f"{s.file}: {s.name}, FMI {s.fmi_version} for {', '.join(s.ways)}" + (f", by {s.tool}" if s.tool else ""),
+        *([f"  {s.description}"] if s.description else []),
+        f"  default experiment: {', '.join(experiment) or 'none'}",
+        f"  platforms: {', '.join(s.platforms) or 'none'}{here}",
+        *(f"  {way}: {', '.join(_flags(flags)) or 'no capability declared'}" for way, flags in s.capabilities.items()),
+        f"  states: {s.state_count}" + (f" ({some(s.states, MOST_NAMES)})" if s.states else ""),
+        *(f"  warning: {slip}" for slip in s.slips[:5]),
     ]
-    lines += [
-        f"  default experiment: {', '.join(named) or 'none'}",
-        f"  platforms: {', '.join(s.platforms) or 'none'}"
-        + ("" if s.runs_here else ", so it does not run on this machine")
-        + (" without --compile" if not s.runs_here and C_CODE in s.platforms else ""),
-    ]
-    lines += [
-        f"  {way}: {', '.join(_flags(flags)) or 'no capability declared'}" for way, flags in s.capabilities.items()
-    ]
-    lines += [f"  states: {s.state_count}" + (f" ({_some(s.states)})" if s.states else "")]
-    lines += [f"  warning: {slip}" for slip in s.slips[:5]]
-    for causality, title in SHOWN.items():
-        lines += _section(title, s.of(*(causality, "structuralParameter")[: 1 + (causality == "parameter")]), every)
-    others = [
-        v for v in s.variables if v.causality not in SHOWN and v.causality not in ("structuralParameter", "independent")
-    ]
+
+
+def _variables(s: Summary, *, every: bool) -> list[str]:
+    """Return the tables of an FMU's variables; of locals their number, unless every variable is shown."""
+    lines = [line for title, causalities in SHOWN.items() for line in _section(title, s.of(*causalities), every)]
+    named = {"independent"}.union(*SHOWN.values())
+    others = [v for v in s.variables if v.causality not in named]
     if every:
-        lines += _section("others", others, True)
-    elif others:
-        lines.append(f"{len(others)} more: locals and calculated parameters (--all lists them)")
-    return lines
+        return lines + _section("others", others, True)
+    more = f"{len(others)} more: locals and calculated parameters (--all lists them)"
+    return [*lines, more] if others else lines
 
 
 def _flags(flags: dict[str, object]) -> list[str]:
@@ -98,9 +95,5 @@ def _start(v: Variable) -> str:
 
 def _range(v: Variable) -> str:
     if v.items:
-        return _some([f"{number} {name}" for name, number in v.items.items()])
+        return some([f"{number} {name}" for name, number in v.items.items()], MOST_NAMES)
     return "" if v.min is None and v.max is None else f"{v.min or '-∞'} … {v.max or '∞'}"
-
-
-def _some(names: list[str], most: int = 8) -> str:
-    return ", ".join(names[:most]) + (", …" if len(names) > most else "")

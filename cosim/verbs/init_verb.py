@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from cosim.storage.kinds import as_typed
-from cosim.verbs.terminal import Json, say, say_json, warn
+from cosim.verbs.options import Json
+from cosim.verbs.terminal import say, say_json, warn
 
 
 def command(
@@ -29,11 +30,9 @@ def command(
         connections = [
             {"from": text(m.source), "to": text(m.target), "guess": m.guess, "others": m.others} for m in found
         ]
-        left = [text(port) for port, _ in draft.matches.left]
-        say_json({
-            "scenario": str(out), "algorithm": draft.algorithm, "connections": connections, "not_connected": left,
-            "choices": dict(draft.matches.choices),
-        })  # fmt: skip
+        content = {"scenario": str(out), "algorithm": draft.algorithm, "connections": connections}
+        unconnected = [text(port) for port, _ in draft.matches.left]
+        say_json({**content, "not_connected": unconnected, "choices": dict(draft.matches.choices)})
         return
     for m in found:
         say(f"  {text(m.source)} → {text(m.target)}" + (f"   guess: {m.guess}" if m.guess else ""))
@@ -43,14 +42,9 @@ def command(
         say(f"  {name} is left open, for several fit alike: {', '.join(sources)}")
     for warning in draft.warnings:
         warn(warning)
-    guesses = sum(bool(m.guess) for m in found)
-    say(
-        f"wrote {out}: {counted(len(fmus), 'FMU')}, {counted(len(found), 'connection')}"
-        + (f", {guesses} guessed (marked in the file)" if guesses else "")
-        + (
-            f", {counted(len(draft.matches.choices), 'input')} to choose for (in the file)"
-            if draft.matches.choices
-            else ""
-        )
-    )
+    guesses, choices = sum(bool(m.guess) for m in found), draft.matches.choices
+    parts = [counted(len(fmus), "FMU"), counted(len(found), "connection")]
+    parts += [f"{guesses} guessed (marked in the file)"] if guesses else []
+    parts += [f"{counted(len(choices), 'input')} to choose for (in the file)"] if choices else []
+    say(f"wrote {out}: {', '.join(parts)}")
     say(f"next: cosim run {as_typed(out)}")

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cosim.storage.folders import folder_named, name_of
-from cosim.verbs.terminal import Compile, Force, Json, Open, Report, say, say_json, show, table, warn
+from cosim.verbs.options import Compile, Force, Json, Open, Report, Texts, out_option
+from cosim.verbs.terminal import say, say_json, show, table, warn
 
 if TYPE_CHECKING:
     from cosim.linearization.result import Outcome
@@ -20,18 +21,17 @@ def command(
     model: Annotated[
         str, typer.Argument(help="base, bench, a model.yaml, file.py:Class, a refine's folder, or an FMU.")
     ],
+    *,
     at: Annotated[
-        list[str] | None,
+        Texts,
         typer.Option("--at", help="NAME=VALUE,… of states and inputs, SCENARIO@TIME, or SCENARIO@START:STOP:STEP."),
     ] = None,
-    set_: Annotated[list[str] | None, typer.Option("--set", help="NAME=VALUE of a parameter; repeatable.")] = None,
-    states: Annotated[
-        list[str] | None, typer.Option("--states", help=f"States that are kept, in order; {NAMES}.")
-    ] = None,
-    inputs: Annotated[list[str] | None, typer.Option("--inputs", help=f"Inputs that are kept; {NAMES}.")] = None,
-    outputs: Annotated[list[str] | None, typer.Option("--outputs", help=f"Outputs that are kept; {NAMES}.")] = None,
+    set_: Annotated[Texts, typer.Option("--set", help="NAME=VALUE of a parameter; repeatable.")] = None,
+    states: Annotated[Texts, typer.Option("--states", help=f"States that are kept, in order; {NAMES}.")] = None,
+    inputs: Annotated[Texts, typer.Option("--inputs", help=f"Inputs that are kept; {NAMES}.")] = None,
+    outputs: Annotated[Texts, typer.Option("--outputs", help=f"Outputs that are kept; {NAMES}.")] = None,
     residualize: Annotated[
-        list[str] | None, typer.Option("--residualize", help=f"States that settle at once and are solved for; {NAMES}.")
+        Texts, typer.Option("--residualize", help=f"States that settle at once and are solved for; {NAMES}.")
     ] = None,
     component: Annotated[str, typer.Option("--component", help="Of the scenario, where several would do.")] = "",
     step: Annotated[
@@ -40,9 +40,7 @@ def command(
     side: Annotated[
         str | None, typer.Option("--side", help="below or above: whose slopes are taken where there is no derivative.")
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Folder for what it leaves; results/MODEL-linear without.")
-    ] = None,
+    out: Annotated[Path | None, out_option("results/MODEL-linear")] = None,
     report: Report = True,
     open_: Open = False,
     force: Force = False,
@@ -54,10 +52,22 @@ def command(
 
     place = folder_named(name_of(model), "linear") if out is None else out
     outcome = linearize_model(
-        model, place, at=at or (), set=set_ or (), states=_names(states), inputs=_names(inputs),
-        outputs=_names(outputs), residualize=_names(residualize), component=component, step=step, side=side,
-        report=report, force=force, keep=out is None, compile=compile_,
-    )  # fmt: skip
+        model,
+        place,
+        at=at or (),
+        set=set_ or (),
+        states=_names(states),
+        inputs=_names(inputs),
+        outputs=_names(outputs),
+        residualize=_names(residualize),
+        component=component,
+        step=step,
+        side=side,
+        report=report,
+        force=force,
+        keep=out is None,
+        compile=compile_,
+    )
     for note in outcome.notes:
         warn(note)
     if as_json:
@@ -66,8 +76,7 @@ def command(
         say_json(content(outcome.name, outcome.title, outcome.linear, outcome.structure, outcome.notes))
     else:
         _tell(outcome, place, report=report)
-    if report and open_:
-        show(place / "report.html")
+    show(place / "report.html", asked=report and open_)
 
 
 def _names(given: list[str] | None) -> list[str]:
@@ -86,11 +95,8 @@ def _tell(outcome: Outcome, out: Path, *, report: bool) -> None:
     for line in table(HEAD, pole_table(outcome.structure)):
         say(line)
     say(headline(outcome.structure, m))
-    several = (
-        f", {len(outcome.linear)} times from {m.point.time:g} s on; above is the first"
-        if len(outcome.linear) > 1
-        else ""
-    )
+    count = len(outcome.linear)
+    several = f", {count} times from {m.point.time:g} s on; above is the first" if count > 1 else ""
     say(f"by {m.method}{several}")
     page = f"; report: {out / 'report.html'}" if report else ""
     say(f"linear model: {out / 'linear.json'}, linear.mat, linear.py{page}")

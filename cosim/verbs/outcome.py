@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,45 +12,42 @@ from cosim.verbs.terminal import MANNER, judged, say, say_json, say_more, show, 
 
 if TYPE_CHECKING:
     from cosim.simulation.workflow import Outcome
+    from cosim.storage.results import Results
 
 SHOWN = 12  # signals whose values are told
 
 
-def told(outcome: Outcome, *, report: bool, open_: bool = False, as_json: bool = False, values: bool = False) -> None:
-    """Warnings, criteria and where the files are; CriterionMissed where one is.
-
-    values: first and last value, least and largest of outputs, too
-    """
+def say_outcome(
+    outcome: Outcome, *, report: bool, open_: bool = False, as_json: bool = False, lines: Sequence[str] = ()
+) -> None:
+    """Say warnings, these lines, criteria and where the files are; CriterionMissed if a criterion is."""
     from cosim.simulation.criteria import sentence
 
     criteria: list[dict[str, Any]] = outcome.manifest["criteria"]
-    page = outcome.folder / "report.html" if report else None
+    page = outcome.folder / "report.html"
     for warning in outcome.manifest["warnings"]:
         warn(warning)
     if as_json:
         say_json(_content(outcome))
     else:
-        for line in _values(outcome) if values else []:
+        for line in lines:
             say(line)
         for criterion in criteria:
             say(judged(criterion["met"], sentence(criterion)))
         timings = outcome.manifest["timings"]
-        say_more(f"order: {', '.join(outcome.manifest['order'])}; loaded in {timings['load']:.2f} s, simulated in "
-                 f"{timings['simulate']:.2f} s ({timings['real_time_factor']:.3g} × real time)")  # fmt: skip
+        speed = f"simulated in {timings['simulate']:.2f} s ({timings['real_time_factor']:.3g} × real time)"
+        say_more(f"order: {', '.join(outcome.manifest['order'])}; loaded in {timings['load']:.2f} s, {speed}")
         say(f"results: {outcome.file}")
-        if page is not None:
+        if report:
             say(f"report:  {page}")
-    if page is not None and open_:
-        show(page)
+    show(page, asked=report and open_)
     if outcome.missed:
-        which = "; ".join(sentence(c) for c in outcome.missed) if MANNER.quiet or as_json else ""
-        raise CriterionMissed(
-            f"{len(outcome.missed)} of {len(criteria)} criteria missed" + (f": {which}" if which else "")
-        )
+        which = ": " + "; ".join(map(sentence, outcome.missed)) if MANNER.quiet or as_json else ""
+        raise CriterionMissed(f"{len(outcome.missed)} of {len(criteria)} criteria missed{which}")
 
 
-def told_left(folder: Path) -> None:
-    """Where the rows of a run are that stopped before its end, and its page."""
+def say_partial(folder: Path) -> None:
+    """Say where the rows and the page of a run are that stopped before its end."""
     for what, path in (("rows so far:", rows_in(folder)), ("report:     ", folder / "report.html")):
         if path is not None and path.is_file():
             say(f"{what} {path}")
@@ -74,8 +72,8 @@ def _content(outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def _values(outcome: Outcome) -> list[str]:
-    results = outcome.results
+def value_lines(results: Results) -> list[str]:
+    """Return the first and last, least and largest value of signals, a line each."""
     if not len(results.time):
         return []
     rows = []

@@ -16,7 +16,8 @@ from cosim.base.program import ending_when_stuck
 from cosim.base.settings import Files
 from cosim.storage.files import FilePath
 from cosim.storage.folders import folder_of_file
-from cosim.verbs.terminal import Force, InProcess, Json, Open, Report, files_in, say, say_json, show, stages, warn
+from cosim.verbs.options import Force, InProcess, Json, Open, Report, out_option
+from cosim.verbs.terminal import files_in, say, say_json, show, stages, warn
 
 if TYPE_CHECKING:
     from cosim.refinement.refined_result import Refined
@@ -59,9 +60,8 @@ def refine(
 
 def command(
     study: Annotated[Path, typer.Argument(help="A study.yaml: model, estimation and validation logs.")],
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Folder for what it leaves; results/NAME of the study without.")
-    ] = None,
+    *,
+    out: Annotated[Path | None, out_option("results/NAME of the study")] = None,
     report: Report = True,
     in_process: InProcess = False,
     open_: Open = False,
@@ -90,8 +90,7 @@ def command(
         told_of = ("verdict", "sentence", "effects", "rivals", "error")
         answer = {key: result.record[key] for key in told_of if key in result.record}
         say_json({**answer, **files_in(place, "refine.json", "model.yaml", "plant.fmu")})
-    if report and open_:
-        show(place / "report.html")
+    show(place / "report.html", asked=report and open_)
     if result.record["verdict"] == "ambiguous" and not result.study.subject.static:
         from cosim.experiment.ranges import inputs_to_limit
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,22 +13,10 @@ from cosim.base.settings import Given, given, texts
 from cosim.storage.files import FilePath
 from cosim.storage.folders import folder_of_file
 from cosim.storage.results import rows_in
+from cosim.verbs.options import Compile, Force, Format, InProcess, Json, Open, Report, Texts, out_option
 from cosim.verbs.scratch_results import results_in
 from cosim.verbs.streams import echo
-from cosim.verbs.terminal import (
-    Compile,
-    Force,
-    Format,
-    InProcess,
-    Json,
-    Open,
-    Report,
-    files_in,
-    progress_bar,
-    say,
-    say_json,
-    show,
-)
+from cosim.verbs.terminal import files_in, progress_bar, say, say_json, show
 
 if TYPE_CHECKING:
     from cosim.residuals.replay_signals import Replay
@@ -63,11 +52,9 @@ def replay(
     from cosim.residuals.workflow import replay as replay_log
 
     with compiling(compile), results_in(out) as folder:
-        replay_log(
-            log, folder, fmu, start=texts(start, "start"),
-            columns=_pairs(columns), report=report and out is not None,
-            force=force, in_process=in_process, limits=limits, format_=format, progress=progress,
-        )  # fmt: skip
+        drive = partial(replay_log, in_process=in_process, limits=limits, progress=progress)
+        posed = partial(drive, start=texts(start, "start"), columns=_pairs(columns))
+        posed(log, folder, fmu, report=report and out is not None, force=force, format_=format)
         result = read_replay(Path(folder), kept=out is not None)
     assert result is not None  # else an error was raised
     return result
@@ -80,18 +67,17 @@ def _pairs(columns: Given | None) -> Sequence[str]:
 
 def command(
     log: Annotated[Path, typer.Argument(help="A measured log: CSV with time, inputs and measured outputs.")],
+    *,
     plant: Annotated[
         Path | None, typer.Option("--plant", help="The FMU to drive; without, the plant of this package.")
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Folder for what it leaves; results/NAME of the log without.")
-    ] = None,
+    out: Annotated[Path | None, out_option("results/NAME of the log")] = None,
     start: Annotated[
-        list[str] | None,
+        Texts,
         typer.Option("--start", help="NAME=VALUE of a start value or parameter of the FMU; gain=0.9, angle=12deg."),
     ] = None,
     column: Annotated[
-        list[str] | None,
+        Texts,
         typer.Option("--column", help="COLUMN=VARIABLE where the log has another name; speed=motor.w, stamp=time."),
     ] = None,
     report: Report = True,
@@ -113,10 +99,9 @@ def command(
 
     place = folder_of_file(log) if out is None else out
     with compiling(compile_), progress_bar("replaying") as progress:
-        comparison = replay_log(
-            log, place, plant, start=start or (), columns=column or (), report=report, force=force, keep=out is None,
-            in_process=in_process, limits=limits, format_=format_, progress=progress,
-        )  # fmt: skip
+        drive = partial(replay_log, in_process=in_process, limits=limits, progress=progress)
+        posed = partial(drive, start=start or (), columns=column or ())
+        comparison = posed(log, place, plant, report=report, force=force, keep=out is None, format_=format_)
     for finding in comparison.findings:
         if finding.severity == "warning":
             echo(finding.line, err=True)
@@ -127,5 +112,4 @@ def command(
         content = {"sentence": verdict(comparison), "findings": findings, "channels": numbers(comparison)}
         rows = [path.name for stem in ("results", "residual") if (path := rows_in(place, stem))]
         say_json({**content, **files_in(place, *rows)})
-    if report and open_:
-        show(place / "report.html")
+    show(place / "report.html", asked=report and open_)

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from cosim.verbs.terminal import Json, Open, say, say_json, show
+from cosim.verbs.options import Json, Open
+from cosim.verbs.terminal import say, say_json, show
 
 
 def command(
@@ -23,5 +24,4 @@ def command(
     say(f"report:  {page}")
     if as_json:
         say_json({"report": str(page)})
-    if open_:
-        show(page)
+    show(page, asked=open_)

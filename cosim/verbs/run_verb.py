@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,10 +16,11 @@ from cosim.base.errors import Fault, InputError
 from cosim.base.scratch import temporary_folder
 from cosim.base.settings import Given, Seed, texts
 from cosim.storage.files import FilePath
-from cosim.verbs.outcome import told
+from cosim.verbs.options import Compile, Force, Format, InProcess, Json, Nearest, Open, Overrides, Report, out_option
+from cosim.verbs.outcome import say_outcome
 from cosim.verbs.scratch_results import results_in
 from cosim.verbs.streams import echo
-from cosim.verbs.terminal import Compile, Force, Format, InProcess, Json, Open, Report, progress_bar, say
+from cosim.verbs.terminal import progress_bar, say
 
 if TYPE_CHECKING:
     from cosim.master.observer import Observers
@@ -60,11 +62,9 @@ def run(
     overrides = [*texts(set)]
     overrides += [] if seed is None else [f"seed={seed}"]
     with compiling(compile), results_in(out) as folder, _scenario_file(scenario, folder) as path:
-        outcome = run_file(
-            path, folder, overrides, force=force, nearest=nearest, report=report and out is not None,
-            figures=figures and out is not None, in_process=in_process, format_=format, progress=progress,
-            observers=observers,
-        )  # fmt: skip
+        steps = partial(run_file, in_process=in_process, progress=progress, observers=observers)
+        leaves = partial(steps, report=report and out is not None, figures=figures and out is not None)
+        outcome = leaves(path, folder, overrides, force=force, nearest=nearest, format_=format)
     return run_of(outcome.results, outcome.manifest, None if out is None else outcome.folder)
 
 
@@ -92,19 +92,13 @@ def _scenario_file(scenario: FilePath | Mapping[str, Any], out: Path) -> Iterato
 
 def command(
     scenario: Annotated[Path, typer.Argument(help="A scenario.yaml, an SSP, or a manifest.json to repeat that run.")],
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", help="Folder for what it leaves; results/NAME of the scenario without."),
-    ] = None,
-    set_: Annotated[
-        list[str] | None, typer.Option("--set", help="path=value, over the scenario's own; e.g. noise=off.")
-    ] = None,
+    *,
+    out: Annotated[Path | None, out_option("results/NAME of the scenario")] = None,
+    set_: Overrides = None,
     seed: Annotated[
         int | None, typer.Option(min=0, help="Seed of every random stream, over the scenario's own.")
     ] = None,
-    nearest: Annotated[
-        bool, typer.Option("--nearest", help="Of each refine that the scenario names, what came nearest in it.")
-    ] = False,
+    nearest: Nearest = False,
     report: Report = True,
     open_: Open = False,
     force: Force = False,
@@ -123,10 +117,8 @@ def command(
 
     overrides = [*(set_ or []), *([] if seed is None else [f"seed={seed}"])]
     with compiling(compile_), progress_bar() as progress:
-        outcome = run_scenario(
-            scenario, out, overrides, force=force, nearest=nearest, report=report, figures=figures,
-            in_process=in_process, format_=format_, progress=progress,
-        )  # fmt: skip
+        steps = partial(run_scenario, nearest=nearest, in_process=in_process, progress=progress)
+        outcome = steps(scenario, out, overrides, force=force, report=report, figures=figures, format_=format_)
     if coupling:
         from cosim.simulation.coupling import coupling_error
 
@@ -134,4 +126,4 @@ def command(
         with compiling(compile_):
             changed = coupling_error(source, overrides, nearest=nearest, in_process=in_process).sentence
         echo(changed, err=True) if as_json else say(changed)
-    told(outcome, report=report, open_=open_, as_json=as_json)
+    say_outcome(outcome, report=report, open_=open_, as_json=as_json)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,9 +11,10 @@ import typer
 
 from cosim.base.settings import Given, PositiveSeconds, Seconds, given
 from cosim.storage.files import FilePath
-from cosim.verbs.outcome import told
+from cosim.verbs.options import Compile, Force, Format, Json, Open, Report, Texts, out_option, time_option
+from cosim.verbs.outcome import say_outcome, value_lines
 from cosim.verbs.scratch_results import results_in
-from cosim.verbs.terminal import Compile, Force, Format, Json, Open, Report, progress_bar, say, seconds, warn
+from cosim.verbs.terminal import progress_bar, say, warn
 
 if TYPE_CHECKING:
     from cosim.simulation.run_signals import Run
@@ -50,40 +52,30 @@ def simulate(
     from cosim.simulation.run_signals import run_of
 
     with compiling(compile), results_in(out) as folder:
-        outcome, notes = simulate_fmu(
-            fmu, folder, start=given(set), recorded=input, stop=stop, step=step, record=record,
-            report=report and out is not None, force=force, in_process=in_process, format_=format, progress=progress,
-        )  # fmt: skip
+        steps = partial(simulate_fmu, stop=stop, step=step, in_process=in_process, progress=progress)
+        leaves = partial(steps, report=report and out is not None, force=force, format_=format)
+        outcome, notes = leaves(fmu, folder, start=given(set), recorded=input, record=record)
     manifest = {**outcome.manifest, "warnings": [*notes, *outcome.manifest["warnings"]]}
     return run_of(outcome.results, manifest, None if out is None else outcome.folder)
 
 
 def command(
     fmu: Annotated[Path, typer.Argument(help="An FMU.")],
+    *,
     set_: Annotated[
-        list[str] | None,
-        typer.Option("--set", help="NAME=VALUE of a parameter or input; repeatable. mass=2, angle=12deg."),
+        Texts, typer.Option("--set", help="NAME=VALUE of a parameter or input; repeatable. mass=2, angle=12deg.")
     ] = None,
     recorded: Annotated[
         Path | None, typer.Option("--input", help="A CSV with time and columns named as inputs, played to them.")
     ] = None,
     stop: Annotated[
-        float | None,
-        typer.Option(
-            help="When it ends [s], or 4min; without, as the FMU says, or the input.", parser=seconds, metavar="TIME"
-        ),
+        float | None, time_option("When it ends [s], or 4min; without, as the FMU says, or the input.")
     ] = None,
-    step: Annotated[
-        float | None,
-        typer.Option(help="Communication step [s], or 20ms; without, as the FMU says.", parser=seconds, metavar="TIME"),
-    ] = None,
+    step: Annotated[float | None, time_option("Communication step [s], or 20ms; without, as the FMU says.")] = None,
     record: Annotated[
-        list[str] | None,
-        typer.Option("--record", help="A local or parameter to record, too, or a pattern; repeatable."),
+        Texts, typer.Option("--record", help="A local or parameter to record, too, or a pattern; repeatable.")
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Folder for what it leaves; results/NAME of the FMU without.")
-    ] = None,
+    out: Annotated[Path | None, out_option("results/NAME of the FMU")] = None,
     report: Report = True,
     open_: Open = False,
     force: Force = False,
@@ -99,12 +91,11 @@ def command(
     from cosim.blocks.compiling import compiling
 
     with compiling(compile_), progress_bar() as progress:
-        outcome, notes = simulate_fmu(
-            fmu, out, start=set_ or (), recorded=recorded, stop=stop, step=step, record=record or (), report=report,
-            force=force, in_process=in_process, format_=format_, progress=progress,
-        )  # fmt: skip
+        steps = partial(simulate_fmu, stop=stop, step=step, in_process=in_process, progress=progress)
+        leaves = partial(steps, report=report, force=force, format_=format_)
+        outcome, notes = leaves(fmu, out, start=set_ or (), recorded=recorded, record=record or ())
     for note in notes:
         warn(note)
     if not as_json:
         say(f"scenario: {outcome.folder / 'scenario.yaml'} (change it, and `cosim run` it)")
-    told(outcome, report=report, open_=open_, as_json=as_json, values=True)
+    say_outcome(outcome, report=report, open_=open_, as_json=as_json, lines=value_lines(outcome.results))

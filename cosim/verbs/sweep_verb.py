@@ -10,16 +10,16 @@ from typing import Annotated
 
 import typer
 
-from cosim.verbs.terminal import MANNER, Json, Open, Report, progress_bar, say, say_json, say_more, show, warn
+from cosim.verbs.options import Json, Open, Report, out_option
+from cosim.verbs.terminal import MANNER, progress_bar, say, say_json, say_more, show, warn
 
 EVERY = 10.0  # [s] between lines of those who asked for more
 
 
 def command(
     study: Annotated[Path, typer.Argument(help="A sweep.yaml: a scenario, and what varies in it.")],
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Folder for what it leaves; results/NAME of the sweep without.")
-    ] = None,
+    *,
+    out: Annotated[Path | None, out_option("results/NAME of the sweep")] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="Processes; one a core without.")] = None,
     dask: Annotated[
         str | None, typer.Option("--dask", help="Address of a dask scheduler, such as tcp://host:8786.")
@@ -48,8 +48,7 @@ def command(
         say(f"runs:   {swept.folder / 'sweep.parquet'}")
         if report:
             say(f"report: {swept.folder / 'report.html'}")
-    if report and open_:
-        show(swept.folder / "report.html")
+    show(swept.folder / "report.html", asked=report and open_)
 
 
 @contextmanager

@@ -12,49 +12,16 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
 from cosim.base.errors import CosimError, SimulationError
-from cosim.base.units import read_quantity
 from cosim.storage.results import rows_in
 from cosim.verbs.streams import echo
 
 LONG_RUN = 2000  # steps from which a progress bar is shown
 Numbered = Callable[[str], tuple[int, int]]
-
-Json = Annotated[bool, typer.Option("--json", help="Print JSON, for a script.")]
-
-
-def seconds(text: str) -> float:
-    """Return the time of an option in seconds: a number, or one with its unit, 4min."""
-    try:
-        return float(text)  # whether nan or inf will do is for the command to say
-    except ValueError:
-        pass
-    try:
-        return read_quantity(text, "s")
-    except ValueError as error:
-        raise typer.BadParameter(f"{text!r}: {error}") from None
-
-
-Open = Annotated[bool, typer.Option("--open", help="Open the report in the browser.")]
-InProcess = Annotated[
-    bool, typer.Option("--in-process", help="Load the FMUs into this process, for a debugger; without limits.")
-]
-Compile = Annotated[
-    bool,
-    typer.Option("--compile", help="Compile and run the sources of FMUs that have no library for this machine."),
-]
-Format = Annotated[
-    str,
-    typer.Option(
-        "--format", help="Of the rows: csv, parquet, which needs the extra of that name, or one of a package."
-    ),
-]
-Report = Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")]
-Force = Annotated[bool, typer.Option("--force", help="Also into a folder that another run or command left.")]
 
 
 @dataclass
@@ -93,13 +60,8 @@ def say_failure(error: CosimError) -> None:
     if MANNER.as_json and not MANNER.told:
         faults = getattr(error, "faults", ())
         about = _stopped(error) if isinstance(error, SimulationError) else {}
-        say_json({
-            "error": str(error), "exit_code": error.exit_code,
-            "faults": [
-                {"file": str(f.file), "line": f.line, "column": f.column, "message": f.message} for f in faults
-            ],
-            **about,
-        })  # fmt: skip
+        places = [{"file": str(f.file), "line": f.line, "column": f.column, "message": f.message} for f in faults]
+        say_json({"error": str(error), "exit_code": error.exit_code, "faults": places, **about})
 
 
 def _stopped(error: SimulationError) -> dict[str, Any]:
@@ -144,9 +106,14 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     return [line.rstrip() for line in lines]
 
 
-def show(report: Path) -> None:
-    """Open a report in the browser."""
-    if not webbrowser.open(report.resolve().as_uri()):
+def some(names: Sequence[str], most: int) -> str:
+    """Return the first names, and a sign where there are more."""
+    return ", ".join(names[:most]) + (", …" if len(names) > most else "")
+
+
+def show(report: Path, *, asked: bool) -> None:
+    """Open a report in the browser, if it is asked for."""
+    if asked and not webbrowser.open(report.resolve().as_uri()):
         warn(f"no browser is found here; open {report}")
 
 
@@ -164,10 +131,8 @@ def progress_bar(what: str = "simulating") -> Iterator[Callable[[int, int], None
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    bar = Progress(
-        TextColumn(what), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeRemainingColumn(),
-        console=Console(stderr=True), transient=True,
-    )  # fmt: skip
+    columns = TextColumn(what), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeRemainingColumn()
+    bar = Progress(*columns, console=Console(stderr=True), transient=True)
     task = None
 
     def advance(done: int, total: int) -> None:

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from cosim.verbs.terminal import Force, Json, Open, Report, files_in, say, say_json, show, stages, warn
+from cosim.verbs.options import Force, Json, Open, Report
+from cosim.verbs.terminal import files_in, say, say_json, show, stages, warn
 
 
 def command(
@@ -17,8 +18,7 @@ def command(
     ],
     *,
     out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", help="Folder for what it leaves; results/NAME of the file without."),
+        Path | None, typer.Option("--out", "-o", help="Folder for what it leaves; results/NAME of the file without.")
     ] = None,
     seed: Annotated[
         int | None, typer.Option(min=0, help="Of the bench that is played, over the protocol's own.")
@@ -45,5 +45,4 @@ def command(
     if as_json:
         said = {"sentences": list(outcome.sentences), "closing": outcome.closing(place), "warnings": outcome.warnings}
         say_json({**said, **files_in(place, "identify.json", "powertrain.yaml", "model.yaml")})
-    if report and open_:
-        show(place / "report.html")
+    show(place / "report.html", asked=report and open_)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.version import __version__
-from cosim.storage.files import atomic_write
+from cosim.storage.files import write_text
 from cosim.storage.folders import keep_earlier
 from plant.identification.estimates import Estimate, Result
 from plant.identification.identified import plain_values
@@ -45,8 +45,7 @@ def write(
     if keep:
         keep_earlier(out, "cosim identify")
     for name, text in texts:
-        with atomic_write(out / name) as stream:
-            stream.write(text)
+        write_text(out / name, text)
 
 
 def model_text(
