@@ -23,7 +23,6 @@ from cosim.base.drafts import draft_of
 from cosim.base.scratch import process_folder
 
 VARIABLE = "XDG_CACHE_HOME"
-OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 OTHERS_ENTER = stat.S_IXGRP | stat.S_IXOTH
 ROOT, UNMAPPED = 0, 65534  # users who own folders above a user's own; the second stands for root in a container
 
