@@ -196,6 +196,8 @@ def fits(given: Any, kind: str = "Real", version: str = "2.0", **more: Any) -> A
         (2, "Real", {}, 2.0),
         (2.0, "Integer", {}, 2),
         (2.5, "Integer", {}, "it is a whole number"),
+        (math.nan, "Integer", {}, "it is a whole number"),
+        (math.inf, "Integer", {}, "it is a whole number"),
         (True, "Real", {}, "it is a number [1]"),
         (1, "Boolean", {}, "it is true or false"),
         (True, "Boolean", {}, True),

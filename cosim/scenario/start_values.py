@@ -116,7 +116,7 @@ def _why_no_number(variable: Any, kind: Kind, given: Any) -> str:
     unit = unit_of(variable)
     if isinstance(given, bool) or not isinstance(given, (int, float)):
         return f"it is a number [{unit or '1'}]"
-    if kind.low is not None and given != int(given):
+    if kind.low is not None and not float(given).is_integer():
         return "it is a whole number"
     if variable.type == "Enumeration" and (items := _items(variable)) and int(given) not in items.values():
         return f"it is one of {', '.join(f'{n} ({k})' for n, k in items.items())}"
