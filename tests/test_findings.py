@@ -20,7 +20,7 @@ import pytest
 
 from cosim.estimation.fit import Fit, _Scoring, fit, inverse
 from cosim.estimation.noise_model import Noise, noise_range
-from cosim.estimation.posing import build_problem, coarsened, with_equations_trusted
+from cosim.estimation.posing import NO_SETTINGS, build_problem, coarsened, with_equations_trusted
 from cosim.estimation.problem import Problem, Settings
 from cosim.loading.file import load_model, read_model
 from cosim.logs.log import read_log
@@ -81,7 +81,7 @@ def rail(tmp_path_factory: pytest.TempPathFactory) -> Model:
     return load_model("rail.py:Rail", folder).model
 
 
-def posed(model: Model, folder: Path, *seeds: int, settings: Settings | None = None, **how: Any) -> Problem:
+def posed(model: Model, folder: Path, *seeds: int, settings: Settings = NO_SETTINGS, **how: Any) -> Problem:
     """The fitting problem of some logs of a rail."""
     paths = [rail_log(folder / f"{seed}.csv", seed, **how) for seed in seeds]
     return build_problem(
@@ -313,7 +313,7 @@ def test_a_part_that_lands_at_neutral_is_left_out_and_the_rest_fitted_again(rail
     begin = {"late_motor.time": 0.02, "soft_motor.frequency": 15.0}
     both = search.hypothesis(parts_of(problem, rail, "late_motor", "soft_motor"), None, promised=begin)
     assert both.fit.values["late_motor.time"] < 2e-3
-    ((kept, start),) = attributor._reduced([both])
+    ((kept, start),) = attributor._reductions([both])
     assert [c.name for c in kept] == ["soft_motor"]
     assert start == {"soft_motor.frequency": both.fit.values["soft_motor.frequency"]}
     rest = search.hypothesis(kept, None, promised=start)

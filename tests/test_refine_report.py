@@ -27,7 +27,7 @@ from cosim.refinement.decision.claims import Claims, judge
 from cosim.refinement.decision.judgement import decided
 from cosim.refinement.decision.sentences import sentence
 from cosim.refinement.proof.refined_models import Variant
-from cosim.refinement.proof.replay_check import proven
+from cosim.refinement.proof.replay_check import checked_claim
 from cosim.refinement.record import SCHEMA, ranking, schema
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.dependence import bins, explained
@@ -454,7 +454,7 @@ def test_a_claim_that_leaves_much_of_the_error_says_so_and_one_that_leaves_most_
     def held(
         after: dict[str, float], before: dict[str, float] = before, recalibrated: dict[str, float] = same
     ) -> Claims:
-        return proven(verdict, {"before": before, "recalibrated": recalibrated, "after": after}, floor)
+        return checked_claim(verdict, {"before": before, "recalibrated": recalibrated, "after": after}, floor)
 
     assert held({"x": 1.2, "v": 1.5, "quiet": 1.5}) is verdict  # 5 % of the excess of v stays
     part = held({"x": 1.2, "v": 2.1, "quiet": 1.5})  # 3.41 of 24

@@ -34,13 +34,33 @@ def as_program(entry: Callable[[], None]) -> None:
             atexit.register(signal.signal, number, signal.SIG_IGN)
     # the last of all: Python takes handlers away before it ends, and what is done has its own exit code
     atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
+    keyboard = _Keyboard()
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, keyboard)
     try:
         entry()
+        keyboard.is_done = True
     except KeyboardInterrupt:  # while the end was told
+        keyboard.is_done = True
         sys.exit(STOPPED)
-    finally:
-        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-            signal.signal(signal.SIGINT, _end)  # all is done that was to be
+    except BaseException:
+        keyboard.is_done = True
+        raise
+
+
+class _Keyboard:
+    """Handles SIGINT: the command is interrupted; once it is done, the process ends.
+
+    Python handles signals after calls, so that none comes between a command's end and the assignment after it. To
+    change the handler there would be a call, in which another signal can raise KeyboardInterrupt.
+    """
+
+    is_done = False
+
+    def __call__(self, number: int, frame: object) -> None:
+        if self.is_done:
+            _end(number, frame)
+        raise KeyboardInterrupt
 
 
 @contextmanager

@@ -1,6 +1,6 @@
 """The stepping loop in C (`stepping.c`): communication steps of a system of FMUs whose functions C can call.
 
-    loop = Loop(slots, held, row, table, begin, h)
+    loop = Loop(slots, held, row, table, begin=0.0, h=0.02, made=made, doing=doing)
     while (why := loop.run(last, pause)) != Why.FINISHED: …   # judge, then call it again: it goes on where it was
 
 A `Slot` is an FMU (function pointers and instance that FMPy loaded) or values that were prepared for each point;

@@ -139,10 +139,7 @@ def keep_earlier(folder: Path, verb: str, also: Iterable[str] = ()) -> Path | No
     marks are in the folder; files of the user stay. A move that is cut off is finished by the next verb that takes the
     folder.
     """
-    declared = [a for a in artefacts() if a.verb and (a.verb == verb or a.is_left_in(folder))]
-    tables = (f"{stem}{suffix}" for a in declared for stem in a.tables for suffix in suffixes())
-    patterns = dict.fromkeys((*(name for a in declared for name in a.files), *tables, *also))
-    paths = dict.fromkeys(p for pattern in patterns for p in sorted(folder.glob(pattern)) if p.is_file())
+    paths = _files_of(folder, verb, also)
     if not paths:
         return None
     moving = folder / EARLIER / MOVING
@@ -150,6 +147,14 @@ def keep_earlier(folder: Path, verb: str, also: Iterable[str] = ()) -> Path | No
         moving.mkdir(parents=True, exist_ok=True)
         write_text(moving / LIST, "\n".join(path.relative_to(folder).as_posix() for path in paths))
         return _finish_move(folder)
+
+
+def _files_of(folder: Path, verb: str, also: Iterable[str]) -> list[Path]:
+    """Return the files in a folder that an earlier run of a verb, or of one whose mark is there, has written."""
+    declared = [a for a in artefacts() if a.verb and (a.verb == verb or a.is_left_in(folder))]
+    tables = (f"{stem}{suffix}" for a in declared for stem in a.tables for suffix in suffixes())
+    patterns = dict.fromkeys((*(name for a in declared for name in a.files), *tables, *also))
+    return list(dict.fromkeys(p for pattern in patterns for p in sorted(folder.glob(pattern)) if p.is_file()))
 
 
 def _finish_move(folder: Path) -> Path | None:
