@@ -67,6 +67,8 @@ DECIDING = {  # module below cosim → thresholds that decide a verdict
     "subject.base_parameters": ("TOLERANCE",),
 }  # fmt: skip
 
+NOT_COMPARED = ("subject.base_parameters.TOLERANCE",)  # it goes into arrays: each of its cases is refined
+
 
 @dataclass(frozen=True)
 class Threshold:
@@ -280,6 +282,9 @@ def run(results: Path) -> None:
                 with ExitStack() as stack:
                     for t in deciding:
                         cases = {(t.key, factor): multiplied(t, factor) for factor in FACTORS}
+                        if t.key in NOT_COMPARED:
+                            noted |= set(cases)
+                            continue
                         stack.enter_context(replaced(t, Watched(t.value, cases, noted)))
                     plain |= _refined(study, fits)
                 plain["otherwise"] = sorted(noted)
