@@ -10,20 +10,28 @@ A threshold is a number in capitals at the top of a module; the comment beside i
 from __future__ import annotations
 
 import ast
+import hashlib
 import importlib
 import json
 import math
+import operator
+import pickle
 import re
 import sys
 import tempfile
 import tokenize
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, fields
 from io import StringIO
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+import cosim.refinement.workflow
+from cosim.estimation import fit as estimation
+from cosim.estimation.problem import Problem
 from tests.blind.harness import FIELD, LABORATORY, invent
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -59,6 +67,8 @@ DECIDING = {  # module below cosim → thresholds that decide a verdict
     "subject.base_parameters": ("TOLERANCE",),
 }  # fmt: skip
 
+NOT_COMPARED = ("subject.base_parameters.TOLERANCE",)  # it goes into arrays: each of its cases is refined
+
 
 @dataclass(frozen=True)
 class Threshold:
@@ -75,9 +85,14 @@ class Threshold:
         return self.name in DECIDING.get(self.module, ())
 
     @property
+    def key(self) -> str:
+        """Its name with that of its module."""
+        return f"{self.module}.{self.name}"
+
+    @property
     def origin(self) -> str:
         """Where its value comes from."""
-        return ORIGIN.get(f"{self.module}.{self.name}", UNKNOWN)
+        return ORIGIN.get(self.key, UNKNOWN)
 
 
 def thresholds() -> Iterator[Threshold]:
@@ -146,11 +161,22 @@ def table() -> str:
 @contextmanager
 def changed(t: Threshold, factor: float) -> Iterator[None]:
     """Multiply a threshold in its module and wherever it was imported from there by its name."""
+    with replaced(t, multiplied(t, factor)):
+        yield
+
+
+def multiplied(t: Threshold, factor: float) -> float:
+    """Return the value of a threshold times a factor; a count is rounded up."""
+    return math.ceil(t.value * factor) if isinstance(t.value, int) else t.value * factor
+
+
+@contextmanager
+def replaced(t: Threshold, value: Any) -> Iterator[None]:
+    """Give a threshold another value in its module and wherever it was imported from there by its name."""
     declaring = f"cosim.{t.module}"
     importlib.import_module(declaring)
     line = re.compile(rf"from {re.escape(declaring)} import [^\n]*\b{t.name}\b")
     holders = [m for n, m in list(sys.modules.items()) if n.startswith("cosim.") and _holds(m, t, declaring, line)]
-    value = type(t.value)(math.ceil(t.value * factor)) if isinstance(t.value, int) else t.value * factor
     for module in holders:
         setattr(module, t.name, value)
     try:
@@ -168,31 +194,149 @@ def _holds(module: Any, t: Threshold, declaring: str, line: re.Pattern[str]) -> 
     return bool(file and hasattr(module, t.name) and line.search(Path(file).read_text(encoding="utf-8")))
 
 
-def run(results: Path) -> None:
-    """Refine every study with every deciding threshold as it is, halved and doubled; append what is new to the file."""
-    from cosim.refinement.workflow import refine
+Case = tuple[str, float]  # name of a threshold, with its module, and factor
 
-    done = {_key(entry) for entry in _entries(results)}
+
+class Watched:
+    """A number that depends on thresholds: as it is, and as it would be with each of them changed.
+
+    Who compares it sees it as it is; cases whose comparison comes out otherwise are noted, and all of them where the
+    number is turned into a plain one. A refinement without a note of a case says the same in that case.
+    """
+
+    def __init__(self, plain: float, cases: Mapping[Case, Any], noted: set[Case]) -> None:
+        self.plain, self.cases, self.noted = plain, cases, noted
+
+    def _calculated(self, operation: Callable[..., Any], *operands: Any) -> Watched:
+        of = {case for operand in operands if isinstance(operand, Watched) for case in operand.cases}
+        cases = {case: operation(*(_in(operand, case) for operand in operands)) for case in of}
+        return Watched(operation(*(_in(operand, None) for operand in operands)), cases, self.noted)
+
+    def _compared(self, operation: Callable[..., Any], *operands: Any) -> Any:
+        result = self._calculated(operation, *operands)
+        self.noted |= {case for case, value in result.cases.items() if np.any(value != result.plain)}
+        return result.plain
+
+    def __float__(self) -> float:
+        self.noted |= set(self.cases)
+        return float(self.plain)
+
+    def __array_ufunc__(self, function: np.ufunc, method: str, *operands: Any, **named: Any) -> Any:
+        def operation(*values: Any) -> Any:
+            return getattr(function, method)(*values, **named)
+
+        compares = function in (np.less, np.less_equal, np.greater, np.greater_equal, np.equal, np.not_equal)
+        return (self._compared if compares else self._calculated)(operation, *operands)
+
+
+def _in(operand: Any, case: Case | None) -> Any:
+    return operand.cases.get(case, operand.plain) if isinstance(operand, Watched) else operand
+
+
+def _add_operators() -> None:
+    for f in (operator.add, operator.sub, operator.mul, operator.truediv, operator.pow):
+        setattr(Watched, f"__{f.__name__}__", lambda self, other, f=f: self._calculated(f, self, other))
+        setattr(Watched, f"__r{f.__name__}__", lambda self, other, f=f: self._calculated(f, other, self))
+    for f in (operator.neg, operator.abs):
+        setattr(Watched, f"__{f.__name__}__", lambda self, f=f: self._calculated(f, self))
+    for f in (operator.lt, operator.le, operator.gt, operator.ge, operator.eq, operator.ne):
+        setattr(Watched, f"__{f.__name__}__", lambda self, other, f=f: self._compared(f, self, other))
+
+
+_add_operators()
+
+
+class Fits:
+    """Fits of one study, each made once: no threshold that decides a verdict is read within a fit."""
+
+    def __init__(self) -> None:
+        self.fit = estimation.fit
+        self.known: dict[bytes, estimation.Fit] = {}
+
+    def __call__(self, problem: Problem, *args: Any, **named: Any) -> estimation.Fit:
+        """Return the fit of these arguments."""
+        stated = [getattr(problem, f.name) for f in fields(problem) if f.name != "kernel"]
+        library = problem.kernel._library._name  # type: ignore[attr-defined]  # named by its source
+        plain = [_in(value, None) for value in args], {name: _in(value, None) for name, value in named.items()}
+        key = hashlib.sha256(pickle.dumps((library, stated, plain))).digest()
+        if key not in self.known:
+            self.known[key] = self.fit(problem, *args, **named)
+        return self.known[key]
+
+
+def run(results: Path) -> None:
+    """Refine every study with every deciding threshold as it is, halved and doubled; append what is new to the file.
+
+    Only cases in which some comparison comes out otherwise than with the thresholds as they are, are refined anew.
+    """
+    done = {_key(entry): entry for entry in _entries(results)}
     deciding = [t for t in thresholds() if t.decides]
-    cases: list[tuple[Threshold | None, float]] = [(None, 1.0), *((t, f) for t in deciding for f in FACTORS)]
-    for t, factor in cases:
-        for half, seed in STUDIES:
-            entry: dict[str, Any] = {
-                "threshold": f"{t.module}.{t.name}" if t else "", "factor": factor, "half": half, "seed": seed,
-            }  # fmt: skip
-            if _key(entry) in done:
-                continue
-            with tempfile.TemporaryDirectory() as place:
-                study, _ = invent(half, seed, Path(place) / "study")
-                if t is None:
-                    record = refine(study, Path(place) / "out").record
-                else:
-                    with changed(t, factor):
-                        record = refine(study, Path(place) / "out").record
-            entry |= {"verdict": record["verdict"], "grade": record["grade"], "rivals": sorted(record["rivals"])}
-            entry |= {"effects": sorted(e["name"] for e in record["effects"])}
-            with results.open("a", encoding="utf-8") as stream:
-                stream.write(json.dumps(entry) + "\n")
+    for half, seed in STUDIES:
+        with tempfile.TemporaryDirectory() as place:
+            study, _ = invent(half, seed, Path(place) / "study")
+            fits, noted = Fits(), set[Case]()
+            plain = _entry(half, seed, "", 1.0)
+            if _key(plain) in done:
+                plain = done[_key(plain)]
+            else:
+                with ExitStack() as stack:
+                    for t in deciding:
+                        cases = {(t.key, factor): multiplied(t, factor) for factor in FACTORS}
+                        if t.key in NOT_COMPARED:
+                            noted |= set(cases)
+                            continue
+                        stack.enter_context(replaced(t, Watched(t.value, cases, noted)))
+                    plain |= _refined(study, fits)
+                plain["otherwise"] = sorted(noted)
+                _append(results, plain)
+            noted = {(name, factor) for name, factor in plain["otherwise"]}
+            for t in deciding:
+                for factor in FACTORS:
+                    entry = _entry(half, seed, t.key, factor)
+                    if _key(entry) in done:
+                        continue
+                    if (t.key, factor) in noted:
+                        with changed(t, factor):
+                            entry |= _refined(study, fits)
+                    else:
+                        entry |= {name: plain[name] for name in ("verdict", "grade", "rivals", "effects")}
+                    _append(results, entry)
+
+
+def _entry(half: str, seed: int, threshold: str, factor: float) -> dict[str, Any]:
+    return {"threshold": threshold, "factor": factor, "half": half, "seed": seed}
+
+
+def _append(results: Path, entry: Mapping[str, Any]) -> None:
+    with results.open("a", encoding="utf-8") as stream:
+        stream.write(json.dumps(entry) + "\n")
+
+
+def _refined(study: Path, fits: Fits) -> dict[str, Any]:
+    """Return the verdict on a blind study."""
+    with replaced_fit(fits):
+        record = cosim.refinement.workflow.refine(study, study.parent / "out").record
+    return {
+        "verdict": record["verdict"],
+        "grade": record["grade"],
+        "rivals": sorted(str(rival) for rival in record["rivals"]),
+        "effects": sorted(effect["name"] for effect in record["effects"]),
+    }
+
+
+@contextmanager
+def replaced_fit(fits: Fits) -> Iterator[None]:
+    """Replace the function that fits wherever it was imported."""
+    holders = [
+        m for n, m in list(sys.modules.items()) if n.startswith("cosim.") and getattr(m, "fit", None) is fits.fit
+    ]
+    for module in holders:
+        module.fit = fits  # type: ignore[attr-defined]
+    try:
+        yield
+    finally:
+        for module in holders:
+            module.fit = fits.fit  # type: ignore[attr-defined]
 
 
 def show(results: Path) -> str:
@@ -202,7 +346,7 @@ def show(results: Path) -> str:
     lines = []
     for t in (t for t in thresholds() if t.decides):
         for factor in FACTORS:
-            of = [e for e in entries if (e["threshold"], e["factor"]) == (f"{t.module}.{t.name}", factor)]
+            of = [e for e in entries if (e["threshold"], e["factor"]) == (t.key, factor)]
             compared = [(plain[key], e) for e in of if (key := (e["half"], e["seed"])) in plain]
             other = [f"{e['half']} {e['seed']}: {_said(b)} → {_said(e)}" for b, e in compared if _said(b) != _said(e)]
             lines.append(f"{t.name} × {factor:g} ({len(compared)} studies): {'; '.join(other) or 'nothing changes'}")
