@@ -12,6 +12,7 @@ from filterpy.kalman import ExtendedKalmanFilter
 
 from controller.design_model import Matrix
 from controller.gains import Settings, declared, variance
+from controller.observers import SampledFilter
 from controller.slopes import Slopes
 from cosim.model import Moment, Stepper, parameters_of
 from cosim.model.model import Parametric
@@ -148,7 +149,7 @@ class Craft(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy is untyped
         return np.asarray(H[self.fixed])
 
 
-class ExtendedFilter:
+class ExtendedFilter(SampledFilter):
     """Estimates the plant's 14 states. Order at a sample: predict with the command held, (ψ, ψ̇, a_x), a new fix.
 
     It knows where it starts: P = 0. Positions are along the craft's own axes, fixes along those that `axes` says.
@@ -164,7 +165,7 @@ class ExtendedFilter:
     ) -> None:
         self.filter = Craft(model, settings, jacobians)
         self.filter.x = np.array(model.start(start), dtype=float)
-        self.fix, self.nis, self.fix_nis = fix, 0.0, 0.0
+        self.fix = fix
         self.damping = model.friction / model.mass  # [1/s]
 
     def step(
@@ -175,11 +176,11 @@ class ExtendedFilter:
         kf.command = tuple(command)
         kf.predict()
         kf.update(np.array(measured), kf.sensed_slope, kf.sensed)
-        self.nis = float(kf.y @ kf.SI @ kf.y)
+        self.nis = self.squared_innovation()
         if fix != self.fix:
             self.fix = fix
             kf.update(np.array(position), kf.located_slope, kf.located, kf.fix_noise)
-            self.fix_nis = float(kf.y @ kf.SI @ kf.y)
+            self.fix_nis = self.squared_innovation()
 
     @property
     def estimate(self) -> tuple[float, ...]:
@@ -193,15 +194,6 @@ class ExtendedFilter:
         """Standard deviations of x, ψ and y that it believes in."""
         P = self.filter.P
         return tuple(math.sqrt(max(0.0, P[k, k])) for k in map(STATES.index, ("x", "psi", "y")))
-
-    def snapshot(self) -> dict[str, Any]:
-        """All that decides the future, and what is shown of the past."""
-        return {"x": self.filter.x.tolist(), "P": self.filter.P.tolist(), "fix": self.fix, "nis": self.nis}
-
-    def restore(self, snapshot: Mapping[str, Any]) -> None:
-        """Go back to a snapshot, bit for bit."""
-        self.filter.x, self.filter.P = np.array(snapshot["x"]), np.array(snapshot["P"])
-        self.fix, self.nis = snapshot["fix"], snapshot["nis"]
 
 
 def level_tilt(model: Hovercraft, a: float) -> float:

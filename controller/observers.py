@@ -17,13 +17,33 @@ OBSERVERS = (*ESTIMATORS, DOUBLE_INTEGRATION)
 # Of two integrations of a_x over a sample, held: x̂ += Δt·v̂ + Δt²/2·a, v̂ += Δt·a
 
 
-class LinearFilter:
+class SampledFilter:
+    """A filter of filterpy at work, which the state of an FMU keeps."""
+
+    filter: Any
+    fix, nis, fix_nis = 0.0, 0.0, 0.0
+
+    def snapshot(self) -> dict[str, Any]:
+        """All that decides the future, and what is shown of the past."""
+        return {"x": self.filter.x.tolist(), "P": self.filter.P.tolist(), "fix": self.fix, "nis": self.nis}
+
+    def restore(self, snapshot: Mapping[str, Any]) -> None:
+        """Go back to a snapshot, bit for bit."""
+        self.filter.x, self.filter.P = np.array(snapshot["x"]), np.array(snapshot["P"])
+        self.fix, self.nis = snapshot["fix"], snapshot["nis"]
+
+    def squared_innovation(self) -> float:
+        """Return the normalised squared innovation of the last update."""
+        return float(self.filter.y @ self.filter.SI @ self.filter.y)
+
+
+class LinearFilter(SampledFilter):
     """A Kalman filter of the thesis, eqs 5.37-5.41, as the controller's: predict, update, a new fix."""
 
     def __init__(self, settings: Settings, start: Sequence[float], fix: float = 0.0) -> None:
         self.filter = kalman_filter(settings, np.array(start, dtype=float))
         self.fix_matrix, self.fix_noise = fix_matrix(settings), np.diag(settings.fix_variances)
-        self.fix, self.nis, self.fix_nis = fix, 0.0, 0.0
+        self.fix = fix
 
     def step(
         self, measured: Sequence[float], command: Sequence[float], fix: float = 0.0, position: Sequence[float] = (0, 0)
@@ -32,11 +52,11 @@ class LinearFilter:
         kf = self.filter
         kf.predict(u=np.array(command[2:]))
         kf.update(np.array(measured))
-        self.nis = float(kf.y @ kf.SI @ kf.y)
+        self.nis = self.squared_innovation()
         if fix != self.fix:
             self.fix = fix
             kf.update(np.array(position[:1]), self.fix_noise, self.fix_matrix)
-            self.fix_nis = float(kf.y @ kf.SI @ kf.y)
+            self.fix_nis = self.squared_innovation()
 
     @property
     def estimate(self) -> tuple[float, ...]:
@@ -48,15 +68,6 @@ class LinearFilter:
         """Standard deviations of x, ψ and y that it believes in."""
         P = self.filter.P
         return math.sqrt(max(0.0, P[0, 0])), math.sqrt(max(0.0, P[2, 2])), 0.0
-
-    def snapshot(self) -> dict[str, Any]:
-        """All that decides the future, and what is shown of the past."""
-        return {"x": self.filter.x.tolist(), "P": self.filter.P.tolist(), "fix": self.fix, "nis": self.nis}
-
-    def restore(self, snapshot: Mapping[str, Any]) -> None:
-        """Go back to a snapshot, bit for bit."""
-        self.filter.x, self.filter.P = np.array(snapshot["x"]), np.array(snapshot["P"])
-        self.fix, self.nis = snapshot["fix"], snapshot["nis"]
 
 
 class DoubleIntegration:

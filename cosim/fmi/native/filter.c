@@ -20,6 +20,17 @@ static Filter *filter_of(Instance *m)
     return (Filter *)(void *)m->own;
 }
 
+/* out = a·b of square matrices; out is neither of them. */
+static void product(int n, const double *a, const double *b, double *out)
+{
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) {
+            double s = 0.0;
+            for (int k = 0; k < n; k++) s += a[i * n + k] * b[k * n + j];
+            out[i * n + j] = s;
+        }
+}
+
 /* exp of a matrix by its series, after halving it until it is small, and squaring as often. */
 static void exponential(int n, double *a)
 {
@@ -34,21 +45,11 @@ static void exponential(int n, double *a)
     for (int k = 0; k < n * n; k++) a[k] = ldexp(a[k], -halved);
     for (int k = 0; k < n * n; k++) sum[k] = term[k] = k % (n + 1) == 0 ? 1.0 : 0.0;
     for (int order = 1; order <= 22; order++) {
-        for (int i = 0; i < n; i++)
-            for (int j = 0; j < n; j++) {
-                double s = 0.0;
-                for (int k = 0; k < n; k++) s += term[i * n + k] * a[k * n + j];
-                next[i * n + j] = s / order;
-            }
-        for (int k = 0; k < n * n; k++) sum[k] += term[k] = next[k];
+        product(n, term, a, next);
+        for (int k = 0; k < n * n; k++) sum[k] += term[k] = next[k] / order;
     }
     for (; halved > 0; halved--) {
-        for (int i = 0; i < n; i++)
-            for (int j = 0; j < n; j++) {
-                double s = 0.0;
-                for (int k = 0; k < n; k++) s += sum[i * n + k] * sum[k * n + j];
-                next[i * n + j] = s;
-            }
+        product(n, sum, sum, next);
         memcpy(sum, next, sizeof(double) * (size_t)(n * n));
     }
     memcpy(a, sum, sizeof(double) * (size_t)(n * n));
@@ -93,10 +94,23 @@ static int inverse(double a[NZ][NZ], double out[NZ][NZ])
     return 0;
 }
 
+/* P = M·P·M' */
+static void carry(Filter *f, const double *M)
+{
+    double MP[NX][NX];
+    product(NX, M, &f->P[0][0], &MP[0][0]);
+    for (int i = 0; i < NX; i++)
+        for (int j = 0; j < NX; j++) {
+            double s = 0.0;
+            for (int k = 0; k < NX; k++) s += MP[i][k] * M[j * NX + k];
+            f->P[i][j] = s;
+        }
+}
+
 static void predict(Filter *f)
 {
     const Design *d = &f->d;
-    double x[NX], FP[NX][NX];
+    double x[NX];
     for (int i = 0; i < NX; i++) {
         double own = 0.0, forced = 0.0;
         for (int j = 0; j < NX; j++) own += d->F[i][j] * f->x[j];
@@ -104,23 +118,14 @@ static void predict(Filter *f)
         x[i] = own + forced;
     }
     memcpy(f->x, x, sizeof x);
-    for (int i = 0; i < NX; i++)
-        for (int j = 0; j < NX; j++) {
-            FP[i][j] = 0.0;
-            for (int k = 0; k < NX; k++) FP[i][j] += d->F[i][k] * f->P[k][j];
-        }
-    for (int i = 0; i < NX; i++)
-        for (int j = 0; j < NX; j++) {
-            double s = 0.0;
-            for (int k = 0; k < NX; k++) s += FP[i][k] * d->F[j][k];
-            f->P[i][j] = i == j ? s + d->V[i] : s;
-        }
+    carry(f, &d->F[0][0]);
+    for (int i = 0; i < NX; i++) f->P[i][i] += d->V[i];
 }
 
 static int correct(Instance *m, Filter *f, const double *z)
 {
     const Design *d = &f->d;
-    double PH[NX][NZ], S[NZ][NZ], SI[NZ][NZ], K[NX][NZ], left[NX][NX], LP[NX][NX], y[NZ];
+    double PH[NX][NZ], S[NZ][NZ], SI[NZ][NZ], K[NX][NZ], left[NX][NX], y[NZ];
     for (int i = 0; i < NZ; i++) {
         y[i] = z[i];
         for (int j = 0; j < NX; j++) y[i] -= d->H[i][j] * f->x[j];
@@ -151,17 +156,12 @@ static int correct(Instance *m, Filter *f, const double *z)
             left[i][j] = i == j ? 1.0 : 0.0;
             for (int k = 0; k < NZ; k++) left[i][j] -= K[i][k] * d->H[k][j];
         }
+    carry(f, &left[0][0]);
     for (int i = 0; i < NX; i++)
         for (int j = 0; j < NX; j++) {
-            LP[i][j] = 0.0;
-            for (int k = 0; k < NX; k++) LP[i][j] += left[i][k] * f->P[k][j];
-        }
-    for (int i = 0; i < NX; i++)
-        for (int j = 0; j < NX; j++) {
-            double s = 0.0, noise = 0.0;
-            for (int k = 0; k < NX; k++) s += LP[i][k] * left[j][k];
+            double noise = 0.0;
             for (int k = 0; k < NZ; k++) noise += K[i][k] * d->W[k] * K[j][k];
-            f->P[i][j] = s + noise;
+            f->P[i][j] += noise;
         }
     return 0;
 }
@@ -169,7 +169,7 @@ static int correct(Instance *m, Filter *f, const double *z)
 /* One row of a fix: its noise does not depend on that of another. */
 static int correct_by(Instance *m, Filter *f, double z, const double *H, double W)
 {
-    double PH[NX], K[NX], left[NX][NX], LP[NX][NX], S = W, y = z;
+    double PH[NX], K[NX], left[NX][NX], S = W, y = z;
     for (int i = 0; i < NX; i++) {
         y -= H[i] * f->x[i];
         PH[i] = 0.0;
@@ -181,17 +181,9 @@ static int correct_by(Instance *m, Filter *f, double z, const double *H, double 
     for (int i = 0; i < NX; i++) f->x[i] += K[i] * y;
     for (int i = 0; i < NX; i++)
         for (int j = 0; j < NX; j++) left[i][j] = (i == j ? 1.0 : 0.0) - K[i] * H[j];
+    carry(f, &left[0][0]);
     for (int i = 0; i < NX; i++)
-        for (int j = 0; j < NX; j++) {
-            LP[i][j] = 0.0;
-            for (int k = 0; k < NX; k++) LP[i][j] += left[i][k] * f->P[k][j];
-        }
-    for (int i = 0; i < NX; i++)
-        for (int j = 0; j < NX; j++) {
-            double s = K[i] * W * K[j];
-            for (int k = 0; k < NX; k++) s += LP[i][k] * left[j][k];
-            f->P[i][j] = s;
-        }
+        for (int j = 0; j < NX; j++) f->P[i][j] += K[i] * W * K[j];
     return 0;
 }
 
