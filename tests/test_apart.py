@@ -58,6 +58,7 @@ MISSING = {"tank.py:Tank": {"leak"}, "drive.py:Drive": {"force_offset", "coulomb
 FLIGHT = {"tank.py:Tank": [], "drive.py:Drive": ["--limit", "force=60", "--duration", "20"]}  # a tank is slow: 400 s
 
 
+@pytest.mark.thorough
 def test_a_model_of_another_is_checked_refined_replayed_and_flown_without_the_craft(bench: tuple[Path, str]) -> None:
     folder, model = bench
     assert "no fault" in cosim(folder, "check", model.partition(":")[0], "study.yaml")

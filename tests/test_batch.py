@@ -48,6 +48,7 @@ GROUPS = {"base": [], **{kind.name: [n for n in BATCH if n.startswith(kind.name 
 GROUPS["everything"] = [name for names in GROUPS.values() for name in names]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("group", GROUPS)
 def test_a_batch_of_craft_equals_the_craft_one_by_one(group: str) -> None:
     names = [*BASE, *GROUPS[group]]

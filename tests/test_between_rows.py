@@ -56,6 +56,7 @@ def between(path: Path) -> Between:
     return between_rows(problem, search.hypothesis((), None))
 
 
+@pytest.mark.thorough
 def test_the_way_that_the_rig_went_is_likelier_and_the_other_is_warned_of(tmp_path: Path) -> None:
     gains = {}
     for rig in ("held", "interpolated"):
@@ -96,6 +97,7 @@ def ramped(tmp_path_factory: pytest.TempPathFactory) -> Refinement:
     return proven(motor_study(folder, "interpolated", "held"), folder / "out")
 
 
+@pytest.mark.thorough
 def test_refine_records_both_likelihoods_and_warns(ramped: Refinement) -> None:
     written = json.loads((ramped.folder / "refine.json").read_text())
     assert written["inputs"]["taken"] == {"voltage": "held"}

@@ -83,6 +83,7 @@ def test_a_model_file_states_what_its_truth_is_drawn_from(name: str) -> None:
 CASES = [(name, effect) for name in OWN for effect in ["base", *(set(RIGS[name].entries) - set(RIGS[name].sensors))]]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("name", "effect"), sorted(CASES))
 def test_truth_and_model_file_are_the_same_plant(name: str, effect: str) -> None:
     rig, rows = RIGS[name], 80
@@ -314,6 +315,7 @@ def test_a_study_has_one_or_two_faults_and_every_fault_its_turn() -> None:
 # -- logs --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_the_same_seed_writes_the_same_bytes(tmp_path: Path) -> None:
     seed = first("outside", "tanks")
     one, other = draw(seed), draw(seed)
@@ -324,6 +326,7 @@ def test_the_same_seed_writes_the_same_bytes(tmp_path: Path) -> None:
         assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("plant", PLANTS)
 def test_a_folder_holds_the_logs_and_nothing_of_the_answer(tmp_path: Path, plant: str) -> None:
     study = draw(first("nothing", plant))
@@ -342,6 +345,7 @@ def test_a_folder_holds_the_logs_and_nothing_of_the_answer(tmp_path: Path, plant
     assert np.array(logged) == pytest.approx(table[there], rel=1e-6, nan_ok=True)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("plant", PLANTS)
 def test_without_disturbance_the_true_model_errs_by_its_sensors_noise(
     plant: str, monkeypatch: pytest.MonkeyPatch
@@ -475,6 +479,7 @@ def test_the_summary_counts_each_figure_among_its_own_studies() -> None:
 # -- harness -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_both_halves_are_run_and_the_fields_figures_stand_under_field(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

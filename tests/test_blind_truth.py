@@ -111,6 +111,7 @@ def trajectory(craft: Craft, tolerance: float, count: int = 250) -> np.ndarray:
     return np.array(rows)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", [*EFFECTS, *OUTSIDE])
 def test_a_finer_integration_changes_nothing(name: str) -> None:
     study = known(name) if name in EFFECTS else first_of(name)
@@ -128,6 +129,7 @@ def plant_model(study: Study, substep: float) -> Stepper:
     return Stepper(model)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["base", *EFFECTS, *BASE])
 def test_truth_and_plant_are_the_same_craft(name: str) -> None:
     study = NOTHING if name == "base" else known(name)
@@ -226,6 +228,7 @@ def logs() -> list[Log]:
     return [fly(draw(seed), seed % 3) for seed in range(8)]
 
 
+@pytest.mark.thorough
 def test_commands_stay_within_the_craft_and_the_fitted_thrust_line(logs: list[Log]) -> None:
     for seed, log in enumerate(logs):
         sent = np.array(log.commands)
@@ -286,6 +289,7 @@ def test_the_thrust_slope_is_only_wrong_where_the_duty_varies() -> None:
 # -- effects show ------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", [*EFFECTS, *BASE, *SENSORS])
 def test_each_effect_changes_what_is_measured(name: str) -> None:
     study = known(name)
@@ -302,12 +306,14 @@ def levels() -> dict[str, float]:
     return floor()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", OUTSIDE)
 def test_an_outsider_at_least_doubles_the_replay_error_of_the_base_model(name: str, levels: dict[str, float]) -> None:
     ratios = visibility(first_of(name), levels, duration=20.0)
     assert max(ratios.values()) >= 2.0
 
 
+@pytest.mark.thorough
 def test_an_effect_mimics_itself_and_nothing_mimics_a_tether(levels: dict[str, float]) -> None:
     # the drag is scaled about its true size, so what is left is the replays' tolerance of 1e-7
     assert resemblance(known("quadratic_drag"), levels, duration=8.0)["quadratic_drag"] < 1e-6

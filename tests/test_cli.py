@@ -31,6 +31,7 @@ def told(*files: Path) -> list[str]:
     return [str(f) for f in refused.value.faults]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("encoding", ["cp1252", "latin-1", "utf-8"])
 def test_any_terminal_can_be_written_to(tmp_path: Path, encoding: str) -> None:
     time = times(12.0)
@@ -176,6 +177,7 @@ def test_stopped_from_the_keyboard_is_130_while_modules_load_and_while_the_end_i
     assert (done.returncode, done.stderr) == (130, "")
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(sys.platform == "win32", reason="no such shell")
 @pytest.mark.parametrize(("streams", "said"), [("2>&-", "no fault in"), (">&- 2>&- <&-", ""), ("| true", "")])
 def test_closed_streams_keep_no_command_from_its_work(tmp_path: Path, streams: str, said: str) -> None:

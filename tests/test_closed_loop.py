@@ -155,6 +155,7 @@ def test_with_the_filter_of_appendix_f_the_craft_settles_and_stays() -> None:
     assert max(settling(run[:, 1], 0.02) for run in runs) < 2.5
 
 
+@pytest.mark.thorough
 def test_heading_settles_under_every_filter() -> None:
     # ψ is measured: no filter loses it
     for estimator in ESTIMATORS:

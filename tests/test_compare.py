@@ -173,6 +173,7 @@ def two_runs(folder: Path) -> tuple[Path, Path]:
     return folder / "a", folder / "b"
 
 
+@pytest.mark.thorough
 def test_nothing_serious_hinders_who_uses_keys_or_sees_little_in_the_page_of_a_comparison(tmp_path: Path) -> None:
     a, b = two_runs(tmp_path)
     told("compare", a, b, "--out", tmp_path / "c")

@@ -137,6 +137,7 @@ def test_consistent_on_the_linear_model_disturbed_with_v_is_within_the_95_percen
     assert len(found) == 2 + fixes
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("fixes", [False, True])
 def test_the_extended_filter_on_the_plant_disturbed_with_its_q_is_within_the_95_percent_region(fixes: bool) -> None:
     found = judged(Case("", "disturbed", "extended", fixes), 15, 120)
@@ -152,6 +153,7 @@ def test_elsewhere_it_is_said_which_way_an_estimator_is_wrong() -> None:
     assert undisturbed["NEES"].verdict == undisturbed["NIS"].verdict == "pessimistic"
 
 
+@pytest.mark.thorough
 def test_the_command_prints_every_case_with_its_verdict_and_leaves_a_page(tmp_path: Path) -> None:
     out = tmp_path / "new" / "folder"
     done = CliRunner().invoke(app, ["consistency", "--runs", "2", "--steps", "100", "--json", "--out", str(out)])
@@ -186,6 +188,7 @@ def test_the_flown_manoeuvre_follows_app_g_within_its_10_percent() -> None:
     assert references(15.0) == pytest.approx((1.5, 0.5 * math.pi))
 
 
+@pytest.mark.thorough
 def test_the_filter_of_appendix_f_is_off_by_far_more_in_the_manoeuvre_than_on_the_sines() -> None:
     """A step asks for large tilts at once, and this filter knows no lag: 98 over 10 whole manoeuvres, 9.0 on sines."""
     sines, manoeuvre = (

@@ -219,6 +219,7 @@ def test_a_limit_of_iterations_leaves_a_command_within_the_limits_and_says_so() 
     assert 0.0 < max(map(abs, tilts)) <= MPC.tilt_max
 
 
+@pytest.mark.thorough
 def test_how_often_the_solver_gave_up_is_a_warning_of_the_run_and_part_of_the_state(flown: Path) -> None:
     swap = ["components.controller.fmu=../build/controller-mpc.fmu", "criteria={}", "duration=1", "start_time=5"]
     few = [*swap, "components.controller.start.iterations_max=3"]
@@ -415,6 +416,7 @@ def test_figure_6_2_of_each_law() -> None:
     assert all(x < 7.0 and psi < 5.0 for x, psi, _ in found.values())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", LAWS)
 def test_the_manoeuvre_of_app_g_is_within_10_percent_and_15_degrees(name: str) -> None:
     f = fly(name, manoeuvre, 26.0, seed=1)
@@ -467,6 +469,7 @@ def test_the_fmus_are_sound_and_say_which_law_they_are(fmus: dict[str, Path]) ->
     }
 
 
+@pytest.mark.thorough
 def test_one_line_swaps_the_controller_and_the_design_follows(flown: Path) -> None:
     for name in RECIPES:
         swap = [f"components.controller.fmu=../build/controller-{name}.fmu", "criteria={}", "duration=4"]
@@ -539,6 +542,7 @@ def test_a_report_says_why_an_integral_without_fixes_leaves_an_error(flown: Path
     assert "A push that the accelerometer does not feel, such as a tilt of the table" in page
 
 
+@pytest.mark.thorough
 def test_on_a_tilted_table_integrals_hold_x_and_prediction_holds_y(flown: Path) -> None:
     integral = run("hold.yaml", flown / "lqi", in_process=True)
     assert integral.missed == []

@@ -144,6 +144,7 @@ def test_a_manifest_says_what_was_designed_for_defaults_too(project: Path) -> No
     assert design == {"component": "controller", "Q": [1.0, 0.5, 0.1, 0.01, 0.0], "R": [2.0, 1.0]}
 
 
+@pytest.mark.thorough
 def test_a_controller_designed_for_the_refined_craft_brings_it_home(project: Path) -> None:
     build(plant_recipe(HEAVIER), project / "build" / "plant.fmu")
     model_file(project, "parameters:\n" + "".join(f"  {name}: {value}\n" for name, value in HEAVIER.items()))

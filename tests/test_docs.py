@@ -48,6 +48,7 @@ def test_a_snippet_for_another_host_runs_and_the_craft_moves_forward(project: Pa
     assert 0.1 < x < 1.0
 
 
+@pytest.mark.thorough
 def test_the_commands_of_the_readme_run_in_order(project: Path) -> None:
     shutil.copytree(ROOT / "examples" / "hovercraft", project / "examples" / "hovercraft")
     assert {command.split()[0] for command in COMMANDS} <= {name for name, verb in verbs() if verb.command}
@@ -86,6 +87,7 @@ def refined_craft(folder: Path) -> None:
     (folder / "refine.json").write_text('{"grade": "part"}')
 
 
+@pytest.mark.thorough
 def test_the_recipes_for_a_refined_model_run_and_overwrite_no_fmu_of_a_scenario(
     project: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -103,6 +105,7 @@ def test_the_recipes_for_a_refined_model_run_and_overwrite_no_fmu_of_a_scenario(
     assert (project / "build" / "plant.fmu").read_bytes() == before
 
 
+@pytest.mark.thorough
 def test_the_command_that_a_refine_report_shows_meets_all_criteria_of_the_manoeuvre(project: Path) -> None:
     refined_craft(project / "re fined")
     line = shlex.join(ModelSubject.of(Hovercraft()).use(project / "re fined")).replace(
@@ -153,6 +156,7 @@ def typed(document: str) -> list[str]:
     return [line for block in blocks for line in block.splitlines()]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("document", "says"),
     [
@@ -184,6 +188,7 @@ def test_the_commands_of_a_tutorial_run_in_order(
     assert all(block in (tmp_path / "tanks.yaml").read_text() for block in shown)
 
 
+@pytest.mark.thorough
 def test_the_notebook_runs(tmp_path: Path) -> None:
     pytest.importorskip("nbclient", reason="no nbclient")
     pytest.importorskip("ipykernel", reason="no ipykernel")

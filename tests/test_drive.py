@@ -94,6 +94,7 @@ def parameters(record: dict[str, Any]) -> dict[str, dict[str, Any]]:
     return {f"{e['name']}.{name}": p for e in record["effects"] for name, p in e["parameters"].items()}
 
 
+@pytest.mark.thorough
 def test_offset_and_dry_friction_missing_at_once_are_both_found(found: dict[str, Any]) -> None:
     assert found["verdict"] == "effect_found", found["sentence"]
     assert {e["name"] for e in found["effects"]} == {"force_offset", "coulomb_friction"}

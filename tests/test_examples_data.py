@@ -191,6 +191,7 @@ def test_a_constant_thrust_coefficient_is_off_by_twenty_grams_and_one_linear_in_
     assert left_out(np.column_stack([n**2, n**3])) == pytest.approx(3.1, abs=0.05)
 
 
+@pytest.mark.thorough
 def test_the_propeller_is_named_its_reynolds_number_and_predicts_rows_left_out_to_three_and_a_half_grams(
     tmp_path: Path,
 ) -> None:

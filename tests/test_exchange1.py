@@ -34,6 +34,7 @@ def bounced(folder: Path, start: dict[str, float] | None = None, **more: Any) ->
     return simulate(build_system(file), file.scenario.steps, file.scenario.step)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("start", [{}, {"kick_at": 0.3}, {"e": 0.9, "g": 3.7}, {"kick_at": 0.005, "e": 0.2}])
 def test_it_is_what_fmpy_makes_of_it_to_the_last_bit(tmp_path: Path, start: dict[str, float]) -> None:
     import fmpy

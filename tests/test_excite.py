@@ -102,6 +102,7 @@ def test_rivals_that_a_straight_line_cannot_tell_apart_are_told_by_the_excitatio
     assert ratio == pytest.approx(0.02, abs=3 * rich.best.fit.sigma("thrust_asymmetry.ratio"))
 
 
+@pytest.mark.thorough
 def test_the_excitation_separates_better_than_the_manoeuvre(told_apart: tuple[Excitation, Path]) -> None:
     found, _ = told_apart
     assert found.apart[RIVALS] > 1.2 * found.usual[RIVALS]  # the best of eight; of 48 it is four times
@@ -140,6 +141,7 @@ def test_the_scenario_flies_what_was_promised(told_apart: tuple[Excitation, Path
     assert np.abs(played["tilt_right"]).max() <= math.radians(12) + 1e-9
 
 
+@pytest.mark.thorough
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(tmp_path: Path) -> None:
     def files(seed: int, name: str) -> list[bytes]:
         excite("base", tmp_path / name, ["lag", "actuator_delay"], duration=5.0, experiments=3, seed=seed)
@@ -218,6 +220,7 @@ def test_a_rival_the_logs_did_not_show_stands_at_its_typical_size(
     assert shown == usual
 
 
+@pytest.mark.thorough
 def test_after_logs_that_show_nothing_the_flight_still_tells_the_effects_apart(tmp_path: Path) -> None:
     effects = ("actuator_delay", "servo_dead_band", "yaw_damping")
     neutral = {"actuator_delay.time": 0.0, "servo_dead_band.width": 0.0, "yaw_damping.coefficient": 0.0}
@@ -227,6 +230,7 @@ def test_after_logs_that_show_nothing_the_flight_still_tells_the_effects_apart(t
     assert not found.warning
 
 
+@pytest.mark.thorough
 def test_the_flight_is_planned_with_the_noise_that_the_logs_showed(tmp_path: Path) -> None:
     apart, pair = [], ("actuator_delay", "yaw_damping")
     for gyroscope in (0.02, 0.1):
@@ -240,6 +244,7 @@ def test_the_flight_is_planned_with_the_noise_that_the_logs_showed(tmp_path: Pat
     assert apart[0] > 1.5 * apart[1]
 
 
+@pytest.mark.thorough
 def test_a_pair_that_no_input_separates_does_not_decide_between_inputs(tmp_path: Path) -> None:
     blind = ("accelerometer_bias", "accelerometer_scale")  # one and the same where the acceleration is not logged
 
@@ -254,6 +259,7 @@ def test_a_pair_that_no_input_separates_does_not_decide_between_inputs(tmp_path:
     assert "does not tell accelerometer_bias from accelerometer_scale (less than 3" in best.warning
 
 
+@pytest.mark.thorough
 def test_of_many_pairs_the_hardest_are_told_and_the_rest_counted(tmp_path: Path) -> None:
     done = command.invoke(app, ["excite", "base", "--measured", "psi", "--duration", "5", "--out", str(tmp_path)])
     assert done.exit_code == 0, done.output
@@ -272,6 +278,7 @@ def test_what_a_model_holds_is_told_from_what_is_usually_taken_for_it(tmp_path: 
     assert not question.base.model.awake
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -245,6 +245,7 @@ def rooms(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.thorough
 def test_the_framework_alone_serves_foreign_fmus_beside_files_of_the_users_names(
     alone: Path, rooms: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
@@ -289,6 +290,7 @@ def test_the_framework_alone_serves_foreign_fmus_beside_files_of_the_users_names
     assert "study.yaml:1:8: " in cosim("check", "study.yaml", code=2)
 
 
+@pytest.mark.thorough
 def test_the_framework_alone_refines_a_model_of_the_user(alone: Path, rooms: Path) -> None:
     study = tank_study(rooms)
     done = subprocess.run(

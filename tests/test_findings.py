@@ -100,6 +100,7 @@ def searched(model: Model, problem: Problem, on_trial: int = 1) -> Search:
 # -- 1: base numbers that are off by what a data sheet is off -----------------------------------
 
 
+@pytest.mark.thorough
 def test_an_effect_is_named_where_all_base_numbers_are_off_at_once(rubbing: Refinement) -> None:
     assert (rubbing.record["verdict"], rubbing.record["grade"], named(rubbing)) == (
         "effect_found",
@@ -114,6 +115,7 @@ def test_an_effect_is_named_where_all_base_numbers_are_off_at_once(rubbing: Refi
     assert all(error["after"]["validation"][n] < 1.1 * floor[n] < error["recalibrated"]["validation"][n] for n in NOISE)
 
 
+@pytest.mark.thorough
 def test_numbers_within_their_tolerance_are_no_effect_and_recalibrated_beside(off: Refinement) -> None:
     assert (off.record["verdict"], off.record["effects"], off.record["nearest"]) == ("no_effect", [], [])
     assert read_model(off.folder / "model.yaml").parameters == {}
@@ -126,6 +128,7 @@ def test_numbers_within_their_tolerance_are_no_effect_and_recalibrated_beside(of
     assert all(error["nearest"]["validation"][n] < 0.2 * error["before"]["validation"][n] for n in NOISE)
 
 
+@pytest.mark.thorough
 def test_a_number_far_beyond_its_tolerance_is_found_within_its_bounds_however_far(tmp_path: Path) -> None:
     truth = 8 * SHEET["viscous"]
     a = decided_of(rail_study(tmp_path, {"viscous": truth}, TOLERANCE + "candidates: [viscous, coulomb, drag]\n"))
@@ -141,6 +144,7 @@ def test_a_number_is_wrong_where_its_interval_is_wholly_outside_the_tolerance(
     assert beyond(made((mass,), {"mass": value}, np.array([[sigma**-2]])), "mass", (1.0, 0.05)) == is_off
 
 
+@pytest.mark.thorough
 def test_a_number_a_little_beyond_its_tolerance_is_wrong_and_no_other(tmp_path: Path) -> None:
     study = rail_study(tmp_path / "study", {"mass": 1.14 * SHEET["mass"]}, TOLERANCE + "candidates: [mass, coulomb]\n")
     r = proven(study, tmp_path / "out")
@@ -148,6 +152,7 @@ def test_a_number_a_little_beyond_its_tolerance_is_wrong_and_no_other(tmp_path: 
     assert holds(r, "mass", "value", 1.14 * SHEET["mass"])
 
 
+@pytest.mark.thorough
 def test_a_gain_is_found_where_every_number_comes_out_too_large_together(tmp_path: Path) -> None:
     """A force 15 % less than commanded moves a rail as if mass, damper and spring were 1/0.85 as large."""
     all_larger = {name: value / 0.85 for name, value in SHEET.items() if name in OFF}
@@ -197,6 +202,7 @@ def test_a_claim_that_hangs_on_the_tolerance_has_a_rival() -> None:
 # -- 2: slow effects beside a disturbance ---------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_a_slow_coupling_is_found_though_a_disturbance_acts_on_the_same_equation(tmp_path: Path) -> None:
     """Within a row it moves the ferry by two thousandths of what the camera errs; over two seconds it shows."""
     r = proven(ferry_study(tmp_path / "study", -0.03, 0.002), tmp_path / "out")
@@ -213,6 +219,7 @@ def test_a_slow_coupling_is_found_though_a_disturbance_acts_on_the_same_equation
 # -- 3: what the logs cannot show -------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_effects_that_would_not_show_change_no_verdict(rubbing: Refinement, off: Refinement, tmp_path: Path) -> None:
     """Stops that are never reached, in and out of the catalogue."""
     for r, verdict in ((rubbing, "effect_found"), (off, "no_effect")):
@@ -273,6 +280,7 @@ def late(true: Rows, rates: Rows, rng: np.random.Generator) -> Rows:
     return read
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("recorder", [jittery, coarse, wild])
 @pytest.mark.parametrize("numbers", [OFF, {**OFF, **DRY}], ids=["nothing", "friction"])
 def test_a_recorder_that_errs_changes_no_verdict(tmp_path: Path, recorder: Any, numbers: dict[str, float]) -> None:
@@ -290,6 +298,7 @@ def test_a_recorder_that_errs_changes_no_verdict(tmp_path: Path, recorder: Any, 
         assert math.exp(0.5 * sensors[0]) == pytest.approx(NOISE["position"], rel=0.1)
 
 
+@pytest.mark.thorough
 def test_a_camera_that_is_late_is_found_and_timed_beside_an_effect(tmp_path: Path) -> None:
     a = decided_of(rail_study(tmp_path, {**OFF, **DRY}, TOLERANCE + FEW, recorder=late))
     assert (a.best.names, a.rivals) == (("camera_late", "coulomb"), ())
@@ -324,6 +333,7 @@ def test_a_part_that_lands_at_neutral_is_left_out_and_the_rest_fitted_again(rail
 # -- 6: what is physical ---------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("numbers", "name"),
     [({"viscous": 1.6, **DRY}, "coulomb"), ({"viscous": 6.0, "drag": 3.0}, "drag")],
@@ -350,6 +360,7 @@ def test_a_fit_of_what_must_be_physical_stops_where_it_would_not_be(rail: Model,
     assert at_limit(h, rest, problem.values)  # so that nobody claims it
 
 
+@pytest.mark.thorough
 def test_friction_that_is_more_at_rest_is(tmp_path: Path) -> None:
     numbers = {"viscous": 3.0, "sliding": 0.5, "rest": 1.0}
     a = decided_of(rail_study(tmp_path, numbers, TOLERANCE + "candidates: [coulomb, stribeck, drag, slope]\n"))
@@ -360,6 +371,7 @@ def test_friction_that_is_more_at_rest_is(tmp_path: Path) -> None:
 # -- 7: what is left where nothing, or not all, is claimed ---------------------------------------------
 
 
+@pytest.mark.thorough
 def test_where_nothing_is_claimed_the_nearest_model_is_left_whatever_the_sealed_log_holds(tmp_path: Path) -> None:
     """Drag and a spring that stiffens; drag is not in the catalogue. Another sealed log is of a rail without either."""
     more = TOLERANCE + "candidates: [hardening, slope]\n"
@@ -380,6 +392,7 @@ def test_where_nothing_is_claimed_the_nearest_model_is_left_whatever_the_sealed_
     assert second.record["sentence"].endswith(first.record["sentence"])
 
 
+@pytest.mark.thorough
 def test_four_effects_can_be_claimed_at_once(tmp_path: Path) -> None:
     four = {"coulomb": 0.5, "hardening": 150.0, "slope": 0.4, "soft": 25.0}
     more = TOLERANCE + "candidates: [coulomb, hardening, slope, soft_motor, late_motor, drag]\n"
@@ -391,6 +404,7 @@ def test_four_effects_can_be_claimed_at_once(tmp_path: Path) -> None:
 # -- 8: logs as they come -----------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_a_log_is_cut_where_nothing_is_measured_and_no_replay_starts_there(tmp_path: Path) -> None:
     """The rows are there, their readings are not, for 1.2 s; the motor goes on as commanded."""
     study = rail_study(tmp_path, {**OFF, **DRY}, TOLERANCE + FEW)
@@ -416,6 +430,7 @@ def blind(path: Path, begin: float, end: float) -> None:
     write_log(path, dict(zip(header, table.T, strict=True)))
 
 
+@pytest.mark.thorough
 def test_intervals_hold_the_truth_under_a_disturbance_that_lasts(rail: Model, tmp_path: Path) -> None:
     """16 times two logs under a push that lasts a second: as they scatter from block to block, as of white noise."""
     filtered, trusted, unaware = list[bool](), list[bool](), list[bool]()

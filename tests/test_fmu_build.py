@@ -60,6 +60,7 @@ build(controller_recipe(), Path(sys.argv[2]))
 """
 
 
+@pytest.mark.thorough
 def test_another_process_in_another_year_builds_the_same_bytes(
     plant_fmu: Path, controller_fmu: Path, tmp_path: Path
 ) -> None:

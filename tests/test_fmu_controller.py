@@ -243,6 +243,7 @@ with Instance(Path(sys.argv[1])) as controller:
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("function", "name"), [("getString", "psi"), ("getReal", "estimator")])
 def test_a_variable_read_as_another_type_is_refused(controller_fmu: Path, function: str, name: str) -> None:
     # in a process of its own, for handed on to C unchecked the wrong type crashes the host

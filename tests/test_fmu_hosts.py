@@ -89,6 +89,7 @@ def test_the_plant_alone_moves_as_in_fmpy(host: str, plant_fmu: Path) -> None:
     assert np.ptp(want, axis=0).min() > 1e-4  # every output has moved
 
 
+@pytest.mark.thorough
 @HOSTS
 def test_both_fmus_coupled_move_as_under_our_master(host: str, project: Path) -> None:
     file = ScenarioFile(project / "scenarios" / "regulate.yaml", ["algorithm=jacobi", "noise=off", "duration=6"])

@@ -95,6 +95,7 @@ print(json.dumps(sorted({n.partition(".")[0] for n in added})))
 """
 
 
+@pytest.mark.thorough
 def test_a_host_gains_no_module_named_as_ours(plant_fmu: Path, controller_fmu: Path) -> None:
     gained = in_a_process_of_its_own(FRESH, plant_fmu, controller_fmu)
     assert not {"plant", "controller", "fmus", "cosim"} & set(gained)
@@ -130,6 +131,7 @@ print(json.dumps(rows))
 """
 
 
+@pytest.mark.thorough
 def test_a_hosts_own_modules_of_our_names_neither_harm_nor_are_harmed(plant_fmu: Path, controller_fmu: Path) -> None:
     assert in_a_process_of_its_own(POISONED, plant_fmu, controller_fmu) == run(plant_fmu)
 
@@ -162,6 +164,7 @@ print(json.dumps(len(seen)))
 """
 
 
+@pytest.mark.thorough
 def test_three_hundred_instances_come_and_go(plant_fmu: Path, controller_fmu: Path) -> None:
     # pythonfmu 0.7.0 gives back a reference it does not own at every instantiation; unbalanced, the host crashes
     assert in_a_process_of_its_own(CYCLES, plant_fmu, controller_fmu) == 2  # each FMU does the same every time

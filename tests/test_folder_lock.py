@@ -247,6 +247,7 @@ def test_what_cannot_take_its_place_at_the_end_is_kept_beside_it(tmp_path: Path)
 # -- no name at all -------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("blank", ["", "  "])
 @pytest.mark.parametrize("name", sorted(commands_with_out()))
 def test_a_blank_out_is_refused_by_every_command(name: str, blank: str, tmp_path: Path) -> None:

@@ -247,6 +247,7 @@ def test_content_tells_the_format_where_the_suffix_does_not(tmp_path: Path) -> N
 # -- verbs --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_a_run_in_parquet_is_read_compared_and_reported(project: Path) -> None:
     scenario = str(project / "scenarios" / "regulate.yaml")
     csv, other = str(project / "csv"), project / "pq"
@@ -269,6 +270,7 @@ def test_a_run_in_parquet_is_read_compared_and_reported(project: Path) -> None:
     assert (other / "report.html").is_file()
 
 
+@pytest.mark.thorough
 def test_a_log_in_parquet_is_checked_and_replayed(plant_fmu: Path, tmp_path: Path) -> None:
     log = as_parquet(RECORDED, tmp_path / "log.parquet")
     both = [[line.partition(": ")[2] for line in cosim.check(path)] for path in (log, RECORDED)]

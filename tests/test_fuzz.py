@@ -14,6 +14,7 @@ from tests.fuzz import KINDS, SLOW
 EXAMPLES, SEED = 8, 11
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", KINDS)
 def test_whatever_is_read_is_answered(tmp_path: Path, plant_fmu: Path, kind: str) -> None:
     count = max(1, EXAMPLES // SLOW.get(kind, 1))

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from cosim.estimation.posing import build_problem
 from cosim.logs.log import Log
@@ -53,6 +54,7 @@ def spinning(t: float, read: Mapping[str, float]) -> tuple[float, float]:
     return -differential, differential
 
 
+@pytest.mark.thorough
 def test_logs_that_are_unlike_confirm_what_each_other_shows(tmp_path: Path) -> None:
     model = Hovercraft()
     craft = model.with_values({"thrust_asymmetry.ratio": 0.02})

@@ -71,6 +71,7 @@ def psi(comparison: Comparison) -> ChannelSummary:
     return next(c for c in comparison.channels if c.name == "psi")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("values", REMEMBER.values(), ids=REMEMBER)
 def test_a_craft_that_remembers_is_explained_by_its_own_fmu_only(
     values: dict[str, float], tmp_path: Path, plant_fmu: Path
@@ -101,6 +102,7 @@ def test_restarted_from_its_own_outputs_an_fmu_of_ours_is_on_its_free_run(tmp_pa
         assert found[rows] == pytest.approx(free.outputs[name][rows], abs=1e-9), name  # sums over some hundred steps
 
 
+@pytest.mark.thorough
 def test_windows_of_an_fmu_whose_state_cannot_be_set_are_no_measure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -135,6 +135,7 @@ HOSTILE: dict[str, tuple[Callable[[Path], object], str]] = {
 INTERNALS = ("NoneType", "object has no", "Traceback", "Error:", "KeyError", "[Errno", "invalid literal", "argument of")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", HOSTILE)
 def test_a_hostile_archive_is_refused_with_a_reason(tmp_path: Path, kind: str) -> None:
     make, words = HOSTILE[kind]
@@ -272,6 +273,7 @@ def test_a_fault_of_a_long_file_is_told_as_that_of_a_short_one(monkeypatch: pyte
     assert said[0] == said[1]
 
 
+@pytest.mark.thorough
 def test_very_deep_yaml_is_refused_by_both_parsers(monkeypatch: pytest.MonkeyPatch) -> None:
     for long in (0, 10**9):
         monkeypatch.setattr(yaml_parsers, "LONG", long)

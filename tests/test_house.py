@@ -55,6 +55,7 @@ def test_the_verbs_are_functions_of_the_package(verb: str) -> None:
     assert callable(getattr(importlib.import_module("cosim"), verb))
 
 
+@pytest.mark.thorough
 def test_the_verbs_take_paths_as_they_are_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cosim = importlib.import_module("cosim")
     assert {"build", "check", "excite", "refine", "replay", "run"} <= {*dir(cosim)}
@@ -144,6 +145,7 @@ def function(a, b):
     assert branches(ast.parse(text).body[0]) == 10
 
 
+@pytest.mark.thorough
 def test_no_function_is_compressed() -> None:
     found = []
     for path in sources():

@@ -138,6 +138,7 @@ def test_the_bench_fmu_gives_its_own_numbers_back(found: tuple[Path, Any]) -> No
     assert sum(e.holds for e in outcome.estimates.values()) >= 7
 
 
+@pytest.mark.thorough
 def test_the_power_train_is_a_model_that_build_takes_with_intervals_and_origins(
     found: tuple[Path, Any], tmp_path: Path
 ) -> None:
@@ -172,6 +173,7 @@ def test_test_1_says_that_its_cell_leaves_its_range(found: tuple[Path, Any]) -> 
     assert json.loads((found[0] / "identify.json").read_text())["tests"]["thrust_line"]["highest_duty"] < 6.56
 
 
+@pytest.mark.thorough
 def test_another_propeller_is_identified_from_its_csvs(measured: Path, tmp_path: Path) -> None:
     outcome = identify(measured / "protocol.yaml", tmp_path)
     for name, e in outcome.chosen.items():
@@ -180,6 +182,7 @@ def test_another_propeller_is_identified_from_its_csvs(measured: Path, tmp_path:
     assert read_model(tmp_path / "powertrain.yaml").parameters["propeller_radius"] == 0.1
 
 
+@pytest.mark.thorough
 def test_plain_functions_and_seeds_hold_the_truth(tmp_path: Path) -> None:
     rows = coverage(written(tmp_path, short(thrust_line={}, step={})), range(1, 9))
     assert {r.name for r in rows} == {"step.lag", "thrust_line.thrust_offset", "thrust_line.thrust_slope"}

@@ -105,6 +105,7 @@ def test_the_phases_of_the_shipped_protocol_tell_what_they_are_for() -> None:
     assert check_files([PROTOCOL]) == []
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("phases", "window"),
     [(RAMP, [2.2, 16.98]), (RAMP, [5, 19.9]), (DOWN, [5, 19.9])],

@@ -172,6 +172,7 @@ CASES: dict[str, tuple[str, Change, str]] = {
 }  # fmt: skip
 
 
+@pytest.mark.thorough
 def test_good_recordings_have_no_fault_and_no_warning(
     good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
 ) -> None:
@@ -179,6 +180,7 @@ def test_good_recordings_have_no_fault_and_no_warning(
         assert answers(good, tmp_path / name, name, lambda t: t) == ("", "")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", CASES)
 def test_a_wrong_recording_is_refused_with_its_reason_by_check_and_by_identify(
     case: str, good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
@@ -376,6 +378,7 @@ SHAPES: dict[str, tuple[str, Change, str]] = {
 }  # fmt: skip
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", SHAPES)
 def test_an_answer_of_the_wrong_shape_is_named(
     case: str, good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
@@ -416,6 +419,7 @@ def test_decimal_commas_are_one_line_a_file(tmp_path: Path) -> None:
     assert "numbers have decimal commas" in str(error.value)
 
 
+@pytest.mark.thorough
 def test_white_noise_is_a_misfit_or_a_group_as_seldom_as_is_said() -> None:
     rng = np.random.default_rng(1)
     found = [misfit(rng.standard_normal((4, 30)), np.zeros((0, 30)), 0) for _ in range(2000)]

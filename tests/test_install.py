@@ -56,6 +56,7 @@ def test_every_package_and_its_data_is_installed(site: Path) -> None:
                 assert (site / path.relative_to(ROOT)).is_file(), path.relative_to(ROOT)
 
 
+@pytest.mark.thorough
 def test_the_installed_package_builds_runs_and_refines_outside_of_the_checkout(site: Path, tmp_path: Path) -> None:
     where = [sys.executable, "-c", "import cosim, fmus; print(cosim.__file__, fmus.__file__)"]
     environment = {**os.environ, "PYTHONPATH": str(site)}

@@ -138,6 +138,7 @@ def zig(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CC", "")
 
 
+@pytest.mark.thorough
 @NEEDS_C
 @pytest.mark.parametrize("as_recorded", [True, False], ids=["held", "interpolated and late"])
 def test_two_compilers_agree_to_rounding(

@@ -158,6 +158,7 @@ def _refused(command: str, name: str) -> str:
     return str(done.exception)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("command", READ)
 def test_what_a_command_does_not_read_is_named_with_the_one_that_does(
     shelf: Path, monkeypatch: pytest.MonkeyPatch, command: str

@@ -63,6 +63,7 @@ def off(made: Run, estimator: str, name: str = "x") -> NDArray[np.float64]:
 # -- Figs 5.5-5.7 -------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_double_integration_drifts_away_at_rest_and_the_filter_does_not(flown: Mapping[str, Run]) -> None:
     rest = flown["localisation_rest"]
     assert np.abs(off(rest, "integration")).max() > 0.5  # [m], of a craft that never moved (Fig 5.5)

@@ -215,6 +215,7 @@ def test_an_fmu_without_a_library_for_this_platform_does_not_load(project: Path,
         results_of(project)
 
 
+@pytest.mark.thorough
 def test_memory_holds_no_more_than_the_results(project: Path) -> None:
     import tracemalloc
 

@@ -52,6 +52,7 @@ def rows_in(folder: Path) -> int:
     return read_columns(folder / "results.csv").rows
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("call", "deed", "words", "rows"),
     [
@@ -83,6 +84,7 @@ def test_a_crash_in_any_call_is_told_and_the_rows_before_are_kept(
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["manifest.json", "results.csv"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("call", "deed", "rows", "words"),
     [
@@ -193,6 +195,7 @@ def test_an_fmu_in_a_process_of_its_own_gives_the_same_rows_and_manifest_repeats
     assert own.manifest["warnings"] == shared.manifest["warnings"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("deed", "error", "words"),
     [
@@ -260,6 +263,7 @@ def runs(pid: int) -> bool:
     return False
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not LINUX, reason="signals and processes as Linux has them")
 @pytest.mark.parametrize(
     ("number", "deed", "code", "words"),
@@ -336,6 +340,7 @@ def test_a_folder_that_is_being_made_is_not_swept(tmp_path: Path, monkeypatch: p
 # -- a full disk ----------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not LINUX, reason="the shell's limit of file sizes")
 @pytest.mark.parametrize("kilobytes", [200, 400])  # less than the rows while they are made; less than they print as
 def test_a_full_disk_keeps_the_rows_that_fit_and_says_how_many(tmp_path: Path, kilobytes: int) -> None:
@@ -595,6 +600,7 @@ def test_rows_of_a_run_outlast_being_stopped_again_and_again(
     assert json.loads((tmp_path / "out" / "manifest.json").read_text())["status"].startswith("failed: the run at t = ")
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not LINUX, reason="signals and processes as Linux has them")
 @pytest.mark.parametrize("in_process", [False, True])
 @pytest.mark.parametrize("verb", ["run", "simulate"])

@@ -389,6 +389,7 @@ def test_every_command_tells_the_same_faults(tmp_path: Path) -> None:
         assert 'no state "rat"' in str(result.exception)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("of_class", ["", ":Table"])
 def test_check_tells_every_fault_of_a_model_file(tmp_path: Path, of_class: str) -> None:
     named = [Path(f"{table(tmp_path)}{of_class}")]

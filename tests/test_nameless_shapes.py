@@ -67,6 +67,7 @@ def left(folder: Path, push: Push) -> tuple[Problem, Leftover]:
     return problem, left_beside(problem, at, PRICE, UNITS)
 
 
+@pytest.mark.thorough
 def test_a_tight_place_on_the_rail_is_found_where_it_is(tmp_path: Path) -> None:
     place, half = 0.3, 0.12
     _, found = left(tmp_path, lambda t, x, v: -2.0 * v * np.exp(-(((x - place) / half) ** 2)))
@@ -80,6 +81,7 @@ def test_a_tight_place_on_the_rail_is_found_where_it_is(tmp_path: Path) -> None:
     assert first.gain > found.cost
 
 
+@pytest.mark.thorough
 def test_a_push_that_begins_at_a_time_is_a_step_there(tmp_path: Path) -> None:
     _, found = left(tmp_path, lambda t, x, v: 0.15 if t > 10.0 else 0.0)
     first = found.terms[0]

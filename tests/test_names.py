@@ -106,6 +106,7 @@ def test_a_log_with_odd_names_is_replayed(tmp_path: Path, odd: Path) -> None:
     assert set(comparison.log.outputs) == {f"out.{name}" for name in ODD}
 
 
+@pytest.mark.thorough
 def test_a_parameter_given_to_a_replay_is_as_if_built_in(tmp_path: Path, plant_fmu: Path) -> None:
     heavy = build(plant_recipe({"mass": 0.9}), tmp_path / "heavy.fmu")
     replay(RECORDED, tmp_path / "a", heavy, report=False)

@@ -87,6 +87,7 @@ def difference(a: Any, b: Any) -> float:
 # -- the same values ----------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("effects", [{}, *(case for case, _ in CASES), EVERYTHING], ids=lambda e: str(named(e))[:60])
 def test_the_native_plant_is_the_one_in_python_with_each_effect_awake(effects: Any, native_plant: Path) -> None:
     rows = wandering(Hovercraft(), 400)
@@ -98,6 +99,7 @@ def test_the_native_plant_is_the_one_in_python_with_each_effect_awake(effects: A
         assert difference(exact, by_fmu(native_plant, rows, starts, STEP)) > 1e-4
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("roll", [True, False])
 def test_the_native_plant_is_the_fmu_in_python_over_a_minute(roll: bool, native_plant: Path, plant_fmu: Path) -> None:
     rows = wandering(Hovercraft(), 3000, seed=2)
@@ -132,6 +134,7 @@ def test_a_step_may_be_any_and_a_history_grows_with_need(native_plant: Path) -> 
         assert difference(by_python(Hovercraft(), rows, values, step), by_fmu(native_plant, rows, values, step)) < TIGHT
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["drive_train.py:DriveTrain", "tanks.py:Tanks", "quarter_car.py:QuarterCar"])
 def test_a_native_model_of_ones_own_is_the_one_in_python(name: str, tmp_path: Path) -> None:
     from cosim.loading.file import load_model
@@ -468,6 +471,7 @@ def test_a_series_near_a_point_gives_what_the_c_library_gives() -> None:
 # -- the C --------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["plant", "controller"])
 def test_the_c_is_clean_under_warnings_and_sanitizers(name: str, native_fmus: Path, tmp_path: Path) -> None:
     with zipfile.ZipFile(native_fmus / f"{name}-native.fmu") as archive:
@@ -674,6 +678,7 @@ def test_the_state_is_read_and_changed_in_python(native_plant: Path) -> None:
             own_of(wrong)
 
 
+@pytest.mark.thorough
 def test_a_replay_through_the_native_plant_is_that_through_the_one_in_python(
     native_plant: Path, plant_fmu: Path, tmp_path: Path
 ) -> None:

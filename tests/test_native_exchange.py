@@ -261,6 +261,7 @@ def test_an_effect_that_counts_substeps_is_for_co_simulation_alone(tmp_path: Pat
     assert "slow counts substeps" in exchange.log[-1]
 
 
+@pytest.mark.thorough
 def test_fmi_3_says_the_same(native_plant: Path, tmp_path: Path) -> None:
     plant, controller = build_native(tmp_path, fmi=3)
     assert [p.path.name for p in (plant, controller)] == ["plant-native-fmi3.fmu", "controller-native-fmi3.fmu"]

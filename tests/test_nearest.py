@@ -36,6 +36,7 @@ def mass_of(fmu: Path) -> float:
     return float(next(v.start for v in read_description(fmu).modelVariables if v.name == "mass"))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("named", ["", "refine.json", "model.yaml", "nearest.yaml"])
 def test_build_takes_the_nearest_model_of_a_refine_however_it_is_named(tmp_path: Path, named: str) -> None:
     refined = refine_left(tmp_path / "refined")
@@ -107,6 +108,7 @@ def test_a_design_is_made_for_the_nearest_model_where_it_asks_for_that(project: 
         assert fault.exit_code == 2
 
 
+@pytest.mark.thorough
 def test_a_run_takes_the_nearest_plant_and_a_controller_for_it(project: Path, plant_fmu: Path) -> None:
     refined = refine_left(project / "refined", fmu=plant_fmu)
     settings = ["duration=0.1", "criteria={}", f"design={{model: {project}/refined/model.yaml}}"]

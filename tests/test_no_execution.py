@@ -149,6 +149,7 @@ def test_a_picture_of_a_scenario_executes_nothing(folder: Path) -> None:
     assert not (folder / "executed").exists()
 
 
+@pytest.mark.thorough
 def test_a_check_that_executes_says_what_it_did_before(folder: Path) -> None:
     """The faults of a study are those of the command's own process; a sound model is no fault."""
     assert check_files(model_file(folder)) == []
@@ -169,6 +170,7 @@ def test_faults_are_told_though_the_model_is_not_executed(folder: Path) -> None:
     assert not (folder / "executed").exists()
 
 
+@pytest.mark.thorough
 def test_a_run_executes_the_model_of_its_design_in_a_worker_to_the_same_result(folder: Path) -> None:
     path = scenario(folder)
     here = run(path, folder / "here", report=False, in_process=True)
@@ -179,6 +181,7 @@ def test_a_run_executes_the_model_of_its_design_in_a_worker_to_the_same_result(f
     assert apart.manifest["scenario"] == here.manifest["scenario"]
 
 
+@pytest.mark.thorough
 @pytest.mark.fresh
 def test_python_that_ends_its_process_does_not_end_the_command_with_exit_code_0(folder: Path) -> None:
     path = scenario(folder)

@@ -56,6 +56,7 @@ def refined(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.thorough
 def test_steps_that_overshoot_are_a_second_order_actuator(refined: Path) -> None:
     record = json.loads((refined / "refined" / "refine.json").read_text())
     assert record["verdict"] == "effect_found"

@@ -40,6 +40,7 @@ def again(bench: Path, tmp_path_factory: pytest.TempPathFactory) -> Refinement:
     return refine(bench / "again.yaml", tmp_path_factory.mktemp("elsewhere"))
 
 
+@pytest.mark.thorough
 def test_the_table_of_the_page_refined_has_nothing_missing(again: Refinement) -> None:
     assert again.record["verdict"] == "no_effect"
 

@@ -68,6 +68,7 @@ def days(folder: Path) -> Refinement:
     return refine(folder / "study.yaml", folder / "out", report=True)
 
 
+@pytest.mark.thorough
 def test_each_group_gets_its_own_value_and_the_effect_is_named_beside(days: Refinement) -> None:
     found = days.record["per_log"][NAME]
     assert days.verdict.name == "effect_found"
@@ -81,6 +82,7 @@ def test_each_group_gets_its_own_value_and_the_effect_is_named_beside(days: Refi
         assert estimate["unit"] == "m"
 
 
+@pytest.mark.thorough
 def test_without_it_the_same_logs_are_explained_worse(days: Refinement, folder: Path) -> None:
     (folder / "plain.yaml").write_text(LISTED, encoding="utf-8")
     plain = refine(folder / "plain.yaml", folder / "plain")
@@ -123,6 +125,7 @@ def test_a_sealed_log_of_no_group_learns_it_from_what_is_past_alone(days: Refine
     assert followed(after, problem, [other])[own(NAME, "v2.csv")] != pytest.approx(offset, abs=5e-4)
 
 
+@pytest.mark.thorough
 def test_nothing_is_fitted_to_a_sealed_log(days: Refinement, folder: Path) -> None:
     for seed, name in enumerate(("v1", "v2"), 99):
         filled(folder / f"other_{name}.csv", seed, 0.3)
@@ -169,6 +172,7 @@ def test_a_known_constant_filters_as_the_parameter_would(folder: Path) -> None:
     assert last[problem.layout.constants["area"]] == pytest.approx(0.4, rel=0.02)
 
 
+@pytest.mark.thorough
 def test_a_parameter_is_learnt_through_states_that_noise_does_not_reach(tmp_path: Path) -> None:
     """The lag of the craft's actuators: what it makes uncertain of them is in the covariance, and only then."""
     model = Hovercraft()

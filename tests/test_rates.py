@@ -44,6 +44,7 @@ def findings(folder: Path, plant: Path) -> tuple[Finding, ...]:
     return tuple(comparison.findings)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("step", [1.0 / 33.0, 0.007])
 def test_a_motor_is_refined_and_replayed_at_any_rate(tmp_path: Path, step: float) -> None:
     (tmp_path / "motor.py").write_text(MOTOR)

@@ -199,6 +199,7 @@ def complete(rubbing: Refinement, tmp_path_factory: pytest.TempPathFactory) -> R
     return proven(path, folder / "out")
 
 
+@pytest.mark.thorough
 def test_a_refined_model_has_nothing_missing_and_is_left_alone(rubbing: Refinement, complete: Refinement) -> None:
     first, r = rubbing, complete
     model = read_model(first.folder / "model.yaml")
@@ -237,6 +238,7 @@ def test_a_wrong_parameter_is_told_from_a_missing_effect(tmp_path: Path) -> None
     assert holds(r, "mass", "value", 0.85)
 
 
+@pytest.mark.thorough
 def test_an_imu_alone_tells_a_biased_gyroscope_and_leaves_the_plant_unchanged(tmp_path: Path) -> None:
     r = refined(tmp_path, {"gyro_bias": {"value": 0.03}}, position=False)
     assert r.record["verdict"] == "sensor_error"
@@ -271,6 +273,7 @@ def without(path: Path, *outputs: str) -> None:
         writer.writerows(rows)
 
 
+@pytest.mark.thorough
 def test_logs_that_excite_nothing_are_said_to(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     sigma = [np.sqrt(Hovercraft.sensor_variance[name]) for name in ("psi", "psi_dot", "ax", "x_world", "y_world")]
@@ -288,6 +291,7 @@ def test_logs_that_excite_nothing_are_said_to(tmp_path: Path) -> None:
     assert r.record["experiment"]
 
 
+@pytest.mark.thorough
 def test_what_is_in_no_catalogue_is_not_named(tmp_path: Path) -> None:
     from tests.blind.truth_outside import OUTSIDE
 
@@ -298,6 +302,7 @@ def test_what_is_in_no_catalogue_is_not_named(tmp_path: Path) -> None:
     assert r.record["residual"]["equation"] in {"vx", "vy"}
 
 
+@pytest.mark.thorough
 def test_an_effect_that_rises_above_a_disturbance_is_claimed_at_its_size(tmp_path: Path) -> None:
     r = refined(tmp_path, {"quadratic_drag": {"coefficient": 0.06}}, disturbed=True)
     assert (r.record["verdict"], named(r)) == ("effect_found", {"quadratic_drag"})
@@ -306,6 +311,7 @@ def test_an_effect_that_rises_above_a_disturbance_is_claimed_at_its_size(tmp_pat
     assert any(entry["inflated"] for entry in r.record["residual"]["process_noise"].values())  # it is there still
 
 
+@pytest.mark.thorough
 def test_an_effect_that_drowns_in_a_disturbance_is_not_claimed(tmp_path: Path) -> None:
     r = refined(tmp_path, {"quadratic_drag": {"coefficient": 0.01}}, disturbed=True)
     assert r.record["verdict"] in {"no_effect", "unexplained"}
@@ -342,6 +348,7 @@ def test_the_kernel_runs_the_same_equations_as_the_fmu(tmp_path: Path) -> None:
         assert np.allclose(run.states[k, columns], moment.state, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -401,6 +408,7 @@ def patchy(tmp_path_factory: pytest.TempPathFactory) -> Refinement:
     return proven(path, folder / "out")
 
 
+@pytest.mark.thorough
 def test_rows_that_are_missing_change_no_verdict(rubbing: Refinement, patchy: Refinement) -> None:
     r = patchy
     assert named(r) == named(rubbing) == {"coulomb_friction"}
@@ -439,6 +447,7 @@ def test_a_sensor_that_starts_late_tells_nothing_of_the_start(tmp_path: Path) ->
     assert np.abs(run.states[75:, place] - late["x_world"][75:]).max() < 0.02  # from its first measurement on
 
 
+@pytest.mark.thorough
 def test_a_state_that_nothing_measures_may_start_anywhere(tmp_path: Path) -> None:
     text = (Path(__file__).parent.parent / "docs" / "own_model.md").read_text()
     (tmp_path / "table.py").write_text(text.split("```python\n")[1].split("```")[0])
@@ -460,6 +469,7 @@ def test_a_state_that_nothing_measures_may_start_anywhere(tmp_path: Path) -> Non
     assert r.record["error"]["after"]["validation"]["rate"] < 2.0 * r.record["noise_floor"]["rate"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
@@ -488,6 +498,7 @@ def in_study(folder: Path, old: str, new: str) -> None:
     study.write_text(study.read_text().replace(old, new))
 
 
+@pytest.mark.thorough
 def test_an_earlier_result_outlives_a_refine_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "study").mkdir()
     path, out = tank_study(tmp_path / "study"), tmp_path / "out"
@@ -564,6 +575,7 @@ class Rig(Model):
 '''
 
 
+@pytest.mark.thorough
 def test_replays_know_what_a_delay_holds_back_and_outputs_what_is_commanded(tmp_path: Path) -> None:
     (tmp_path / "rig.py").write_text(RIG)
     stepper = Stepper(load_model("rig.py:Rig", tmp_path).model.with_values({"late_amplifier.time": 0.13}))

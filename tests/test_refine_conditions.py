@@ -100,6 +100,7 @@ def shaken(path: Path, level: Mapping[str, float], every: Mapping[str, int]) -> 
     write_log(path, dict(zip(header, table.T, strict=True)))
 
 
+@pytest.mark.thorough
 def test_a_delay_and_a_second_order_lag_are_found_together(tmp_path: Path) -> None:
     """Each alone fits so well that their first fit together is worse, and must not be given up there."""
     truth = {
@@ -115,6 +116,7 @@ def test_a_delay_and_a_second_order_lag_are_found_together(tmp_path: Path) -> No
     assert holds(r, "actuator_second_order", "natural_frequency", 14.0)
 
 
+@pytest.mark.thorough
 def test_sensors_with_more_noise_than_the_model_says_are_believed_and_slow_ones_dilute_no_friction(
     tmp_path: Path,
 ) -> None:
@@ -151,6 +153,7 @@ def test_noise_is_told_from_motion_unless_the_sensor_is_slower_than_that(tmp_pat
     assert sensor_noise(build_problem(ModelSubject.of(model), [log])).keys() == found.keys() - {"x_world"}
 
 
+@pytest.mark.thorough
 def test_of_a_model_at_rest_nothing_can_be_said(tmp_path: Path) -> None:
     r = proven(motor_study(tmp_path, 0.0), tmp_path / "out")
     assert (r.record["verdict"], r.record["rivals"]) == ("ambiguous", ["fan", "no_effect"])
@@ -159,6 +162,7 @@ def test_of_a_model_at_rest_nothing_can_be_said(tmp_path: Path) -> None:
     assert found.apart[("fan", "nothing")] > 10.0
 
 
+@pytest.mark.thorough
 def test_a_hidden_state_may_start_far_from_where_the_model_does(tmp_path: Path) -> None:
     r = proven(motor_study(tmp_path, 6.0, start=200.0), tmp_path / "out")
     assert r.record["verdict"] == "no_effect"
@@ -176,6 +180,7 @@ def test_a_model_that_runs_away_tells_nothing_of_its_start(tmp_path: Path) -> No
     assert "how much noise tacho has" in warning
 
 
+@pytest.mark.thorough
 def test_a_scaled_reading_is_held_against_a_floor_of_its_own(tmp_path: Path) -> None:
     path = study_of(tmp_path / "study", {"accelerometer_scale": {"value": 1.6}})
     path.write_text(path.read_text().partition("candidates:")[0] + "candidates: [accelerometer_scale, mass]\n")

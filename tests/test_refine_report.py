@@ -190,6 +190,7 @@ class Tags(HTMLParser):
             assert self.open.pop() == tag
 
 
+@pytest.mark.thorough
 def test_the_page_is_whole_and_loads_nothing(cart: Refinement, tmp_path: Path) -> None:
     text = page(cart, tmp_path)
     tags = Tags()
@@ -217,6 +218,7 @@ def test_every_chart_of_the_page_can_be_looked_into(cart: Refinement, tmp_path: 
     assert len(set(drawn)) == len(drawn)  # each curve has rows of its own
 
 
+@pytest.mark.thorough
 def test_nothing_serious_hinders_who_uses_keys_or_sees_little_in_the_page_of_a_refine(
     cart: Refinement, tmp_path: Path
 ) -> None:
@@ -239,6 +241,7 @@ def test_the_second_sentence_says_what_the_record_says_of_sealed_runs(cart: Refi
     assert "On sealed runs" in second_sentence(cart)
 
 
+@pytest.mark.thorough
 def test_the_command_tells_the_verdict_and_what_became_of_the_error(cart: Refinement, tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = CliRunner().invoke(app, ["refine", str(cart.study.path), "--out", str(out), "--no-report"])
@@ -282,6 +285,7 @@ def test_innovations_are_coloured_before_and_white_after(cart: Refinement) -> No
     assert float(row.size[1]) == pytest.approx(1.0, abs=0.1)  # 1100 samples: standard error 0.02
 
 
+@pytest.mark.thorough
 def test_an_imu_alone_and_no_sealed_log_are_enough(craft: Refinement, tmp_path: Path) -> None:
     text = page(craft, tmp_path)
     assert "no log sealed" in text
@@ -498,6 +502,7 @@ def test_a_sentence_says_of_a_term_without_a_name_how_much_it_is(cart: Refinemen
     )
 
 
+@pytest.mark.thorough
 def test_of_terms_that_the_logs_do_not_tell_apart_the_simplest_stands_for_all(cart: Refinement) -> None:
     subject, logs, base = cart.study.subject, cart.study.logs, cart.attribution.base.fit
     problem = replace(build_problem(subject, logs, unnamed=True), sensing=base.noise)
@@ -556,6 +561,7 @@ def test_units_in_sentences_join_their_factors_by_dots(unit: str, in_sentences: 
     assert written(unit) == in_sentences
 
 
+@pytest.mark.thorough
 def test_the_same_refine_gives_the_same_page(cart: Refinement, tmp_path: Path) -> None:
     assert page(cart, tmp_path) == page(cart, tmp_path)
     assert context(cart)["windowed"]

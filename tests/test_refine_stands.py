@@ -43,6 +43,7 @@ def with_model(study: Path, parameters: str) -> Path:
     return study
 
 
+@pytest.mark.thorough
 def test_a_mass_of_four_percent_more_is_no_nothing(tmp_path: Path) -> None:
     """The prior of the base parameters takes it up; the model as it stands is off by several times the noise."""
     truth = 1.04 * Hovercraft().mass
@@ -52,6 +53,7 @@ def test_a_mass_of_four_percent_more_is_no_nothing(tmp_path: Path) -> None:
     assert [c["names"] for c in r.record["candidates"] if c["why"] == "claimed"] == [["mass"]]
 
 
+@pytest.mark.thorough
 def test_what_only_recalibration_explains_is_said_where_no_candidate_accounts_for_it(tmp_path: Path) -> None:
     study = study_of(tmp_path / "study", {"mass": {"value": 1.1 * Hovercraft().mass}})
     r = flown(with_candidates(study, "coriolis, gyro_bias"), tmp_path / "out")
@@ -61,6 +63,7 @@ def test_what_only_recalibration_explains_is_said_where_no_candidate_accounts_fo
     assert r.record["sentence"].endswith("(Tried: only what the study names as candidates.)")
 
 
+@pytest.mark.thorough
 def test_an_effect_that_the_model_has_too_much_of_is_taken_out(tmp_path: Path) -> None:
     study = with_model(study_of(tmp_path / "study", {}), "coulomb_friction.force: 0.05, yaw_damping.coefficient: 0.006")
     study = with_candidates(study, "coulomb_friction, yaw_damping, table_tilt")
@@ -70,6 +73,7 @@ def test_an_effect_that_the_model_has_too_much_of_is_taken_out(tmp_path: Path) -
     assert r.record["sentence"].count("; the logs show none)") == 2
 
 
+@pytest.mark.thorough
 def test_a_biased_sensor_is_found_beside_an_effect(tmp_path: Path) -> None:
     truth = {"table_tilt": {"x": 0.006, "y": -0.003}, "accelerometer_bias": {"value": 0.12}}
     study = with_candidates(

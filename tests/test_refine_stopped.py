@@ -53,6 +53,7 @@ def stopped(study: Path, out: Path, monkeypatch: pytest.MonkeyPatch, at: str, nu
     return left.value.code
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("number", CODES)
 @pytest.mark.parametrize("at", ["attributed", "write_model", "noise_floor"])
 def test_stopped_before_its_end_it_leaves_nothing(
@@ -63,6 +64,7 @@ def test_stopped_before_its_end_it_leaves_nothing(
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("number", CODES)
 def test_stopped_while_results_move_to_their_place_it_leaves_all_of_them(
     study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals

@@ -68,6 +68,7 @@ def millimetres(tmp_path_factory: pytest.TempPathFactory) -> Refinement:
     return refined(tmp_path_factory.mktemp("units") / "mm", 1000.0)
 
 
+@pytest.mark.thorough
 def test_what_a_nameless_term_takes_away_does_not_depend_on_the_unit(
     metres: Refinement, millimetres: Refinement
 ) -> None:

@@ -238,6 +238,7 @@ def test_any_fmu_can_be_replayed(tmp_path: Path, starts: int) -> None:
     assert [c.name for c in comparison.channels if not c.explained] == []
 
 
+@pytest.mark.thorough
 def test_an_fmu_of_an_earlier_version_is_said_to_be_one(log: Log, tmp_path: Path, plant_fmu: Path) -> None:
     earlier = tmp_path / "plant.fmu"
     with zipfile.ZipFile(plant_fmu) as new, zipfile.ZipFile(earlier, "w") as old:
@@ -271,6 +272,7 @@ def test_a_model_that_stands_still_as_the_craft_does_misses_nothing(tmp_path: Pa
     assert "–" not in verdict(comparison)
 
 
+@pytest.mark.thorough
 def test_an_answer_that_is_wrong_in_kind_is_told_though_it_is_small(tmp_path: Path, plant_fmu: Path) -> None:
     """A wrong mass shows in the accelerometer, below its noise, but in step with the tilts."""
     heavy = Hovercraft().with_values({"mass": 1.2})
@@ -322,6 +324,7 @@ def test_a_right_model_is_not_accused_for_a_free_run_that_drifts(
     assert {c.name: c.excess for c in comparison.channels if not c.excess < 1.3} == {}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("seconds", "seed"), [(10.0, 1), (10.0, 2), (20.0, 9)])
 def test_a_right_model_is_not_accused_for_the_scatter_of_few_windows(
     seconds: float, seed: int, tmp_path: Path, plant_fmu: Path
@@ -345,6 +348,7 @@ def test_over_a_pause_nothing_is_known(tmp_path: Path, plant_fmu: Path) -> None:
     assert [c.name for c in comparison.channels if not c.matched] == []
 
 
+@pytest.mark.thorough
 def test_where_nothing_was_measured_yet_no_window_is_held_against_the_model(tmp_path: Path, plant_fmu: Path) -> None:
     flown = measured(fly(times(20.0), start=MOVING), noise=1.0)
     for name in (*IMU, *POSITION):
@@ -358,6 +362,7 @@ def test_where_nothing_was_measured_yet_no_window_is_held_against_the_model(tmp_
     assert "y_world" not in told  # measured too shortly to be held against anything
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("force", [0.0, 0.08])
 def test_a_camera_of_two_hertz_is_enough_to_see_friction(force: float, tmp_path: Path, plant_fmu: Path) -> None:
     """Its own noise is told beside the model: what the craft moves between two of its samples is none."""
@@ -386,6 +391,7 @@ def test_friction_shows_in_position_and_only_there(tmp_path: Path, plant_fmu: Pa
     assert {c.name for c in comparison.channels if not c.matched} == {"x_world", "y_world"}
 
 
+@pytest.mark.thorough
 def test_results_hold_the_log_and_the_replay_row_by_row(log: Log, tmp_path: Path, plant_fmu: Path) -> None:
     comparison = write_replay(tmp_path, log, plant_fmu)
     results = read_columns(tmp_path / "results.csv")
@@ -442,6 +448,7 @@ def test_a_recorded_log_is_replayed_and_reported(tmp_path: Path, plant_fmu: Path
     assert all(a <= b and k <= n for (a, _), (b, _), (k, n) in zip(seen, seen[1:], seen, strict=False))
 
 
+@pytest.mark.thorough
 def test_the_name_of_a_log_never_becomes_markup(tmp_path: Path, plant_fmu: Path) -> None:
     path = tmp_path / "<i>&.csv"
     path.write_bytes(RECORDED.read_bytes())
@@ -451,6 +458,7 @@ def test_the_name_of_a_log_never_becomes_markup(tmp_path: Path, plant_fmu: Path)
     assert "&lt;i&gt;&amp;.csv" in page
 
 
+@pytest.mark.thorough
 def test_nothing_serious_hinders_who_uses_keys_or_sees_little_in_the_page_of_a_replay(
     log: Log, tmp_path: Path, plant_fmu: Path
 ) -> None:
@@ -458,6 +466,7 @@ def test_nothing_serious_hinders_who_uses_keys_or_sees_little_in_the_page_of_a_r
     assert faults(tmp_path / "report.html") == []
 
 
+@pytest.mark.thorough
 def test_a_comparison_is_the_same_each_time(log: Log, tmp_path: Path, plant_fmu: Path) -> None:
     pages = []
     for folder in ("a", "b"):
@@ -489,6 +498,7 @@ def test_a_log_and_an_fmu_that_both_fail_are_told_at_once(tmp_path: Path) -> Non
     assert refused.value.exit_code == 2
 
 
+@pytest.mark.thorough
 def test_the_command_line_prints_what_is_doubtful_and_how_to_repeat(log: Log, tmp_path: Path) -> None:
     short = tmp_path / "short.csv"
     short.write_text("".join(log.path.read_text().splitlines(keepends=True)[:300]))

@@ -180,6 +180,7 @@ def test_a_craft_that_comes_in_at_the_end_is_not_said_to_wander() -> None:
     assert not seen.wanders
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("rows", [0, 1, 2, 3])
 def test_a_run_of_a_few_rows_gives_a_page_and_figures(tmp_path: Path, rows: int) -> None:
     whole = craft_run(1.0)
@@ -190,6 +191,7 @@ def test_a_run_of_a_few_rows_gives_a_page_and_figures(tmp_path: Path, rows: int)
     assert len(write_figures(tmp_path / "figures", results, manifest())) == (0 if rows == 0 else 4)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e300, 1e60])
 def test_rows_that_are_not_finite_leave_a_gap(tmp_path: Path, bad: float) -> None:
     whole = craft_run(2.0)
@@ -213,6 +215,7 @@ def test_thirty_noisy_seconds_stay_small(tmp_path: Path) -> None:
     assert len(page(tmp_path, craft_run(30.0, noise=0.1), manifest()).encode()) < 600_000
 
 
+@pytest.mark.thorough
 def test_nothing_serious_hinders_who_uses_keys_or_sees_little_in_the_page_of_a_run(tmp_path: Path) -> None:
     page(tmp_path, craft_run(10.0, noise=0.01), manifest())
     assert faults(tmp_path / "report.html", dark=True) == []

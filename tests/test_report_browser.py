@@ -84,6 +84,7 @@ def shapes(page: Page) -> list[str]:
     return found
 
 
+@pytest.mark.thorough
 def test_at_any_time_every_read_out_is_the_row(page: Page, report: tuple[Path, Results]) -> None:
     results, rng = report[1], np.random.default_rng(5)
     shown = {c: results[c] for c in COLUMNS}

@@ -80,6 +80,7 @@ def test_results_have_one_row_a_communication_point_and_read_back_bit_for_bit(pr
     assert (back["time"] == outcome.results.time).all()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("scenario", ["regulate", "manoeuvre"])
 @pytest.mark.parametrize("seed", [2, 3, 4, 5, 6])
 def test_criteria_hold_for_any_seed(project: Path, scenario: str, seed: int) -> None:
@@ -101,6 +102,7 @@ def test_the_manoeuvre_ends_where_it_began(project: Path) -> None:
     assert results["plant.y_world"].min() == pytest.approx(-1.5, abs=0.15)
 
 
+@pytest.mark.thorough
 def test_the_command_leaves_results_manifest_and_report(project: Path) -> None:
     done = cosim("run", "scenarios/regulate.yaml", "--out", "out", cwd=project)
     assert (done.returncode, done.stderr) == (0, "")
@@ -108,6 +110,7 @@ def test_the_command_leaves_results_manifest_and_report(project: Path) -> None:
     assert sorted(p.name for p in (project / "out").iterdir()) == ["manifest.json", "report.html", "results.csv"]
 
 
+@pytest.mark.thorough
 def test_a_missed_criterion_exits_5_and_leaves_everything(project: Path) -> None:
     done = cosim("run", "scenarios/regulate.yaml", "--out", "out", "--no-report",
                  "--set", "criteria={settling_time: {of: plant.x, band: 0.02, max: 1.0}}", cwd=project)  # fmt: skip
@@ -139,6 +142,7 @@ def test_a_file_that_is_no_fmu_exits_3(project: Path) -> None:
     assert not (project / "out").exists()
 
 
+@pytest.mark.thorough
 def test_check_finds_nothing_wrong_with_what_we_ship(project: Path) -> None:
     files = ["scenarios/regulate.yaml", "scenarios/manoeuvre.yaml", "build/plant.fmu", "build/controller.fmu"]
     done = cosim("check", *files, cwd=project)
@@ -202,6 +206,7 @@ def test_a_manifest_is_not_repeated_with_another_log_played_back(project: Path) 
         run(first.folder / "manifest.json", project / "third", report=False)
 
 
+@pytest.mark.thorough
 def test_results_that_cannot_be_written_are_refused_before_the_run(project: Path) -> None:
     (project / "taken").write_text("a file")
     (project / "full" / "report.html").mkdir(parents=True)
@@ -212,6 +217,7 @@ def test_results_that_cannot_be_written_are_refused_before_the_run(project: Path
     assert [p.name for p in (project / "full").iterdir()] == ["report.html"]
 
 
+@pytest.mark.thorough
 def test_a_percent_sign_in_a_value_reaches_the_user_whole(project: Path) -> None:
     # FMI's logger formats like printf: "%s%n" in a message once brought the host down
     done = cosim("run", "scenarios/regulate.yaml", "--out", "o", "--no-report", "--set", "design={}", "--set",

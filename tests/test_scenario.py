@@ -123,6 +123,7 @@ def test_components_that_need_each_other_at_once_are_an_algebraic_loop(project: 
         build_system(ScenarioFile(path))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("content", "place", "words"),
     [

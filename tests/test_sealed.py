@@ -48,6 +48,7 @@ def another(tmp_path_factory: pytest.TempPathFactory) -> Refinement:
     return proven(folder / "study.yaml", folder / "out")
 
 
+@pytest.mark.thorough
 def test_an_error_that_rises_on_sealed_logs_stands_in_the_first_sentence(another: Refinement, tmp_path: Path) -> None:
     assert named(another) == {"fan"}
     error = another.record["error"]
@@ -59,6 +60,7 @@ def test_an_error_that_rises_on_sealed_logs_stands_in_the_first_sentence(another
     assert "On the sealed logs the error of tacho rises" in (tmp_path / "report.html").read_text()
 
 
+@pytest.mark.thorough
 def test_what_sealed_logs_show_changes_no_model_and_no_verdict(another: Refinement) -> None:
     study = another.study.path
     bare = study.with_name("bare.yaml")

@@ -190,6 +190,7 @@ def test_the_shipped_protocol_is_app_d_2_where_it_differs_from_chapter_4() -> No
     assert [t.low_pass for t in (line, ground, projection, step, moment)] == [0.25, 0.25, 0.1, 0, 0.5]
 
 
+@pytest.mark.thorough
 def test_tares_are_estimated_and_not_copied(tmp_path: Path) -> None:
     """D.3 takes 5 gf and 0.75e-4 N m off every run; a cell that is 0.1 V off all day changes nothing here."""
     content = YAML(typ="safe").load(BENCH.read_text(encoding="utf-8"))

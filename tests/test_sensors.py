@@ -123,6 +123,7 @@ def test_the_motors_turn_the_heading_that_a_magnetometer_reads_by_their_thrust_a
     assert kind().readings(SCALAR, 1.0, hover | {"thrust_left": 3.4973}) == {"psi": 0.3}
 
 
+@pytest.mark.thorough
 def test_refine_names_a_magnetometer_that_the_motors_disturb_where_the_duty_varies(tmp_path: Path) -> None:
     """The blind suite's craft; its logged heading is turned by the thrust of the logged duties behind the lag."""
     size, study = 0.05, study_of(tmp_path / "study", {}, "nothing", duty_varied=True)
@@ -227,6 +228,7 @@ def down_to_noise(r: Refinement, *channels: str) -> bool:
     return True
 
 
+@pytest.mark.thorough
 def test_a_marker_ahead_of_the_centre_and_a_gyroscope_that_drifts_are_named_with_how_far_and_how_fast(
     tmp_path: Path,
 ) -> None:
@@ -249,6 +251,7 @@ def test_a_marker_ahead_of_the_centre_and_a_gyroscope_that_drifts_are_named_with
     assert slope == pytest.approx(3e-3, rel=0.1)
 
 
+@pytest.mark.thorough
 def test_a_camera_that_is_three_rows_late_is_named_on_logs_of_the_craft(tmp_path: Path) -> None:
     """No other sensor is: the duty varies, so that a magnetometer that the motors disturb would show."""
     study = study_of(tmp_path / "study", {}, "nothing", duty_varied=True)

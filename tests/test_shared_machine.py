@@ -225,6 +225,7 @@ def test_a_file_that_others_can_write_is_made_anew_unless_they_cannot_reach_it(h
     assert answer(home) == ("42", home / "cosim", "")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("home", [{"HOME": "/"}, {"HOME": ""}, {"HOME": "/nonexistent"}])
 def test_a_home_folder_that_is_none_is_not_used(shared: Path, home: dict[str, str]) -> None:
     user, fmu = other_user(TMPDIR=str(shared), **home), deeds_fmu(shared / "foreign.fmu")
@@ -234,6 +235,7 @@ def test_a_home_folder_that_is_none_is_not_used(shared: Path, home: dict[str, st
     assert not list(shared.glob("cosim-*"))
 
 
+@pytest.mark.thorough
 def test_a_user_without_a_home_folder_runs_everything_without_a_word_of_a_library(
     shared: Path, native_fmus: Path
 ) -> None:

@@ -91,6 +91,7 @@ LIGHT = 4e-5  # kg.m2, a shaft that follows within a row: each step of the volta
 PLANTED = [37, 160, 341, 520, 777, 922, 1130]  # rows, none within two of a step of the voltage
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("inertia", [LIGHT, 1.3 * LIGHT, 0.75 * LIGHT])
 def test_an_inrush_current_is_kept_and_a_recorders_reading_beside_it_is_not(tmp_path: Path, inertia: float) -> None:
     """Alike in check, refine and replay, and with a model that is not exact."""

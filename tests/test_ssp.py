@@ -532,6 +532,7 @@ def agrees(host: str, path: Path, folder: Path, step: float, steps: int) -> Resu
     return ours
 
 
+@pytest.mark.thorough
 @pytest.mark.hosts
 @pytest.mark.parametrize("host", HOSTS)
 def test_lags_move_in_other_hosts_as_here(host: str, tmp_path: Path) -> None:
@@ -539,6 +540,7 @@ def test_lags_move_in_other_hosts_as_here(host: str, tmp_path: Path) -> None:
     assert np.ptp(ours["b.y"]) > 0.1
 
 
+@pytest.mark.thorough
 @pytest.mark.hosts
 def test_what_the_page_shows_runs(project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     lag_fmu(tmp_path / "lag.fmu")  # skips without a compiler

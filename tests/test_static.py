@@ -104,6 +104,7 @@ def test_the_report_of_a_table_knows_no_time(leak: Refinement, tmp_path: Path) -
     assert not re.search(r"\[s\]|\btime|free run|\bruns\b", shown)
 
 
+@pytest.mark.thorough
 def test_nothing_missing_is_no_effect_and_leaves_the_model(tmp_path: Path) -> None:
     r = proven(study_of(tmp_path, lambda o, d: linear(o, d) / 1.02), tmp_path / "out")
     assert (r.record["verdict"], r.record["effects"]) == ("no_effect", []), r.record["sentence"]
@@ -112,12 +113,14 @@ def test_nothing_missing_is_no_effect_and_leaves_the_model(tmp_path: Path) -> No
     assert errors["left_out"]["after"] == errors["left_out"]["before"]
 
 
+@pytest.mark.thorough
 def test_a_number_far_off_is_a_parameter_error(tmp_path: Path) -> None:
     r = proven(study_of(tmp_path, lambda o, d: 0.013 * o * np.sqrt(d)), tmp_path / "out")
     assert (r.record["verdict"], named(r)) == ("parameter_error", {"coefficient"}), r.record["sentence"]
     assert holds(r, "coefficient", "value", 0.013)
 
 
+@pytest.mark.thorough
 def test_what_is_in_no_catalogue_is_unexplained_and_told_by_its_input(tmp_path: Path) -> None:
     def notched(opening: Array, drop: Array) -> Array:
         return linear(opening, drop) * (1.0 + 0.05 * np.sin(12.0 * opening))
@@ -129,6 +132,7 @@ def test_what_is_in_no_catalogue_is_unexplained_and_told_by_its_input(tmp_path: 
     assert (tmp_path / "out" / "nearest.yaml").is_file()
 
 
+@pytest.mark.thorough
 def test_a_claim_that_leaves_much_over_an_input_is_one_of_a_part(tmp_path: Path) -> None:
     def both(opening: Array, drop: Array) -> Array:
         return C0 * (opening + 2.0 * LEAK) * np.sqrt(drop) + 0.1 * np.sin(12.0 * opening)

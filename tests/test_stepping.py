@@ -485,6 +485,7 @@ def test_the_manifest_names_the_loop_and_why_it_is_in_python(
         library.cache_clear()
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(sys.platform == "win32", reason="the compiler here is a shell script")
 @pytest.mark.parametrize(("does", "told"), [("sleep 1.2; exec cc", "C"), ("exit 1; :", "Python: the C compiler fails")])
 def test_no_limit_counts_the_time_of_a_compiler_and_none_needs_one(tmp_path: Path, does: str, told: str) -> None:

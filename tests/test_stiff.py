@@ -125,6 +125,7 @@ def test_dual_numbers_follow_the_rules_of_slopes(power: float) -> None:
         np.testing.assert_allclose(found[:, j], np.subtract(*ends[::-1]) / (2 * size), rtol=1e-8)
 
 
+@pytest.mark.thorough
 def test_a_motor_whose_winding_is_over_within_a_row_is_integrated_as_stiff(tmp_path: Path) -> None:
     loaded, (said,) = with_substep(motor(tmp_path, inductance=WINDING))
     assert loaded.model.integrator == "stiff"
@@ -139,6 +140,7 @@ def test_a_heated_box_with_a_fast_sensor_follows_an_independent_solver() -> None
     assert deviation(model, [50.0] * 20 + [400.0] * 20 + [0.0] * 20, ROW) < 1e-6
 
 
+@pytest.mark.thorough
 @NEEDS_COMPILER
 @pytest.mark.parametrize("kind", ["python", "native"])
 def test_kernel_and_fmu_integrate_a_stiff_model_alike(tmp_path: Path, kind: str) -> None:
@@ -203,6 +205,7 @@ def test_a_model_file_keeps_the_integrator(tmp_path: Path) -> None:
     assert with_substep(read) == (read, [])
 
 
+@pytest.mark.thorough
 @NEEDS_COMPILER
 def test_a_stiff_motor_is_refined(tmp_path: Path) -> None:
     r = refine(motor_study(tmp_path, step=ROW, inductance=WINDING), tmp_path / "out")

@@ -122,6 +122,7 @@ def test_a_model_file_keeps_the_substep(tmp_path: Path) -> None:
     assert "unstable" in message_of(lambda: with_substep(read_model(tmp_path / "model.yaml")))
 
 
+@pytest.mark.thorough
 def test_check_tells_the_substep_of_model_log_and_study(tmp_path: Path) -> None:
     study = motor_study(tmp_path)
     file = tmp_path / "motor.py"
@@ -134,6 +135,7 @@ def test_check_tells_the_substep_of_model_log_and_study(tmp_path: Path) -> None:
         assert sum("integrated in substeps of 0.833" in line for line in check_files(name, model)) == 1
 
 
+@pytest.mark.thorough
 def test_a_motor_is_refined_though_its_default_substep_is_unstable(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

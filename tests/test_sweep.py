@@ -121,6 +121,7 @@ def test_runs_of_tanks_on_arrays_are_those_through_their_fmus(tanks: Callable[..
     assert apart(on_arrays, made(job, asked, "fmus")) < 1e-12  # one rounding of sin, pow and their like a substep
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("compiled", [True, False])
 def test_runs_of_the_craft_with_play_delay_and_filters_of_their_own_are_those_through_its_fmus(
     tmp_path: Path, plant_fmu: Path, controller_fmu: Path, compiled: bool
@@ -229,6 +230,7 @@ def test_a_sweep_of_which_no_run_ends_is_a_failure(tanks: Callable[..., Path]) -
 # -- kept and gone on with ---------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_a_sweep_that_was_killed_is_gone_on_with_and_its_table_is_that_of_one_that_was_not(
     tanks: Callable[..., Path],
 ) -> None:

@@ -512,6 +512,7 @@ def test_enumerations_of_one_name_with_other_items_are_not_connected(tmp_path: P
     assert told in faults_of(path)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("version", [2, 3])
 def test_every_type_goes_through_an_fmu_in_a_process_of_its_own(tmp_path: Path, version: int) -> None:
     fmu, largest = str(typed_fmu(tmp_path, version)), 2**63 - 3

@@ -118,6 +118,7 @@ def played(
     return cosim.run(scenario, in_process=True)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("column", "units", "connection", "last", "said"),
     [
@@ -271,6 +272,7 @@ class Cart(Model):
 """
 
 
+@pytest.mark.thorough
 def test_a_log_with_names_of_its_own_can_be_checked(tmp_path: Path) -> None:
     (tmp_path / "cart.py").write_text(CART)
     rows = "".join(f"{20 * k},{k * k % 13},A,{k % 7}\n" for k in range(600))
