@@ -237,6 +237,7 @@ def test_commands_stay_within_the_craft_and_the_fitted_thrust_line(logs: list[Lo
         assert bool(np.ptp(sent[:, 0]) > 0) is draw(seed).duty_varied
 
 
+@pytest.mark.thorough
 def test_manoeuvres_excite_every_equation_at_several_speeds(logs: list[Log]) -> None:
     for log in logs:
         vx, rate = log.states[:, 5], log.states[:, 7]
@@ -321,6 +322,7 @@ def test_an_effect_mimics_itself_and_nothing_mimics_a_tether(levels: dict[str, f
     assert min(resemblance(first_of("tether"), levels, duration=8.0).values()) > 0.1
 
 
+@pytest.mark.thorough
 def test_a_perfect_model_shows_nothing(levels: dict[str, float]) -> None:
     assert max(visibility(NOTHING, levels, duration=6.0).values()) == pytest.approx(1.0, abs=1e-6)
 

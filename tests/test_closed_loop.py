@@ -162,6 +162,7 @@ def test_heading_settles_under_every_filter() -> None:
         assert max(settling(run[:, 1], 0.02) for run in under_noise(estimator)) < 2.5, estimator
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("estimator", ESTIMATORS)
 @pytest.mark.parametrize("t", [5.0, 10.0, 20.0])
 def test_the_true_position_wanders_as_theory_says(estimator: str, t: float) -> None:

@@ -100,6 +100,7 @@ def test_offset_and_dry_friction_missing_at_once_are_both_found(found: dict[str,
     assert {e["name"] for e in found["effects"]} == {"force_offset", "coulomb_friction"}
 
 
+@pytest.mark.thorough
 def test_what_is_found_is_what_was_put_in(found: dict[str, Any]) -> None:
     for name, truth in (("coulomb_friction.level", DRY), ("force_offset.value", OFFSET)):
         value, (low, high) = parameters(found)[name]["value"], parameters(found)[name]["ci95"]
@@ -107,6 +108,7 @@ def test_what_is_found_is_what_was_put_in(found: dict[str, Any]) -> None:
         assert abs(value - truth) < 3.0 * (high - low) / (2 * 1.96), name
 
 
+@pytest.mark.thorough
 def test_the_free_run_of_a_sealed_log_comes_down_to_what_the_noise_leaves(found: dict[str, Any]) -> None:
     assert found["horizon"] == "free run"
     before, after = (found["error"][k]["validation"]["position"] for k in ("before", "after"))
@@ -115,6 +117,7 @@ def test_the_free_run_of_a_sealed_log_comes_down_to_what_the_noise_leaves(found:
     assert after < 0.05 * before
 
 
+@pytest.mark.thorough
 def test_the_refined_fmu_is_the_refined_model_bit_for_bit(found: dict[str, Any], study: Path) -> None:
     folder = study.parent / "refined"
     loaded = load_model("model.yaml", folder)

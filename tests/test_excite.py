@@ -117,6 +117,7 @@ def test_no_experiment_worse_than_what_is_usually_played_is_chosen_in_its_place(
         assert "separates better" not in found.warning
 
 
+@pytest.mark.thorough
 def test_it_is_said_where_the_manoeuvre_separates_better_but_leaves_the_limits(
     told_apart: tuple[Excitation, Path],
 ) -> None:

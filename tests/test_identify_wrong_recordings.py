@@ -191,6 +191,7 @@ def test_a_wrong_recording_is_refused_with_its_reason_by_check_and_by_identify(
     assert identified == checked
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("copy", ["cut", "rounded", "later"])
 def test_a_copy_is_no_repetition_though_it_was_cut_rounded_or_shifted(
     copy: str, good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
@@ -212,6 +213,7 @@ def test_a_copy_is_no_repetition_though_it_was_cut_rounded_or_shifted(
     assert identified == checked
 
 
+@pytest.mark.thorough
 def test_a_spike_is_no_force_of_another_channel_and_makes_no_copies(
     good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
 ) -> None:
@@ -224,6 +226,7 @@ def test_a_spike_is_no_force_of_another_channel_and_makes_no_copies(
     assert "once more" not in checked
 
 
+@pytest.mark.thorough
 def test_10_hz_is_enough_for_a_step_but_not_for_the_thesis_estimator_and_says_so(
     good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
 ) -> None:
@@ -256,6 +259,7 @@ CELLS: dict[str, tuple[str, Callable[[str, Any], Any], str]] = {
 }  # fmt: skip
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", CELLS)
 def test_a_wrong_calibration_is_refused_with_its_reason(
     case: str, good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
@@ -272,6 +276,7 @@ def test_a_wrong_calibration_is_refused_with_its_reason(
     assert identified == checked
 
 
+@pytest.mark.thorough
 def test_a_run_on_another_day_gives_an_exponent_that_is_refused(
     good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
 ) -> None:
@@ -285,6 +290,7 @@ def test_a_run_on_another_day_gives_an_exponent_that_is_refused(
     assert identified == checked
 
 
+@pytest.mark.thorough
 def test_an_interval_that_contains_an_impossible_value_is_named(
     good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
 ) -> None:
@@ -299,6 +305,7 @@ def test_an_interval_that_contains_an_impossible_value_is_named(
     assert all(line in checked for line in identified.splitlines())
 
 
+@pytest.mark.thorough
 def test_a_height_that_the_equation_misses_is_named(
     good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
 ) -> None:
@@ -389,12 +396,14 @@ def test_an_answer_of_the_wrong_shape_is_named(
     assert reason in identified
 
 
+@pytest.mark.thorough
 def test_a_missing_row_is_filled_in_and_changes_the_lag_by_little(
     good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
 ) -> None:
     assert answers(good, tmp_path, "step", lambda t: np.delete(t, 100, 0), first_only=True) == ("", "")
 
 
+@pytest.mark.thorough
 def test_faults_of_files_that_can_be_read_stand_beside_those_that_cannot(
     good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
 ) -> None:

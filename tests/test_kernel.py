@@ -218,6 +218,7 @@ def test_without_a_compiler_that_works_that_of_the_extra_takes_its_place(
     assert steps_as_the_fmu(kernel(table, ("angle",)), table)
 
 
+@pytest.mark.thorough
 def test_the_compiler_of_the_extra_makes_the_kernel(table: Model, zig: None) -> None:
     assert steps_as_the_fmu(kernel(table, ("angle",)), table)
 

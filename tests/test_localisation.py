@@ -74,6 +74,7 @@ def test_double_integration_drifts_away_at_rest_and_the_filter_does_not(flown: M
     assert abs(off(rest, "integration")[-1]) < 3 * rest["integration.x_sigma"][-1]
 
 
+@pytest.mark.thorough
 def test_the_filter_of_the_thesis_meets_10_percent_and_10_degrees_and_double_integration_does_not(
     flown: Mapping[str, Run],
 ) -> None:
@@ -87,6 +88,7 @@ def test_the_filter_of_the_thesis_meets_10_percent_and_10_degrees_and_double_int
     assert abs(off(moved, "integration")[-1]) > distance
 
 
+@pytest.mark.thorough
 def test_of_the_three_variants_the_one_that_observes_speed_is_the_worst_with_the_v_of_the_thesis(
     flown: Mapping[str, Run],
 ) -> None:
@@ -95,6 +97,7 @@ def test_of_the_three_variants_the_one_that_observes_speed_is_the_worst_with_the
     assert worst["consistent"] > 10 * max(worst["appendix_f"], worst["lagged"])
 
 
+@pytest.mark.thorough
 def test_the_estimator_beside_the_controller_is_the_one_within_it(flown: Mapping[str, Run]) -> None:
     moved = flown["localisation"]
     for name in ("x", "vx", "psi", "psi_dot", "a"):
@@ -105,6 +108,7 @@ def test_the_estimator_beside_the_controller_is_the_one_within_it(flown: Mapping
 # -- §7.1: fixes --------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("estimator", "within"),
     [
@@ -127,6 +131,7 @@ def test_fixes_of_any_kind_find_a_start_that_nobody_told(
     assert sigma[settled].max() == pytest.approx(sigma[(found.time > 5) & ~settled].max(), rel=0.5)  # P has settled
 
 
+@pytest.mark.thorough
 def test_without_fixes_the_start_is_never_found_and_p_diverges(flown: Mapping[str, Run]) -> None:
     found = flown["localisation_fixes"]
     sigma = found["without.x_sigma"]
@@ -135,6 +140,7 @@ def test_without_fixes_the_start_is_never_found_and_p_diverges(flown: Mapping[st
     assert np.abs(off(found, "by_camera")[found.time > 5]).max() < 0.1
 
 
+@pytest.mark.thorough
 def test_scenarios_of_this_chapter_meet_their_criteria(flown: Mapping[str, Run]) -> None:
     assert {n: made.missed for n, made in flown.items()} == {n: [] for n in flown}
     assert [w for made in flown.values() for w in made.warnings if "not connected" in w] == []
@@ -191,6 +197,7 @@ def test_the_jordan_form_is_that_of_eqs_5_50_to_5_53_with_the_older_lag() -> Non
     assert np.flatnonzero(seen.any(axis=0)).tolist() == [0, 3, 4]  # 5.53: x̂₂ and x̂₃ cannot be observed
 
 
+@pytest.mark.thorough
 def test_noise_from_20_s_at_rest_is_that_of_eqs_5_44_to_5_46(flown: Mapping[str, Run]) -> None:
     rest = flown["localisation_rest"]
     for name, printed in (("psi", 2.613e-5), ("psi_dot", 4.564e-4), ("ax", 0.04479)):
@@ -363,6 +370,7 @@ def test_an_estimator_is_sampled_and_refuses_another_step(folder: Path, name: st
     assert "the estimator is sampled at 0.02 s (parameter sample_time)" in refused(folder / "build" / name, {}, call)
 
 
+@pytest.mark.thorough
 def test_inputs_for_fixes_are_recorded_and_told_only_where_something_feeds_them(
     folder: Path, flown: Mapping[str, Run]
 ) -> None:

@@ -69,6 +69,7 @@ def test_steps_that_overshoot_are_a_second_order_actuator(refined: Path) -> None
     assert error["after"]["validation"]["force_x"] < 0.6 * error["before"]["validation"]["force_x"]
 
 
+@pytest.mark.thorough
 def test_the_craft_takes_the_refined_actuator_and_its_regulator_is_made_for_it(refined: Path) -> None:
     (refined / "craft.yaml").write_text((EXAMPLE / "craft.yaml").read_text())
     craft = read_model(refined / "craft.yaml").model

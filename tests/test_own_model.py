@@ -55,6 +55,7 @@ def test_a_refined_model_moves_with_the_file_it_is_of(bench: Path, tmp_path: Pat
     assert read_model(moved / "out" / "model.yaml").source == f"{moved.resolve() / 'table.py'}:Table"
 
 
+@pytest.mark.thorough
 def test_where_the_file_is_in_another_place_its_whole_path_is_said(bench: Path, again: Refinement) -> None:
     assert f"model: {bench.resolve() / 'table.py'}:Table\n" in (again.folder / "model.yaml").read_text()
 

@@ -95,6 +95,7 @@ def test_without_it_the_same_logs_are_explained_worse(days: Refinement, folder: 
     assert interval[1] - interval[0] < 1e-4
 
 
+@pytest.mark.thorough
 def test_a_sealed_log_takes_the_value_of_its_group(days: Refinement, tmp_path: Path) -> None:
     after, problem = days.variants["after"], days.problem
     (log,) = (log for log in days.study.unseal() if log.path.name == "v1.csv")
@@ -104,6 +105,7 @@ def test_a_sealed_log_takes_the_value_of_its_group(days: Refinement, tmp_path: P
     assert days.record["per_log"][NAME]["followed"].keys() == {"v2.csv"}
 
 
+@pytest.mark.thorough
 def test_a_sealed_log_of_no_group_learns_it_from_what_is_past_alone(days: Refinement, tmp_path: Path) -> None:
     after, problem = days.variants["after"], days.problem
     (log,) = (log for log in days.study.unseal() if log.path.name == "v2.csv")
@@ -137,6 +139,7 @@ def test_nothing_is_fitted_to_a_sealed_log(days: Refinement, folder: Path) -> No
     assert other.record["per_log"][NAME]["followed"]["other_v2.csv"]["value"] == pytest.approx(0.3, abs=1e-3)
 
 
+@pytest.mark.thorough
 def test_every_model_is_judged_with_the_value_that_suits_it(days: Refinement) -> None:
     """Before as after: what the data sheet says of a gauge is of no day."""
     truth = {own(NAME, "day1"): 0.05, own(NAME, "e3.csv"): -0.04, own(NAME, "e4.csv"): 0.10}
@@ -148,6 +151,7 @@ def test_every_model_is_judged_with_the_value_that_suits_it(days: Refinement) ->
     assert before["area"] == days.study.subject.loaded.model.area  # type: ignore[attr-defined]
 
 
+@pytest.mark.thorough
 def test_the_report_shows_each_group_and_what_was_learnt(days: Refinement) -> None:
     page = (days.folder / "report.html").read_text(encoding="utf-8")
     table = page[page.index("Parameters per log") :]

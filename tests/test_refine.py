@@ -210,11 +210,13 @@ def test_a_refined_model_has_nothing_missing_and_is_left_alone(rubbing: Refineme
     assert read_model(r.folder / "model.yaml").parameters == model.parameters
 
 
+@pytest.mark.thorough
 def test_a_study_that_claims_nothing_writes_the_nearest_model_beside(complete: Refinement) -> None:
     written = ["model.yaml", "nearest.fmu", "nearest.yaml", "plant.fmu", "refine.json"]
     assert sorted(p.name for p in complete.folder.iterdir()) == written
 
 
+@pytest.mark.thorough
 def test_errors_are_those_of_the_outputs_that_a_log_measures(complete: Refinement) -> None:
     for error in (complete.record["error"], *complete.record["horizons"].values()):
         assert error["nearest"]["validation"].keys() == error["after"]["validation"].keys()
@@ -419,6 +421,7 @@ def test_rows_that_are_missing_change_no_verdict(rubbing: Refinement, patchy: Re
     assert sorted(p.name for p in r.folder.iterdir()) == ["model.yaml", "plant.fmu", "refine.json"]
 
 
+@pytest.mark.thorough
 def test_each_log_may_measure_something_else(patchy: Refinement, tmp_path: Path) -> None:
     assert patchy.problem.kernel.layout.outputs == ("x_world", "y_world", "psi", "psi_dot", "ax")
     write_refine_report(tmp_path / "report.html", patchy)

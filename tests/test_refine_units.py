@@ -80,6 +80,7 @@ def test_what_a_nameless_term_takes_away_does_not_depend_on_the_unit(
     assert there["share"] == pytest.approx(here["share"], abs=2e-3)
 
 
+@pytest.mark.thorough
 def test_a_filter_that_trusts_the_equations_hardly_weighs_their_noise(
     metres: Refinement, millimetres: Refinement
 ) -> None:
@@ -95,6 +96,7 @@ def test_a_filter_that_trusts_the_equations_hardly_weighs_their_noise(
     assert float(here.size[0]) > 2.0 * float(here.size[1])
 
 
+@pytest.mark.thorough
 def test_the_bars_of_the_process_noise_do_not_depend_on_the_unit(metres: Refinement, millimetres: Refinement) -> None:
     (here,), (there,) = (noise_rows(r) for r in (metres, millimetres))
     assert (here.equation, here.words) == (there.equation, there.words) == ("speed", "deficient still")
