@@ -442,6 +442,8 @@ def test_a_recorded_log_is_replayed_and_reported(tmp_path: Path, plant_fmu: Path
     assert verdict(comparison).split(".")[0] in page
     for heading in ("Free run", "Is it white?", "Which command does it follow?", "Numbers", "The log"):
         assert heading in page
+    (seconds,) = re.findall(r"([\d.]+) s at ", page)
+    assert float(seconds) == pytest.approx(log.time[-1] - log.time[0])
     assert re.search(r"https?://|@import|url\(|src=", page) is None  # complete in itself
     assert len(page) < 600_000
     assert seen

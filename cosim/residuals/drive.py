@@ -168,7 +168,7 @@ class Drive:
         other.log = log
         return other
 
-    def initial(self, start: Mapping[str, Any], row: int = 0) -> dict[str, float]:
+    def initial(self, start: Mapping[str, Any], row: int) -> dict[str, float]:
         """Return the outputs after initialization at a row of the log."""
         self._begin(start, row, float(self.log.time[-1]))
         self.block.start()

@@ -104,7 +104,7 @@ class DriveApart(Drive):
             if self._held is not None:
                 self._held.remove()
 
-    def initial(self, start: Mapping[str, Any], row: int = 0) -> dict[str, float]:
+    def initial(self, start: Mapping[str, Any], row: int) -> dict[str, float]:
         """As of a drive."""
         self._check_start(start)
         answer: dict[str, float] = self._ask("initial", start, row)

@@ -179,9 +179,7 @@ def _correlation(a: Array, seen_a: Array, b: Array, seen_b: Array, lags: int) ->
     """ρ(k) of b(t + k) with a(t) for k = −lags … lags, and in how many pairs of rows it was seen."""
     products, pairs = _lagged(a, b, lags), np.rint(_lagged(seen_a, seen_b, lags))
     counts = float(seen_a.sum()), float(seen_b.sum())
-    if min(counts) == 0.0:
-        return np.full(2 * lags + 1, np.nan), pairs
-    scale = math.sqrt(float(a @ a) / counts[0] * float(b @ b) / counts[1])
+    scale = math.sqrt(float(a @ a) / counts[0] * float(b @ b) / counts[1]) if min(counts) > 0.0 else 0.0
     usable = pairs > 0 if scale > 0.0 else np.zeros(pairs.size, dtype=bool)
     rho = np.full(2 * lags + 1, np.nan)
     rho[usable] = products[usable] / pairs[usable] / scale

@@ -95,7 +95,7 @@ def _tried(drive: Drive, output: str, variable: Any) -> StartParameter | None:
     if len(tries) < 2:
         return None
     try:
-        shown = [drive.initial({variable.name: v})[output] for v in tries[:2]]
+        shown = [drive.initial({variable.name: v}, 0)[output] for v in tries[:2]]
     except SimulationError:
         return None
     gain = (shown[1] - shown[0]) / (tries[1] - tries[0])
