@@ -35,8 +35,7 @@ def as_program(entry: Callable[[], None]) -> None:
         if number is not None and signal.getsignal(number) is signal.SIG_DFL:
             signal.signal(number, _ignore)
             atexit.register(signal.signal, number, signal.SIG_IGN)
-    # Registered first, so called last: Python removes handlers before it ends, and a finished command has its exit
-    # code.
+    # Runs after the command's own exit functions: the exit code is settled, and Python soon removes the handlers.
     atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
     keyboard = _Keyboard()
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
