@@ -45,10 +45,7 @@ def draft_of(path: Path) -> Iterator[Path]:
 
 
 def remove_drafts(folder: Path, names: Sequence[str]) -> None:
-    """Remove drafts of killed processes.
-
-    The caller must hold the folder's lock.
-    """
+    """Remove drafts of killed processes. The caller must hold the folder's lock."""
     drafts = re.compile(rf"\.({'|'.join(map(re.escape, names))})\.\d+")
     with suppress(OSError):
         for path in folder.iterdir():

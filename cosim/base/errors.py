@@ -125,10 +125,7 @@ class SweepFailed(CosimError):
 
 
 class Terminated(BaseException):
-    """A signal to end the process.
-
-    Like KeyboardInterrupt no Exception, so that no handler of FMU faults catches it.
-    """
+    """A signal to end the process. Like KeyboardInterrupt no Exception, so that no handler of FMU faults catches it."""
 
     exit_code = 4
 

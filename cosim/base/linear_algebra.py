@@ -46,10 +46,7 @@ def solution(matrix: Array, side: Array) -> Array:
 
 
 def orthonormal(columns: Array) -> Array:
-    """Return an orthonormal basis of the columns.
-
-    A non-finite column counts as zero.
-    """
+    """Return an orthonormal basis of the columns. A non-finite column counts as zero."""
     finite = np.isfinite(columns).all(axis=0)
     return np.asarray(np.linalg.qr(columns if finite.all() else np.where(finite, columns, 0.0))[0])
 

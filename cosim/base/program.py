@@ -16,10 +16,7 @@ STOPPED, TERMINATED = 130, 4  # exit codes: stopped from the keyboard, ended by 
 
 @contextmanager
 def ending_at_once() -> Iterator[None]:
-    """Let Ctrl-C end the process silently.
-
-    Only for code without need of cleanup.
-    """
+    """Let Ctrl-C end the process silently. Only for code without need of cleanup."""
     listens = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # A shell's background jobs ignore SIGINT.
     if listens:
         signal.signal(signal.SIGINT, _end)
@@ -103,10 +100,7 @@ def ending_when_stuck(patience: float = 5.0) -> Iterator[None]:
 
 
 def _ignore(number: int, frame: object) -> None:
-    """Ignore a signal.
-
-    Unlike after SIG_IGN, a command may install its own handler.
-    """
+    """Ignore a signal. Unlike after SIG_IGN, a command may install its own handler."""
 
 
 def _end(number: int, frame: object) -> None:

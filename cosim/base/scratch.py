@@ -42,10 +42,7 @@ class Held:
 
 
 def scratch(prefix: str, beside: Path | None = None) -> Held:
-    """Return a new locked folder in a swept place.
-
-    The place is `beside`, by default the folder for temporary files.
-    """
+    """Return a new locked folder in a swept place. The place is `beside`, by default the folder for temporary files."""
     if beside is None:
         sweep(Path(tempfile.gettempdir()), PREFIX)
     else:
@@ -57,10 +54,7 @@ _folders: dict[tuple[int, str], Held] = {}
 
 
 def process_folder() -> Path:
-    """Return the folder for temporary files of this process.
-
-    It is removed at exit, or swept after a kill.
-    """
+    """Return the folder for temporary files of this process. It is removed at exit, or swept after a kill."""
     key = os.getpid(), tempfile.gettempdir()
     if key not in _folders or not _folders[key].path.is_dir():
         _folders[key] = held = scratch(PREFIX)
@@ -91,10 +85,7 @@ def sweep(folder: Path, prefix: str) -> None:
 
 
 def remove(folder: Path) -> None:
-    """Remove a folder.
-
-    A dying process may still write into the folder, so removal is retried.
-    """
+    """Remove a folder. A dying process may still write into the folder, so removal is retried."""
     for _ in range(RETRIES):
         shutil.rmtree(folder, ignore_errors=True)
         if not folder.exists():

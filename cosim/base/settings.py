@@ -100,10 +100,7 @@ def plain(value: Any, depth: int = 0) -> Any:
 
 
 def checked(function: Callable[P, T]) -> Callable[P, T]:
-    """Return the function with a check of its arguments.
-
-    The check raises InputError with every invalid argument.
-    """
+    """Return the function with a check of its arguments. The check raises InputError with every invalid argument."""
     signature = inspect.signature(function)
     takes = {name: list(_alternatives(str(p.annotation))) for name, p in signature.parameters.items()}
 
@@ -149,10 +146,7 @@ def _argument(kinds: Sequence[str], value: Any) -> Any:
 
 
 def _of_python(value: Any) -> Any:
-    """Return a numpy-like value as a Python value.
-
-    Further types are returned unchanged.
-    """
+    """Return a numpy-like value as a Python value. Further types are returned unchanged."""
     if isinstance(value, (str, int, float)) and type(value).__module__ == "builtins":
         return value
     if hasattr(value, "tolist") and hasattr(value, "dtype"):

@@ -63,10 +63,7 @@ def size(value: float, unit: str) -> str:
 
 
 def percent(share: float) -> str:
-    """Return a share 0 … 1 in percent.
-
-    `0 %` and `100 %` appear only for exact values.
-    """
+    """Return a share 0 … 1 in percent. `0 %` and `100 %` appear only for exact values."""
     if not math.isfinite(share):
         return MISSING
     if 0 < share < 0.005:
@@ -83,10 +80,7 @@ def counted(count: int, noun: str) -> str:
 
 
 def display(unit: str) -> tuple[str, float]:
-    """Return the displayed unit and the factor to its values.
-
-    For example `°/s²` and 57.3 for `rad/s2`.
-    """
+    """Return the displayed unit and the factor to its values. For example `°/s²` and 57.3 for `rad/s2`."""
     if ANGLE.fullmatch(unit):
         return written(unit, "\u00a0").replace("rad", "°"), DEGREES
     return written(unit, "\u00a0"), 1.0

@@ -88,10 +88,7 @@ DISPLAY = {"rad": ("deg", DEGREE), "rad/s": ("deg/s", DEGREE)}
 
 
 def parse(text: str) -> Unit | None:
-    """Return the unit of a text, if known.
-
-    Accepted forms: `m/s2`, `m/s^2`, `m·s⁻²`, `deg/s`, `N.m.s/rad`.
-    """
+    """Return the unit of a text, if known. Accepted forms: `m/s2`, `m/s^2`, `m·s⁻²`, `deg/s`, `N.m.s/rad`."""
     words = _words(text)
     if words is None:
         return None
@@ -240,10 +237,7 @@ def taken(written: str, of: str = "the model", cure: str = "leave the unit out o
 
 
 def coherent(written: str) -> str:
-    """Return the SI unit of the same dimension.
-
-    For example rad/s for rpm, V for mV, m3/s for l/min.
-    """
+    """Return the SI unit of the same dimension. For example rad/s for rpm, V for mV, m3/s for l/min."""
     powers: dict[str, int] = {}
     for symbol, power in _words(written) or ():
         unit = SYMBOLS[symbol]
@@ -273,10 +267,7 @@ def squared(unit: str) -> str:
 
 
 def computed_in(displayed: str) -> tuple[str, float]:
-    """Return the unit behind a display unit, and the factor.
-
-    For example rad for deg.
-    """
+    """Return the unit behind a display unit, and the factor. For example rad for deg."""
     for unit, (display, _) in DISPLAY.items():
         if display == displayed:
             return unit, factor(displayed, unit) or 1.0
@@ -284,10 +275,7 @@ def computed_in(displayed: str) -> tuple[str, float]:
 
 
 def alternatives(wanted: str) -> list[str]:
-    """Return units convertible to `wanted`, beginning with `wanted`.
-
-    Only the first part varies: `mm/s2` for `m/s2`.
-    """
+    """Return units convertible to `wanted`, beginning with `wanted`. Only the first part varies: `mm/s2` for `m/s2`."""
     head = re.match(r"[A-Za-z%°µΩ]+", wanted)
     found = [wanted]
     if head and head[0] in SYMBOLS:

@@ -12,10 +12,7 @@ from cosim.scenario.scenario_file import ScenarioFile
 
 
 def take_nearest(file: ScenarioFile) -> None:
-    """Replace refined FMUs and the design's model by the nearest.
-
-    Failures become faults of the scenario file.
-    """
+    """Replace refined FMUs and the design's model by the nearest. Failures become faults of the scenario file."""
     faults: list[Fault] = []
     components: dict[str, Any] = dict(file.scenario.components)
     taken = 0

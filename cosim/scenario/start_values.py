@@ -81,10 +81,7 @@ def _number(text: Any) -> Any:
 
 
 def typed(description: Any, variable: Any, given: Any) -> Any:
-    """Return a value in FMI's type, or the misfit.
-
-    An array has a list of values.
-    """
+    """Return a value in FMI's type, or the misfit. An array has a list of values."""
     if not variable.shape:
         return _typed(description, variable, given)
     count = math.prod(variable.shape)

@@ -50,8 +50,5 @@ def peak(signal: Array) -> float:
 
 
 def effort(t: Array, signal: Array) -> float:
-    """Return the time integral of the magnitude [unit s].
-
-    The signal is held between samples.
-    """
+    """Return the time integral of the magnitude [unit s]. The signal is held between samples."""
     return float(np.sum(np.abs(signal[:-1]) * np.diff(t)))

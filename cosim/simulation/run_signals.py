@@ -62,10 +62,7 @@ class Signals:
         return self.results[name]
 
     def to_pandas(self) -> pandas.DataFrame:
-        """Return a pandas data frame of all signals.
-
-        Its index is the time [s]. Raises ImportError without pandas.
-        """
+        """Return a pandas data frame of all signals. Its index is the time [s]. Raises ImportError without pandas."""
         try:
             import pandas
         except ImportError:
@@ -78,10 +75,7 @@ class Signals:
         return frame
 
     def plot(self, *names: str) -> Figure:
-        """Return a matplotlib figure of signals, by default all.
-
-        Signals of the same unit share axes.
-        """
+        """Return a matplotlib figure of signals, by default all. Signals of the same unit share axes."""
         for name in names:
             self[name]
         from cosim.simulation.report.figures import figure_of

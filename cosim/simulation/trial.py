@@ -49,10 +49,7 @@ def check_fmu_file(path: Path, checking: Checking) -> list[str]:
 
 
 def check_fmu(path: Path, worker: Worker | None = None) -> list[Fault]:
-    """Return faults of an FMU; with a worker, try a step.
-
-    For mere violations of FMI rules see `fmu_warnings`.
-    """
+    """Return faults of an FMU; with a worker, try a step. For mere violations of FMI rules see `fmu_warnings`."""
     if not path.is_file():
         return [Fault(path, 0, 0, "no such file")]
     try:
