@@ -1,13 +1,13 @@
-"""The one type of all numbers that come in rows and columns."""
+"""The array types of the package."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]  # of any shape; a docstring says which
-Rows = NDArray[np.intp]  # places in one
-Flags = NDArray[np.bool_]  # yes or no at each place
+Array = NDArray[np.float64]  # of any shape; docstrings name the shape
+Rows = NDArray[np.intp]  # indices into an array
+Flags = NDArray[np.bool_]  # a truth value per element
 
-# Beyond what a double holds a result is infinite or not a number, which the caller judges: nothing for numpy to print.
+# Results beyond the range of a double become infinite or NaN. Callers judge them, so numpy need not warn.
 far_beyond = np.errstate(over="ignore", invalid="ignore")

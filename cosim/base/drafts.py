@@ -1,4 +1,4 @@
-"""Writing files whole or not at all."""
+"""Files are written whole or not at all."""
 
 from __future__ import annotations
 
@@ -9,24 +9,25 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # a disk, a quota, a limit of the shell
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # no space on the disk or in the quota, or the shell's file size limit
 
 
 def is_full(error: object) -> bool:
-    """Whether an error says that there is no room left to write."""
+    """Return whether an error means "no space left"."""
     return isinstance(error, OSError) and error.errno in FULL
 
 
 @contextmanager
 def draft_of(path: Path) -> Iterator[Path]:
-    """Where to write what takes the place of `path` only when the block ends without an error.
+    """Yield a draft that replaces `path` after success.
 
-    Where the system refuses the exchange, the content stays beside it as `NAME-kept.SUFFIX`, and the OSError says so.
+    Raises:
+        OSError: The system refuses the replacement. The draft then remains as `NAME-kept.SUFFIX`, as the message says.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        draft.unlink(missing_ok=True)  # a link that somebody put there would be followed
+        draft.unlink(missing_ok=True)  # A link placed here by somebody else must not be followed.
         os.close(os.open(draft, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         yield draft
         try:
@@ -44,7 +45,7 @@ def draft_of(path: Path) -> Iterator[Path]:
 
 
 def remove_drafts(folder: Path, names: Sequence[str]) -> None:
-    """Remove drafts of files that killed processes did not remove; only for who has locked the folder."""
+    """Remove drafts of killed processes. The caller must hold the folder's lock."""
     drafts = re.compile(rf"\.({'|'.join(map(re.escape, names))})\.\d+")
     with suppress(OSError):
         for path in folder.iterdir():

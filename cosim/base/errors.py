@@ -1,4 +1,4 @@
-"""Everything that can go wrong, as one tree; the exit code of the command line stands on each class."""
+"""All errors of the package as one tree; each class carries its exit code."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 @dataclass(frozen=True, order=True)
 class Fault:
-    """One thing wrong with a file: where, what, and the cure. Line and column count from 1; 0 is unknown."""
+    """A fault of a file: its place and a message with the remedy. Line and column count from 1; 0 means unknown."""
 
     file: Path
     line: int
@@ -24,13 +24,13 @@ class Fault:
 
 
 class CosimError(Exception):
-    """Base of every error this package raises on purpose."""
+    """Base class of all errors raised on purpose."""
 
     exit_code = 1
 
 
 class InputError(CosimError):
-    """The user's input is wrong; carries every fault found, in the order of the file."""
+    """Faults of the user's input, sorted by file and place."""
 
     def __init__(self, faults: Sequence[Fault]) -> None:
         self.faults = tuple(sorted(set(faults)))
@@ -41,18 +41,18 @@ class InputError(CosimError):
 
     @property
     def exit_code(self) -> int:  # type: ignore[override]
-        """2 where any fault is the user's own; 3 where only FMUs are at fault."""
+        """Return 2 for any fault of the user, else 3."""
         return min(fault.exit_code for fault in self.faults)
 
 
 def refuse(faults: Iterable[Fault]) -> None:
-    """Raise InputError with all faults, if there are any."""
+    """Raise InputError with all faults, if any."""
     if every := tuple(faults):
         raise InputError(every)
 
 
 class NotExecuted(CosimError):
-    """A file of Python was named where none is executed."""
+    """A Python file named in a context without execution."""
 
     exit_code = 2
 
@@ -65,13 +65,17 @@ class NotExecuted(CosimError):
 
 
 class FmuError(CosimError):
-    """An FMU cannot be read, is not valid or does not load."""
+    """An unreadable or invalid FMU, or a failure to load one."""
 
     exit_code = 3
 
 
 class SimulationError(CosimError):
-    """The simulation stopped before its end: which component, when, why; `left`: the folder with the rows so far."""
+    """A simulation that stopped early: component, time [s] and reason.
+
+    Attributes:
+        left: Folder with the rows recorded so far.
+    """
 
     exit_code = 4
     left: Path | None = None
@@ -85,43 +89,43 @@ class SimulationError(CosimError):
 
 
 class Crashed(SimulationError):
-    """A call of an FMU ended the process in which it was made."""
+    """A crash of the process during a call of an FMU."""
 
 
 class DiskFull(SimulationError):
-    """There is no room left for the rows of a run."""
+    """A lack of disk space for the rows of a run."""
 
 
 class TimedOut(SimulationError):
-    """A limit of time that the user set is exceeded."""
+    """An exceeded time limit of the user."""
 
     exit_code = 124
 
 
 class Interrupted(SimulationError):
-    """Stopped from the keyboard."""
+    """A stop from the keyboard."""
 
     exit_code = 130
 
 
 class Signalled(SimulationError):
-    """Ended by a signal from outside."""
+    """A stop by a signal from outside."""
 
 
 class SweepStopped(CosimError):
-    """A sweep ended before its last run, from the keyboard or by a signal; what was made is kept."""
+    """A sweep stopped early by the keyboard or a signal; finished runs are saved."""
 
     exit_code = 130
 
 
 class SweepFailed(CosimError):
-    """No run of a sweep came to its end."""
+    """A sweep without a single completed run."""
 
     exit_code = 4
 
 
 class Terminated(BaseException):
-    """Asked to end by a signal; as KeyboardInterrupt no Exception, so that nothing takes it for a fault of an FMU."""
+    """A signal to end the process. Like KeyboardInterrupt no Exception, so that no handler of FMU faults catches it."""
 
     exit_code = 4
 
@@ -130,7 +134,7 @@ class Terminated(BaseException):
 
 
 def stopped(stop: BaseException, now: float, what: str = "the run") -> SimulationError:
-    """What ended a run at a time [s], a signal perhaps, as an error that says so."""
+    """Return the error of a run stopped at `now` [s]."""
     if isinstance(stop, SimulationError):
         return stop
     if isinstance(stop, KeyboardInterrupt):
@@ -139,6 +143,6 @@ def stopped(stop: BaseException, now: float, what: str = "the run") -> Simulatio
 
 
 class CriterionMissed(CosimError):
-    """The run is complete, but a criterion is not met; or two runs differ beyond the tolerance."""
+    """A missed criterion of a complete run, or a difference of two runs beyond the tolerance."""
 
     exit_code = 5

@@ -1,4 +1,4 @@
-"""Libraries that are not installed with the core: one message that says how to install them."""
+"""Optional libraries, and the message with their installation command."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 from cosim.base.errors import Fault, InputError
 
 DISTRIBUTION = "fmu-cosim"
-EXTRAS = {  # library → the extra that installs it
+EXTRAS = {  # library → extra that installs it
     "SALib": "sweep",
     "distributed": "dask",
     "pandas": "sweep",
@@ -20,10 +20,14 @@ EXTRAS = {  # library → the extra that installs it
 
 
 def optional(module: str, place: str | Callable[[str], Fault]) -> Any:
-    """Return an optional library, imported now; InputError that says how to install it.
+    """Import and return an optional library.
 
-    module: its name, such as `pyarrow.parquet`
-    place:  subject of the message, such as a command; or a function that puts the message at its place in a file
+    Args:
+        module: Module name, e.g. `pyarrow.parquet`.
+        place: Subject of the message, e.g. a command, or a function that makes a fault of the message.
+
+    Raises:
+        InputError: The library is not installed; the message says how to install it.
     """
     name = module.partition(".")[0]
     try:
@@ -37,5 +41,5 @@ def optional(module: str, place: str | Callable[[str], Fault]) -> Any:
 
 
 def install_command(extra: str) -> str:
-    """Return the command that installs an extra."""
+    """Return the installation command of an extra."""
     return f"pip install '{DISTRIBUTION}[{extra}]'"

@@ -1,4 +1,4 @@
-"""How often Python looks for garbage that counting references does not find."""
+"""The interval between runs of Python's garbage collector."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ SELDOM = (
     100_000,
     20,
     100,
-)  # objects made between looks: nearly all that is read from large files stays
+)  # Collections are rare, because nearly all objects read from large files stay in use.
 
 
 def collect_seldom() -> tuple[int, int, int]:
-    """Look seldom in this process; what was set before, for `gc.set_threshold`."""
+    """Make garbage collection rare; return the previous thresholds."""
     before = gc.get_threshold()
     gc.set_threshold(*SELDOM)
     return before

@@ -1,7 +1,7 @@
-"""Linear algebra for estimates: an answer for every matrix, never an error of LAPACK.
+"""Linear algebra for estimates: a result for every matrix, never a LAPACK error.
 
-LAPACK does not check its arguments. Given NaN or infinity it writes to stdout, raises LinAlgError or does not return.
-A matrix that is not finite comes from a model that has run away. It supports no estimate, so the answer is zero: no
+LAPACK does not check its arguments. For NaN or infinity it writes to stdout, raises LinAlgError or does not return.
+A matrix with non-finite entries comes from a diverged model and supports no estimate. The result is then zero: no
 step, no gain, no correction.
 """
 
@@ -13,7 +13,7 @@ from cosim.base.arrays import Array
 
 
 def least_squares(matrix: Array, side: Array, rcond: float | None = None) -> Array:
-    """Return the least-squares solution of least norm; zeros if the equations are not finite."""
+    """Return the least-squares solution of minimum norm."""
     if _finite(matrix, side):
         try:
             return np.asarray(np.linalg.lstsq(matrix, side, rcond=rcond)[0])
@@ -23,7 +23,7 @@ def least_squares(matrix: Array, side: Array, rcond: float | None = None) -> Arr
 
 
 def pseudo_inverse(matrix: Array) -> Array:
-    """Return the pseudo-inverse; zeros if the matrix is not finite."""
+    """Return the pseudo-inverse."""
     if _finite(matrix):
         try:
             return np.asarray(np.linalg.pinv(matrix))
@@ -33,7 +33,10 @@ def pseudo_inverse(matrix: Array) -> Array:
 
 
 def solution(matrix: Array, side: Array) -> Array:
-    """Return the solution of square equations; the least-squares solution if they are singular."""
+    """Return the solution of square equations.
+
+    The least-squares solution replaces the solution of singular equations.
+    """
     if _finite(matrix, side):
         try:
             return np.asarray(np.linalg.solve(matrix, side))
@@ -43,13 +46,13 @@ def solution(matrix: Array, side: Array) -> Array:
 
 
 def orthonormal(columns: Array) -> Array:
-    """Return an orthonormal basis of the columns; a column that is not finite counts as zero."""
+    """Return an orthonormal basis of the columns. A non-finite column counts as zero."""
     finite = np.isfinite(columns).all(axis=0)
     return np.asarray(np.linalg.qr(columns if finite.all() else np.where(finite, columns, 0.0))[0])
 
 
 def eigenvalues(matrix: Array) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:
-    """Return the eigenvalues of a square matrix; none if it is not finite."""
+    """Return the eigenvalues; none of a non-finite matrix."""
     if matrix.size and _finite(matrix):
         try:
             return np.linalg.eigvals(matrix).astype(np.complex128)

@@ -1,4 +1,4 @@
-"""A command as a process: stopped from the keyboard it ends with 130 from its first moment to its last."""
+"""A command as a process that ends with exit code 130 when stopped from the keyboard at any moment."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-STOPPED, TERMINATED = 130, 4  # exit codes: stopped from the keyboard, asked to end by a signal
+STOPPED, TERMINATED = 130, 4  # exit codes: stopped from the keyboard, ended by a signal
 
 
 @contextmanager
 def ending_at_once() -> Iterator[None]:
-    """Ctrl-C ends the process without a word, as there is nothing to take away."""
-    listens = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # not in the background of a shell
+    """Let Ctrl-C end the process silently. Only for code without need of cleanup."""
+    listens = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # A shell's background jobs ignore SIGINT.
     if listens:
         signal.signal(signal.SIGINT, _end)
     yield
@@ -26,13 +26,13 @@ def ending_at_once() -> Iterator[None]:
 
 
 def as_program(entry: Callable[[], None]) -> None:
-    """Call it as all that this process is for."""
-    for name in ("SIGTERM", "SIGHUP"):  # what the command sets goes back to this when it is over: its exit code stands
+    """Call the entry function with signal handlers set up."""
+    for name in ("SIGTERM", "SIGHUP"):  # Handlers return to these afterwards, so that the exit code survives.
         number = getattr(signal, name, None)
         if number is not None and signal.getsignal(number) is signal.SIG_DFL:
             signal.signal(number, _ignore)
             atexit.register(signal.signal, number, signal.SIG_IGN)
-    # the last of all: Python takes handlers away before it ends, and what is done has its own exit code
+    # Runs after the command's own exit functions: the exit code is settled, and Python soon removes the handlers.
     atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
     keyboard = _Keyboard()
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
@@ -40,7 +40,7 @@ def as_program(entry: Callable[[], None]) -> None:
     try:
         entry()
         keyboard.is_done = True
-    except KeyboardInterrupt:  # while the end was told
+    except KeyboardInterrupt:  # during the report of the end
         keyboard.is_done = True
         sys.exit(STOPPED)
     except BaseException:
@@ -49,10 +49,10 @@ def as_program(entry: Callable[[], None]) -> None:
 
 
 class _Keyboard:
-    """Handles SIGINT: the command is interrupted; once it is done, the process ends.
+    """Handler of SIGINT: interrupt a running command, end the process of a finished command.
 
-    Python handles signals after calls, so that none comes between a command's end and the assignment after it. To
-    change the handler there would be a call, in which another signal can raise KeyboardInterrupt.
+    Python runs handlers after calls. No handler can therefore run between a command's end and the assignment after it.
+    Changing the handler instead would be a call, and a signal during this call could raise KeyboardInterrupt.
     """
 
     is_done = False
@@ -65,10 +65,12 @@ class _Keyboard:
 
 @contextmanager
 def ending_when_stuck(patience: float = 5.0) -> Iterator[None]:
-    """End the process if this block is not left within `patience` seconds of SIGINT, SIGTERM or SIGHUP.
+    """End the process if the block ignores a stop.
 
-    Python calls a handler between two of its own instructions. A library that does not return, as LAPACK may not,
-    keeps it waiting for ever. Only for commands, and only in the main thread: no cleaning up follows.
+    A stop is SIGINT, SIGTERM or SIGHUP, and `patience` [s] the time left afterwards. Python calls handlers between its
+    own
+    instructions, so a library call without return, as in LAPACK, blocks them for ever. Only for commands, because no
+    cleanup follows; without effect outside the main thread.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -98,7 +100,7 @@ def ending_when_stuck(patience: float = 5.0) -> Iterator[None]:
 
 
 def _ignore(number: int, frame: object) -> None:
-    """Do nothing: unlike SIG_IGN, a command takes this for a signal that is to end it."""
+    """Ignore a signal. Unlike after SIG_IGN, a command may install its own handler."""
 
 
 def _end(number: int, frame: object) -> None:

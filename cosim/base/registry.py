@@ -1,7 +1,7 @@
-"""Models, report pages, array twins, formats of tables, coupling algorithms and verbs that packages register.
+"""Registry of models, report pages, array twins, table formats, coupling algorithms and verbs of packages.
 
-They register through entry points; each names an object of the classes below. Nothing is imported before it is asked
-for, so that a study of one model never loads another. docs/extending.md shows a package that registers something.
+Packages register through entry points, each naming an object of a class below. Objects are imported on first use, so
+a study of one model never loads another. docs/extending.md shows an example package.
 """
 
 from __future__ import annotations
@@ -17,32 +17,33 @@ from typing import Any
 
 from cosim.base.errors import Fault, InputError
 
-MODELS, PAGES, TWINS, VERBS = "cosim.models", "cosim.pages", "cosim.twins", "cosim.verbs"  # groups of entry points
-SOURCES = "cosim.sources"  # formats of tables: `cosim.storage.table_source.Source`
+MODELS, PAGES, TWINS, VERBS = "cosim.models", "cosim.pages", "cosim.twins", "cosim.verbs"  # entry point groups
+SOURCES = "cosim.sources"  # table formats: `cosim.storage.table_source.Source`
 ALGORITHMS = "cosim.algorithms"  # coupling algorithms: `cosim.coupling.algorithms.Algorithm`
-BASE = "base"  # the model that is meant where none is named
-FORMER = "cosim-hovercraft"  # a distribution that held framework and example in one, and registers nothing
+BASE = "base"  # model used by default
+FORMER = "cosim-hovercraft"  # earlier distribution with framework and example in one, without entry points
 
 
 class ExtensionWarning(UserWarning):
-    """An installed package registers something that cannot be loaded."""
+    """A failed import of an object registered by an installed package."""
 
 
 @dataclass(frozen=True)
 class ModelEntry:
-    """A model under a name, with what belongs to it. Places are `module:object`, "" where there is none.
+    """A named model and its related objects. Places are `module:object`, "" if absent.
 
-    name:       what files call the model
-    model:      place of its class
-    recipe:     place of the function that returns the recipe of its FMU from parameter values
-    built:      file name → place of a recipe: the FMUs of `cosim build` without a model
-    beside:     file name → place of a recipe: FMUs that are built beside each model of this class
-    native:     name → place of what makes a native FMU beside the model's own
-    rig:        place of the class that plays its experiments
-    design:     place of the designer of its controller, behind `design:` of a scenario
-    cases:      place of its estimators and of the truths that they are judged against
-    estimators: place of a function of (case, runs, steps, random numbers) that returns the normalised errors and
-                innovations of one estimator
+    Attributes:
+        name: Name of the model in files.
+        model: Place of its class.
+        recipe: Place of the function from parameter values to the recipe of its FMU.
+        built: File name → place of a recipe, for the FMUs of `cosim build` without a model.
+        beside: File name → place of a recipe, for FMUs built along with each model of this class.
+        native: Name → place of the maker of a native FMU, apart from the model's own.
+        rig: Place of the class for playing its experiments.
+        design: Place of the designer of its controller, for `design:` of a scenario.
+        cases: Place of its estimators and of the true models for judging them.
+        estimators: Place of a function from (case, runs, steps, random numbers) to the normalised errors and
+            innovations of an estimator.
     """
 
     name: str
@@ -59,11 +60,12 @@ class ModelEntry:
 
 @dataclass(frozen=True)
 class Page:
-    """A report page about runs that have a component with certain variables.
+    """A report page for runs of a component with certain variables.
 
-    variables: names that the component has
-    subject:   place of a function of (run, drawing) that returns the `ComponentPage`
-    figures:   place of a function of (run, folder) that draws PNG files, "" for those of any run
+    Attributes:
+        variables: Names of the component's variables.
+        subject: Place of a function from (run, drawing) to a `ComponentPage`.
+        figures: Place of a function of (run, folder) for drawing PNG files; "" for the figures of any run.
     """
 
     variables: frozenset[str]
@@ -73,11 +75,12 @@ class Page:
 
 @dataclass(frozen=True)
 class Verb:
-    """A verb that a package adds, declared as cosim's own modules of `cosim.verbs` are. Places are `module:object`.
+    """A verb of another package, declared like cosim's own in `cosim.verbs`. Places are `module:object`, "" if absent.
 
-    command:   place of the function behind `cosim NAME`, typer's options its parameters; "" if there is no command
-    function:  place of the function that `cosim.NAME` is in Python; "" if there is none
-    artefacts: place of a tuple of `Artefact` (cosim/storage/artefact.py), the files that the verb reads and writes
+    Attributes:
+        command: Place of the function behind `cosim NAME`; its parameters are typer's options.
+        function: Place of the Python function `cosim.NAME`.
+        artefacts: Place of a tuple of `Artefact` (cosim/storage/artefact.py), the files read and written by the verb.
     """
 
     command: str = ""
@@ -86,13 +89,17 @@ class Verb:
 
 
 def models() -> dict[str, ModelEntry]:
-    """Return the models that go by a name, each once and under its own."""
+    """Return the registered models by their own names."""
     entries = {name: load(MODELS, name) for name in names(MODELS)}
     return {e.name: e for e in entries.values() if isinstance(e, ModelEntry)}
 
 
 def model_entry(name: str = BASE) -> ModelEntry:
-    """Return the model of a name; InputError where there is none, which says what to name instead."""
+    """Return the model of a name.
+
+    Raises:
+        InputError: No model is registered under the name.
+    """
     found = load(MODELS, name) if name in names(MODELS) else None
     if not isinstance(found, ModelEntry):
         raise InputError([Fault(Path("model"), 0, 0, f'no model "{name}" is installed; {cure_without_base()}')])
@@ -105,7 +112,7 @@ def is_model(name: str) -> bool:
 
 
 def cure_without_base() -> str:
-    """Return what to do where no model is registered as `base`."""
+    """Return the remedy for a missing `base` model."""
     cure = "name a model.yaml or FILE.py:Class of your own"
     try:
         version(FORMER)
@@ -115,45 +122,48 @@ def cure_without_base() -> str:
 
 
 def entry_of(kind: type) -> ModelEntry | None:
-    """Return what is registered for a class of models, or for the nearest class that it is made from."""
+    """Return the entry of a class or its nearest ancestor."""
     places = (f"{parent.__module__}:{parent.__qualname__}" for parent in kind.__mro__)
     return next((e for place in places for e in models().values() if e.model == place), None)
 
 
 def rig_of(kind: type, otherwise: Any) -> Any:
-    """Return what plays experiments of a class of models."""
+    """Return the player of experiments for a model class."""
     entry = entry_of(kind)
     return resolve(entry.rig) if entry and entry.rig else otherwise
 
 
 def page_for(components: Iterable[Collection[str]]) -> Page | None:
-    """Return the page for a run with components of these variables, if there is one."""
+    """Return the first page for any of the components."""
     sets = [set(variables) for variables in components]
     pages = (page for name in names(PAGES) if isinstance(page := load(PAGES, name), Page))
     return next((page for page in pages if any(page.variables <= variables for variables in sets)), None)
 
 
 def twin_of(model_name: str) -> Any:
-    """Return the class that does for many runs at once what the FMU of a modelName does; None where there is none."""
+    """Return the array twin of a modelName, if registered."""
     return load(TWINS, model_name) if model_name in names(TWINS) else None
 
 
 def added_verbs() -> Iterator[tuple[str, Verb]]:
-    """Yield the verbs that packages add, by name."""
+    """Yield the verbs of packages by name."""
     for name in names(VERBS):
         if isinstance(found := load(VERBS, name), Verb):
             yield name, found
 
 
 def names(group: str) -> list[str]:
-    """Return the names that are registered in a group, in alphabetical order."""
+    """Return the names registered in a group, sorted."""
     return sorted(_registered(group))
 
 
 def load(group: str, name: str) -> Any:
-    """Return the object registered under a name; None, with one warning, where it cannot be imported.
+    """Return the object registered under a name.
 
-    InputError where two packages register the name.
+    An object that fails to import is None, with a warning.
+
+    Raises:
+        InputError: Two packages register the name.
     """
     points = _registered(group)[name]
     if len(points) > 1:
@@ -169,10 +179,10 @@ def resolve(place: str) -> Any:
 
 
 def attempt(name: str, place: str) -> Any:
-    """Return the object at a place that a verb names; None, with one warning, where it cannot be imported."""
+    """Return an object of a verb; None, with a warning, after a failed import."""
     try:
         return resolve(place)
-    except Exception as error:  # whatever a package of others does when it is imported
+    except Exception as error:  # Foreign packages may raise any error when imported.
         warnings.warn(f"{name}: {place} cannot be loaded: {error}", ExtensionWarning, stacklevel=2)
         return None
 
@@ -181,7 +191,7 @@ def attempt(name: str, place: str) -> Any:
 def _registered(group: str) -> dict[str, tuple[EntryPoint, ...]]:
     found: dict[str, dict[tuple[str, str], EntryPoint]] = {}
     for point in entry_points(group=group):
-        # a package found twice on the path, as beside its own source, registers once
+        # A package listed twice on the path, e.g. also in its own source folder, registers once.
         found.setdefault(point.name, {})[_owner(point), point.value] = point
     return {name: tuple(points.values()) for name, points in found.items()}
 
@@ -190,7 +200,7 @@ def _registered(group: str) -> dict[str, tuple[EntryPoint, ...]]:
 def _loaded(point: EntryPoint) -> Any:
     try:
         return point.load()
-    except Exception as error:  # whatever a package of others does when it is imported
+    except Exception as error:  # Foreign packages may raise any error when imported.
         message = f"{_owner(point)}: the entry point {point.group}:{point.name} cannot be loaded: {error}"
         warnings.warn(message, ExtensionWarning, stacklevel=2)
         return None

@@ -1,7 +1,7 @@
-"""Temporary folders that belong to one process; the next command removes the folders of a process that was killed.
+"""Temporary folders that belong to a process; the next command removes the folders of killed processes.
 
-The folder for temporary files is shared with other users of the machine. Nothing in it is trusted by its name: only a
-folder of this user, with a plain lock file of this user in it, is ever locked or removed.
+The folder for temporary files is shared with other users of the machine, so a name there proves nothing. Only a folder
+of this user that contains a plain lock file of this user is ever locked or removed.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 LOCK = "in-use"
-PREFIX = "cosim-"  # of every folder among the temporary files of the machine
+PREFIX = "cosim-"  # of each folder in the machine's temporary folder
 RETRIES, PAUSE = 10, 0.1  # [s]
 
 
 class Held:
-    """A folder that is locked while this process lives, so that no other process removes it."""
+    """A folder locked against removal by others during the life of this process."""
 
     def __init__(self, path: Path) -> None:
         self.path, self._pid = path, os.getpid()
-        # locked before it has the name that a sweep looks for: one that came in between would remove the folder
+        # The lock comes before its final name. A sweep between creation and locking would remove the folder.
         fresh = path / (LOCK if os.name == "nt" else f"{LOCK}.new")
         self._lock = locked(fresh, create=True)
         if self._lock is not None and os.name != "nt":
             fresh.rename(path / LOCK)
 
     def remove(self) -> None:
-        """Remove the folder, unless this process is a fork of its owner."""
+        """Remove the folder, except in a fork of its owner."""
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
@@ -42,7 +42,7 @@ class Held:
 
 
 def scratch(prefix: str, beside: Path | None = None) -> Held:
-    """Make a locked folder in `beside`, by default among the temporary files, after a sweep of that place."""
+    """Return a new locked folder in a swept place. The place is `beside`, by default the folder for temporary files."""
     if beside is None:
         sweep(Path(tempfile.gettempdir()), PREFIX)
     else:
@@ -54,7 +54,7 @@ _folders: dict[tuple[int, str], Held] = {}
 
 
 def process_folder() -> Path:
-    """Return the folder for all temporary files of this process; it is removed at exit, or swept after a kill."""
+    """Return the folder for temporary files of this process. It is removed at exit, or swept after a kill."""
     key = os.getpid(), tempfile.gettempdir()
     if key not in _folders or not _folders[key].path.is_dir():
         _folders[key] = held = scratch(PREFIX)
@@ -64,28 +64,28 @@ def process_folder() -> Path:
 
 @contextmanager
 def temporary_folder(name: str) -> Iterator[Path]:
-    """Make a folder in the process folder that is removed at the end of the block."""
+    """Yield a new folder for the time of the block."""
     with tempfile.TemporaryDirectory(prefix=f"{name}-", dir=process_folder(), ignore_cleanup_errors=True) as made:
         yield Path(made)
 
 
 def sweep(folder: Path, prefix: str) -> None:
-    """Remove the folders of this user that killed processes did not remove."""
+    """Remove this user's folders of killed processes."""
     try:
         names = [name for name in os.listdir(folder) if name.startswith(prefix)]
-    except OSError:  # the folder may be written but not listed
+    except OSError:  # The folder may be writable but not readable.
         return
     for path in (folder / name for name in names):
         if not is_own(path, stat.S_ISDIR):
             continue
-        lock = locked(path / LOCK)  # a folder without one is being made
+        lock = locked(path / LOCK)  # A folder without a lock file is under construction.
         if lock is not None:
             os.close(lock)
             remove(path)
 
 
 def remove(folder: Path) -> None:
-    """Remove a folder, as far as possible; a process that ends just now may still write there."""
+    """Remove a folder. A dying process may still write into the folder, so removal is retried."""
     for _ in range(RETRIES):
         shutil.rmtree(folder, ignore_errors=True)
         if not folder.exists():
@@ -94,7 +94,7 @@ def remove(folder: Path) -> None:
 
 
 def is_own(path: Path, of_kind: Callable[[int], bool]) -> bool:
-    """Whether a path itself, and not the target of a link, is of this kind and belongs to this user."""
+    """Return whether a path is this user's, of a kind and no link."""
     try:
         return _is_own(os.lstat(path), of_kind)
     except OSError:
@@ -102,9 +102,11 @@ def is_own(path: Path, of_kind: Callable[[int], bool]) -> bool:
 
 
 def locked(path: Path, *, create: bool = False) -> int | None:
-    """Open a lock file and lock it until the descriptor is closed; None if another process holds it.
+    """Lock a file until its descriptor is closed.
 
-    None, too, for anything but a plain file of this user: a pipe is not waited for, a link is not followed.
+    Returns:
+        The descriptor; None if another process holds the lock, or for anything but a plain file of this user. Pipes are
+        not waited for and links are not followed.
     """
     flags = os.O_RDWR | (os.O_CREAT if create else 0)
     for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC"):
@@ -122,7 +124,11 @@ def locked(path: Path, *, create: bool = False) -> int | None:
 
 
 def lock_descriptor(descriptor: int) -> None:
-    """Lock an open file for this process alone; raise OSError if another process holds it or it cannot be locked."""
+    """Lock an open file for this process.
+
+    Raises:
+        OSError: Another process holds the lock, or locking fails.
+    """
     if os.name == "nt":
         import msvcrt
 

@@ -1,7 +1,7 @@
-"""Arguments of the functions of `cosim` as they come from Python, brought into the form in which the verbs take them.
+"""Conversion of arguments of `cosim` functions from Python values to the form that verbs use.
 
-`checked` is the one place where a value from outside is looked at: numbers of numpy become numbers of Python, text with
-a unit becomes seconds, and InputError names every argument that does not fit. Annotations say what an argument takes.
+`checked` is the only place where outside values are examined. It turns numbers of numpy into Python numbers and text
+with a unit into seconds, and raises InputError naming every invalid argument. Annotations declare the accepted values.
 """
 
 from __future__ import annotations
@@ -27,20 +27,24 @@ Positive = float
 NotNegative = float
 ModelName = str  # or the name of a file or folder
 Files = Sequence[str | os.PathLike[str]]
-Seed = int  # from 0
-Count = int  # from 1
+Seed = int  # at least 0
+Count = int  # at least 1
 
 P = ParamSpec("P")
 T = TypeVar("T")
-DEEPEST = 60  # parts within parts; no file that is read is deeper
-LARGEST = 1e308  # about the largest number of a double
-LONGEST_NAME, LONGEST_PATH = 255, 4096  # bytes that a file system takes
+DEEPEST = 60  # levels of nesting, more than any file read here has
+LARGEST = 1e308  # close to the largest double
+LONGEST_NAME, LONGEST_PATH = 255, 4096  # limits of file systems [bytes]
 MOST_TEXT = 8_000_000  # characters
 SHOWN = 60  # characters of a value in a message
 
 
 def given(values: Given | None, name: str = "set") -> Given:
-    """Return a mapping or texts as they are, one text as a list of it; InputError names what is neither."""
+    """Return settings as a mapping or a tuple of texts.
+
+    Raises:
+        InputError: `values` is neither a mapping nor texts.
+    """
     if values is None:
         return ()
     if isinstance(values, str):
@@ -53,18 +57,22 @@ def given(values: Given | None, name: str = "set") -> Given:
 
 
 def texts(values: Given | None, name: str = "set") -> Sequence[str]:
-    """Return NAME=VALUE each; InputError of what is neither a mapping nor texts."""
+    """Return settings as NAME=VALUE texts."""
     found = given(values, name)
     return [f"{n}={as_yaml(v)}" for n, v in found.items()] if isinstance(found, Mapping) else found
 
 
 def as_yaml(value: Any) -> str:
-    """Return a value of Python as --set takes it."""
+    """Return a Python value as text for --set."""
     return json.dumps(plain(value))
 
 
 def plain(value: Any, depth: int = 0) -> Any:
-    """Return a value as JSON holds it, numbers and arrays of numpy included; ValueError says why it cannot be held."""
+    """Return a value as JSON types, without numpy types.
+
+    Raises:
+        ValueError: JSON cannot hold the value; the message says why.
+    """
     if depth > DEEPEST:
         raise ValueError(f"it is nested more than {DEEPEST} levels deep; write it flatter")
     value = _of_python(value)
@@ -88,11 +96,11 @@ def plain(value: Any, depth: int = 0) -> Any:
     )
 
 
-# -- what an argument takes ---------------------------------------------------------------------
+# -- accepted values of arguments ---------------------------------------------------------------------
 
 
 def checked(function: Callable[P, T]) -> Callable[P, T]:
-    """Return the function with its arguments looked at first; InputError names every one that does not fit."""
+    """Return the function with a check of its arguments. The check raises InputError with every invalid argument."""
     signature = inspect.signature(function)
     takes = {name: list(_alternatives(str(p.annotation))) for name, p in signature.parameters.items()}
 
@@ -113,17 +121,21 @@ def checked(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def _alternatives(annotation: str) -> Iterator[str]:
-    """Types of an annotation, without their parameters in brackets where these do not matter."""
+    """Yield the types of an annotation without their parameters."""
     flat = re.sub(r"\[[^\[\]]*\]", "", re.sub(r"\[[^\[\]]*\[[^\[\]]*\][^\[\]]*\]", "", annotation))
     yield from (part.strip() for part in flat.split("|"))
 
 
 def _argument(kinds: Sequence[str], value: Any) -> Any:
-    """Return an argument as the first kind that takes it; ValueError of the kind that comes nearest."""
+    """Return an argument converted by the first matching kind.
+
+    Raises:
+        ValueError: No kind matches; the message lists the allowed values.
+    """
     value = _of_python(value)
     errors = []
     for kind in kinds:
-        if kind not in KINDS:  # of a function that an installed package adds
+        if kind not in KINDS:  # a type declared by a function of another package
             return value
         accepts, convert = KINDS[kind]
         if accepts(value):
@@ -134,12 +146,12 @@ def _argument(kinds: Sequence[str], value: Any) -> Any:
 
 
 def _of_python(value: Any) -> Any:
-    """Return a number, text or array of numpy, or of a library like it, as one of Python; another value as it is."""
+    """Return a numpy-like value as a Python value. Further types are returned unchanged."""
     if isinstance(value, (str, int, float)) and type(value).__module__ == "builtins":
         return value
     if hasattr(value, "tolist") and hasattr(value, "dtype"):
         return value.tolist()
-    for kind in (bool, int, float, str):  # a subclass, such as an item of an enumeration or numpy's float64
+    for kind in (bool, int, float, str):  # a subclass, e.g. an item of an enumeration or numpy's float64
         if isinstance(value, kind):
             return kind(value) if kind is not str else str.__str__(value)
     return value
@@ -161,7 +173,7 @@ def _finite(value: float, lowest: float = -math.inf, *, above: bool = False) -> 
 
 
 def _seconds(value: Any, lowest: float = -math.inf) -> float:
-    """Return a time in seconds; of text with its unit."""
+    """Return a time [s] from a number or text."""
     if isinstance(value, str):
         if not has_unit(value):
             raise ValueError(f"is {_shown(value)}; {allowed_quantity('s')}")
@@ -202,13 +214,13 @@ def _file(value: Any) -> Any:
 
 
 def _settings(value: Any) -> Given:
-    """Return a mapping, or NAME=VALUE each."""
+    """Return settings as a mapping or texts."""
     found: Given = plain(value) if isinstance(value, Mapping) else _names(value)
     return found
 
 
 def _names(value: Any) -> tuple[str, ...]:
-    """Return texts; one text is a list of it."""
+    """Return a text or texts as a tuple."""
     return tuple(map(_text, (value,) if isinstance(value, str) else value))
 
 
@@ -237,7 +249,10 @@ def _are_names(value: Any) -> bool:
 
 
 def _is_a(module: str, name: str) -> Callable[[Any], bool]:
-    """Return whether a value is of a class that stands on a floor above."""
+    """Return a predicate for instances of a named class.
+
+    The class belongs to a module of a higher layer, which cannot be imported here.
+    """
     return lambda value: any((kind.__module__, kind.__name__) == (module, name) for kind in type(value).__mro__)
 
 
@@ -246,7 +261,7 @@ def _same(value: Any) -> Any:
 
 
 GIVEN = 'give a mapping, {"name": value}, or a list of "name=value"'
-# Annotation → which values are of it, and what becomes of one. What may be given is said in WANTED.
+# Annotation → a predicate of accepted values and their conversion. WANTED describes the accepted values.
 KINDS: dict[str, tuple[Callable[[Any], bool], Callable[[Any], Any]]] = {
     "None": (lambda value: value is None, _same),
     "bool": (lambda value: isinstance(value, bool), _same),
@@ -300,10 +315,10 @@ WANTED = {
 
 
 def _shown(value: Any) -> str:
-    """Return a value for a message: short, printable, whatever its type does."""
+    """Return a short printable form for a message."""
     try:
         text = repr(value)
-    except (ValueError, RecursionError):  # a number of thousands of digits, a mapping within itself
+    except (ValueError, RecursionError):  # a number of thousands of digits, or a mapping that contains itself
         return f"a {type(value).__name__} too large to show"
     text = text.encode("ascii", "backslashreplace").decode() if any("\ud800" <= c <= "\udfff" for c in text) else text
     return text if len(text) <= SHOWN else f"{text[: SHOWN - 1]}…"

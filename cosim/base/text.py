@@ -1,4 +1,4 @@
-"""Numbers and sentences as the page prints them."""
+"""Numbers and sentences as shown in reports."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import re
 
 from cosim.base.units import DISPLAY
 
-DEGREES = DISPLAY["rad"][1]  # shown per radian
-ANGLE = re.compile(r"rad([./]s\d?)?")  # an angle, its rates and its sum over time
+DEGREES = DISPLAY["rad"][1]  # displayed value per radian
+ANGLE = re.compile(r"rad([./]s\d?)?")  # an angle, its rates and its time integral
 POWER = re.compile(r"(?<=[A-Za-z])\d")
 RAISED = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 MINUS = "\u2212"
@@ -16,7 +16,11 @@ MISSING = "\u2013"
 
 
 def plain(value: float, digits: int | None = 3) -> str:
-    """`value` with `digits` significant digits (None: as few as say it), no needless exponent, a true minus sign."""
+    """Return a number as text for a report.
+
+    Args:
+        digits: Significant digits; None for up to four. Whole digits are never rounded away.
+    """
     if not math.isfinite(value):
         return MISSING if math.isnan(value) else ("∞" if value > 0 else f"{MINUS}∞")
     if value == 0:
@@ -26,26 +30,25 @@ def plain(value: float, digits: int | None = 3) -> str:
     exponent = math.floor(math.log10(abs(value)))
     if not -4 <= exponent < 6:
         return f"{value:.{digits - 1}e}".replace("-", MINUS)
-    # Whole digits are never rounded away: 1234 stays 1234.
     decimals = max(0, digits - 1 - exponent)
     return f"{value:.{decimals}f}".replace("-", MINUS)
 
 
 def amount(value: float, unit: str = "", digits: int | None = 3) -> str:
-    """`value` in SI with its unit as shown: angles in degrees, pure numbers bare."""
+    """Return an SI value with its displayed unit."""
     shown, factor = display(unit)
     return joined(plain(value * factor, digits), shown)
 
 
 def joined(number: str, unit: str) -> str:
-    """A number and its unit, both as shown: `12°`, `3 m`, and neither after a value that is missing."""
+    """Return a displayed number with its unit: `12°`, `3 m`."""
     if number == MISSING or not unit:
         return number
     return f"{number}{'' if unit.startswith('°') else chr(0xA0)}{unit}"
 
 
 def length(value: float) -> str:
-    """A distance [m] in the unit a reader would choose."""
+    """Return a distance [m] in a readable unit."""
     size = abs(value)
     if 0 < size < 1e-4:
         return "less than 0.1\u00a0mm"
@@ -55,12 +58,12 @@ def length(value: float) -> str:
 
 
 def size(value: float, unit: str) -> str:
-    """A size as a reader would say it: two digits, lengths in mm, cm or m."""
+    """Return a size with two digits, lengths readable."""
     return length(value) if unit == "m" else amount(value, unit, 2)
 
 
 def percent(share: float) -> str:
-    """A share 0 … 1; never `0 %` for something that happened, never `100 %` for almost all."""
+    """Return a share 0 … 1 in percent. `0 %` and `100 %` appear only for exact values."""
     if not math.isfinite(share):
         return MISSING
     if 0 < share < 0.005:
@@ -71,25 +74,29 @@ def percent(share: float) -> str:
 
 
 def counted(count: int, noun: str) -> str:
-    """`1 row`, `2 rows`, `3 criteria`."""
+    """Return `1 row`, `2 rows` or `3 criteria`."""
     plural = {"criterion": "criteria"}.get(noun, f"{noun}s")
     return f"{count} {noun if count == 1 else plural}"
 
 
 def display(unit: str) -> tuple[str, float]:
-    """Unit as it stands behind a number, and what to multiply by: `°/s²` and 57.3 for `rad/s2`, nothing for 1."""
+    """Return the displayed unit and the factor to its values. For example `°/s²` and 57.3 for `rad/s2`."""
     if ANGLE.fullmatch(unit):
         return written(unit, "\u00a0").replace("rad", "°"), DEGREES
     return written(unit, "\u00a0"), 1.0
 
 
 def written(unit: str, times: str = "·") -> str:
-    """A unit as one writes it, `N·s²/m²` for `N.s2/m2`, nothing for a pure number; `times` joins its factors."""
+    """Return a unit in print: `N·s²/m²` for `N.s2/m2`.
+
+    Args:
+        times: Sign between factors.
+    """
     return "" if unit == "1" else POWER.sub(lambda found: found[0].translate(RAISED), unit).replace(".", times)
 
 
 def finer(unit: str, size: float) -> tuple[str, float]:
-    """Unit and factor in which an error of this size reads well: millimetres, degrees."""
+    """Return a unit and factor for a small error."""
     if unit == "m" and size < 1.0:
         return "mm", 1000.0
     if unit == "m/s" and size < 0.05:

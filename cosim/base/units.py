@@ -1,4 +1,4 @@
-"""Units as engineers write them: their SI exponents and factor, and the unit definitions of FMI made of them."""
+"""Units as engineers write them, with SI exponents and factors, and FMI unit definitions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 
 class Unit(NamedTuple):
-    """Exponents of SI base units, and value in SI = factor·value + offset."""
+    """A unit by the exponents of its SI base units: value in SI = factor·value + offset."""
 
     exponents: Mapping[str, int]
     factor: float = 1.0
@@ -18,17 +18,17 @@ class Unit(NamedTuple):
 
     @property
     def is_coherent(self) -> bool:
-        """Values in this unit are values in SI."""
+        """Return whether values in this unit are SI values."""
         return self.factor == 1.0 and self.offset == 0.0
 
 
 def _sizes(exponents: Mapping[str, int], factors: Mapping[str, float]) -> dict[str, Unit]:
-    """Symbols of one dimension."""
+    """Return the units of a dimension by symbol."""
     return {symbol: Unit(exponents, factor) for symbol, factor in factors.items()}
 
 
 def _prefixed(symbol: str, prefixes: str, exponents: Mapping[str, int]) -> dict[str, Unit]:
-    """A symbol, alone and with each of the prefixes."""
+    """Return a symbol's unit, alone and with each prefix."""
     sizes = {"n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
     return {symbol: Unit(exponents)} | {p + symbol: Unit(exponents, sizes[p]) for p in prefixes}
 
@@ -41,7 +41,7 @@ PRESSURE = {"kg": 1, "m": -1, "s": -2}
 VOLTAGE = {"kg": 1, "m": 2, "s": -3, "A": -1}
 RESISTANCE = {"kg": 1, "m": 2, "s": -3, "A": -2}
 
-# The order within a dimension is that in which sizes are offered to who has written none of them.
+# Within a dimension, messages offer the units in this order.
 SYMBOLS: dict[str, Unit] = {
     "1": Unit({}),
     "%": Unit({}, 0.01),
@@ -73,27 +73,27 @@ SYMBOLS: dict[str, Unit] = {
     "cd": Unit({"cd": 1}),
     **_sizes({"m": 3}, {"l": 1e-3, "L": 1e-3, "ml": 1e-6, "mL": 1e-6}),
 }
-# Other ways to write a symbol: superscripts, signs for ohm, micro and degrees that look like others.
+# Alternative characters of symbols: superscripts, and lookalikes of the signs for ohm, micro and degrees.
 ONE_WAY = str.maketrans(
     dict(zip("⁰¹²³⁴⁵⁶⁷⁸⁹⁻\u2126\u03bc", "0123456789-\u03a9\u00b5", strict=True)) | {"℃": "°C", "℉": "°F"}
 )
 TOKEN = re.compile(r"(1|%|°[CF]?|[A-Za-zµΩ]+)(?:\^?(-?\d))?")
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-# A unit that begins with a digit (1/min) stands behind a blank.
+# A unit that begins with a digit (1/min) needs a blank before it.
 QUANTITY = re.compile(rf"({NUMBER})(?:\s*(?=[^\s\d.])|\s+)(\S.*)")
 STANDARD_GRAVITY = 9.80665  # [m/s²]
-# What people are shown: unit → display unit, and display value per value.
+# Displayed units: unit → display unit, and display value per value.
 DEGREE = 180.0 / math.pi
 DISPLAY = {"rad": ("deg", DEGREE), "rad/s": ("deg/s", DEGREE)}
 
 
 def parse(text: str) -> Unit | None:
-    """The unit written as `m/s2`, `m/s^2`, `m·s⁻²`, `deg/s` or `N.m.s/rad`; None where it is none."""
+    """Return the unit of a text, if known. Accepted forms: `m/s2`, `m/s^2`, `m·s⁻²`, `deg/s`, `N.m.s/rad`."""
     words = _words(text)
     if words is None:
         return None
     if len(words) == 1 and words[0][1] == 1:
-        return SYMBOLS[words[0][0]]  # within another unit, as in W/degC, a temperature is a difference
+        return SYMBOLS[words[0][0]]  # Within a compound unit like W/degC, a temperature is a difference.
     size, exponents = 1.0, dict[str, int]()
     for symbol, power in words:
         unit = SYMBOLS[symbol]
@@ -104,7 +104,7 @@ def parse(text: str) -> Unit | None:
 
 
 def _words(text: str) -> list[tuple[str, int]] | None:
-    """Symbols of a unit with their powers, as they are written; None where one is unknown."""
+    """Return symbols and powers of a unit, if known."""
     found = []
     for place, part in enumerate(text.translate(ONE_WAY).split("/")):
         sign = 1 if place == 0 else -1
@@ -117,26 +117,28 @@ def _words(text: str) -> list[tuple[str, int]] | None:
 
 
 class Conversion(NamedTuple):
-    """Factor and offset from a value in one unit to the value in another."""
+    """A linear conversion of values between two units."""
 
     factor: float = 1.0
     offset: float = 0.0
 
     def __call__(self, value: float) -> float:
-        """Return the value in the other unit."""
+        """Return the converted value."""
         return self.factor * value + self.offset
 
 
 def conversion(written: str, wanted: str, *, difference: bool = False) -> Conversion | None:
-    """Return the conversion of a value from the unit `written` to `wanted`; None if the dimensions differ.
+    """Return the conversion between units of the same dimension.
 
-    difference: of two values, such as a standard deviation, a tolerance or a step: the offset of degC does not count
+    Args:
+        difference: Whether the value is a difference, e.g. a standard deviation, a tolerance or a step. The offset of
+            degC then does not count.
     """
     if not written or not wanted or written == wanted:
         return Conversion()
     here, there = parse(written), parse(wanted)
     if written == "g" and there is not None and there.exponents == {"m": 1, "s": -2}:
-        return Conversion(STANDARD_GRAVITY / there.factor)  # of an accelerometer, never gram
+        return Conversion(STANDARD_GRAVITY / there.factor)  # of an accelerometer: standard gravity, never gram
     if here is None or there is None or here.exponents != there.exponents:
         return None
     offset = 0.0 if difference else (here.offset - there.offset) / there.factor
@@ -144,13 +146,16 @@ def conversion(written: str, wanted: str, *, difference: bool = False) -> Conver
 
 
 def factor(written: str, wanted: str) -> float | None:
-    """Return the factor from a value in the unit `written` to `wanted`; None if a factor alone does not convert it."""
+    """Return the factor between units, if a factor suffices."""
     found = conversion(written, wanted)
     return None if found is None or found.offset else found.factor
 
 
 def split_quantity(text: str) -> tuple[float, str] | None:
-    """Return the number and the unit of `-15 degC`, the unit "" of a number alone; None if the text is neither."""
+    """Return number and unit of text like `-15 degC`.
+
+    The unit of a number alone is ""; the result is None for text without a number.
+    """
     whole = text.strip()
     if re.fullmatch(NUMBER, whole):
         return float(whole), ""
@@ -159,13 +164,17 @@ def split_quantity(text: str) -> tuple[float, str] | None:
 
 
 def has_unit(text: str) -> bool:
-    """Return whether a text is a number with a unit behind it."""
+    """Return whether text is a number with a unit."""
     found = split_quantity(text)
     return found is not None and found[1] != ""
 
 
 def read_quantity(text: str, unit: str, *, difference: bool = False) -> float:
-    """Return the number of a text such as `4 min` in `unit`; ValueError says which units are allowed."""
+    """Return the number of text like `4 min` in `unit`.
+
+    Raises:
+        ValueError: The unit does not fit; the message lists the allowed units.
+    """
     found = split_quantity(text)
     by = None if found is None else conversion(found[1], unit, difference=difference)
     if found is None or by is None or (found[1] and not unit):
@@ -177,7 +186,11 @@ def read_quantity(text: str, unit: str, *, difference: bool = False) -> float:
 
 
 def allowed_quantity(unit: str, more: Iterable[str] = ()) -> str:
-    """Return what may be written for a number in `unit`; more: other units that it may have."""
+    """Return a sentence on the allowed forms of a number.
+
+    Args:
+        more: Allowed units besides those of the dimension.
+    """
     if not unit:
         return "it is a number alone: no unit of it is declared"
     offered = dict.fromkeys((unit, *more, *(alternatives(unit) if parse(unit) else ())))
@@ -185,10 +198,13 @@ def allowed_quantity(unit: str, more: Iterable[str] = ()) -> str:
 
 
 class Taken(NamedTuple):
-    """How numbers in a written unit are taken where they go to a signal that declares none.
+    """The conversion of numbers in a written unit for a signal without a declared unit.
 
-    unit:     in which they are then; factor, offset: what each is multiplied by, and what is added then
-    sentence: what is to be said of the signal, "" where the numbers stay and nobody can be mistaken
+    Attributes:
+        unit: Unit after the conversion.
+        factor: Factor of the conversion.
+        sentence: Note for the user; "" if the numbers stay unchanged and the unit is clear.
+        offset: Offset added after the factor.
     """
 
     unit: str
@@ -198,9 +214,13 @@ class Taken(NamedTuple):
 
 
 def taken(written: str, of: str = "the model", cure: str = "leave the unit out of the header") -> Taken:
-    """A signal without a unit is in SI units: `rpm` become rad/s; a unit that is none known here changes nothing.
+    """Return the conversion to SI for a unitless signal.
 
-    g alone changes nothing either: gram, or of an accelerometer 9.81 m/s². of: what declares none; cure: if it should.
+    For example, `rpm` become rad/s. An unknown unit changes nothing, nor does g alone: gram, or 9.81 m/s².
+
+    Args:
+        of: Owner of the signal, for the note.
+        cure: Remedy named in the note if SI is wrong.
     """
     unit = parse(written)
     if unit is None or written == "g":
@@ -217,7 +237,7 @@ def taken(written: str, of: str = "the model", cure: str = "leave the unit out o
 
 
 def coherent(written: str) -> str:
-    """The SI unit without a factor in place of one that can be parsed: rad/s for rpm, V for mV, m3/s for l/min."""
+    """Return the SI unit of the same dimension. For example rad/s for rpm, V for mV, m3/s for l/min."""
     powers: dict[str, int] = {}
     for symbol, power in _words(written) or ():
         unit = SYMBOLS[symbol]
@@ -229,7 +249,7 @@ def coherent(written: str) -> str:
 
 
 def _written(powers: Mapping[str, int]) -> str:
-    """A unit of symbols with their powers."""
+    """Return the text of symbols with powers."""
     above, below = ([_power(n, abs(p)) for n, p in powers.items() if n != "1" and p * s > 0] for s in (1, -1))
     return ".".join(above or ["1"]) + "".join(f"/{name}" for name in below)
 
@@ -239,7 +259,7 @@ def _power(name: str, power: int) -> str:
 
 
 def squared(unit: str) -> str:
-    """Return the square of a unit, `rad2/s2` for `rad/s`; "" for none, or for one that is not known here."""
+    """Return the square of a unit: `rad2/s2` for `rad/s`."""
     powers: dict[str, int] = {}
     for symbol, power in _words(unit) or ():
         powers[symbol] = powers.get(symbol, 0) + 2 * power
@@ -247,7 +267,7 @@ def squared(unit: str) -> str:
 
 
 def computed_in(displayed: str) -> tuple[str, float]:
-    """The unit in which what is displayed in this one is computed, and value there per value here: rad for deg."""
+    """Return the unit behind a display unit, and the factor. For example rad for deg."""
     for unit, (display, _) in DISPLAY.items():
         if display == displayed:
             return unit, factor(displayed, unit) or 1.0
@@ -255,7 +275,7 @@ def computed_in(displayed: str) -> tuple[str, float]:
 
 
 def alternatives(wanted: str) -> list[str]:
-    """Units that can stand in place of `wanted`: itself, and its first part in other sizes (`mm/s2` for `m/s2`)."""
+    """Return units convertible to `wanted`, beginning with `wanted`. Only the first part varies: `mm/s2` for `m/s2`."""
     head = re.match(r"[A-Za-z%°µΩ]+", wanted)
     found = [wanted]
     if head and head[0] in SYMBOLS:
@@ -265,7 +285,11 @@ def alternatives(wanted: str) -> list[str]:
 
 
 def unit_definitions(names: set[str]) -> Element:
-    """The `UnitDefinitions` element for the units in use; ValueError where one is none."""
+    """Return the `UnitDefinitions` element of FMI.
+
+    Raises:
+        ValueError: A unit is unknown.
+    """
     root = Element("UnitDefinitions")
     for name in sorted(names):
         unit = parse(name)

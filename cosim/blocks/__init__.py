@@ -1,1 +1,1 @@
-"""What the master steps: FMUs, references, playback; and the noise on a connection."""
+"""Components for the master: FMUs, references and playback, and noise on connections."""

@@ -1,7 +1,7 @@
-"""The library of an FMU that has sources but none for this platform: compiled, where the user has asked for that.
+"""Compilation of FMU sources without a library for this platform, with the user's permission.
 
-Sources of others are programs of others. Nothing here runs unless a command was given `--compile`, or a function of
-Python `compile=True`; `permission` holds that for the command, and every FMU takes it along into its worker process.
+Foreign sources are foreign programs. They are compiled only under the option `--compile` or the Python argument
+`compile=True`. `permission` holds the choice, and each FMU carries the choice into its worker process.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from cosim.blocks.description import CPP, C, library_file
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, fmi_headers, library_command, library_of
 
 SOURCES = "sources"
-LIMIT = 300.0  # [s] that a compiler may take for one FMU
-SHOWN_LINES, SHOWN_WIDTH = 20, 200  # of a compiler's output
+LIMIT = 300.0  # time limit [s] of the compiler per FMU
+SHOWN_LINES, SHOWN_WIDTH = 20, 200  # shown part of the compiler output: lines, characters per line
 OPTIMIZED = ("-O3", "-DNDEBUG", "-w")
-PLAIN_NAMES = ("-DFMI2_OVERRIDE_FUNCTION_PREFIX", "-DFMI3_OVERRIDE_FUNCTION_PREFIX")  # as a shared library has them
+PLAIN_NAMES = ("-DFMI2_OVERRIDE_FUNCTION_PREFIX", "-DFMI3_OVERRIDE_FUNCTION_PREFIX")  # names as in a shared library
 LANGUAGES = (
     "C89:gnu90 C90:gnu90 C99:gnu99 C11:gnu11 C17:gnu17 C18:gnu17 C23:gnu2x C++98:gnu++98 C++03:gnu++03 "
     "C++11:gnu++11 C++14:gnu++14 C++17:gnu++17 C++20:gnu++20 C++23:gnu++2b"
 )
-STANDARDS = dict(language.split(":") for language in LANGUAGES.split())  # by the name that FMI has for them
+STANDARDS = dict(language.split(":") for language in LANGUAGES.split())  # name in FMI → compiler option
 ENTRY = {"1": "{identifier}_fmiGetVersion", "2": "fmi2GetVersion", "3": "fmi3GetVersion"}
 permission: ContextVar[bool] = ContextVar("compile the sources of FMUs", default=False)
 Answer = TypeVar("Answer")
@@ -35,7 +35,7 @@ Answer = TypeVar("Answer")
 
 @contextmanager
 def compiling(allowed: bool) -> Iterator[None]:
-    """Allow that sources of FMUs are compiled and run, or not, while the block lasts."""
+    """Set the permission to compile FMU sources for the block."""
     token = permission.set(allowed)
     try:
         yield
@@ -51,12 +51,13 @@ def with_permission(allowed: bool, function: Callable[..., Answer], *arguments: 
 
 @dataclass(frozen=True)
 class Sources:
-    """The sources of one library, below the folder `sources` of an FMU.
+    """Sources of a library below the folder `sources` of an FMU.
 
-    files:       to be compiled
-    standard:    of the language, as compilers call it; "" takes the compiler's own
-    definitions: of the preprocessor, NAME or NAME=VALUE
-    includes:    folders with headers
+    Attributes:
+        files: Source files to compile.
+        standard: Language standard as a compiler option; "" for the compiler's default.
+        definitions: Preprocessor definitions, NAME or NAME=VALUE.
+        includes: Folders of headers.
     """
 
     files: tuple[str, ...]
@@ -66,7 +67,14 @@ class Sources:
 
 
 def compile_library(folder: Path, description: Any, identifier: str) -> Path:
-    """Compile the sources of an unpacked FMU into its folder, or take the library from the cache; FmuError."""
+    """Compile an unpacked FMU's sources, or use the cache.
+
+    Returns:
+        The library in the FMU's folder.
+
+    Raises:
+        FmuError: The sources are incomplete or do not compile.
+    """
     try:
         sources = _sources_of(folder / SOURCES, description, identifier)
         options = [f"-std={sources.standard}"] if sources.standard else []
@@ -92,7 +100,7 @@ def compile_library(folder: Path, description: Any, identifier: str) -> Path:
 
 
 def _sources_of(folder: Path, description: Any, identifier: str) -> Sources:
-    """Return the sources that the FMU lists, else `all.c`, else every source in the folder; FmuError."""
+    """Return the listed sources, else `all.c`, else all sources."""
     listed = _listed(description, identifier)
     if listed is None:
         names = (p.name for p in folder.glob("*") if p.suffix.lower() in (*C, *CPP))
@@ -107,7 +115,10 @@ def _sources_of(folder: Path, description: Any, identifier: str) -> Sources:
 
 
 def _listed(description: Any, identifier: str) -> Sources | None:
-    """Return the sources in the build description of a library, or else in the first; None if it lists none."""
+    """Return the sources in the library's build description.
+
+    The first build description replaces a missing one; the result is None without any.
+    """
     builds = sorted(description.buildConfigurations, key=lambda build: build.modelIdentifier != identifier)
     sets = builds[0].sourceFileSets if builds else []
     if not sets:
@@ -121,7 +132,7 @@ def _listed(description: Any, identifier: str) -> Sources | None:
 
 
 def _standard(languages: Iterable[str | None]) -> str:
-    """Return the standard of a language as compilers call it, the last of several; FmuError."""
+    """Return the last language standard as compilers name it."""
     asked = [language for language in languages if language]
     for language in asked:
         if language not in STANDARDS:
@@ -140,7 +151,7 @@ def _files_in(folder: Path) -> list[Path]:
 
 
 def _shown(output: str) -> str:
-    """Return the first lines of a compiler's output, each behind a line break."""
+    """Return the first lines of compiler output, indented."""
     lines = output.splitlines()
     more = [f"… and {len(lines) - SHOWN_LINES} lines more"] if len(lines) > SHOWN_LINES else []
     return "".join(f"\n  {line[:SHOWN_WIDTH]}" for line in [*lines[:SHOWN_LINES], *more])

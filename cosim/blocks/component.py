@@ -1,4 +1,4 @@
-"""What the master asks of a component, and nothing more."""
+"""Interface between the master and its components."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ from cosim.base.errors import SimulationError
 from cosim.base.units import parse
 
 Row = ctypes.Array[ctypes.c_double]
-PUT, ADVANCE, GET = range(3)  # what is called
+PUT, ADVANCE, GET = range(3)  # calls counted in `doing`
 SI = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
 
 class EndedEarly(SimulationError):
-    """An FMU asked to end the simulation, which is no failure; `reached` [s] is the time to which it came.
+    """A simulation ended on request of an FMU at time `reached` [s], not a failure.
 
-    readable: its outputs hold for that time
+    Attributes:
+        readable: Whether the outputs are valid at that time.
     """
 
     def __init__(self, component: str, reached: float, reason: str, *, readable: bool = False) -> None:
@@ -32,13 +33,15 @@ class EndedEarly(SimulationError):
 
 @dataclass(frozen=True)
 class Signal:
-    """An input or output: its name, its unit, and what the unit is in SI (None where undefined).
+    """An input or output with its unit.
 
-    kind:     its type by FMI's name, "" of a number that is no FMU's
-    items:    name → number, of an enumeration, whose type's name is `declared`
-    array:    of an element, the array's name
-    local:    recorded on request; no output, so it is not connected
-    relative: a difference, such as of temperatures: a unit's offset is of no matter
+    Attributes:
+        definition: SI exponents, factor and offset of the unit; None if undefined.
+        kind: FMI type name; "" for a number outside FMUs.
+        items: Name → number of an enumeration; its type name is `declared`.
+        array: Name of the array of an element.
+        local: Whether the signal is recorded only and cannot be connected.
+        relative: Whether the signal is a difference, so that unit offsets do not count.
     """
 
     name: str
@@ -53,11 +56,11 @@ class Signal:
 
     @property
     def whole(self) -> bool:
-        """Its values are whole numbers."""
+        """Return whether all values are whole numbers."""
         return self.kind not in {"", "Real", "Float32", "Float64"}
 
     def conversion(self, to: Signal) -> tuple[float, float] | None:
-        """Factor and offset from a value in this unit to one in the other's; None where the dimensions differ."""
+        """Return factor and offset to another signal's unit. None means different dimensions."""
         if not self.unit or not to.unit or self.unit == to.unit:
             return 1.0, 0.0
         here, there = self._meaning(), to._meaning()
@@ -67,7 +70,10 @@ class Signal:
         return here[-2] / there[-2], offset
 
     def _meaning(self) -> tuple[float, ...] | None:
-        """SI exponents, factor and offset: as the FMU defines the unit, else as people write it."""
+        """Return SI exponents, factor and offset of the unit.
+
+        The FMU's definition takes precedence over common units.
+        """
         if self.definition is not None:
             return self.definition
         unit = parse(self.unit)
@@ -75,10 +81,11 @@ class Signal:
 
 
 class Component(Protocol):
-    """Call sequence: bind, open, (put, get)* while initializing, start, then (put, advance, get)* and close.
+    """A component, called in order: bind, open, (put, get)* during initialization, start, (put, advance, get)*, close.
 
-    inputs are written to `row[first:]` by the master, outputs by the component right behind them; those whose
-    values no double holds exactly (text, 64-bit integers) stand likewise in `beside[first_beside:]`.
+    The master writes inputs to `row[first:]`; the component writes outputs directly behind them. Values beyond the
+    exact
+    range of doubles (text, 64-bit integers) use `beside[first_beside:]` in the same way.
     """
 
     name: str
@@ -86,40 +93,60 @@ class Component(Protocol):
     outputs: tuple[Signal, ...]
     exact_inputs: tuple[Signal, ...]
     exact_outputs: tuple[Signal, ...]
-    nominal_step: bool  # its steps are of one length; else each ends at the very number at which the next begins
+    nominal_step: bool  # steps of nominal length; else each step ends exactly at the start time of the next
 
     def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
-        """Does an output, of all or of some, at a time depend on this input at the same time? None: not declared."""
+        """Return whether an output depends directly on an input.
+
+        Args:
+            outputs: Outputs to consider; None for all.
+
+        Returns:
+            None if the FMU declares no dependencies.
+        """
 
     def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
-        """Tell where in the row, and beside it, the component's signals stand, inputs first."""
+        """Set the places of the signals, inputs first."""
 
     def open(self, start: float, stop: float) -> None:
-        """Get ready: start values set, initialization begun."""
+        """Set start values and begin initialization."""
 
     def start(self) -> None:
         """End initialization."""
 
     def put(self) -> None:
-        """Take the inputs from the row."""
+        """Read the inputs from the row."""
 
     def get(self) -> None:
         """Write the outputs to the row."""
 
     def advance(self, t: float, h: float) -> None:
-        """Step from `t` to `t + h` [s]; EndedEarly where the component ends the simulation."""
+        """Step from `t` to `t + h` [s].
+
+        Raises:
+            EndedEarly: The component ends the simulation.
+        """
 
     def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
-        """What puts, advances by h from t and gets, once it has started: `in_turn`, or the same, faster."""
+        """Return a function of (t, h) for put, advance and get.
+
+        It is `in_turn` or a faster equivalent, valid after `start`.
+        """
 
     def close(self) -> None:
-        """Free everything; may be called at any time, more than once."""
+        """Free all resources; repeated calls are harmless."""
 
 
 def in_turn(
     component: Component, doing: MutableSequence[int], first: int, *, puts: bool = True
 ) -> Callable[[float, float], None]:
-    """Put (where some input is connected), advance, get; `first` + PUT, ADVANCE, GET stand in `doing` before each."""
+    """Return a function that puts, advances and gets.
+
+    Before each call `doing[0]` becomes `first` + PUT, ADVANCE or GET.
+
+    Args:
+        puts: Whether any input is connected.
+    """
     put, advance, get = component.put, component.advance, component.get
     putting, advancing, getting = first + PUT, first + ADVANCE, first + GET
 

@@ -1,4 +1,4 @@
-"""An FMU asked for its derivatives: moved to any state, its slopes by directional derivatives or by differences."""
+"""Derivatives of an FMU at any state, and their slopes from directional derivatives or differences."""
 
 from __future__ import annotations
 
@@ -24,20 +24,23 @@ REALS = ("Real", "Float64")
 
 
 def states_of(description: Any) -> list[Any]:
-    """Variables that are continuous states, in the order of the derivatives; empty where the FMU tells of none."""
+    """Return the continuous states in the order of the derivatives.
+
+    The list is empty if the FMU does not declare them.
+    """
     found = [unknown.variable.derivative for unknown in description.derivatives]
     return [] if any(v is None for v in found) else found
 
 
 def hides_states(description: Any) -> bool:
-    """Return whether a description has the number of states alone: that of FMI 1.0, whose library names them."""
+    """Return whether a description counts its states without names. Only FMI 1.0 does; its library may name them."""
     return bool(description.fmiVersion == "1.0" and description.numberOfContinuousStates > len(description.derivatives))
 
 
 def name_states(path: Path, description: Any, references: Sequence[int]) -> None:
-    """Add the derivatives of states with these value references to a description of FMI 1.0, as later versions do.
+    """Add derivatives of named states to an FMI 1.0 description.
 
-    Aliases of a variable share its value reference, and a negated one has the other sign: the variable itself is taken.
+    Aliases share a value reference, and a negated alias has the opposite sign. Therefore the variable itself is used.
     """
     from fmpy.model_description import ModelVariable, Unknown
 
@@ -52,23 +55,23 @@ def name_states(path: Path, description: Any, references: Sequence[int]) -> None
 
 
 def reals(description: Any, causality: str) -> list[Any]:
-    """Inputs or outputs that are real numbers; of inputs those that may move at any time."""
+    """Return real inputs or outputs, of inputs continuous ones only."""
     found = [v for v in description.modelVariables if v.causality == causality and v.type in REALS]
     return [v for v in found if causality != "input" or v.variability in (None, "continuous")]
 
 
 def scalars(variables: Sequence[Any]) -> tuple[str, ...]:
-    """Names of the elements of variables."""
+    """Return the element names of variables."""
     return tuple(name for v in variables for name in element_names(v))
 
 
 def units_of(variables: Sequence[Any]) -> dict[str, str]:
-    """Element → unit."""
+    """Return element names with units."""
     return {name: unit_of(v) for v in variables for name in element_names(v)}
 
 
 class DifferentiableFmu(FmuBlock):
-    """An FMU for model exchange: `open`, then any number of points, then `close`."""
+    """An FMU for model exchange: `open`, any number of points, `close`."""
 
     def __init__(
         self, name: str, path: Any, description: Any, start: Mapping[str, Any], connected: frozenset[str]
@@ -80,31 +83,35 @@ class DifferentiableFmu(FmuBlock):
         self.order = len(scalars(self._states))
 
     def bind_nothing(self) -> None:
-        """It is not part of a row."""
+        """Bind the signals to a private row."""
         count = len(self.inputs) + len(self.outputs)
         exact = len(self.exact_inputs) + len(self.exact_outputs)
         self.bind((ctypes.c_double * max(1, count))(), 0, [None] * exact, 0)
 
     @property
     def gives_slopes(self) -> bool:
-        """It says that it has directional derivatives, of scalars."""
+        """Return whether directional derivatives of scalars are available."""
         about = ElementTree.fromstring(zipfile.ZipFile(self.path).read(DESCRIPTION)).find("ModelExchange")
-        # FMPy knows the word of FMI 2.0 only, which 3.0 has in the plural
+        # FMPy reads the attribute of FMI 2.0 only; FMI 3.0 has a plural s.
         flags = [] if about is None else [about.get(f"providesDirectionalDerivative{s}") for s in ("", "s")]
         plain = all(not v.shape for v in (*self._states, *self._fed, *self._shown))
         return plain and any(flag in ("true", "1") for flag in flags)
 
     def state_references(self) -> list[int]:
-        """Return the value reference of each state, of FMI 1.0."""
+        """Return the value references of the states, FMI 1.0 only."""
         assert isinstance(self._calls, ModelExchange1)
         return self._calls.state_references()
 
     def here(self) -> tuple[Array, Array]:
-        """States and inputs as they are."""
+        """Return the current states and inputs."""
         return self._continuous(), self._read(self._fed)
 
     def move(self, t: float, states: Array, inputs: Array) -> Array:
-        """To a time, states and inputs, with the events that come of it; the states after them."""
+        """Move to a time, states and inputs, and handle events.
+
+        Returns:
+            The states after the events.
+        """
         with self.instance.failing():
             self.instance.fmu.setTime(t)
             self._put_states(states)
@@ -114,7 +121,7 @@ class DifferentiableFmu(FmuBlock):
         return self._continuous()
 
     def rates(self, states: Array, inputs: Array) -> Array:
-        """Derivatives, then outputs, at states and inputs within the mode that it is in."""
+        """Return derivatives and outputs in the current mode."""
         with self.instance.failing():
             self._put_states(states)
             self._write_reals(self._fed, inputs)
@@ -124,7 +131,10 @@ class DifferentiableFmu(FmuBlock):
         return np.concatenate([np.array(found[: self.order]), self._read(self._shown)])
 
     def given_slopes(self) -> Array:
-        """Slopes of derivatives and outputs in states and inputs, as the FMU gives them."""
+        """Return slopes from the FMU's directional derivatives.
+
+        Rows are derivatives and outputs, columns states and inputs.
+        """
         knowns = [v.valueReference for v in (*self._states, *self._fed)]
         unknowns = [v.valueReference for v in (*self._rates, *self._shown)]
         columns = []
@@ -133,7 +143,7 @@ class DifferentiableFmu(FmuBlock):
                 columns.append(self.instance.fmu.getDirectionalDerivative(unknowns, [known], [1.0]))
         return np.array(columns, float).T.reshape(len(unknowns), len(knowns))
 
-    # -- within -------------------------------------------------------------------------------
+    # -- internal -------------------------------------------------------------------------------
 
     def _continuous(self) -> Array:
         found = (ctypes.c_double * max(1, self.order))()
@@ -165,10 +175,16 @@ class DifferentiableFmu(FmuBlock):
 def slopes_at(
     block: DifferentiableFmu, t: float, states: Array, inputs: Array, step: float, *, given: bool
 ) -> tuple[Array, Array, Array]:
-    """Slopes, rates and outputs at a point, and the states that it has there after events.
+    """Return slopes, rates with outputs, and states at a point.
 
-    step:  of central differences, of each state and input or of 1; of those that the FMU does not give itself
-    given: by its own directional derivatives
+    The states are those after events.
+
+    Args:
+        step: Relative step of the central differences, at least absolute for small values.
+        given: Whether to use the FMU's directional derivatives.
+
+    Raises:
+        SimulationError: A result is not finite.
     """
     after = block.move(t, states, inputs)
     z, n = np.concatenate([after, inputs]), len(after)

@@ -1,4 +1,4 @@
-"""What an FMU says of itself, read as leniently as other tools do; and whether it can be run here."""
+"""The model description of an FMU, read leniently, and the FMU's fitness to run."""
 
 from __future__ import annotations
 
@@ -14,16 +14,19 @@ from cosim.blocks.guard import check_fmu_file, check_identifiers, check_numbers,
 
 Way = Literal["co-simulation", "model-exchange"]
 PLATFORMS, SOURCES = "binaries/", "sources/"
-LIBRARIES, C, CPP = (".so", ".dll", ".dylib"), (".c",), (".cpp", ".cc", ".cxx", ".c++")  # endings
-C_CODE = "c-code"  # what FMI calls the platform of sources
-MOST_ELEMENTS = 1_000_000  # of an array: a name each
+LIBRARIES, C, CPP = (".so", ".dll", ".dylib"), (".c",), (".cpp", ".cc", ".cxx", ".c++")  # file endings
+C_CODE = "c-code"  # name of the source platform in FMI
+MOST_ELEMENTS = 1_000_000  # elements of an array; each gets a name
 _slips: WeakKeyDictionary[Any, tuple[str, ...]] = WeakKeyDictionary()
 
 
 def read_description(path: Path) -> Any:
-    """FMPy's model description of an FMU that can be run; FmuError where it cannot.
+    """Return FMPy's model description of a runnable FMU.
 
-    What only breaks the schema is no reason to refuse it: `slips_of` tells that.
+    Violations of the schema alone are accepted; see `slips_of`.
+
+    Raises:
+        FmuError: The FMU is invalid or cannot be run.
     """
     import fmpy
 
@@ -34,7 +37,7 @@ def read_description(path: Path) -> Any:
             description = fmpy.read_model_description(str(path))
         except fmpy.model_description.ValidationError as error:
             description, slips = fmpy.read_model_description(str(path), validate=False), tuple(error.problems)
-    except Exception as error:  # FMPy raises bare Exceptions, lxml its own
+    except Exception as error:  # FMPy raises bare Exceptions, lxml its own.
         raise FmuError(f"{path} is not a valid FMU: {reason_of(error)}") from None
     check_identifiers(path, description)
     if slips:
@@ -55,12 +58,12 @@ RUNS = "FMI 1.0, 2.0 and 3.0 for co-simulation or model exchange are run here"
 
 
 def slips_of(description: Any) -> tuple[str, ...]:
-    """Where a description that was read breaks FMI's schema or rules, in a way that does not keep it from running."""
+    """Return tolerated violations of FMI's schema or rules."""
     return _slips.get(description, ())
 
 
 def ways(description: Any) -> tuple[Way, ...]:
-    """How the FMU can be run here, the preferred way first."""
+    """Return the usable interfaces, the preferred one first."""
     version = description.fmiVersion
     found: list[Way] = []
     if version in {"1.0", "2.0"} or version == "3.0" or version.startswith("3.0."):
@@ -72,7 +75,10 @@ def ways(description: Any) -> tuple[Way, ...]:
 
 
 def state_names(description: Any) -> list[str]:
-    """Names of the continuous states; of FMI 1.0, which does not list them, those x for which there is a der(x)."""
+    """Return the names of the continuous states.
+
+    FMI 1.0 does not list states; here each x with a variable der(x) counts.
+    """
     if description.fmiVersion != "1.0":
         derivatives = (unknown.variable.derivative for unknown in description.derivatives)
         return [state.name for state in derivatives if state is not None]
@@ -81,7 +87,7 @@ def state_names(description: Any) -> list[str]:
 
 
 def takes_any_step(description: Any) -> bool:
-    """Communication steps may be of any length."""
+    """Return whether communication steps may have any length."""
     cosimulation = description.coSimulation
     return cosimulation is None or bool(cosimulation.canHandleVariableCommunicationStepSize)
 
@@ -97,14 +103,14 @@ def _kind(description: Any) -> str:
 
 
 def platform_of(description: Any) -> str:
-    """What FMI calls this machine, in the version of the FMU."""
+    """Return FMI's name of this platform for the FMU's version."""
     import fmpy
 
     return str(fmpy.platform_tuple if description.fmiVersion.startswith("3") else fmpy.platform)
 
 
 def platforms_among(names: Sequence[str]) -> list[str]:
-    """Platforms with a library, by the names of an FMU's files; `c-code` where there are sources of C or C++ too."""
+    """Return the platforms of an FMU by its file names. The list ends with `c-code` if C or C++ sources exist."""
     parts = (n.removeprefix(PLATFORMS).partition("/") for n in names if n.startswith(PLATFORMS))
     found = {platform for platform, _, file in parts if file.endswith(LIBRARIES)}
     sources = any(n.startswith(SOURCES) and n.lower().endswith((*C, *CPP)) for n in names)
@@ -112,7 +118,7 @@ def platforms_among(names: Sequence[str]) -> list[str]:
 
 
 def no_library(here: str, platforms: Sequence[str]) -> str:
-    """Why an FMU does not run on a platform, with the cure, by the platforms that it is for."""
+    """Return a message on a missing library, with the remedy."""
     others = ", ".join(p for p in platforms if p != C_CODE)
     told = f"it has no library for {here}" + (f"; it has some for {others}" if others else " or another platform")
     cure = "; it has sources: --compile (in Python compile=True) compiles and runs them"
@@ -120,16 +126,19 @@ def no_library(here: str, platforms: Sequence[str]) -> str:
 
 
 def library_file(folder: Path, description: Any, identifier: str) -> Path:
-    """Where the library for this platform lies in an unpacked FMU, as FMI says."""
+    """Return the standard path of the library for this platform."""
     import fmpy
 
     return folder / "binaries" / platform_of(description) / f"{identifier}{fmpy.sharedLibraryExtension}"
 
 
 def library_of(folder: Path, description: Any, identifier: str) -> tuple[Path, str] | None:
-    """The library of an unpacked FMU for this platform and, where it is not named as it should be, a warning.
+    """Return the library for this platform and a warning.
 
-    None where there is none; FmuError where there are several of other names.
+    The warning is about an unexpected file name.
+
+    Raises:
+        FmuError: Several libraries with unexpected names exist.
     """
     named = library_file(folder, description, identifier)
     if named.is_file():
@@ -144,12 +153,12 @@ def library_of(folder: Path, description: Any, identifier: str) -> tuple[Path, s
 
 
 def named(pattern: str, component: str, variable: str) -> bool:
-    """A pattern with * in it names a variable; brackets stand for themselves, as in names of arrays."""
+    """Return whether a pattern with * matches a variable. Brackets are literal, as in array names."""
     return fnmatchcase(f"{component}.{variable}", pattern.replace("[", "[[]"))
 
 
 def default_tolerance(description: Any) -> float | None:
-    """The relative tolerance that an FMU's default experiment asks for."""
+    """Return the relative tolerance of the default experiment."""
     experiment = description.defaultExperiment
     return float(experiment.tolerance) if experiment is not None and experiment.tolerance else None
 
@@ -160,7 +169,7 @@ BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
 
 def unit_definition(description: Any, unit: str | None) -> tuple[float, ...] | None:
-    """SI exponents, factor and offset of a unit the FMU defines."""
+    """Return SI exponents, factor and offset of a defined unit."""
     for definition in description.unitDefinitions:
         if definition.name == unit and definition.baseUnit is not None:
             base = definition.baseUnit
@@ -169,12 +178,12 @@ def unit_definition(description: Any, unit: str | None) -> tuple[float, ...] | N
 
 
 def is_difference(variable: Any) -> bool:
-    """Return whether a variable or its type is declared as a difference: offsets of units do not count."""
+    """Return whether a variable is declared as a difference."""
     own, declared = variable.relativeQuantity, variable.declaredType
     return bool((declared is not None and declared.relativeQuantity) if own is None else own)
 
 
 def unit_of(variable: Any) -> str:
-    """Unit of a variable, its own or its type's."""
+    """Return the unit of a variable or its type."""
     unit = variable.unit or (variable.declaredType.unit if variable.declaredType is not None else None)
     return unit or ""

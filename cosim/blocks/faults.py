@@ -1,4 +1,4 @@
-"""Faults injected into a connection: what becomes of its values between two times."""
+"""Faults injected into a connection during an interval."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from cosim.blocks.stepping import Does, Link, link
 
-MOST = 1e18  # steps, which nobody takes
+MOST = 1e18  # steps, more than any run has
 
 
 def disturbed(
@@ -24,10 +24,13 @@ def disturbed(
     probability: float | None = None,
     delay: int = 0,
 ) -> Linked:
-    """What a fault makes of the value at each communication point; outside `window` (first, last) nothing.
+    """Return the function of a fault on a connection.
 
-    count: communication points of the run
-    delay: communication points
+    Outside `window` (first and last point) values pass unchanged.
+
+    Args:
+        count: Number of communication points of the run.
+        delay: Delay in communication points.
     """
     first, _last = window
     given = 0.0 if value is None else value
@@ -45,13 +48,13 @@ def disturbed(
 
 
 class Linked(Protocol):
-    """A function of (communication point, value), which C has too; called at each point in turn."""
+    """A function of (communication point, value), with an equivalent in C; called at each point in turn."""
 
     def __call__(self, k: int, v: Any) -> Any:
-        """The value at point k."""
+        """Return the value at point k."""
 
     def link(self) -> Link:
-        """The same for C, going on from the last point."""
+        """Return the C equivalent, continuing from the last point."""
 
 
 class Scaled:
@@ -81,7 +84,7 @@ class Added:
 
 
 class Within:
-    """A bias, a scale or a value that stands still, from a point to another."""
+    """A bias, a scale or a constant between two points."""
 
     def __init__(self, kind: str, window: tuple[int, int], value: float) -> None:
         act: dict[str, tuple[Does, Callable[[Any], Any]]] = {
@@ -115,7 +118,7 @@ class Spikes:
 
 
 class Held:
-    """The last value that came, while samples are lost."""
+    """The last received value while samples are lost."""
 
     def __init__(self, window: tuple[int, int], lost: bytearray) -> None:
         self.window, self.lost = window, lost
@@ -132,7 +135,7 @@ class Held:
 
 
 class Delayed:
-    """What came `delay` communication points before; the first value where nothing had come then."""
+    """The value from `delay` communication points before, at first the first value."""
 
     def __init__(self, window: tuple[int, int], delay: int) -> None:
         self.window, self.delay = window, delay
@@ -151,17 +154,17 @@ class Delayed:
 
 
 def points(begin: float | None, end: float | None, start: float, step: float, count: int) -> tuple[int, int]:
-    """First and last communication point from one time to another [s]."""
+    """Return the first and last communication point in an interval [s]."""
     first = 0 if begin is None else math.ceil(steps_in(begin - start, step) - 1e-9)
     last = count - 1 if end is None else math.floor(steps_in(end - start, step) + 1e-9)
     return first, last
 
 
 def whole(time: float, step: float) -> int:
-    """The whole number of steps, one at least, that is nearest to a time [s]."""
+    """Return a time as the nearest positive number of steps."""
     return max(1, round(steps_in(time, step)))
 
 
 def steps_in(time: float, step: float) -> float:
-    """Steps in a time; very many where they are beyond a double."""
+    """Return a time in steps, within a large bound."""
     return min(max(time / step, -MOST), MOST)

@@ -1,4 +1,4 @@
-"""A sensor that measures now and then, and answers late: values held between fixes, and how many have come."""
+"""A sensor with sporadic, delayed fixes: values held between fixes, and the number of fixes."""
 
 from __future__ import annotations
 
@@ -11,17 +11,18 @@ from typing import Any
 from cosim.blocks.component import Row, Signal, in_turn
 from cosim.blocks.noise import stream
 
-COUNT = "fix"  # the output that counts
+COUNT = "fix"  # name of the counting output
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """How often, how late and how well it measures.
+    """Rate, latency and noise of a fix sensor.
 
-    rate:    [Hz]
-    latency: [s]
-    dropout: probability that a fix is lost
-    signals: name → unit, variance and bias of a fix
+    Attributes:
+        rate: Fixes per second [Hz].
+        latency: Delay from measurement to output [s].
+        dropout: Probability of losing a fix.
+        signals: Name → unit, variance and bias of a fix.
     """
 
     rate: float
@@ -30,14 +31,18 @@ class Sensor:
     signals: Mapping[str, tuple[str, float, float]]
 
     def outputs(self) -> list[str]:
-        """Names of what goes out, in order."""
+        """Return the output names in order."""
         return [*(f"{name}_meas" for name in self.signals), COUNT]
 
 
 class Fixes:
-    """Fix j is of the first communication point that is not before j/rate, and known ⌈latency/step⌉ points later.
+    """Fix component, measuring at 1/rate and answering after the latency.
 
-    step: communication step [s]; the random streams, one a signal and one for what is lost, are by the seed and `name`
+    Fix j is taken at the first communication point at or after j/rate and appears ⌈latency/step⌉ points later.
+
+    Args:
+        step: Communication step [s].
+        seed: Seed of the random streams, one per signal and one for losses, which also depend on `name`.
     """
 
     nominal_step = True
@@ -57,8 +62,8 @@ class Fixes:
         self._late = math.ceil(sensor.latency / step - 1e-9)
         self._point, self._made, self._count = 0, 0, 0
         self._held = [0.0] * len(self.inputs)
-        self._coming: deque[tuple[int, list[float]]] = deque()  # what is measured, not known yet, by when it is
-        self._errors: list[float] | None = None  # of the fix at the start, and what it measured
+        self._coming: deque[tuple[int, list[float]]] = deque()  # measured fixes with their output points
+        self._errors: list[float] | None = None  # errors of the first fix, applied to each value exchanged at the start
         self._opening = self._held
 
     def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
@@ -77,7 +82,10 @@ class Fixes:
         pass
 
     def get(self) -> None:
-        """Write the latest fix. At the start, while values are still exchanged, the first one is that of the moment."""
+        """Write the latest fix.
+
+        While values are still exchanged at the start, the first fix measures the current values.
+        """
         first = self._first + len(self.inputs)
         if self._point == 0 and self._errors is not None:
             self._opening = self._measured(self._errors)
@@ -101,24 +109,27 @@ class Fixes:
         return in_turn(self, doing, first, puts=False)
 
     def slot(self) -> str:
-        """Why C does not step it."""
+        """Return the reason why the C loop cannot step this component."""
         return f"{self.name} measures now and then"
 
     def close(self) -> None:
         pass
 
     def _begin(self) -> None:
-        """What was measured at the start is known now, or later."""
+        """Release the fix of the start, or queue it."""
         self._made = 1
         if self._late and self._errors is not None:
             self._coming.append((self._late, self._opening))
 
     def _due(self, fix: int) -> int:
-        """The communication point of a fix."""
+        """Return the communication point of a fix."""
         return math.ceil(fix / (self.sensor.rate * self.step) - 1e-9)
 
     def _draw(self) -> list[float] | None:
-        """The errors of a fix; None where it is lost. What is drawn does not hang on what is lost."""
+        """Return the errors of a fix, or None for a lost one.
+
+        Errors are drawn for lost fixes too, so that losses do not change them.
+        """
         errors = [bias + scale * rng.standard_normal() for rng, scale, bias in self._noise]
         return None if self._lost.random() < self.sensor.dropout else errors
 

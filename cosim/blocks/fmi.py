@@ -1,4 +1,4 @@
-"""The calls that run an FMU, in one shape for every version and way; FMPy's classes make them.
+"""Calls of an FMU in a common form for all versions and interfaces, made through FMPy's classes.
 
 Order: load, instantiate, prepare, (start values), enter, (values)*, leave, (values, step, values)*, terminate, free.
 """
@@ -26,20 +26,20 @@ STEP1 = ctypes.CFUNCTYPE(INT, REFERENCE, DOUBLE, DOUBLE, ctypes.c_char)
 STEP2 = ctypes.CFUNCTYPE(INT, REFERENCE, DOUBLE, DOUBLE, INT)
 STEP3 = ctypes.CFUNCTYPE(INT, REFERENCE, DOUBLE, DOUBLE, BOOLEAN, *[REFERENCE] * 4)
 Step = Callable[[Any, float, float, int], int]
-AtOnce = tuple[Callable[[], int], ctypes.c_double, ctypes.c_double]  # and the cells of t and h
+AtOnce = tuple[Callable[[], int], ctypes.c_double, ctypes.c_double]  # with the cells of t and h
 Listen = Callable[[int, bytes | None], None]  # status and message
 Logger = Callable[[Any, bytes | None, int, Any, bytes | None], None]  # environment, instance, status, category, message
-_listening: dict[str, Callable[[], Listen | None]] = {}  # instance name → who listens for it, while it is there
+_listening: dict[str, Callable[[], Listen | None]] = {}  # instance name → weak reference to its listener
 
 
 class Calls(ABC):
-    """What a version and a way have in common."""
+    """Calls common to all versions and interfaces."""
 
     prefix = "fmi2"
     way: Way = "co-simulation"
     exchange: Any = EXCHANGE
     step: Any = STEP2
-    readable_before_start = True  # values may be read while initializing
+    readable_before_start = True  # whether values are readable during initialization
 
     def __init__(self, name: str, description: Any) -> None:
         self.name, self.description = name, description
@@ -49,13 +49,13 @@ class Calls(ABC):
 
     @property
     def identifier(self) -> str:
-        """The modelIdentifier of the way."""
+        """Return the modelIdentifier of the interface."""
         part = self.description.coSimulation if self.way == "co-simulation" else self.description.modelExchange
         return str(part.modelIdentifier)
 
     def load(self, folder: Path, library: Path) -> None:
-        """Load the library; bare Exceptions where that fails."""
-        # FMPy derives the library's path from the identifier, and uses it for nothing else but in FMI 1.0
+        """Load the library; failures raise bare Exceptions."""
+        # FMPy derives the library's path from the identifier, and uses the identifier otherwise only in FMI 1.0.
         self.fmu = self._class()(
             guid=self.description.guid,
             modelIdentifier=library.stem,
@@ -65,22 +65,22 @@ class Calls(ABC):
 
     @abstractmethod
     def _class(self) -> Any:
-        """FMPy's class."""
+        """Return FMPy's class for the FMU."""
 
     def instantiate(self, listen: Listen, logging: bool) -> None:
         """Make the instance."""
         self.fmu.instantiate(callbacks=_callbacks2(_routed(self.name, listen)), loggingOn=logging)
 
     def limit_logging(self) -> None:
-        """Of the FMU's debug categories keep those that tell what went wrong."""
-        wanted = ("warning", "error", "fatal", "discard", "logall")  # the last for pythonfmu, silent without it
+        """Limit debug logging to categories about problems."""
+        wanted = ("warning", "error", "fatal", "discard", "logall")  # pythonfmu is silent without logall
         names = [c.name for c in self.description.logCategories]
         kept = [name for name in names if any(word in name.lower() for word in wanted)]
         if kept and len(kept) < len(names):
             self.fmu.setDebugLogging(True, kept)
 
     def prepare(self) -> None:
-        """Before start values: the experiment is told."""
+        """Announce the experiment before start values are set."""
         self.fmu.setupExperiment(tolerance=self.tolerance, startTime=self.start_time, stopTime=self.stop_time)
 
     def enter(self) -> None:
@@ -88,41 +88,41 @@ class Calls(ABC):
         self.fmu.enterInitializationMode()
 
     def leave(self) -> None:
-        """End initialization; it may step from now on."""
+        """End initialization."""
         self.fmu.exitInitializationMode()
 
     def bare(self, prototype: Any, name: str) -> Any:
-        """A function of the library without FMPy's checks and copies."""
+        """Return a library function without FMPy's checks and copies."""
         function = getattr(self.fmu.dll, self.symbol(name))
         return prototype(ctypes.cast(function, ctypes.c_void_p).value)
 
     def untyped(self, symbol: str) -> Any:
-        """A function of the library that takes C's own types, made before, and so converts none."""
+        """Return a library function for prepared C arguments."""
         function = ctypes.cast(getattr(self.fmu.dll, symbol), ctypes.c_void_p)
         return ctypes.CFUNCTYPE(INT)(function.value or 0)
 
     def at_once(self, component: Any) -> AtOnce | None:
-        """What makes a step of the instance from one cell over another, where that is a single call."""
+        """Return a single-call step with its cells, if possible."""
         return None
 
     def symbol(self, name: str) -> str:
-        """Name of a function in the library."""
+        """Return the name of a function in the library."""
         return f"{self.prefix}{name}"
 
     def bare_step(self) -> Any:
-        """The library's function that makes a step."""
+        """Return the library's step function."""
         return self.bare(self.step, "DoStep")
 
     @abstractmethod
     def stepping(self) -> Step:
-        """What makes a step of the instance from t over h and returns a status."""
+        """Return a function of (component, t, h, flag) → status."""
 
     def inputs_changed(self, take: Callable[[], None]) -> None:
-        """Inputs are not what they were: let them be taken."""
+        """Apply changed inputs by calling `take`."""
         take()
 
     def ended(self, t: float) -> float | None:
-        """The time to which the FMU came, where it discarded a step in order to end the simulation."""
+        """Return the end time if the FMU discarded a step to end."""
         return None
 
 
@@ -149,7 +149,7 @@ class CoSimulation2(Calls):
         try:
             if not self.fmu.getBooleanStatus(TERMINATED):
                 return None
-        except Exception:  # the function is optional
+        except Exception:  # The function is optional.
             return None
         try:
             return max(t, float(self.fmu.getRealStatus(LAST_SUCCESSFUL)))
@@ -158,7 +158,7 @@ class CoSimulation2(Calls):
 
 
 class Version1(Calls):
-    """The calls of FMI 1.0: one call initializes, and values are read only after it."""
+    """Calls of FMI 1.0: a single call initializes, and values are readable only afterwards."""
 
     prefix = "fmi"
     readable_before_start = False
@@ -166,7 +166,7 @@ class Version1(Calls):
     def load(self, folder: Path, library: Path) -> None:
         self.fmu = self._class()(
             guid=self.description.guid,
-            modelIdentifier=self.identifier,  # which the names of the functions begin with
+            modelIdentifier=self.identifier,  # prefix of the function names
             unzipDirectory=str(folder),
             instanceName=self.name,
             libraryPath=str(library),
@@ -176,10 +176,10 @@ class Version1(Calls):
         self.fmu.instantiate(functions=_callbacks1(listen), loggingOn=logging)
 
     def limit_logging(self) -> None:
-        """FMI 1.0 has no categories."""
+        """Do nothing; FMI 1.0 has no categories."""
 
     def enter(self) -> None:
-        """FMI 1.0 has no initialization mode."""
+        """Do nothing; FMI 1.0 has no initialization mode."""
 
     def symbol(self, name: str) -> str:
         return f"{self.identifier}_fmi{name}"
@@ -196,7 +196,7 @@ class CoSimulation1(Version1, CoSimulation2):
         return FMU1Slave
 
     def prepare(self) -> None:
-        """FMI 1.0 is told when it is initialized."""
+        """Do nothing; FMI 1.0 gets the experiment at initialization."""
 
     def leave(self) -> None:
         self.fmu.initialize(tStart=self.start_time, stopTime=self.stop_time)
@@ -223,7 +223,7 @@ class CoSimulation3(Calls):
         self.fmu.instantiate(loggingOn=logging, logMessage=lambda _, status, category, message: listen(status, message))
 
     def prepare(self) -> None:
-        """FMI 3.0 is told when it enters initialization mode."""
+        """Do nothing; FMI 3.0 gets the experiment in `enter`."""
 
     def enter(self) -> None:
         self.fmu.enterInitializationMode(tolerance=self.tolerance, startTime=self.start_time, stopTime=self.stop_time)
@@ -231,7 +231,7 @@ class CoSimulation3(Calls):
     def stepping(self) -> Step:
         step = self.bare_step()
         event, terminate, early, last = BOOLEAN(), BOOLEAN(), BOOLEAN(), DOUBLE()
-        flags = tuple(ctypes.byref(flag) for flag in (event, terminate, early, last))  # which keep what they point to
+        flags = tuple(ctypes.byref(flag) for flag in (event, terminate, early, last))  # keep their targets alive
 
         def do_step(component: Any, t: float, h: float, _: int) -> int:
             status = int(step(component, t, h, True, *flags))
@@ -244,12 +244,15 @@ class CoSimulation3(Calls):
 
 
 def ended(name: str, reached: float) -> EndedEarly:
-    """What tells that an FMU of FMI 3.0 has ended the simulation."""
+    """Return the error of an ended FMI 3.0 simulation."""
     return EndedEarly(name, reached, "the FMU ended the simulation", readable=True)
 
 
 def _routed(name: str, listen: Listen) -> Logger:
-    """A logger that hands messages to the instance they name: pythonfmu gives all of a process to that made last."""
+    """Return a logger that routes messages by instance name.
+
+    pythonfmu sends all messages of a process to the instance made last.
+    """
     _listening[name] = weakref.WeakMethod(listen)
 
     def logger(_: Any, named: bytes | None, status: int, category: Any, message: bytes | None) -> None:
@@ -282,7 +285,7 @@ def _callbacks1(listen: Listen) -> Any:
 
 def _formatting(callbacks: Any) -> Any:
     try:
-        from fmpy.logging import addLoggerProxy  # formats the variadic arguments of C
+        from fmpy.logging import addLoggerProxy  # formats C's variadic arguments
     except ImportError:
         return callbacks
     addLoggerProxy(ctypes.byref(callbacks))

@@ -1,4 +1,4 @@
-"""The types of FMI: by which functions their values are moved, and which values they hold."""
+"""FMI types: their access functions and ranges of values."""
 
 from __future__ import annotations
 
@@ -14,12 +14,14 @@ EXACT_IN_A_DOUBLE = 2**53
 
 @dataclass(frozen=True)
 class Kind:
-    """A type as C has it.
+    """An FMI type in C.
 
-    function:  its functions are fmi2Get… and fmi2Set… of this
-    low, high: the whole numbers that it holds; None of one that holds others
-    beside:    values that no double holds exactly, so they stand beside the row of doubles
-    largest:   of one that holds no whole numbers, the largest amount
+    Attributes:
+        function: Suffix of its functions fmi2Get… and fmi2Set….
+        low: Smallest whole number; None for types beyond whole numbers.
+        high: Largest whole number, or None.
+        beside: Whether values are stored beside the row, because doubles cannot hold them exactly.
+        largest: Largest magnitude of a type without `low` and `high`.
     """
 
     function: str
@@ -30,7 +32,11 @@ class Kind:
     largest: float = math.inf
 
     def encoded(self, value: Any) -> Any:
-        """A value as C takes it; ValueError where it is outside the type."""
+        """Return a value for C.
+
+        Raises:
+            ValueError: The value is outside the type.
+        """
         if self.function == "String":
             return value.encode() if isinstance(value, str) else value
         if self.low is None or self.high is None:
@@ -77,9 +83,9 @@ FAMILIES = {
     "Boolean": "boolean",
     "String": "text",
     "Binary": "binary",
-    "": "number",  # of a reference or a recording: it fits where its values do
+    "": "number",  # of a reference or a recording; fits if its values do
 }
-FLOWS = {  # a signal goes where none of its values is lost
+FLOWS = {  # allowed connections: no value may be lost
     "real": {"real"},
     "whole": {"whole", "real"},
     "boolean": {"boolean", "whole", "real"},
@@ -90,20 +96,21 @@ FLOWS = {  # a signal goes where none of its values is lost
 
 
 def kinds_of(version: str) -> dict[str, Kind]:
-    """Types of an FMI version by their name in the description; what is missing, such as Clock, is not supported."""
+    """Return an FMI version's supported types by name."""
     return FMI1 if version == "1.0" else FMI2 if version == "2.0" else FMI3
 
 
 def goes(source: str, target: str) -> bool:
-    """An output of one type may be connected to an input of the other."""
+    """Return whether an output type may feed an input type."""
     return FAMILIES.get(target) in FLOWS.get(FAMILIES.get(source, "?"), ())
 
 
 class Exchange:
-    """Variables of one type, read or written in one call.
+    """Variables of a type, read or written in a single call.
 
-    names:  of their scalars: an array of FMI 3.0 has several
-    places: where these stand, in the row or beside it
+    Attributes:
+        names: Names of the scalars; an array of FMI 3.0 has several.
+        places: Their places in the row or beside the row.
     """
 
     def __init__(self, kind: Kind, variables: Sequence[Any]) -> None:
@@ -115,20 +122,28 @@ class Exchange:
         self.places = slice(0, 0)
 
     def arguments(self, fmi3: bool, address: int | None = None) -> tuple[Any, ...]:
-        """What FMI's functions take behind the instance: on this buffer, or on the one at `address`."""
+        """Return the arguments after the instance of an FMI function.
+
+        Args:
+            address: Address of the values; None for the own buffer.
+        """
         where = ctypes.addressof(self.buffer) if address is None else address
         given = (ctypes.addressof(self.vrs), len(self.vrs), where)
         return (*given, self.count) if fmi3 else given
 
     def decoded(self) -> list[Any]:
-        """What the FMU has written to the buffer."""
+        """Return the values in the buffer."""
         values: list[Any] = self.buffer[:]
         if self.kind.function == "String":
             return [(value or b"").decode("utf-8", "replace") for value in values]
         return values
 
     def encode(self, values: Sequence[Any]) -> None:
-        """Put values into the buffer; ValueError, with the name of the variable, where one is outside the type."""
+        """Put values into the buffer.
+
+        Raises:
+            ValueError: A value is outside the type; the message names the variable.
+        """
         for k, (name, value) in enumerate(zip(self.names, values, strict=True)):
             try:
                 self.buffer[k] = self.kind.encoded(value)
@@ -137,7 +152,7 @@ class Exchange:
 
 
 def element_names(variable: Any) -> list[str]:
-    """Names of a variable's scalars: itself, or `name[1,2]` for each element of an array."""
+    """Return the names of a variable's scalars. An array has `name[1,2]` for each element."""
     if not variable.shape:
         return [variable.name]
     indices = itertools.product(*(range(1, n + 1) for n in variable.shape))

@@ -1,7 +1,7 @@
 """An FMU as a component, loaded by FMPy and stepped without copies.
 
-FMPy reads, checks, loads and instantiates; in the loop its wrappers give way to the bare functions of
-the library. The life of its instance is in instance.py, the moving of its values in values.py.
+FMPy reads, checks, loads and instantiates; the loop calls the bare functions of the library. See instance.py for the
+life cycle and values.py for the transfer of values.
 """
 
 from __future__ import annotations
@@ -49,15 +49,16 @@ FOUND: dict[tuple[str, Way], type[Calls]] = {
 
 
 class FmuBlock:
-    """One FMU instance.
+    """An FMU instance as a component.
 
-    connected: names of the inputs that are fed; the others keep their start values
-    way:       co-simulation or model exchange; None takes what the FMU offers, co-simulation first
-    tolerance: relative, for its solver; None takes that of its default experiment
-    recorded:  names of further variables that are read at every communication point
-    logging:   its debug messages are asked for
-    solver:    of model exchange
-    compiles:  its sources may be compiled where it has no library for this platform; None: as `compiling` allows now
+    Args:
+        connected: Names of connected inputs; the rest keep their start values.
+        way: Co-simulation or model exchange; None prefers co-simulation.
+        tolerance: Relative tolerance of the solver; None for the default experiment's.
+        recorded: Names of further variables to record at every communication point.
+        logging: Whether debug logging is on.
+        solver: Solver for model exchange.
+        compiles: Whether sources may be compiled for a missing library; None for the current permission.
     """
 
     def __init__(
@@ -93,7 +94,7 @@ class FmuBlock:
         if isinstance(self._calls, ModelExchange2):
             self._calls.solver_name = solver
         self.instance = Instance(path, self._calls, logging=logging, compiles=compiles)
-        # of ours, and others by pythonfmu: a replay of a run takes the same steps, and repeats it bit for bit
+        # With equal steps, a replay of a run of pythonfmu's FMUs repeats the run bit for bit.
         self.nominal_step = self.instance.by_pythonfmu
         self._variables = {v.name: v for v in description.modelVariables}
         self._ports = ports = Ports(description, connected, recorded, self._optional(connected | start.keys()))
@@ -102,20 +103,24 @@ class FmuBlock:
         self._values = Values(self.instance, ports)
 
     def __reduce__(self) -> tuple[Callable[..., FmuBlock], tuple[Any, ...]]:
-        """Another process makes its own of the same."""
+        """Return a recipe for a new instance in another process."""
         return self._made_of
 
     def started_from(self, start: Mapping[str, Any], unpacked: Path | None = None) -> FmuBlock:
-        """Another instance, with these start values; `unpacked`: where the FMU lies already, which stays as it is."""
+        """Return another instance with other start values.
+
+        Args:
+            unpacked: Folder of the already unpacked FMU, left unchanged.
+        """
         make, (name, path, description, _, connected) = self._made_of
         block = make(name, path, description, start, connected)
         block.instance.place = unpacked
         return block
 
-    # -- what it says of itself ---------------------------------------------------------------
+    # -- description ---------------------------------------------------------------
 
     def _optional(self, given: frozenset[str]) -> frozenset[str]:
-        """Inputs without a source or a value that the FMU says need none; only FMUs of ours say so."""
+        """Return optional inputs without source or value. Only FMUs of cosim declare optional inputs."""
         free = {v.name for v in self.description.modelVariables if v.causality == "input"} - given
         return optional_inputs(self.path) & free if free and self.description.author == AUTHOR else frozenset()
 
@@ -128,7 +133,10 @@ class FmuBlock:
 
     @cached_property
     def _needed(self) -> tuple[frozenset[int], bool]:
-        """Variables, by their id, on which some output depends, and whether every output says on which."""
+        """Return ids of variables feeding outputs, and completeness.
+
+        Completeness means declared dependencies for every output.
+        """
         return self._needed_for(None)
 
     def _needed_for(self, outputs: Collection[str] | None) -> tuple[frozenset[int], bool]:
@@ -140,12 +148,12 @@ class FmuBlock:
         return frozenset(id(v) for needed in known if needed is not None for v in needed), None not in known
 
     def names_any(self, pattern: str) -> bool:
-        """A pattern such as `plant.*` names a variable of it."""
+        """Return whether a pattern such as `plant.*` matches a variable."""
         return any(named(pattern, self.name, name) for name in self._variables)
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What is to be known of the FMU before it runs."""
+        """Return warnings about the FMU before a run."""
         slips = slips_of(self.description)
         found = []
         if slips:
@@ -158,14 +166,14 @@ class FmuBlock:
 
     @property
     def log(self) -> deque[str]:
-        """Its last messages."""
+        """Return the last log messages."""
         return self.instance.log
 
     @log.setter
     def log(self, log: deque[str]) -> None:
         self.instance.log = log
 
-    # -- in order -----------------------------------------------------------------------------
+    # -- call sequence -----------------------------------------------------------------------------
 
     def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
         self._values.bind(row, first, beside, first_beside)
@@ -189,7 +197,7 @@ class FmuBlock:
             calls.prepare()
             values.set(self.start_values)
             calls.enter()
-            # again, for some FMUs (20-sim) forget what they were given before
+            # Some FMUs (20-sim) forget start values set before initialization.
             values.set({n: v for n, v in self.start_values.items() if self._given_again(n)})
         if calls.readable_before_start:
             for exchange in self._ports.inward:
@@ -229,7 +237,7 @@ class FmuBlock:
         instance.time = t + h
 
     def change(self, values: Mapping[str, Any]) -> None:
-        """Set tunable parameters and inputs while it runs."""
+        """Set tunable parameters and inputs during a run."""
         with self.instance.failing():
             self._calls.inputs_changed(lambda: self._values.set(values))
         for exchange in self._ports.unfed:
@@ -239,7 +247,7 @@ class FmuBlock:
         self.instance.free()
         self.instance.remove()
 
-    # -- a step at once -----------------------------------------------------------------------
+    # -- fast step -----------------------------------------------------------------------
 
     def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
         step, straight = self._calls.at_once(self.instance.component), self._values.straight
@@ -250,7 +258,10 @@ class FmuBlock:
     def _bare_stepping(
         self, step: AtOnce, straight: tuple[Arguments | None, Arguments], doing: MutableSequence[int], first: int
     ) -> Callable[[float, float], None]:
-        """As `in_turn` of values that go straight between FMU and row: all looked up, every argument made before."""
+        """Return a faster `in_turn` for values moved without conversion.
+
+        All functions and arguments are prepared beforehand.
+        """
         instance, values = self.instance, self._values
         judge, setter, getter, step_name = instance.judge, values.setter, values.getter, instance.step_name
         given, asked = straight
@@ -279,14 +290,14 @@ class FmuBlock:
         return once
 
     def _ready(self, symbol: str, arguments: Arguments) -> Callable[[], int]:
-        """A function of the library with the instance and these arguments, made once."""
+        """Return a library function bound to prepared arguments."""
         component = ctypes.c_void_p(self.instance.component)
         return partial(self._calls.untyped(symbol), component, *self._ports.straight(arguments))
 
     # -- stepped by C -------------------------------------------------------------------------
 
     def slot(self) -> Slot | str:
-        """Itself for C, from now on; or why not."""
+        """Return the slot for the C loop, or the reason for none."""
         version = {CoSimulation2: 2, CoSimulation3: 3}.get(type(self._calls), 0)
         if self.nominal_step:
             return f"{self.name} is made of Python, by pythonfmu"
@@ -297,12 +308,19 @@ class FmuBlock:
         return fmu_slot(version, self._calls.bare_step(), self.instance.component, *moves, self.instance.time)
 
     def came_to(self, t: float) -> None:
-        """C has stepped it to `t` [s]; raises what stopped this process while the FMU spoke."""
+        """Note the time [s] after C steps; raise a pending stop."""
         self.instance.time = t
         self.instance.raise_stopped()
 
     def tell(self, why: Why, plan: Plan, slot: Slot) -> None:
-        """What C met, as if it had been met here: SimulationError, EndedEarly; nothing of a warning."""
+        """Raise the error behind a return of the C loop.
+
+        Warnings are only logged.
+
+        Raises:
+            SimulationError: A call or value is faulty.
+            EndedEarly: The FMU ended the simulation.
+        """
         if why == Why.TERMINATED:
             raise ended(self.name, slot.reached)
         if plan.called == ADVANCE and why not in (Why.NOT_FINITE, Why.UNFIT):

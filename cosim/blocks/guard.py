@@ -1,4 +1,4 @@
-"""Keeps what others made from doing harm while it is read, and their tools' words from reaching the user raw."""
+"""Protection against harmful or malformed FMUs, and plain messages for errors of foreign tools."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from typing import Any
 from cosim.base.errors import FmuError
 from cosim.storage.archive import BadArchive, check_archive, check_identifier
 
-WRAPPED = re.compile(r"Fatal py exception encountered: \[\w+\] \w+ (?P<kind>\w+)\((?P<text>.*?),?\)$")  # pythonfmu's
+# form of pythonfmu's exceptions
+WRAPPED = re.compile(r"Fatal py exception encountered: \[\w+\] \w+ (?P<kind>\w+)\((?P<text>.*?),?\)$")
 EXPERIMENT, BOUNDS = ("startTime", "stopTime", "stepSize", "tolerance"), ("min", "max")
 CONVERSION = ("kg", "m", "s", "A", "K", "mol", "cd", "rad", "factor", "offset")
 PLAIN = ("RuntimeError", "ValueError", "ArithmeticError", "Exception")
 
 
 def check_fmu_file(path: Path) -> None:
-    """FmuError where the archive would fill the disk, leave its folder, or is none."""
+    """Raise FmuError for a missing or dangerous archive."""
     try:
         check_archive(path)
     except BadArchive as error:
@@ -27,7 +28,7 @@ def check_fmu_file(path: Path) -> None:
 
 
 def reason_of(error: Exception) -> str:
-    """Why FMPy does not take a description, in a line, without the names of Python."""
+    """Return FMPy's reason in a line, without Python terms."""
     if isinstance(error, (TypeError, AttributeError, LookupError, UnboundLocalError, ArithmeticError)):
         return "its modelDescription.xml lacks what FMI demands, or has it in the wrong place"
     if isinstance(error, ValueError):
@@ -36,7 +37,7 @@ def reason_of(error: Exception) -> str:
 
 
 def check_identifiers(path: Path, description: Any) -> None:
-    """FmuError where the name of a library leads out of the FMU."""
+    """Raise FmuError if a library name leads outside the FMU."""
     try:
         for way in filter(None, (description.coSimulation, description.modelExchange)):
             check_identifier(way.modelIdentifier)
@@ -45,7 +46,7 @@ def check_identifiers(path: Path, description: Any) -> None:
 
 
 def check_numbers(path: Path, description: Any) -> None:
-    """FmuError where a description that breaks the schema has text in place of a number that is used here."""
+    """Raise FmuError for text in place of a needed number. Only descriptions with schema violations need this check."""
     for whole, what, value in _numbers(description):
         try:
             int(value) if whole else float(value)
@@ -55,7 +56,7 @@ def check_numbers(path: Path, description: Any) -> None:
 
 
 def _numbers(description: Any) -> Iterator[tuple[bool, str, Any]]:
-    """Whether it is whole, what it is, and itself, of each number that is there."""
+    """Yield each number as (is whole, description, value)."""
     of_parts: list[tuple[str, Any, tuple[str, ...]]] = []
     of_parts.append(("its default experiment", description.defaultExperiment, EXPERIMENT))
     for unit in description.unitDefinitions:
@@ -73,7 +74,7 @@ def _numbers(description: Any) -> Iterator[tuple[bool, str, Any]]:
 
 
 def without_wrapping(words: str) -> str:
-    """What an exception in an FMU made of Python says, without how pythonfmu and the interpreter wrap it."""
+    """Return a Python exception's message without pythonfmu's wrapping."""
     wrapped = WRAPPED.match(words)
     if wrapped is None:
         return words
@@ -82,7 +83,7 @@ def without_wrapping(words: str) -> str:
 
 
 def validation(path: Path) -> list[str]:
-    """What FMPy's validation says of the names of variables and of the model structure."""
+    """Return FMPy's findings on variable names and model structure."""
     import fmpy
     from fmpy.model_description import ValidationError
 

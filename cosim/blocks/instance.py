@@ -1,4 +1,4 @@
-"""The life of one instance of an FMU: unpacked, loaded and freed; what it says, and what its statuses mean."""
+"""Life cycle of an FMU instance: unpacking, loading, messages, status values and freeing."""
 
 from __future__ import annotations
 
@@ -27,18 +27,19 @@ from cosim.storage.archive import unpack
 
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 WARNING, DISCARD, FATAL = 1, 2, 4
-KEPT_MESSAGES, LONGEST_MESSAGE = 50, 1000  # of a talkative FMU, the last ones; characters
+KEPT_MESSAGES, LONGEST_MESSAGE = 50, 1000  # last messages kept of a talkative FMU, and characters of each
 
 
 class Instance:
-    """One instance, and the folder in which its FMU lies unpacked.
+    """An FMU instance and the folder of its unpacked FMU.
 
-    fmu:       FMPy's object, None while there is none and after Fatal; `component` is C's
-    log:       its last messages, and what is to be known of it beside them
-    time:      to which it came [s], for messages
-    place:     where the FMU lies unpacked already, which stays as it is
-    logging:   its debug messages are asked for
-    compiles:  its sources may be compiled where it has no library for this platform
+    Attributes:
+        fmu: FMPy's object, None before loading and after Fatal; `component` is C's pointer.
+        log: Last messages and warnings.
+        time: Reached time [s], for messages.
+        place: Folder of the already unpacked FMU, left unchanged.
+        logging: Whether debug logging is on.
+        compiles: Whether sources may be compiled for a missing library.
     """
 
     def __init__(self, path: Path, calls: Calls, *, logging: bool = False, compiles: bool = False) -> None:
@@ -55,12 +56,17 @@ class Instance:
         self._logging, self._compiles = logging, compiles
         self._folder: Path | None = None
         self._stopped: BaseException | None = None
-        self._words = ""  # its last message
+        self._words = ""  # last message
 
-    # -- life ---------------------------------------------------------------------------------
+    # -- life cycle ---------------------------------------------------------------------------------
 
     def load(self) -> None:
-        """Unpack the FMU where that is to be done, load its library, make the instance. FmuError, DiskFull."""
+        """Unpack the FMU if necessary, load it and make the instance.
+
+        Raises:
+            FmuError: The library does not load.
+            DiskFull: No space is left to unpack.
+        """
         folder = self._folder or self._unpacked()
         here, self._words = os.getcwd(), ""
         try:
@@ -68,20 +74,20 @@ class Instance:
             self._load_library(folder, library)
             if warning:
                 self.remember(warning)
-            # pythonfmu gives its reasons to who asks for debugging, and to nobody else
+            # pythonfmu reports its reasons in debug messages only.
             talks = self._logging or self.by_pythonfmu
             self.calls.instantiate(self.listen, talks)
             if talks and not self._logging:
                 self.calls.limit_logging()
-        except Exception as error:  # FMPy raises bare Exceptions; the FMU's own words say more
+        except Exception as error:  # FMPy raises bare Exceptions; the FMU's own message says more.
             raise FmuError(f"{self.path} does not load: {self.last_words() or error}") from None
         finally:
-            os.chdir(here)  # FMPy loads from within the FMU's folder
+            os.chdir(here)  # FMPy changes to the FMU's folder.
         self.fmu, self.component = self.calls.fmu, self.calls.fmu.component
-        let_go_at_exit(folder)  # of what pythonfmu, if it made this FMU, releases twice
+        let_go_at_exit(folder)  # pythonfmu would release its objects twice at exit.
 
     def _library(self, folder: Path) -> tuple[Path, str]:
-        """The library for this platform, compiled where the FMU has none and the user allows it, and a warning."""
+        """Return the library for this platform and a warning. A missing library is compiled from sources if allowed."""
         identifier = self.calls.identifier
         found = library_of(folder, self.description, identifier)
         if found is not None:
@@ -92,10 +98,10 @@ class Instance:
         raise FmuError(no_library(platform_of(self.description), platforms))
 
     def _load_library(self, folder: Path, library: Path) -> None:
-        """Load the library; FmuError with the loader's own text and the cure."""
+        """Load the library; raise FmuError with reason and remedy."""
         try:
             self.calls.load(folder, library)
-        except Exception as error:  # FMPy raises bare Exceptions
+        except Exception as error:  # FMPy raises bare Exceptions.
             raise FmuError(load_error(library, error)) from None
 
     def _unpacked(self) -> Path:
@@ -105,7 +111,7 @@ class Instance:
         try:
             self._folder = folder = Path(tempfile.mkdtemp(prefix="fmu-", dir=process_folder()))
             unpack(self.path, folder)
-        except Exception as error:  # FMPy raises bare Exceptions, zipfile its own
+        except Exception as error:  # FMPy raises bare Exceptions, zipfile its own.
             if is_full(error):
                 full = (
                     f"the disk is full: no room to unpack {self.path.name} in the folder for temporary files (TMPDIR)"
@@ -115,40 +121,43 @@ class Instance:
         return folder
 
     def free(self) -> None:
-        """End and free it; the folder stays."""
+        """Terminate and free the instance; keep the folder."""
         fmu, self.fmu = self.fmu, None
         if fmu is not None:
             try:
                 if self.initialized:
                     fmu.terminate()
-            except Exception as error:  # the run is over; the FMU's refusal is logged, not raised
+            except Exception as error:  # The run is over, so a refusal is logged only.
                 self.log.append(str(error))
             fmu.freeInstance()
         self.initialized = False
 
     def remove(self) -> None:
-        """Delete the folder, if it is its own."""
+        """Delete the folder, unless it is foreign."""
         if self._folder is not None and self._folder != self.place:
             shutil.rmtree(self._folder, ignore_errors=True)
             self._folder = None
 
-    # -- its state ----------------------------------------------------------------------------
+    # -- state ----------------------------------------------------------------------------
 
     @property
     def rolls_back(self) -> bool:
-        """It gives its state away, takes it back, and makes steps of any length."""
+        """Return whether steps can be repeated with other lengths.
+
+        The FMU must save and restore its state and accept steps of any length.
+        """
         about = self.description.coSimulation
         states = getattr(about, "canGetAndSetFMUstate", False) or getattr(about, "canGetAndSetFMUState", False)
         anyhow = about is not None and about.canHandleVariableCommunicationStepSize and sampled_by(self.path) is None
         return bool(states and anyhow and isinstance(self.calls, CoSimulation2 | CoSimulation3))
 
     def saved(self) -> Any:
-        """Its state, to be taken back once."""
+        """Return the state for a single restoration."""
         with self.failing():
             return self.fmu.getFMUState() if self.fmi3 else self.fmu.getFMUstate()
 
     def take_back(self, state: Any) -> None:
-        """Be as it was, and free that state."""
+        """Restore a state and free it."""
         with self.failing():
             if self.fmi3:
                 self.fmu.setFMUState(state)
@@ -157,39 +166,39 @@ class Instance:
                 self.fmu.setFMUstate(state)
                 self.fmu.freeFMUstate(state)
 
-    # -- what it says -------------------------------------------------------------------------
+    # -- messages -------------------------------------------------------------------------
 
     def listen(self, status: int, message: bytes | None) -> None:
-        """A message of the FMU; what is no warning is debugging, kept where it was asked for."""
+        """Keep a message of the FMU; debug messages only on request."""
         try:
             if status >= WARNING or self._logging:
                 self._words = (message or b"").decode("utf-8", "replace")
                 self.remember(self._words)
-        except (KeyboardInterrupt, Terminated) as stop:  # no exception passes through C
+        except (KeyboardInterrupt, Terminated) as stop:  # Exceptions cannot pass through C.
             self._stopped = stop
 
     def raise_stopped(self) -> None:
-        """Raise what was to stop this process while the FMU spoke."""
+        """Raise the stop that arrived during a message."""
         if self._stopped is not None:
             stopped, self._stopped = self._stopped, None
             raise stopped
 
     def remember(self, text: str) -> None:
-        """Keep a message."""
+        """Add a message to the log."""
         text = text[:LONGEST_MESSAGE]
-        if text in self.log:  # a warning at every step is one
+        if text in self.log:  # A repeated warning appears once.
             self.log.remove(text)
         self.log.append(text)
 
     def last_words(self) -> str:
-        """The FMU's last log message, on one line."""
+        """Return the FMU's last message on a single line."""
         return without_wrapping(" ".join(self._words[:LONGEST_MESSAGE].split()))
 
-    # -- what its statuses mean ---------------------------------------------------------------
+    # -- status values ---------------------------------------------------------------
 
     @contextmanager
     def failing(self) -> Iterator[None]:
-        """Tell which of FMPy's calls failed."""
+        """Convert failed FMPy calls to SimulationError."""
         from fmpy.fmi1 import FMICallException
 
         try:
@@ -198,7 +207,10 @@ class Instance:
             self.judge(error.function, error.status)
 
     def stepping(self) -> Step:
-        """What makes a step; of model exchange, which is many calls, the one that failed is told, at its time."""
+        """Return the step function.
+
+        For model exchange, with many calls per step, errors name the failed call and its time.
+        """
         calls, step = self.calls, self.calls.stepping()
         if not isinstance(calls, ModelExchange2):
             return step
@@ -215,9 +227,11 @@ class Instance:
         return judged
 
     def judge(self, function: str, status: int) -> None:
-        """A status that is not OK: a warning is logged, an end that the FMU asked for is told, all else has failed.
+        """Handle a status other than OK; log a warning.
 
-        SimulationError, EndedEarly.
+        Raises:
+            EndedEarly: The FMU ended the simulation by Discard.
+            SimulationError: The call failed.
         """
         if status == WARNING:
             self.remember(f"{function} returned Warning")
@@ -229,11 +243,11 @@ class Instance:
         self._fail(function, status)
 
     def _fail(self, function: str, status: int) -> None:
-        """Tell which call failed and why. After Fatal the instance is not touched again, as FMI demands."""
+        """Raise SimulationError for a failed call. After Fatal the instance is abandoned, as FMI demands."""
         reason = f"{function} returned {STATUS[status] if 0 <= status < len(STATUS) else status}"
         if status == FATAL:
             self.fmu = None
-        if "KeyboardInterrupt" in self.last_words():  # it came while the FMU's Python ran
+        if "KeyboardInterrupt" in self.last_words():  # Ctrl-C arrived while the FMU's Python code ran.
             raise KeyboardInterrupt
         if words := self.last_words():
             reason += f": {words}"

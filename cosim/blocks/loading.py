@@ -1,6 +1,6 @@
-"""Why the library of an FMU does not load: the text of the system's loader, and the cure.
+"""Reasons and remedies for a library that does not load.
 
-The loader says of a library for another processor only that there is no such file, so the header is read first.
+For a library of another processor the loader reports only "no such file", so the header is examined first.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ MAKERS = {"GLIBC": "glibc", "GLIBCXX": "libstdc++", "CXXABI": "libstdc++", "GCC"
 
 
 def load_error(library: Path, error: Exception) -> str:
-    """Return why `library` did not load, by the error that was raised for it, in one line with the cure."""
+    """Return the reason in a line, with the remedy."""
     text = " ".join(str(error).split())
-    text = text.removeprefix(f"Failed to load shared library {library}. ")  # what FMPy puts before it
+    text = text.removeprefix(f"Failed to load shared library {library}. ")  # FMPy's prefix
     text = re.sub(rf"{re.escape(str(library.parent))}/?", "", text)
     reason = header_fault(library)
     if reason is None:
@@ -40,9 +40,9 @@ def load_error(library: Path, error: Exception) -> str:
 
 
 def header_fault(library: Path) -> str | None:
-    """Return why a file cannot be a library of this machine, by its first bytes; None where nothing speaks against it.
+    """Return a misfit of a library file with this machine.
 
-    Only Linux is judged: on other systems the loader's own text is clear.
+    Only Linux files are examined; on other systems the loader's own text is clear.
     """
     if platform.system() != "Linux":
         return None
@@ -92,7 +92,7 @@ def _missing_function(text: str, error: Exception) -> str | None:
     match = SYMBOL.search(text)
     if match is None:
         return None
-    if isinstance(error, AttributeError):  # the library is loaded, and was asked for a function of FMI
+    if isinstance(error, AttributeError):  # The library is loaded, but an FMI function is missing.
         return f"has no function {match['name']}, which FMI demands ({text}); {EXPORT} with a tool that writes it"
     cure = "the FMU was linked without the library that has it: export it again, with that library"
     return f"needs {match['name']}, which no library that it names has ({text}); {cure}"
@@ -107,12 +107,12 @@ def _not_executable(text: str, error: Exception) -> str | None:
 
 
 def _is_without_programs(folder: str) -> bool:
-    """Whether a disk is mounted noexec."""
+    """Return whether the folder's disk is mounted noexec."""
     return hasattr(os, "statvfs") and bool(os.statvfs(folder).f_flag & os.ST_NOEXEC)
 
 
 def _cause(error: Exception) -> BaseException:
-    """Return what FMPy caught before it raised a bare Exception."""
+    """Return the error behind FMPy's bare Exception."""
     return error.__context__ if error.__context__ is not None and type(error) is Exception else error
 
 

@@ -1,7 +1,7 @@
-"""Model exchange: the FMU gives derivatives, a solver integrates them between events, CVODE as in FMPy.
+"""Model exchange: a solver integrates the FMU's derivatives between events, by default CVODE as in FMPy.
 
-Events are of state (an event indicator crosses zero, located by the solver), of time (the FMU names the next one) and
-of step (the FMU asks for one after a step of the solver); inputs that change are one too.
+State events are zero crossings of indicators, located by the solver. Time events are announced by the FMU. Step events
+are requested by the FMU after a solver step. Input changes are events too.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from cosim.blocks.description import Way
 from cosim.blocks.fmi import EXCHANGE3, Calls, CoSimulation3, Listen, Step, Version1
 from cosim.blocks.solvers import Solver, SolverFailed, solver
 
-TOLERANCE = 1e-5  # relative, where nobody says another; FMPy's
-LONGEST = 50  # the solver's steps are at most this part of the whole time, as FMPy's
-MOST_EVENTS = 1000  # updates of discrete states at one time, or events that follow one another at once
-AT_ONCE = 1e-6  # of a communication step, in which so many events are chattering
-CLOSE = 1e-9  # of a communication step: times that are one
-NO_VARIABLE = 2**32 - 1  # the value reference of a state that is no variable, in FMI 1.0
-ULPS = 4  # spacings of doubles, nearer than which CVODE integrates nothing
+TOLERANCE = 1e-5  # relative tolerance by default, as in FMPy
+LONGEST = 50  # largest solver step as a fraction 1/50 of the whole time, as in FMPy
+MOST_EVENTS = 1000  # discrete updates at a time, or immediately consecutive events
+AT_ONCE = 1e-6  # fraction of a communication step; MOST_EVENTS within it is chattering
+CLOSE = 1e-9  # fraction of a communication step below which times are equal
+NO_VARIABLE = 2**32 - 1  # FMI 1.0's value reference of a state without variable
+ULPS = 4  # multiples of the spacing of doubles, too short for CVODE
 
 
 class ModelExchange2(Calls):
@@ -39,7 +39,7 @@ class ModelExchange2(Calls):
         self.solver: Any = None
         self.solver_name: Solver | None = None
         self._started = False
-        self._events: deque[float] = deque(maxlen=MOST_EVENTS)  # times of the last
+        self._events: deque[float] = deque(maxlen=MOST_EVENTS)  # times of the last events
 
     next_event: float | None
 
@@ -50,7 +50,7 @@ class ModelExchange2(Calls):
 
     def prepare(self) -> None:
         self._started, self.solver = False, None
-        self.fmu.setupExperiment(startTime=self.start_time, stopTime=self.stop_time)  # the tolerance is the solver's
+        self.fmu.setupExperiment(startTime=self.start_time, stopTime=self.stop_time)  # tolerance: solver only
 
     def leave(self) -> None:
         self._initialize()
@@ -71,14 +71,14 @@ class ModelExchange2(Calls):
         self.solver.reset(self.time)
 
     def event(self, change: Callable[[], None] | None = None) -> None:
-        """Handle an event at the FMU's own time: change inputs, then update discrete states."""
+        """Handle an event: change inputs, then update discrete states."""
         self._enter_event()
         if change is not None:
             change()
         self.update()
         self._enter_continuous_time()
 
-    # -- the calls in which versions differ -----------------------------------------------------
+    # -- calls that differ between versions -----------------------------------------------------
 
     def _initialize(self) -> None:
         self.fmu.exitInitializationMode()
@@ -90,7 +90,7 @@ class ModelExchange2(Calls):
         self.fmu.enterContinuousTimeMode()
 
     def _completed_step(self) -> tuple[bool, bool]:
-        """Tell the FMU that a step of the solver is done; it asks for an event, or ends the simulation."""
+        """Report a solver step; return requests for event and end."""
         if not self.description.modelExchange.needsCompletedIntegratorStep:
             return False, False
         event, terminate = self.fmu.completedIntegratorStep()
@@ -99,7 +99,7 @@ class ModelExchange2(Calls):
     def _updated(self) -> Any:
         return self.fmu.newDiscreteStates()
 
-    # -- within -------------------------------------------------------------------------------
+    # -- internal -------------------------------------------------------------------------------
 
     def _solver(self) -> Any:
         return solver(
@@ -113,7 +113,7 @@ class ModelExchange2(Calls):
         )
 
     def _step(self, component: Any, t: float, h: float, _: int) -> int:
-        """To the communication point, over as many events as come."""
+        """Integrate to the communication point across all events."""
         end = t + h
         spacing = math.ulp(max(abs(t), abs(end)))
         close = ULPS * spacing + CLOSE * h
@@ -124,7 +124,7 @@ class ModelExchange2(Calls):
             event = self.next_event
             at_event = event is not None and event <= end + close
             target = end
-            if event is not None and at_event:  # one that is all but there is not missed by a spacing
+            if event is not None and at_event:  # An event within rounding of the target is not missed.
                 target = event if event < end - close else max(event, end)
             state_event, self.time = self._integrate(target, ULPS * spacing)
             self.fmu.setTime(self.time)
@@ -136,7 +136,7 @@ class ModelExchange2(Calls):
         return 0
 
     def _integrate(self, target: float, least: float) -> tuple[bool, float]:
-        """To the target or the first event of state before it; nothing over less than `least` [s]."""
+        """Integrate to the target or the first state event. Nothing is integrated over less than `least` [s]."""
         if target - self.time <= least:
             return False, max(self.time, target)
         try:
@@ -146,12 +146,12 @@ class ModelExchange2(Calls):
         return bool(state_event), float(time)
 
     def _told(self, error: SolverFailed) -> str:
-        """Why there is no solution, with the derivative by its name where one is no number."""
+        """Return the solver's reason with the name of the derivative."""
         if error.derivative is None:
             return str(error)
         number, value = error.derivative
         listed = self.description.derivatives
-        single = len(listed) == self.description.numberOfContinuousStates  # no arrays
+        single = len(listed) == self.description.numberOfContinuousStates  # Arrays would break the numbering.
         name = listed[number].variable.name if single else f"number {number + 1}"
         return f"the derivative {name} is {value}, also with the shortest steps of the solver"
 
@@ -164,7 +164,7 @@ class ModelExchange2(Calls):
         self.solver.reset(self.time)
 
     def update(self) -> None:
-        """Update discrete states until they need no more and no event is due, and learn when the next of time is."""
+        """Update discrete states until stable; note the next time event."""
         due: float | None = None
         for _ in range(MOST_EVENTS):
             more, terminate, _, _, defined, time = self._updated()
@@ -176,7 +176,7 @@ class ModelExchange2(Calls):
             if due is None or due > self.time:
                 self.next_event = due
                 return
-            self._enter_continuous_time()  # the event that is due now is one of its own
+            self._enter_continuous_time()  # A time event due now is an event of its own.
             self._enter_event()
         told = f"its discrete states still change after {MOST_EVENTS} updates"
         if due is not None and due <= self.time:
@@ -188,11 +188,11 @@ class ModelExchange2(Calls):
 
 
 class ModelExchange1(Version1, ModelExchange2):
-    """FMI 1.0 model exchange: no modes, and every event is one call, which initialization handles too."""
+    """FMI 1.0 model exchange: no modes, and a single call per event, including initialization."""
 
     def __init__(self, name: str, description: Any) -> None:
         super().__init__(name, description)
-        self._first: Any = None  # what initialization says of discrete states
+        self._first: Any = None  # event information from the initialization
 
     def _class(self) -> Any:
         from fmpy.fmi1 import FMU1Model
@@ -207,13 +207,13 @@ class ModelExchange1(Version1, ModelExchange2):
         self._first = self.fmu.initialize()
 
     def _enter_event(self) -> None:
-        """FMI 1.0 has no modes."""
+        """Do nothing; FMI 1.0 has no modes."""
 
     def _enter_continuous_time(self) -> None:
-        """FMI 1.0 has no modes."""
+        """Do nothing; FMI 1.0 has no modes."""
 
     def _completed_step(self) -> tuple[bool, bool]:
-        return self.fmu.completedIntegratorStep(), False  # FMI 1.0 demands it of every host
+        return self.fmu.completedIntegratorStep(), False  # FMI 1.0 demands this call of every host.
 
     def _updated(self) -> Any:
         first, self._first = self._first, None
@@ -221,12 +221,12 @@ class ModelExchange1(Version1, ModelExchange2):
         return (not converged, more[2], more[0], more[1], *more[3:])
 
     def state_references(self) -> list[int]:
-        """Return the value reference of each continuous state, which FMI 1.0 tells at run time only, if at all."""
+        """Return the value references of the continuous states. FMI 1.0 declares them at run time only, if at all."""
         from fmpy.fmi1 import FMICallException
 
         count = self.description.numberOfContinuousStates
         references = (ctypes.c_uint * count)(*[NO_VARIABLE] * count)
-        with contextlib.suppress(FMICallException):  # some exporters do not implement it
+        with contextlib.suppress(FMICallException):  # Some exporters do not implement it.
             self.fmu.getStateValueReferences(references, count)
         return list(references)
 

@@ -1,4 +1,4 @@
-"""Sensor noise on a connection: Gaussian by variance, and bias."""
+"""Sensor noise on a connection: Gaussian noise and bias."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from cosim.base.arrays import Array
 
 
 def stream(seed: int, name: str) -> np.random.Generator:
-    """A random stream of its own for each noise source: adding a source changes no other."""
+    """Return an independent random stream for a noise source. Adding a source does not change the streams of others."""
     key = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "big")
     return np.random.default_rng([seed, key])
 
 
 def samples_of(rng: np.random.Generator, variance: float, bias: float, count: int) -> Array:
-    """`count` samples of bias + √variance·n, n standard normal, in the unit of the signal."""
+    """Return samples of bias + √variance·n in the signal's unit. n is standard normal."""
     samples: Array = bias + np.sqrt(variance) * rng.standard_normal(count)
     return samples
 
 
 def gaussian(rng: np.random.Generator, variance: float, bias: float, count: int) -> array[float]:
-    """The same for a loop over single samples."""
+    """Return the samples of `samples_of` for loops over single values."""
     return array("d", samples_of(rng, variance, bias, count).tobytes())

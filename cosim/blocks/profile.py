@@ -11,15 +11,15 @@ from pydantic import Field, field_validator
 from cosim.base.arrays import Array
 from cosim.storage.yaml_file import Amount, NotNegativeSeconds, Part, PositiveAmount
 
-ROUNDING = 1e-9  # [s] by which a time may be off
+ROUNDING = 1e-9  # tolerance of times [s]
 
 
 class Change(Part):
-    """A reference goes to a value at a time: a step, or a ramp.
+    """Change of a reference at a time: a step or a ramp.
 
     at:   [s]
-    to:   the value
-    rate: slope of a ramp, per second; a step without
+    to:   value after the change
+    rate: slope of a ramp, per second; by default a step
     """
 
     at: NotNegativeSeconds
@@ -28,7 +28,7 @@ class Change(Part):
 
 
 class Profile(Part):
-    """A reference over time: a start value and changes in order.
+    """Reference over time: a start value and ordered changes.
 
     unit:    such as m or deg, which becomes rad
     start:   value before the first change
@@ -49,7 +49,7 @@ class Profile(Part):
 
 
 class ProfileFunction:
-    """Value at a time: the last step, or the point reached on the last ramp (a new change interrupts a ramp)."""
+    """Value of a profile at a time: the last step, or the point on the last ramp; a new change interrupts a ramp."""
 
     def __init__(self, profile: Profile, factor: float) -> None:
         begins = [profile.start]
@@ -59,7 +59,7 @@ class ProfileFunction:
         self.changes = [(change.to, change.rate) for change in profile.changes]
 
     def __call__(self, t: float) -> float:
-        # a time that is a step's time but for rounding belongs to the step
+        # A time within rounding of a step belongs to the step.
         k = bisect.bisect_right(self.times, t + ROUNDING) - 1
         if k < 0:
             return self.factor * self.begins[0]
@@ -67,7 +67,7 @@ class ProfileFunction:
         return self.factor * _reached(self.begins[k], to, rate, t - self.times[k])
 
     def over(self, times: Array) -> Array:
-        """Values at many times in order: each as by itself, to the last bit."""
+        """Return values at ordered times, equal to single calls bit for bit."""
         bounds = [0, *np.searchsorted(times + ROUNDING, self.times).tolist(), len(times)]
         values = np.full(len(times), self.begins[0])
         for k, (to, rate) in enumerate(self.changes):
@@ -82,7 +82,7 @@ class ProfileFunction:
 
 
 def profile_function(profile: Profile, factor: float = 1.0) -> ProfileFunction:
-    """A profile as a function of time, its values times `factor`."""
+    """Return a profile as a function of time, scaled by `factor`."""
     return ProfileFunction(profile, factor)
 
 

@@ -1,4 +1,4 @@
-"""An FMU that is run again and again, and of one of ours the state between its runs."""
+"""An FMU for repeated runs, with access to the state of cosim's own FMUs."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from cosim.fmi.state import Memory, Own, own_of, with_memory
 
 
 class RestartableFmu(FmuBlock):
-    """An FMU that begins again without being unpacked, where it can be reset."""
+    """An FMU that restarts without unpacking, by reset if possible."""
 
     def begin(self, values: Mapping[str, Any], start: float, stop: float) -> None:
-        """Enter initialization at `start` with these start values."""
+        """Enter initialization at `start` with new start values."""
         self.start_values = values
         if self.instance.fmu is None or not self._reset():
             self.instance.free()
@@ -23,11 +23,15 @@ class RestartableFmu(FmuBlock):
         self._begin(start, stop)
 
     def own(self) -> Own:
-        """What decides its future, of an FMU of ours; of another ValueError, KeyError or TypeError."""
+        """Return the state that determines the future.
+
+        Raises:
+            ValueError: The FMU is not cosim's own; KeyError and TypeError likewise.
+        """
         return own_of(self._state())
 
     def remember(self, memory: Memory) -> None:
-        """Put this into the state of an FMU of ours: start values know but a constant past."""
+        """Write a memory into the state of a cosim FMU. Start values alone can express a constant past only."""
         state = with_memory(self._state(), memory)
         with self.instance.failing():
             fmu = self.instance.fmu
@@ -48,11 +52,11 @@ class RestartableFmu(FmuBlock):
         return traits_of(self.path) is not None
 
     def _reset(self) -> bool:
-        """Of an FMU of ours: others (20-sim) return OK and stand still afterwards."""
+        """Reset a cosim FMU; return False for others. Some FMUs (20-sim) return OK but stand still afterwards."""
         if not self._ours:
             return False
         try:
             self.instance.fmu.reset()
-        except Exception:  # FMPy raises bare Exceptions; what cannot be reset is opened anew
+        except Exception:  # FMPy raises bare Exceptions; without reset the FMU is loaded again.
             return False
         return True

@@ -1,4 +1,4 @@
-"""Solvers for model exchange: CVODE as FMPy brings it, and scipy's solve_ivp."""
+"""Solvers for model exchange: CVODE from FMPy and solve_ivp from scipy."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ DISCARD = 2
 DOUBLES = ctypes.POINTER(ctypes.c_double)
 Solver = Literal["cvode", "solve_ivp"]
 TOO_MUCH_WORK, NO_STEP, TOO_CLOSE = -1, -3, -27
-REFUSALS = 10  # of derivatives, which explain that a solver gets no further
-FAILURES = {  # CVODE's, by its codes, and what helps
+REFUSALS = 10  # discarded derivatives that explain a stuck solver
+FAILURES = {  # CVODE's error codes with remedies
     TOO_MUCH_WORK: "CVODE does not come to the next communication point in 500 steps of its own: shorten the step, or "
     "see whether a state grows without bound",
     -2: "CVODE cannot reach the tolerance, as doubles are not that exact; loosen it",
@@ -23,7 +23,10 @@ FAILURES = {  # CVODE's, by its codes, and what helps
 
 
 def solver(name: Solver | None, fmu: Any, **settings: Any) -> Any:
-    """The solver of this name; without one CVODE, and solve_ivp where FMPy has no CVODE for this platform."""
+    """Return the named solver; by default CVODE, else solve_ivp.
+
+    solve_ivp replaces CVODE on platforms for which FMPy has none.
+    """
     if name == "solve_ivp":
         return SolveIvp(fmu, **settings)
     try:
@@ -35,14 +38,18 @@ def solver(name: Solver | None, fmu: Any, **settings: Any) -> Any:
 
 
 class Held:
-    """Inputs as FMPy's solver asks for them: they are held over a communication step."""
+    """Inputs in the form of FMPy's solver, held over a communication step."""
 
     def apply(self, time: float) -> None:
-        """Nothing changes."""
+        """Do nothing."""
 
 
 class SolverFailed(Exception):
-    """There is no solution to the target; `derivative`: number and value of one that is no number."""
+    """A failure to reach the target time.
+
+    Attributes:
+        derivative: Index and value of a non-finite derivative, if any.
+    """
 
     def __init__(self, reason: str, derivative: tuple[int, float] | None = None) -> None:
         super().__init__(reason)
@@ -50,14 +57,17 @@ class SolverFailed(Exception):
 
 
 def cvode(fmu: Any, *, states: int, indicators: int, start: float, longest: float, tolerance: float) -> Any:
-    """FMPy's CVODE on an FMU, whose failing calls are kept as `failed`: no exception passes through C."""
+    """Return FMPy's CVODE for an FMU.
+
+    Failed FMU calls are stored in `failed`, because exceptions cannot pass through C.
+    """
     from fmpy.fmi1 import FMICallException
     from fmpy.sundials import CVodeSolver
     from fmpy.sundials.nvector_serial import NV_DATA_S
 
     class Guarded(CVodeSolver):  # type: ignore[misc]
         failed: Exception | None = None
-        refused: list[Exception]  # since the step began: where CVODE has to try a shorter one
+        refused: list[Exception]  # errors of this step for which CVODE tries shorter steps
 
         def f(self, t: float, y: Any, ydot: Any, *rest: Any) -> int:
             answer = self._caught(super().f, (t, y, ydot, *rest))
@@ -109,7 +119,7 @@ def cvode(fmu: Any, *, states: int, indicators: int, start: float, longest: floa
 
 
 def _silence(made: Any) -> None:
-    """CVODE prints nothing by itself: what it says is told in `_failure`."""
+    """Silence CVODE's own messages; `_failure` reports them."""
     from fmpy.sundials.libraries import sundials_core
 
     logger = ctypes.c_void_p()
@@ -119,7 +129,7 @@ def _silence(made: Any) -> None:
 
 
 def _failure(said: tuple[int, str, str, str] | None) -> str:
-    """Why CVODE failed, without the places in its source."""
+    """Return CVODE's reason without source locations."""
     if said is None:
         return "CVODE failed"
     code, _, _, message = said
@@ -127,19 +137,19 @@ def _failure(said: tuple[int, str, str, str] | None) -> str:
 
 
 def _not_finite(values: Any) -> tuple[int, float] | None:
-    """Number and value of the first that is no number."""
+    """Return index and value of the first non-finite number."""
     if math.isfinite(sum(values)):
         return None
     return next(((k, v) for k, v in enumerate(values) if not math.isfinite(v)), None)
 
 
 def derivatives_of(fmu: Any) -> Any:
-    """FMI 3.0 has a longer name for it."""
+    """Return the FMU's derivative function of any FMI version."""
     return getattr(fmu, "getContinuousStateDerivatives", None) or fmu.getDerivatives
 
 
 def nominals(fmu: Any, where: Any, count: int) -> None:
-    """Nominal values of the states, above 0; 1 where the FMU knows none, for solvers need some."""
+    """Write positive nominal values of the states; 1 if unknown."""
     named = getattr(fmu, "getNominalsOfContinuousStates", None) or fmu.getNominalContinuousStates  # FMI 1.0
     named(where, count)
     values = ctypes.cast(where, DOUBLES)
@@ -148,7 +158,7 @@ def nominals(fmu: Any, where: Any, count: int) -> None:
 
 
 class SolveIvp:
-    """scipy's solve_ivp (Radau) in the shape of FMPy's solver, where there is no CVODE or it is asked for."""
+    """scipy's solve_ivp (Radau) in the form of FMPy's solver."""
 
     def __init__(
         self, fmu: Any, *, states: int, indicators: int, start: float, longest: float, tolerance: float
@@ -163,13 +173,13 @@ class SolveIvp:
         self.reset(start)
 
     def reset(self, time: float) -> None:
-        """States may have changed."""
+        """Reread nominal values after a change of states."""
         self._nominal = (ctypes.c_double * max(1, self.states))(1.0)
         if self.states:
             nominals(self.fmu, self._at(self._nominal), self.states)
 
     def step(self, t: float, target: float) -> tuple[bool, None, float]:
-        """To the target, or to just behind the first event of state before it."""
+        """Integrate to the target, or just beyond the first state event."""
         if self.states:
             self.fmu.getContinuousStates(self._at(self._x), self.states)
         self.discarded, self.derivative = None, None
@@ -186,7 +196,7 @@ class SolveIvp:
         from scipy.integrate import solve_ivp
 
         try:
-            with np.errstate(all="ignore"):  # of derivatives that are no numbers, which make steps shorter
+            with np.errstate(all="ignore"):  # Non-finite derivatives only shorten the steps.
                 found = solve_ivp(
                     self._right,
                     (t, target),
@@ -201,14 +211,14 @@ class SolveIvp:
             if found.status >= 0:
                 return found
             reason = FAILURES[NO_STEP].replace("CVODE", "solve_ivp")
-        except ValueError as error:  # of a matrix that is not finite
+        except ValueError as error:  # from a non-finite matrix
             reason = f"solve_ivp: {error}"
         if self.discarded is not None:
             raise self.discarded
         raise SolverFailed(reason, self.derivative)
 
     def _behind(self, begin: float, time: float, target: float, solution: Any) -> float:
-        """A time at which the indicator that crosses zero has done so: the root itself may lie before."""
+        """Return a time just after a zero crossing. The located root itself may lie before the crossing."""
         before = self._signs(begin, solution(begin))
         ahead = max(1e-12, 4e-16 * abs(time))
         while time + ahead < target and self._signs(time + ahead, solution(time + ahead)) == before:
@@ -227,7 +237,7 @@ class SolveIvp:
             self.fmu.setContinuousStates(self._at(self._x), self.states)
 
     def _right(self, t: float, x: Any) -> list[float]:
-        """Derivatives; no numbers where the FMU discards, for which Radau tries a shorter step."""
+        """Return the derivatives; NaN if the FMU discards. Radau then tries a shorter step."""
         from fmpy.fmi1 import FMICallException
 
         try:

@@ -1,4 +1,4 @@
-"""Components without inputs: references made of steps and ramps, and recorded columns played back."""
+"""Components without inputs: references of steps and ramps, and playback of recorded columns."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from cosim.storage.table import read_columns
 
 
 class OfTime(Protocol):
-    """A function of time [s]; `over` gives what it gives one by one, for times in order."""
+    """A function of time [s]; `over` equals single calls at ordered times."""
 
     def __call__(self, t: float) -> float:
-        """Value at a time."""
+        """Return the value at a time."""
 
     def over(self, times: Array) -> Array:
-        """Values at many."""
+        """Return the values at many times."""
 
 
 class Source:
-    """Signals that are functions of time."""
+    """Signals given as functions of time."""
 
     nominal_step = True
 
@@ -72,23 +72,23 @@ class Source:
         pass
 
     def slot(self) -> Slot | str:
-        """For C: values that are prepared, `over` the times to which it steps."""
+        """Return the slot for C, with values prepared by `over`."""
         slot = Slot(0, every=1, time=self._t, scalars=len(self.outputs))
         slot.row = ctypes.addressof(self._row) + 8 * self._first
         return slot
 
     def over(self, times: Array) -> Array:
-        """Its signals at many times, a row for each."""
+        """Return the signals at many times, shape (times, signals)."""
         columns = [function.over(times) for function in self.functions]
         return np.ascontiguousarray(np.transpose(columns)) if columns else np.zeros((len(times), 0))
 
     def came_to(self, t: float) -> None:
-        """C has stepped it to `t` [s]."""
+        """Note the time [s] after C steps."""
         self._t = t
 
 
 def reference(name: str, profiles: Mapping[str, Profile]) -> Source:
-    """References from profiles; degrees become radians."""
+    """Return references from profiles; degrees become radians."""
     signals = {}
     for signal, profile in profiles.items():
         unit, factor = computed_in(profile.unit)
@@ -97,10 +97,15 @@ def reference(name: str, profiles: Mapping[str, Profile]) -> Source:
 
 
 def playback(name: str, path: Path, names: Collection[str] = ()) -> Source:
-    """Columns of a CSV file whose first column is `time`; header cells are `name` or `name [unit]`.
+    """Return the columns of a CSV file as signals.
 
-    names: that connections use, so that brackets in them are no unit; others are left out where one is no number
-    Degrees become radians; InputError with every fault of the file.
+    The first column is `time`; header cells are `name` or `name [unit]`. Degrees become radians.
+
+    Args:
+        names: Names used by connections, whose brackets are not units. Other columns with non-numbers are ignored.
+
+    Raises:
+        InputError: The file has faults; it lists all of them.
     """
     table = read_columns(path, names)
     times, signals = table.values["time"], {}
@@ -111,7 +116,7 @@ def playback(name: str, path: Path, names: Collection[str] = ()) -> Source:
 
 
 class Recorded:
-    """The last value recorded at or before a time; before all of them the first."""
+    """Last recorded value at or before a time; before the first time the first value."""
 
     def __init__(self, times: Sequence[float], values: Sequence[float]) -> None:
         self.times, self.values = times, values
@@ -120,7 +125,7 @@ class Recorded:
         return self.values[max(0, bisect.bisect_right(self.times, t + ROUNDING) - 1)]
 
     def over(self, times: Array) -> Array:
-        """Values at many times."""
+        """Return the values at many times."""
         return self._values[np.maximum(0, np.searchsorted(self._times, times + ROUNDING, "right") - 1)]
 
     @cached_property

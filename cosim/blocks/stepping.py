@@ -1,12 +1,11 @@
-"""The stepping loop in C (`stepping.c`): communication steps of a system of FMUs whose functions C can call.
+"""Stepping loop in C (`stepping.c`) for systems of FMUs whose functions C can call.
 
     loop = Loop(slots, held, row, table, begin=0.0, h=0.02, made=made, doing=doing)
-    while (why := loop.run(last, pause)) != Why.FINISHED: …   # judge, then call it again: it goes on where it was
+    while (why := loop.run(last, pause)) != Why.FINISHED: …   # handle, then call again to continue
 
-A `Slot` is an FMU (function pointers and instance that FMPy loaded) or values that were prepared for each point;
-`Transfer`s go from place to place of one row of doubles, through `Link`s: factors, noise and injected faults, each a
-function of the point and of what went through before. All is laid out by the caller; C allocates nothing. A step gives
-the bytes that the same calls from Python give.
+A `Slot` is an FMU (function pointers and instance loaded by FMPy) or values prepared for each point. A `Transfer` moves
+a value within a row of doubles through `Link`s: factors, noise and injected faults, each a function of the point and of
+previous values. The caller allocates everything. A step gives the same bytes as the same calls from Python.
 """
 
 from __future__ import annotations
@@ -27,22 +26,24 @@ from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, loaded
 SOURCE = Path(__file__).with_name("stepping.c")
 NEVER = -1
 NAMES = ("double", "float", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "bool")
-TYPES = {getattr(ctypes, f"c_{name}"): number for number, name in enumerate(NAMES)}  # as stepping.c numbers them
+TYPES = {getattr(ctypes, f"c_{name}"): number for number, name in enumerate(NAMES)}  # numbering of stepping.c
 
 
 class Why(IntEnum):
-    """Why the loop returned: at its last step, or Python has a word to say.
+    """Reason for a return of the loop: its last step, or a need for Python.
 
-    STATUS: a call returned one that is not OK; NOT_FINITE: an output is not; UNFIT: an input is no value of its type;
-    NO_ITEM: a value is no item of the enumeration that it goes to; TERMINATED: an FMU ended the simulation;
-    PAUSED: the row of a point is complete and not yet kept; LATER: a second has gone by
+    STATUS: a call returned a status other than OK; NOT_FINITE: an output is not finite; UNFIT: an input does not fit
+        its
+    type; NO_ITEM: a value is no item of the target enumeration; TERMINATED: an FMU ended the simulation; PAUSED: the
+    row of
+    a point is complete but not stored; LATER: a second has passed
     """
 
     FINISHED, STATUS, NOT_FINITE, UNFIT, NO_ITEM, TERMINATED, PAUSED, LATER = range(8)
 
 
 class Does(IntEnum):
-    """What a link makes of a value v at point k; all but the first two and the last act from `first` to `last` alone.
+    """Effect of a link on a value v at point k; all but the first two and the last act only from `first` to `last`.
 
     v·a + b, v + values[k], v + a, v·a, a, v + a where marks[k], v of `count` − 1 points before, the last v where
     marks[k], v if it is among `values`
@@ -52,7 +53,7 @@ class Does(IntEnum):
 
 
 class Link(ctypes.Structure):
-    """What becomes of a value on its way; `keeping` holds what it points to."""
+    """Conversion of a value in transit; `keeping` keeps its buffers alive."""
 
     keeping: Any
 
@@ -70,7 +71,7 @@ class Link(ctypes.Structure):
 
 
 class Transfer(ctypes.Structure):
-    """From a place of the row to another, every so many points."""
+    """Transfer between two places of the row, every so many points."""
 
     keeping: Any
 
@@ -78,7 +79,10 @@ class Transfer(ctypes.Structure):
 
 
 class Move(ctypes.Structure):
-    """Variables of one type, moved in one call; `row` is their place there; got, the first `finite` must be so."""
+    """Variables of a type, moved in a single call.
+
+    `row` is their place in the row; after a get the first `finite` values must be finite.
+    """
 
     _fields_ = (
         ("function", c_void_p),
@@ -95,7 +99,7 @@ class Move(ctypes.Structure):
 
 
 class Slot(ctypes.Structure):
-    """What steps: an FMU of FMI `version` 2 or 3; or (0) `scalars` values prepared for each point from `since` on."""
+    """A stepped unit: an FMU of FMI `version` 2 or 3, or (0) `scalars` values prepared per point from `since` on."""
 
     keeping: Any
 
@@ -125,7 +129,7 @@ class Slot(ctypes.Structure):
 
 
 class Plan(ctypes.Structure):
-    """The whole of it, and where it is."""
+    """Complete state of the C loop."""
 
     _fields_ = (
         ("begin", c_double),
@@ -152,37 +156,52 @@ class Plan(ctypes.Structure):
 
 
 class Steps(Protocol):
-    """A component that C can step; one that cannot has no `slot`, or gives the reason."""
+    """A component for the C loop; others have no `slot`, or `slot` returns the reason."""
 
     def slot(self) -> Slot | str:
-        """Itself for C, after its initialization; or why not."""
+        """Return the slot after initialization, or the reason for none."""
 
     def came_to(self, t: float) -> None:
-        """C has stepped it to `t` [s]."""
+        """Note the time [s] after C steps."""
 
     def tell(self, why: Why, plan: Plan, slot: Slot) -> None:
-        """What C met, as if it had been met here: SimulationError, EndedEarly; nothing of a warning."""
+        """Raise the error behind a return of the C loop.
+
+        Warnings are only logged.
+
+        Raises:
+            SimulationError: A call or value is faulty.
+            EndedEarly: The FMU ended the simulation.
+        """
 
 
 class NotCompiled(Exception):
-    """Why there is no loop in C."""
+    """Reason for a missing C loop."""
 
 
 @cache
 def library() -> Any:
-    """The loop, compiled once and kept in the user's cache. Raises NotCompiled."""
+    """Return the compiled loop from the user's cache.
+
+    Raises:
+        NotCompiled: No working compiler exists.
+    """
     try:
         run = loaded(SOURCE.read_text(encoding="utf-8")).run
     except NoCompiler:
         raise NotCompiled("no C compiler") from None
-    except (CompilerFailed, AttributeError) as error:  # AttributeError: made something else
+    except (CompilerFailed, AttributeError) as error:  # AttributeError: the compiler produced a library without `run`
         raise NotCompiled(f"the C compiler fails: {' '.join(str(error).split())[:200]}") from None
     run.argtypes, run.restype = [ctypes.POINTER(Plan)], ctypes.c_int
     return run
 
 
 def move(function: Any, exchange: Exchange, row: Row, finite: int = 0) -> Move:
-    """One of FMI's functions that get and set, for these variables, of which the first `finite` must be so."""
+    """Return a get or set call for C.
+
+    Args:
+        finite: Number of leading values that must be finite.
+    """
     direct = exchange.kind.ctype is ctypes.c_double
     place = ctypes.addressof(row) + 8 * exchange.places.start
     values = place if direct else ctypes.addressof(exchange.buffer)
@@ -196,7 +215,7 @@ def move(function: Any, exchange: Exchange, row: Row, finite: int = 0) -> Move:
 
 
 def fmu_slot(version: int, step: Any, instance: Any, puts: Sequence[Move], gets: Sequence[Move], time: float) -> Slot:
-    """An FMU that is at `time` [s]."""
+    """Return the slot of an FMU at `time` [s]."""
     put, get = (Move * len(puts))(*puts), (Move * len(gets))(*gets)
     slot = Slot(version, ctypes.cast(step, c_void_p), instance, every=1, time=time)
     slot.puts, slot.gets, slot.put, slot.get = len(put), len(get), ctypes.addressof(put), ctypes.addressof(get)
@@ -205,7 +224,7 @@ def fmu_slot(version: int, step: Any, instance: Any, puts: Sequence[Move], gets:
 
 
 def transfer(row: Row, origin: int, to: int, links: Sequence[Link] = (), every: int = 1) -> Transfer:
-    """From one place of the row to another."""
+    """Return a transfer between two places of the row."""
     chain, first = (Link * len(links))(*links), ctypes.addressof(row)
     made = Transfer(first + 8 * origin, first + 8 * to, every, len(chain), ctypes.addressof(chain))
     made.keeping = chain, [getattr(link, "keeping", None) for link in links]
@@ -223,24 +242,31 @@ def link(
     kept: Any = None,
     count: int = 0,
 ) -> Link:
-    """A link; buffers of doubles (`values`, `kept`) and bytes (`marks`) are kept with it, not copied."""
+    """Return a link; buffers are referenced, not copied.
+
+    Args:
+        values: Buffer of doubles, like `kept`.
+        marks: Buffer of bytes.
+    """
     made = Link(kind, *window, a, b, _address(values), _address(marks), _address(kept), count)
     made.keeping = values, marks, kept
     return made
 
 
 def _address(buffer: Any) -> int | None:
-    """Where a buffer begins."""
+    """Return the address of a buffer."""
     return None if not buffer else ctypes.addressof(ctypes.c_char.from_buffer(buffer))
 
 
 class Loop:
     """A system in C, from its first step on.
 
-    slots:       in the order in which they step, each with the transfers made right before it
-    held:        transfers made at the end of a step
-    row, table:  the signals, and the rows of all communication points, that of point 0 filled
-    made, doing: one counter each, for who watches
+    Args:
+        slots: Slots in stepping order, each with the transfers before its step.
+        held: Transfers at the end of a step.
+        row: Current signals.
+        table: Rows of all communication points, with point 0 filled.
+        made: Counter of completed points, for observers; `doing` counts calls.
     """
 
     def __init__(
@@ -267,10 +293,18 @@ class Loop:
         plan.made, plan.doing = _address(made), _address(doing)
 
     def prepare(self, slot: int, values: Array, since: int) -> None:
-        """Give a slot of version 0 its values, a row for each point from `since` on; they are not copied."""
+        """Set prepared values of a slot of version 0, without copying.
+
+        Args:
+            values: A row for each point from `since` on.
+        """
         self.slots[slot].prepared, self.slots[slot].since = values.ctypes.data, since
 
     def run(self, last: int, pause: int = NEVER) -> Why:
-        """Go on until point `last` has its row, or until Python is asked; at `pause` before its row is kept."""
+        """Continue to point `last`, or until Python is needed.
+
+        Args:
+            pause: Point at which to return before its row is stored.
+        """
         self.plan.last, self.plan.pause = last, pause
         return Why(self._run(ctypes.byref(self.plan)))

@@ -1,4 +1,4 @@
-"""What an FMU says of itself, for people and for scripts: variables, capabilities, platforms, default experiment."""
+"""Summary of an FMU for people and scripts: variables, capabilities, platforms and default experiment."""
 
 from __future__ import annotations
 
@@ -23,7 +23,12 @@ from cosim.storage.kinds import FMU, check_given
 
 @dataclass(frozen=True)
 class Variable:
-    """One variable: start as the FMU writes it, limits in its unit, `items` of an enumeration."""
+    """A variable with its start value as written in the FMU.
+
+    Attributes:
+        min: Limit in the variable's unit, like `max`.
+        items: Name → number of an enumeration.
+    """
 
     name: str
     causality: str
@@ -41,15 +46,17 @@ class Variable:
 
 @dataclass(frozen=True)
 class Summary:
-    """An FMU at a glance.
+    """Overview of an FMU.
 
-    ways:         co-simulation, model-exchange: as it can be run here
-    capabilities: way → the flags and numbers of FMI that it sets
-    runs_here:    it has a library for this machine; sources (`c-code` among the platforms) make one, where asked for
-    experiment:   start, stop, step [s] and tolerance, of those that it declares
-    states:       names of its continuous states; of FMI 1.0, which tells them at run time only, those with a der(…)
-    state_count:  number of its continuous states
-    slips:        where its description breaks FMI's schema and runs all the same
+    Attributes:
+        ways: Usable interfaces: co-simulation, model-exchange.
+        capabilities: Interface → flags and numbers set in the description.
+        runs_here: Whether a library for this machine exists. Sources (`c-code` among the platforms) can be compiled on
+            request.
+        experiment: Declared start, stop, step [s] and tolerance.
+        states: Names of continuous states; for FMI 1.0 the variables with a der(…).
+        state_count: Number of continuous states.
+        slips: Tolerated violations of FMI's schema.
     """
 
     file: str
@@ -68,16 +75,20 @@ class Summary:
     state_count: int
 
     def of(self, *causalities: str) -> list[Variable]:
-        """Variables of these causalities, in the order of the file."""
+        """Return variables of given causalities in file order."""
         return [v for v in self.variables if v.causality in causalities]
 
     def as_json(self) -> dict[str, Any]:
-        """Everything, as plain data."""
+        """Return the summary as plain data."""
         return asdict(self)
 
 
 def read_fmus(paths: Sequence[Path]) -> list[Any]:
-    """Descriptions of FMUs; InputError with what is wrong with every one of them."""
+    """Return the descriptions of FMUs.
+
+    Raises:
+        InputError: FMUs are faulty; it lists all faults.
+    """
     faults: list[Fault] = []
     found = []
     for path in paths:
@@ -93,12 +104,12 @@ def read_fmus(paths: Sequence[Path]) -> list[Any]:
 
 
 def summaries(paths: Sequence[Path]) -> list[Summary]:
-    """What FMUs say of themselves; InputError with what is wrong with every one of them."""
+    """Return summaries of FMUs; InputError lists all faults."""
     return [summary_of(path, description) for path, description in zip(paths, read_fmus(paths), strict=True)]
 
 
 def summary_of(path: Path, description: Any) -> Summary:
-    """What an FMU says of itself, of its description."""
+    """Return the summary of a described FMU."""
     return Summary(
         file=str(path),
         name=description.modelName or path.stem,
@@ -118,7 +129,7 @@ def summary_of(path: Path, description: Any) -> Summary:
 
 
 def experiment_of(description: Any) -> dict[str, float]:
-    """start, stop, step [s] and tolerance of the default experiment, those that are declared and numbers."""
+    """Return the numbers declared in the default experiment. Keys are start, stop, step [s] and tolerance."""
     named = {"start": "startTime", "stop": "stopTime", "step": "stepSize", "tolerance": "tolerance"}
     found = {}
     for key, attribute in named.items():
@@ -130,7 +141,7 @@ def experiment_of(description: Any) -> dict[str, float]:
 
 
 def _capabilities(description: Any) -> dict[str, dict[str, Any]]:
-    """Return the flags and numbers of each way that are set, by FMI's names."""
+    """Return each interface's set flags and numbers."""
     parts = {"co-simulation": description.coSimulation, "model-exchange": description.modelExchange}
     return {way: _flags(part) for way, part in parts.items() if part is not None}
 
@@ -141,7 +152,7 @@ def _flags(part: Any) -> dict[str, Any]:
 
 
 def platforms_of(path: Path) -> list[str]:
-    """Platforms with a library; `c-code` where the sources are there too."""
+    """Return platforms with a library; `c-code` for sources."""
     with zipfile.ZipFile(path) as archive:
         return platforms_among(archive.namelist())
 

@@ -1,6 +1,6 @@
-"""Values of an FMU's variables, moved by their types between the instance, the row and what stands beside it.
+"""Transfer of values by type between an FMU instance, the row and the storage beside the row.
 
-Reals move as they are, to and from the row itself; all other types by way of a buffer.
+Reals move directly to and from the row, all other types through a buffer.
 """
 
 from __future__ import annotations
@@ -17,13 +17,14 @@ from cosim.blocks.instance import Instance
 from cosim.blocks.stepping import Move, Plan, Why, move
 from cosim.blocks.variable_access import Ports
 
-Arguments = tuple[Any, ...]  # of a function for doubles that go straight to the row
+Arguments = tuple[Any, ...]  # arguments of a function moving doubles directly
 
 
 class Values:
-    """What is put into one instance and got from it: `bind`, `loaded`, then anything.
+    """Values put into and read from an instance; call `bind` and `loaded` first.
 
-    watched: of model exchange the inputs that it was given last, for those that are what they were are no event
+    Attributes:
+        watched: Last inputs of model exchange, because unchanged inputs cause no event.
     """
 
     def __init__(self, instance: Instance, ports: Ports) -> None:
@@ -35,7 +36,7 @@ class Values:
         self._variables = {v.name: v for v in instance.description.modelVariables}
 
     def bind(self, row: Row, first: int, beside: list[Any] | None, first_beside: int) -> None:
-        """Tell where they stand, inputs first."""
+        """Set the places of the signals, inputs first."""
         ports, address = self.ports, ctypes.addressof(row)
         exact = len(ports.exact_inputs) + len(ports.exact_outputs)
         self.row, self._beside = row, [None] * exact if beside is None else beside
@@ -45,7 +46,7 @@ class Values:
         self.out, self._finite = ports.real_outputs()
 
     def loaded(self) -> None:
-        """The instance is there: its library's bare functions are looked up."""
+        """Look up the library's bare functions for the new instance."""
         calls, self._component = self._calls, self.instance.component
         real = "Float64" if self._fmi3 else "Real"
         self._set_real, self._get_real = (calls.bare(calls.exchange, f"{verb}{real}") for verb in ("Set", "Get"))
@@ -58,20 +59,24 @@ class Values:
                 self._setters[kind] = calls.bare(calls.exchange, f"Set{kind}")
 
     def readable(self, readable: bool) -> None:
-        """Outputs can be got from now on, or not yet."""
+        """Enable or disable reading of outputs."""
         self._get_arguments, self._other_gets = self._reading if readable else (None, ())
 
-    # -- all of them --------------------------------------------------------------------------
+    # -- all values --------------------------------------------------------------------------
 
     def put(self) -> None:
-        """Inputs from where they stand to the FMU."""
+        """Put the inputs into the FMU."""
         if self.watched is not None:
             self._put_if_changed()
         elif self.ports.fed:
             self._put_all()
 
     def get(self) -> None:
-        """Outputs, and what is recorded beside them, to where they stand; SimulationError of one that is not finite."""
+        """Read outputs and recorded variables.
+
+        Raises:
+            SimulationError: An output is not finite.
+        """
         arguments = self._get_arguments
         if arguments is not None:
             status = self._get_real(self._component, *arguments)
@@ -87,7 +92,10 @@ class Values:
 
     @property
     def straight(self) -> tuple[Arguments | None, Arguments] | None:
-        """What the functions take that put (None: nothing is fed) and get, where all values are doubles; else None."""
+        """Return the arguments to put and get doubles directly.
+
+        The first is None without connected inputs; the result is None if other types occur.
+        """
         if self._other_puts or self._other_gets or self._get_arguments is None:
             return None
         return self._put_arguments, self._get_arguments
@@ -108,15 +116,15 @@ class Values:
         for exchange in self._other_puts:
             self._write(exchange)
 
-    # -- some of them -------------------------------------------------------------------------
+    # -- single exchanges -------------------------------------------------------------------------
 
     def read_in(self, exchange: Exchange) -> None:
-        """Values of the FMU to where they stand."""
+        """Read values of the FMU."""
         function = exchange.kind.function
         if exchange.buffer is None:
             with self.instance.failing():
                 values = self.instance.fmu.getBinary(exchange.vrs, exchange.count)
-                self._target(exchange)[exchange.places] = [v or b"" for v in values]  # None: of no bytes, from NULL
+                self._target(exchange)[exchange.places] = [v or b"" for v in values]  # None: NULL, no bytes
             return
         status = self._getters[function](self._component, *exchange.arguments(self._fmi3))
         if status:
@@ -124,7 +132,7 @@ class Values:
         self._target(exchange)[exchange.places] = exchange.decoded()
 
     def _write(self, exchange: Exchange) -> None:
-        """Values from where they stand to the FMU."""
+        """Write values to the FMU."""
         function, values = exchange.kind.function, self._target(exchange)[exchange.places]
         if exchange.buffer is None:
             with self.instance.failing():
@@ -141,7 +149,7 @@ class Values:
             self.instance.judge(f"{self._calls.prefix}Set{function}", status)
 
     def set(self, values: Mapping[str, Any]) -> None:
-        """Give variables values, arrays as lists of theirs."""
+        """Set variables; an array takes a list of values."""
         for name, value in values.items():
             variable = self._variables[name]
             exchange = Exchange(self.ports.kinds[variable.type], [variable])
@@ -153,13 +161,13 @@ class Values:
                 )
                 continue
             exchange.encode(given)
-            # FMPy's own setters do not hand the status on
+            # FMPy's own setters drop the status.
             setter = self._calls.bare(self._calls.exchange, f"Set{function}")
             if status := setter(self._component, *exchange.arguments(self._fmi3)):
                 self.instance.judge(f"{self._calls.prefix}Set{function} of {name}", status)
 
     def show(self, values: Mapping[str, Any]) -> None:
-        """Of FMI 1.0, whose inputs cannot be read before it starts: these, or their start values."""
+        """Show given or start values of inputs, for FMI 1.0. FMI 1.0 inputs cannot be read before initialization."""
         for exchange in self.ports.inward:
             text = exchange.kind.function == "String"
             shown: list[Any] = []
@@ -173,16 +181,16 @@ class Values:
     def _target(self, exchange: Exchange) -> Any:
         return self._beside if exchange.kind.beside else self.row
 
-    # -- finite -------------------------------------------------------------------------------
+    # -- finite values --------------------------------------------------------------------------
 
     def not_finite(self, values: Sequence[float], names: Sequence[str] | None = None) -> None:
-        """SimulationError where one of these values, of the outputs that are doubles, is not finite."""
+        """Raise SimulationError for a non-finite output."""
         for name, value in zip(self._finite if names is None else names, values, strict=True):
             if not math.isfinite(value):
                 raise SimulationError(f"{self.instance.name}.{name}", self.instance.time, f"the value is {value}")
 
     def _finite_of(self, exchange: Exchange) -> tuple[str, ...]:
-        """Those of its scalars that must be finite, which come first: outputs of 64 and of 32 bits."""
+        """Return the scalars that must be finite: leading float outputs."""
         return self.ports.outputs_of(exchange) if exchange.kind.ctype in (ctypes.c_double, ctypes.c_float) else ()
 
     def _check_finite(self, exchange: Exchange) -> None:
@@ -193,7 +201,7 @@ class Values:
     # -- moved by C ---------------------------------------------------------------------------
 
     def moves(self) -> tuple[list[Move], list[Move]] | None:
-        """What C calls to put and to get them; None where values stand beside the row."""
+        """Return C's calls to put and get values. None means values beside the row."""
         ports = self.ports
         if any(exchange.kind.beside for exchange in (*ports.fed, *ports.read)):
             return None
@@ -202,7 +210,7 @@ class Values:
         return puts, gets
 
     def tell(self, why: Why, plan: Plan) -> None:
-        """What C met when it moved some, as if it had been met here: SimulationError; nothing of a warning."""
+        """Raise the error of a transfer by C; warnings are only logged."""
         fed, read = self.ports.fed, self.ports.read
         if why == Why.NOT_FINITE:
             self._check_finite(read[plan.moving])

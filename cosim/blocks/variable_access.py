@@ -1,4 +1,4 @@
-"""Which variables of an FMU are moved, in which calls, and where they stand in the row and beside it."""
+"""Variables of an FMU to transfer, their calls, and their places in the row and beside the row."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from cosim.blocks.fmi_types import Exchange, element_names, kinds_of
 
 
 class Ports:
-    """Inputs, outputs and what is recorded beside them.
+    """Inputs, outputs and recorded variables of an FMU.
 
-    fed, unfed: inputs that are connected, and the others
-    read:       outputs, before what is recorded
-    inward:     all inputs; of optional ones those that are connected
-
-    optional: inputs that are left out where nothing feeds them
+    Attributes:
+        fed: Connected inputs.
+        unfed: Unconnected inputs.
+        read: Outputs, then recorded variables.
+        inward: All inputs, without unconnected optional ones.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class Ports:
         self.exact_outputs = self._signals(self.read, beside=True)
 
     def place(self, first: int, first_beside: int) -> None:
-        """Give every exchange its places, inputs first."""
+        """Assign places to all exchanges, inputs first."""
         place = {False: first, True: first_beside}
         for exchange in (*self.inward, *self.read):
             here = place[exchange.kind.beside]
@@ -57,19 +57,23 @@ class Ports:
             place[exchange.kind.beside] += exchange.count
 
     def split(self, exchanges: Sequence[Exchange], address: int) -> tuple[tuple[Any, ...] | None, tuple[Exchange, ...]]:
-        """What FMI's functions take for the doubles that go straight to the row at `address`; and all other types."""
+        """Return direct arguments for doubles, and the remaining exchanges.
+
+        Args:
+            address: Address of the row.
+        """
         doubles = _doubles(exchanges)
         straight = None if doubles is None else doubles.arguments(self.fmi3, address + 8 * doubles.places.start)
         return straight, tuple(e for e in exchanges if e is not doubles)
 
     def straight(self, arguments: Any) -> tuple[Any, ...]:
-        """These arguments as C has them, so that no call makes them again."""
+        """Return arguments as reusable C objects."""
         references, count, where, *scalars = arguments
         first = ctypes.c_void_p(references), ctypes.c_size_t(count), ctypes.c_void_p(where)
         return *first, *(ctypes.c_size_t(n) for n in scalars)
 
     def real_outputs(self) -> tuple[slice, tuple[str, ...]]:
-        """Places and names of the outputs that must be finite: what is recorded beside them need not be."""
+        """Return places and names of outputs that must be finite."""
         doubles = _doubles(self.read)
         if doubles is None:
             return slice(0, 0), ()
@@ -77,11 +81,11 @@ class Ports:
         return slice(doubles.places.start, doubles.places.start + len(names)), names
 
     def outputs_of(self, exchange: Exchange) -> tuple[str, ...]:
-        """Those among its scalars that are outputs, which come first."""
+        """Return the leading scalars that are outputs."""
         return tuple(name for name in exchange.names if name in self._outputs)
 
     def _exchanges(self, variables: Iterable[Any]) -> tuple[Exchange, ...]:
-        """One for each type, that of the row's doubles first."""
+        """Return an exchange per type, doubles first."""
         groups: dict[Any, list[Any]] = {}
         for variable in variables:
             groups.setdefault(self.kinds[variable.type], []).append(variable)
@@ -89,7 +93,7 @@ class Ports:
         return tuple(Exchange(kind, groups[kind]) for kind in kinds)
 
     def _signals(self, exchanges: Iterable[Exchange], *, beside: bool) -> tuple[Signal, ...]:
-        """Return the signals in the row, or those beside it."""
+        """Return the signals in the row, or beside the row."""
         variables = (v for e in exchanges if e.kind.beside == beside for v in e.variables)
         return tuple(self._signal(v, name) for v in variables for name in element_names(v))
 

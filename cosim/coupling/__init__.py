@@ -1,1 +1,1 @@
-"""Coupling algorithms: the order of components, and when outputs are copied to inputs."""
+"""Coupling algorithms: the order of components and the times of copying outputs to inputs."""

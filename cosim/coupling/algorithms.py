@@ -1,8 +1,8 @@
-"""Coupling algorithms: their names, and the plan of a communication step that each makes.
+"""Coupling algorithms: names, and plans of a communication step.
 
-An algorithm is a subclass of `Algorithm` with one object in `OWN`, or registered by a package in the group
-`cosim.algorithms`; docs/extending.md shows one. The loops in Python and in C, sweeps, export, drafts and pictures
-follow the plan; none of them compares names.
+An algorithm is a subclass of `Algorithm` with an object in `OWN`, or registered by a package in the group
+`cosim.algorithms`; docs/extending.md shows an example. The loops in Python and C, sweeps, export, drafts and diagrams
+follow the plan and never compare names.
 """
 
 from __future__ import annotations
@@ -22,11 +22,12 @@ from cosim.coupling.order import Edge, Plan, order_by_dependencies
 class Algorithm:
     """A coupling algorithm.
 
-    name:       value of the scenario's key `algorithm`
-    title:      its name in reports and messages
-    about:      the rest of a sentence that begins with its name: what it does
-    sequential: components see new values of those that step before them, so that their order matters: the scenario's
-                key `order` may state it, and components in an algebraic loop have none
+    Attributes:
+        name: Value of the scenario's key `algorithm`.
+        title: Name in reports and messages.
+        about: Continuation of a sentence that begins with the name.
+        sequential: Whether components see new values of components stepped before them. Then the order matters, the
+            scenario may state it by `order`, and components in an algebraic loop have no order.
     """
 
     name = ""
@@ -35,28 +36,31 @@ class Algorithm:
     sequential = True
 
     def plan(self, components: Mapping[str, Component], edges: Sequence[Edge], order: Sequence[str] | None) -> Plan:
-        """Return the plan of a communication step; AlgebraicLoop if no order of the components satisfies it.
+        """Return the plan of a communication step.
 
-        order: components with inputs in the order that the user states; None if the user states none, and always None
-               for an algorithm that is not sequential
+        Args:
+            order: Components with inputs in the user's order; None if not stated or not sequential.
+
+        Raises:
+            AlgebraicLoop: No order of the components satisfies the plan.
         """
         raise NotImplementedError
 
 
 class GaussSeidel(Algorithm):
-    """Components step one after the other; inputs on which outputs depend directly see values of the same time."""
+    """Sequential steps; inputs with direct feedthrough see values of the same time."""
 
     name = "gauss-seidel"
     title = "Gauss-Seidel"
     about = "steps one after the other"
 
     def plan(self, components: Mapping[str, Component], edges: Sequence[Edge], order: Sequence[str] | None) -> Plan:
-        """Return a plan in the order of the user, or else in that of the dependencies."""
+        """Return a plan in the user's order, else by dependencies."""
         return order_by_dependencies(components, edges, order)
 
 
 class Jacobi(Algorithm):
-    """All components step from the values of the step's start."""
+    """Steps of all components from the values at the step's start."""
 
     name = "jacobi"
     title = "Jacobi"
@@ -64,24 +68,24 @@ class Jacobi(Algorithm):
     sequential = False
 
     def plan(self, components: Mapping[str, Component], edges: Sequence[Edge], order: Sequence[str] | None) -> Plan:
-        """Return a plan in the order of the file, all of whose copies are made after the last component has stepped."""
+        """Return a plan in file order, with all copies at the end."""
         return Plan(tuple(components), (False,) * len(edges))
 
 
 OWN: tuple[Algorithm, ...] = (GaussSeidel(), Jacobi())
 DEFAULT = OWN[0]
-WITHOUT_ORDER = OWN[1]  # runs components that have no order, those in an algebraic loop
+WITHOUT_ORDER = OWN[1]  # for components in an algebraic loop, which have no order
 
 
 def algorithms() -> dict[str, Algorithm]:
-    """Return the algorithms by name: cosim's own, then those of installed packages."""
+    """Return the algorithms by name, cosim's own first."""
     added = [found for name in names(ALGORITHMS) if isinstance(found := load(ALGORITHMS, name), Algorithm)]
     own = {algorithm.name: algorithm for algorithm in OWN}
     return own | {algorithm.name: algorithm for algorithm in added if algorithm.name not in own}
 
 
 class AlgorithmKey:
-    """The key of a file that names an algorithm: one of those that are there when the file is read."""
+    """Key of a file that names an available algorithm."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return no_info_plain_validator_function(self.validate)
@@ -93,7 +97,7 @@ class AlgorithmKey:
 
     @staticmethod
     def validate(value: Any) -> str:
-        """Return the name of an algorithm; refuse any other value."""
+        """Return the name of an algorithm; reject unknown names."""
         known = list(algorithms())
         if isinstance(value, str) and value in known:
             return value

@@ -1,7 +1,7 @@
-"""Order of components that step one after the other.
+"""Order of components stepped in sequence.
 
-A component whose outputs depend directly on an input must step after the source of that input and sees
-its new value. Any other input is held: it sees the value of the step's start.
+A component with direct feedthrough from an input steps after the source of the input and sees its new value. All other
+inputs are held: they see the value from the step's start.
 """
 
 from __future__ import annotations
@@ -17,11 +17,12 @@ Input = tuple[str, str]  # component, input
 
 
 class Plan(NamedTuple):
-    """A communication step: each component in order gets its immediate inputs and steps; then all others are copied.
+    """Plan of a communication step: components get immediate inputs and step in order; the rest is copied at the end.
 
-    order:     names of all components
-    immediate: whether the value of each edge is copied right before its target steps
-    notes:     warnings that tell what was assumed
+    Attributes:
+        order: Names of all components.
+        immediate: Whether each edge's value is copied right before its target steps.
+        notes: Warnings about assumptions.
     """
 
     order: tuple[str, ...]
@@ -30,7 +31,7 @@ class Plan(NamedTuple):
 
 
 class AlgebraicLoop(Exception):
-    """Components that need each other's value of the same time; `cycle` begins and ends with the same one."""
+    """Components that need each other's value of the same time; `cycle` begins and ends with the same name."""
 
     def __init__(self, cycle: Sequence[str]) -> None:
         self.cycle = tuple(cycle)
@@ -40,9 +41,12 @@ class AlgebraicLoop(Exception):
 def order_by_dependencies(
     components: Mapping[str, Component], edges: Sequence[Edge], order: Sequence[str] | None
 ) -> Plan:
-    """Return a plan in which direct dependencies see values of the same time; AlgebraicLoop if there is none.
+    """Return a plan with values of the same time for feedthrough.
 
-    An order given by the user is kept: edges that run along it are immediate, all others held.
+    An order of the user is kept: edges along the order are immediate, the rest held.
+
+    Raises:
+        AlgebraicLoop: No order exists.
     """
     if order is not None:
         return _stated(components, edges, order)
@@ -62,9 +66,9 @@ def order_by_dependencies(
 def _open(
     components: Mapping[str, Component], edges: Sequence[Edge], direct: set[Input], cycle: Sequence[str]
 ) -> tuple[set[Input], str]:
-    """Return inputs that need no value of the same time, so that they open a cycle, and what was assumed."""
+    """Return inputs without feedthrough, to open a cycle, and a note. The note states an assumption, if made."""
     inputs = {(target, name) for source, target, name, _ in edges if {source, target} <= {*cycle}}
-    # in a loop only those outputs count that go on
+    # Only outputs used within the loop count.
     unneeded = {(c, name) for c, name in inputs & direct if components[c].depends_on(name, _used(edges, c)) is False}
     if unneeded:
         return unneeded, ""
@@ -80,7 +84,7 @@ def _open(
 
 
 def _used(edges: Sequence[Edge], component: str) -> set[str]:
-    """Return the outputs of a component that are connected."""
+    """Return the connected outputs of a component."""
     return {output for source, _, _, output in edges if source == component}
 
 

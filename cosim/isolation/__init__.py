@@ -1,1 +1,1 @@
-"""Work with FMUs in a process of its own, which the caller watches: what they break there does not break here."""
+"""FMUs in a separate, watched process, so that their crashes stay there."""

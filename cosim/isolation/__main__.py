@@ -1,4 +1,4 @@
-"""A worker process; whoever starts one reads on in `cosim/isolation/worker.py`."""
+"""Entry point of a worker process; see `cosim/isolation/worker.py`."""
 
 from cosim.isolation.worker import main
 

@@ -1,4 +1,4 @@
-"""How long a run may take and how large it may grow."""
+"""Limits on time and memory of a run."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cosim.base.units import read_quantity, split_quantity
 from cosim.storage.yaml_file import Part
 
 BYTES = {"": 1.0, "B": 1.0, "kB": 1e3, "MB": 1e6, "GB": 1e9, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30}
-LOADING = 60.0  # [s], where another time is limited
+LOADING = 60.0  # default limit of loading [s] with other time limits
 
 
 def _quantity(known: str, example: str, read_text: Callable[[str], float]) -> Any:
@@ -42,12 +42,12 @@ Bytes = Annotated[float, _quantity(", ".join(filter(None, BYTES)), "2 GB", _byte
 
 
 class Limits(Part):
-    """Limits of a run, none unless written.
+    """Limits of a run; by default none.
 
-    step:   longest that a communication step may take, or a call of initialization or end [s]
-    total:  longest that all may take but loading [s]
-    load:   longest that it may take to load an FMU [s]; 60 s where step or total is given
-    memory: how large the process may grow, the rows of results apart [bytes]
+    step:   longest communication step, or call of initialization or end [s]
+    total:  longest total time without loading [s]
+    load:   longest loading of an FMU [s]; 60 s if step or total is given
+    memory: largest process size without the rows of results [bytes]
     """
 
     step: Seconds | None = None
@@ -57,13 +57,17 @@ class Limits(Part):
 
     @property
     def loading(self) -> float | None:
-        """Longest that loading may take [s]."""
+        """Return the time limit of loading [s]."""
         timed = self.step is not None or self.total is not None
         return self.load if self.load is not None or not timed else LOADING
 
 
 def read_limits(text: str) -> Limits:
-    """Limits as a command takes them, `step: 10 s, memory: 2 GB`; InputError."""
+    """Return the limits of a command, e.g. `step: 10 s, memory: 2 GB`.
+
+    Raises:
+        InputError: A limit is unknown or invalid.
+    """
     pairs = (part.partition(":") for part in text.strip().strip("{}").split(",") if part.strip())
     try:
         return Limits.model_validate({key.strip(): value.strip() for key, _, value in pairs})

@@ -1,4 +1,4 @@
-"""How much memory another process holds."""
+"""Memory use of another process."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 def resident(pid: int) -> int:
-    """Resident size of a process [bytes]; 0 where it has ended or cannot be asked."""
+    """Return the resident size of a process [bytes], 0 if unknown."""
     try:
         if sys.platform.startswith("linux"):
             return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")

@@ -1,4 +1,4 @@
-"""A worker process as its caller sees it: started, given jobs, watched, ended with all that it left."""
+"""A worker process from the caller's side: start, jobs, supervision and cleanup."""
 
 from __future__ import annotations
 
@@ -23,25 +23,26 @@ from cosim.storage.cache import cache_environment
 from cosim.storage.files import uninterrupted
 
 PREFIX = "cosim-work-"
-POLL = 0.05  # [s] between looks at a process
-ENDING = 5.0  # [s] that a process may take to end by itself
-SHOWN = 64_000  # bytes of what FMUs print that are passed on
-KEPT = 4_000  # bytes of it, the last, that may tell why a process ended
-WORDS = 200  # characters of it in a message
+POLL = 0.05  # interval between checks of a process [s]
+ENDING = 5.0  # time [s] for a process to end by itself
+SHOWN = 64_000  # passed output of FMUs [bytes]
+KEPT = 4_000  # last part kept to explain a crash [bytes]
+WORDS = 200  # shown part in a message [characters]
 ROOT = Path(__file__).resolve().parent.parent.parent
 
 
 class Worker:
-    """Context: a process that calls functions for this one; it is started when it is needed, and again after a crash.
+    """A process that calls functions for this process, started on demand and after a crash; a context manager.
 
-    modules: what it imports while nothing is asked yet
+    Args:
+        modules: Modules imported before the first job.
     """
 
     def __init__(self, *modules: str) -> None:
         self._modules = modules
         self._process: subprocess.Popen[bytes] | None = None
-        self.spent = [0.0]  # [s] of those jobs whose caller counts them together
-        self.starts = 0  # how often it was started: what an earlier process knew is gone
+        self.spent = [0.0]  # total time [s] of jobs counted together by their caller
+        self.starts = 0  # number of starts; a new process has lost the knowledge of the old one
 
     def __enter__(self) -> Self:
         return self
@@ -52,10 +53,10 @@ class Worker:
                 self.finish()
             self.end()
 
-    progress: Progress  # also of a process that has ended
+    progress: Progress  # also valid after the process has ended
 
     def start(self) -> None:
-        """Start the process, where none runs, so that it is ready when it is asked."""
+        """Start the process, unless running, ahead of the first job."""
         if self.running:
             return
         with uninterrupted():
@@ -76,28 +77,35 @@ class Worker:
 
     @property
     def folder(self) -> Path:
-        """A folder that goes with the process."""
+        """Return a folder with the lifetime of the process."""
         return self._held.path
 
     def take_along(self, folder: Path) -> None:
-        """Where this process is killed, the one that it has started takes this folder away."""
+        """Register a folder for removal if this process is killed. The worker then removes it."""
         with suppress(OSError), (self._held.path / ALONG).open("a", encoding="utf-8") as stream:
-            stream.write(f"{folder}\0")  # on a full disk the next command does it
+            stream.write(f"{folder}\0")  # On a full disk the next command removes the folder.
 
     @property
     def running(self) -> bool:
-        """Whether there is a process."""
+        """Return whether the process runs."""
         return self._process is not None and self._process.poll() is None
 
     def call(
         self, function: Callable[..., Any], *arguments: Any, watch: Watch | None = None, doing: int = NOTHING
     ) -> Any:
-        """What a function of a module gives in the worker; errors of ours are raised here.
+        """Return a function's result from the worker.
 
-        doing: what is being called, for one that does not say so itself
-        InputError if the arguments cannot be sent.
-        Crashed where the process ends, TimedOut or SimulationError where a limit is exceeded: rows and counters that
-        it shares with the caller are as it left them, and the next call has another process.
+        Errors of cosim are raised here. After a crash or an exceeded limit, shared rows and counters remain as they
+        were, and
+        the next call starts a new process.
+
+        Args:
+            doing: Current call, for functions that do not report calls.
+
+        Raises:
+            InputError: The arguments cannot be sent.
+            Crashed: The process ended.
+            TimedOut: A time limit is exceeded; SimulationError for memory.
         """
         self.start()
         self.progress.made[0], self.progress.doing[0], self.progress.named[0] = 0, doing, 0
@@ -105,7 +113,7 @@ class Worker:
         clock = Clock(watch or Watch(), self.progress)
         try:
             content = pickle.dumps((function, arguments))
-        except Exception as refusal:  # pickle raises what the object's own methods raise
+        except Exception as refusal:  # pickle raises any error of the objects' methods
             raise not_sent(refusal) from None
         self._ask(content)
         try:
@@ -120,12 +128,12 @@ class Worker:
         return answer
 
     def finish(self) -> None:
-        """Let it end by itself while the caller goes on; nothing more is asked."""
+        """Let the process end by itself, without further jobs."""
         self._ask(b"")
         self._finishing = True
 
     def end(self, kill: bool = False) -> None:
-        """End it, with all that it started, and take away what it unpacked."""
+        """End the process and its children, and remove its files."""
         process, self._process = self._process, None
         if process is None:
             return
@@ -138,14 +146,14 @@ class Worker:
                 kill = True
         _end_group(process, kill)
         self._printed.join()
-        _close(process.stdin)  # the others are closed by those who read them: to close is to wait for a read
+        _close(process.stdin)  # The readers of the other streams close them; closing here would wait for a read.
         self._held.remove()
 
-    # -- within -------------------------------------------------------------------------------
+    # -- internal -------------------------------------------------------------------------------
 
     def _ask(self, content: bytes) -> None:
         if self._process is not None:
-            with suppress(OSError):  # it has ended, which is seen where its answer is waited for
+            with suppress(OSError):  # Waiting for the answer reveals an ended process.
                 send(self._process.stdin, content)
 
     @staticmethod
@@ -168,13 +176,13 @@ class Worker:
                 clock.look(self._process.pid)
                 if self._process.poll() is None or not self._answers.empty():
                     continue
-                content = None  # what it started may hold its streams open
+                content = None  # Its children may hold its streams open.
             if content is None:
                 raise self._crash(clock)
             return content
 
     def _crash(self, clock: Clock) -> SimulationError:
-        """Why the process has ended: how, in which call, what was said last."""
+        """Return the crash with its cause, call and last message."""
         assert self._process is not None
         try:
             code: int | None = self._process.wait(ENDING)
@@ -190,7 +198,7 @@ class Worker:
 
 
 class _Printed:
-    """What FMUs print: passed on up to a bound, the last of it kept."""
+    """Output of FMUs, passed up to a limit; the last part is kept."""
 
     def __init__(self, stream: Any) -> None:
         self.last = b""
@@ -209,23 +217,23 @@ class _Printed:
                         _show(b"\n(the FMUs print more, which is left out)\n")
 
     def join(self) -> None:
-        """Wait for the rest; not for what a process that an FMU started holds open."""
+        """Wait for the rest, but not for children of the process."""
         self._thread.join(1.0)
 
     def last_line(self) -> str:
-        """The last line that says something."""
+        """Return the last non-blank line."""
         lines = [line.strip() for line in self.last.decode("utf-8", "replace").splitlines()]
         return next((line for line in reversed(lines) if line), "")
 
 
 def _show(text: bytes) -> None:
-    with suppress(OSError, ValueError):  # nobody listens
+    with suppress(OSError, ValueError):  # stderr may be closed
         sys.stderr.write(text.decode("utf-8", "replace"))
         sys.stderr.flush()
 
 
 def _spawn() -> subprocess.Popen[bytes]:
-    """A Python of its own group: Ctrl-C reaches the caller alone."""
+    """Start Python in its own group, so that Ctrl-C reaches the caller only."""
     path = os.environ.get("PYTHONPATH")
     environment = {**os.environ, **cache_environment(), "PYTHONPATH": str(ROOT) + (os.pathsep + path if path else "")}
     windows = {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)}
@@ -241,13 +249,13 @@ def _spawn() -> subprocess.Popen[bytes]:
 
 
 def _end_group(process: subprocess.Popen[bytes], kill: bool) -> None:
-    """End a process and what it started."""
+    """End a process and its children."""
     if os.name == "nt":
         if kill and process.poll() is None:
             command = ["taskkill", "/F", "/T", "/PID", str(process.pid)]
             subprocess.run(command, capture_output=True, check=False)
     else:
-        with suppress(ProcessLookupError, PermissionError):  # nothing is left of it
+        with suppress(ProcessLookupError, PermissionError):  # All have ended.
             os.killpg(process.pid, signal.SIGKILL)
     if kill:
         process.kill()
@@ -255,5 +263,5 @@ def _end_group(process: subprocess.Popen[bytes], kill: bool) -> None:
 
 
 def _close(stream: Any) -> None:
-    with suppress(OSError, ValueError):  # what was still to be written has no reader
+    with suppress(OSError, ValueError):  # Unsent data have no reader.
         stream.close()

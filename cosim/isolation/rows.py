@@ -1,4 +1,4 @@
-"""Where a run writes its rows and how far it is: in memory, or mapped from files so that another process sees them."""
+"""Rows and progress of a run, in memory or in mapped files shared with another process."""
 
 from __future__ import annotations
 
@@ -18,40 +18,40 @@ import numpy as np
 
 from cosim.base.arrays import Array
 
-# What is called of a component: its number times CALLS, plus one of these.
+# Current call: number of the component times CALLS, plus one of these.
 CALLS = 4
 PUT, ADVANCE, GET, OTHER = range(CALLS)
-NOTHING = -1  # is called yet
-BLOCK = 1 << 20  # bytes written at a time where a disk cannot be asked for room
-POPULATE_WRITE, AHEAD = 23, 2**26  # MADV_POPULATE_WRITE of Linux; bytes of a table whose pages are there beforehand
+NOTHING = -1  # no call yet
+BLOCK = 1 << 20  # bytes per write on disks that cannot reserve space
+POPULATE_WRITE, AHEAD = 23, 2**26  # MADV_POPULATE_WRITE of Linux, and bytes of a table to map beforehand
 
 
 class Beside(Protocol):
-    """What a list can do with what stands beside the rows."""
+    """The list operations needed for values beside the rows."""
 
     def append(self, row: tuple[Any, ...], /) -> None:
-        """Keep one more."""
+        """Append the values of a row."""
 
 
 class BesideFile:
-    """What stands beside the rows, in a file: another process can read it where this one has ended."""
+    """Values beside the rows in a file, readable by another process after a crash."""
 
     def __init__(self, path: Path) -> None:
         self._stream = path.open("ab", buffering=0)
 
     def append(self, row: tuple[Any, ...]) -> None:
-        """Keep one more; OSError where there is no room."""
+        """Append the values of a row; raise OSError on a full disk."""
         content = pickle.dumps(row)
         if self._stream.write(content) < len(content):
             raise OSError(errno.ENOSPC, "no room for what stands beside a row")
 
     def close(self) -> None:
-        """No more is kept."""
+        """Close the file."""
         self._stream.close()
 
 
 def read_beside(path: Path, rows: int) -> list[tuple[Any, ...]]:
-    """The first rows of such a file, as many as there are whole."""
+    """Return the values of the first rows, as far as complete."""
     kept: list[tuple[Any, ...]] = []
     if path.exists():
         with path.open("rb") as stream, suppress(EOFError, pickle.UnpicklingError):
@@ -62,12 +62,13 @@ def read_beside(path: Path, rows: int) -> list[tuple[Any, ...]]:
 
 @dataclass(frozen=True)
 class Rows:
-    """A table to be filled, and how far it is.
+    """A table to fill, and its progress.
 
-    beside: one for each row, appended before it counts: what no double holds
-    made:   [rows that are whole], written after the row
-    doing:  [what is being called], written before the call
-    tell_loop: told which loop steps, before it does
+    Attributes:
+        beside: Values beyond doubles, appended before their row counts.
+        made: [number of complete rows], updated after each row.
+        doing: [current call], updated before each call.
+        tell_loop: Function called with the kind of loop before its start.
     """
 
     table: Array
@@ -78,12 +79,15 @@ class Rows:
 
     @classmethod
     def in_memory(cls, rows: int, columns: int) -> Rows:
-        """Of this process alone."""
+        """Return rows in the memory of this process."""
         return cls(np.zeros((rows, columns)))
 
 
 def allocate(path: Path, size: int) -> None:
-    """Make a file of `size` zeros that the disk has room for, as writing to a page without is a crash; OSError."""
+    """Make a file of `size` zeros with reserved disk space.
+
+    Writing to a mapped page without space would crash. A full disk raises OSError.
+    """
     with path.open("wb") as stream:
         if hasattr(os, "posix_fallocate"):
             os.posix_fallocate(stream.fileno(), 0, max(1, size))
@@ -93,31 +97,32 @@ def allocate(path: Path, size: int) -> None:
 
 
 def mapped_table(path: Path, rows: int, columns: int) -> Array:
-    """The table in a file that `allocate` made."""
+    """Return the mapped table of a file made by `allocate`."""
     if not rows * columns:
         return np.zeros((rows, columns))
     with path.open("r+b") as stream:
         mapped = mmap.mmap(stream.fileno(), 8 * rows * columns)
-    with suppress(OSError, ValueError):  # of Linux alone; without, each page is a fault while the FMUs step
+    with suppress(OSError, ValueError):  # Linux only; otherwise each page costs a fault during stepping.
         mapped.madvise(POPULATE_WRITE, 0, min(len(mapped), AHEAD))
     return np.frombuffer(mapped, np.float64).reshape(rows, columns)
 
 
 def read_table(path: Path, rows: int, columns: int) -> Array:
-    """The first rows of such a table, in memory."""
+    """Return the first rows of a table file in memory."""
     if not rows * columns:
         return np.zeros((rows, columns))
     return np.fromfile(path, np.float64, rows * columns).reshape(rows, columns)
 
 
 class Progress(ctypes.Structure):
-    """How far a process is, mapped by it and by the one that watches.
+    """Progress of a process, mapped by the process and its observer.
 
-    made, doing: of the rows
-    named:       whether `call` is the FMI function being called now
-    stop:        whether the one that watches asks for an early end
-    words:       the last that an FMU said
-    loop:        which loop steps
+    Attributes:
+        made: As in `Rows`, like `doing`.
+        named: Whether `call` is the current FMI function.
+        stop: Whether the observer requests an early end.
+        words: Last message of an FMU.
+        loop: Kind of stepping loop.
     """
 
     _fields_ = (
@@ -132,7 +137,7 @@ class Progress(ctypes.Structure):
 
 
 def mapped_progress(path: Path) -> Progress:
-    """The progress in a file; it is made where there is none."""
+    """Return the progress in a file, made if missing."""
     if not path.exists():
         path.write_bytes(bytes(ctypes.sizeof(Progress)))
     with path.open("r+b") as stream:

@@ -1,4 +1,4 @@
-"""What the caller of a worker sees of it: what is being called, for how long, how large it is, how it ended."""
+"""Supervision of a worker by its caller: current call, duration, size and end."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ STATUSES = {  # NTSTATUS of Windows
     0xC0000374: "crashed: heap corrupted",
     0xC0000409: "crashed: abort",
 }
-CALLED = ("setting its inputs", "stepping", "reading its outputs")  # of what is no FMU
+CALLED = ("setting its inputs", "stepping", "reading its outputs")  # for components other than FMUs
 FMI_CALLS = {
     "2": ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal"),
     "3": ("fmi3SetFloat64", "fmi3DoStep", "fmi3GetFloat64"),
@@ -37,14 +37,15 @@ FMI_CALLS = {
 
 @dataclass(frozen=True)
 class Watch:
-    """What the caller knows of a job, so that it can say what was being done, and when it takes too long.
+    """Data for supervising a job and describing its calls.
 
-    components: names, by the number that stands in `Rows.doing`
-    calls:      of each, FMI's names of put, advance and get
-    time:       rows made and what is being called → simulated time [s]
-    width:      bytes of a row, which count for no limit of memory
-    spent:      [time that has gone by [s]], all but loading, to which that of this job is added
-    progress:   told how many rows there are
+    Attributes:
+        components: Names by number in `Rows.doing`.
+        calls: FMI names of put, advance and get for each component.
+        time: Function from rows and current call to simulated time [s].
+        width: Size of a row [bytes], excluded from the memory limit.
+        spent: [total time without loading [s]], increased by this job.
+        progress: Function called with the number of rows.
     """
 
     components: Sequence[str] = ()
@@ -57,12 +58,15 @@ class Watch:
 
 
 def fmi_calls(description: Any) -> Sequence[str]:
-    """Names of putting, advancing and getting in FMI, by a model description; of None, of what is no FMU."""
+    """Return FMI's names of put, advance and get.
+
+    Components other than FMUs, with description None, have plain words.
+    """
     return FMI_CALLS.get(str(getattr(description, "fmiVersion", ""))[:1], CALLED)
 
 
 def how_ended(code: int | None) -> str:
-    """How a process ended, by its return code."""
+    """Return a phrase for a return code."""
     if code is None:
         return "closed the streams of its process"
     if code < 0:
@@ -74,7 +78,7 @@ def how_ended(code: int | None) -> str:
 
 
 class Clock:
-    """Sees how long things take and how large the process is, from one look to the next."""
+    """Supervision of durations and process size between checks."""
 
     def __init__(self, watch: Watch, progress: Progress) -> None:
         self.watch, self.progress = watch, progress
@@ -83,7 +87,7 @@ class Clock:
         self.told = 0
 
     def look(self, pid: int) -> None:
-        """TimedOut or SimulationError where a limit is exceeded."""
+        """Raise TimedOut or SimulationError for an exceeded limit."""
         now, made = time.monotonic(), self.progress.made[0]
         if self.watch.progress is not None and made != self.told:
             self.told = made
@@ -111,7 +115,7 @@ class Clock:
                 raise SimulationError(component, at, f"{call}: {grown} (limits: memory)")
 
     def place(self) -> tuple[str, float, str]:
-        """Component, simulated time [s] and call."""
+        """Return component, simulated time [s] and call."""
         number, call = divmod(self.progress.doing[0], CALLS)
         watch = self.watch
         if not 0 <= number < len(watch.components):
@@ -124,12 +128,12 @@ class Clock:
         return watch.components[number], at, "loading" if not self.progress.made[0] else "unloading"
 
     def _loading(self) -> bool:
-        if self.progress.made[0] or self.progress.doing[0] % CALLS != OTHER:  # NOTHING too is an OTHER
+        if self.progress.made[0] or self.progress.doing[0] % CALLS != OTHER:  # NOTHING counts as OTHER too.
             return False
         return not self.progress.named[0] or b"Instantiate" in self.progress.call
 
     def _key(self) -> tuple[Any, ...]:
-        """What stays as it is for as long as one thing takes: a step, or a call where none is made."""
+        """Return a key that is constant during a step or call."""
         made, doing = self.progress.made[0], self.progress.doing[0]
         if made and doing % CALLS != OTHER:
             return (made,)

@@ -1,6 +1,6 @@
-"""The process that works for another: `python -m cosim.isolation`, requests on stdin, answers on stdout.
+"""A worker process: `python -m cosim.isolation`, with requests on stdin and answers on stdout.
 
-What FMUs print goes to stderr. It ends when its stdin does: whoever asked has ended, however that was.
+Output of FMUs goes to stderr. The process ends with its stdin, however the caller ended.
 """
 
 from __future__ import annotations
@@ -32,12 +32,13 @@ PROGRESS, ALONG = "progress", "along"
 
 @dataclass(frozen=True)
 class Begin:
-    """What a worker must know before its first job.
+    """Settings of a worker before its first job.
 
-    scratch:    folder for all that it unpacks
-    path:       where the caller finds modules
-    pythonpath: the caller's variable of the environment
-    modules:    to be imported at once
+    Attributes:
+        scratch: Folder for all unpacked files.
+        path: Module search path of the caller.
+        pythonpath: PYTHONPATH of the caller.
+        modules: Modules to import at once.
     """
 
     scratch: Path
@@ -46,33 +47,33 @@ class Begin:
     modules: tuple[str, ...]
 
 
-progress: Progress  # how far this worker is, for the one that watches
+progress: Progress  # shared with the caller
 
 
 class Said(deque[str]):
-    """Messages of an FMU, the last of which the caller sees even where the worker crashes."""
+    """Messages of an FMU; the caller sees the last even after a crash."""
 
     def append(self, text: str) -> None:
-        """As of a deque."""
+        """Append a message and share it."""
         progress.words = " ".join(text.split()).encode()[:511]
         super().append(text)
 
 
 def overheard(component: Any) -> None:
-    """Let the caller see what a component logs."""
+    """Share a component's messages with the caller."""
     log = getattr(component, "log", None)
     if isinstance(log, deque):
         component.log = Said(log, log.maxlen)
 
 
 def send(stream: Any, content: bytes) -> None:
-    """Write one message."""
+    """Write a message."""
     stream.write(HEAD.pack(len(content)) + content)
     stream.flush()
 
 
 def receive(stream: Any) -> bytes | None:
-    """Read one message; None where the other side has ended."""
+    """Read a message; return None at the end of the stream."""
     head = stream.read(HEAD.size)
     if len(head) < HEAD.size:
         return None
@@ -81,7 +82,7 @@ def receive(stream: Any) -> bytes | None:
 
 
 def main() -> None:
-    """Import what is asked for, then do one job after the other."""
+    """Import modules, then do jobs in sequence."""
     global progress
     collect_seldom()
     asked, answers = _own_streams()
@@ -102,16 +103,19 @@ def main() -> None:
 
 
 def _end() -> None:
-    """End at once, as to take all modules apart takes longer than to load them; the caller ends what FMUs started."""
+    """End at once; unloading all modules would take longer than loading. The caller ends processes started by FMUs."""
     sys.stdout.flush()
     sys.stderr.flush()
     if os.name == "posix":
-        ctypes.CDLL(None).fflush(None)  # files that FMUs have written to
+        ctypes.CDLL(None).fflush(None)  # flushes files written by FMUs
     os._exit(0)
 
 
 def _own_streams() -> tuple[BinaryIO, BinaryIO]:
-    """The streams to the caller, out of the way of FMUs: these read nothing and print to stderr."""
+    """Return the streams to the caller, separated from FMUs.
+
+    FMUs read nothing from stdin and print to stderr.
+    """
     asked, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     nothing = os.open(os.devnull, os.O_RDONLY)
     os.dup2(nothing, 0)
@@ -120,7 +124,10 @@ def _own_streams() -> tuple[BinaryIO, BinaryIO]:
 
 
 def _restore(name: str, before: str | None) -> None:
-    """A variable of the environment as the caller has it; it was changed so that this module is found."""
+    """Restore an environment variable of the caller.
+
+    It was changed to find this module.
+    """
     if before is None:
         os.environ.pop(name, None)
     else:
@@ -128,18 +135,24 @@ def _restore(name: str, before: str | None) -> None:
 
 
 def _read(asked: BinaryIO, jobs: queue.SimpleQueue[bytes], scratch: Path) -> None:
-    """Hand on the jobs, an empty one to end; where the caller has ended, end with all that is left."""
+    """Queue jobs; an empty job ends the worker.
+
+    After the caller's end, remove its files and end the process group.
+    """
     while (content := receive(asked)) is not None:
         jobs.put(content)
     for path in (*_along(scratch), scratch):
         remove(path)
     if os.name == "posix" and os.getpgid(0) == os.getpid():
-        os.killpg(0, signal.SIGKILL)  # what an FMU has started too
+        os.killpg(0, signal.SIGKILL)  # including processes started by an FMU
     os._exit(1)
 
 
 def _along(scratch: Path) -> list[Path]:
-    """Folders to take away where the caller has ended: it says so itself, as a job may not have begun yet."""
+    """Return folders to remove after the caller's end.
+
+    The caller lists them itself, because a job may not have begun.
+    """
     try:
         return [Path(line) for line in (scratch / ALONG).read_text(encoding="utf-8").split("\0") if line]
     except (OSError, ValueError):
@@ -147,10 +160,11 @@ def _along(scratch: Path) -> list[Path]:
 
 
 def _end_with_caller() -> None:
-    """Linux: an FMU that hangs and holds the interpreter keeps no thread of ours from ending the process."""
+    """Let Linux end this process after its caller, even in a hung FMU."""
     if not sys.platform.startswith("linux"):
         return
-    # when the caller ends: SIGUSR1, whose handler is alarm(SIGUSR1) of the C library, 10 s to the default end
+    # At the caller's end the kernel sends SIGUSR1. Its handler is alarm(SIGUSR1) of the C library, which ends the
+    # process after 10 s.
     libc = ctypes.CDLL(None)
     libc.signal.argtypes = [ctypes.c_int, ctypes.c_void_p]
     libc.signal(signal.SIGUSR1, ctypes.cast(libc.alarm, ctypes.c_void_p))
@@ -158,7 +172,7 @@ def _end_with_caller() -> None:
 
 
 def _name_calls() -> None:
-    """Have FMPy say which FMI function it calls, before it does."""
+    """Make FMPy announce each FMI call."""
     try:
         from fmpy.fmi1 import _FMU
     except ImportError:
@@ -177,10 +191,10 @@ def _name_calls() -> None:
 
 
 def _answer(content: bytes) -> bytes:
-    """Do a job: (answer, None), or (None, the error), which says where it came from where it is none of ours."""
+    """Do a job; return the pickled (answer, None) or (None, error). Foreign errors carry their traceback."""
     try:
         function, arguments = pickle.loads(content)
-    except Exception as error:  # of a class that only the caller can import
+    except Exception as error:  # a class that only the caller can import
         return pickle.dumps((None, not_sent(error)))
     try:
         return pickle.dumps((function(*arguments), None))
@@ -189,20 +203,20 @@ def _answer(content: bytes) -> bytes:
 
 
 def not_sent(error: Exception) -> InputError:
-    """Return the answer to an argument that does not come through to a worker process."""
+    """Return the fault of an argument that cannot be sent."""
     cure = "define it in a module that can be imported, or run in this process (in_process=True, --in-process)"
     message = f"cannot take over an object ({type(error).__name__}: {' '.join(str(error).split())[:200]}); {cure}"
     return InputError([Fault(Path("the worker process"), 0, 0, message)])
 
 
 def _sent(error: Exception, place: str) -> bytes:
-    """An error as the caller gets it; one that cannot be sent as its words."""
+    """Return a pickled error, or its text if not picklable."""
     if not isinstance(error, CosimError):
         error.add_note(f"in a worker:\n{place}")
     try:
         told = pickle.dumps((None, error))
         pickle.loads(told)
-    except Exception:  # of those of some libraries that is seen only where they are read
+    except Exception:  # Some errors fail only when unpickled.
         plain = RuntimeError(f"{type(error).__name__}: {error}")
         plain.add_note(f"in a worker:\n{place}")
         told = pickle.dumps((None, plain))

@@ -1,1 +1,1 @@
-"""The steps of a system: initialization, the loops in Python and C, observers."""
+"""Stepping of systems: initialization, loops in Python and C, and observers."""

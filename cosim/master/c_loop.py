@@ -1,7 +1,7 @@
-"""The steps of a run in C, where each of its components can be stepped by it; Python is asked in between.
+"""Stepping in C for components callable from C, with returns to Python.
 
-It is asked for events, for progress, for values of sources over the next points, for every status that is not OK, and
-once a second, for what signals ask of it. It does then what the loop in Python does: the rows are the same bytes.
+The loop returns for events, progress, new values of sources, any status other than OK, and once a second for signals of
+the operating system. Python then acts as in its own loop, so the rows have the same bytes.
 """
 
 from __future__ import annotations
@@ -24,16 +24,17 @@ from cosim.isolation.rows import CALLS, Rows
 from cosim.system.system import System
 from cosim.system.wiring import Transfer
 
-PREPARED = 1000  # points for which values of sources are made at a time
+PREPARED = 1000  # points of source values computed at a time
 
 
 @dataclass(frozen=True)
 class Run:
-    """What the loop needs to know of a run whose first row is made.
+    """Data of a run for the loop, after its first row.
 
-    links:     what becomes of the value of a transfer, in order
-    after:     called with each point that is asked for, before its row is kept
-    asked:     the next point from one on that is, or `NEVER`
+    Attributes:
+        links: Conversions of a transfer's value, in order.
+        after: Functions called with each requested point, before its row is stored.
+        asked: Function returning the next requested point at or after a point, or `NEVER`.
     """
 
     system: System
@@ -48,7 +49,11 @@ class Run:
 
 
 def compiled(run: Run) -> CompiledSteps:
-    """Return the steps in C. Raises NotCompiled with the reason why there are none."""
+    """Return the steps in C.
+
+    Raises:
+        NotCompiled: C cannot step the system; the message says why.
+    """
     if run.system.beside:
         raise NotCompiled(f"{run.system.beside[0]} is no number that a double holds")
     slots = []
@@ -57,14 +62,14 @@ def compiled(run: Run) -> CompiledSteps:
         if isinstance(slot, str):
             raise NotCompiled(slot)
         slots.append(slot)
-    library()  # compiled only where it is used
+    library()  # compiled only if used
     return CompiledSteps(run, slots)
 
 
 def compile_beforehand(system: System) -> None:
-    """Compile the loop now where a run of the system may take it, so that no limit of its calls counts that time."""
+    """Compile the loop now, outside the time limits of calls."""
     fmus = (stage.component for stage in system.stages if not isinstance(stage.component, Source))
-    if not system.beside and not any(fmu.nominal_step for fmu in fmus):  # of Python they are stepped by Python
+    if not system.beside and not any(fmu.nominal_step for fmu in fmus):  # Python steps FMUs made of Python.
         with suppress(NotCompiled):
             library()
 
@@ -92,7 +97,7 @@ class CompiledSteps:
         self._values: list[Array] = []
 
     def steps(self) -> None:
-        """Make them. Raises what the loop in Python raises; `Rows.made` tells how many there are."""
+        """Make all steps; errors as in the Python loop. `Rows.made` holds the number of rows."""
         run, chunk = self.run, PREPARED if self.sources else self.run.steps
         for first in range(1, run.steps + 1, max(1, chunk)):
             last = min(first + chunk - 1, run.steps)
@@ -119,10 +124,10 @@ class CompiledSteps:
             elif why != Why.LATER:
                 run.components[loop.plan.place].tell(why, loop.plan, loop.slots[loop.plan.place])
 
-    # -- within -------------------------------------------------------------------------------
+    # -- internal -------------------------------------------------------------------------------
 
     def _ways(self, transfers: Iterable[Transfer], every: Mapping[str, int] = MappingProxyType({})) -> list[Way]:
-        """Return transfers for C; those that are held are made when their target steps."""
+        """Return transfers for C; held ones act when their target steps."""
         ways = []
         for t in transfers:
             links = [linked.link() for linked in self.run.links(t)]
@@ -130,7 +135,7 @@ class CompiledSteps:
         return ways
 
     def _prepare(self, first: int, last: int) -> None:
-        """Prepare the values of sources at these points: at the end of a step that is theirs, as they compute them."""
+        """Prepare source values at the given points. Times are computed as by the sources themselves."""
         if not self.sources:
             return
         begin, h = self.run.system.start, self.run.h
@@ -143,7 +148,7 @@ class CompiledSteps:
             self.loop.prepare(k, self._values[-1], first)
 
     def _no_item(self) -> None:
-        """Raise SimulationError that tells which value is none."""
+        """Raise SimulationError for a value that is no item."""
         system, plan = self.run.system, self.loop.plan
         stages = system.stages
         transfers = stages[plan.place].pulls if plan.place < len(stages) else system.held

@@ -1,4 +1,4 @@
-"""Values copied from place to place of a row, and beside it: transfers made ready, once, for every step of a run."""
+"""Copies between places of the row and beside the row, prepared once per run."""
 
 from __future__ import annotations
 
@@ -10,27 +10,28 @@ from cosim.blocks.faults import Added, Linked
 from cosim.system.system import System
 from cosim.system.wiring import Transfer, through
 
-Plain = tuple[tuple["memoryview[float]", "memoryview[float]"], ...]  # stretches of the row, target first
+Plain = tuple[tuple["memoryview[float]", "memoryview[float]"], ...]  # contiguous parts of the row, target first
 Noisy = tuple[tuple[int, int, Sequence[float]], ...]
-# from a place of one sequence to a place of another, row or beside it, through a function of (point, value)
+# from a place to a place, in the row or beside it, through a function of (point, value)
 Through = tuple[tuple[Any, int, Any, int, Callable[[int, Any], Any]], ...]
 Copies = tuple[Plain, Noisy, Through]
 
 
 class Copying:
-    """The transfers of a run over `steps` steps of `h` [s]: each is made ready once, with its noise and faults.
+    """Prepared transfers of a run over `steps` steps of `h` [s], with noise and faults.
 
-    links: of each transfer made ready, by its name, what becomes of a value on its way
+    Attributes:
+        links: Transfer name → conversions of its value.
     """
 
     def __init__(self, system: System, row: Any, beside: list[Any], steps: int, h: float) -> None:
         self.system, self.row, self.beside, self.steps, self.h = system, row, beside, steps, h
         self.links: dict[str, Sequence[Linked]] = {}
         self._view = doubles(row)
-        self._made: dict[str, tuple[int, tuple[Any, ...]]] = {}  # name → which of the three, and its entry
+        self._made: dict[str, tuple[int, tuple[Any, ...]]] = {}  # name → kind of copy (0 … 2) and its entry
 
     def of(self, transfers: Iterable[Transfer]) -> Copies:
-        """Return transfers as (from, to); where noise is on them (from, to, samples); and what else becomes of them."""
+        """Return transfers as plain, noisy and other copies."""
         kinds: tuple[list[Any], list[Any], list[Any]] = ([], [], [])
         for transfer in transfers:
             if transfer.name not in self._made:
@@ -41,11 +42,11 @@ class Copying:
         return self._stretches(plain), tuple(noisy), tuple(others)
 
     def by_component(self) -> Mapping[str, Copies]:
-        """Return component → what is copied right before it steps."""
+        """Return the copies before each component's step."""
         return {stage.component.name: self.of(stage.pulls) for stage in self.system.stages}
 
     def _stretches(self, places: Sequence[tuple[int, int]]) -> Plain:
-        """Return places that follow one another, from and to, as one."""
+        """Return adjacent copies joined into contiguous parts."""
         found: list[list[int]] = []
         for source, target in places:
             if found and (source, target) == (found[-1][0] + found[-1][2], found[-1][1] + found[-1][2]):
@@ -67,7 +68,7 @@ class Copying:
 
 
 def copy_values(row: Any, copies: Copies, k: int) -> None:
-    """Copy, at communication point k."""
+    """Make the copies of communication point k."""
     plain, noisy, others = copies
     for target_places, places in plain:
         target_places[:] = places
@@ -78,6 +79,6 @@ def copy_values(row: Any, copies: Copies, k: int) -> None:
 
 
 def doubles(buffer: Any) -> memoryview[float]:
-    """Return a buffer of doubles as one flat sequence of them."""
+    """Return a buffer of doubles as a flat memory view."""
     flat = memoryview(buffer)
     return flat.cast("B").cast("d") if flat.nbytes else memoryview(array("d"))

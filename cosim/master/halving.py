@@ -1,7 +1,8 @@
-"""Every communication step made once whole and once in halves, from one state: what the exchange of values costs.
+"""Each communication step made once whole and once in halves, to estimate the coupling error.
 
     e_k = |y(t_k; h) − y(t_k; h/2, h/2)|, both from the state at t_k−1
-where FMUs give that state away and take it back. The run goes on from the whole step, as it would have without.
+
+The FMUs must save and restore their state. The run continues from the whole step, so its course is unchanged.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from cosim.system.system import System
 
 
 def why_not(system: System) -> str:
-    """Return why the steps of a system cannot be taken back; empty where they can."""
+    """Return the reason against repeating steps, or ""."""
     if system.beside or system.events or system.apart or any(stage.every > 1 for stage in system.stages):
         return "values beside numbers, events, several rates or processes are not taken back"
     for stage in system.stages:
@@ -35,13 +36,13 @@ def why_not(system: System) -> str:
 
 
 class Halved(Master):
-    """A run whose rows are the differences of its steps from the same in halves; the first row has none."""
+    """A run with rows of differences between whole and halved steps, zero in the first row."""
 
     def _step_on(self) -> None:
         self.table[0] = 0.0
         parts = [c for c in self.components if isinstance(c, FmuBlock)]
         begin = self.system.start
-        actives = self._cycle()[0]  # of one rate: every round is alike
+        actives = self._cycle()[0]  # With a single rate, all rounds are equal.
         try:
             for k in range(1, self.steps + 1):
                 t, end = begin + (k - 1) * self.h, begin + k * self.h
@@ -61,7 +62,7 @@ class Halved(Master):
             self.doing[0] = 0
 
     def _once(self, actives: Round, k: int, t: float, end: float) -> None:
-        """Exchange the values once, and make all steps."""
+        """Exchange the values once and make all steps."""
         for step, _, _, plain, noisy, others in actives:
             copy_values(self.row, (plain, noisy, others), k)
             step(t, end - t)
@@ -75,13 +76,17 @@ class Halved(Master):
         return states
 
     def _back(self, parts: Sequence[FmuBlock], states: Sequence[Any]) -> None:
-        """Give each FMU a state back, and free it."""
+        """Restore and free the state of each FMU."""
         for part, state in zip(parts, states, strict=True):
             self.doing[0] = CALLS * self.components.index(part) + OTHER
             part.instance.take_back(state)
 
     def _check_back(self, parts: Sequence[FmuBlock], row: bytes, t: float) -> None:
-        """Check that restoring the FMU state restores the outputs; raise SimulationError if it does not."""
+        """Check that restoring the FMU state restores the outputs.
+
+        Raises:
+            SimulationError: The outputs differ.
+        """
         for part in parts:
             before = list(self.row)
             self.doing[0] = CALLS * self.components.index(part) + GET

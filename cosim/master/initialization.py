@@ -1,4 +1,4 @@
-"""Initialization of a system: values are exchanged until none changes, and then every component starts."""
+"""Initialization of a system: values are exchanged until they settle; then every component starts."""
 
 from __future__ import annotations
 
@@ -12,19 +12,22 @@ from cosim.blocks.component import Component
 from cosim.isolation.rows import CALLS, GET, OTHER, PUT
 from cosim.master.copying import Copies, copy_values
 
-EXACT_SWEEPS = 10  # that end where not a bit changes; further ones end on a tolerance
-MOST_SWEEPS = 1000  # after which initial values that still change are an error where they do not change less and less
-LAST_SWEEP = 50_000  # and where they do
-SETTLED = 1e-12  # relative change of a sweep
-SHRINKS = 0.9  # of the change, over MOST_SWEEPS, of values that come to rest
+EXACT_SWEEPS = 10  # sweeps that must settle exactly; later sweeps settle within a tolerance
+MOST_SWEEPS = 1000  # sweeps after which unsettled values are an error, unless their changes shrink
+LAST_SWEEP = 50_000  # limit for shrinking changes
+SETTLED = 1e-12  # relative change of a settled value
+SHRINKS = 0.9  # ratio of changes over MOST_SWEEPS below which they shrink
 
 
 @dataclass(frozen=True)
 class Initialization:
-    """Components in initialization mode, and what is copied between them.
+    """Components in initialization mode, and the copies between them.
 
-    pulls: component → copied right before it is asked; held: copied after all were
-    start: time [s]; doing: tells who watches what is being called
+    Attributes:
+        pulls: Component → copies before its call.
+        held: Copies after all calls.
+        start: Time [s].
+        doing: Current call, for observers.
     """
 
     components: Sequence[Component]
@@ -36,7 +39,11 @@ class Initialization:
     doing: MutableSequence[int]
 
     def run(self) -> None:
-        """Exchange values until none changes; then end it, and read what that changed. SimulationError."""
+        """Exchange values until they settle, then end initialization.
+
+        Raises:
+            SimulationError: The values do not settle, or a component fails.
+        """
         self._settle()
         before = self._values()
         for k, component in enumerate(self.components):
@@ -45,7 +52,7 @@ class Initialization:
         for k, component in enumerate(self.components):
             self.doing[0] = CALLS * k + GET
             component.get()
-        if self._values() != before:  # outputs that are right only after initialization, as of 20-sim
+        if self._values() != before:  # Some FMUs (20-sim) have valid outputs only after initialization.
             self._sweep()
 
     def _settle(self) -> None:
@@ -77,5 +84,5 @@ class Initialization:
 
 
 def settled(before: Iterable[float], after: Iterable[float]) -> bool:
-    """Whether no value has changed by more than what rounding makes of it."""
+    """Return whether all changes are within rounding."""
     return all(abs(a - b) <= SETTLED * max(1.0, abs(b)) for a, b in zip(after, before, strict=True))

@@ -1,8 +1,8 @@
-"""The master: steps every component of a system over equal communication steps and records one row a step.
+"""The master: steps all components of a system with equal communication steps and records a row per step.
 
-All coupling algorithms are the same loop. They differ in the order of the stages, in which transfers a stage makes
-right before it steps (`Stage.pulls`) and in which wait for the end of the step (`System.held`).
-A component with a longer step of its own makes it at the end of that step; until then its outputs stand still.
+All coupling algorithms use the same loop. They differ in the order of stages, in the transfers right before a stage
+(`Stage.pulls`) and in the transfers at the end of the step (`System.held`). A component with a longer step of its own
+makes the step at its end; until then its outputs are held.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from cosim.storage.results import Results
 from cosim.system.schedule import Stage
 from cosim.system.system import System
 
-# the step; how many steps of the run it spans, and its length, 0.0 of one from communication point to communication
-# point; and the transfers before it
+# the step function; its length in steps of the run; its length [s], 0.0 for the difference of communication points; and
+# the transfers before it
 Active = tuple[Callable[[float, float], None], int, float, Plain, Noisy, Through]
-Progress = Callable[[int], None]  # told at which communication point a run is
-Round = tuple[Active, ...]  # the last makes no step: its transfers are those that wait for the end of the step
+Progress = Callable[[int], None]  # receives the current communication point
+Round = tuple[Active, ...]  # The last entry makes no step; it holds the transfers at the end of the step.
 PROGRESS_EVERY = 50
-LONGEST_CYCLE = 10_000  # communication points after which components of several rates are in step again
+LONGEST_CYCLE = 10_000  # communication points until components of several rates are in step again
 
 
 class StoppedRun(Exception):
-    """A run that ended early: the error, and the rows recorded so far."""
+    """A run stopped early, with the error and the rows so far."""
 
     def __init__(self, error: SimulationError, results: Results) -> None:
         super().__init__(str(error))
@@ -55,20 +55,25 @@ def simulate(
     *,
     in_c: bool = True,
 ) -> Results:
-    """Run `steps` communication steps of `h` [s]: steps + 1 rows. StoppedRun where a component fails.
+    """Run `steps` communication steps of `h` [s].
 
-    Fewer rows, and a note, where an FMU ends the simulation.
-    rows: where they are written, shape (steps + 1, columns); in memory without
-    in_c: the loop is in C where it can be; `Results.loop` tells
+    If an FMU ends the simulation, the results have fewer rows and a note.
+
+    Args:
+        rows: Storage of the rows, shape (steps + 1, columns); by default in memory.
+        in_c: Whether to use the C loop if possible; see `Results.loop`.
+
+    Raises:
+        StoppedRun: A component failed.
     """
     room = rows or Rows.in_memory(steps + 1, len(system.columns))
     return Master(system, steps, h, progress, room, in_c=in_c).results()
 
 
 class Master:
-    """One run, from opening to closing: its row of signals, what stands beside it, and the table of rows.
+    """A run from opening to closing, with its signals and its table of rows.
 
-    What makes its steps otherwise is a subclass that overrides `_step_on`.
+    Subclasses step differently by overriding `_step_on`.
     """
 
     def __init__(
@@ -80,7 +85,7 @@ class Master:
         self.view = doubles(self.row)
         self.beside: list[Any] = [None] * len(system.beside)
         self.rows, self.progress, self.in_c, self.loop = rows, progress, in_c, "none"
-        self.kept = rows.beside  # of what stands beside the row, one a row
+        self.kept = rows.beside  # values beside the row, by row
         self.table, self.made, self.doing = rows.table, rows.made, rows.doing
         self.time = system.start + h * np.arange(steps + 1, dtype=np.float64)  # counted, not summed
         self.done = 0
@@ -98,10 +103,10 @@ class Master:
             self._initialize()
             self._record_first()
             self._step_on()
-            hold_stops()  # there are rows to be kept
+            hold_stops()  # The rows must be saved.
         except EndedEarly as end:
             if not self.done:
-                raise StoppedRun(end, self._so_far()) from None  # before it began
+                raise StoppedRun(end, self._so_far()) from None  # before the first row
             self._end(end)
         except (SimulationError, KeyboardInterrupt, Terminated) as stop:
             error = stopped(stop, float(self.time[max(0, self.done - 1)]))
@@ -112,7 +117,7 @@ class Master:
                 component.close()
         return self._so_far()
 
-    # -- in order -----------------------------------------------------------------------------
+    # -- call sequence -----------------------------------------------------------------------------
 
     def _open(self) -> None:
         place = _first_places(self.system.columns)
@@ -125,7 +130,7 @@ class Master:
             component.open(self.system.start, float(self.time[-1]))
 
     def _initialize(self) -> None:
-        """Exchange values until none changes; then every component starts."""
+        """Exchange values until they settle, then start all components."""
         known = self.components, self.row, self.beside, self.pulls, self.held
         Initialization(*known, self.system.start, self.doing).run()
 
@@ -138,7 +143,7 @@ class Master:
         self.done = self.made[0] = 1
 
     def _step_on(self) -> None:
-        """Make all steps: in C where every component can be stepped by it, else here."""
+        """Make all steps, in C if possible."""
         try:
             in_c = self._compiled()
         except NotCompiled as reason:
@@ -152,10 +157,10 @@ class Master:
             self.done = self.made[0]
 
     def _step_in_python(self) -> None:
-        """Make all steps. What is called in here decides the time that a run takes."""
+        """Make all steps in Python; its inner calls determine the run time."""
         row, h, begin, after = self.view, self.h, self.system.start, self.after
         table, width = doubles(self.table), len(row)
-        rounds = itertools.islice(itertools.cycle(self._cycle()), 1, None)  # the first is for point 0
+        rounds = itertools.islice(itertools.cycle(self._cycle()), 1, None)  # The first round belongs to point 0.
         made, asked = self.made, self._asked(1)
         done, next_t = self.done, begin
         try:
@@ -183,7 +188,7 @@ class Master:
             self.done = done
 
     def _end(self, end: EndedEarly) -> None:
-        """End the run where an FMU ends it: with a row for that time where nobody else has a state then."""
+        """End the run; with a single FMU, add a last row. Other FMUs would have no state at the end time."""
         self.notes.append(f"{end.component} ended the simulation at t = {end.reached:.6g} s: {end.reason}")
         alone = len(self.system.fmus) == 1
         k = self.done
@@ -200,7 +205,7 @@ class Master:
     # -- parts --------------------------------------------------------------------------------
 
     def _compiled(self) -> CompiledSteps:
-        """Return the steps in C. Raises NotCompiled."""
+        """Return the steps in C; raise NotCompiled if impossible."""
         if not self.in_c:
             raise NotCompiled("asked for")
         links = self.copying.links
@@ -212,7 +217,7 @@ class Master:
         self.rows.tell_loop(loop)
 
     def _asked(self, k: int) -> int:
-        """Return the next point from k on at the end of whose step something is to be called; `NEVER` where none is."""
+        """Return the next point with calls at its end, or `NEVER`."""
         if self.beside:
             return k
         found = [self.events[place]] if (place := bisect.bisect_left(self.events, k)) < len(self.events) else []
@@ -221,7 +226,7 @@ class Master:
         return min(found, default=NEVER)
 
     def _after(self, progress: Progress | None) -> tuple[Progress, ...]:
-        """Return the calls at the end of a step that is asked for, before its row is kept: only what this run needs."""
+        """Return the calls at requested points, before rows are stored."""
         calls: list[Progress] = []
         if self.system.events:
             calls.append(self._change)
@@ -239,7 +244,7 @@ class Master:
                 component.change(changes[component.name])  # type: ignore[attr-defined]
 
     def _cycle(self) -> Sequence[Round]:
-        """Return the steps and transfers of each communication point of a cycle: all at each point, without rates."""
+        """Return steps and transfers for each point of a cycle. With a single rate, the cycle has one point."""
         stages, held = self.system.stages, self.system.held
         period = math.lcm(*(stage.every for stage in stages), 1)
         every = {stage.component.name: stage.every for stage in stages}
@@ -272,7 +277,7 @@ class Master:
 def results_of(
     system: System, time: Array, table: Array, kept: Sequence[Any], notes: Sequence[str] = (), loop: str = ""
 ) -> Results:
-    """Return the results of a run, by its rows and what stands beside them."""
+    """Return the results of a run from its rows."""
     exact = {name: [row[k] for row in kept[: len(time)]] for k, name in enumerate(system.beside)}
     whole = frozenset(c for c in system.columns if system.signals[c].whole)
     return Results(time, system.columns, table, system.units, exact, whole, tuple(notes), loop)
@@ -283,5 +288,5 @@ def _no_step(t: float, h: float) -> None:
 
 
 def _first_places(columns: Sequence[str]) -> dict[str, int]:
-    """Return component → place of its first column."""
+    """Return the place of each component's first column."""
     return {name: k for k, name in reversed(list(enumerate(c.partition(".")[0] for c in columns)))}

@@ -1,4 +1,4 @@
-"""Observers of a running simulation: a progress bar, a live plot, a recorder. They get the rows while they are made."""
+"""Observers of a running simulation, e.g. a progress bar, a live plot or a recorder."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from cosim.base.errors import SimulationError
 
 @dataclass(frozen=True)
 class Observed:
-    """What an observer is told of a run before its first row.
+    """Description of a run, given to observers before its first row.
 
-    columns: names `component.variable`, one a column of the rows
-    rows:    number of rows that the run makes unless it ends early
-    start:   time of the first row [s]
-    step:    communication step [s]
+    Attributes:
+        columns: Names `component.variable` of the columns.
+        rows: Number of rows, unless the run ends early.
+        start: Time of the first row [s].
+        step: Communication step [s].
     """
 
     columns: Sequence[str]
@@ -26,26 +27,26 @@ class Observed:
 
 
 class Observer:
-    """Base of observers; each method may be overridden. An exception in one ends the run; its rows so far are kept."""
+    """Base class of observers; methods are optional. An exception ends the run but keeps its rows."""
 
     def begin(self, run: Observed) -> None:
-        """Get ready for the rows of a run."""
+        """Prepare for the rows of a run."""
 
     def rows(self, time: Array, values: Array) -> bool | None:
-        """Take rows that are new, shape (rows, columns), valid during this call; True asks the run to end.
+        """Take new rows, shape (rows, columns), valid during this call.
 
-        Rows that were made before the run heard of it still come.
+        Returning True requests an early end; rows already made still follow.
         """
 
     def end(self) -> None:
-        """Take note that there are no more rows, also where the run failed."""
+        """Finish after the last row, also of a failed run."""
 
 
 Observers = Sequence[Observer]
 
 
 class ProgressObserver(Observer):
-    """An observer that tells a function how many rows there are, and of how many."""
+    """An observer that reports the number of finished steps to a function."""
 
     def __init__(self, progress: Callable[[int, int], None]) -> None:
         self._progress, self._done, self._steps = progress, 0, 0
@@ -55,21 +56,22 @@ class ProgressObserver(Observer):
         self._done, self._steps = 0, run.rows - 1
 
     def rows(self, time: Array, values: Array) -> None:
-        """Tell how many rows there are."""
+        """Report the number of finished steps."""
         self._done += len(time)
         self._progress(min(self._done, self._steps), self._steps)
 
 
 class Feed:
-    """Gives the rows of a run to its observers, each row once, and remembers whether one wants the run to end.
+    """Distribution of rows to observers, each row once, with requests for an early end.
 
-    stop:    why the run is to end, "" while it goes on
-    failure: the error of an observer
+    Attributes:
+        stop: Reason for an early end, "" while the run continues.
+        failure: Error of an observer.
     """
 
     def __init__(self, observers: Sequence[Observer], run: Observed, time: Array) -> None:
         self._observers, self._time, self._given = observers, time, 0
-        self.table: Array | None = None  # where the rows are made
+        self.table: Array | None = None  # storage of the rows
         self.stop = ""
         self.failure: SimulationError | None = None
         for observer in observers:
@@ -77,11 +79,11 @@ class Feed:
 
     @property
     def over(self) -> bool:
-        """Whether the run is to end."""
+        """Return whether the run must end."""
         return bool(self.stop) or self.failure is not None
 
     def __call__(self, done: int) -> None:
-        """Give the rows that are new of `done` rows."""
+        """Give observers the new rows among `done` rows."""
         first, self._given = self._given, max(self._given, done)
         if self.table is None or first >= done or self.failure is not None:
             return
@@ -90,7 +92,7 @@ class Feed:
             self._guarded(observer, lambda o=observer: o.rows(time, values))  # type: ignore[misc]
 
     def end(self, table: Array) -> None:
-        """Give the rest of the rows, and end."""
+        """Give observers the remaining rows, then end."""
         self.table = table
         self(len(table))
         for observer in self._observers:
@@ -101,7 +103,7 @@ class Feed:
         try:
             if call() and not self.stop:
                 self.stop = f"{name} asked for it"
-        except Exception as error:  # whatever the observer of a user does
+        except Exception as error:  # A user's observer may raise any error.
             now = float(self._time[max(0, min(self._given, len(self._time)) - 1)])
             reason = f"{type(error).__name__}: {' '.join(str(error).split())[:500]}"
             self.failure = self.failure or SimulationError(f"the observer {name}", now, reason)

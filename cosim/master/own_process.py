@@ -1,4 +1,4 @@
-"""A component in a process of its own, beside the worker in which the others are stepped."""
+"""A component in its own process, apart from the worker of the others."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from cosim.isolation.rows import ADVANCE, GET, OTHER
 from cosim.isolation.watch import Watch, fmi_calls
 from cosim.system.system import System
 
-Values = tuple[list[float], list[Any]]  # in the row, and beside it
+Values = tuple[list[float], list[Any]]  # in the row, and beside the row
 
 # -- in the process of the component ---------------------------------------------------------------
 
 
 class _Held:
-    """The component of this process, and its signals."""
+    """The component of this process with its signals."""
 
     def __init__(self, component: Component) -> None:
         self.component: Any = component
@@ -41,7 +41,7 @@ _held: dict[str, _Held] = {}
 
 
 def load(component: Component, start: float, stop: float) -> tuple[Values, Values]:
-    """Open a component; its inputs and outputs."""
+    """Open a component; return its inputs and outputs."""
     held = _held[component.name] = _Held(component)
     here.overheard(component)
     component.open(start, stop)
@@ -54,7 +54,11 @@ def begin(name: str) -> None:
 
 
 def exchange(name: str, inputs: Values | None, step: tuple[float, float] | None) -> Values:
-    """Give it its inputs where there are some, step it where a time and a length are given [s]; its outputs."""
+    """Set inputs and step, each if given; return the outputs.
+
+    Args:
+        step: Time and length of the step [s].
+    """
     held = _held[name]
     if inputs is not None:
         held.row[: len(inputs[0])], held.beside[: len(inputs[1])] = [*inputs[0]], inputs[1]
@@ -66,23 +70,23 @@ def exchange(name: str, inputs: Values | None, step: tuple[float, float] | None)
 
 
 def change(name: str, values: dict[str, Any]) -> Values:
-    """Give it an event's values; its inputs."""
+    """Set an event's values; return the inputs."""
     _held[name].component.change(values)
     return _held[name].inputs()
 
 
 def close(name: str) -> list[str]:
-    """Free it; what it said."""
+    """Free the component; return its messages."""
     component = _held.pop(name).component
     component.close()
     return list(getattr(component, "log", ()))
 
 
-# -- beside the others ------------------------------------------------------------------------------
+# -- in the worker of the others ------------------------------------------------------------------------------
 
 
 class OwnProcess:
-    """Stands for a component that is loaded in another process; a crash there is an error that names it."""
+    """Proxy of a component in another process; a crash there becomes an error naming the component."""
 
     def __init__(self, component: Component, limits: Limits) -> None:
         self.name: str = component.name
@@ -97,11 +101,11 @@ class OwnProcess:
         self._worker = Worker(__name__)
         self._time = 0.0
         self._loaded = False
-        self._given: Values | None = None  # inputs that go along with what is asked next
-        self._stepped: Values | None = None  # outputs that came back with a step
+        self._given: Values | None = None  # inputs to send with the next call
+        self._stepped: Values | None = None  # outputs received with a step
 
     def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
-        """Return what the component says."""
+        """Return the component's answer."""
         return self._component.depends_on(name, outputs)
 
     def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
@@ -109,13 +113,13 @@ class OwnProcess:
         return in_turn(self, doing, first)
 
     def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
-        """Tell where its signals stand."""
+        """Set the places of the signals."""
         self._row, self._beside = row, [] if beside is None else beside
         self._in, self._out = _behind_one_another(first, self.inputs, self.outputs)
         self._in_beside, self._out_beside = _behind_one_another(first_beside, self.exact_inputs, self.exact_outputs)
 
     def open(self, start: float, stop: float) -> None:
-        """Start the process and load the component in it."""
+        """Start the process and load the component."""
         self._time = start
         self._worker.start()
         inputs, outputs = self._call(OTHER, load, self._component, start, stop)
@@ -128,21 +132,21 @@ class OwnProcess:
         self._call(OTHER, begin, self.name)
 
     def change(self, values: Mapping[str, Any]) -> None:
-        """Take an event's values."""
+        """Apply an event's values."""
         self._show_inputs(self._call(OTHER, change, self.name, dict(values)))
 
     def put(self) -> None:
-        """Take the inputs: they go along with what is asked next."""
+        """Keep the inputs for the next call."""
         self._given = self._row[self._in], self._beside[self._in_beside]
 
     def advance(self, t: float, h: float) -> None:
-        """Step; the outputs come back with it."""
+        """Step and receive the outputs."""
         self._time = t
         self._stepped = self._exchange(ADVANCE, (t, h))
         self._time = t + h
 
     def get(self) -> None:
-        """Write the outputs of the step just made, or those that follow from the inputs now."""
+        """Write the outputs of the last step, or of the current inputs."""
         stepped, self._stepped = self._stepped, None
         self._show_outputs(self._exchange(GET, None) if stepped is None else stepped)
 
@@ -180,7 +184,10 @@ def _behind_one_another(first: int, *groups: Sequence[Signal]) -> list[slice]:
 
 
 def in_own_processes(system: System, limits: Limits) -> System:
-    """Put components into processes of their own where asked, and FMUs that cannot share one; return the system."""
+    """Return the system with components moved to own processes.
+
+    This applies on request, and to FMUs that allow a single instance per process.
+    """
     seen: set[Any] = set()
     stages = []
     for stage in system.stages:

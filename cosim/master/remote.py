@@ -1,4 +1,4 @@
-"""The steps of a run in a worker process: what is asked of it there, and what its caller makes of it."""
+"""Steps of a run in a worker process, seen from both sides."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from cosim.system.system import System
 
 MODULES = ("cosim.master.remote", "fmpy.fmi2", "fmpy.logging")
 PREFIX, ROWS, BESIDE = ".rows-", "rows", "beside"
-LONGEST_WORDS = 500  # characters of an error
-SMALLER = 0.9  # of the rows, tried next where a disk has no room for so many
+LONGEST_WORDS = 500  # of an error message [characters]
+SMALLER = 0.9  # share of rows to try next on a full disk
 
 
 @dataclass(frozen=True)
 class Stepped:
-    """What came of the steps: results, what the FMUs said, and why it ended where that was before its end."""
+    """Results of the steps, messages of the FMUs, and the failure, if any."""
 
     results: Results
     said: Sequence[str]
@@ -44,12 +44,16 @@ class Stepped:
 
 
 def said_of(system: System) -> list[str]:
-    """Return the messages of its FMUs, a line each."""
+    """Return the messages of all FMUs as lines."""
     return [f"{s.component.name}: {text}" for s in system.stages for text in getattr(s.component, "log", ())]
 
 
 def simulate_here(system: System, steps: int, h: float, observers: Sequence[Observer] = ()) -> Stepped:
-    """Return the steps of a run in this process. Raises FmuError."""
+    """Step a system in this process.
+
+    Raises:
+        FmuError: An FMU does not load.
+    """
     feed = _feed(observers, system, steps, h)
     rows = Rows.in_memory(steps + 1, len(system.columns))
     feed.table = rows.table
@@ -70,25 +74,25 @@ def simulate_here(system: System, steps: int, h: float, observers: Sequence[Obse
 
 
 def _feed(observers: Sequence[Observer], system: System, steps: int, h: float) -> Feed:
-    """Return the feed of the rows of a run to its observers."""
+    """Return the feed of a run's rows to its observers."""
     time = system.start + h * np.arange(steps + 1, dtype=np.float64)
     return Feed(observers, Observed(system.columns, steps + 1, system.start, h), time)
 
 
 def _early(system: System, h: float, done: int) -> EndedEarly:
-    """Return the early end of a run that an observer asked for."""
+    """Return the early end requested by an observer."""
     return EndedEarly("an observer", _reached(system, h, done), "it asked for the end")
 
 
 def _reached(system: System, h: float, made: int) -> float:
-    """Return the time of the last of the rows that are made [s]."""
+    """Return the time [s] of the last finished row."""
     return system.start + h * max(0, made - 1)
 
 
 def _stepped(
     system: System, steps: int, h: float, progress: Callable[[int], None] | None = None, rows: Rows | None = None
 ) -> Results:
-    """Return the rows of a run, or of what halves of its steps make of it."""
+    """Return the rows of a run, or its differences by halving."""
     if not system.halved:
         return simulate(system, steps, h, progress, rows)
     return Halved(system, steps, h, progress, rows or Rows.in_memory(steps + 1, len(system.columns))).results()
@@ -99,9 +103,10 @@ def _stepped(
 
 @dataclass(frozen=True)
 class Ended:
-    """How the steps ended in a worker; the rows themselves stand in the files.
+    """The end of the steps in a worker; the rows are in files.
 
-    last: time of the last row [s], where there is one
+    Attributes:
+        last: Time of the last row [s], if any.
     """
 
     said: Sequence[str] = ()
@@ -111,7 +116,11 @@ class Ended:
 
 
 def simulate_rows(system: System, steps: int, h: float, table: Path, limits: Limits, observed: bool) -> Ended:
-    """Simulate into the table in a file; `observed`: an early end may be asked for."""
+    """Simulate into a table file.
+
+    Args:
+        observed: Whether the caller may request an early end.
+    """
 
     def obey(done: int) -> None:
         if here.progress.stop[0]:
@@ -139,11 +148,11 @@ def simulate_rows(system: System, steps: int, h: float, table: Path, limits: Lim
 
 
 def _tell_loop(loop: str) -> None:
-    """Let the caller know which loop steps, even where the process ends."""
+    """Store the kind of loop for the caller, even in case of a crash."""
     here.progress.loop = loop.encode()[:255]
 
 
-# -- its caller -----------------------------------------------------------------------------------
+# -- in the caller -----------------------------------------------------------------------------------
 
 
 def simulate_apart(
@@ -156,7 +165,13 @@ def simulate_apart(
     *,
     observers: Sequence[Observer] = (),
 ) -> Stepped:
-    """Make the steps of a run in a worker, its rows in a file within `folder` until it has ended. Raises FmuError."""
+    """Step a system in a worker process.
+
+    The rows are in a file within `folder` until the end.
+
+    Raises:
+        FmuError: An FMU does not load.
+    """
     columns, limits = len(system.columns), limits or Limits()
     feed = _feed(observers, system, steps, h)
 
@@ -186,12 +201,12 @@ def simulate_apart(
             feed.table = np.memmap(table, np.float64, "r", shape=(count, columns))
         try:
             ended = worker.call(simulate_rows, system, count - 1, h, table, limits, bool(observers), watch=watch)
-            hold_stops()  # there are rows to be kept
+            hold_stops()  # The rows must be saved.
         except (SimulationError, KeyboardInterrupt, Terminated) as stop:
             ended = Ended(failure=stopped(stop, _reached(system, h, counters.made[0])))
         except (CosimError, OSError, MemoryError):
             raise
-        except Exception as error:  # of a library, which nobody foresaw: no reason to lose the rows
+        except Exception as error:  # An unexpected error of a library is no reason to lose the rows.
             ended = Ended(failure=_unforeseen(error, watch, counters))
         done = counters.made[0]
         values, beside = read_table(table, done, columns), read_beside(table.with_name(BESIDE), done)
@@ -207,21 +222,24 @@ def simulate_apart(
 
 
 def _unforeseen(error: Exception, watch: Watch, counters: Progress) -> SimulationError:
-    """Return an error of no kind of ours, with the call in which it came."""
+    """Return an unexpected error with its call as SimulationError."""
     component, at, call = Clock(watch, counters).place()
     words = " ".join(str(error).split())[:LONGEST_WORDS]
     return SimulationError(component, at, f"{call}: {type(error).__name__}: {words} (--in-process shows where)")
 
 
 def _disk_full(time: float, count: int, rows: int) -> DiskFull:
-    """Return the error of a disk without room for the rows."""
+    """Return the error of a disk without space for the rows."""
     return DiskFull("the run", time, f"the disk is full: it has room for {count} of {rows} rows while the run lasts")
 
 
 def _room(folders: Sequence[Path], rows: int, width: int) -> tuple[Held, int]:
-    """Return a folder with the file of the rows, beside the results or, without room, elsewhere; and for how many.
+    """Return a folder with the rows file, and its number of rows.
 
-    For all of them, or as many as a full disk takes. DiskFull where that is none.
+    The folder is beside the results, or elsewhere for lack of space. A full disk takes fewer rows.
+
+    Raises:
+        DiskFull: No row fits.
     """
     count = rows
     while count:

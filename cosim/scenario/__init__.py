@@ -1,1 +1,1 @@
-"""Content of a scenario file, start values, and the design of its controller."""
+"""Contents of scenario files, start values and controller design."""

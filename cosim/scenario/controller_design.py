@@ -1,6 +1,6 @@
 """`design:` of a scenario: start values of a controller designed before the run, cached by content.
 
-What can be designed, and what may be said of it, the designer declares (`cosim.model.design`); the registry knows it.
+The designer (`cosim.model.design`), found through the registry, declares its options and objections.
 """
 
 from __future__ import annotations
@@ -32,7 +32,11 @@ from cosim.storage.yaml_file import NotNegative, Positive, short
 
 
 def _complex(value: Any) -> Any:
-    """A number, or the text of a complex one, as it was written; ValueError where it is neither, or not finite."""
+    """Return a number, or a complex number as text.
+
+    Raises:
+        ValueError: The value is neither a number nor finite.
+    """
     try:
         number = complex(value.replace(" ", "").replace("i", "j") if isinstance(value, str) else value)
     except (TypeError, ValueError):
@@ -42,20 +46,20 @@ def _complex(value: Any) -> Any:
     return str(number).strip("()") if number.imag else number.real
 
 
-ALIKE = 1e-6  # of its size: numbers no further apart are the same, one typed and one calculated
+ALIKE = 1e-6  # relative difference of numbers treated as equal, e.g. typed and calculated
 Complex = Annotated[Any, AfterValidator(_complex)]
 
 
 class _Declared(Design):
-    """With the options of one designer, and no further keys."""
+    """The options of a designer, without further keys."""
 
     model_config = ConfigDict(extra="forbid")
 
 
 def designed_values(file: ScenarioFile) -> dict[str, dict[str, Any]]:
-    """Start values by component that the design gives; its options are written into the scenario, defaults too.
+    """Return the designed start values by component.
 
-    A design that fails is faults of the file; what is worth a warning is added to those of the file.
+    The scenario gets the options with their defaults. Failures and warnings are added to the file's.
     """
     design = file.scenario.design
     if design is None:
@@ -67,7 +71,7 @@ def designed_values(file: ScenarioFile) -> dict[str, dict[str, Any]]:
         own = getattr(file.scenario.components.get(design.component), "start", None) or {}
         faults = [_fault(file, o, own, design.component) for o in designer.objections(options, law)]
         faults += _contradictions(file, design.component, designer.given(options, law), own)
-        if file.faults or faults:  # a faulty scenario is not run
+        if file.faults or faults:  # A faulty scenario is never run.
             raise InputError(faults)
         made = _Design(file, designer, options, model, law)
         designed = {**made.values(), **designer.given(options, law)}
@@ -85,9 +89,12 @@ def designed_values(file: ScenarioFile) -> dict[str, dict[str, Any]]:
 
 
 def designed_apart(file: ScenarioFile, worker: Worker | None) -> dict[str, dict[str, Any]]:
-    """Return `designed_values`; Python that the model of the design names is executed in the worker.
+    """Return `designed_values`, with foreign Python executed in the worker.
 
-    Without a worker it is executed here. InputError if it ends the worker.
+    Without a worker, the model's Python is executed in this process.
+
+    Raises:
+        InputError: The Python file ends the worker.
     """
     if worker is None:
         return designed_values(file)
@@ -105,26 +112,29 @@ def designed_apart(file: ScenarioFile, worker: Worker | None) -> dict[str, dict[
 
 
 def ended(file: Path, crash: Crashed) -> Fault:
-    """Return the fault of a Python file that ended the worker in which it was executed."""
+    """Return the fault of a Python file that ended the worker."""
     return Fault(file, 0, 0, f"does not load: {crash.reason.replace('the worker', 'its Python', 1)}")
 
 
 def _design_of(file: ScenarioFile) -> tuple[Any, Any, list[Fault], list[str]]:
-    """In a worker: return the designed values, the design with its defaults, faults and warnings."""
+    """Return designed values, design, faults and warnings from a worker."""
     designed = designed_values(file)
     design = file.scenario.design
     return designed, None if design is None else design.model_dump(), file.faults, file.warnings
 
 
 def _fault(file: ScenarioFile, objection: Objection, own: Mapping[str, Any], component: str) -> Fault:
-    """An objection at its place: the scenario's own start value where it is about that, else the option."""
+    """Return the fault of an objection.
+
+    Its place is the start value concerned, if the scenario sets one; otherwise the option.
+    """
     started = next((name for name in objection.values if name in own), None)
     if started is not None:
         return file.fault(("components", component, "start", started), objection.message)
     about = objection.about[:1]
     written = file.yaml.root.get("design")
     said = f"{about[0] if about else 'design'}: {objection.message}"
-    if not about or not isinstance(written, dict) or about[0] not in written:  # left at its default, or not in the file
+    if not about or not isinstance(written, dict) or about[0] not in written:  # a default, or from outside the file
         return file.yaml.fault(("design",), said, key=True)
     return file.fault(("design", *objection.about), said)
 
@@ -132,7 +142,7 @@ def _fault(file: ScenarioFile, objection: Objection, own: Mapping[str, Any], com
 def _contradictions(
     file: ScenarioFile, component: str, given: Mapping[str, Any], own: Mapping[str, Any]
 ) -> list[Fault]:
-    """Options that the component's own start values leave without effect: one of both is not meant."""
+    """Return a fault for each option contradicting a start value."""
     faults = []
     for name, value in given.items():
         if isinstance(value, str) and name in own and own[name] != value:
@@ -142,7 +152,7 @@ def _contradictions(
 
 
 def _asked(file: ScenarioFile, design: Design) -> tuple[Model | None, Designer]:
-    """The model of `design.model`, None where none is named, and who designs its controller."""
+    """Return the model of the design, if named, and its designer."""
     if design.model is None and design.nearest:
         raise InputError([file.fault(("design", "nearest"), "nearest is of a refine; name its folder as model")])
     if design.model is None:
@@ -153,7 +163,7 @@ def _asked(file: ScenarioFile, design: Design) -> tuple[Model | None, Designer]:
         raise InputError([file.fault(("design", "nearest"), str(error))]) from None
     try:
         loaded = load_model(BASE if design.model == BASE else str(named), Path())
-    except InputError as error:  # of the whole file, not of a line of it: told where it is named
+    except InputError as error:  # Faults without a line are reported at the key that names the file.
         where = ("design", "model")
         faults = [
             f if f.line else file.fault(where, f"model: {design.model}: {f.message}", f.exit_code) for f in error.faults
@@ -167,13 +177,17 @@ def _asked(file: ScenarioFile, design: Design) -> tuple[Model | None, Designer]:
 
 
 def _law(file: ScenarioFile, component: str) -> str:
-    """The control law of the FMU that is designed for; "" where it says none, or is none."""
+    """Return the control law of the designed FMU, or ""."""
     named = getattr(file.scenario.components.get(component), "fmu", None)
     return "" if named is None else law_of(file.resolve(named))
 
 
 def _options(file: ScenarioFile, design: Design, designer: Designer, law: str) -> dict[str, Any]:
-    """The options as the designer declares them; InputError with every fault."""
+    """Return the design's options, validated and completed.
+
+    Raises:
+        InputError: Options are invalid; it lists all faults.
+    """
     fields: dict[str, Any] = {n: (_kind(option), _default(option, law)) for n, option in designer.options.items()}
     declared = create_model("Design", __base__=_Declared, **fields)
     whole = file.yaml.validate(declared, design.model_dump(), ("design",))
@@ -188,7 +202,7 @@ def _default(option: Option, law: str) -> Any:
 
 
 def _kind(option: Option) -> Any:
-    """The type of an option's values."""
+    """Return the type of an option's values."""
     if option.choices:
         return Optional[Literal[option.choices]]  # noqa: UP045 - made at run time
     number: Any = Complex if option.complex else Positive if option.positive else NotNegative
@@ -199,7 +213,10 @@ def _kind(option: Option) -> Any:
 
 
 def _two_numbers(file: ScenarioFile, component: str, designed_with: Mapping[str, float]) -> list[str]:
-    """A number of which the design takes one value and the component, by its own start values, another."""
+    """Return a warning for each number with two values.
+
+    The component's start values and the design may differ.
+    """
     own = _numbers(file, component, designed_with)
     return [
         f"{name} is {own[name]:g} in components.{component}.start and {value:g} in design:"
@@ -210,13 +227,16 @@ def _two_numbers(file: ScenarioFile, component: str, designed_with: Mapping[str,
 
 
 def _numbers(file: ScenarioFile, component: str, names: Container[str]) -> dict[str, float]:
-    """A component's own start values of these names, as numbers in the units of their variables."""
+    """Return named start values of a component as numbers.
+
+    They have the units of their variables.
+    """
     part = file.scenario.components.get(component)
     found = {name: value for name, value in (getattr(part, "start", None) or {}).items() if name in names}
     if any(isinstance(value, str) for value in found.values()):
         try:
             description = read_description(file.resolve(getattr(part, "fmu", "")))
-        except FmuError:  # which is told where the FMU is named
+        except FmuError:  # Another check reports the unreadable FMU at its key.
             return {}
         variables = {v.name: v for v in description.modelVariables}
         found = {n: typed(description, variables[n], v) for n, v in found.items() if n in variables}
@@ -225,7 +245,7 @@ def _numbers(file: ScenarioFile, component: str, names: Container[str]) -> dict[
 
 @dataclass(frozen=True)
 class _Design:
-    """One design, its results kept in the user's cache by what they depend on."""
+    """A design with results cached in the user's cache folder."""
 
     file: ScenarioFile
     designer: Designer
@@ -234,7 +254,11 @@ class _Design:
     law: str
 
     def values(self) -> dict[str, float]:
-        """Designed values; InputError where there is no such design."""
+        """Return the designed values.
+
+        Raises:
+            InputError: No design exists for the model.
+        """
         try:
             content = {"model": self.designer.depends_on(self.model)}
             made = self._kept(content, lambda: self.designer.values(self.options, self.model, self.law))
@@ -245,7 +269,7 @@ class _Design:
         return {name: float(value) for name, value in made.items()}
 
     def judged(self, designed: Mapping[str, Any], own: Mapping[str, Any]) -> Judged:
-        """What is to be said of them with the component's own start values over them."""
+        """Validate design values after the component's start values have been applied."""
 
         def judge() -> dict[str, Any]:
             found = self.designer.judged(designed, dict(own), self.options, self.law)
@@ -256,7 +280,7 @@ class _Design:
         return Judged(objections, told["warnings"])
 
     def _kept(self, content: Mapping[str, Any], make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-        """What was made of this before, or is now."""
+        """Return the cached result of the content, or make it."""
         from cosim.base.version import __version__
 
         made_by = {"format": self.designer.version, "designer": type(self.designer).__qualname__}
@@ -267,11 +291,11 @@ class _Design:
             if isinstance(found, dict) and found:
                 return found
         except (OSError, ValueError):
-            pass  # none there, or it is not one
+            pass  # no cache entry, or a damaged one
         made = make()
         try:
             with atomic_write(place) as stream:
                 json.dump(made, stream)
         except OSError:
-            pass  # a cache that cannot be written only costs time
+            pass  # A read-only cache costs time only.
         return made

@@ -1,4 +1,4 @@
-"""What is wrong, or worth a warning, while the parts of a scenario are put together."""
+"""Faults and warnings collected while a scenario is assembled."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from cosim.base.errors import Fault, InputError
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.storage.yaml_file import MOST_FAULTS
 
-LONGEST = 2000  # characters of a message
-Place = tuple[str | int, ...]  # keys that lead to a part of the scenario
+LONGEST = 2000  # of a message [characters]
+Place = tuple[str | int, ...]  # keys of a part of the scenario
 
 
 class Diagnosis:
-    """Collects faults, those of the file's form first, and warnings, until all are reported at once."""
+    """Collected faults and warnings, reported all at once; faults of form come first."""
 
     def __init__(self, file: ScenarioFile) -> None:
         self.file = file
@@ -19,13 +19,17 @@ class Diagnosis:
         self.warnings: list[str] = list(file.warnings)
 
     def note(self, where: Place, message: str, exit_code: int = 2) -> None:
-        """Note a fault at a place of the scenario; of very many the first are enough, and InputError ends the rest."""
+        """Note a fault at a place of the scenario.
+
+        Raises:
+            InputError: The number of faults reaches its limit.
+        """
         shown = message if len(message) <= LONGEST else f"{message[: LONGEST - 1]}…"
         self.found.append(self.file.fault(where, shown, exit_code=exit_code))
         if len(self.found) >= MOST_FAULTS:
             raise InputError([*self.found, Fault(self.file.path, 0, 0, f"the first {MOST_FAULTS} faults are shown")])
 
     def raise_any(self) -> None:
-        """InputError where there is a fault."""
+        """Raise InputError if any fault was noted."""
         if self.found:
             raise InputError(self.found)

@@ -1,4 +1,4 @@
-"""`cosim run --nearest`: what a scenario takes from a refine gives way to what came nearest in it."""
+"""`cosim run --nearest`: replace refined models of a scenario by their nearest candidates."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cosim.scenario.scenario_file import ScenarioFile
 
 
 def take_nearest(file: ScenarioFile) -> None:
-    """Put the nearest FMUs, and the nearest model of the design, into a scenario; what fails is a fault of it."""
+    """Replace refined FMUs and the design's model by the nearest. Failures become faults of the scenario file."""
     faults: list[Fault] = []
     components: dict[str, Any] = dict(file.scenario.components)
     taken = 0
@@ -42,6 +42,6 @@ def take_nearest(file: ScenarioFile) -> None:
 
 
 def _refined(file: ScenarioFile, name: str) -> Path | None:
-    """A file of a scenario that a refine left, or the refine itself; None of any other."""
+    """Return the path of a file or folder of a refine."""
     path = file.resolve(name)
     return path if folder_of(path) and (path.name in (*REFINED, *NEAREST) or names_refine(path)) else None

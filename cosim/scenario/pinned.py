@@ -1,4 +1,4 @@
-"""Files of a run that is repeated: those whose content the manifest holds, where they were or beside it."""
+"""Pinned files of a repeated run: files with the content hash of the manifest, at their place or beside it."""
 
 from __future__ import annotations
 
@@ -8,30 +8,30 @@ from typing import Any
 
 from cosim.scenario.scenario import Component, FmuComponent, Scenario
 
-SYSTEM = "system"  # within the folder of a run of an SSP: its scenario and FMUs
+SYSTEM = "system"  # folder with scenario and FMUs in the run folder of an SSP
 
 
 def sha256(path: Path) -> str:
-    """SHA-256 of a file."""
+    """Return the SHA-256 of a file."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def key_of(component: Component) -> str:
-    """Under which key a component names its file."""
+    """Return the key for a component's file."""
     return "fmu" if isinstance(component, FmuComponent) else "file"
 
 
 def with_files_beside(scenario: Scenario, folder: Path) -> Scenario:
-    """The scenario of a manifest in `folder`, which takes a file that is not at its place from there, by name, or from
-    the system of an SSP there.
+    """Return a manifest's scenario with missing files replaced.
 
-    One that is there with another content gives way too where that in the folder is the one of the run.
+    A file missing at its path is taken by name from `folder` or from the system of an SSP there. A file with different
+    content is replaced too, if the file in `folder` has the content of the run.
     """
     components: dict[str, Any] = {}
     for name, component in scenario.components.items():
         key = key_of(component)
         pinned, named = getattr(component, "sha256", None), getattr(component, key, None)
-        file = PureWindowsPath(named or "").name  # of a path of any system
+        file = PureWindowsPath(named or "").name  # file name from a path of any operating system
         beside = next((each for each in (file, f"{SYSTEM}/{file}") if (folder / each).is_file()), "")
         if pinned is None or not named or not beside:
             continue

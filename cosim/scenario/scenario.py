@@ -1,4 +1,4 @@
-"""Scenario files: what is run, how it is connected, what it must achieve."""
+"""Scenario files: components, connections and criteria of a run."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ from cosim.storage.yaml_file import (
     Share,
 )
 
-LARGEST_NUMBER = 1e308  # about what a double holds; larger integers are no numbers of FMI
+LARGEST_NUMBER = 1e308  # approximate limit of doubles; FMI has no larger integers
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 Variable = Annotated[str, Field(pattern=r"(?s)^[A-Za-z_][A-Za-z0-9_]*\..+$")]
 
 
 def _scalar(value: Any) -> Any:
-    """A start value: a finite number, true or false, or text (a number with a unit, the value of a string, an item).
+    """Return a valid start value: a finite number, true or false, or text.
 
-    Of an array a list of them.
+    Text is a number with a unit, a string value or an enumeration item. An array has a list of values.
     """
     if isinstance(value, list):
         return [_scalar(each) for each in value]
@@ -50,7 +50,7 @@ def _scalar(value: Any) -> Any:
 
 
 def _kind_of(component: Any) -> str | None:
-    """Which kind of component a mapping describes, by the key that only this kind has."""
+    """Return the tag of a component's kind, by its typical key."""
     if isinstance(component, FmuComponent | ReferenceComponent | PlaybackComponent | FixComponent):
         return f"«{getattr(component, 'block', 'fmu')}»"
     if not isinstance(component, dict):
@@ -63,7 +63,7 @@ BLOCKS = ("reference", "playback", "fix")
 
 
 class Noise(Part):
-    """Gaussian noise and bias that a connection adds, in the square of the signal's unit and in its unit.
+    """Gaussian noise and bias added by a connection.
 
     variance: in the square of the unit of the input
     bias:     in the unit of the input
@@ -74,12 +74,12 @@ class Noise(Part):
 
 
 class Connection(Part):
-    """From one output to one input.
+    """Connection of an output to an input.
 
     from:   the output, `component.variable`
     to:     the input, `component.variable`; it has one source
-    noise:  what the connection adds
-    factor: in place of the conversion of their units
+    noise:  noise and bias added to the value
+    factor: multiplies the value in place of the unit conversion
     offset: added after the factor, in the unit of the input
     """
 
@@ -91,24 +91,24 @@ class Connection(Part):
 
     @property
     def conversion(self) -> tuple[float, float] | None:
-        """Factor and offset; None where the units say what becomes of a value."""
+        """Return factor and offset; None for automatic unit conversion."""
         if self.factor is None and self.offset is None:
             return None
         return 1.0 if self.factor is None else self.factor, self.offset or 0.0
 
 
 class Disturbance(Part):
-    """A fault on the connection to an input, from one time to another [s], in the unit of that input.
+    """Fault on the connection to an input during an interval [s].
 
     on:   the input, `component.variable`
-    from: when it begins [s]; at the start without
-    to:   when it ends [s]; at the end without
+    from: start [s]; by default the start of the run
+    to:   end [s]; by default the end of the run
     value: in the unit of the input
-    probability: of each sample, 0 … 1
+    probability: per sample, 0 … 1
     delay: [s]
-    kind: bias adds `value`; scale multiplies by it; stuck puts it in place; freeze holds what came last; dropout
-    loses samples with `probability` and holds the last that came; spike adds `value`, once or with `probability`
-    at each sample; delay passes on what came `delay` [s] before
+    kind: bias adds `value`; scale multiplies by it; stuck replaces the signal by it; freeze holds the last value;
+        dropout loses samples with `probability` and holds the last received one; spike adds `value`, once or with
+        `probability` per sample; delay delays the signal by `delay` [s]
     """
 
     on: Variable
@@ -121,9 +121,9 @@ class Disturbance(Part):
 
 
 class Event(Part):
-    """Values that parameters and inputs get at a time.
+    """Values set for parameters and inputs at a time.
 
-    at:  [s]; at the first communication point that is not before
+    at:  time [s]; takes effect at the first communication point at or after it
     set: `component.variable` → value
     """
 
@@ -132,17 +132,17 @@ class Event(Part):
 
 
 class FmuComponent(Part):
-    """An FMU and the start values it is given, a number in the variable's unit or text such as `12 deg`.
+    """FMU with start values: a number in the variable's unit, or text such as `12 deg`.
 
-    fmu:     the file, relative to the scenario
-    start:   variable → value: parameters, and inputs that nothing feeds
-    process: `own` for one that shares its process with no other FMU
-    interface: how it is run where it offers both
+    fmu:     file, relative to the scenario
+    start:   variable → value, for parameters and unconnected inputs
+    process: `own` for a process shared with no other FMU
+    interface: FMI interface, if the FMU offers both
     step:      its communication step [s], a whole multiple of the scenario's
-    tolerance: relative, of its solver
-    logging:   its debug messages are asked for
-    solver:    of model exchange
-    sha256:    of the file; a manifest has it
+    tolerance: relative tolerance of its solver
+    logging:   whether debug logging is on
+    solver:    solver for model exchange
+    sha256:    SHA-256 of the file, as written to a manifest
     """
 
     fmu: str
@@ -157,7 +157,7 @@ class FmuComponent(Part):
 
 
 class ReferenceComponent(Part):
-    """Reference signals made by steps and ramps.
+    """Reference signals made of steps and ramps.
 
     block:   reference
     signals: name → unit, start value and changes
@@ -168,11 +168,11 @@ class ReferenceComponent(Part):
 
 
 class PlaybackComponent(Part):
-    """Columns of a CSV file, each value held until the next row.
+    """Columns of a CSV file; each value is held until the next row.
 
     block:  playback
-    file:   the CSV, relative to the scenario; its first column is time [s]
-    sha256: of the file; a manifest has it
+    file:   CSV file, relative to the scenario; its first column is time [s]
+    sha256: SHA-256 of the file, as written to a manifest
     """
 
     block: Literal["playback"]
@@ -181,10 +181,10 @@ class PlaybackComponent(Part):
 
 
 class FixedSignal(Part):
-    """A signal that fixes measure: it comes in as NAME, its fixes go out as `NAME_meas`.
+    """Signal of a fix sensor: input NAME, output `NAME_meas`.
 
-    unit:  of the signal
-    noise: of a fix
+    unit:  unit of the signal
+    noise: noise of each fix
     """
 
     unit: str = ""
@@ -192,14 +192,15 @@ class FixedSignal(Part):
 
 
 class FixComponent(Part):
-    """A sensor that measures now and then and answers late, such as a camera, a beacon or a range to a wall.
+    """Sensor with sporadic, delayed fixes, such as a camera, a beacon or a range to a wall.
 
     block:   fix
-    rate:    fixes a second [Hz], the first at the start; each at the first communication point that is not before
-    latency: [s] from what is measured to when it is known
-    dropout: probability that a fix is lost, 0 … 1
+    rate:    fix rate [Hz], starting at the start of the run; each fix falls on the first communication point at or
+        after its time
+    latency: delay from measurement to output [s]
+    dropout: probability of losing a fix, 0 … 1
     signals: name → unit and noise; all are measured at once. `NAME_meas` holds the latest fix, `fix` its number, 0
-             before the first
+        before the first
     """
 
     block: Literal["fix"]
@@ -210,11 +211,11 @@ class FixComponent(Part):
 
 
 class Design(Part):
-    """Start values of a controller designed before the run; further keys are the designer's (`cosim.base.registry`).
+    """Start values of a controller designed before the run; further keys belong to the designer.
 
-    `component`: the FMU that gets them
-    `model`: a model file, from whose equations its numbers are taken; those given beside it win
-    `nearest`: of the refine that left it, the model that came nearest
+    `component`: FMU that gets the start values
+    `model`: model file with the numbers of the design; numbers given here take precedence
+    `nearest`: whether to use the nearest model of a refine instead of its refined model
     """
 
     model_config = ConfigDict(extra="allow")
@@ -225,14 +226,14 @@ class Design(Part):
 
 
 class Criterion(Part):
-    """A figure of merit and its limit.
+    """Figure of merit with a limit.
 
-    of:    the signal, `component.variable`
-    to:    what it is held against, a number or another signal; 0 without
-    band:  of settling_time, in the unit of the signal
-    after: from when on it is looked at [s] after the start
-    until: up to when [s] after the start
-    max:   most that it may be, in the unit of the signal; of settling_time [s]
+    of:    signal, `component.variable`
+    to:    target, a number or another signal; default 0
+    band:  tolerance band of settling_time, in the unit of the signal
+    after: start of the evaluation [s] after the start
+    until: end of the evaluation [s] after the start
+    max:   largest allowed value, in the unit of the signal; of settling_time [s]
     """
 
     of: Variable
@@ -243,7 +244,7 @@ class Criterion(Part):
     max: Amount
 
 
-Connections = Annotated[  # all of them commented out leave a key without a value
+Connections = Annotated[  # a key with all entries commented out has no value
     list[Connection],
     BeforeValidator(lambda given: [] if given is None else given),
     Field(json_schema_extra={"type": ["array", "null"]}),
@@ -265,25 +266,25 @@ Component = Annotated[
 
 
 class Scenario(Part):
-    """One co-simulation.
+    """Co-simulation scenario.
 
-    name:        shown in the report; results go to results/NAME
-    description: shown in the report
+    name:        title in the report; results go to results/NAME
+    description: text in the report
     duration:    [s], a whole number of steps
     step:        communication step [s]
     start_time:  [s]
-    seed:        of every random stream; the same seed gives the same bytes
-    order:       components with inputs, in the order in which they step; where their FMUs do not settle it
-    noise:       on or off, of all connections
-    tolerance:   relative, of the solvers; each FMU's own without
-    record:      patterns such as `plant.*`: locals and parameters recorded beside inputs and outputs
+    seed:        seed of all random streams; the same seed gives the same bytes
+    order:       stepping order of components with inputs, if their FMUs do not determine it
+    noise:       on or off, for all connections
+    tolerance:   relative tolerance of the solvers; by default each FMU's own
+    record:      patterns such as `plant.*` of locals and parameters to record beside inputs and outputs
     design:      start values of a controller designed before the run
     components:  name → FMU, reference, recording or fixes
     connections: from outputs to inputs
-    events:      values that parameters and inputs get at a time
-    faults:      what disturbs a connection
-    criteria:    what must hold; a missed one exits 5
-    limits:      how long and how large a run may get
+    events:      values set for parameters and inputs at a time
+    faults:      faults on connections
+    criteria:    required figures of merit; a missed one leads to exit code 5
+    limits:      limits on time and memory of a run
     """
 
     name: str
@@ -292,7 +293,7 @@ class Scenario(Part):
     step: PositiveSeconds
     start_time: Seconds = 0.0
     seed: Annotated[int, Field(strict=True, ge=0)] = 0
-    algorithm: Annotated[str, AlgorithmKey()] = DEFAULT.name  # its description is that of the algorithms
+    algorithm: Annotated[str, AlgorithmKey()] = DEFAULT.name  # The registered algorithms supply its description.
     order: list[Name] | None = None
     noise: bool = True
     tolerance: Positive | None = None
@@ -307,12 +308,12 @@ class Scenario(Part):
 
     @property
     def steps(self) -> int:
-        """Number of communication steps."""
-        return round(min(self.duration / self.step, 1e18))  # which nobody takes; beyond a double is no number
+        """Return the number of communication steps."""
+        return round(min(self.duration / self.step, 1e18))  # more than any run accepts; infinity would have no integer
 
     @property
     def goals(self) -> list[tuple[str, int | None, Criterion]]:
-        """Every criterion: kind, its place in a list of several, itself."""
+        """Return all criteria as (kind, index in a list, criterion)."""
         flat: list[tuple[str, int | None, Criterion]] = []
         for kind, one_or_many in self.criteria.items():
             if isinstance(one_or_many, Criterion):
@@ -323,6 +324,6 @@ class Scenario(Part):
 
 
 def resolved(scenario: Scenario) -> dict[str, Any]:
-    """A scenario as a JSON mapping, defaults spelled out."""
+    """Return a scenario as a JSON mapping with all defaults."""
     data: dict[str, Any] = json.loads(scenario.model_dump_json(by_alias=True, exclude_none=True))
     return data

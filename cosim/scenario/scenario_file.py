@@ -1,4 +1,4 @@
-"""Reading a scenario file: overrides, faults with their place, and what is left of a faulty one to check on."""
+"""Reading scenario files: overrides, faults with their place, and the valid remainder of a faulty file."""
 
 from __future__ import annotations
 
@@ -23,19 +23,24 @@ from cosim.storage.yaml_file import Origin, YamlFile, did_you_mean, location_in,
 from cosim.storage.yaml_nodes import Document, Location, NotYaml
 
 MOST_STEPS = 2e7
-ROUNDING = 1e-9  # relative slack when a duration is divided into steps
+ROUNDING = 1e-9  # relative tolerance for a whole number of steps
 
 
 class ScenarioFile:
-    """A scenario and the file it came from, so that later checks can name the place.
+    """A scenario with its file, so that later checks can name places.
 
-    Faults of form do not stop the checks of meaning: `faults` holds them, `scenario` what is left without the
-    faulty parts, `broken` the names of components left out, `places` where the connections, faults and events that are
-    left stand in the file. Whoever runs a scenario raises `faults` first.
+    Faults of form do not stop the checks of meaning. Callers that run the scenario must raise `faults` first.
 
-    overrides: `path=value` each; a fault of such a value names the override
-    origin:    where the faults of a scenario that was made from another file stand in that
-    option:    in which the user wrote the overrides; "" where a fault gets its place from the caller
+    Args:
+        overrides: `path=value` texts; a fault of such a value names the override.
+        origin: Maps faults to the source file of a generated scenario.
+        option: Option name for messages on overrides; "" if the caller supplies places.
+
+    Attributes:
+        faults: Faults so far.
+        scenario: Scenario without its faulty parts.
+        broken: Names of removed components.
+        places: Indices in the file of the remaining connections, faults and events.
     """
 
     def __init__(
@@ -57,7 +62,7 @@ class ScenarioFile:
         self.stands_in = False
         self.places = _numbered(data)
         self.faults: list[Fault] = []
-        self.warnings: list[str] = []  # of what is fit to be run
+        self.warnings: list[str] = []  # about valid parts of the scenario
         convert_quantities(data, self.resolve, lambda at, message: self.faults.append(self.fault(at, message)))
         self.scenario = self._validate(data)
         if self.manifest is not None:
@@ -65,13 +70,13 @@ class ScenarioFile:
         self.faults += [*self._step_faults(), *self._criteria_faults()]
 
     def _validate(self, data: dict[str, Any]) -> Scenario:
-        """The scenario; where it has faults of form, what is left without them."""
+        """Return the scenario, if faulty without its faulty parts."""
         try:
             return self.yaml.validate(Scenario, data)
         except InputError as error:
             self.faults += error.faults
         left = Salvage(data)
-        for _ in range(3):  # what is left may miss a key it needs
+        for _ in range(3):  # The remainder may lack a required key.
             try:
                 scenario = Scenario.model_validate(left.data)
             except ValidationError as error:
@@ -83,26 +88,26 @@ class ScenarioFile:
         raise InputError(self.faults)
 
     def resolve(self, name: str) -> Path:
-        """A file named in the scenario, relative to its own folder; unresolved where no file may be so named."""
+        """Return the path of a file relative to the scenario's folder."""
         path = self.path.parent / name
         try:
             return path.resolve()
-        except (OSError, ValueError):  # a loop of links, a zero byte
+        except (OSError, ValueError):  # a loop of links, or a zero byte
             return path
 
     @property
     def files(self) -> list[Path]:
-        """FMUs and recordings that its components name."""
+        """Return the FMUs and recordings of the components."""
         named = ((getattr(c, "fmu", None) or getattr(c, "file", None)) for c in self.scenario.components.values())
         return [self.resolve(name) for name in named if name]
 
     def fault(self, location: tuple[str | int, ...], message: str, exit_code: int = 2) -> Fault:
-        """A fault at a place of the scenario."""
+        """Return a fault at a place of the scenario."""
         return self.yaml.fault(location, message, exit_code=exit_code)
 
     def _step_faults(self) -> list[Fault]:
         s = self.scenario
-        if self.stands_in:  # duration or step is faulty itself
+        if self.stands_in:  # Duration or step is faulty itself.
             return []
         count = s.duration / s.step
         if not count <= MOST_STEPS:
@@ -129,12 +134,12 @@ class ScenarioFile:
         return faults
 
 
-LISTS = ("connections", "faults", "events")  # whose entries are told apart where one is faulty
+LISTS = ("connections", "faults", "events")  # lists from which faulty entries are removed singly
 STAND_INS: dict[str, Any] = {"name": "?", "duration": 1.0, "step": 0.1}
 
 
 class Salvage:
-    """A scenario's data without its faulty parts, so that the rest can still be checked for meaning."""
+    """Scenario data without faulty parts, for checks of the rest."""
 
     def __init__(self, data: dict[str, Any]) -> None:
         self.data = copy.deepcopy(data)
@@ -143,7 +148,7 @@ class Salvage:
         self.stands_in = False
 
     def drop(self, locations: Sequence[tuple[int | str, ...]]) -> None:
-        """Leave out the part at each location, as little as will do."""
+        """Remove the smallest part around each location."""
         entries: dict[str, set[int]] = {}
         for first, *rest in filter(None, locations):
             if first in LISTS and rest and isinstance(rest[0], int):
@@ -177,19 +182,26 @@ class Salvage:
 
 
 def _numbered(data: Mapping[str, Any]) -> dict[str, list[int]]:
-    """Places of the entries of lists in the file."""
+    """Return the indices of the entries of each list."""
     return {key: list(range(len(entries))) if isinstance(entries := data.get(key), list) else [] for key in LISTS}
 
 
 def _index(node: Any, key: str, *, new: bool) -> str | int | None:
-    """Where a key leads in a node: the place of an item that is there, a key, which may be `new`; None: nowhere."""
+    """Return the index or key of `key` in a node, if allowed.
+
+    Args:
+        new: Whether a mapping may gain the key.
+    """
     if isinstance(node, list):
         return int(key) if key.isascii() and key.isdigit() and int(key) < len(node) else None
     return key if isinstance(node, dict) and (key in node or new) else None
 
 
 def _override(path: Path, data: dict[str, Any], text: str, named: str) -> Location:
-    """Put one `path=value` into the data and return its place; the value is read as YAML (JSON included)."""
+    """Apply a `path=value` override; return its place.
+
+    The value is read as YAML, which includes JSON.
+    """
     target, sign, value = text.partition("=")
 
     def refused(why: str) -> InputError:
@@ -217,22 +229,28 @@ def _override(path: Path, data: dict[str, Any], text: str, named: str) -> Locati
     raise refused(f"leads nowhere: there is no {short(target)} in the scenario")
 
 
-NAMED = {"components": (1,)}  # at which depth a path names what the scenario must have
+NAMED = {"components": (1,)}  # depths at which a path must name an existing key
 
 
 def keys_of(target: str) -> list[str]:
-    """The keys of a path; a variable's name may hold dots: components.plant.start.coulomb_friction.force."""
+    """Return the keys of a path.
+
+    A variable's name may contain dots: components.plant.start.coulomb_friction.force.
+    """
     keys = target.split(".")
     if len(keys) > 4 and keys[0] == "components" and keys[2] == "start":
         return [*keys[:3], ".".join(keys[3:])]
     return keys
 
 
-FILES = {"components": ("fmu", "file"), "design": ("model",)}  # keys below these whose values are names of files
+FILES = {"components": ("fmu", "file"), "design": ("model",)}  # keys of file names, by section
 
 
 def _from_here(keys: Sequence[str], value: Any) -> Any:
-    """A value of --set, its names of files taken from the current folder: there they were typed."""
+    """Return a value of --set with absolute file names.
+
+    Relative names start at the current folder, where the user typed them.
+    """
     named = FILES.get(keys[0], ())
     inner = keys[2:] if keys[0] == "components" else keys[1:]
     if isinstance(value, dict) and not inner:
@@ -241,7 +259,7 @@ def _from_here(keys: Sequence[str], value: Any) -> Any:
 
 
 def from_here(data: Mapping[str, Any]) -> dict[str, Any]:
-    """The content of a scenario that is in no file, its names of files taken from the current folder."""
+    """Return a scenario without a file, with absolute file names."""
     found = dict(data)
     if isinstance(components := found.get("components"), Mapping):
         found["components"] = {
@@ -254,12 +272,12 @@ def from_here(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _whole(name: Any) -> Any:
-    """The whole path of a file's name; what is no such name stays."""
+    """Return the absolute path of a file name; leave others unchanged."""
     return os.path.abspath(name) if isinstance(name, str) and name and not is_model(name) and name != BASE else name
 
 
 def _value(text: str) -> Any:
-    """What a value of --set means; where it is no YAML, the text itself."""
+    """Return a value of --set parsed as YAML, else the text."""
     try:
         return Document(text).data
     except NotYaml:

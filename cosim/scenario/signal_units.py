@@ -1,6 +1,6 @@
-"""Numbers with a unit in a scenario whose unit is that of a signal: converted to it before the scenario is validated.
+"""Unit conversion of scenario quantities in the unit of a signal, before validation.
 
-Quantities whose unit the key itself says, such as `duration`, are converted by `cosim.storage.yaml_file.InUnit`.
+Quantities with a fixed unit, such as `duration`, are converted by `cosim.storage.yaml_file.InUnit`.
 """
 
 from __future__ import annotations
@@ -18,19 +18,23 @@ from cosim.scenario.start_values import Misfit, converted
 from cosim.storage.yaml_file import shown
 from cosim.storage.yaml_nodes import Location
 
-STAND_IN = 1.0  # in place of a faulty quantity, so that the rest of the scenario is still checked
+STAND_IN = 1.0  # replaces a faulty quantity, so that checks can go on
 Resolve = Callable[[str], Path]
 Note = Callable[[Location, str], None]
 
 
 class Measure(NamedTuple):
-    """Unit of a signal, and the conversion of text to it: (text, is it a difference) → number, or ValueError."""
+    """Unit of a signal, and a function (text, is difference) → number, which may raise ValueError."""
 
     unit: str
     number: Callable[[str, bool], float]
 
     def of_kind(self, kind: str, text: str) -> float:
-        """Return the number of a text that is a `value`, a `difference`, a `square` of one, or one in each `second`."""
+        """Return the number of a text.
+
+        Args:
+            kind: `value`, `difference`, `square`, `rate` (per second) or `integral` (over time).
+        """
         if not has_unit(text):
             raise ValueError(allowed_quantity(self.unit))
         if kind == "square":
@@ -44,9 +48,10 @@ class Measure(NamedTuple):
 
 @dataclass(frozen=True)
 class Place:
-    """A quantity of a scenario: where it stands, the signal whose unit it has, and of which kind it is.
+    """A quantity of a scenario, with its location, its signal and its kind.
 
-    of: `component.variable`, or the measure itself
+    Attributes:
+        of: Signal as `component.variable`, or the measure itself.
     """
 
     location: Location
@@ -55,7 +60,11 @@ class Place:
 
 
 def convert_quantities(data: dict[str, Any], resolve: Resolve, note: Note) -> None:
-    """Replace text such as `2 deg` by the number in the unit of its signal; `note` gets each fault with its place."""
+    """Convert text such as `2 deg` to the signal's unit, in place.
+
+    Args:
+        note: Called with place and message of each fault.
+    """
     measures: dict[str, Measure | None] = {}
     for place in _places(data):
         *path, last = place.location
@@ -79,7 +88,7 @@ def convert_quantities(data: dict[str, Any], resolve: Resolve, note: Note) -> No
 
 
 def _measure(data: Mapping[str, Any], signal: str, resolve: Resolve) -> Measure | None:
-    """Return the measure of a signal; None if there is no such signal, of which other checks tell."""
+    """Return the measure of a signal; None if unknown. Other checks report unknown signals."""
     owner, _, name = signal.partition(".")
     component = _part(data, "components", owner)
     if not isinstance(component, dict):
@@ -119,7 +128,7 @@ def _plain(unit: str) -> Measure:
 
 
 def _places(data: dict[str, Any]) -> Iterator[Place]:
-    """Every text that stands for a quantity of a signal."""
+    """Yield the places of all quantities written as text."""
     for place in (*_of_connections(data), *_of_faults(data), *_of_criteria(data), *_of_components(data)):
         if isinstance(_part(data, *place.location), str):
             yield place
@@ -157,7 +166,7 @@ def _of_criteria(data: Mapping[str, Any]) -> Iterator[Place]:
                 yield Place((*at, "max"), _plain("s"), "value")
             elif kind == "effort":
                 yield Place((*at, "max"), signal, "integral")
-            else:  # a peak held against nothing is a value: at most 80 degC
+            else:  # A peak without a target is a value: at most 80 degC.
                 yield Place((*at, "max"), signal, "value" if kind == "peak" and not to else "difference")
 
 
@@ -170,7 +179,7 @@ def _of_components(data: Mapping[str, Any]) -> Iterator[Place]:
             if not isinstance(unit, str):
                 continue
             at: Location = ("components", name, "signals", signal)
-            measure = _plain(unit)  # as it is written: what is in degrees is computed in radians later
+            measure = _plain(unit)  # The written unit; degrees become radians later.
             yield Place((*at, "start"), measure, "value")
             for k, _ in _entries(about.get("changes")):
                 yield Place((*at, "changes", k, "to"), measure, "value")
@@ -180,14 +189,14 @@ def _of_components(data: Mapping[str, Any]) -> Iterator[Place]:
 
 
 def _entries(given: Any) -> Iterator[tuple[int, dict[str, Any]]]:
-    """Mappings of a list, with their places in it."""
+    """Yield the mappings of a list with their indices."""
     for k, entry in enumerate(given if isinstance(given, list) else ()):
         if isinstance(entry, dict):
             yield k, entry
 
 
 def _part(data: Any, *location: str | int) -> Any:
-    """The part of plain data at a location; None if there is none."""
+    """Return the part of plain data at a location, if any."""
     for step in location:
         if isinstance(data, dict):
             data = data.get(step)

@@ -1,4 +1,4 @@
-"""Start values of a scenario in the type and unit of their FMU variable."""
+"""Conversion of start values to the type and unit of their FMU variable."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ HEX = re.compile(r"(?:[0-9A-Fa-f]{2})*")
 
 @dataclass(frozen=True)
 class Misfit:
-    """Why a value does not fit its variable."""
+    """Reason for a value's misfit with its variable."""
 
     reason: str
 
 
 def settable(variable: Any) -> bool:
-    """FMI lets a host give this variable a start value."""
+    """Return whether FMI lets a host set this variable's start value."""
     if variable.variability == "constant" or variable.causality in {"independent", "structuralParameter"}:
         return False
-    given = variable.initial is None and variable.start is not None  # FMI 1.0 knows no `initial`
+    given = variable.initial is None and variable.start is not None  # FMI 1.0 has no `initial`.
     return variable.causality == "input" or variable.initial in {"exact", "approx"} or given
 
 
 def kind_of(variable: Any) -> str:
-    """What a variable is that takes none."""
+    """Return a description of a variable without a start value."""
     known = {
         "output": "an output",
         "calculatedParameter": "calculated",
@@ -44,7 +44,10 @@ def kind_of(variable: Any) -> str:
 
 
 def with_elements(given: Mapping[str, Any], variables: Mapping[str, Any]) -> dict[str, Any]:
-    """Values of elements, `A[1,2]: 3`, put into the list of their array: what is given for that, else its own start."""
+    """Return start values with elements merged into arrays.
+
+    An element is written `A[1,2]: 3`. Remaining elements come from the array's given value, else from its start value.
+    """
     found = dict(given)
     for name, value in given.items():
         array = variables.get(name.rpartition("[")[0])
@@ -58,7 +61,7 @@ def with_elements(given: Mapping[str, Any], variables: Mapping[str, Any]) -> dic
 
 
 def _elements(given: Any, count: int) -> list[Any] | None:
-    """Return what is given for a whole array as a list; None where it does not fit, which is told elsewhere."""
+    """Return an array's value as a list; None for a misfit, reported elsewhere."""
     if given is None or isinstance(given, (int, float)):
         return [given or 0.0] * count
     values = given.split() if isinstance(given, str) else given
@@ -68,7 +71,7 @@ def _elements(given: Any, count: int) -> list[Any] | None:
 
 
 def _number(text: Any) -> Any:
-    """A start value as XML has it, as a number where it is one."""
+    """Return an XML start value as a number, if numeric."""
     if not isinstance(text, str):
         return text
     try:
@@ -78,7 +81,7 @@ def _number(text: Any) -> Any:
 
 
 def typed(description: Any, variable: Any, given: Any) -> Any:
-    """The value as FMI takes it, of an array a list of them, or why it does not fit."""
+    """Return a value in FMI's type, or the misfit. An array has a list of values."""
     if not variable.shape:
         return _typed(description, variable, given)
     count = math.prod(variable.shape)
@@ -112,7 +115,7 @@ NOT_NUMBERS: dict[str, tuple[Callable[[Any], bool], str]] = {
 
 
 def _why_no_number(variable: Any, kind: Kind, given: Any) -> str:
-    """Say why a variable does not take a value as its number; "" if it does."""
+    """Return the reason for rejecting a number, or ""."""
     unit = unit_of(variable)
     if isinstance(given, bool) or not isinstance(given, (int, float)):
         return f"it is a number [{unit or '1'}]"
@@ -127,7 +130,10 @@ def _why_no_number(variable: Any, kind: Kind, given: Any) -> str:
 
 
 def _bounds(variable: Any, kind: Kind) -> tuple[float, float]:
-    """What the variable, else its declared type, else the type of FMI, holds."""
+    """Return the bounds of a variable.
+
+    Its own bounds take precedence over its declared type's; the range of the FMI type always applies.
+    """
     declared = variable.declaredType
     low, high = (
         next((float(v) for v in (getattr(variable, end), getattr(declared, end, None)) if v is not None), None)
@@ -138,18 +144,22 @@ def _bounds(variable: Any, kind: Kind) -> tuple[float, float]:
 
 
 def _items(variable: Any) -> dict[str, int]:
-    """Names and numbers of an enumeration's items, where it declares them."""
+    """Return an enumeration's declared items with their numbers."""
     return {i.name: int(i.value) for i in variable.declaredType.items or ()} if variable.declaredType else {}
 
 
 def _named(variable: Any, text: str) -> int | Misfit:
-    """The number of an enumeration's item."""
+    """Return the number of an enumeration's item."""
     items = _items(variable)
     return items[text] if text in items else Misfit(f"it is one of {', '.join(items)}{did_you_mean(text, items)}")
 
 
 def converted(description: Any, variable: Any, text: str, *, difference: bool = False) -> float | Misfit:
-    """Return text such as `12 deg` in the unit of the variable; for a difference without the unit's offset."""
+    """Return text such as `12 deg` in the unit of the variable.
+
+    Args:
+        difference: Whether to ignore the unit's offset.
+    """
     unit, relative = unit_of(variable), difference or is_difference(variable)
     displays: list[Any] = next((d.displayUnits for d in description.unitDefinitions if d.name == unit), [])
     known = {d.name: (float(d.factor), 0.0 if relative else float(d.offset)) for d in displays}

@@ -1,1 +1,1 @@
-"""A scenario run: read, checked, laid out, stepped by the master, written down and shown."""
+"""Scenario runs: from reading and checking to results, manifest and report."""

@@ -1,8 +1,8 @@
-"""What the length of the communication step does to a run: the same one again in steps of half the length.
+"""Effect of the communication step length on a run, estimated with halved steps.
 
-Where a method of order p is used the error of the run is 1/(1 − 2^−p) times the difference: about twice it for p = 1,
-the order of Gauss-Seidel and Jacobi with inputs that are held. Where the FMUs give their
-state away and take it back, each step is made again in halves too: that tells when the exchange of values costs most.
+For a method of order p, the error of the run is 1/(1 − 2^−p) times the difference: about twice the difference for
+p = 1, the order of Gauss-Seidel and Jacobi with held inputs. If the FMUs can save and restore their state, each step is
+also repeated in halves, to show when the coupling error is largest.
 """
 
 from __future__ import annotations
@@ -29,11 +29,13 @@ from cosim.system.system import build_system
 
 @dataclass(frozen=True)
 class CouplingError:
-    """Of each connected signal the largest difference between the run and its halved one, in the signal's unit.
+    """Largest difference between a run and its halved run per connected signal, in the signal's unit.
 
-    stopped: why there is none
-    steps:   of each connected signal the largest difference that a single step makes, and when [s]
-    without: why no step was taken back
+    Attributes:
+        of: Signal → largest difference.
+        stopped: Reason for missing differences.
+        steps: Signal → largest difference caused by a single step, and its time [s].
+        without: Reason for not repeating single steps.
     """
 
     of: Mapping[str, float]
@@ -43,7 +45,7 @@ class CouplingError:
 
     @property
     def sentence(self) -> str:
-        """What is said of it in a line."""
+        """Return the result as one sentence."""
         if self.stopped:
             return f"coupling error not known: with half the step {self.stopped}"
         shown = ", ".join(f"{name} {value:.2g}" for name, value in self.of.items())
@@ -58,9 +60,14 @@ class CouplingError:
 def coupling_error(
     scenario: FilePath, overrides: Sequence[str] = (), *, nearest: bool = False, in_process: bool = False
 ) -> CouplingError:
-    """Compare a scenario, without noise, at its step and at half of it; in a worker process, within its limits.
+    """Compare a scenario without noise at full and half step.
 
-    Raises InputError, FmuError, Interrupted.
+    FMUs run in a worker process within the limits of the scenario.
+
+    Raises:
+        InputError: The scenario is faulty.
+        FmuError: An FMU does not load.
+        Interrupted: The user stopped a run.
     """
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
@@ -83,7 +90,7 @@ def _largest(results: Results, name: str) -> tuple[float, float]:
 
 
 def differences(whole: Results, halved: Results, names: Sequence[str]) -> dict[str, float]:
-    """The largest difference of each signal at the communication points that both have."""
+    """Return each signal's largest difference at common communication points."""
     rows = min(len(whole.time), (len(halved.time) + 1) // 2)
     found = {}
     for name in names:
@@ -96,9 +103,11 @@ def differences(whole: Results, halved: Results, names: Sequence[str]) -> dict[s
 def _results(
     path: Path, overrides: tuple[str, ...], nearest: bool, parts: int, worker: Worker | None, *, halved: bool = False
 ) -> Results | str:
-    """Rows with steps of one of `parts` of the scenario's, or why there are none.
+    """Return the rows of a run, or the reason for missing rows.
 
-    halved: the differences that halves of each step make
+    Args:
+        parts: Number of parts into which the scenario's step is divided.
+        halved: Whether to record the differences made by halving each step.
     """
     given = ScenarioFile(path, overrides)
     step, steps = given.scenario.step / parts, given.scenario.steps * parts
@@ -112,7 +121,7 @@ def _results(
     except InputError as error:
         if parts == 1:
             raise
-        why = "; ".join(fault.message.partition(": set ")[0] for fault in error.faults)  # that cure is of a run
+        why = "; ".join(fault.message.partition(": set ")[0] for fault in error.faults)  # a remedy for runs only
         return f"(halved by --coupling-error: {step:g} s for {given.scenario.step:g} s) it cannot be run: {why}"
     if halved:
         if reason := why_not(system):

@@ -1,4 +1,4 @@
-"""Criteria of a scenario, evaluated on its results."""
+"""Evaluation of a scenario's criteria on its results."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cosim.storage.results import Results
 
 @far_beyond
 def evaluate(scenario: Scenario, results: Results) -> list[dict[str, Any]]:
-    """Every criterion with its value, limit, unit and whether it is met."""
+    """Return all criteria with value, limit, unit and outcome."""
     return [_evaluate(kind, criterion, results) for kind, _, criterion in scenario.goals]
 
 
@@ -27,7 +27,7 @@ def _evaluate(kind: str, criterion: Criterion, results: Results) -> dict[str, An
     target = results[criterion.to][window] if isinstance(criterion.to, str) else np.full_like(signal, criterion.to)
     unit = results.units.get(criterion.of, "")
     match kind:
-        case _ if not signal.size:  # an FMU ended the simulation before
+        case _ if not signal.size:  # An FMU ended the simulation before the window.
             value = math.inf
         case "settling_time":
             value, unit = metrics.settling_time(t, signal, target, criterion.band or 0.0), "s"
@@ -48,7 +48,7 @@ def _evaluate(kind: str, criterion: Criterion, results: Results) -> dict[str, An
 
 
 def sentence(outcome: dict[str, Any]) -> str:
-    """One criterion and its outcome, as said on the terminal."""
+    """Return the sentence on a criterion for the terminal."""
     value = "never" if outcome["value"] is None else f"{outcome['value']:.4g} {outcome['unit']}".rstrip()
     verdict = "met" if outcome["met"] else "MISSED"
     limit = f"{outcome['max']:.4g} {outcome['unit']}".rstrip()

@@ -1,4 +1,4 @@
-"""The manifest: everything needed to know what a run was, and to run it again bit for bit."""
+"""The manifest of a run: everything needed to understand and to repeat it bit for bit."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ PACKAGES = ("FMPy", "pythonfmu", "numpy", "scipy", "filterpy", "control", "pydan
 
 
 def resolve_scenario(file: ScenarioFile, designed: Mapping[str, Mapping[str, Any]], system: System) -> Scenario:
-    """The scenario as run: gains in place of `design`, files absolute, FMUs pinned by content."""
+    """Return the scenario as run.
+
+    It has designed values in place of `design`, absolute paths, and the hash of each file.
+    """
     components: dict[str, Any] = {}
     for name, component in file.scenario.components.items():
         if isinstance(component, FmuComponent):
@@ -38,7 +41,7 @@ def resolve_scenario(file: ScenarioFile, designed: Mapping[str, Mapping[str, Any
 
 
 def check_pinned(file: ScenarioFile) -> None:
-    """A manifest is repeated only with the FMUs it was made with."""
+    """Raise InputError if files differ from the manifest's."""
     faults = []
     for name, component in file.scenario.components.items():
         key = key_of(component)
@@ -61,7 +64,12 @@ def manifest(
     made_with: Mapping[str, Any],
     loop: str = "",
 ) -> dict[str, Any]:
-    """The manifest of a run, before its outcome is known; `made_with` as of below, `loop` is as in `Results`."""
+    """Return the manifest of a run before its outcome.
+
+    Args:
+        made_with: As returned by the function `made_with`.
+        loop: As in `Results`.
+    """
     scenario = resolve_scenario(file, designed, system)
     return {
         "schema_version": SCHEMA_VERSION,
@@ -96,7 +104,10 @@ def manifest(
 
 
 def made_with() -> dict[str, Any]:
-    """Versions of what makes a run, and the revision of this package; other programs are asked, which takes a while."""
+    """Return the versions behind a run.
+
+    These are packages, the platform and this package's revision. The call takes a while, because it starts git.
+    """
     return {
         "versions": {"python": platform.python_version(), "platform": platform.platform(), **_versions()},
         "git": _git(Path(__file__).resolve().parent.parent),
@@ -114,7 +125,7 @@ def _versions() -> dict[str, str]:
 
 
 def _git(folder: Path) -> dict[str, Any] | None:
-    """Revision of this package's checkout; None where it is installed without one."""
+    """Return the git revision of this package, if in a checkout."""
     if not (folder / ".git").exists():
         return None
     try:

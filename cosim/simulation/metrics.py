@@ -1,7 +1,7 @@
-"""Figures of merit of a sampled signal: what the report prints and the criteria check.
+"""Figures of merit of a sampled signal, for reports and criteria.
 
-Every function takes time `t` [s], a signal and its target as arrays of shape (samples,) and
-returns one float in the signal's own unit (or seconds).
+Each function takes time `t` [s], a signal and its target as arrays of shape (samples,). It returns a float in the
+signal's own unit, or in seconds.
 """
 
 from __future__ import annotations
@@ -12,7 +12,10 @@ from cosim.base.arrays import Array
 
 
 def settling_time(t: Array, signal: Array, target: Array | float, band: float) -> float:
-    """Time [s] from `t[0]` to the last sample outside `target ± band`; 0 if none is, inf if the last one is."""
+    """Return the time [s] to the last sample outside `target ± band`.
+
+    It is 0 if no sample is outside and inf if the last sample is.
+    """
     outside = np.flatnonzero(np.abs(signal - target) > band)
     if outside.size == 0:
         return 0.0
@@ -22,27 +25,30 @@ def settling_time(t: Array, signal: Array, target: Array | float, band: float) -
 
 
 def overshoot(signal: Array, target: Array | float) -> float:
-    """Largest excursion past the final target, seen in the direction of travel from the first sample."""
+    """Return the largest excursion beyond the final target.
+
+    The direction is that from the first sample to the target.
+    """
     final = float(np.broadcast_to(target, signal.shape)[-1])
     direction = np.sign(final - signal[0])
     return max(0.0, float(np.max(direction * (signal - final)))) if direction else float(np.max(np.abs(signal - final)))
 
 
 def rms_error(signal: Array, target: Array | float) -> float:
-    """Root mean square of `signal - target`."""
+    """Return the root mean square of `signal - target`."""
     return float(np.sqrt(np.mean((signal - target) ** 2)))
 
 
 def final_error(signal: Array, target: Array | float) -> float:
-    """Absolute error of the last sample."""
+    """Return the absolute error of the last sample."""
     return float(np.abs(signal - target)[-1])
 
 
 def peak(signal: Array) -> float:
-    """Largest magnitude."""
+    """Return the largest magnitude."""
     return float(np.max(np.abs(signal)))
 
 
 def effort(t: Array, signal: Array) -> float:
-    """Integral of the magnitude over time, the command held between samples [unit s]."""
+    """Return the time integral of the magnitude [unit s]. The signal is held between samples."""
     return float(np.sum(np.abs(signal[:-1]) * np.diff(t)))

@@ -1,4 +1,4 @@
-"""An SSP as a scenario: its FMUs beside a scenario.json, and the place in the SSP of each part of that."""
+"""An SSP as a scenario: a scenario.json with its FMUs, and the place in the SSP of each part."""
 
 from __future__ import annotations
 
@@ -29,26 +29,26 @@ from cosim.storage.kinds import SSP, kind_by_form
 from cosim.storage.yaml_nodes import Location
 from cosim.system.system import build_system
 
-FOLDER, SCENARIO = SYSTEM, "scenario.json"  # within that of the results
-STOP, STEP = 1.0, 0.01  # [s] where neither the SSP nor its FMUs say
-IMPORTERS = Jacobi()  # by which libcosim, ecos and FMPy step
+FOLDER, SCENARIO = SYSTEM, "scenario.json"  # inside the results folder
+STOP, STEP = 1.0, 0.01  # defaults [s] if neither the SSP nor its FMUs declare a value
+IMPORTERS = Jacobi()  # the coupling algorithm of libcosim, ecos and FMPy
 
 
 def is_ssp(path: Path) -> bool:
-    """Whether a file is taken for an SSP, by its name or what is in it."""
+    """Return whether a file is an SSP, by name or content."""
     return kind_by_form(path) == SSP
 
 
 @dataclass
 class Places:
-    """Where in an SSP the parts of the scenario made from it stand."""
+    """Places in an SSP of the parts of its scenario."""
 
     package: Package
     whole: Element
     known: dict[Location, Element]
 
     def fault(self, location: Location, message: str, exit_code: int = 2) -> Fault:
-        """A fault at a part of the scenario, told of the element it comes from."""
+        """Return the fault of a part at its element of the SSP."""
         parts = (location[:end] for end in range(len(location), 0, -1))
         element = next((self.known[part] for part in parts if part in self.known), None)
         if element is None:
@@ -58,7 +58,11 @@ class Places:
 
 @dataclass(frozen=True)
 class Unpacked:
-    """A scenario made from an SSP that is sound; `files`: name → what is to lie under it beside the scenario."""
+    """A scenario made from a sound SSP.
+
+    Attributes:
+        files: Names beside the scenario → source files.
+    """
 
     scenario: dict[str, Any]
     files: dict[str, Path]
@@ -68,7 +72,11 @@ class Unpacked:
 
 @contextmanager
 def unpacked(path: Path, overrides: Sequence[str] = ()) -> Iterator[Unpacked]:
-    """An SSP as a scenario that has been checked, as long as the block lasts; InputError with all of its faults."""
+    """Yield an SSP as a checked scenario for the time of the block.
+
+    Raises:
+        InputError: The SSP is faulty; it lists all faults.
+    """
     with opened(path) as package, temporary_folder("ssp") as made:
         reader = Reader(package)
         structure, flat = read(reader)
@@ -89,7 +97,7 @@ def unpacked(path: Path, overrides: Sequence[str] = ()) -> Iterator[Unpacked]:
         elif not faults:
             faults.append(structure.system.element.fault("it has no FMU, so there is nothing to run"))
         if faults:
-            faults += slips  # which may be why
+            faults += slips  # Slips may explain the faults.
             raise InputError([_shown(fault, trial, package) for fault in faults])
         yield Unpacked(scenario, files, places, warnings)
 
@@ -97,9 +105,15 @@ def unpacked(path: Path, overrides: Sequence[str] = ()) -> Iterator[Unpacked]:
 def lay_out(
     path: Path, folder: Path, overrides: Sequence[str] = (), *, keep: bool = False
 ) -> tuple[ScenarioFile, list[str]]:
-    """The scenario of an SSP, written with its FMUs into `folder`/system, and warnings; InputError before it is.
+    """Write an SSP's scenario and FMUs to `folder`/system.
 
-    keep: the files of an earlier run move to `runs` in the folder
+    A faulty SSP raises InputError before anything is written.
+
+    Args:
+        keep: Whether to move the files of an earlier run to `runs` in the folder.
+
+    Returns:
+        The scenario file and warnings.
     """
     with unpacked(path, overrides) as found:
         within = folder / FOLDER
@@ -114,14 +128,14 @@ def lay_out(
 
 
 def _shown(fault: Fault, trial: Path, package: Package) -> Fault:
-    """A fault without the folders in which the SSP lies unpacked."""
+    """Return a fault without the folders of the unpacked SSP."""
     if package.packed:
         fault = replace(fault, message=fault.message.replace(f"{package.folder}/", f"{package.shown}/"))
     return replace(fault, file=package.shown) if fault.file == trial else fault
 
 
 def _files(flat: Flat) -> dict[str, Path]:
-    """The FMUs under names of their own."""
+    """Return the FMUs by unique file names."""
     names: dict[str, Path] = {}
     for fmu in dict.fromkeys(part.component.fmu for part in flat.parts):
         name, number = fmu.name, 2
@@ -134,7 +148,7 @@ def _files(flat: Flat) -> dict[str, Path]:
 def _scenario(
     package: Package, structure: Structure, flat: Flat, files: dict[str, Path], told: tuple[list[str], frozenset[str]]
 ) -> tuple[dict[str, Any], Places]:
-    """The scenario, and where its parts come from."""
+    """Return the scenario and the places of its parts."""
     places = Places(package, structure.experiment, {})
     name_of = {path: name for name, path in files.items()}
     components: dict[str, Any] = {}
@@ -170,7 +184,10 @@ def _scenario(
 
 
 def _times(structure: Structure, flat: Flat, warnings: list[str], given: Set[str]) -> tuple[float, float, float]:
-    """Start, duration and communication step [s]; a warning for each that neither the SSP says nor is `given`."""
+    """Return start, duration and communication step [s].
+
+    Defaulted values add a warning, unless `given` contains their key.
+    """
     experiments = [part.description.defaultExperiment for part in flat.parts]
 
     def said(name: str) -> list[float]:

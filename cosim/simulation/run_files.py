@@ -1,4 +1,4 @@
-"""What a run, a replay or another tool left: a folder, or a CSV whose first column is time."""
+"""Results of a run, a replay or another tool: a folder, or a CSV with time in the first column."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ WANTED = "the folder of a run or a table of its rows"
 
 @dataclass(frozen=True)
 class Ran:
-    """Results read back: where from, as it is called, the manifest where there is one."""
+    """Results read from files, with source, name and manifest, if any."""
 
     path: Path
     name: str
@@ -27,13 +27,17 @@ class Ran:
 
     @property
     def criteria(self) -> list[dict[str, Any]]:
-        """Criteria as they came out."""
+        """Return the evaluated criteria."""
         found = self.manifest.get("criteria")
         return [c for c in found if isinstance(c, dict)] if isinstance(found, list) else []
 
 
 def read_ran(path: Path) -> Ran:
-    """Return the results in a folder or a table of rows; InputError if there are none."""
+    """Return the results in a folder or a table.
+
+    Raises:
+        InputError: The path has no results.
+    """
     if not path.exists():
         raise InputError([Fault(path, 0, 0, f"no such folder or file; give {WANTED}")])
     if not path.is_dir():

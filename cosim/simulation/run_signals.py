@@ -1,4 +1,4 @@
-"""Results of `run` and `simulate` in Python: signals by name, data frames, pictures, a short text."""
+"""Results of `run` and `simulate` in Python: signals by name, data frames, figures and a short text."""
 
 from __future__ import annotations
 
@@ -17,15 +17,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-SHOWN = 8  # signals in the short text of a run; further ones are counted
+SHOWN = 8  # signals in the short text; further signals are counted
 
 
 @dataclass(frozen=True, repr=False)
 class Signals:
-    """Rows of a run, `signals["plant.x"]` one column of them.
+    """Rows of a run; `signals["plant.x"]` is a column.
 
-    title:   what it is of
-    folder:  where files of it are, None where none were asked for
+    Attributes:
+        title: Name of the run.
+        folder: Folder of its files; None if no files were written.
     """
 
     title: str
@@ -34,17 +35,17 @@ class Signals:
 
     @property
     def time(self) -> Array:
-        """Communication points [s]."""
+        """Return the communication points [s]."""
         return self.results.time
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Signals that hold numbers, `component.variable`."""
+        """Return the numeric signals as `component.variable`."""
         return self.results.columns
 
     @property
     def units(self) -> Mapping[str, str]:
-        """Signal → unit, "" where it has none."""
+        """Return the units by signal, "" without unit."""
         return self.results.units
 
     def __len__(self) -> int:
@@ -61,7 +62,7 @@ class Signals:
         return self.results[name]
 
     def to_pandas(self) -> pandas.DataFrame:
-        """A data frame of all signals, its index the time [s]; ImportError where pandas is not installed."""
+        """Return a pandas data frame of all signals. Its index is the time [s]. Raises ImportError without pandas."""
         try:
             import pandas
         except ImportError:
@@ -74,7 +75,7 @@ class Signals:
         return frame
 
     def plot(self, *names: str) -> Figure:
-        """A matplotlib figure of signals, those of one unit over each other; of all without names."""
+        """Return a matplotlib figure of signals, by default all. Signals of the same unit share axes."""
         for name in names:
             self[name]
         from cosim.simulation.report.figures import figure_of
@@ -114,28 +115,28 @@ class Signals:
 
 @dataclass(frozen=True, repr=False)
 class Run(Signals):
-    """A run: its signals, its manifest, criteria and warnings."""
+    """A run with its signals, manifest, criteria and warnings."""
 
     manifest: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def criteria(self) -> list[dict[str, Any]]:
-        """Each criterion with its value, limit and whether it is met."""
+        """Return each criterion with value, limit and outcome."""
         return list(self.manifest.get("criteria") or ())
 
     @property
     def missed(self) -> list[dict[str, Any]]:
-        """Criteria that are not met."""
+        """Return the missed criteria."""
         return [c for c in self.criteria if not c["met"]]
 
     @property
     def warnings(self) -> list[str]:
-        """What is to be known of the run."""
+        """Return the warnings of the run."""
         return list(self.manifest.get("warnings") or ())
 
     @property
     def report(self) -> Path | None:
-        """Its page, None where none was written."""
+        """Return the path of the report page, if written."""
         page = None if self.folder is None else self.folder / "report.html"
         return page if page is not None and page.is_file() else None
 
@@ -156,14 +157,18 @@ class Run(Signals):
 
 
 def run_of(results: Results, manifest: Mapping[str, Any], folder: Path | None) -> Run:
-    """Return a run by its rows and its manifest, under the name of its scenario."""
+    """Return a run named after its scenario."""
     scenario = manifest.get("scenario")
     name = scenario.get("name") if isinstance(scenario, Mapping) else None
     return Run(str(name or (folder.name if folder else "run")), results, folder, manifest)
 
 
 def read_run(path: Path) -> Run | Signals:
-    """Return the run in a folder, or the signals of a CSV with time first; InputError if there are none."""
+    """Return the run in a folder, or the signals of a table.
+
+    Raises:
+        InputError: The path has no results.
+    """
     from cosim.simulation.run_files import read_ran
 
     ran = read_ran(path)

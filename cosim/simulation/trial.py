@@ -1,4 +1,4 @@
-"""`cosim check` of what can be run: FMUs, scenarios, manifests and SSPs, read and stepped once."""
+"""`cosim check` of FMUs, scenarios, manifests and SSPs: read, and stepped once."""
 
 from __future__ import annotations
 
@@ -33,19 +33,23 @@ from cosim.simulation.packaged import lay_out
 from cosim.storage.artefact import Checking
 from cosim.system.system import System, build_system
 
-LONGEST = 60.0  # [s] that a call may take while an FMU is tried
-STEP, STEPS = 0.01, 500  # [s] of an FMU that says nothing, steps in the experiment of one that says no step
+LONGEST = 60.0  # allowed time [s] of a call during the trial of an FMU
+STEP, STEPS = 0.01, 500  # step [s] without a default experiment, and steps in an experiment without step size
 
 
 def check_fmu_file(path: Path, checking: Checking) -> list[str]:
-    """Return what breaks a rule of FMI in an FMU; InputError with why it cannot be run."""
+    """Return violations of FMI rules as warnings.
+
+    Raises:
+        InputError: The FMU cannot be run.
+    """
     if faults := check_fmu(path, checking.worker):
         raise InputError(faults)
     return fmu_warnings(path)
 
 
 def check_fmu(path: Path, worker: Worker | None = None) -> list[Fault]:
-    """Why an FMU cannot be run, tried where a worker is given; what only breaks a rule of FMI: `fmu_warnings`."""
+    """Return faults of an FMU; with a worker, try a step. For mere violations of FMI rules see `fmu_warnings`."""
     if not path.is_file():
         return [Fault(path, 0, 0, "no such file")]
     try:
@@ -68,12 +72,15 @@ def check_fmu(path: Path, worker: Worker | None = None) -> list[Fault]:
 
 
 def fmu_warnings(path: Path) -> list[str]:
-    """What FMPy's validation says of an FMU that can be read, a line each: other hosts and the checker take it."""
+    """Return the findings of FMPy's validation as warnings.
+
+    Each finding is about a readable FMU, as accepted by importing tools.
+    """
     return [f"warning: {problem}" for problem in validation(path)]
 
 
 def _experiment(description: Any) -> tuple[float, float]:
-    """Start time and step [s] that an FMU is made for."""
+    """Return start time and step [s] of the default experiment."""
     experiment = description.defaultExperiment
     given = [getattr(experiment, name, None) for name in ("startTime", "stopTime", "stepSize")]
     start, stop, step = (0.0 if text is None else float(text) for text in given)
@@ -81,9 +88,12 @@ def _experiment(description: Any) -> tuple[float, float]:
 
 
 def check_scenario(path: Path, checking: Checking) -> list[str]:
-    """Read a scenario or manifest as a run would, step it once with a worker; what its design warns of.
+    """Check a scenario or manifest; return warnings of its design.
 
-    Raises InputError with its faults.
+    With a worker, the first step is tried too.
+
+    Raises:
+        InputError: The file has faults.
     """
     file, worker = ScenarioFile(path), checking.worker
     check_pinned(file)
@@ -99,7 +109,13 @@ def check_scenario(path: Path, checking: Checking) -> list[str]:
 
 
 def check_ssp(path: Path, checking: Checking) -> list[str]:
-    """Read an SSP as a run would, step it once with a worker; what is to be known of it. InputError with its faults."""
+    """Check an SSP; return warnings.
+
+    With a worker, the first step is tried too.
+
+    Raises:
+        InputError: The SSP has faults.
+    """
     worker = checking.worker
     with temporary_folder("check") as folder:
         file, warnings = lay_out(path, folder)
@@ -110,7 +126,7 @@ def check_ssp(path: Path, checking: Checking) -> list[str]:
 
 
 def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) -> list[Fault]:
-    """Why the first step of a scenario fails; `path` is what it is told of."""
+    """Return the fault of a failed first step, located at `path`."""
     to_load = LONGEST + (LIMIT if permission.get() else 0.0)
     limits = file.scenario.limits or Limits(step=LONGEST, load=to_load)
     worker.start()

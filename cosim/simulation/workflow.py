@@ -43,25 +43,25 @@ from cosim.storage.results import Results, remove_rows, rows_name
 from cosim.system.system import System, build_system
 
 MANIFEST = "manifest.json"
-SPARE = 8192  # bytes beside a manifest's own
+SPARE = 8192  # room beyond the size of the manifest [bytes]
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """A run that is written down."""
+    """A run after writing its files."""
 
     results: Results
     manifest: dict[str, Any]
-    file: Path  # of the rows
+    file: Path  # file of the rows
 
     @property
     def folder(self) -> Path:
-        """Where the rows, the manifest and the report are."""
+        """Return the folder of rows, manifest and report."""
         return self.file.parent
 
     @property
     def missed(self) -> list[dict[str, Any]]:
-        """Criteria that are not met."""
+        """Return the missed criteria."""
         return [c for c in self.manifest["criteria"] if not c["met"]]
 
 
@@ -81,27 +81,35 @@ def run(
     progress: Callable[[int, int], None] | None = None,
     observers: Sequence[Observer] = (),
 ) -> Outcome:
-    """Run a scenario or an SSP, or repeat a manifest; results.csv, manifest.json and report.html are left in `folder`.
+    """Run a scenario or an SSP, or repeat a manifest.
 
-    folder:  results/NAME of the scenario without, whose earlier run moves to `runs` in it; of an SSP the scenario that
-             it is run as, and its FMUs, are left in its `system`
-    force:   also over what the run of another scenario left there
-    nearest: FMUs and the model of the design that a refine left give way to those that came nearest in it.
-    observers: get the rows while they are made; `progress`, a function of (steps done, of how many), is one.
-    format_: of the rows, which are then in results.parquet or the like in place of results.csv.
-    in_process: FMUs are loaded into this process, for a debugger: what they break ends the run with all its rows.
-    Raises InputError, FmuError; and SimulationError after the rows so far are written.
+    Writes results.csv, manifest.json and report.html. After a failure the rows so far are written before the error is
+    raised.
+
+    Args:
+        folder: Output folder. The default is results/NAME, where an earlier run moves to `runs`. An SSP's generated
+            scenario and FMUs go to `system` in the folder.
+        force: Whether to overwrite the run of a different scenario.
+        nearest: Whether to use the nearest FMUs and model of a refine instead of its refined ones.
+        observers: Receive rows during the run; `progress`, a function of (steps done, total), is added to them.
+        format_: Format of the rows, e.g. parquet for results.parquet instead of results.csv.
+        in_process: Load FMUs into this process, for a debugger; a crash of an FMU then loses all rows.
+
+    Raises:
+        InputError: The input is faulty.
+        FmuError: An FMU does not load.
+        SimulationError: The simulation stopped early.
     """
     watching = [*observers, *([] if progress is None else [ProgressObserver(progress)])]
     began, path, rows_file = time.perf_counter(), Path(scenario), rows_name("results", format_)
     if not is_ssp(path):
-        check_form(path, kinds.SCENARIO, kinds.MANIFEST)  # before a worker is started
+        check_form(path, kinds.SCENARIO, kinds.MANIFEST)  # before the worker is started
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         if worker is not None:
-            worker.start()  # it gets ready while files are read
+            worker.start()  # The worker starts up while files are read.
         file, place, told_before = _read(path, folder, overrides, force=force)
-        keep = folder is None and not is_ssp(path)  # of an SSP they were kept before its system was laid out
+        keep = folder is None and not is_ssp(path)  # lay_out has already moved the earlier run of an SSP.
         if nearest:
             take_nearest(file)
         check_pinned(file)
@@ -110,7 +118,7 @@ def run(
         if not is_ssp(path):
             check_ours(place, file.scenario.name, force=force, keep=keep)
         check_writable(place, (rows_file, MANIFEST, "report.html"), file.files)
-        tools = stack.enter_context(ThreadPoolExecutor(1)).submit(made_with)  # asked while FMUs are loaded
+        tools = stack.enter_context(ThreadPoolExecutor(1)).submit(made_with)  # runs in parallel to the loading of FMUs
         loaded = time.perf_counter()
         stepped = _stepped(file.scenario, system, worker, place, watching)
         times = began, loaded, time.perf_counter()
@@ -129,7 +137,7 @@ def run(
 def _read(
     path: Path, folder: FilePath | None, overrides: Sequence[str], *, force: bool
 ) -> tuple[ScenarioFile, Path, list[str]]:
-    """A scenario, or that of an SSP, laid out; the folder for what is left, and warnings."""
+    """Return scenario, output folder and warnings."""
     if not is_ssp(path):
         file = ScenarioFile(path, overrides)
         return file, folder_named(file.scenario.name) if folder is None else named_path(folder), []
@@ -149,7 +157,11 @@ def _left(
     figures: bool,
     keep: bool,
 ) -> SimulationError | None:
-    """Leave everything beside the file of rows, or what fits of it; the failure of the run, or of the disk."""
+    """Write all files of a run, or as many as fit.
+
+    Returns:
+        The failure of the run or of the disk, if any.
+    """
     written: list[str] = []
     try:
         if keep:
@@ -162,18 +174,18 @@ def _left(
             raise
         rows = scenario.steps + 1 if isinstance(stepped.failure, DiskFull) else len(stepped.results.time)
         return _write_what_fits(file, stepped.results, record, written, rows, stepped.failure)
-    except (KeyboardInterrupt, Terminated) as stop:  # all but the report is written
+    except (KeyboardInterrupt, Terminated) as stop:  # All files but the report are written.
         end = float(stepped.results.time[-1]) if len(stepped.results.time) else scenario.start_time
         return stepped.failure or stopped(stop, end, "the report of the run")
     finally:
-        hold_stops()  # the end is still to be told
+        hold_stops()  # The end must still be reported.
     return stepped.failure
 
 
 def _stepped(
     scenario: Scenario, system: System, worker: Worker | None, folder: Path, observers: Sequence[Observer]
 ) -> Stepped:
-    """The steps, in the worker or without one in this process."""
+    """Step the system in the worker, else in this process."""
     steps, h = scenario.steps, scenario.step
     if worker is None:
         return simulate_here(system, steps, h, observers)
@@ -183,13 +195,13 @@ def _stepped(
 
 
 def _timings(scenario: Scenario, began: float, loaded: float, simulated: float) -> dict[str, float]:
-    """How long it took [s], by a clock at three moments."""
+    """Return durations [s] from clock readings at three moments."""
     stepping = simulated - loaded
     return {"load": loaded - began, "simulate": stepping, "real_time_factor": scenario.duration / stepping}
 
 
 def _add_outcome(record: dict[str, Any], scenario: Scenario, stepped: Stepped, *, watched: bool) -> None:
-    """What came of the steps, into the manifest."""
+    """Add the outcome of the steps to the manifest."""
     if stepped.failure is None:
         record["criteria"] = evaluate(scenario, stepped.results)
     else:
@@ -200,19 +212,23 @@ def _add_outcome(record: dict[str, Any], scenario: Scenario, stepped: Stepped, *
 
 
 def _write(file: Path, results: Results, record: dict[str, Any], written: list[str]) -> None:
-    """Write the rows and the manifest of a run, whether or not it came to its end; `written` gets their names."""
+    """Write rows and manifest of a complete or failed run.
+
+    Args:
+        written: Receives the names of the files.
+    """
     folder = file.parent
-    (folder / "report.html").unlink(missing_ok=True)  # an earlier one would be of another run
-    with uninterrupted():  # or what was stopped once could be lost by stopping it again
+    (folder / "report.html").unlink(missing_ok=True)  # An earlier report belongs to another run.
+    with uninterrupted():  # A second stop signal must not destroy the rows.
         results.write(file)
-        remove_rows(folder, file.stem, besides=file.name)  # they would be of another run
+        remove_rows(folder, file.stem, besides=file.name)  # They belong to another run.
         written.append(file.name)
         write_json(folder / MANIFEST, record)
         written.append(MANIFEST)
 
 
 def _draw(folder: Path, results: Results, record: dict[str, Any], *, report: bool, figures: bool) -> None:
-    """Draw the report and the figures of a run that is written."""
+    """Draw the report and the figures of a written run."""
     if report:
         from cosim.simulation.report import write_report
 
@@ -231,7 +247,11 @@ def _write_what_fits(
     rows: int,
     failure: SimulationError | None,
 ) -> SimulationError:
-    """What a full disk has room for of the rows and the manifest of a run; what to tell of it."""
+    """Write the rows and the manifest that fit on a full disk.
+
+    Returns:
+        The failure to report.
+    """
     folder = file.parent
     (folder / "report.html").unlink(missing_ok=True)
     count = len(results.time) if file.name in written else _rows_that_fit(file, results, 2 * len(json.dumps(record)))
@@ -244,21 +264,25 @@ def _write_what_fits(
         write_json(folder / MANIFEST, record)
     except OSError:
         if MANIFEST not in written:
-            (folder / MANIFEST).unlink(missing_ok=True)  # an earlier run's
+            (folder / MANIFEST).unlink(missing_ok=True)  # of an earlier run
             told += " and no manifest" if count == rows else ", there is no manifest"
     return DiskFull("the run", at, told + before)
 
 
 def _rows_that_fit(file: Path, results: Results, manifest: int) -> int:
-    """Write rows for which there is room, beside a manifest of this size [bytes] where there is that; their number."""
-    remove_rows(file.parent, file.stem)  # of an earlier run, whose room is needed
+    """Write the rows that fit; return their number.
+
+    Args:
+        manifest: Size [bytes] of the manifest, for which room is reserved if possible.
+    """
+    remove_rows(file.parent, file.stem)  # An earlier run's rows occupy needed room.
     file.with_name(MANIFEST).unlink(missing_ok=True)
     spare = file.parent / ".spare"
     try:
         try:
             allocate(spare, manifest + SPARE)
         except OSError:
-            spare.unlink(missing_ok=True)  # the rows before the manifest
+            spare.unlink(missing_ok=True)  # Rows matter more than the manifest.
         return results.write_what_fits(file)
     except OSError:
         return 0

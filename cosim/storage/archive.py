@@ -1,6 +1,6 @@
-"""The archive of an FMU or of an SSP, looked at before anything in it is unpacked or parsed.
+"""Checks of FMU and SSP archives before anything is unpacked or parsed.
 
-Refused is what would fill disk or memory, what would be written outside its folder, and XML that defines entities.
+Rejected are archives that would fill disk or memory or write outside their folder, and XML with entity definitions.
 """
 
 from __future__ import annotations
@@ -26,14 +26,15 @@ from cosim.base.drafts import is_full
 DESCRIPTION = "modelDescription.xml"
 STRUCTURE = "SystemStructure.ssd"
 MOST_FILES = 20_000
-MOST_UNPACKED = 1_000_000_000  # bytes of all files together, however well they are packed
-MOST_OF_FREE = 0.9  # of the room on the disk
-BOMB_RATIO = 100.0  # of packing, from which an archive beyond MOST_UNPACKED is taken for a bomb
-LOCAL_HEADER = 30  # bytes before each file's own, at least
-MOST_XML = 20_000_000  # bytes of a description: some 100 000 variables
-DEEPEST, MOST_ELEMENTS, MOST_ATTRIBUTES = 60, 500_000, 100  # elements within elements, in all, attributes of one
+MOST_UNPACKED = 1_000_000_000  # unpacked size of all files [bytes], whatever their compression
+MOST_OF_FREE = 0.9  # usable fraction of the free disk space
+BOMB_RATIO = 100.0  # compression ratio of an archive beyond MOST_UNPACKED that suggests a bomb
+LOCAL_HEADER = 30  # minimum size of a file's local header [bytes]
+MOST_XML = 20_000_000  # size of a parsed file [bytes], enough for about 100 000 variables
+# XML limits: nesting, elements in total, attributes per element
+DEEPEST, MOST_ELEMENTS, MOST_ATTRIBUTES = 60, 500_000, 100
 END, END_SIZE, COMMENT = b"PK\x05\x06", 22, 65_535
-DIRECTORY = 100  # bytes of the directory for a file, and for its name as much again
+DIRECTORY = 100  # directory size per file [bytes]; the same again for its name
 PACKED_BY = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA)
 Taken = TypeVar("Taken")
 DAMAGED = (
@@ -49,41 +50,50 @@ DAMAGED = (
 
 
 class BadArchive(ValueError):
-    """Why the archive is not opened."""
+    """Reason for not opening an archive."""
 
 
 @dataclass(frozen=True)
 class Contents:
-    """What an archive of one kind must hold, and what a host parses of it: by name, or by ending."""
+    """Required and parsed files of a kind of archive; parsed files by name or ending."""
 
     standard: str
     needed: str
     parsed: tuple[str, ...]
 
     def parses(self, name: str) -> bool:
-        """Whether this file of it is parsed."""
+        """Return whether a file of the archive is parsed."""
         return name in self.parsed or PurePosixPath(name).suffix.lower() in self.parsed
 
 
 FMU = Contents("FMI", DESCRIPTION, (DESCRIPTION, "sources/buildDescription.xml"))
 SSP = Contents("SSP", STRUCTURE, (STRUCTURE, ".ssd", ".ssv", ".ssm", ".ssb"))
-_SOUND: set[bytes] = set()  # digests of the XML that was found sound
+_SOUND: set[bytes] = set()  # digests of accepted XML
 
 
 def check_archive(path: Path) -> None:
-    """BadArchive where the archive is none, would take too much or would leave its folder; OSError if unreadable."""
+    """Check an FMU archive.
+
+    Raises:
+        BadArchive: The archive is invalid, too large or would write outside its folder.
+        OSError: The file is unreadable.
+    """
     _read(path, lambda archive: None)
 
 
 def description_of(path: Path) -> bytes:
-    """The bytes of its modelDescription.xml, without entities and not too deep; BadArchive."""
+    """Return the bytes of modelDescription.xml after all checks."""
     return _read(path, lambda archive: archive.read(DESCRIPTION))
 
 
 def unpack(path: Path, folder: Path, kind: Contents = FMU) -> None:
-    """Unpack it into a folder; BadArchive where that fails, OSError before anything is written where there is no room.
+    """Unpack an archive into a folder.
 
-    A link in it becomes a file that holds its target.
+    A link in the archive becomes a file with its target as content.
+
+    Raises:
+        BadArchive: Unpacking fails.
+        OSError: The disk lacks space; nothing has been written.
     """
 
     def all_of(archive: zipfile.ZipFile) -> None:
@@ -97,7 +107,7 @@ def unpack(path: Path, folder: Path, kind: Contents = FMU) -> None:
 
 
 def check_identifier(identifier: str | None) -> None:
-    """BadArchive where the name of its library would lead out of its folder."""
+    """Raise BadArchive for a library name outside its folder."""
     if identifier is None or not re.fullmatch(r"[^/\\\x00-\x1f:]+", identifier) or identifier in {".", ".."}:
         raise BadArchive(f'its modelIdentifier "{str(identifier)[:60]}" is no name of a file')
 
@@ -130,19 +140,19 @@ def _read(path: Path, take: Callable[[zipfile.ZipFile], Taken], kind: Contents =
 
 
 def _reason(error: Exception) -> str:
-    """Why something cannot be unpacked, without the names of Python."""
+    """Return the reason of a failure without Python terms."""
     return str(error) if isinstance(error, zipfile.BadZipFile) else "it cannot be unpacked"
 
 
 def _check_directory(stream: BinaryIO, size: int) -> None:
-    """The directory at its end, which is read as a whole: the number of files is known before."""
+    """Check the archive's directory. zipfile reads the whole directory, so the number of files is checked first."""
     stream.seek(max(0, size - END_SIZE - COMMENT - END_SIZE))
     tail = stream.read()
     end = tail.rfind(END)
     if end < 0 or len(tail) - end < END_SIZE:
         raise BadArchive("it is not a zip archive")
     count, directory = struct.unpack_from("<HI", tail, end + 10)
-    if end >= 20 and tail[end - 20 : end - 16] == b"PK\x06\x07":  # of 64 bits, which counts
+    if end >= 20 and tail[end - 20 : end - 16] == b"PK\x06\x07":  # the 64-bit directory takes precedence
         (offset,) = struct.unpack_from("<Q", tail, end - 12)
         if offset > size - 56:
             raise BadArchive("it is not a zip archive")
@@ -154,7 +164,7 @@ def _check_directory(stream: BinaryIO, size: int) -> None:
 
 
 def _check_member(member: zipfile.ZipInfo) -> None:
-    """A file that would stay in its folder and can be unpacked."""
+    """Check the name, type and compression of a file."""
     name = member.filename.replace("\\", "/")
     if name.startswith("/") or re.match("[A-Za-z]:", name) or ".." in name.split("/"):
         raise BadArchive(f'"{member.filename[:60]}" in it would be written outside its folder')
@@ -169,14 +179,14 @@ def _check_member(member: zipfile.ZipInfo) -> None:
 
 
 def _unpacked_size(members: Sequence[zipfile.ZipInfo]) -> int:
-    """Return the bytes that all files take on the disk: zipfile unpacks no more of a file than is declared."""
+    """Return the unpacked size [bytes]. zipfile never unpacks more than the declared size."""
     return sum(member.file_size for member in members)
 
 
 def _check_sizes(members: Sequence[zipfile.ZipInfo], kind: Contents) -> None:
-    """Refuse files that together take too much room, share bytes in the archive, or are too large to be parsed.
+    """Reject files that are too large or share bytes.
 
-    How well a file is packed is no reason: a table of zeros is packed a thousand times.
+    The compression ratio is no criterion: a table of zeros shrinks a thousandfold.
     """
     unpacked, packed = _unpacked_size(members), sum(m.compress_size for m in members)
     if unpacked > MOST_UNPACKED:
@@ -196,7 +206,7 @@ def _check_sizes(members: Sequence[zipfile.ZipInfo], kind: Contents) -> None:
 
 
 def _check_xml_once(name: str, text: bytes, standard: str) -> None:
-    """The same, once a process: an archive is read several times, and its XML may have 20 000 variables."""
+    """Check XML once per process. An archive is read several times, and its XML may have 20 000 variables."""
     content = hashlib.sha256(text).digest()
     if content not in _SOUND:
         check_xml(name, text, standard)
@@ -204,9 +214,9 @@ def _check_xml_once(name: str, text: bytes, standard: str) -> None:
 
 
 def check_xml(name: str, text: bytes, standard: str) -> None:
-    """BadArchive where it is no XML, is too deep, or has a document type.
+    """Raise BadArchive for invalid or deep XML, or a DOCTYPE.
 
-    In that entities could grow without end, or name files of this machine.
+    Entities of a DOCTYPE could grow without bound or name files of this machine.
     """
     depth = count = 0
 

@@ -1,8 +1,8 @@
 """Kinds of files and folders, each declared once by the room that reads or writes it.
 
-A room declares its kinds as `ARTEFACTS` in its module `artefacts`, an installed package in its `Verb`. Which kind a
-file is, which command reads it, whose folder one is, what `cosim check`, `cosim schema` and `cosim.read` do with it and
-which files are kept of an earlier run all follow from the declarations.
+Declarations are `ARTEFACTS` of a room's module `artefacts`, or part of an installed package's `Verb`. They determine
+the kind of a file, its reading command, the owner of a folder, the actions of `cosim check`, `cosim schema` and
+`cosim.read`, and the files moved as an earlier run.
 """
 
 from __future__ import annotations
@@ -26,9 +26,10 @@ DECLARATIONS = "artefacts"  # module of a room
 class Checking:
     """Settings of `cosim check`.
 
-    model:   name or file of the model whose logs are checked; None if none is named
-    columns: name in a log → name in its model, or `time`
-    worker:  worker process that loads FMUs; None if nothing may be loaded or executed
+    Attributes:
+        model: Name or file of the model for logs, if any.
+        columns: Name in a log → name in its model, or `time`.
+        worker: Worker process for FMUs; None forbids loading and execution.
     """
 
     model: str | None = None
@@ -38,29 +39,29 @@ class Checking:
 
 @dataclass(frozen=True)
 class Artefact:
-    """A kind of file, or a folder that a verb leaves.
+    """A kind of file, or a folder written by a verb.
 
-    kind:        noun phrase for messages, such as "a scenario"
-    next_step:   what to do with one, the command that reads it first; {file} is its path
-    keys:        alternatives: a YAML or JSON file with all keys of one of them is of this kind
-    without:     keys that a file of this kind never has
-    endings:     of the names of such files, such as ".csv"
-    heads:       alternatives for the first bytes of such a file
-    text:        regular expression that the beginning of such a text matches
-    member:      file in a ZIP archive of this kind, or the beginning of its name; "*" is any
-    beside:      name of such a file, and of a file in the same folder that makes it one of this kind
-    taken_as:    kind in whose place a file of this kind is accepted
-    verb:        command that leaves one, such as "cosim refine"
-    marks:       names of files that this verb alone leaves in a folder, the telling one first
-    files:       names or patterns of the files that the verb leaves in the folder, besides
-    tables:      names, without an ending, of files of rows in any format
-    folder:      noun phrase for such a folder
-    folder_step: what to do with the folder; {file} is its path
-    sources:     keys of the first mark that say what it was made from
-    schema:      place, `module:name`, of the pydantic model of its keys, and `schema_name` and `title` of the schema
-    check:       place of a function of (path, Checking) that raises InputError with the faults of a file, and returns
-                 notes, a line each
-    reader:      place of a function of (folder) that returns what `cosim.read` gives, None if the verb came to no end
+    Attributes:
+        kind: Noun phrase for messages, e.g. "a scenario".
+        next_step: Advice, beginning with the command that reads the file; {file} is its path.
+        keys: Alternative sets of keys that identify a YAML or JSON file.
+        without: Keys absent from every file of this kind.
+        endings: Endings of file names, e.g. ".csv".
+        heads: Alternative first bytes.
+        text: Regular expression for the beginning of a text file.
+        member: File in a ZIP archive, or the beginning of its name; "*" is any.
+        beside: File name, and a file in the same folder required for this kind.
+        taken_as: Kind accepted in place of this kind.
+        verb: Command that writes the kind, e.g. "cosim refine".
+        marks: Files that only this verb writes into a folder, the most specific first.
+        files: Names or patterns of further files written by the verb.
+        tables: Names, without ending, of row files in any format.
+        folder: Noun phrase for the folder.
+        folder_step: Advice for the folder; {file} is its path.
+        sources: Keys of the first mark that name its source files.
+        schema: Place, `module:name`, of the pydantic model of its keys; `schema_name` and `title` belong to the schema.
+        check: Place of a function of (path, Checking) that returns notes and raises InputError with faults.
+        reader: Place of a function of (folder) that returns the result of `cosim.read`, None for an incomplete folder.
     """
 
     kind: str
@@ -87,19 +88,19 @@ class Artefact:
     reader: str = ""
 
     def matched_keys(self, keys: Set[str]) -> int:
-        """Return how many keys make a file with these keys one of this kind; 0 if it is none."""
+        """Return the number of matched keys; 0 for another kind."""
         if self.without & keys:
             return 0
         return max((len(needed) for needed in self.keys if needed <= keys), default=0)
 
     def is_left_in(self, folder: Path) -> bool:
-        """Return whether the verb left a folder."""
+        """Return whether the verb wrote into a folder."""
         return any((folder / mark).is_file() for mark in self.marks)
 
 
 @functools.cache
 def artefacts() -> tuple[Artefact, ...]:
-    """Return all kinds that are declared, those of installed packages first."""
+    """Return all declared kinds, installed packages first."""
     declared: list[Artefact] = []
     for name, verb in added_verbs():
         if verb.artefacts:
@@ -112,22 +113,22 @@ def artefacts() -> tuple[Artefact, ...]:
 
 
 def of_kind(kind: str) -> Artefact | None:
-    """Return the declaration of a kind; None of a kind that no verb declares."""
+    """Return the declaration of a kind, if any."""
     return next((a for a in artefacts() if a.kind == kind), None)
 
 
 def kind_where(is_of: Callable[[Artefact], object]) -> str | None:
-    """Return the first kind whose declaration fulfils a condition; None if none does."""
+    """Return the first kind that fulfils a condition."""
     return next((a.kind for a in artefacts() if is_of(a)), None)
 
 
 def kind_by_keys(root: Any) -> str | None:
-    """Return the kind of a YAML or JSON file by its keys, the one that needs most of them; None where none fits."""
+    """Return the best matching kind of a YAML or JSON file. The kind with the most required keys matches best."""
     keys = frozenset(root) if isinstance(root, dict) else frozenset()
     best = max(artefacts(), key=lambda a: a.matched_keys(keys), default=None)
     return best.kind if best is not None and best.matched_keys(keys) else None
 
 
 def left_in(folder: Path) -> Artefact | None:
-    """Return what a verb left in a folder, None where no verb did."""
+    """Return the kind of folder written by a verb, if any."""
     return next((a for a in artefacts() if a.folder and a.is_left_in(folder)), None)

@@ -1,4 +1,4 @@
-"""Kinds of files of other tools, and what may be done with them."""
+"""Kinds of files of other tools, with advice."""
 
 from __future__ import annotations
 

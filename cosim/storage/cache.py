@@ -1,7 +1,7 @@
-"""The one cache: what is made of a source, kept by its content.
+"""The cache of derived files, addressed by the content of their source.
 
-It holds compiled libraries, which this user's commands execute. So it is a folder of this user that nobody
-else can write, with files of this user in it; otherwise a private temporary folder takes its place.
+The cache holds compiled libraries, which this user's commands execute. It is therefore a folder of this user without
+write access for others, or else a private temporary folder.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from cosim.base.scratch import process_folder
 
 VARIABLE = "XDG_CACHE_HOME"
 OTHERS_ENTER = stat.S_IXGRP | stat.S_IXOTH
-ROOT, UNMAPPED = 0, 65534  # users who own folders above a user's own; the second stands for root in a container
+ROOT, UNMAPPED = 0, 65534  # allowed owners of parent folders; the second stands for root in a container
 
 
 def cached(source: str, suffix: str) -> Path:
-    """Return where to keep what is made of a source; a file there that others could have written is removed."""
+    """Return the cache path for a source's derived file. An existing file writable by others is removed."""
     path = cache_folder() / f"{_hash(source)[:32]}{suffix}"
     if not discard_untrusted([path]):
         path = _temporary() / path.name
@@ -36,17 +36,21 @@ def cached(source: str, suffix: str) -> Path:
 
 
 def cache_folder() -> Path:
-    """Return the folder `cosim` of the user's cache, or a temporary one if that cannot be used."""
+    """Return the user's cache folder `cosim`, else a temporary one."""
     return _user_folder() or _temporary()
 
 
 def cache_environment() -> Mapping[str, str]:
-    """Return the variables by which another process uses the same cache as this one."""
+    """Return environment variables for sharing this process's cache."""
     return {} if _user_folder() else {VARIABLE: str(_temporary().parent)}
 
 
 def discard_untrusted(paths: Iterable[Path]) -> bool:
-    """Remove files and folders in the cache that others could have written; False if one of them remains."""
+    """Remove cached files and folders writable by others.
+
+    Returns:
+        Whether all of them are gone.
+    """
     remaining = False
     for path in paths:
         if not os.path.lexists(path) or _is_trusted(path):
@@ -61,9 +65,9 @@ def discard_untrusted(paths: Iterable[Path]) -> bool:
 
 
 def kept(source: str, make: Callable[[], Any]) -> Any:
-    """What is made of a source, from the cache or made now: lists, texts and numbers, as JSON.
+    """Return a JSON value made from a source, cached.
 
-    The hash of its content stands before it: what is damaged, or half written, is made anew.
+    A hash of the content precedes the content, so that a damaged or partial file is made anew.
     """
     path = cached(source, ".json")
     try:
@@ -80,7 +84,7 @@ def kept(source: str, make: Callable[[], Any]) -> Any:
 
 
 def fingerprint(packages: Iterable[str]) -> str:
-    """Of the code in some packages, and of sympy: what they print is as they are."""
+    """Return a hash of the code of packages and of sympy. Printed code depends on both."""
     import sympy
 
     files = (f for name in packages for f in sorted(Path(str(import_module(name).__file__)).parent.glob("*.py")))
@@ -91,11 +95,11 @@ def _hash(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-# -- which folder ---------------------------------------------------------------------------------
+# -- choice of folder -------------------------------------------------------------------------------
 
 
 def _user_folder() -> Path | None:
-    """Return the folder `cosim` of the user's cache; None if it cannot be used, and one note if others can write it."""
+    """Return the user's cache folder, if usable and safe. An unsafe folder is reported once."""
     home = _home()
     if home is None:
         return None
@@ -112,23 +116,23 @@ def _user_folder() -> Path | None:
 
 
 def _home() -> Path | None:
-    """Return the folder for caches of all programs; None for a user without a home folder."""
+    """Return the folder for all caches; None without a home folder."""
     named = os.environ.get(VARIABLE, "")
     if named:
         return Path(named).absolute()
-    home = os.path.expanduser("~")  # which stays as it is for a user that is in no list
+    home = os.path.expanduser("~")  # stays "~" for an unlisted user
     return Path(home) / ".cache" if os.path.isabs(home) else None
 
 
 def _make(folder: Path) -> None:
-    """Make a folder for this user alone, and those above it."""
+    """Make a private folder and its parents."""
     if not folder.is_dir():
         _make(folder.parent)
         folder.mkdir(mode=0o700, exist_ok=True)
 
 
 def _temporary() -> Path:
-    """Return a cache that is removed at the end of this process."""
+    """Return a cache removed at the end of this process."""
     folder = process_folder() / "cache" / "cosim"
     _make(folder)
     return folder
@@ -136,7 +140,7 @@ def _temporary() -> Path:
 
 @functools.cache
 def _say_once(text: str) -> None:
-    """Tell the user once in a process."""
+    """Write a note to stderr, once per process."""
     with contextlib.suppress(OSError, ValueError):
         sys.stderr.write(f"{text}\n")
 
@@ -145,7 +149,10 @@ def _say_once(text: str) -> None:
 
 
 def _distrust(folder: Path) -> str:
-    """Say why other users could change the content of a folder, with the cure; "" if they cannot."""
+    """Return the reason against trusting a folder, with remedy.
+
+    The result is "" if no other user can change its content.
+    """
     if not hasattr(os, "geteuid"):
         return ""
     for place in (folder, *folder.parents):
@@ -153,14 +160,14 @@ def _distrust(folder: Path) -> str:
         owners = {os.geteuid()} if place == folder else {os.geteuid(), ROOT, UNMAPPED}
         if status.st_uid not in owners:
             return f"{place} belongs to another user; name another folder in {VARIABLE}"
-        sticky = place != folder and status.st_mode & stat.S_ISVTX  # others may add to it, not take from it
+        sticky = place != folder and status.st_mode & stat.S_ISVTX  # Others may add entries, but not replace any.
         if _others_write(status) and not sticky:
             return f"other users can write in {place}; take that from them by chmod go-w"
     return ""
 
 
 def _is_trusted(path: Path) -> bool:
-    """Whether a file or folder in the cache was written by this user alone."""
+    """Return whether only this user could have written a path."""
     if not hasattr(os, "geteuid"):
         return True
     try:
@@ -172,14 +179,14 @@ def _is_trusted(path: Path) -> bool:
 
 
 def _others_write(status: os.stat_result) -> bool:
-    """Whether others may write: all users, or a group with other users in it."""
+    """Return whether others may write, directly or by group."""
     if status.st_mode & stat.S_IWOTH:
         return True
     return bool(status.st_mode & stat.S_IWGRP) and not _is_own_group(status.st_gid)
 
 
 def _is_own_group(number: int) -> bool:
-    """Whether a group is the private one that many systems give each user."""
+    """Return whether a group is the user's private group."""
     import grp
     import pwd
 

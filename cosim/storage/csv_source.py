@@ -1,4 +1,4 @@
-"""CSV: numbers read at once by numpy; a file with a fault is read cell by cell, and every fault has its place."""
+"""CSV files: read at once by numpy, or cell by cell if faulty, so that every fault has its place."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ from cosim.storage.table_columns import (
 )
 from cosim.storage.table_source import Frame, Source, SourceColumn, fill
 
-MOST_BYTES = 200_000_000  # bytes; read whole, so that every fault can be reported
-LONGEST_LINE = 2_000_000  # bytes; of the header some 100 000 columns
+MOST_BYTES = 200_000_000  # size of a file [bytes]; files are read whole to report every fault
+LONGEST_LINE = 2_000_000  # length of a line [bytes], enough for about 100 000 columns
 DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 SEPARATORS = {";": "semicolons", "\t": "tabs"}
 EMPTY_CELL = re.compile(rb",(?=[,\r\n]|\Z)")
 
 
 class Csv(Source):
-    """Comma-separated values in UTF-8, one line of names first."""
+    """Comma-separated values in UTF-8, with a header line."""
 
     name = "CSV"
     suffixes = (".csv",)
     writes = True
 
     def table(self, faults: Faults, wanted: Wanted) -> Table:
-        """Read the columns that are wanted as far as they go, and note the faults of all cells."""
+        """Read the wanted columns and note the faults of all cells."""
         if not _small_enough(faults, wanted.shorter):
             return Table()
         try:
@@ -56,7 +56,11 @@ class Csv(Source):
             return Table()
 
     def frame(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Frame:
-        """Read all columns, those with a cell that is no number as text; InputError with every fault of the text."""
+        """Read all columns, non-numeric ones as text.
+
+        Raises:
+            InputError: The text has faults; it lists all of them.
+        """
         faults = Faults(path)
         frame = Frame()
         if _small_enough(faults, "leave out columns or rows"):
@@ -70,7 +74,7 @@ class Csv(Source):
         return frame
 
     def column_names(self, path: Path) -> list[str]:
-        """Return the names in the header; none if the file cannot be read."""
+        """Return the names in the header, none if unreadable."""
         try:
             with _opened(path) as stream:
                 return [parted(text)[0] for text in _Cells(stream, Faults(path)).header]
@@ -78,7 +82,7 @@ class Csv(Source):
             return []
 
     def write(self, path: Path, columns: Sequence[SourceColumn]) -> None:
-        """Write columns; numbers as the shortest text that reads back bit for bit."""
+        """Write columns with exactly reproducible numbers."""
         values = [c.values.tolist() if isinstance(c.values, np.ndarray) else c.values for c in columns]
         write_table(path, [c.name for c in columns], zip(*values, strict=True), cell_text)
 
@@ -102,16 +106,16 @@ class _NotText(Exception):
 
 
 class _TooLong(Exception):
-    """A line that no CSV has."""
+    """A line too long for a CSV."""
 
 
 def _opened(path: Path) -> TextIO:
-    """Open a CSV so that a character is a byte, and a line ends with LF, CR LF or CR alone."""
+    """Open a CSV with a character per byte and any line end."""
     return path.open(encoding="latin-1", newline="")
 
 
 def _lines(stream: TextIO) -> Iterator[str]:
-    """Yield lines of UTF-8 text from a file that `_opened` has opened; the first may begin with a byte order mark."""
+    """Yield the UTF-8 lines of a file opened by `_opened`. The first line may begin with a byte order mark."""
     while line := stream.readline(LONGEST_LINE + 1):
         if len(line) > LONGEST_LINE:
             raise _TooLong
@@ -127,12 +131,13 @@ def _filled(row: Sequence[str]) -> bool:
 
 
 class _Cells:
-    """The header and the rows of a CSV as text; what is wrong with the text itself is noted.
+    """Header and rows of a CSV as text; faults of the text are noted.
 
-    header: cells of the first line that is not blank; none in a file that is empty or no text
-    line:   of the header
-    plain:  cells are separated by commas
-    whole:  the rows were read to their end
+    Attributes:
+        header: Cells of the first non-blank line; empty for an empty file or binary data.
+        line: Line number of the header.
+        plain: Whether commas separate cells.
+        whole: Whether all rows were read.
     """
 
     def __init__(self, stream: TextIO, faults: Faults) -> None:
@@ -140,7 +145,7 @@ class _Cells:
         self.header: list[str] = []
         self.line, self.plain, self.whole = 1, True, False
         self._text = _lines(stream)
-        self._rows, self._above = csv.reader(self._text), 0  # lines that another reader has read
+        self._rows, self._above = csv.reader(self._text), 0  # rows, and the number of lines read by an earlier reader
         self._guarded(self._read_header)
 
     def _read_header(self) -> None:
@@ -154,13 +159,13 @@ class _Cells:
         if mark := next((m for m in SEPARATORS if m in only), None):
             cure = "separate them with commas, decimals with a point"
             self.faults.note(self.line, 1, f"cells are separated by {SEPARATORS[mark]}; {cure}")
-            header = next(csv.reader(header, delimiter=mark))  # what else is wrong is told too
+            header = next(csv.reader(header, delimiter=mark))  # Reading continues, to report further faults.
             self._above, self._rows = self._rows.line_num, csv.reader(self._text, delimiter=mark)
             self.plain = False
         self.header = header
 
     def rows(self, keep: Callable[[int, list[str]], None]) -> None:
-        """Give each row of the header's length, with its line, to a function; note the others."""
+        """Pass each row of the right length with its line to `keep`. Other rows are noted as faults."""
         self._guarded(lambda: self._read_rows(keep))
 
     def _read_rows(self, keep: Callable[[int, list[str]], None]) -> None:
@@ -195,10 +200,12 @@ class _Cells:
 
 
 def _plain_numbers(path: Path, above: int, width: int) -> tuple[Array, Sequence[bytes]] | None:
-    """Return the cells below a header as numbers, NaN where they are empty, and the text of the first row.
+    """Return cells as numbers, and the text of the first row.
 
-    None unless all are plainly numbers.
-    above: lines down to the header, which the rows follow line by line
+    Empty cells become NaN. The result is None if any cell is not plainly a number.
+
+    Args:
+        above: Number of lines including the header.
     """
     body = path.read_bytes()
     for _ in range(above):
@@ -210,13 +217,13 @@ def _plain_numbers(path: Path, above: int, width: int) -> tuple[Array, Sequence[
     rows = body.count(b"\n") + (not body.endswith(b"\n"))
     try:
         numbers: Array = np.loadtxt(io.BytesIO(body), np.float64, comments=None, delimiter=",", ndmin=2)
-    except ValueError:  # a cell that is no number, a row of another length
+    except ValueError:  # a cell without a number, or a row of another length
         return None
     return (numbers, body.partition(b"\n")[0].split(b",")) if numbers.shape == (rows, width) else None
 
 
 def _frame_of(cells: _Cells, names: Container[str], text: Collection[str]) -> Frame:
-    """All columns below a header."""
+    """Return all columns below a header."""
     named = [parted(cell, names) for cell in cells.header]
     plain = _plain_numbers(cells.faults.path, cells.line, len(named)) if cells.plain and not text else None
     if plain is not None and not _may_be_whole(*plain):
@@ -234,7 +241,7 @@ def _frame_of(cells: _Cells, names: Container[str], text: Collection[str]) -> Fr
 
 
 def _may_be_whole(numbers: Array, first: Sequence[bytes]) -> bool:
-    """Whether the text of some column may be that of integers, which the numbers alone do not tell."""
+    """Return whether the text of some column may be integers. The numbers alone do not show this."""
     digits = [k for k, cell in enumerate(first) if cell.strip().removeprefix(b"-").isdigit()]
     with np.errstate(invalid="ignore"):
         return any(bool((numbers[:, k] == np.rint(numbers[:, k])).all()) for k in digits)
@@ -247,7 +254,7 @@ def _column(name: str, unit: str, cells: Sequence[str], is_text: bool) -> Source
         values = np.array([cell if cell and not cell.isspace() else "nan" for cell in cells], dtype=np.float64)
     except ValueError:
         return SourceColumn(name, unit, list(cells))
-    # integers as they are written: every other number has a point or an exponent
+    # Integers are recognised by their text: floats always have a point or an exponent.
     if cells and all(cell.removeprefix("-").isdecimal() for cell in cells) and np.abs(values).max() < 2.0**63:
         return SourceColumn(name, unit, values.astype(np.int64))
     return SourceColumn(name, unit, values)
@@ -257,7 +264,7 @@ def _column(name: str, unit: str, cells: Sequence[str], is_text: bool) -> Source
 
 
 def _read_table(cells: _Cells, wanted: Wanted) -> Table:
-    """Read the columns that are wanted: all cells at once where none has a fault, else one by one."""
+    """Read the wanted columns, cell by cell if any has a fault."""
     faults, table = cells.faults, Table(header=cells.line)
     if not cells.header:
         if not faults.found:
@@ -284,12 +291,12 @@ def _read_table(cells: _Cells, wanted: Wanted) -> Table:
 
 
 class _Reader:
-    """Gives a table its values, cell by cell."""
+    """Reader of a table, cell by cell."""
 
     def __init__(self, table: Table, faults: Faults, *, timed: bool) -> None:
         self.table, self.faults, self.timed = table, faults, timed
         columns = [c for c in table.columns.values() if c.cell > 1 or not timed]
-        self.signals = [(c, c.cell - 1, table.values[c.name]) for c in columns]  # all but the time
+        self.signals = [(c, c.cell - 1, table.values[c.name]) for c in columns]  # all columns but time
 
     def row(self, line: int, row: list[str]) -> None:
         """Take the cells of a row."""
@@ -300,7 +307,7 @@ class _Reader:
         self.table.lines.append(line)
 
     def _time(self, line: int, text: str) -> bool:
-        """Take the time of a row; false where there is none."""
+        """Take the time of a row; return False without a time."""
         time, before = self._value(line, self.table.columns["time"], text), self.table.values["time"]
         if self.table.columns["time"].spare:
             before.append(time)
@@ -322,7 +329,7 @@ class _Reader:
         return float(column.converted(value))
 
     def _value(self, line: int, column: Column, text: str) -> float:
-        """A cell times the factor of its column, NaN where it is empty, `nan` or faulty."""
+        """Return a cell's converted number; NaN if empty or faulty."""
         if column.spare:
             return self._spare(column, text)
         try:
@@ -339,7 +346,7 @@ class _Reader:
 
 
 def _no_number(text: str, column: Column) -> tuple[str, str]:
-    """What cells like this one are called where there are many, and what is said of it."""
+    """Return the plural and the message of a faulty cell."""
     cell, name = text.strip()[:30], column.name
     if DECIMAL_COMMA.fullmatch(cell):
         return f"cells of {name} with a decimal comma", f'"{cell}" in column {name} has a decimal comma: write a point'
@@ -347,7 +354,7 @@ def _no_number(text: str, column: Column) -> tuple[str, str]:
 
 
 def _wrong_length(cells: int, header: int) -> str:
-    """What is said of a row that has not as many cells as the header."""
+    """Return the message on a row of wrong length."""
     cure = "delete the row, or leave cells empty where nothing was measured"
     if cells == 2 * header:
         cure = "is each number cut in two by a decimal comma? Write a point"
@@ -360,14 +367,18 @@ def _wrong_length(cells: int, header: int) -> str:
 def write_table(
     path: Path, header: Sequence[str], rows: Iterable[Iterable[Any]], number: Callable[[Any], str] = repr
 ) -> None:
-    """Write a header and rows; `number` prints a cell, by itself as the shortest text that reads back bit for bit."""
+    """Write a header and rows.
+
+    Args:
+        number: Formats a cell; by default the shortest text that reads back bit for bit.
+    """
     with atomic_write(path) as stream:
         csv.writer(stream, lineterminator="\n").writerow(header)
         stream.writelines(",".join(map(number, row)) + "\n" for row in rows)
 
 
 def cell_text(value: Any) -> str:
-    """A value as a cell of CSV: binary data in hexadecimal digits, text in quotes where it needs them."""
+    """Return a value as a CSV cell. Binary data become hexadecimal digits; text is quoted if necessary."""
     if isinstance(value, bytes):
         return value.hex()
     if not isinstance(value, str):

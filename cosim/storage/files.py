@@ -1,4 +1,4 @@
-"""Text files written whole or not at all, also where the work is stopped, and what keeps them from being written."""
+"""Text files written completely or not at all, stop signals, and checks of output folders."""
 
 from __future__ import annotations
 
@@ -26,24 +26,27 @@ STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[TextIO]:
-    """Open a text file that takes the place of `path` only when the block ends without an error."""
+    """Open a text file that replaces `path` after success."""
     with draft_of(path) as draft, draft.open("w", encoding="utf-8", newline="") as stream:
         yield stream
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text, whole or not at all."""
+    """Write a text completely or not at all."""
     with atomic_write(path) as stream:
         stream.write(text)
 
 
 def write_json(path: Path, content: Any, *, indent: int = 2, allow_nan: bool = True) -> None:
-    """Write JSON that ends in a line break, whole or not at all."""
+    """Write JSON with a final line break, completely or not at all."""
     write_text(path, json.dumps(content, indent=indent, ensure_ascii=False, allow_nan=allow_nan) + "\n")
 
 
 def check_text(names: Iterable[str]) -> None:
-    """InputError where a name is no text, as of a folder from a machine of another encoding: no file can tell it."""
+    """Raise InputError for names that are not valid text.
+
+    A folder of a machine with another encoding may have such names.
+    """
     faults = []
     for name in names:
         try:
@@ -60,8 +63,8 @@ def check_text(names: Iterable[str]) -> None:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Nothing stops the block half-way: a signal that would waits for its end."""
-    if threading.current_thread() is not threading.main_thread():  # which alone gets them
+    """Delay stop signals to the end of the block."""
+    if threading.current_thread() is not threading.main_thread():  # Only the main thread receives signals.
         yield
         return
     came: list[int] = []
@@ -77,7 +80,7 @@ def uninterrupted() -> Iterator[None]:
 
 @dataclass
 class _Stops:
-    """What a verb does with a signal that is to stop it: raise it, or hold it back."""
+    """Handling of stop signals by a verb: raise or hold back."""
 
     before: dict[int, Callable[[int, FrameType | None], Any]]
     holding: bool = False
@@ -92,14 +95,14 @@ class _Stops:
             self.before[number](number, frame)
 
 
-_stops: list[_Stops] = []  # of the verbs that run, the inner ones last
+_stops: list[_Stops] = []  # of the running verbs, the innermost last
 
 
 @contextmanager
 def one_stop() -> Iterator[None]:
-    """Let the first signal stop a verb, and hold back later ones while the verb writes what it has.
+    """Let the first signal stop a verb, and hold back later ones.
 
-    Signals whose default is to ignore them, or to end the process, are left alone.
+    The verb can then write its results. Signals that are ignored or end the process by default are left alone.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -119,20 +122,20 @@ def one_stop() -> Iterator[None]:
 
 
 def hold_stops() -> None:
-    """From now on hold back the first signal, too: there are results to be written."""
+    """Hold back the first signal too, because results must be written."""
     if _stops and threading.current_thread() is threading.main_thread():
         _stops[-1].holding = True
 
 
 def release_stops() -> None:
-    """The results are written: raise the signal that was held back, and from now on every one."""
+    """Raise a held signal, and let later signals stop the verb."""
     if _stops and threading.current_thread() is threading.main_thread():
         _stops[-1].holding = False
         _raise_held(_stops[-1])
 
 
 def _raise_held(stops: _Stops) -> None:
-    """Raise the first signal that was held back, unless an earlier one has stopped the verb."""
+    """Raise the first held signal, unless the verb was already stopped."""
     came, stops.came = stops.came, []
     if came and not stops.stopped:
         signal.raise_signal(came[0])
@@ -140,7 +143,7 @@ def _raise_held(stops: _Stops) -> None:
 
 @contextmanager
 def scratch_folder(beside: Path, prefix: str) -> Iterator[Path]:
-    """Make a folder within `beside` that is removed at the end, or by the next command after a kill."""
+    """Yield a new folder in `beside`, removed at the end. After a kill the next command removes the folder."""
     made: Held | None = None
     try:
         with uninterrupted():
@@ -153,18 +156,22 @@ def scratch_folder(beside: Path, prefix: str) -> Iterator[Path]:
 
 
 def named_path(out: FilePath) -> Path:
-    """Return the path that is named as --out; raise InputError if it is blank, which would be the current folder."""
+    """Return the path given as --out.
+
+    Raises:
+        InputError: The name is blank, which would mean the current folder.
+    """
     if not os.fspath(out).strip():
         raise InputError([Fault(Path("--out"), 0, 0, f"is blank; {NOT_BLANK}")])
     return Path(out)
 
 
 def check_folder(folder: Path) -> None:
-    """InputError where a file stands where a folder is to be made, or another command writes into the folder."""
+    """Raise InputError if a file or another command blocks a folder."""
     take_folder(folder)
     try:
         taken = next((p for p in (folder, *folder.parents) if p.exists() and not p.is_dir()), None)
-    except OSError:  # a name too long, which who makes it is told
+    except OSError:  # The maker of the folder reports a name that is too long.
         return
     if taken is not None:
         why = f"cannot be the folder for results: {taken} is a file; give a folder as --out"
@@ -172,7 +179,7 @@ def check_folder(folder: Path) -> None:
 
 
 def _is_kept_by_another(path: Path) -> bool:
-    """Whether a file is in a folder as that for temporary files, where only its owner may replace it, and not ours."""
+    """Return whether only another owner may replace a file. Folders such as the temporary folder have this rule."""
     if not hasattr(os, "geteuid") or not os.path.lexists(path):
         return False
     owner, folder = path.lstat().st_uid, path.parent.stat()
@@ -180,11 +187,15 @@ def _is_kept_by_another(path: Path) -> bool:
 
 
 def check_writable(folder: Path, names: Sequence[str], read: Iterable[Path] = ()) -> None:
-    """Make and lock the folder and see that files of these names can be written there; InputError before any work.
+    """Prepare a folder for writing files, and lock it.
 
-    Drafts of these files that a killed command did not remove are removed.
+    Drafts of killed commands are removed.
 
-    read: files that the work reads, which must not be what it writes.
+    Args:
+        read: Input files, which must not be overwritten.
+
+    Raises:
+        InputError: A file cannot be written.
     """
     if take_folder(folder):
         remove_drafts(folder, names)

@@ -1,8 +1,9 @@
-"""Locks on folders for results: two commands never write into one folder at the same time.
+"""Locks on results folders: two commands never write into the same folder at the same time.
 
-The lock is on a hidden file in the folder, which is removed at the end; one that a killed process left is taken over.
-Only those who may write into the folder may open the file: who can merely read the folder cannot hold its lock. A disk
-without any locks is written without one.
+The lock is on a hidden file in the folder, removed at the end. A file of a killed process is taken over. Only users
+with
+write access to the folder can open the file, so that mere readers cannot hold the lock. A disk without locks is written
+unlocked.
 """
 
 from __future__ import annotations
@@ -20,22 +21,22 @@ from cosim.base.errors import Fault, InputError
 from cosim.base.scratch import lock_descriptor
 
 LOCK_FILE = ".cosim-lock"
-HELD = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)  # by another process, as systems say it
+HELD = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)  # error numbers of a lock held by another process
 NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 
 
 @dataclass
 class _Locks:
-    """What the verb that runs holds: a descriptor of each locked folder, and folders made for that."""
+    """Locks of the running verb: descriptors of locked folders, and folders made for locking."""
 
     held: dict[Path, int] = field(default_factory=dict)
     made: list[Path] = field(default_factory=list)
 
     def release(self) -> None:
-        """Remove the files of the locks and folders that were made and are empty, and end the locks, in this order."""
+        """Remove lock files and empty new folders, then end the locks."""
         for folder, lock in self.held.items():
             with suppress(OSError):
-                if os.name == "nt":  # an open file cannot be removed there
+                if os.name == "nt":  # Windows cannot remove an open file.
                     os.close(lock)
                 (folder / LOCK_FILE).unlink(missing_ok=True)
         for folder in reversed(self.made):
@@ -51,9 +52,9 @@ _locks: ContextVar[_Locks | None] = ContextVar("folder locks", default=None)
 
 @contextmanager
 def folder_locks() -> Iterator[None]:
-    """Hold the folders that a verb takes until it ends; a verb that another one calls shares the locks of that one.
+    """Hold folder locks until the end of a verb.
 
-    A folder that was made for the lock, and is empty at the end, is removed.
+    An inner verb shares the locks of the outer verb. A folder made for its lock is removed if empty.
     """
     if _locks.get() is not None:
         yield
@@ -68,9 +69,15 @@ def folder_locks() -> Iterator[None]:
 
 
 def take_folder(folder: Path) -> bool:
-    """Lock a folder for the verb that runs, made if missing; True if it is locked.
+    """Lock a folder for the running verb, and make it if missing.
 
-    Raises InputError if another command writes there. A folder that cannot be made is no fault yet.
+    A folder that cannot be made is reported elsewhere.
+
+    Returns:
+        Whether the folder is locked.
+
+    Raises:
+        InputError: Another command is writing into the folder.
     """
     locks = _locks.get()
     if locks is None:
@@ -80,7 +87,7 @@ def take_folder(folder: Path) -> bool:
         if path in locks.held:
             return True
         lock: int | None = None
-        while lock is None or not _is_of(lock, path):  # another command may just have removed it
+        while lock is None or not _is_of(lock, path):  # Another command may just have removed the folder.
             for missing in [p for p in (*reversed(path.parents), path) if not p.exists()]:
                 missing.mkdir(exist_ok=True)
                 locks.made.append(missing)
@@ -96,10 +103,13 @@ def take_folder(folder: Path) -> bool:
 
 
 def _lock(folder: Path) -> int | None:
-    """Return the descriptor that holds a folder, None if it cannot be locked; raise BlockingIOError if held."""
+    """Return the descriptor of a folder's lock.
+
+    None means no lock is possible; BlockingIOError means another process holds the lock.
+    """
     try:
         lock = os.open(folder / LOCK_FILE, os.O_RDWR | os.O_CREAT | NO_LINK, 0o600)
-    except OSError:  # a folder that may not be written, or a file of somebody who keeps it to himself
+    except OSError:  # no write access to the folder, or a private file of another user
         return None
     try:
         if not _is_shared_with_writers(lock, folder):
@@ -117,7 +127,11 @@ def _lock(folder: Path) -> int | None:
 
 
 def _is_shared_with_writers(lock: int, folder: Path) -> bool:
-    """Give an own file the permissions of who may write into the folder; False if a stranger's is not to trust."""
+    """Share an own lock file with the folder's writers.
+
+    Returns:
+        False for a lock file of an untrusted user.
+    """
     own, place = os.fstat(lock), folder.stat()
     if not stat.S_ISREG(own.st_mode):
         return False
@@ -129,12 +143,12 @@ def _is_shared_with_writers(lock: int, folder: Path) -> bool:
         writers = place.st_mode & 0o222
         with suppress(OSError):
             os.fchmod(lock, writers | writers << 1)
-    # in a folder as that for temporary files anybody may leave a file
+    # In a sticky folder, e.g. the temporary one, anybody may leave a file.
     return own.st_uid in (os.geteuid(), place.st_uid, 0) or not place.st_mode & stat.S_ISVTX
 
 
 def _is_of(lock: int, folder: Path) -> bool:
-    """Whether a lock is still on the hidden file in the folder of this name; closed if not."""
+    """Return whether a lock still belongs to the folder; else close it."""
     path = folder / LOCK_FILE
     if path.exists() and os.path.samestat(os.fstat(lock), path.stat()):
         return True

@@ -1,4 +1,4 @@
-"""The folder that a command leaves its results in: which one without --out, and whose it is already."""
+"""Results folders of commands: default names, owners and earlier runs."""
 
 from __future__ import annotations
 
@@ -18,28 +18,35 @@ from cosim.storage.folder_lock import take_folder
 from cosim.storage.table_source import suffixes
 
 RESULTS = Path("results")
-EARLIER = "runs"  # within a folder of results: those of earlier runs, 0001 and so on
-MOVING, LIST = ".moving", ".files"  # within EARLIER: an earlier run on its way there, and which files it has
-UPWARDS = re.compile(r"^([\w ]+: \"?)(?=\.\./)", re.MULTILINE)  # a key of YAML whose value is a path from here upwards
-REPLAY = "replay.json"  # beside the rows of a replay
+EARLIER = "runs"  # folder of earlier runs inside a results folder, 0001 and so on
+MOVING, LIST = ".moving", ".files"  # inside EARLIER: a run being moved, and the list of its files
+UPWARDS = re.compile(r"^([\w ]+: \"?)(?=\.\./)", re.MULTILINE)  # a YAML key whose value is a relative path upwards
+REPLAY = "replay.json"  # stored with the rows of a replay
 CURE = "give another folder as --out, or write over it by --force"
 
 
 def folder_named(name: str, of: str = "") -> Path:
-    """results/NAME, or NAME-OF, with nothing in it that leads elsewhere, and no blank, which a shell would part."""
+    """Return results/NAME or results/NAME-OF, safe for shells."""
     safe = re.sub(r"\s+", "-", re.sub(r"[^\w.\-\s]+", "_", name).strip(" .")) or "run"
     return RESULTS / (safe[: 100 - len(of)] + (f"-{of}" if of else ""))
 
 
 def folder_of_file(path: Path, of: str = "") -> Path:
-    """results/NAME of a file's name; of what lies in a folder under a name that all runs use, that of the folder."""
+    """Return results/NAME for the name of a file.
+
+    Files with a general name, e.g. results.csv, take the name of their folder.
+    """
     if path.stem in {"results", "refine"} and path.resolve().parent.name:
         return folder_named(path.resolve().parent.name, of or "replayed")
     return folder_named(path.stem, of)
 
 
 def name_of(model: str) -> str:
-    """What a model is called that is named as `base`, a file, file.py:Class, or a refine's folder or refine.json."""
+    """Return a short name of a model.
+
+    Args:
+        model: `base`, a file, file.py:Class, a refine's folder or refine.json.
+    """
     file, own, name = model.rpartition(":") if ".py:" in model else (model, "", "")
     path = Path(file)
     if own and name:
@@ -51,12 +58,12 @@ def name_of(model: str) -> str:
 
 
 def manifest_in(folder: Path) -> dict[str, Any]:
-    """The manifest that a run left in a folder, empty where there is none that can be read."""
+    """Return the manifest in a folder, empty if unreadable."""
     return content_of(folder / "manifest.json")
 
 
 def content_of(path: Path) -> dict[str, Any]:
-    """What a JSON file of keys holds, empty where there is none that can be read."""
+    """Return a JSON mapping from a file, empty if unreadable."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
@@ -65,14 +72,21 @@ def content_of(path: Path) -> dict[str, Any]:
 
 
 def left_by_replay(folder: Path) -> dict[str, Any]:
-    """What a replay says of its rows: `log`, `fmu`, `units`, `sentence`; empty where there is none that can be read."""
+    """Return a replay's description of its rows.
+
+    Keys are `log`, `fmu`, `units` and `sentence`; the result is empty if unreadable.
+    """
     return content_of(folder / REPLAY)
 
 
 def check_ours(
     folder: Path, name: str = "", *, ssp: Path | None = None, force: bool = False, keep: bool = False
 ) -> None:
-    """Lock a folder; InputError if it holds what the run of another scenario or SSP, or another command, left."""
+    """Lock a folder for a run.
+
+    Raises:
+        InputError: The folder belongs to another scenario, SSP or command.
+    """
     prepare_folder(folder, keep=keep)
     if force or not folder.is_dir():
         return
@@ -87,14 +101,18 @@ def check_ours(
 
 
 def check_left(folder: Path, by: str, *sources: str, force: bool = False, keep: bool = False) -> None:
-    """Lock a folder; InputError if it holds what another command left, or the same one of other sources.
+    """Lock a folder for a command.
 
-    keep: the files of an earlier run will be moved to `runs` in the folder
+    Args:
+        keep: Whether files of an earlier run will move to `runs` in the folder.
+
+    Raises:
+        InputError: The folder belongs to another command, or to other sources.
     """
     prepare_folder(folder, keep=keep)
     if force or not folder.is_dir():
         return
-    for left in sorted(artefacts(), key=lambda a: a.verb == by):  # those of other commands first
+    for left in sorted(artefacts(), key=lambda a: a.verb == by):  # other commands first
         if not left.verb or not left.is_left_in(folder):
             continue
         if left.verb != by:
@@ -107,7 +125,7 @@ def check_left(folder: Path, by: str, *sources: str, force: bool = False, keep: 
 
 
 def _same(one: str, other: str) -> bool:
-    """Two names of one file, or of one model."""
+    """Return whether two names mean the same file or model."""
     try:
         return one == other or Path(one).resolve() == Path(other).resolve()
     except (OSError, ValueError):
@@ -118,12 +136,16 @@ def _same(one: str, other: str) -> bool:
 
 
 def prepare_folder(folder: Path, *, keep: bool) -> None:
-    """Lock a folder and finish a move to its `runs` that was cut off; with keep, InputError if none is possible."""
+    """Lock a folder and finish an interrupted move to its `runs`.
+
+    Raises:
+        InputError: With `keep`, earlier runs cannot be moved.
+    """
     take_folder(folder)
     _finish_move(folder)
     earlier = folder / EARLIER
     if not keep or not os.path.lexists(earlier):
-        return  # it is made in the folder, which must be writable
+        return  # The new folder only needs write access to its parent.
     cure = "move it away, or give another folder as --out"
     if not earlier.is_dir():
         raise InputError([Fault(earlier, 0, 0, f"is a file; earlier runs are kept in a folder of this name; {cure}")])
@@ -133,11 +155,14 @@ def prepare_folder(folder: Path, *, keep: bool) -> None:
 
 
 def keep_earlier(folder: Path, verb: str, also: Iterable[str] = ()) -> Path | None:
-    """Move the files of an earlier run in a folder to the next of runs/0001, runs/0002 …; return that folder.
+    """Move an earlier run's files to the next of runs/0001, 0002.
 
-    None if there are none. The files are those that the verb declares, with `also`, and those of other verbs whose
-    marks are in the folder; files of the user stay. A move that is cut off is finished by the next verb that takes the
-    folder.
+    The files are those declared by the verb, `also`, and those of verbs whose marks are in the folder; user files stay.
+    The
+    next verb to lock the folder finishes an interrupted move.
+
+    Returns:
+        The new folder; None without files to move.
     """
     paths = _files_of(folder, verb, also)
     if not paths:
@@ -150,7 +175,7 @@ def keep_earlier(folder: Path, verb: str, also: Iterable[str] = ()) -> Path | No
 
 
 def _files_of(folder: Path, verb: str, also: Iterable[str]) -> list[Path]:
-    """Return the files in a folder that an earlier run of a verb, or of one whose mark is there, has written."""
+    """Return the files of an earlier run in a folder."""
     declared = [a for a in artefacts() if a.verb and (a.verb == verb or a.is_left_in(folder))]
     tables = (f"{stem}{suffix}" for a in declared for stem in a.tables for suffix in suffixes())
     patterns = dict.fromkeys((*(name for a in declared for name in a.files), *tables, *also))
@@ -158,7 +183,7 @@ def _files_of(folder: Path, verb: str, also: Iterable[str]) -> list[Path]:
 
 
 def _finish_move(folder: Path) -> Path | None:
-    """Move the files of an earlier run that are listed in `runs`, if any are; return the folder there."""
+    """Finish a move listed in `runs`; return its folder."""
     moving = folder / EARLIER / MOVING
     if not moving.is_dir() or moving.is_symlink():
         return None
@@ -179,7 +204,7 @@ def _finish_move(folder: Path) -> Path | None:
 
 
 def _move(path: Path, place: Path) -> None:
-    """Move a file; paths upwards in a YAML file of ours are told from the new place. Nothing if it was moved before."""
+    """Move a file and adapt upward paths in YAML files. A file that has already been moved is skipped."""
     if not path.is_file():
         return
     place.parent.mkdir(parents=True, exist_ok=True)
@@ -191,5 +216,5 @@ def _move(path: Path, place: Path) -> None:
             path.unlink()
             return
     path.replace(place)
-    with suppress(OSError):  # a folder in which there is no other file
+    with suppress(OSError):  # fails in a folder with further files
         path.parent.rmdir()

@@ -1,4 +1,4 @@
-"""What kind of file or folder one is, so that a command given another kind can say which reads it."""
+"""Kinds of files and folders, for messages that name the right command."""
 
 from __future__ import annotations
 
@@ -19,37 +19,40 @@ LOG, FMU, SSP, SCENARIO = "a log", "an FMU", "an SSP", "a scenario"
 MANIFEST, STUDY, MODEL, ANSWER = "a manifest", "a study", "a model file", "an answer of `cosim refine`"
 CODE, SWEEP, RESULTS, TABLE = "a model's Python file", "a sweep", "the rows of a run", "a table of runs"
 TEXT, BINARY = "a text", "a binary file"
-WRITTEN = {".yaml", ".yml", ".json"}  # whose keys say what they are
+WRITTEN = {".yaml", ".yml", ".json"}  # endings of files identified by their keys
 PROSE = {".md", ".rst", ".mmd", ".tex", ".c", ".h", ".toml", ".sh"}
-COLUMNS = {"", ".txt", ".dat", ".tsv", ".log", ".asc"}  # text, or a table of some instrument
+COLUMNS = {"", ".txt", ".dat", ".tsv", ".log", ".asc"}  # text, or a table of an instrument
 ROW = re.compile(r"\s*[-+]?[\d.]+(e[-+]?\d+)?\s*([,;\t ]|$)", re.I)
 FIRST = re.compile(r'"?time\b|\w+:(\s|$)')
 KEYED = re.compile(r'(?!time\b)\w+:(\s|$)|\{\s*"')
 UTF_16 = b"\xff\xfe", b"\xfe\xff"
-HEAD = 1024  # bytes
+HEAD = 1024  # examined bytes
 UNREAD = "no command reads it; `cosim --help` lists what each takes"
 
 
 @dataclass(frozen=True)
 class Form:
-    """A file by its path and its first bytes, none of one that cannot be read."""
+    """A file by its path and first bytes, empty if unreadable."""
 
     path: Path
     head: bytes
 
     @property
     def ending(self) -> str:
-        """Suffix in small letters."""
+        """Return the suffix in lower case."""
         return self.path.suffix.lower()
 
     @property
     def text(self) -> str:
-        """The first bytes as text."""
+        """Return the first bytes as text."""
         return self.head.decode("utf-8", errors="replace").lstrip("\ufeff")
 
     @cached_property
     def members(self) -> Sequence[str]:
-        """Names of what is in an archive; none if the file only begins like one, or its ending says what it is."""
+        """Return the names in an archive.
+
+        The result is empty for a damaged archive, or if the ending determines the kind.
+        """
         if not self.head.startswith(b"PK") or self.ending in {".fmu", ".ssp"}:
             return ()
         try:
@@ -59,14 +62,14 @@ class Form:
             return ()
 
     def is_of(self, a: Artefact) -> bool:
-        """Return whether the file begins as those of a kind do, or holds as an archive what they hold."""
+        """Return whether the form of the file matches a kind."""
         text = "" if self.ending in WRITTEN else self.text.lstrip("\ufeff \t\r\n")
         begins = bool(a.heads and self.head.startswith(a.heads)) or bool(text and a.text and re.match(a.text, text))
         return begins or bool(a.member and any(a.member == "*" or n.startswith(a.member) for n in self.members))
 
 
 def kind_by_form(path: Path) -> str | None:
-    """Return the kind of a file by its first bytes or its ending; None if its keys will say."""
+    """Return the kind of a file by first bytes or ending. None leaves the decision to the keys."""
     try:
         head = _head(path) if path.is_file() else b""
     except (OSError, ValueError):
@@ -82,9 +85,9 @@ def kind_by_form(path: Path) -> str | None:
 
 
 def _table(form: Form) -> str | None:
-    """Return what a file of a format of tables is; None of CSV that may be a log."""
+    """Return the kind of a table file; None if undecided."""
     if any(source.magic and form.head.startswith(source.magic) for source in sources()):
-        return LOG  # its columns say whether it is one
+        return LOG  # Later checks examine its columns.
     if form.ending != ".csv":
         return LOG if form.ending in suffixes() else None
     if _no_text(form.head):
@@ -93,7 +96,7 @@ def _table(form: Form) -> str | None:
 
 
 def _undeclared(form: Form) -> str | None:
-    """Return what a file is that no declaration describes; None if it may be a table or a mapping."""
+    """Return the kind of an undeclared file; None if undecided."""
     if b"\0" in form.head and form.ending not in WRITTEN and not form.head.startswith(UTF_16):
         return BINARY
     is_text = form.ending in PROSE or (form.ending in COLUMNS and not _tabular(form.text))
@@ -101,7 +104,7 @@ def _undeclared(form: Form) -> str | None:
 
 
 def _is_named(path: Path, beside: tuple[str, str]) -> bool:
-    """Whether a file has a name, or that of the same rows in another format than CSV, and another file is beside it."""
+    """Return whether a file has a name and a required neighbour. Rows in formats besides CSV match the same name."""
     name, other = beside
     rows = name.endswith(".csv") and path.stem == Path(name).stem and path.suffix in suffixes()
     return (path.name == name or rows) and (path.parent / other).is_file()
@@ -113,13 +116,16 @@ def _head(path: Path) -> bytes:
 
 
 def _tabular(text: str) -> bool:
-    """Return whether a text may be a table or a mapping: a row of numbers in it, or a column or a key at its start."""
+    """Return whether a text may be a table or a mapping.
+
+    It then has a row of numbers, or begins with a column name or a key.
+    """
     lines = text.splitlines()
     return any(ROW.match(line) for line in lines[1:]) or bool(lines and FIRST.match(lines[0]))
 
 
 def _no_text(head: bytes) -> bool:
-    """Whether bytes are none of a text, in any encoding that loggers write; a zero here or there is a torn row."""
+    """Return whether bytes are binary. Loggers use various encodings, and a torn row contains zero bytes."""
     if head.startswith(UTF_16):
         return False
     controls = sum(byte < 9 or 13 < byte < 32 for byte in head)
@@ -127,20 +133,20 @@ def _no_text(head: bytes) -> bool:
 
 
 def _keyed(text: str) -> bool:
-    """Return whether a text begins as YAML or JSON does, with a key."""
+    """Return whether a text begins with a YAML or JSON key."""
     lines = (line.strip() for line in text.splitlines())
     first = next((line for line in lines if line and not line.startswith(("#", "---", "%"))), "")
     return bool(first == "{" or KEYED.match(first))
 
 
 def next_step(kind: str, path: Path) -> str:
-    """Return what may be done with a file of a kind."""
+    """Return advice for a file of a kind."""
     declared = of_kind(kind)
     return UNREAD if declared is None else declared.next_step.format(file=as_typed(path))
 
 
 def kind_of(path: Path) -> str | None:
-    """The kind of a file by its form, or of a YAML or JSON file by its keys; None where neither says."""
+    """Return the kind of a file by form or keys, if recognised."""
     if (kind := kind_by_form(path)) is not None or path.suffix.lower() not in WRITTEN:
         return kind
     return _by_keys(path)
@@ -154,7 +160,7 @@ def _by_keys(path: Path) -> str | None:
 
 
 def refuse_other(path: Path, kind: str | None, *wanted: str) -> None:
-    """InputError where a file is of another kind than is wanted, with the command that reads it."""
+    """Raise InputError for a file of an unwanted kind. The message names the command for the file."""
     declared = of_kind(kind) if kind is not None else None
     taken = {kind, declared.taken_as} if declared is not None else {kind}
     if kind is not None and taken.isdisjoint(wanted) and path.is_file():
@@ -163,7 +169,7 @@ def refuse_other(path: Path, kind: str | None, *wanted: str) -> None:
 
 
 def refuse_unreadable(path: Path, *wanted: str) -> None:
-    """InputError where what is given is missing, a folder, no file, or empty."""
+    """Raise InputError for a missing, empty or special file."""
     what = " or ".join(wanted)
     try:
         if path.is_dir():
@@ -172,39 +178,39 @@ def refuse_unreadable(path: Path, *wanted: str) -> None:
         if not path.exists():
             raise InputError([Fault(path, 0, 0, f"no such file; give {what}")])
         if not path.is_file():
-            raise InputError([Fault(path, 0, 0, "is no file")])  # a pipe would be waited for
+            raise InputError([Fault(path, 0, 0, "is no file")])  # A pipe would block.
         if not path.stat().st_size:
             raise InputError([Fault(path, 0, 0, f"is empty; give {what}")])
-    except (OSError, ValueError):  # a name too long, a loop of links, a folder that may not be looked into
+    except (OSError, ValueError):  # a name too long, a loop of links, or a folder without access
         raise InputError([Fault(path, 0, 0, f"no such file, or none that can be read; give {what}")]) from None
 
 
 def check_form(path: Path, *wanted: str) -> None:
-    """InputError where what is given is missing, a folder, empty, or by its form of another kind than is wanted."""
+    """Raise InputError for an unusable file or unwanted form."""
     refuse_unreadable(path, *wanted)
     refuse_other(path, kind_by_form(path), *wanted)
 
 
 def check_given(path: Path, *wanted: str) -> None:
-    """InputError where what is given is missing, a folder, empty, or a file of another kind than is wanted."""
+    """Raise InputError for an unusable file or unwanted kind."""
     refuse_unreadable(path, *wanted)
     refuse_other(path, kind_of(path), *wanted)
 
 
 def as_typed(path: Path) -> str:
-    """A path as one types it in a shell."""
+    """Return a path quoted for a shell."""
     return shlex.quote(str(path))
 
 
 def refuse_folder(path: Path, what: str) -> None:
-    """InputError where a folder is one that a command left, and not what is wanted."""
+    """Raise InputError for the folder of another command."""
     if (left := left_in(path)) is not None:
         message = f"is {left.folder}, not {what}: {left.folder_step.format(file=as_typed(path))}"
         raise InputError([Fault(path, 0, 0, message)])
 
 
 def _folder(path: Path, what: str) -> str:
-    """That a folder is not what is wanted; what in it may be meant."""
+    """Return a message on an unwanted folder with likely files."""
     meant = {ending for a in artefacts() if a.kind in what for ending in a.endings} or {".yaml", ".yml"}
     inside = sorted(p.name for p in path.iterdir() if p.suffix.lower() in meant and p.is_file())
     some = f" {', '.join(inside[:3])}{', …' if inside[3:] else ''}" if inside else " none by its ending"

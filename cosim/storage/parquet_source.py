@@ -1,4 +1,4 @@
-"""Parquet: a column of numbers a signal, its unit in the metadata of the column. Needs pyarrow (extra `parquet`)."""
+"""Parquet: a column of numbers per signal, with its unit in the column metadata. Needs pyarrow (extra `parquet`)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from cosim.storage.table_source import Frame, Source, SourceColumn, heading_of
 
 MAGIC = b"PAR1"  # first and last bytes of every Parquet file
 UNIT = b"unit"  # key of a column's metadata
-MOST_VALUES = 200_000_000  # numbers of a file, 1.6 GB in memory
+MOST_VALUES = 200_000_000  # numbers in a file, 1.6 GB in memory
 ROWS_A_GROUP = 65_536
 
 
@@ -31,7 +31,7 @@ class Parquet(Source):
     writes = True
 
     def frame(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Frame:
-        """Read all columns; a column of another type than numbers and text has a fault instead."""
+        """Read all columns; a column of an unsupported type gets a fault."""
         parquet = optional("pyarrow.parquet", lambda message: Fault(path, 0, 0, message))
         content = _content(parquet, path)
         columns = []
@@ -42,7 +42,7 @@ class Parquet(Source):
         return Frame(columns, range(1, content.num_rows + 1))
 
     def column_names(self, path: Path) -> list[str]:
-        """Return the names of the columns; none if the file cannot be read."""
+        """Return the column names, none if unreadable."""
         try:
             parquet = optional("pyarrow.parquet", lambda message: Fault(path, 0, 0, message))
             return [parted(field.name)[0] for field in parquet.read_schema(path)]
@@ -50,7 +50,7 @@ class Parquet(Source):
             return []
 
     def check_writable(self) -> None:
-        """InputError where pyarrow is not installed."""
+        """Raise InputError without pyarrow."""
         optional("pyarrow", "--format parquet")
 
     def write(self, path: Path, columns: Sequence[SourceColumn]) -> None:
@@ -71,7 +71,11 @@ PARQUET = Parquet()
 
 
 def _content(parquet: Any, path: Path) -> Any:
-    """All columns of a file as a table of pyarrow; InputError where it is not whole."""
+    """Return a file as a pyarrow table.
+
+    Raises:
+        InputError: The file is incomplete, damaged or too large.
+    """
     again = "write it again"
     try:
         with path.open("rb") as stream:
@@ -90,7 +94,7 @@ def _content(parquet: Any, path: Path) -> Any:
                 message = f"has {size}, more than the {MOST_VALUES:.0e} values that are read; leave out columns or rows"
                 raise InputError([Fault(path, 0, 0, message)])
             return file.read(use_threads=False)
-    except (OSError, ValueError, NotImplementedError) as error:  # those of pyarrow are made from these
+    except (OSError, ValueError, NotImplementedError) as error:  # pyarrow's errors derive from these
         reason = str(error).strip().partition("\n")[0][:200]
         raise InputError([Fault(path, 0, 0, f"is no Parquet file that can be read: {reason}; {again}")]) from None
 
@@ -110,18 +114,18 @@ def _texts(column: Any) -> list[str]:
 
 
 def _whole(column: Any) -> Array | NDArray[np.int64]:
-    """Return whole numbers; doubles if a value is missing or may not fit."""
+    """Return whole numbers; doubles if values are missing or too large."""
     is_safe = not column.null_count and str(column.type) != "uint64"
     return column.to_numpy().astype(np.int64) if is_safe else _doubles(column)
 
 
 def _doubles(column: Any) -> Array:
-    """The numbers of a column, NaN where there is none."""
+    """Return numbers, with NaN for missing ones."""
     values = column.cast("float64", safe=False).to_numpy()
     return np.asarray(values, dtype=np.float64)
 
 
-READERS: tuple[tuple[str, Callable[[Any], Any]], ...] = (  # types of columns, and how their values are read
+READERS: tuple[tuple[str, Callable[[Any], Any]], ...] = (  # column types and their conversions
     ("floating null", _doubles),
     ("boolean integer", _whole),
     ("string large_string", _texts),
@@ -130,7 +134,7 @@ READERS: tuple[tuple[str, Callable[[Any], Any]], ...] = (  # types of columns, a
 
 
 def _no_numbers(types: Any, kind: Any) -> str:
-    """Why a type of column has no numbers, and what to write instead."""
+    """Return the reason against a column type, with remedy."""
     if types.is_temporal(kind):
         return f"holds moments or durations ({kind}); write seconds as numbers"
     if types.is_decimal(kind):
@@ -141,7 +145,7 @@ def _no_numbers(types: Any, kind: Any) -> str:
 
 
 def _array(pa: Any, values: Any) -> Any:
-    """Values as pyarrow holds them; whole numbers beyond 63 bits are unsigned."""
+    """Return a pyarrow array; integers beyond 63 bits are unsigned."""
     if isinstance(values, np.ndarray):
         return pa.array(values)
     large = any(isinstance(value, int) and value >= 2**63 for value in values)

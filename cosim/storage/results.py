@@ -1,4 +1,4 @@
-"""Results of a run: one row a communication point, one column a `component.variable`."""
+"""Results of a run: a row per communication point, a column per `component.variable`."""
 
 from __future__ import annotations
 
@@ -21,23 +21,24 @@ from cosim.storage.table_columns import Faults, is_time, not_time, seconds
 from cosim.storage.table_source import Frame, SourceColumn, source_named, source_of, suffixes
 
 CHUNK = 1000  # rows
-FEWER = 0.7  # of the rows, tried next where a disk has no room for so many in a format that is written whole
+FEWER = 0.7  # share of the rows to try next on a full disk, for formats written as a whole
 
 
 @dataclass(frozen=True)
 class Results:
     """Recorded signals.
 
-    Row k holds, at `time[k]`, what is measured there and the command that acts until `time[k + 1]`.
+    Row k holds the measurements at `time[k]` and the command acting until `time[k + 1]`.
 
-    time:    communication points [s], shape (rows,)
-    columns: names `component.variable`, one a column of `values`
-    values:  shape (rows, columns)
-    units:   name → unit, "" where the variable has none
-    exact:   name → one a row of what no double holds exactly: text, 64-bit integers, binary data
-    whole:   columns that hold whole numbers: integers, Booleans, enumerations
-    notes:   what is to be known of the run
-    loop:    which loop stepped it: "C", or "Python: " and why; "" where that is not known
+    Attributes:
+        time: Communication points [s], shape (rows,).
+        columns: Names `component.variable` of the columns of `values`.
+        values: Shape (rows, columns).
+        units: Name → unit, "" without unit.
+        exact: Name → column of values beyond doubles: text, 64-bit integers, binary data.
+        whole: Columns of integers, Booleans and enumerations.
+        notes: Notes on the run.
+        loop: Stepping loop: "C", or "Python: " with the reason; "" if unknown.
     """
 
     time: Array
@@ -60,14 +61,14 @@ class Results:
         return {name: k for k, name in enumerate(self.columns)}
 
     def write(self, path: Path) -> None:
-        """Write `time` and every column in the format of the path's suffix."""
+        """Write time and all columns in the format of the suffix."""
         if path.suffix == ".csv":
             self.write_csv(path)
         else:
             source_named(path.suffix).write(path, self._source_columns(len(self.time)))
 
     def _source_columns(self, rows: int) -> list[SourceColumn]:
-        """Every column of the first rows, the time first."""
+        """Return the first rows as columns, with time first."""
         columns = [SourceColumn("time", "s", self.time[:rows])]
         for k, name in enumerate(self.columns):
             values = np.ascontiguousarray(self.values[:rows, k])
@@ -78,7 +79,7 @@ class Results:
         return [*columns, *exact]
 
     def write_csv(self, path: Path) -> None:
-        """Write `time` and every column; numbers as the shortest text that reads back bit for bit."""
+        """Write CSV with exactly reproducible numbers."""
         header = ("time", *self.columns, *self.exact)
         if self.exact or self.whole:
             write_table(path, header, self._typed_rows(), cell_text)
@@ -86,7 +87,11 @@ class Results:
             write_table(path, header, self._rows())
 
     def write_what_fits(self, path: Path) -> int:
-        """Write as many rows as the disk has room for; their number. OSError where that is none."""
+        """Write as many rows as fit on the disk; return their number.
+
+        Raises:
+            OSError: Not even the header fits.
+        """
         if path.suffix != ".csv":
             return self._write_whole_that_fits(path)
         with draft_of(path) as draft, draft.open("wb", buffering=0) as stream:
@@ -107,7 +112,7 @@ class Results:
         return len(self.time)
 
     def _write_whole_that_fits(self, path: Path) -> int:
-        """Write fewer and fewer rows until the disk has room for a whole file of them; their number."""
+        """Write ever fewer rows until the file fits; return their number."""
         count = len(self.time)
         while True:
             try:
@@ -120,7 +125,7 @@ class Results:
                 return count
 
     def _rows(self) -> Iterator[tuple[float, ...]]:
-        for first in range(0, len(self.time), CHUNK):  # Python's floats take four times the room
+        for first in range(0, len(self.time), CHUNK):  # Python floats need four times the memory.
             part = slice(first, first + CHUNK)
             for t, row in zip(self.time[part].tolist(), self.values[part].tolist(), strict=True):
                 yield t, *row
@@ -134,15 +139,20 @@ class Results:
             yield *typed, *(column[number] for column in self.exact.values())
 
 
-# -- read back ------------------------------------------------------------------------------------
+# -- reading results ------------------------------------------------------------------------------------
 
 
 def read_results(path: Path, units: Mapping[str, str] | None = None, text: Collection[str] = ()) -> Results:
-    """Return results that were written, or any table whose first column is `time`; InputError with every fault.
+    """Return written results, or any table with time first.
 
-    A time in another unit is converted to seconds.
-    units: of columns whose header says none
-    text:  columns that are no numbers, whatever they look like; others are told by their cells
+    Times in other units become seconds.
+
+    Args:
+        units: Units of columns without unit in the header.
+        text: Columns of text; other columns are classified by their cells.
+
+    Raises:
+        InputError: The file has faults; it lists all of them.
     """
     faults, units = Faults(path), units or {}
     frame = source_of(path).frame(path, units, text) if is_there(faults) else Frame()
@@ -166,10 +176,13 @@ def read_results(path: Path, units: Mapping[str, str] | None = None, text: Colle
 
 
 def _time_of(frame: Frame, faults: Faults) -> Array:
-    """The first column in seconds, known and in order; at an event other tools write several rows of one."""
+    """Return the first column in seconds, checked for order.
+
+    Equal times are allowed, because some tools write several rows per event.
+    """
     first = frame.columns[0] if frame.columns else SourceColumn("", "")
     lines = frame.row_lines
-    line = 1 if len(lines) and lines[0] > 1 else 0  # of the header
+    line = 1 if len(lines) and lines[0] > 1 else 0  # line of the header
     if not is_time(first.name):
         faults.note(line, 1, not_time(first.name))
         return np.empty(0)
@@ -191,19 +204,23 @@ def _time_of(frame: Frame, faults: Faults) -> Array:
 
 
 def rows_name(stem: str, format_: str) -> str:
-    """Return the name of a file of rows in a format, `csv` or another; InputError where none can be written."""
+    """Return the name of a rows file in a format.
+
+    Raises:
+        InputError: The format cannot be written.
+    """
     source = source_named(format_)
     source.check_writable()
     return f"{stem}{source.suffixes[0]}"
 
 
 def rows_in(folder: Path, stem: str = "results") -> Path | None:
-    """Return the file of rows that a command left in a folder, results.csv or one of another format; None without."""
+    """Return the rows file in a folder, in any format."""
     return next((path for suffix in suffixes() if (path := folder / f"{stem}{suffix}").is_file()), None)
 
 
 def remove_rows(folder: Path, stem: str, besides: str = "") -> None:
-    """Remove the files of rows that an earlier command left in a folder, in any format, besides one name."""
+    """Remove the rows files of an earlier command, except one name."""
     for suffix in suffixes():
         if f"{stem}{suffix}" != besides:
             (folder / f"{stem}{suffix}").unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""Tables of numbers of any format, `time` first or none at all, read with the place of every fault."""
+"""Tables of numbers in any format, with or without time, read with the place of every fault."""
 
 from __future__ import annotations
 
@@ -13,10 +13,14 @@ from cosim.storage.table_source import source_of
 
 
 def read_columns(path: Path, names: Collection[str] = ()) -> Table:
-    """Read time, in seconds, and every column that has a finite number in every cell; InputError with every fault.
+    """Read time [s] and every fully numeric column.
 
-    names: that are needed, so that brackets in them are no unit; where there are any, others may hold what is no number
-           and are left out then
+    Args:
+        names: Required columns, whose brackets are not units. If given, other columns may hold non-numbers and are then
+            ignored.
+
+    Raises:
+        InputError: The file has faults; it lists all of them.
     """
     faults = Faults(path)
 
@@ -51,7 +55,7 @@ def read_table(
     names: Container[str] = (),
     times: Collection[str] = (),
 ) -> Table:
-    """Read a file as far as it goes and note its faults; the other arguments are those of `Wanted`."""
+    """Read a file as far as possible and note its faults. Further arguments are those of `Wanted`."""
     if not is_there(faults):
         return Table()
     try:
@@ -63,7 +67,7 @@ def read_table(
 
 
 def is_there(faults: Faults) -> bool:
-    """Return whether there is a file to read; note a fault where there is none."""
+    """Return whether the file exists; note a fault if not."""
     path = faults.path
     try:
         if path.is_file():
@@ -71,13 +75,13 @@ def is_there(faults: Faults) -> bool:
         faults.note(0, 0, "is no file" if path.exists() else "no such file")
     except OSError as error:
         faults.note(0, 0, f"cannot be read: {error.strerror}")
-    except ValueError:  # a name that no file may have
+    except ValueError:  # an impossible file name
         faults.note(0, 0, "no such file")
     return False
 
 
 def read_header(path: Path) -> list[str]:
-    """Return the names of the columns of a file; none if it cannot be read."""
+    """Return the column names of a file, none if unreadable."""
     faults = Faults(path)
     try:
         return source_of(path).column_names(path) if is_there(faults) else []
@@ -86,7 +90,7 @@ def read_header(path: Path) -> list[str]:
 
 
 def write_columns(path: Path, time: Array, columns: Mapping[str, Array], units: Mapping[str, str]) -> None:
-    """Write `time` and columns as CSV, `name [unit]`, nine digits each."""
+    """Write time and columns `name [unit]` as CSV with nine digits."""
     header = ["time", *(f"{name} [{units[name]}]" for name in columns)]
     rows = zip(time.tolist(), *(c.tolist() for c in columns.values()), strict=True)
     write_table(path, header, rows, "{:.9g}".format)

@@ -1,6 +1,6 @@
-"""Formats of tables: which one a file has, and what all of them have in common. An installed package adds formats.
+"""Table formats, their detection and common behaviour; installed packages can add formats.
 
-A format is a subclass of `Source` with one object registered in the group `cosim.sources`; docs/extending.md shows one.
+A format is a subclass of `Source` with an object registered in the group `cosim.sources`; see docs/extending.md.
 """
 
 from __future__ import annotations
@@ -31,16 +31,17 @@ from cosim.storage.table_columns import (
 )
 
 OWN = {"csv": "cosim.storage.csv_source:CSV", "parquet": "cosim.storage.parquet_source:PARQUET"}
-HEAD = 64  # bytes that tell a format
+HEAD = 64  # bytes examined to detect a format
 
 
 @dataclass(frozen=True)
 class SourceColumn:
-    """A column as a file holds it.
+    """A column as stored in a file.
 
-    unit:   "" where the file states none
-    values: numbers, NaN where there is none; whole numbers as integers; or a list of what is no number
-    fault:  why there are no numbers, as in "holds timestamps; write seconds"; "" where there are
+    Attributes:
+        unit: Unit, "" if absent.
+        values: Numbers, NaN if missing, whole numbers as integers; or a list of other values.
+        fault: Reason for missing numbers, e.g. "holds timestamps; write seconds", or "".
     """
 
     name: str
@@ -50,30 +51,31 @@ class SourceColumn:
 
     @property
     def numeric(self) -> bool:
-        """Whether it holds numbers."""
+        """Return whether the column holds numbers."""
         return isinstance(self.values, np.ndarray) and not self.fault
 
 
 @dataclass(frozen=True)
 class Frame:
-    """All columns of a file; `lines`: of the file, one a row, 1, 2, 3 … where the format has none."""
+    """All columns of a file; `lines` holds the line of each row, empty in formats without lines."""
 
     columns: Sequence[SourceColumn] = ()
     lines: Sequence[int] = ()
 
     @property
     def row_lines(self) -> Sequence[int]:
-        """The line of each row, or its number."""
+        """Return the line of each row, or its number."""
         return self.lines or range(1, len(self.columns[0].values) + 1 if self.columns else 1)
 
 
 class Source:
-    """A format of tables.
+    """A table format.
 
-    name:     as messages say it
-    suffixes: of its files, with the dot, in small letters
-    magic:    first bytes of every such file, b"" where there are none
-    writes:   results can be written in it
+    Attributes:
+        name: Name in messages.
+        suffixes: Lower-case suffixes with the dot.
+        magic: First bytes of every file, b"" if undefined.
+        writes: Whether results can be written in the format.
     """
 
     name = ""
@@ -82,29 +84,33 @@ class Source:
     writes = False
 
     def frame(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Frame:
-        """Read all columns; InputError where the file is not whole.
+        """Read all columns.
 
-        names: that are known, so that brackets in them are no unit
-        text:  columns that are text, even where it looks like numbers
+        Args:
+            names: Known names, whose brackets are not units.
+            text: Columns of text, even with numeric content.
+
+        Raises:
+            InputError: The file is incomplete.
         """
         raise NotImplementedError
 
     def write(self, path: Path, columns: Sequence[SourceColumn]) -> None:
-        """Write columns, the time first; whole or not at all."""
+        """Write columns, time first, completely or not at all."""
         raise NotImplementedError
 
     def check_writable(self) -> None:
-        """InputError where what writes it is not installed."""
+        """Raise InputError if a library for writing is missing."""
 
     def column_names(self, path: Path) -> list[str]:
-        """Return the names of the columns; none if the file cannot be read."""
+        """Return the column names, none if unreadable."""
         try:
             return [column.name for column in self.frame(path).columns]
         except InputError:
             return []
 
     def table(self, faults: Faults, wanted: Wanted) -> Table:
-        """Read the columns that are wanted as far as they go, and note the faults of all of them."""
+        """Read the wanted columns and note all their faults."""
         table = Table(header=0)
         try:
             frame = self.frame(faults.path, wanted.names)
@@ -124,7 +130,7 @@ class Source:
 
 
 def fill(table: Table, columns: Sequence[SourceColumn], lines: Sequence[int], faults: Faults, *, timed: bool) -> None:
-    """Give the columns of a table their values, and note what is wrong with them."""
+    """Fill the columns of a table and note their faults."""
     for column in table.columns.values():
         source = columns[column.cell - 1]
         values = np.full(len(lines), np.nan)
@@ -162,26 +168,29 @@ def _note_values(column: Column, values: Array, lines: Sequence[int], faults: Fa
             note_missing(faults, lines[row], column)
 
 
-# -- which format ---------------------------------------------------------------------------------
+# -- detection ----------------------------------------------------------------------------------
 
 
 @functools.cache
 def sources() -> tuple[Source, ...]:
-    """Return the formats, those of installed packages last."""
+    """Return the formats, installed packages last."""
     own = [resolve(place) for place in OWN.values()]
     added = [found for name in names(SOURCES) if isinstance(found := load(SOURCES, name), Source)]
     return (*own, *added)
 
 
 def suffixes() -> tuple[str, ...]:
-    """Return the suffixes of files that hold tables, `.csv` first."""
+    """Return the suffixes of table files, `.csv` first."""
     return tuple(suffix for source in sources() for suffix in source.suffixes)
 
 
 def source_of(path: Path) -> Source:
-    """Return the format of a file by its first bytes, or else by its suffix; text of another suffix is CSV.
+    """Return the format of a file by first bytes or suffix.
 
-    InputError where it has none of the formats.
+    Text with any other suffix is CSV.
+
+    Raises:
+        InputError: The format is unknown.
     """
     by_suffix = next((s for s in sources() if path.suffix.lower() in s.suffixes), None)
     try:
@@ -201,7 +210,11 @@ def source_of(path: Path) -> Source:
 
 
 def source_named(name: str) -> Source:
-    """Return a format that results are written in, by its name or suffix; InputError where there is none."""
+    """Return the named format for writing results.
+
+    Raises:
+        InputError: The format is unknown or read-only.
+    """
     wanted = name.lower().removeprefix(".")
     for source in sources():
         if wanted == source.name.lower() or f".{wanted}" in source.suffixes:
@@ -218,5 +231,5 @@ def _formats(*, written: bool = False) -> str:
 
 
 def heading_of(text: str, unit: str | None, names: Container[str]) -> tuple[str, str]:
-    """Return name and unit of a column; without a unit of its own, its name may be `name [unit]`."""
+    """Return name and unit of a column. Without a unit, the text may be `name [unit]`."""
     return parted(text, names) if unit is None else (text, unit)

@@ -1,4 +1,4 @@
-"""YAML read with the place of every key and value, and validated so that every fault is reported at once."""
+"""YAML with the place of every key and value, validated with all faults at once."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
 
 @dataclass(frozen=True)
 class InUnit:
-    """A number of a file in a unit, or text such as `4 min`, which is converted to it."""
+    """A number in a unit, or text such as `4 min` to convert."""
 
     unit: str
     difference: bool = False
 
     def number(self, value: Any) -> Any:
-        """Return the number of a text; another value as it is."""
+        """Return the number of a text; leave others unchanged."""
         if not isinstance(value, str):
             return value
         if not has_unit(value):
@@ -61,7 +61,7 @@ class InUnit:
 Seconds = Annotated[Number, InUnit("s")]
 PositiveSeconds = Annotated[Positive, InUnit("s")]
 NotNegativeSeconds = Annotated[NotNegative, InUnit("s")]
-# In the unit of a signal, which only the whole scenario says: `simulation.quantities` converts text.
+# The unit is that of a signal, known only from the whole scenario: `cosim.scenario.signal_units` converts the text.
 NUMBER_OR_TEXT = Field(json_schema_extra={"type": ["number", "string"]})
 Amount = Annotated[Number, NUMBER_OR_TEXT]
 PositiveAmount = Annotated[Positive, NUMBER_OR_TEXT]
@@ -69,7 +69,7 @@ NotNegativeAmount = Annotated[NotNegative, NUMBER_OR_TEXT]
 
 
 class UnitOfKey:
-    """A number in the unit of what its key names: text with a unit stays text until `YamlFile.in_units` converts it."""
+    """A number in the unit of its key's signal; text with a unit waits for `YamlFile.in_units`."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return no_info_wrap_validator_function(self.number, handler(source))
@@ -82,23 +82,27 @@ class UnitOfKey:
 
     @staticmethod
     def number(value: Any, inner: ValidatorFunctionWrapHandler) -> Any:
-        """Return text with a unit as it is, a number as `inner` takes it."""
+        """Return text with a unit unchanged, a number validated."""
         return value if isinstance(value, str) and has_unit(value) else inner(value)
 
 
 UNIT_OF_KEY = UnitOfKey()
-Share = InUnit("1")  # of a number, or text such as `5 %`
+Share = InUnit("1")  # a number, or text such as `5 %`
 
-MOST_BYTES = 8_000_000  # of a file
-MOST_FAULTS = 200  # shown of a file
-LONGEST = 80  # characters of a name or value that are shown
-WORDS, LONGEST_WORD = 2000, 100  # among which one is sought that was meant
+MOST_BYTES = 8_000_000  # size of a file [bytes]
+MOST_FAULTS = 200  # reported faults per file
+LONGEST = 80  # shown characters of a name or value
+WORDS, LONGEST_WORD = 2000, 100  # searched words, and their length, for a suggestion
 M = TypeVar("M", bound=BaseModel)
 Origin = Callable[[Location, str, int], Fault]
 
 
 def closest(word: str, known: Iterable[str], alike: float = 0.6) -> str:
-    """The known word that is closest, "" where none is `alike` (1 is equal)."""
+    """Return the closest known word, or "".
+
+    Args:
+        alike: Required similarity; 1 means equal.
+    """
     if len(word) > LONGEST_WORD:
         return ""
     likely = [w for w in islice(known, WORDS) if len(w) <= LONGEST_WORD]
@@ -106,20 +110,21 @@ def closest(word: str, known: Iterable[str], alike: float = 0.6) -> str:
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """`; did you mean "…"?` where a known word is close, else an empty string."""
+    """Return `; did you mean "…"?` for a close word, or ""."""
     close = closest(word, known)
     return f'; did you mean "{close}"?' if close else ""
 
 
 class YamlFile:
-    """A YAML document and where each of its parts stands; `root` is its data, not to be changed.
+    """A YAML document with the places of its parts; `root` is its data, read-only.
 
-    origin: of a document that was made from another file, where there the fault of a part stands
+    Args:
+        origin: Maps faults to the source file of a generated document.
     """
 
     def __init__(self, path: Path, origin: Origin | None = None) -> None:
         self.path, self.origin = path, origin
-        self.overrides: dict[Location, str] = {}  # parts that the file does not say: `--set "step=0"`
+        self.overrides: dict[Location, str] = {}  # parts set by options, e.g. `--set "step=0"`
         text = _text(path)
         try:
             self._document = document_of(text)
@@ -131,15 +136,19 @@ class YamlFile:
             raise InputError([Fault(path, 1, 1, "is not a mapping of keys to values")])
 
     def enter(self, key: str) -> None:
-        """Take the part under a key for the document."""
+        """Use the part under a key as the document."""
         self.root, self._within = self.root[key], (*self._within, key)
 
     def place(self, location: Location, key: bool = False) -> tuple[int, int]:
-        """Line and column of the value at `location`, of its key if asked, or of the nearest part that exists."""
+        """Return line and column of the nearest part at a location.
+
+        Args:
+            key: Whether to return the place of the key instead of the value.
+        """
         return self._document.place((*self._within, *location), key)
 
     def fault(self, location: Location, message: str, *, key: bool = False, exit_code: int = 2) -> Fault:
-        """A fault at a place of this file, of the one from which it was made, or of the option that set the part."""
+        """Return a fault at a place of this file, its source or an option."""
         if (option := self._override_of(location)) is not None:
             return Fault(self.path, 0, 0, f"{option}: {message}".removeprefix(": "), exit_code)
         if self.origin is not None:
@@ -149,9 +158,14 @@ class YamlFile:
     def in_units(
         self, at: Location, values: Mapping[str, Any], units: Mapping[str, str], *, difference: bool = False
     ) -> tuple[dict[str, Any], list[Fault]]:
-        """Return values below a key, text such as `400 kg` as a number in the unit of its name, and the faults.
+        """Return values with text such as `400 kg` converted.
 
-        A faulty value is left out; one whose name is not known becomes a number, for the name is the fault.
+        Args:
+            units: Name → unit of its number.
+
+        Returns:
+            Numbers and faults. A faulty value is omitted; a value with an unknown name becomes a number, because the
+            name is reported elsewhere.
         """
         numbers: dict[str, Any] = {}
         faults = []
@@ -166,7 +180,7 @@ class YamlFile:
         return numbers, faults
 
     def _override_of(self, location: Location) -> str | None:
-        """The last option that set a part, or a part around it; for one that the file lacks, an option within it."""
+        """Return the last option that set a part or its parent. For a missing part, options inside the part count."""
         for at, option in reversed(self.overrides.items()):
             if location[: len(at)] == at or (at[: len(location)] == location and not self._holds(location)):
                 return option
@@ -182,7 +196,11 @@ class YamlFile:
         return True
 
     def validate(self, model: type[M], data: Any = None, at: Location = ()) -> M:
-        """The document, or what stands `at` a place of it, as a pydantic model; InputError with every fault."""
+        """Return the document, or a part of it, as a pydantic model.
+
+        Raises:
+            InputError: The data are invalid; it lists all faults.
+        """
         data = self.root if data is None else data
         try:
             return model.model_validate(data)
@@ -190,10 +208,11 @@ class YamlFile:
             raise InputError(self._faults(model, error, data, at)) from None
 
     def partly(self, model: type[M], first: str) -> tuple[M | None, list[Fault]]:
-        """The document without its faulty parts, so that the rest can be checked too, and their faults.
+        """Return the document without faulty parts, and their faults.
 
-        None where it cannot do without them, or where a key at its top is at fault, on which the rest may depend. On a
-        key that nobody knows it does not, unless `first` is meant, by which the rest is read.
+        The model is None if a faulty part is essential or a faulty key at the top may affect the rest. An unknown
+        top-level
+        key does not, unless it resembles `first`, on which the reading of the rest depends.
         """
         data = copy.deepcopy(self.root)
         try:
@@ -240,7 +259,7 @@ class YamlFile:
 
 
 def _text(path: Path) -> str:
-    """The text of a file; InputError where there is none."""
+    """Return the text of a file; raise InputError if unreadable."""
     try:
         if not path.is_file():
             raise InputError([Fault(path, 0, 0, "is no file" if path.exists() else "no such file")])
@@ -252,12 +271,12 @@ def _text(path: Path) -> str:
         raise InputError([Fault(path, 0, 0, "is not UTF-8 text")]) from None
     except OSError as error:
         raise InputError([Fault(path, 0, 0, f"cannot be read: {error.strerror}")]) from None
-    except ValueError:  # a name that no file may have
+    except ValueError:  # an impossible file name
         raise InputError([Fault(Path(shown(str(path))), 0, 0, "no such file")]) from None
 
 
 def shown(value: Any) -> str:
-    """A value as one writes it, shortened where it is long."""
+    """Return a value in file notation, shortened if long."""
     match value:
         case None:
             return "empty"
@@ -277,16 +296,16 @@ def shown(value: Any) -> str:
 
 
 def short(text: object) -> str:
-    """A text that may be long, for a message."""
+    """Return a text shortened for a message."""
     whole = str(text)
     return whole if len(whole) <= LONGEST else f"{whole[: LONGEST - 1]}…"
 
 
 def _in_words(kind: str, message: str, more: Mapping[str, Any]) -> str:
-    """Pydantic's message without the names of Python."""
+    """Return pydantic's message without Python terms."""
     if kind.startswith("bool"):
         return "it is on or off"
-    if kind == "string_pattern_mismatch":  # of the two patterns there are
+    if kind == "string_pattern_mismatch":  # one of two patterns in use
         dotted = "component.variable, the component's name" if "\\." in str(more.get("pattern")) else "a name"
         return f"it should be {dotted} of letters, digits and _ that begins with no digit"
     if kind in _WORDS:
@@ -316,9 +335,9 @@ _LENGTHS = {"too_short": ("at least", "min_length"), "too_long": ("at most", "ma
 
 
 def _of_the_branch_meant(errors: Sequence[Any], data: Any) -> list[Any]:
-    """Faults of a union as of the branch that was meant: where one looks inside a value, its form fits that one.
+    """Return the errors of the intended branch of each union.
 
-    Where a value has the form of none the first holds the others as `else`.
+    A branch with nested errors fits the form of the value. If no branch fits, the first error holds the rest as `else`.
     """
     found: dict[Location, Any] = {}
     kept = []
@@ -339,9 +358,12 @@ _FORMS = {"dict_type", "model_type", "list_type", "tuple_type", "string_type", "
 
 
 def location_in(data: Any, places: Sequence[str | int], kind: str) -> Location:
-    """Where in the data a fault is: pydantic puts names of a union's branches between, which are no part of it.
+    """Return the location of a fault in the data.
 
-    kind: of the fault; a key that is missing is not in the data either.
+    Pydantic inserts names of union branches, which are not part of the data.
+
+    Args:
+        kind: Type of the fault; a missing key is absent from the data too.
     """
     found: list[str | int] = []
     for k, part in enumerate(places):
@@ -359,7 +381,7 @@ def _among(part: str | int, data: list[Any]) -> bool:
 
 
 def _leave_out(data: Any, location: Location) -> None:
-    """Take a part out of plain data; a list goes as a whole, or those behind would move up."""
+    """Remove a part of plain data; lists are removed whole to keep indices."""
     for step in location[:-1]:
         if not isinstance(data, dict):
             return
@@ -371,7 +393,7 @@ def _leave_out(data: Any, location: Location) -> None:
 
 
 def _known_keys(model: type[BaseModel], places: Sequence[str | int]) -> tuple[list[str], str]:
-    """Keys allowed where pydantic finds one that is not, and which of a union's other branches take that one."""
+    """Return allowed keys, and other branches that take the key."""
     annotation: Any = model
     branches: dict[str, Any] = {}
     here = ""
@@ -395,12 +417,12 @@ def _keys(annotation: Any) -> list[str]:
 
 
 def _plain(annotation: Any) -> Any:
-    """An annotation without what is said beside it."""
+    """Return an annotation without metadata."""
     return _plain(get_args(annotation)[0]) if get_origin(annotation) is Annotated else annotation
 
 
 def _branches(annotation: Any) -> dict[str, Any]:
-    """Branches of a union by their tags."""
+    """Return the branches of a union by tag."""
     return {
         mark.tag: branch
         for branch in get_args(_plain(annotation))
@@ -419,6 +441,6 @@ def _inner_model(annotation: Any) -> type[BaseModel] | None:
 
 
 class Part(BaseModel):
-    """A part of a scenario: unknown keys are refused."""
+    """A part of a file; unknown keys are rejected."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)

@@ -1,7 +1,7 @@
-"""YAML and JSON text as plain data, each part with its place; what is too large, too deep or of no use is refused.
+"""YAML and JSON text as plain data with places; oversized, deep or unsupported content is rejected.
 
-Only what a settings file needs: mappings with text as keys, lists, text, numbers, true, false and null. Anchors,
-aliases and merge keys are taken, as far as what they stand for stays small.
+Supported are mappings with text keys, lists, text, numbers, true, false and null, and anchors, aliases and merge keys
+with limited expansion.
 """
 
 from __future__ import annotations
@@ -14,23 +14,23 @@ from cosim.storage.yaml_parsers import DEEPEST, NotYaml, nodes, number, whole_nu
 
 __all__ = ["Document", "Location", "NotYaml", "Place", "document_of"]
 
-MOST_YAML, MOST_JSON = 800_000, 8_000_000  # characters that are read within seconds
-MOST_MARKS = 100_000  # commas, colons and lines of YAML, which take the time
-MOST_PARTS = 400_000  # keys and values, aliases followed
+MOST_YAML, MOST_JSON = 800_000, 8_000_000  # text lengths [characters] readable within seconds
+MOST_MARKS = 100_000  # commas, colons and lines of YAML, which determine the reading time
+MOST_PARTS = 400_000  # keys and values after expanding aliases
 MERGE = "<<"
 Location = tuple[str | int, ...]
 Place = tuple[int, int]
 UNKNOWN: Place = (0, 0)
 
 
-@lru_cache(maxsize=2)  # a file is looked at for its kind, and then read
+@lru_cache(maxsize=2)  # A file is examined for its kind first, and then read.
 def document_of(text: str) -> Document:
-    """The document of a text; its data are shared and not to be changed."""
+    """Return the document of a text; its shared data are read-only."""
     return Document(text)
 
 
 class Document:
-    """Plain data, and where each part of it stands."""
+    """Plain data with the place of each part."""
 
     def __init__(self, text: str) -> None:
         self._text = text
@@ -44,9 +44,9 @@ class Document:
             try:
                 data = json.loads(self._text, object_pairs_hook=_once, parse_constant=_no_constant)
                 if "\\u" in self._text:
-                    json.dumps(data, ensure_ascii=False).encode()  # half a character is none
+                    json.dumps(data, ensure_ascii=False).encode()  # rejects unpaired surrogates
             except (ValueError, RecursionError):
-                pass  # YAML in braces, or a fault, which has a place in YAML
+                pass  # YAML in braces, or a fault whose place only YAML reading finds
             else:
                 self._is_json = True
                 return data
@@ -57,13 +57,13 @@ class Document:
         return _Plain(self._compose(), self).data
 
     def _compose(self) -> Any:
-        """The nodes of the text."""
+        """Return the nodes of the text."""
         if not self._composed:
             self._node, self._composed = nodes(self._text), True
         return self._node
 
     def pairs(self, node: Any) -> dict[str, tuple[Any, Any]]:
-        """Key → nodes of the key and of its value, merged ones included."""
+        """Return key → (key node, value node), with merged keys."""
         if id(node) not in self._pairs:
             self._pairs[id(node)] = self._pairs_of(node, 0)
         return self._pairs[id(node)]
@@ -88,9 +88,12 @@ class Document:
         return {**merged, **own} if merged else own
 
     def place(self, location: Location, key: bool = False) -> Place:
-        """Line and column, from 1, of the value at `location`, of its key if asked, or of the nearest part there is.
+        """Return line and column of the nearest part at a location.
 
-        UNKNOWN in JSON that is too large to look, or no YAML.
+        The result is UNKNOWN for invalid text and for JSON too large to search.
+
+        Args:
+            key: Whether to return the place of the key instead of the value.
         """
         if self._is_json and _is_large(self._text):
             return UNKNOWN
@@ -102,7 +105,7 @@ class Document:
             last = depth == len(location) - 1
             if node.id == "mapping" and step in (pairs := self.pairs(node)):
                 at, value = pairs[str(step)]
-                # of a part within which something is missing its key is the place
+                # A missing key is reported at the key of its parent.
                 mark = (at if (key and last) or (not last and value.id != "scalar") else value).start_mark
             elif node.id == "sequence" and isinstance(step, int) and step < len(node.value):
                 value = node.value[step]
@@ -114,7 +117,7 @@ class Document:
 
 
 class _Plain:
-    """Nodes as plain data."""
+    """Conversion of nodes to plain data."""
 
     def __init__(self, root: Any, document: Document) -> None:
         self.document, self.parts = document, 0
@@ -162,7 +165,7 @@ def _is_large(text: str) -> bool:
 
 
 def _whole(node: Any) -> str:
-    """The text of a scalar, its characters whole where they are written as JSON does, in two halves."""
+    """Return a scalar's text with JSON surrogate pairs joined."""
     text: str = node.value
     try:
         return text.encode("utf-16", "surrogatepass").decode("utf-16")
@@ -179,7 +182,7 @@ def _fault(node: Any, problem: str) -> NotYaml:
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """A JSON object whose keys stand once."""
+    """Return a JSON object; raise ValueError for duplicate keys."""
     found = dict(pairs)
     if len(found) < len(pairs):
         raise ValueError("duplicate key")

@@ -1,4 +1,4 @@
-"""Nodes of a YAML text: by ruamel.yaml, whose faults are told; of a long one by libyaml, where there is one, faster."""
+"""YAML nodes from ruamel.yaml, whose messages are used, or for long texts from the faster libyaml if present."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import ScalarNode
 
-DEEPEST = 60  # parts within parts
-LONG = 20_000  # characters from which it is worth while to load another parser
-# directives, tabs, marks and line ends of Unicode: the parsers differ in what they make of them
+DEEPEST = 60  # levels of nesting
+LONG = 20_000  # text length from which loading another parser pays off
+# Directives, tabs, byte order marks and Unicode line ends, on which the parsers disagree.
 APART = re.compile("^%|[\\t\\x85\\u2028\\u2029\\ufeff]", re.MULTILINE)
 TEXT = "tag:yaml.org,2002:str"
 
 
 class NotYaml(Exception):
-    """Text that is no YAML, or none that is read here: line and column from 1, and why."""
+    """Invalid or unsupported YAML text, with line and column from 1."""
 
     def __init__(self, line: int, column: int, problem: str) -> None:
         super().__init__(problem)
@@ -29,23 +29,30 @@ class NotYaml(Exception):
 
 
 def nodes(text: str) -> Any:
-    """The node at the root of a YAML text, None of an empty one; NotYaml.
+    """Return the root node of a YAML text, None if empty.
 
-    A node has id (scalar, sequence, mapping), tag, value and start_mark; a scalar has a style, empty where it is plain.
+    A node has id (scalar, sequence, mapping), tag, value and start_mark; a scalar has a style, empty if plain.
+
+    Raises:
+        NotYaml: The text is invalid.
     """
     if len(text) >= LONG and not APART.search(text) and (parser := _libyaml()) is not None:
-        with suppress(Exception):  # what libyaml does not take, ruamel.yaml says why
+        with suppress(Exception):  # ruamel.yaml explains errors better than libyaml.
             return parser(text).get_single_node()
     return _by_ruamel(text)
 
 
 def whole_number(node: Any) -> Any:
-    """The number of a node that is tagged as an int; ValueError or IndexError where it is none."""
+    """Return the number of an int node.
+
+    Raises:
+        ValueError: The text is not a number; IndexError likewise.
+    """
     return _constructor().construct_yaml_int(ScalarNode(node.tag, node.value))
 
 
 def number(node: Any) -> Any:
-    """The number of a node that is tagged as a float; ValueError or IndexError where it is none."""
+    """Return the number of a float node; raises as `whole_number`."""
     return _constructor().construct_yaml_float(ScalarNode(node.tag, node.value))
 
 
@@ -72,13 +79,14 @@ def _by_ruamel(text: str) -> Any:
         raise NotYaml(1, 1, "is nested too deep") from None
     except YAMLError as error:
         raise NotYaml(1, 1, f"is not YAML: {(str(error).splitlines() or ['unreadable'])[0][:200]}") from None
-    except (ValueError, IndexError, TypeError, AttributeError, AssertionError, OverflowError):  # of its scanner
+    except (ValueError, IndexError, TypeError, AttributeError, AssertionError, OverflowError):
+        # errors of ruamel.yaml's scanner
         raise NotYaml(1, 1, "is not YAML: it cannot be understood") from None
 
 
 @lru_cache(maxsize=1)
 def _libyaml() -> Callable[[str], Any] | None:
-    """PyYAML's parser in C, which takes scalars for what ruamel.yaml does; None where there is none."""
+    """Return PyYAML's C parser with ruamel.yaml's scalar types, if present."""
     try:
         parser: Any = importlib.import_module("yaml.cyaml").CParser
     except ImportError:
@@ -87,24 +95,24 @@ def _libyaml() -> Callable[[str], Any] | None:
     tags = {first: [(str(tag), pattern.match) for tag, pattern in kinds] for first, kinds in meanings.items()}
 
     class Parser(parser):  # type: ignore[misc]
-        """Calls of PyYAML's composer."""
+        """Methods called by PyYAML's composer."""
 
         def __init__(self, text: str) -> None:
             super().__init__(text)
             self.depth = 0
 
         def descend_resolver(self, _: Any, __: Any) -> None:
-            """A node begins within another."""
+            """Enter a nested node."""
             self.depth += 1
-            if self.depth > 2 * DEEPEST:  # libyaml's own calls would fill the stack
+            if self.depth > 2 * DEEPEST:  # Deeper nesting would overflow the stack in libyaml.
                 raise RecursionError
 
         def ascend_resolver(self) -> None:
-            """It ends."""
+            """Leave a nested node."""
             self.depth -= 1
 
         def resolve(self, kind: Any, value: Any, implicit: Any) -> str | None:
-            """The tag of a node that states none."""
+            """Return the tag of an untagged node."""
             if kind.id != "scalar":
                 return f"tag:yaml.org,2002:{'map' if kind.id == 'mapping' else 'seq'}"
             if implicit[0]:

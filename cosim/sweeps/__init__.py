@@ -1,1 +1,1 @@
-"""Many runs of one scenario: a design of what varies, runs by the thousand, one table, a report."""
+"""Many runs of a scenario: design of experiments, execution, table and report."""

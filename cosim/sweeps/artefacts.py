@@ -30,7 +30,7 @@ ARTEFACTS = (
     Artefact(
         TABLE,
         "`cosim.read` reads its folder in Python; `cosim sweep SWEEP.yaml` makes one",
-        beside=("sweep.parquet", "sweep.parquet"),  # by its name alone: any other Parquet file is a log
+        beside=("sweep.parquet", "sweep.parquet"),  # by name only; other Parquet files are logs
     ),
     Artefact(
         "a database",

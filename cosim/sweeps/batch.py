@@ -1,7 +1,7 @@
-"""Many runs of one system at once: the master's loop on a row of signals with a column a run.
+"""Many runs of a system at once, stepped as arrays with a column per run.
 
-As `cosim.master.master` does: values are exchanged in initialization until none changes, then each stage pulls,
-steps and is read; steps are counted. No run's values reach another's.
+The loop equals that of `cosim.master.master`: values are exchanged during initialization until they settle; then each
+stage pulls inputs, steps and is read. Steps are counted, and runs do not influence each other.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from cosim.system.system import System
 from cosim.system.wiring import Transfer
 
 Starts = Mapping[str, Mapping[str, Any]]  # component → variable → value
-LIMIT = 1 << 28  # bytes of rows and noise that are held at once
+LIMIT = 1 << 28  # rows and noise in memory at once [bytes]
 
 
 def kinds_of(system: System) -> dict[str, Kind] | str:
-    """How twins of every component are made; or why the runs are made through FMUs, in words."""
+    """Return the makers of all twins, or the reason for using FMUs."""
     obstacles = {
         "events change parameters while it runs": system.events,
         "signals are no doubles, or a component has a process of its own": system.apart or system.beside,
@@ -48,22 +48,23 @@ def kinds_of(system: System) -> dict[str, Kind] | str:
 
 
 def why_not_on_arrays(system: System) -> str:
-    """Say why the runs are made through FMUs; "" if they are made on arrays."""
+    """Return the reason for using FMUs; "" for arrays."""
     kinds = kinds_of(system)
     return kinds if isinstance(kinds, str) else ""
 
 
 def most_at_once(system: System, steps: int, kept: int) -> int:
-    """How many runs fit into memory at once, a multiple of the width of compiled code."""
+    """Return the number of runs that fit into memory at once. It is a multiple of the width of compiled code."""
     noisy = sum(t.noise is not None for t in _transfers(system))
     return max(WIDTH, min(1024, LIMIT // (8 * (steps + 1) * (kept + noisy + 1)) // WIDTH * WIDTH))
 
 
 @dataclass(frozen=True)
 class Batch:
-    """What is the same for all runs: the system, how its twins are made, steps and their length [s].
+    """Common settings of all runs: system, twins, steps and their length [s].
 
-    compiled: equations are compiled, where they can be
+    Attributes:
+        compiled: Whether equations are compiled if possible.
     """
 
     system: System
@@ -73,9 +74,13 @@ class Batch:
     compiled: bool = True
 
     def run(self, starts: Sequence[Starts], seeds: Sequence[int], kept: Sequence[int]) -> Array:
-        """Rows of the signals in the places `kept`, shape (steps + 1, kept, runs); NaN and infinity where a run fails.
+        """Return the rows of signals, shape (steps + 1, kept, runs).
 
-        starts: of each run the start values of each component, all of them
+        Failed runs contain NaN or infinity.
+
+        Args:
+            starts: All start values by component, for each run.
+            kept: Places of the signals.
         """
         table = np.empty((self.steps + 1, len(kept), len(starts)))
         groups: dict[Any, list[int]] = {}
@@ -92,7 +97,7 @@ class Batch:
 
 
 class _Together:
-    """Runs whose effects are awake alike."""
+    """Runs with the same active effects."""
 
     def __init__(self, batch: Batch, starts: Sequence[Starts], seeds: Sequence[int]) -> None:
         count = len(starts)
@@ -115,7 +120,7 @@ class _Together:
         self.samples = {t.name: self._noise(t, seeds) for t in _transfers(system) if t.noise is not None}
 
     def _noise(self, transfer: Transfer, seeds: Sequence[int]) -> Array:
-        """What noise adds, shape (steps + 1, runs): of each run as in the run by itself."""
+        """Return noise samples, shape (steps + 1, runs). Each run gets the same samples as when run alone."""
         made = np.empty((len(seeds), self.steps + 1))
         assert transfer.noise is not None
         variance, bias = transfer.noise.variance, transfer.noise.bias
@@ -125,7 +130,7 @@ class _Together:
         return np.ascontiguousarray(made.T)
 
     def rows(self, kept: Sequence[int]) -> Array:
-        """Run from beginning to end; shape (steps + 1, kept, runs)."""
+        """Step all runs and return rows, shape (steps + 1, kept, runs)."""
         table = np.empty((self.steps + 1, len(kept), self.count))
         pulls = {s.component.name: s.pulls for s in self.system.stages}
         self._settle(pulls)

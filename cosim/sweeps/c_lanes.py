@@ -1,4 +1,4 @@
-"""The equations of a model printed as C for many runs at once, by the one generator, and compiled."""
+"""Equations of a model generated as C for many runs at once, and compiled."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from cosim.model.symbolic.functions import Body
 from cosim.model.symbolic.languages import Lanes, Unprintable
 from cosim.storage.cache import fingerprint, kept
 
-WIDTH = 16  # runs side by side: numbers of runs are multiples of it
+WIDTH = 16  # runs per block; numbers of runs are padded to multiples
 SOURCE = Path(__file__).with_name("lanes.c")
 RK4 = Path(cosim.fmi.native.__file__).with_name("rk4.h")
 PRINTING = ("cosim.model.symbolic", "cosim.model")
 
 
 class Stepping:
-    """A model bound to its compiled equations, with a value of each parameter for each of `runs`."""
+    """A model bound to compiled equations, with parameter values for each of `runs`."""
 
     def __init__(self, function: Any, model: Any, parameters: tuple[str, ...], runs: int) -> None:
         self._function, self._longest, self._runs = function, model.substep, runs
@@ -34,23 +34,27 @@ class Stepping:
             row[:] = values[name]
 
     def substeps(self, h: float) -> int:
-        """Of a communication step [s]."""
+        """Return the number of substeps in a communication step [s]."""
         return substeps(h, self._longest)
 
     def step(self, t: float, dt: float, count: int, state: Array, command: Array, outputs: Array | None) -> None:
-        """`count` substeps of `dt` [s] from `t`; then the outputs, where they are asked for."""
+        """Make `count` substeps of `dt` [s] from `t`.
+
+        Args:
+            outputs: Receives the outputs at the end, unless None.
+        """
         end = t + count * dt
         arrays = (state, command, self._parameters, outputs)
         addresses = (None if a is None else a.ctypes.data for a in arrays)
         self._function(self._runs, t, dt, count, end, *addresses)
 
     def output(self, t: float, state: Array, command: Array, outputs: Array) -> None:
-        """The outputs alone."""
+        """Compute the outputs without a step."""
         self.step(t, 0.0, 0, state, command, outputs)
 
 
 def stepping(model: Any, runs: int) -> Stepping | None:
-    """The model compiled; None without a compiler, and where C cannot say it or the compiler fails."""
+    """Return the compiled model, if compilation is possible."""
     if compiler() is None or runs % WIDTH or not model.base_states:
         return None
     awake = tuple(effect.name for effect in model.awake)
@@ -60,7 +64,7 @@ def stepping(model: Any, runs: int) -> Stepping | None:
 
 
 def _values(model: Any) -> dict[str, Any]:
-    """Every parameter of the base model and of the effects that act, by name."""
+    """Return all parameters of the base model and active effects."""
     found = {p.name: getattr(model, p.name) for p in model.parameters}
     for effect in model.awake:
         found |= {name: getattr(effect, name.partition(".")[2]) for name in _of(effect, model)}
@@ -87,7 +91,7 @@ _FUNCTIONS: dict[Any, tuple[Any, tuple[str, ...]] | None] = {}
 def _function(
     kind: type, model: Any, awake: tuple[str, ...], flags: tuple[tuple[str, bool], ...]
 ) -> tuple[Any, tuple[str, ...]] | None:
-    """The compiled function and the names of the parameters that it takes."""
+    """Return the compiled function and its parameter names."""
     key = kind, awake, flags
     if key not in _FUNCTIONS:
         try:

@@ -1,4 +1,4 @@
-"""What varies in a sweep, read: each factor with its values or its distribution, and every fault of it."""
+"""Factors of a sweep: values or distributions from the file, with all faults."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ from cosim.sweeps.sampling import MOST_RUNS, Factor, distribution, drawn_rows, s
 from cosim.sweeps.sweep_file import SweepFile, Varied
 from cosim.system.system import System, build_system
 
-FIXED = ("duration", "start_time", "criteria", "name", "description", "limits")  # the same for all runs
-FILES = ("fmu", "file", "model")  # last keys of paths whose values are names of files
-MOST_TRIED = 50  # values of a path that are tried before anything runs
+FIXED = ("duration", "start_time", "criteria", "name", "description", "limits")  # keys common to all runs
+FILES = ("fmu", "file", "model")  # last keys of paths to file names
+MOST_TRIED = 50  # values of a path tested before any run
 Location = tuple[str | int, ...]
-STANDARD_DEVIATION: Location = ("normal", 1)  # of a distribution; its mean is ("normal", 0)
+STANDARD_DEVIATION: Location = ("normal", 1)  # Second number of a normal distribution; the mean is ("normal", 0).
 
 
 def beside(sweep: Path, name: str, value: Any) -> Any:
-    """The value of a path of the scenario; names of files are relative to the sweep."""
+    """Return a path's value; file names are relative to the sweep."""
     last = name.rpartition(".")[2]
     return str((sweep.parent / value).resolve()) if last in FILES and isinstance(value, str) else value
 
 
 class Factors:
-    """Factors out of a file, and the faults of each; InputError of one that asks for too many runs."""
+    """Factors of a sweep file with their faults; too many runs raise InputError."""
 
     def __init__(
         self, yaml: YamlFile, file: SweepFile, scenario: ScenarioFile, system: System, overrides: tuple[str, ...]
@@ -51,7 +51,7 @@ class Factors:
         self._check_size()
 
     def _check_size(self) -> None:
-        """Before anything is made of very many."""
+        """Check the number of runs before allocating anything."""
         vary = self.file.vary
         listed = {name: size for name, v in vary.items() if (size := _size(v)) is not None}
         counted = sum(v.each is not None for v in vary.values())
@@ -75,7 +75,7 @@ class Factors:
         self.faults.append(self.yaml.fault(where, message, key=key))
 
     def factor(self, name: str, varied: Varied) -> Factor | None:
-        """What varies and how; None, faults noted, where something is wrong with it."""
+        """Return a factor; note faults and return None if invalid."""
         before = len(self.faults)
         component, _, variable = name.partition(".")
         if name == "seed":
@@ -102,7 +102,7 @@ class Factors:
         return Factor("seed", values=values)
 
     def _settable_variable(self, name: str, block: Any) -> Any:
-        """Return the variable `component.variable` of an FMU, or text: why it cannot be varied."""
+        """Return an FMU's settable variable, or the objection as text."""
         component, _, variable_name = name.partition(".")
         if not isinstance(block, FmuBlock):
             cure = f"vary a path such as components.{component}.… by values"
@@ -128,7 +128,7 @@ class Factors:
             return None
 
         def value(where: Location, given: Any) -> Any:
-            if where == STANDARD_DEVIATION:  # any size will do, and an offset of its unit does not count
+            if where == STANDARD_DEVIATION:  # The bounds and the unit's offset do not apply.
                 found = given
                 if isinstance(given, str):
                     found = converted(block.description, variable, given, difference=True)
@@ -141,9 +141,10 @@ class Factors:
 
         factor = self._made(name, varied, value, unit_of(variable) or "")
         design = self.scenario.scenario.design
-        if factor is not None and design is not None and design.component == component:  # it may contradict the design
+        if factor is not None and design is not None and design.component == component:
+            # The value may contradict the design.
             also = [f"components.{component}.start.{variable_name}"]
-            if isinstance(getattr(design, variable_name, None), str):  # a name, for which the design is judged then
+            if isinstance(getattr(design, variable_name, None), str):  # a name, by which the design is judged
                 also.append(f"design.{variable_name}")
             self._try_some(factor, varied, *also)
         return factor
@@ -165,7 +166,7 @@ class Factors:
             found = split_quantity(given)
             try:
                 number = self._number_at(name, given)
-                if where == STANDARD_DEVIATION and found is not None:  # an offset of its unit does not count
+                if where == STANDARD_DEVIATION and found is not None:  # The unit's offset does not apply.
                     number = self._number_at(name, f"{2.0 * found[0]!r} {found[1]}") - number
             except ValueError as error:
                 if where[0] == "values":
@@ -180,7 +181,11 @@ class Factors:
         return factor
 
     def _number_at(self, name: str, given: str) -> float:
-        """Return the number that text such as `4 ms` becomes at a path of the scenario; ValueError if it is none."""
+        """Return the number of text such as `4 ms` at a scenario path.
+
+        Raises:
+            ValueError: The text is not a number.
+        """
         text = f"{name}={json.dumps(given)}"
         try:
             file = ScenarioFile(self.scenario.path, (*self.overrides, text), option="")
@@ -197,7 +202,7 @@ class Factors:
         raise ValueError(faults[0].message if faults else f"{name} is {given!r}; it is a number")
 
     def _try_some(self, factor: Factor, varied: Varied, *paths: str) -> None:
-        """Scenarios with some of its values at these paths: their faults, and the first warning of a value."""
+        """Test some values of a factor; note faults and the first warning."""
         tried = factor.values
         if tried is None:
             tried = factor.drawn(np.array([0.01, 0.5, 0.99])).tolist() if factor.drawn else []
@@ -209,7 +214,7 @@ class Factors:
             self.warnings.append(f"{self.yaml.path}:{self.yaml.place(('vary', factor.name), key=True)[0]}: {new[0]}")
 
     def _try(self, where: Location, *overrides: str) -> list[str]:
-        """Faults of a scenario with one value are noted; its warnings."""
+        """Note the faults of a scenario variant; return its warnings."""
         try:
             file = ScenarioFile(self.scenario.path, (*self.overrides, *overrides), option="")
             system = build_system(file, designed_values(file))
@@ -219,7 +224,7 @@ class Factors:
         return [*file.warnings, *system.warnings]
 
     def _made(self, name: str, varied: Varied, value: Any, unit: str) -> Factor | None:
-        """The factor, its values by `value`, which notes what is wrong with one."""
+        """Return a factor, with values converted by `value`."""
         way = varied.way
         given: Any = getattr(varied, way)
         if way == "values":
@@ -253,14 +258,14 @@ class Factors:
             self._note(("vary", name, way), f"{name} is no real number; give its values as a list, values: […]")
 
     def signal_faults(self) -> Iterator[Fault]:
-        """Signals that are kept are there."""
+        """Yield a fault for each unknown signal."""
         for k, signal in enumerate(self.file.signals):
             if signal not in self.system.columns:
                 hint = did_you_mean(signal, self.system.columns)
                 yield self.yaml.fault(("signals", k), f'no signal "{short(signal)}"{hint}')
 
     def drawn_faults(self, factors: Sequence[Factor], columns: Mapping[str, list[Any]]) -> Iterator[Fault]:
-        """The least and the most that is drawn of each: it lies in the bounds of its variable, its scenario is one."""
+        """Yield faults of the extreme drawn values of each factor."""
         for factor in factors:
             component, _, name = factor.name.partition(".")
             block = self.components.get(component)
@@ -296,12 +301,12 @@ def _is_number(value: Any) -> bool:
 
 
 def _cure(way: str) -> str:
-    """What keeps draws from going too far."""
+    """Return the remedy for draws that are too extreme."""
     return "cut it by within: [low, high]" if way == "normal" else "move its ends"
 
 
 def _size(varied: Varied) -> int | None:
-    """How many values are listed; None of a distribution, and of a seed for each run."""
+    """Return the number of listed values; None if not listed."""
     if varied.values is not None:
         return len(varied.values)
     return varied.grid.count if varied.grid is not None else varied.count

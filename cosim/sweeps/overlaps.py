@@ -1,4 +1,4 @@
-"""What is varied or set twice in a sweep: two entries that lead to one value, of which one would be without effect."""
+"""Overlapping entries of a sweep: two entries for the same value, of which only the later acts."""
 
 from __future__ import annotations
 
@@ -15,11 +15,14 @@ Place = tuple[str, ...]
 def overlap_faults(
     yaml: YamlFile, file: SweepFile, components: Collection[str], designed: str | None
 ) -> Iterator[Fault]:
-    """A fault of each two entries of `vary` and `set` of which one is put over the other.
+    """Yield a fault for each overridden entry of `vary` and `set`.
 
-    In a run start values go over paths, and what varies over what is set. A path also stands for all that is below it:
-    the whole may be set where a part of it varies.
-    designed: the component that `design:` is for
+    In a run, start values override paths, and `vary` overrides `set`. A path includes everything below it. Setting a
+    whole
+    and varying a part of it is allowed.
+
+    Args:
+        designed: Component of `design:`, if any.
     """
     varied = {name: place_of(name, components) for name in file.vary}
     given = {name: place_of(name, ()) for name in file.set}
@@ -35,7 +38,7 @@ def overlap_faults(
             said = f"both give {'.'.join(given[inner])}, and the later is put over it; set the whole first, then a part"
             yield _fault(yaml, ("set", whole), ("set", inner), said)
     for inner, whole in _pairs(given, varied):
-        if whole != "seed" or file.vary[whole].count is None:  # those are counted from the seed that is set
+        if whole != "seed" or file.vary[whole].count is None:  # Counted seeds start from the seed in `set`.
             said = f"both give {'.'.join(given[inner])}, and what varies goes over it; leave it out of set"
             yield _fault(yaml, ("set", inner), ("vary", whole), said)
     yield from _designed(yaml, file, varied, given, ("components", designed or "", "start"))
@@ -44,7 +47,7 @@ def overlap_faults(
 def _designed(
     yaml: YamlFile, file: SweepFile, varied: Mapping[str, Place], given: Mapping[str, Place], start: Place
 ) -> Iterator[Fault]:
-    """Names, as of an estimator, that are an option of `design:` and the start value that it gives besides."""
+    """Yield faults of names given as design option and start value. An example is the name of an estimator."""
     for key, entries in (("vary", varied), ("set", given)):
         options = {place[1]: name for name, place in entries.items() if place[0] == "design" and len(place) == 2}
         for name, place in varied.items():
@@ -55,7 +58,7 @@ def _designed(
 
 
 def place_of(name: str, components: Collection[str]) -> Place:
-    """Where in a scenario an entry leads; `component.variable` is a start value."""
+    """Return the place of an entry in a scenario. `component.variable` is a start value."""
     component, _, variable = name.partition(".")
     if component in components:
         return "components", component, "start", variable
@@ -63,7 +66,7 @@ def place_of(name: str, components: Collection[str]) -> Place:
 
 
 def _pairs(parts: Mapping[str, Place], wholes: Mapping[str, Place]) -> Iterator[tuple[str, str]]:
-    """Which entry of `parts` leads to, or below, which other one of `wholes`."""
+    """Yield pairs of an entry and another entry containing it."""
     at: dict[Place, list[str]] = {}
     for name, place in wholes.items():
         at.setdefault(place, []).append(name)

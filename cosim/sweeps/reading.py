@@ -1,4 +1,4 @@
-"""Reading a sweep: its file, its scenario, what varies in it; every fault with its place, before anything runs."""
+"""Reading a sweep with its scenario and factors; all faults have places and precede the runs."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from cosim.sweeps.sampling import Factor, columns_of
 from cosim.sweeps.sweep_file import SweepFile
 from cosim.system.system import System, build_system
 
-WORTH_COMPILING = 300_000  # steps of all runs: it takes a second or two, a step on arrays some 5 µs
-MOST_SIGNALS = 8  # kept where nobody says which
+WORTH_COMPILING = 300_000  # total steps that justify a second or two of compilation; a step on arrays takes about 5 µs
+MOST_SIGNALS = 8  # recorded by default
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """A sweep that can be run: its file, its scenario as put together, a value of each factor for each run."""
+    """A valid sweep: file, scenario, system, and factor values by run."""
 
     yaml: YamlFile
     file: SweepFile
@@ -46,22 +46,22 @@ class Sweep:
 
     @property
     def name(self) -> str:
-        """That of the file, or of the scenario."""
+        """Return the name of the sweep, by default the scenario's."""
         return self.file.name or self.scenario.name
 
     @property
     def count(self) -> int:
-        """Runs."""
+        """Return the number of runs."""
         return len(next(iter(self.columns.values())))
 
     @property
     def key(self) -> str:
-        """What decides the rows: a sweep of the same key is gone on with."""
+        """Return a hash of everything that determines the rows. Sweeps with equal keys can be continued."""
         content = [__version__, self.resolved, self.job.signals, self.job.samples, self.columns]
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
     def asked(self, run: int) -> Asked:
-        """One run."""
+        """Return the request for a run."""
         overrides, starts, seed = [], dict[str, dict[str, Any]](), None
         for name, values in self.columns.items():
             value, (component, _, variable) = values[run], name.partition(".")
@@ -75,12 +75,16 @@ class Sweep:
 
 
 def check_sweep(path: Path, checking: Checking) -> list[str]:
-    """Return the warnings of a sweep; InputError with its faults."""
+    """Return the warnings of a sweep; InputError lists its faults."""
     return [f"warning: {text}" for text in read_sweep(path).warnings]
 
 
 def read_sweep(path: Path) -> Sweep:
-    """Read a sweep; InputError with every fault, those of its scenario too."""
+    """Read a sweep with its scenario.
+
+    Raises:
+        InputError: A file has faults; it lists all of them.
+    """
     check_given(path, SWEEP)
     yaml = YamlFile(path)
     file, faults = yaml.partly(SweepFile, "vary")
@@ -118,7 +122,7 @@ def read_sweep(path: Path) -> Sweep:
 
 
 def _moved(yaml: YamlFile, where: Location, error: InputError, scenario: Path) -> list[Fault]:
-    """Faults of `set` and `vary` at their places in the sweep; those of the scenario's file stay at theirs."""
+    """Return faults with places of `set` and `vary` in the sweep. Faults with places in the scenario file keep them."""
     return [
         f if f.line and f.file != yaml.path else yaml.fault(where, f.message, exit_code=f.exit_code)
         for f in error.faults

@@ -1,6 +1,6 @@
-"""Runs of a sweep as a worker makes them: at once on arrays, or one after the other through the FMUs.
+"""Runs of a sweep inside a worker: on arrays at once, or through FMUs in sequence.
 
-What is asked and what comes back is plain data, so that a worker may be anywhere.
+Requests and results are plain data, so that workers may run anywhere.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ from cosim.sweeps.twins import unpacked
 from cosim.system.system import System, build_system
 
 Way = Literal["arrays", "fmus"]
-MOST_ROWS = 2000  # of a run that are compared with another's
+MOST_ROWS = 2000  # compared rows of a run
 DESIGN = "design."
-SYSTEMS = 16  # that a worker keeps put together
+SYSTEMS = 16  # assembled systems cached per worker
 
 
 @dataclass(frozen=True)
 class Watched:
-    """Names of the components in order, FMI's names of their calls; start and step [s], bytes of a row."""
+    """Component names, FMI call names, start and step [s], and row size [bytes]."""
 
     components: tuple[str, ...] = ()
     calls: tuple[tuple[str, ...], ...] = ()
@@ -49,27 +49,28 @@ class Watched:
 
     @classmethod
     def of(cls, system: System, step: float) -> Watched:
-        """A system."""
+        """Return the description of a system."""
         blocks = [stage.component for stage in system.stages]
         calls = tuple(tuple(fmi_calls(getattr(b, "description", None))) for b in blocks)
         return cls(tuple(b.name for b in blocks), calls, system.start, step, 8 * len(system.columns))
 
     def watch(self, limits: Limits | None) -> Watch:
-        """For a call that makes runs one after the other."""
+        """Return the watch for a call that makes runs in sequence."""
         return Watch(self.components, self.calls, self.time, limits or Limits(), self.width)
 
     def time(self, made: int, call: int) -> float:
-        """Simulated time [s] of the run that is being made."""
+        """Return the simulated time [s] of the current run."""
         return self.start + self.step * (max(0, made - 1) + (call == GET and made > 0))
 
 
 @dataclass(frozen=True)
 class Job:
-    """What is the same for all runs: the scenario, what is set over it, signals kept and how many times of each.
+    """Common settings of all runs: scenario, overrides, and recorded signals with sample count.
 
-    whole:    every signal is kept, at more times: to compare runs made in two ways
-    compiled: equations on arrays are compiled, where they can be
-    watched:  what the caller of a worker must know to say what a run was doing
+    Attributes:
+        whole: Whether all signals are recorded at more times, to compare two ways of running.
+        compiled: Whether equations on arrays are compiled if possible.
+        watched: Data for messages about a stopped worker.
     """
 
     scenario: Path
@@ -83,7 +84,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Asked:
-    """A run: its number, what of the scenario it changes, its start values by component, its seed."""
+    """Request for a run: number, overrides, start values by component, and seed."""
 
     run: int
     overrides: tuple[str, ...] = ()
@@ -93,13 +94,14 @@ class Asked:
 
 @dataclass(frozen=True)
 class Made:
-    """What is kept of a run.
+    """Result of a run.
 
-    status:  "ok", or why it failed
-    values:  of each criterion; NaN where there is none (of a settling time: never)
-    met:     of each criterion
-    signals: shape (signals, samples); NaN where it failed before
-    through: how it was made
+    Attributes:
+        status: "ok", or the reason of failure.
+        values: Values of the criteria, NaN if undefined, e.g. for a settling time never reached.
+        met: Outcomes of the criteria.
+        signals: Shape (signals, samples), empty after a failure.
+        through: Way of running.
     """
 
     run: int
@@ -116,12 +118,12 @@ class _Prepared:
     system: System
 
     def with_changes(self, asked: Asked) -> System:
-        """The system of one run."""
+        """Return the system of a run."""
         stages = []
         for stage in self.system.stages:
             component, own = stage.component, asked.starts.get(stage.component.name)
-            if isinstance(component, FmuBlock):  # each run has an instance of its own
-                # those in Python share nothing but their code; of others a library may keep what a run left in it
+            if isinstance(component, FmuBlock):  # Each run has its own instance.
+                # Instances in Python share code only; other libraries may keep state of an earlier run.
                 place = unpacked(component.path) if component.nominal_step else None
                 component = component.started_from({**component.start_values, **(own or {})}, place)
             stages.append(replace(stage, component=component))
@@ -131,9 +133,12 @@ class _Prepared:
         return self.system.seed if asked.seed is None else asked.seed
 
     def designed(self, overrides: tuple[str, ...], path: Path) -> Starts | None:
-        """Start values of another design of this scenario, but those that it gives itself; None where it has a fault.
+        """Return start values of another design; None if faulty.
 
-        overrides: of the scenario, its design among them
+        Start values given by the scenario are omitted.
+
+        Args:
+            overrides: Overrides of the scenario, including the design.
         """
         file = ScenarioFile(path, overrides, option="")
         values = designed_values(file)
@@ -157,30 +162,30 @@ class _Prepared:
         return found
 
     def starts(self, asked: Asked) -> Starts:
-        """Every start value of a run, by component."""
+        """Return all start values of a run by component."""
         blocks = (s.component for s in self.system.stages)
         return {b.name: {**b.start_values, **asked.starts.get(b.name, {})} for b in blocks if isinstance(b, FmuBlock)}
 
 
 @lru_cache(maxsize=SYSTEMS)
 def prepared(path: Path, overrides: tuple[str, ...]) -> _Prepared:
-    """A scenario put together; InputError."""
+    """Return an assembled scenario; raise InputError for faults."""
     file = ScenarioFile(path, overrides, option="")
     system = build_system(file, designed_values(file))
     return _Prepared(file.scenario, system)
 
 
 def sampled_rows(steps: int, samples: int) -> list[int]:
-    """Which rows are kept of a run of so many steps: evenly spaced, the first and the last among them."""
+    """Return evenly spaced rows to record, including both ends."""
     count = min(samples, steps + 1)
     return np.unique(np.rint(np.linspace(0, steps, count)).astype(int)).tolist()  # type: ignore[no-any-return]
 
 
 def made(job: Job, asked: Sequence[Asked], way: Way) -> list[Made]:
-    """Make runs; one that fails says why, and no other is touched by it."""
+    """Make runs; a failed run reports its reason and affects no other."""
     found: list[Made] = []
     groups: dict[tuple[str, ...], list[Asked]] = {}
-    for one in _designed(job, asked) if way == "arrays" else asked:  # through the FMUs each by its own scenario
+    for one in _designed(job, asked) if way == "arrays" else asked:  # FMUs run with the scenario of each request.
         groups.setdefault(one.overrides, []).append(one)
     for overrides, members in groups.items():
         try:
@@ -193,7 +198,10 @@ def made(job: Job, asked: Sequence[Asked], way: Way) -> list[Made]:
 
 
 def _designed(job: Job, asked: Sequence[Asked]) -> list[Asked]:
-    """Runs that differ in their `design:` as runs that differ in start values, so that they are made at once."""
+    """Return requests with designs converted to start values.
+
+    Runs that differ only in start values are made at once.
+    """
     found, known = [], dict[tuple[str, ...], Starts | None]()
     for one in asked:
         design = tuple(o for o in one.overrides if o.startswith(DESIGN))
@@ -203,7 +211,7 @@ def _designed(job: Job, asked: Sequence[Asked]) -> list[Asked]:
                 try:
                     base = prepared(job.scenario, (*job.overrides, *rest))
                     known[one.overrides] = base.designed((*job.overrides, *one.overrides), job.scenario)
-                except CosimError:  # told of each run by itself
+                except CosimError:  # Each run reports the error itself.
                     known[one.overrides] = None
             designed = known[one.overrides]
             if designed is not None:
@@ -216,7 +224,7 @@ def _designed(job: Job, asked: Sequence[Asked]) -> list[Asked]:
 
 
 def _at_once(job: Job, prepared: _Prepared, asked: Sequence[Asked]) -> list[Made]:
-    """On arrays; those that arrays cannot make, or in which values are no numbers, through the FMUs, which say why."""
+    """Make runs on arrays, and unsuitable or non-finite runs through FMUs."""
     kinds = kinds_of(prepared.system)
     if isinstance(kinds, str):
         return [_by_fmus(job, prepared, one) for one in asked]
@@ -231,7 +239,7 @@ def _at_once(job: Job, prepared: _Prepared, asked: Sequence[Asked]) -> list[Made
         starts, seeds = [prepared.starts(one) for one in some], [prepared._seed(one) for one in some]
         try:
             table = batch.run(starts, seeds, places)
-        except Exception:  # whatever a model of somebody's does on arrays
+        except Exception:  # A user's model may raise any error on arrays.
             found += [_by_fmus(job, prepared, one) for one in some]
             continue
         time = prepared.system.start + h * np.arange(steps + 1, dtype=np.float64)
@@ -247,13 +255,13 @@ def _at_once(job: Job, prepared: _Prepared, asked: Sequence[Asked]) -> list[Made
 
 
 def _by_fmus(job: Job, prepared: _Prepared, one: Asked) -> Made:
-    """Through the FMUs, in this process."""
+    """Make a run through the FMUs in this process."""
     system = prepared.with_changes(one)
     steps, h = prepared.scenario.steps, prepared.scenario.step
     progress = getattr(here, "progress", None)
     rows = Rows.in_memory(steps + 1, len(system.columns))
     if progress is not None:
-        progress.made[0] = 0  # of the run before
+        progress.made[0] = 0  # clears the count of the previous run
         rows = replace(rows, made=progress.made, doing=progress.doing)
         for stage in system.stages:
             here.overheard(stage.component)
@@ -271,7 +279,7 @@ def _by_fmus(job: Job, prepared: _Prepared, one: Asked) -> Made:
 
 
 def _needed(job: Job, prepared: _Prepared) -> tuple[str, ...]:
-    """Columns that are kept, and those at which criteria look."""
+    """Return the recorded columns and those used by criteria."""
     if job.whole:
         return prepared.system.columns
     ends = (end for _, _, c in prepared.scenario.goals for end in (c.of, c.to) if isinstance(end, str))
@@ -293,10 +301,10 @@ def _failed(job: Job, prepared: _Prepared | None, one: Asked, why: str, way: Way
 
 
 def failed(run: int, why: str, goals: int, way: Way) -> Made:
-    """A run of which nothing is left but why."""
+    """Return the result of a failed run."""
     return Made(run, " ".join(why.split()), (np.nan,) * goals, (False,) * goals, np.empty((0, 0)), way)
 
 
 def error_of(error: BaseException) -> str:
-    """What is told of a run whose process ended."""
+    """Return the message of an error that ended a run's process."""
     return str(error) if isinstance(error, SimulationError) else f"{type(error).__name__}: {error}"

@@ -1,4 +1,4 @@
-"""What many runs say together: shares with their intervals, bands over time, what an outcome is sensitive to."""
+"""Statistics of many runs: shares with confidence intervals, quantiles over time, sensitivities."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from cosim.base.arrays import Array
 from cosim.base.extras import optional
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
-FEWEST, MOST = 50, 2000  # runs of which a sensitivity is estimated
+FEWEST, MOST = 50, 2000  # numbers of runs for estimating a sensitivity
 RESAMPLES = 50
 SENSITIVITY_USE = "the sensitivity of a sweep"
 
 
 @dataclass(frozen=True)
 class Share:
-    """How many of how many, and the interval that holds the true share in 95 % of cases (Wilson's)."""
+    """A share of runs with its 95 % confidence interval (Wilson)."""
 
     hits: int
     of: int
@@ -30,7 +30,7 @@ class Share:
 
 
 def share(hits: int, of: int) -> Share:
-    """The share, and its interval; 0 … 1 of nothing."""
+    """Return a share with its interval, 0 … 1 without runs."""
     if not of:
         return Share(0, 0, 0.0, 1.0)
     interval = binomtest(hits, of).proportion_ci(method="wilson")
@@ -38,19 +38,20 @@ def share(hits: int, of: int) -> Share:
 
 
 def quantiles(values: Array) -> Array:
-    """5, 25, 50, 75 and 95 % of runs, shape (5, …) of values of shape (runs, …)."""
+    """Return 5, 25, 50, 75 and 95 % quantiles over runs. Shape (runs, …) becomes (5, …)."""
     found: Array = np.quantile(values, QUANTILES, axis=0)
     return found
 
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """How much an outcome depends on each factor, most important first.
+    """Sensitivity of an outcome to each factor, most important first.
 
-    first:    share of the variance that each makes alone (first-order index), and its half-width at 95 %
-    total:    likewise with all that it does together with others; only of a sampling that allows it
-    pawn:     without that, how far the distribution of the outcome moves with the factor (PAWN, median of 10 slices)
-    chance:   what PAWN gives of a factor that does nothing
+    Attributes:
+        first: First-order index (share of the variance due to the factor alone) with its 95 % half-width.
+        total: Total index, including interactions; only for saltelli sampling.
+        pawn: Shift of the outcome's distribution with the factor (PAWN, median of 10 slices), without total indices.
+        chance: PAWN index of an idle factor.
     """
 
     outcome: str
@@ -64,9 +65,12 @@ class Sensitivity:
 def sensitivity(
     outcome: str, values: Array, factors: Mapping[str, Sequence[Any]], *, saltelli: bool, seed: int
 ) -> Sensitivity | None:
-    """By SALib; None where there is nothing to tell: too few runs, or an outcome that does not vary.
+    """Estimate the sensitivity by SALib.
 
-    values: of the outcome, shape (runs,), NaN where a run has none
+    None means too few runs, or a constant outcome.
+
+    Args:
+        values: Outcome by run, shape (runs,), NaN if undefined.
     """
     varied = {n: np.array(v, float) for n, v in factors.items() if _numbers(v) and len(set(v)) > 1}
     good = np.isfinite(values)
@@ -85,7 +89,7 @@ def sensitivity(
 
 
 def _sobol(outcome: str, values: Array, names: list[str], X: Array, seed: int) -> Sensitivity:
-    """Sobol indices, of runs that were drawn for them."""
+    """Return Sobol indices of runs drawn for them."""
     sobol = optional("SALib.analyze.sobol", SENSITIVITY_USE)
     found = sobol.analyze(_problem(names, X), values, calc_second_order=False, num_resamples=RESAMPLES, seed=seed)
     order = np.argsort(-np.asarray(found["ST"]))
@@ -94,7 +98,7 @@ def _sobol(outcome: str, values: Array, names: list[str], X: Array, seed: int) -
 
 
 def _given(outcome: str, values: Array, names: list[str], X: Array, seed: int) -> Sensitivity:
-    """Of any runs: RBD-FAST, and PAWN with a factor more that does nothing."""
+    """Return RBD-FAST and PAWN indices of any runs. An additional idle factor shows the level of chance."""
     pawn, rbd_fast = (optional(f"SALib.analyze.{name}", SENSITIVITY_USE) for name in ("pawn", "rbd_fast"))
     first = rbd_fast.analyze(_problem(names, X), X, values, num_resamples=RESAMPLES, seed=seed)
     idle = np.random.default_rng([seed, 1]).random((len(X), 1))

@@ -1,6 +1,6 @@
-"""The design of a sweep: a value of everything that varies, for each run.
+"""The design of a sweep: a value of each factor for each run.
 
-Distributions are drawn together, a row a run; each row goes with every combination of what is listed.
+Distributions are drawn together, a row per run. Each row is combined with all combinations of listed values.
 """
 
 from __future__ import annotations
@@ -23,13 +23,14 @@ Sampling = Literal["latin-hypercube", "sobol", "random", "saltelli"]
 
 @dataclass(frozen=True)
 class Factor:
-    """One thing that varies: a list of values, or the inverse of a distribution function.
+    """A varied quantity: listed values, or the inverse of a distribution function.
 
-    name:   as in the file
-    unit:   of its values, "" where there is none
-    values: in order, of a list
-    drawn:  share 0 … 1 → value, of a distribution
-    first:  of whole numbers that are counted on from run to run
+    Attributes:
+        name: Name in the file.
+        unit: Unit of its values, or "".
+        values: Listed values in order.
+        drawn: Function from probability 0 … 1 to value.
+        first: First of consecutive integers over the runs.
     """
 
     name: str
@@ -40,8 +41,12 @@ class Factor:
 
 
 def distribution(way: str, numbers: Sequence[float], within: Sequence[float] | None = None) -> Callable[[Array], Array]:
-    """Inverse distribution function; ValueError says what is wrong with its numbers."""
-    from scipy.stats import norm, triang, truncnorm  # takes longer than all else that is imported
+    """Return the inverse of a distribution function.
+
+    Raises:
+        ValueError: The numbers are invalid; the message says why.
+    """
+    from scipy.stats import norm, triang, truncnorm  # This import is slower than all others.
 
     if way == "normal":
         mean, deviation = numbers
@@ -71,19 +76,19 @@ def distribution(way: str, numbers: Sequence[float], within: Sequence[float] | N
 
 
 def drawn_rows(sampled: int, counted: bool, runs: int, sampling: Sampling) -> int:
-    """How many rows are drawn of so many distributions: `runs`, of saltelli the most that fit; 1 where nothing is."""
+    """Return the number of drawn rows. It is `runs`, for saltelli at most `runs`, and 1 without distributions."""
     if not sampled:
         return runs if counted else 1
     return runs if sampling != "saltelli" else saltelli_base(runs, sampled) * (sampled + 2)
 
 
 def saltelli_base(runs: int, count: int) -> int:
-    """The power of 2 for which N·(count + 2) is `runs` at most; 0 where there is none."""
+    """Return the largest power of 2, N, with N·(count + 2) ≤ runs, or 0."""
     return 2 ** int(math.log2(runs / (count + 2))) if runs >= count + 2 else 0
 
 
 def columns_of(factors: Sequence[Factor], runs: int, sampling: Sampling, seed: int) -> dict[str, list[Any]]:
-    """Factor → its value in each run."""
+    """Return the values of each factor by run."""
     combinations = list(itertools.product(*(f.values for f in factors if f.values is not None)))
     sampled = sum(f.drawn is not None for f in factors)
     rows = drawn_rows(sampled, any(f.first is not None for f in factors), runs, sampling)
@@ -100,7 +105,7 @@ def columns_of(factors: Sequence[Factor], runs: int, sampling: Sampling, seed: i
 
 
 def _shares(count: int, rows: int, sampling: Sampling, seed: int) -> Array:
-    """Points in the unit cube, shape (rows, count)."""
+    """Return points in the unit cube, shape (rows, count)."""
     rng = np.random.default_rng([seed, 0x5EED])
     if not count:
         return np.empty((rows, 0))
@@ -114,7 +119,7 @@ def _shares(count: int, rows: int, sampling: Sampling, seed: int) -> Array:
     from scipy.stats import qmc
 
     kind: Any = qmc.LatinHypercube if sampling == "latin-hypercube" else qmc.Sobol
-    with warnings.catch_warnings():  # of a number of points that is no power of 2, for which the user has asked
+    with warnings.catch_warnings():  # The user may choose a number of points that is no power of 2.
         warnings.simplefilter("ignore", UserWarning)
         points: Array = kind(count, seed=rng).random(rows)
     return np.clip(points, 1e-12, 1.0 - 1e-12)

@@ -1,4 +1,4 @@
-"""Where runs are kept: one by one in a database while a sweep lasts, in one Parquet file when it has ended."""
+"""Storage of runs: a database during a sweep, a Parquet file afterwards."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 
 DATABASE, TABLE = "runs.sqlite", "sweep.parquet"
 TABLE_USE = "the table of a sweep"
-GROUP = 4096  # runs that are written at a time
+GROUP = 4096  # runs per write
 MADE, CHECKED = "made", "checked"
 COLUMNS = "run INTEGER PRIMARY KEY, status TEXT, through TEXT, figures BLOB, met BLOB, signals BLOB, rows INTEGER"
 
 
 class Database:
-    """Context: runs made so far, whole or not at all, also where the process is killed."""
+    """Database of finished runs, consistent even after a kill; a context manager."""
 
     def __init__(self, folder: Path, key: str) -> None:
         self.path = folder / DATABASE
@@ -57,18 +57,18 @@ class Database:
         self._base.close()
 
     def get(self, name: str) -> str | None:
-        """What was kept under a name."""
+        """Return the text stored under a name, if any."""
         row = self._base.execute("SELECT content FROM sweep WHERE key = ?", (name,)).fetchone()
         return None if row is None else str(row[0])
 
     def put(self, name: str, content: str) -> None:
-        """Keep a text under a name."""
+        """Store a text under a name."""
         with self._base:
             self._base.execute("DELETE FROM sweep WHERE key = ?", (name,))
             self._base.execute("INSERT INTO sweep VALUES (?, ?)", (name, content))
 
     def add(self, runs: Iterable[Made], table: str = MADE) -> None:
-        """Keep runs, all of them or none."""
+        """Store runs, all or none."""
         rows = []
         for m in runs:
             blobs = (np.array(m.values).tobytes(), np.array(m.met, bool).tobytes(), m.signals.tobytes())
@@ -77,11 +77,11 @@ class Database:
             self._base.executemany(f"INSERT INTO {table} VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
 
     def there(self, table: str = MADE) -> set[int]:
-        """Numbers of the runs that are kept."""
+        """Return the numbers of the stored runs."""
         return {run for (run,) in self._base.execute(f"SELECT run FROM {table}")}
 
     def runs(self, table: str = MADE) -> Iterator[Made]:
-        """All of them, in order; there may be more than memory holds."""
+        """Yield all runs in order, without loading them at once."""
         rows = self._base.execute(f"SELECT * FROM {table} ORDER BY run")
         for run, status, through, figures, met, signals, count in rows:
             shaped = np.frombuffer(signals).reshape(count, -1) if count else np.empty((0, 0))
@@ -89,7 +89,7 @@ class Database:
             yield Made(run, status, values, tuple(np.frombuffer(met, bool).tolist()), shaped, through)
 
     def remove(self) -> None:
-        """Close it and take it away."""
+        """Close and delete the database."""
         self._base.close()
         self.path.unlink(missing_ok=True)
 
@@ -102,9 +102,11 @@ def write_table(
     signals: Sequence[str],
     about: Mapping[str, Any],
 ) -> None:
-    """One row a run: its number, what varied, how it went, each criterion's value and whether it is met, each signal.
+    """Write a table with a row per run.
 
-    A signal is a list of values at the times that stand in the metadata, as JSON under `cosim`.
+    Columns are number, factors, status, values and outcomes of the criteria, and signals. A signal is a list of values;
+    its
+    times are in the metadata, as JSON under `cosim`.
     """
     pa, pq = optional("pyarrow", TABLE_USE), optional("pyarrow.parquet", TABLE_USE)
     types: dict[str, Any] = {"run": pa.int64()}
@@ -126,7 +128,7 @@ def write_table(
 def _columns(
     runs: Sequence[Made], design: Mapping[str, Sequence[Any]], criteria: Sequence[str], signals: Sequence[str]
 ) -> dict[str, list[Any]]:
-    """Values of some runs, by column."""
+    """Return the values of some runs by column."""
     found: dict[str, list[Any]] = {name: [values[m.run] for m in runs] for name, values in design.items()}
     found |= {"run": [m.run for m in runs], "status": [m.status for m in runs], "through": [m.through for m in runs]}
     for k, name in enumerate(criteria):
@@ -138,7 +140,10 @@ def _columns(
 
 
 def _of_one_type(values: Sequence[Any]) -> list[Any]:
-    """Values as one column holds them: numbers as they are or as floats, lists and a mixture as text."""
+    """Return values of a single type for a column.
+
+    Integers mixed with floats become floats; lists and mixtures become text.
+    """
     kinds = {type(v) for v in values}
     if len(kinds) == 1 and list not in kinds:
         return list(values)
@@ -150,14 +155,22 @@ def _number(value: float) -> float | None:
 
 
 def read_table(path: Path) -> tuple[pyarrow.Table, dict[str, Any]]:
-    """The table that a sweep left, and what stands in its metadata. Raises OSError, ValueError."""
+    """Return the table of a sweep and its metadata.
+
+    Raises:
+        OSError: The file is unreadable; ValueError for a damaged file.
+    """
     pq = optional("pyarrow.parquet", TABLE_USE)
     table = pq.read_table(path)
     return table, json.loads((table.schema.metadata or {}).get(b"cosim", b"{}"))
 
 
 def signal_of(table: pyarrow.Table, name: str, most: int | None = None) -> Array:
-    """A signal of every run that has it, or of `most` of them evenly spread, shape (runs, times)."""
+    """Return a signal of all successful runs, shape (runs, times).
+
+    Args:
+        most: Largest number of runs, evenly spread; None for all.
+    """
     column = table.column(name).drop_null()
     if most is not None and len(column) > most:
         column = column.take(np.linspace(0, len(column) - 1, most).astype(int))

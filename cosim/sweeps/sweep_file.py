@@ -1,4 +1,4 @@
-"""A sweep file: which scenario, what varies in it and how, what is kept of each run."""
+"""Sweep files: scenario, factors, and recorded signals."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ WAYS = ("values", "grid", "uniform", "log_uniform", "normal", "triangular", "cou
 
 
 def _scalar(value: Any) -> Any:
-    """A value: a finite number, true or false, or text, such as a number with a unit."""
+    """Return a valid value: a finite number, true or false, or text."""
     if isinstance(value, (bool, str)) or (isinstance(value, (int, float)) and abs(value) < MOST_TEXT):
         return value
     raise ValueError("a value is a finite number, true or false, or text such as 12 deg")
 
 
 def _listed(value: Any) -> Any:
-    """A value that is listed: of a path also a list, such as poles."""
+    """Return a valid listed value, for paths also a list, e.g. poles."""
     if not isinstance(value, list):
         return _scalar(value)
     if not value or any(isinstance(v, list) for v in value):
@@ -44,9 +44,9 @@ Quantity = Annotated[Any, AfterValidator(_quantity)]
 class Grid(Part):
     """Evenly spaced values.
 
-    from:  the first
-    to:    the last
-    count: how many
+    from:  first value
+    to:    last value
+    count: number of values
     """
 
     begin: Quantity = Field(alias="from")
@@ -55,17 +55,17 @@ class Grid(Part):
 
 
 class Varied(Part):
-    """How one thing varies, by one of these; numbers in its unit, or text such as `12 deg`.
+    """Variation of a factor in exactly one way, with numbers in its unit or text such as `12 deg`.
 
-    values:      a list; every value goes with every other; of a path a value may be a list itself
-    grid:        evenly spaced values; likewise
+    values:      a list, combined with all other listed values; a value of a path may itself be a list
+    grid:        evenly spaced values, combined likewise
     uniform:     [low, high]
-    log_uniform: [low, high], evenly over the logarithm
+    log_uniform: [low, high], uniform in the logarithm
     normal:      [mean, standard deviation]
     triangular:  [low, most likely, high]
-    within:      [low, high] to which a normal distribution is cut
-    count:       of `seed`: so many seeds, counted from that of the scenario, each with every other value
-    each:        of `seed`: another seed for each run, counted from this number
+    within:      [low, high], limits of a normal distribution
+    count:       number of seeds, for `seed` only, starting at the scenario's; each is combined with all other values
+    each:        first seed, for `seed` only; each run gets the next
     """
 
     values: list[Listed] | None = Field(default=None, min_length=1)
@@ -90,23 +90,24 @@ class Varied(Part):
 
     @property
     def way(self) -> str:
-        """Which of the ways is given."""
+        """Return the chosen way."""
         return next(way for way in WAYS if getattr(self, way) is not None)
 
 
 class SweepFile(Part):
-    """Many runs of one scenario.
+    """Many runs of a scenario.
 
-    name:        shown in the report; results go to results/NAME; that of the scenario without
-    description: shown in the report
-    scenario:    the file, relative to this one
-    set:         path → value, over the scenario's own, of every run
+    name:        title in the report; results go to results/NAME; by default the scenario's name
+    description: text in the report
+    scenario:    scenario file, relative to this file
+    set:         path → value, overrides the scenario in every run
     vary:        `component.variable` (a parameter or start value), `seed`, or a path of the scenario → how it varies
-    sampling:    how distributions are drawn; saltelli is for Sobol indices and makes `runs` up to N·(2 + what varies)
-    runs:        how many are drawn of the distributions together; each goes with every listed value
-    seed:        of what is drawn
-    signals:     kept of each run; without, those of its criteria, else outputs of its FMUs
-    samples:     how many times of each signal are kept
+    sampling:    sampling of the distributions; saltelli is for Sobol indices and makes N·(2 + number of
+        factors) runs, at most `runs`
+    runs:        number of joint draws of all distributions; each is combined with all listed values
+    seed:        seed of the draws
+    signals:     recorded signals; by default those of the criteria, else outputs of the FMUs
+    samples:     number of recorded times per signal
     dask:        address of a dask scheduler, such as tcp://host:8786
     """
 

@@ -1,4 +1,4 @@
-"""What a sweep left, in words; and how far runs that were made in two ways are apart."""
+"""Results of a sweep as sentences, and differences between two ways of running."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ from cosim.sweeps.run_chunks import Made
 
 @dataclass(frozen=True)
 class Swept:
-    """What a sweep left.
+    """Results of a sweep.
 
-    record: content of sweep.json
-    made:   runs that were made by this call
+    Attributes:
+        record: Content of sweep.json.
+        made: Number of runs made by this call.
     """
 
     sweep: Sweep
@@ -30,7 +31,7 @@ class Swept:
 
     @property
     def sentences(self) -> list[str]:
-        """What it came to, a line each."""
+        """Return the results as sentences."""
         r = self.record
         lines = [f"{r['runs'] - r['failed']} of {counted(r['runs'], 'run')} came to their end{_how(r)}"]
         lines += [f"{c['name']}: met by {c['met']} of {c['of']} ({_interval(c)})" for c in r["criteria"]]
@@ -45,7 +46,7 @@ def _how(record: Mapping[str, Any]) -> str:
 
 
 def way_of(record: Mapping[str, Any]) -> str:
-    """How the runs were made; some may be made through the FMUs where the others are on arrays."""
+    """Return a phrase for the way of running, perhaps mixed."""
     through, runs = record["through_fmus"], record["runs"]
     if record["way"] != "arrays" or through == runs:
         return "through the FMUs"
@@ -61,7 +62,7 @@ def _interval(criterion: Mapping[str, Any]) -> str:
 
 
 def criterion_names(study: Sweep) -> list[str]:
-    """Each criterion in words, all different: columns of the table."""
+    """Return unique names of the criteria for table columns."""
     names: list[str] = []
     for kind, _, goal in study.scenario.goals:
         ends = (("after", goal.after), ("until", goal.until))
@@ -73,7 +74,10 @@ def criterion_names(study: Sweep) -> list[str]:
 
 
 def apart(one: Made, other: Made) -> float:
-    """The largest difference of a signal, of max(1, its largest value), or of a criterion's value, likewise."""
+    """Return the largest difference of signals and criterion values.
+
+    Differences are relative to max(1, largest value).
+    """
     if one.status != "ok" or other.status != "ok":
         return 0.0 if (one.status == "ok") == (other.status == "ok") else float("inf")
     if one.signals.shape != other.signals.shape:

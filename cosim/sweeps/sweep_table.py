@@ -1,4 +1,4 @@
-"""Runs of a sweep in Python, read back from its folder."""
+"""Runs of a sweep read back in Python."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ class Runs:
     folder: Path
 
     def to_pandas(self) -> pandas.DataFrame:
-        """A row a run: what varied, criteria, signals; ImportError where pandas is not installed."""
+        """Return a data frame with a row per run.
+
+        Columns are factors, criteria and signals. Raises ImportError without pandas.
+        """
         try:
             import pandas  # noqa: F401
         except ImportError:
@@ -39,7 +42,7 @@ class Runs:
 
 
 def read_runs(folder: Path) -> Runs | None:
-    """Return the runs of a sweep in a folder, None if it has not come to its end."""
+    """Return the runs of a completed sweep in a folder."""
     if not all((folder / name).is_file() for name in ("sweep.json", "sweep.parquet")):
         return None
     return Runs(content_of(folder / "sweep.json"), folder)

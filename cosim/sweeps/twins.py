@@ -1,7 +1,8 @@
-"""Components evaluated for many runs at once: sources, models by the equations that their FMU carries, and controllers.
+"""Components computed for many runs at once: sources, models with equations carried by their FMU, and controllers.
 
-A twin does what its FMU does, on arrays with a value a run. `kind_of` gives None where there is none: then the runs
-are made through the FMU.
+A twin computes its FMU's results on arrays with a value per run. Without a twin, `kind_of` returns None and the runs
+use
+the FMU.
 """
 
 from __future__ import annotations
@@ -27,34 +28,34 @@ from cosim.model.quantities import parameters_of
 from cosim.storage.archive import unpack
 from cosim.sweeps.c_lanes import stepping
 
-Given = Mapping[str, Any]  # variable → value, or an array with one for each run
+Given = Mapping[str, Any]  # variable → value, or an array over the runs
 
 
 class Twin(Protocol):
-    """What the loop over steps asks of a component; `inputs` and `outputs` are views of its rows, (signals, runs)."""
+    """A component as seen by the stepping loop; `inputs` and `outputs` are views of its rows, shape (signals, runs)."""
 
     def begin(self, inputs: Array, outputs: Array, t: float) -> None:
-        """Take the views, and the start values of inputs that nothing feeds."""
+        """Set the views and the start values of unconnected inputs."""
 
     def settle(self) -> None:
-        """Outputs of initialization, from the inputs."""
+        """Compute the outputs of initialization from the inputs."""
 
     def advance(self, t: float, h: float) -> None:
         """Step from `t` to `t + h` [s] and write the outputs."""
 
 
 class Kind(Protocol):
-    """How twins of one component are made."""
+    """A maker of twins for a component."""
 
     def pattern(self, given: Given) -> Hashable:
-        """Runs whose patterns are equal are made together; of a run's values."""
+        """Return a key; runs with equal keys are made together."""
 
     def make(self, given: Given, count: int, *, compiled: bool) -> Twin:
-        """A twin of so many runs; `compiled`: where it can be."""
+        """Return a twin of `count` runs, compiled if possible."""
 
 
 def kind_of(component: Component) -> Kind | None:
-    """How twins of a component are made; None where there are none."""
+    """Return the maker of twins for a component, if any."""
     if isinstance(component, Source):
         return _SourceKind(component)
     if not isinstance(component, FmuBlock) or component.exact_inputs or component.exact_outputs:
@@ -83,7 +84,7 @@ class _SourceKind:
 
 
 class _SourceTwin:
-    """The same for every run."""
+    """A source with equal values in every run."""
 
     def __init__(self, source: Source) -> None:
         self.functions = source.functions
@@ -105,9 +106,11 @@ class _SourceTwin:
 
 @cache
 def model_of(path: Path, name: str) -> tuple[Any, Any, Any] | None:
-    """The model in an FMU, the stepper and the namespace of arrays that go with it; None where there is none.
+    """Return an FMU's model, its stepper and array namespace.
 
-    An FMU in Python carries its equations; a native one of a model that is known has those of here.
+    An FMU in Python carries its equations; a native FMU of a registered model uses the installed ones. The result is
+    None
+    for others.
     """
     try:
         with zipfile.ZipFile(path) as archive:
@@ -116,11 +119,11 @@ def model_of(path: Path, name: str) -> tuple[Any, Any, Any] | None:
         return _known_model(name)
     folder = unpacked(path) / "resources"
     package = script.removesuffix("_slave")
-    # earlier releases carried the modelling language as `plant`
+    # Earlier releases carried the modelling language as `plant`.
     languages = (name for name in ("cosim.model", "plant") if _holds(folder / package, name))
     language = next(languages, None)
     if language is None:
-        return None  # of somebody else
+        return None  # a foreign FMU
     sys.path.insert(0, str(folder))
     try:
         slave = getattr(importlib.import_module(script), name, None)
@@ -129,20 +132,20 @@ def model_of(path: Path, name: str) -> tuple[Any, Any, Any] | None:
             return None
         integrate, spaces = (importlib.import_module(f"{package}.{language}.{n}") for n in ("integrate", "namespaces"))
         return model, integrate.Stepper, spaces.arrays()
-    except Exception:  # whatever the file of another does: the runs are made through the FMU, which says it
+    except Exception:  # Foreign code may fail in any way; the runs then use the FMU, which reports the error.
         return None
     finally:
         sys.path.remove(str(folder))
 
 
 def _holds(package: Path, language: str) -> bool:
-    """Return whether the package in an FMU carries the modelling language under a name."""
+    """Return whether an FMU's package carries the modelling language."""
     return (package / language.replace(".", "/") / "integrate.py").is_file()
 
 
 @cache
 def unpacked(path: Path) -> Path:
-    """Where an FMU is unpacked as long as this process lives."""
+    """Return the folder of an FMU unpacked for this process."""
     folder = Path(tempfile.mkdtemp(prefix="fmu-", dir=process_folder()))
     unpack(path, folder)
     return folder
@@ -159,7 +162,7 @@ def _known_model(name: str) -> tuple[Any, Any, Any] | None:
 
 
 class _ModelKind:
-    """A model of equations, integrated as its FMU does."""
+    """A model of equations, integrated as in its FMU."""
 
     def __init__(self, block: FmuBlock, model: Any, stepper: Any, namespace: Any) -> None:
         model = model.with_values(_differing(model, block.description))
@@ -171,17 +174,17 @@ class _ModelKind:
         }
 
     def fits(self, block: FmuBlock) -> bool:
-        """The FMU has the model's inputs, whose order is kept, and its outputs, and nothing more is recorded of it."""
+        """Return whether the FMU has the model's inputs and outputs only. The order of its inputs is stored."""
         names, given = [q.name for q in self.model.inputs], [s.name for s in block.inputs]
         if sorted(given) != sorted(names) or tuple(s.name for s in block.outputs) != self.outputs:
             return False
-        if getattr(self.model, "integrator", "rk4") == "stiff":  # one implicit step is that of one run
+        if getattr(self.model, "integrator", "rk4") == "stiff":  # Implicit steps treat a single run only.
             return False
-        self.order = [names.index(name) for name in given]  # those that are fed come first
+        self.order = [names.index(name) for name in given]  # Connected inputs come first.
         return True
 
     def pattern(self, given: Given) -> Hashable:
-        """Which effects act, and what is no number."""
+        """Return active effects and non-numeric values as a key."""
         awake = {
             name.partition(".")[0] for name, neutral in self.neutral.items() if given.get(name, neutral) != neutral
         }
@@ -192,7 +195,7 @@ class _ModelKind:
 
 
 def _differing(model: Any, description: Any) -> dict[str, Any]:
-    """Defaults that an FMU declares for parameters and that are not the model's own, as of a native FMU."""
+    """Return the FMU's parameter defaults that differ from the model's."""
     present = {e.name: e for e in model.effects}
     found: dict[str, Any] = {}
     for variable in description.modelVariables:
@@ -240,7 +243,7 @@ class _ModelTwin:
             row[:] = value
 
     def advance(self, t: float, h: float) -> None:
-        # what remembers commands keeps them, and the rows change
+        # The memory refers to commands, whose rows change.
         command = tuple(row.copy() for row in self.command) if self.memory else self.command
         if self.compiled is None:
             moment = self._moment(t)
@@ -254,7 +257,7 @@ class _ModelTwin:
         dt = h / n
         if not self.memory:
             self.compiled.step(t, dt, n, self.state, self._in_order(), self.outputs)
-        else:  # what shapes a command does so substep by substep
+        else:  # Command shaping acts in every substep.
             acting = np.empty(self.inputs.shape)
             for k in range(n):
                 shaped, self.memory = self.stepper.shape(t + k * dt, dt, command, self.memory)
@@ -265,7 +268,7 @@ class _ModelTwin:
         self.t = t + h
 
     def _in_order(self) -> Array:
-        """Inputs in the order of the model."""
+        """Return the inputs in the model's order."""
         return self.inputs if self.sorted is None else np.ascontiguousarray(self.inputs[self.sorted])
 
     def _moment(self, t: float) -> Any:
@@ -274,7 +277,7 @@ class _ModelTwin:
 
 
 def merged(rows: Sequence[Given]) -> dict[str, Any]:
-    """Values of several runs as one: a number where all are equal, else an array."""
+    """Return values of several runs as numbers or arrays."""
     found: dict[str, Any] = {}
     for name in rows[0]:
         values = [row[name] for row in rows]

@@ -1,4 +1,4 @@
-"""Who makes the runs: worker processes of this machine, or those of a dask scheduler, each with a process for FMUs."""
+"""Workers of a sweep: local processes or a dask scheduler's workers, each with a process for FMUs."""
 
 from __future__ import annotations
 
@@ -20,48 +20,48 @@ from cosim.storage.yaml_file import YamlFile
 from cosim.sweeps.run_chunks import Asked, Job, Made, Way, error_of, failed, made
 
 MODULES = ("cosim.sweeps.run_chunks", "fmpy.fmi2", "fmpy.logging")
-ANSWER = 5  # [s] that a dask scheduler may take to answer
-AHEAD = 4  # chunks that are asked for beyond those being made
+ANSWER = 5  # time limit of a dask scheduler's answer [s]
+AHEAD = 4  # chunks requested beyond the running ones
 
-_idle: list[Worker] = []  # of this process
+_idle: list[Worker] = []  # idle workers of this process
 _all: list[Worker] = []
 _lock = threading.Lock()
 _stopping = threading.Event()
 
 
 class Makers(Protocol):
-    """Make chunks of runs, side by side."""
+    """An executor for chunks of runs in parallel."""
 
     count: int
 
     def submit(self, job: Job, chunk: Sequence[Asked], way: Way, limits: Limits | None, goals: int) -> Any:
-        """A future of the runs."""
+        """Submit runs and return a future."""
 
     def done(self, pending: set[Any]) -> tuple[set[Any], set[Any]]:
-        """Wait for one or more; those that are done, and the others."""
+        """Wait for futures; return finished and pending ones."""
 
     def ask(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Return the answer of a function that may execute the Python in an FMU."""
+        """Return a function's result; it may execute an FMU's Python."""
 
     def runs(self, future: Any) -> list[Made]:
-        """The runs of a future that is done."""
+        """Return the runs of a finished future."""
 
 
 def apart(job: Job, chunk: Sequence[Asked], way: Way, limits: Limits | None, goals: int) -> list[Made]:
-    """Make runs in a worker process, which is kept for the next; a run that ends it has failed."""
+    """Make runs in a reusable worker process. A run that ends the process has failed."""
     with _borrowed() as worker:
         return _called(worker, job, chunk, way, limits, goals)
 
 
 def ask_apart(function: Callable[..., Any], *arguments: Any) -> Any:
-    """Return the answer of a function in a worker process: it may execute the Python in an FMU."""
+    """Return a function's result from a worker process. The function may execute an FMU's Python."""
     with _borrowed() as worker:
         return worker.call(function, *arguments)
 
 
 @contextmanager
 def _borrowed() -> Iterator[Worker]:
-    """A worker process that nobody else uses meanwhile."""
+    """Yield a worker process for exclusive use."""
     with _lock:
         worker = _idle.pop() if _idle else None
         if worker is None:
@@ -82,7 +82,7 @@ def _called(
     try:
         found: list[Made] = worker.call(made, job, chunk, way, watch=job.watched.watch(limits))
         return found
-    except SimulationError as error:  # it crashed, or a limit is exceeded
+    except SimulationError as error:  # a crash or an exceeded limit
         if len(chunk) == 1:
             return [failed(chunk[0].run, error_of(error), goals, way)]
     except CosimError:
@@ -91,7 +91,7 @@ def _called(
 
 
 def _end_workers(*, kill: bool) -> None:
-    """End the processes of this one."""
+    """End the worker processes of this process."""
     with _lock:
         workers = list(_all)
         _all.clear()
@@ -106,29 +106,29 @@ class Local:
     def __init__(self, count: int) -> None:
         self.count = count
         _stopping.clear()
-        self._pool = ThreadPoolExecutor(count)  # each waits for a process
+        self._pool = ThreadPoolExecutor(count)  # Each thread waits for a process.
 
     def submit(self, job: Job, chunk: Sequence[Asked], way: Way, limits: Limits | None, goals: int) -> Future[Any]:
-        """A future of the runs."""
+        """Submit runs and return a future."""
         return self._pool.submit(apart, job, chunk, way, limits, goals)
 
     def done(self, pending: set[Any]) -> tuple[set[Any], set[Any]]:
-        """Wait for one or more."""
+        """Wait for futures; return finished and pending ones."""
         finished, others = wait(pending, return_when=FIRST_COMPLETED)
         return set(finished), set(others)
 
     def ask(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Return the answer of a function, asked of a process."""
+        """Return a function's result from a worker process."""
         return ask_apart(function, *arguments)
 
     def runs(self, future: Future[list[Made]]) -> list[Made]:
-        """The runs of a future that is done."""
+        """Return the runs of a finished future."""
         return future.result()
 
     def end(self, *, kill: bool) -> None:
         """End the processes."""
         if kill:
-            _stopping.set()  # or a thread would take the end of its process for that of a run
+            _stopping.set()  # Otherwise a thread would report the end of its process as a failed run.
         self._pool.shutdown(wait=not kill, cancel_futures=True)
         _end_workers(kill=kill)
 
@@ -139,48 +139,52 @@ class Here:
     count = 1
 
     def submit(self, job: Job, chunk: Sequence[Asked], way: Way, limits: Limits | None, goals: int) -> Future[Any]:
-        """A future that is done."""
+        """Make the runs and return a finished future."""
         future: Future[Any] = Future()
         future.set_result(made(job, chunk, way))
         return future
 
     def done(self, pending: set[Any]) -> tuple[set[Any], set[Any]]:
-        """All of them."""
+        """Return all futures as finished."""
         return pending, set()
 
     def ask(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Return the answer of a function."""
+        """Return a function's result."""
         return function(*arguments)
 
     def runs(self, future: Future[list[Made]]) -> list[Made]:
-        """The runs of a future that is done."""
+        """Return the runs of a finished future."""
         return future.result()
 
 
 class Dask:
-    """Workers of a dask scheduler; they see the files of this machine under the same names."""
+    """Workers of a dask scheduler with access to the same file paths."""
 
     def __init__(self, client: Any) -> None:
         self._client = client
         self.count = max(1, sum(client.nthreads().values()))
 
     def submit(self, job: Job, chunk: Sequence[Asked], way: Way, limits: Limits | None, goals: int) -> Any:
-        """A future of the runs."""
+        """Submit runs and return a future."""
         return self._client.submit(apart, job, list(chunk), way, limits, goals, pure=False)
 
     def done(self, pending: set[Any]) -> tuple[set[Any], set[Any]]:
-        """Wait for one or more."""
+        """Wait for futures; return finished and pending ones."""
         from distributed import wait as wait_for
 
         finished, others = wait_for(pending, return_when="FIRST_COMPLETED")
         return set(finished), set(others)
 
     def ask(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Return the answer of a function, asked of a process of this machine."""
+        """Return a function's result from a local worker process."""
         return ask_apart(function, *arguments)
 
     def runs(self, future: Any) -> list[Made]:
-        """The runs of a future that is done; SweepFailed if its worker fails, by whatever error of dask."""
+        """Return the runs of a finished future.
+
+        Raises:
+            SweepFailed: The dask worker failed.
+        """
         try:
             found: list[Made] = future.result()
         except CosimError:
@@ -193,12 +197,12 @@ class Dask:
 
 @contextmanager
 def makers(workers: int | None, dask: Any, *, in_process: bool = False) -> Iterator[Makers]:
-    """Those of a dask client, of this process, or so many processes of this machine."""
+    """Yield the executor: dask, this process or local processes."""
     if dask is not None:
         try:
             yield Dask(dask)
         finally:
-            _end_workers(kill=False)  # of a cluster within this process
+            _end_workers(kill=False)  # workers of a cluster within this process
         return
     if in_process:
         yield Here()
@@ -214,7 +218,11 @@ def makers(workers: int | None, dask: Any, *, in_process: bool = False) -> Itera
 
 @contextmanager
 def dask_client(address: str | None, place: Callable[[str], Fault]) -> Iterator[Any]:
-    """A client of the scheduler at an address, None without one; InputError where nobody answers."""
+    """Yield a dask client, None without address.
+
+    Raises:
+        InputError: The scheduler does not answer or has no suitable workers.
+    """
     if address is None:
         yield None
         return
@@ -222,7 +230,7 @@ def dask_client(address: str | None, place: Callable[[str], Fault]) -> Iterator[
 
     Client = optional("distributed", place).Client
 
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what fails is said by us
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # cosim reports failures itself.
     try:
         client = Client(address, timeout=ANSWER)
     except (OSError, ValueError, TypeError) as error:
@@ -240,9 +248,9 @@ def dask_client(address: str | None, place: Callable[[str], Fault]) -> Iterator[
 
 
 def _unfit_workers(client: Any) -> str:
-    """Return which workers cannot import this package, or have another version, and the cure; "" if all can."""
+    """Return a message on unsuitable workers, or "". A worker must import this package in the same version."""
 
-    def version_there() -> str:  # within a function: pickled by value, so that a worker need not import this module
+    def version_there() -> str:  # A nested function is pickled by value, so that a worker need not import this module.
         from importlib import import_module
 
         import_module("cosim.sweeps.run_chunks")
@@ -264,5 +272,5 @@ def _one_line(error: BaseException) -> str:
 
 
 def fault_of(yaml: YamlFile, given: str | None) -> Callable[[str], Fault]:
-    """Where the fault of an address stands: in the file, or in the option."""
+    """Return a function from a message to the fault of a dask address."""
     return lambda text: yaml.fault(("dask",), text) if given is None else Fault(Path("--dask"), 0, 0, text)

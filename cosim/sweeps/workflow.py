@@ -1,4 +1,4 @@
-"""`cosim sweep`, in order: file → design → arrays checked against FMUs → runs → sweep.parquet, sweep.json, report."""
+"""`cosim sweep`, in order: file → design → check of arrays against FMUs → runs → sweep.parquet, sweep.json, report."""
 
 from __future__ import annotations
 
@@ -32,10 +32,11 @@ from cosim.sweeps.sweep_result import apart as apart_of
 from cosim.sweeps.workers import AHEAD, Makers, dask_client, fault_of, makers
 
 RECORD, REPORT = "sweep.json", "report.html"
-REPEATED = 20  # random runs that are made through the FMUs too
-EQUAL = 1e-9  # of max(1, largest value), within which they agree
-CHUNK: Mapping[Way, int] = {"arrays": 512, "fmus": 8}  # runs a job; the same whoever makes them, so that bytes are
-TOLD = 20  # failures
+REPEATED = 20  # random runs repeated through FMUs
+EQUAL = 1e-9  # largest allowed difference relative to max(1, largest value)
+# runs per job; fixed, so that results do not depend on the workers
+CHUNK: Mapping[Way, int] = {"arrays": 512, "fmus": 8}
+TOLD = 20  # listed failures
 SCHEMA_VERSION = 1
 Progress = Callable[[int, int], None]
 
@@ -53,12 +54,21 @@ def sweep(
     in_process: bool = False,
     progress: Progress | None = None,
 ) -> Swept:
-    """Make the runs of a sweep; sweep.parquet, sweep.json and report.html are left in `out`, results/NAME without.
+    """Make the runs of a sweep and write table, record and report.
 
-    What an earlier call that was stopped has made is gone on with; `force` begins anew, in results/NAME with the
-    files of the earlier one moved to `runs`.
-    workers: processes, one a core without; dask: address of a scheduler, over that of the file
-    Raises InputError before anything runs; SweepStopped, SweepFailed; FmuError.
+    The files are sweep.parquet, sweep.json and report.html. A stopped sweep is continued.
+
+    Args:
+        out: Output folder, by default results/NAME.
+        workers: Number of processes, by default one per core.
+        dask: Address of a scheduler; overrides the file's.
+        force: Start anew; in results/NAME earlier files move to `runs`.
+
+    Raises:
+        InputError: A file is faulty; no run was made.
+        SweepStopped: The user stopped the sweep.
+        SweepFailed: All runs failed.
+        FmuError: An FMU does not load.
     """
     study = read_sweep(Path(path))
     folder = folder_named(study.name) if out is None else named_path(out)
@@ -66,7 +76,7 @@ def sweep(
     check_left(folder, "cosim sweep", force=force, keep=out is None)
     check_writable(folder, (TABLE, RECORD, REPORT, DATABASE), read)
     address = study.file.dask if dask is None else dask
-    for library in ("pyarrow", "SALib"):  # before anything runs
+    for library in ("pyarrow", "SALib"):  # missing libraries are reported before any run
         optional(library, "cosim sweep")
     with ExitStack() as stack:
         client = stack.enter_context(dask_client(address, fault_of(study.yaml, dask)))
@@ -93,7 +103,11 @@ def sweep(
 
 
 def _left(folder: Path, key: str) -> dict[str, Any] | None:
-    """What a sweep that has ended left here; InputError where it was another."""
+    """Return the record of a completed equal sweep, if any.
+
+    Raises:
+        InputError: The folder belongs to a different sweep.
+    """
     try:
         _, about = read_table(folder / TABLE)
         record: dict[str, Any] = json.loads((folder / RECORD).read_text(encoding="utf-8"))
@@ -106,7 +120,7 @@ def _left(folder: Path, key: str) -> dict[str, Any] | None:
 
 
 class _Sweep:
-    """One call: what is there, what is still to be made."""
+    """State of a call: finished and pending runs."""
 
     def __init__(self, study: Sweep, folder: Path, base: Database, progress: Progress | None) -> None:
         self.study, self.folder, self.base, self.progress = study, folder, base, progress
@@ -115,7 +129,7 @@ class _Sweep:
         self.count = 0
 
     def made(self, workers: int | None, client: Any, *, in_process: bool) -> tuple[dict[str, Any], int]:
-        """The record, and how many runs were made now."""
+        """Return the record and the number of new runs."""
         try:
             with makers(workers, client, in_process=in_process) as who:
                 way, why = self._way(who)
@@ -125,7 +139,7 @@ class _Sweep:
                     if self.progress is not None:
                         self.progress(there + self.count, self.study.count)
                 self.seconds = time.perf_counter() - begun
-                hold_stops()  # there is a table to be written
+                hold_stops()  # The table must still be written.
         except (KeyboardInterrupt, Terminated) as stop:
             there = len(self.base.there())
             message = f"{there} of {counted(self.study.count, 'run')} are kept in {self.base.path}"
@@ -144,7 +158,10 @@ class _Sweep:
         return record, self.count
 
     def _way(self, who: Makers) -> tuple[Way, str]:
-        """How runs are made, and why not on arrays: those repeated through the FMUs must agree."""
+        """Return the way of running, and the reason against arrays.
+
+        Arrays are used if random runs agree with FMU runs.
+        """
         known = self.base.get("way")
         if known is not None:
             kept: tuple[Way, str] = tuple(json.loads(known))
@@ -164,13 +181,13 @@ class _Sweep:
         return way, why
 
     def _repeated(self) -> list[int]:
-        """Random runs that are made through the FMUs too."""
+        """Return random runs to repeat through FMUs."""
         rng = np.random.default_rng([self.study.file.seed, 0xC4EC])
         found = rng.choice(self.study.count, min(REPEATED, self.study.count), replace=False)
         return sorted(int(k) for k in found)
 
     def _make(self, who: Makers, runs: Iterable[int], way: Way, job: Job, table: str) -> Iterator[int]:
-        """Make the runs that are not in the table yet, in chunks, and keep each; yield the number kept after a wait."""
+        """Make the missing runs of a table in chunks. Yields the number of stored runs after each wait."""
         there = self.base.there(table)
         limits = self.study.scenario.limits if way == "fmus" else None
         size = 1 if limits is not None else CHUNK[way]
@@ -235,7 +252,7 @@ class _Sweep:
         }
 
     def _checked(self, count: int, way: Way, why: str) -> dict[str, Any]:
-        """How far the runs that are kept are from those repeated through the FMUs."""
+        """Return the comparison of array runs with FMU runs."""
         if way == "fmus":
             because = f": {why}" if why else ""
             return {"runs": count, "apart": 0.0, "sentence": f"every run was made through the FMUs{because}"}

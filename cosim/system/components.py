@@ -1,4 +1,4 @@
-"""The components of a scenario: FMUs with their start values, references, recordings and fixes."""
+"""Components of a scenario: FMUs with start values, references, recordings and fixes."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ Designed = Mapping[str, Mapping[str, float]]  # component → start values
 
 
 def build_components(file: ScenarioFile, designed: Designed, diagnosis: Diagnosis) -> dict[str, Component]:
-    """Every component by name, in the order of the file; one with a fault is left out."""
+    """Return the sound components by name, in file order."""
     found: dict[str, Component] = {}
-    read = cache(read_description)  # several components may be of one FMU
+    read = cache(read_description)  # Several components may use the same FMU.
     for name, component in file.scenario.components.items():
         try:
             block = _component(file, name, component, designed.get(name, {}), read, diagnosis)
@@ -58,7 +58,7 @@ def _component(
 
 
 def _fixes(scenario: Scenario, name: str, component: FixComponent, diagnosis: Diagnosis) -> Fixes | None:
-    """A sensor of fixes; None, faults noted, where it is faster than the scenario or a name is taken."""
+    """Return a fix sensor; note faults of rate and names."""
     signals = {}
     for signal, about in component.signals.items():
         noise = about.noise if scenario.noise else None
@@ -118,19 +118,22 @@ def _fmu(
 
 
 def recorded(patterns: Sequence[str], name: str, description: Any) -> frozenset[str]:
-    """Variables that patterns such as `plant.*` name, beside inputs and outputs; without outputs its states."""
+    """Return variables to record besides inputs and outputs.
+
+    They match patterns such as `plant.*`. An FMU without outputs adds its states.
+    """
     found = {
         v.name
         for v in description.modelVariables
         if v.causality not in {"input", "output", "independent"} and any(named(p, name, v.name) for p in patterns)
     }
-    if not any(v.causality == "output" for v in description.modelVariables):  # as FMPy does
+    if not any(v.causality == "output" for v in description.modelVariables):  # as in FMPy
         found |= set(state_names(description))
     return frozenset(found)
 
 
 def _start_values(component: str, description: Any, stated: Mapping[str, Any], diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return start values in the type and unit of their variables; note a fault for each that does not fit."""
+    """Return converted start values; note a fault for each misfit."""
     variables = {v.name: v for v in description.modelVariables} if stated else {}
     values = {}
     for name, value in with_elements(stated, variables).items():

@@ -1,4 +1,4 @@
-"""What a scenario changes while it runs: parameters and inputs, at times."""
+"""Events of a scenario: parameters and inputs set at given times."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ Events = Mapping[int, Mapping[str, Mapping[str, Any]]]  # communication point â†
 
 
 def changes(file: ScenarioFile, blocks: Mapping[str, FmuBlock], diagnosis: Diagnosis) -> Events:
-    """Events by the communication point at which they act: the first that is not before their time.
+    """Return the events by communication point.
 
-    Of several that act at one point, the later in time has the last word.
+    An event acts at the first point at or after its time. Among events at the same point, the later time wins.
     """
     scenario = file.scenario
     found: dict[int, dict[str, dict[str, Any]]] = {}
@@ -53,7 +53,7 @@ def _value(
     target: str,
     given: Any,
 ) -> Any:
-    """The value as FMI takes it, or why it cannot be set."""
+    """Return the value in FMI's type, or the objection."""
     name, _, variable_name = target.partition(".")
     block = blocks.get(name)
     if block is None:
@@ -73,5 +73,5 @@ def _value(
 
 
 def changeable(variable: Any) -> bool:
-    """FMI lets a host set the variable while it runs."""
+    """Return whether FMI allows setting the variable during a run."""
     return bool(variable.causality == "input" or (variable.causality, variable.variability) == ("parameter", "tunable"))

@@ -1,4 +1,4 @@
-"""What a scenario asks for and no run can give: steps that an FMU refuses, results that no machine holds."""
+"""Feasibility of a scenario: steps accepted by its FMUs, and results of manageable size."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.fmi.sampled import sampled_by
 from cosim.scenario.diagnosis import Diagnosis
 
-ROUNDING = 1e-6  # of a step, as the FMUs themselves allow
-MOST_RESULTS = 8e9  # bytes
-BYTES = 8  # a number
+ROUNDING = 1e-6  # fraction of a step, the tolerance of the FMUs
+MOST_RESULTS = 8e9  # size of results [bytes]
+BYTES = 8  # size of a number [bytes]
 
 
 def check_feasible(components: Iterable[Any], diagnosis: Diagnosis) -> None:
-    """Note a fault for each FMU that would refuse the communication step, and for results that are too large."""
+    """Note faults of refused communication steps and oversized results."""
     blocks = list(components)
     _check_size(sum(len(b.inputs) + len(b.outputs) for b in blocks), diagnosis)
     _check_sampling(blocks, diagnosis)
@@ -36,8 +36,8 @@ def _check_sampling(components: Iterable[Any], diagnosis: Diagnosis) -> None:
     file, scenario = diagnosis.file, diagnosis.file.scenario
     stated = file.fault(("step",), "")
     if file.stands_in or any((f.line, f.column) == (stated.line, stated.column) for f in file.faults):
-        return  # the step is faulty itself
-    states = cache(sampled_by)  # several components may be of one FMU
+        return  # The step is faulty itself.
+    states = cache(sampled_by)  # Several components may use the same FMU.
     for block in components:
         parameter = states(block.path) if isinstance(block, FmuBlock) else None
         if parameter is None:
@@ -47,7 +47,7 @@ def _check_sampling(components: Iterable[Any], diagnosis: Diagnosis) -> None:
             sample = float(block.start_values.get(parameter, own))
         except (TypeError, ValueError):
             continue
-        given = getattr(scenario.components[block.name], "step", None)  # a step of its own
+        given = getattr(scenario.components[block.name], "step", None)  # the component's own step
         step = scenario.step if given is None else float(given)
         if abs(step - sample) > ROUNDING * sample:
             where = ("step",) if given is None else ("components", block.name, "step")

@@ -1,4 +1,4 @@
-"""The order in which components step, and which transfers are made right before each of them."""
+"""Stepping order of components, and the transfers right before each of them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cosim.system.wiring import Components, Transfer
 
 @dataclass(frozen=True)
 class Stage:
-    """A component and the transfers made right before it steps; `every`: it does so at each so-many-th point."""
+    """A component with the transfers before its step; it steps at every `every`-th communication point."""
 
     component: Component
     pulls: tuple[Transfer, ...] = ()
@@ -26,7 +26,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class Schedule:
-    """Stages in the order in which they step, and transfers made at the end of a step."""
+    """Stages in stepping order, and transfers at the end of a step."""
 
     stages: tuple[Stage, ...] = ()
     held: tuple[Transfer, ...] = ()
@@ -35,9 +35,10 @@ class Schedule:
 def schedule(
     scenario: Scenario, components: Components, transfers: Sequence[Sequence[Transfer]], diagnosis: Diagnosis
 ) -> Schedule:
-    """Return the order of a sound scenario's components and transfers; empty, a fault noted, if it has none.
+    """Return the schedule of a scenario; note a fault and return an empty one if none exists.
 
-    transfers: of each connection
+    Args:
+        transfers: Transfers of each connection.
     """
     every = {name: _every(scenario, name, diagnosis) for name in components}
     algorithm = algorithms()[scenario.algorithm]
@@ -68,7 +69,10 @@ def schedule(
 
 
 def _every(scenario: Scenario, name: str, diagnosis: Diagnosis) -> int:
-    """How many steps of the scenario make one of the component; a fault noted where that is no whole number."""
+    """Return the component's step in steps of the scenario.
+
+    A fault is noted if the ratio is not a whole number.
+    """
     step: float | None = getattr(scenario.components[name], "step", None)
     if step is None:
         return 1
@@ -95,7 +99,7 @@ def _edge(connection: Connection) -> Edge:
 
 
 def _names_all(order: Sequence[str], components: Components, diagnosis: Diagnosis) -> bool:
-    """Does an order given by the user name every component with inputs once, and no other?"""
+    """Return whether an order names each component with inputs once. Faults are noted."""
     missing = sorted(name for name in components.keys() - set(order) if components[name].inputs)
     unknown = [name for name in order if name not in components]
     twice = len(set(order)) != len(order)

@@ -1,6 +1,6 @@
-"""From a scenario to components laid out in one row of signals, in the order in which they step.
+"""From a scenario to components in a common row of signals, in stepping order.
 
-Every check that needs the FMUs' descriptions is made here; all faults are reported at once.
+All checks that need model descriptions are made here, and all faults are reported at once.
 """
 
 from __future__ import annotations
@@ -25,14 +25,15 @@ from cosim.system.wiring import Transfer, connect, lay_out, unconnected
 
 @dataclass(frozen=True)
 class System:
-    """Everything the master needs.
+    """A system ready for the master.
 
-    stages: in the order in which they step
-    held:   transfers made at the end of a step: their targets see the values of the step's start
-    beside: columns whose values no double holds exactly
-    events: communication point → component → values that it gets there
-    apart:  names of components that have a process of their own
-    halved: its rows are what halves of each step change, not what it does
+    Attributes:
+        stages: Stages in stepping order.
+        held: Transfers at the end of a step, whose targets see values from the step's start.
+        beside: Columns with values beyond the exact range of doubles.
+        events: Communication point → component → values to set.
+        apart: Names of components with their own process.
+        halved: Whether rows hold the differences made by halving each step, instead of signals.
     """
 
     stages: tuple[Stage, ...]
@@ -51,7 +52,14 @@ class System:
 
 
 def build_system(file: ScenarioFile, start_values: Designed | None = None) -> System:
-    """System of a scenario; `start_values` by component are put under the scenario's own (designed gains)."""
+    """Return the system of a scenario.
+
+    Args:
+        start_values: Values by component, overridden by the scenario's own.
+
+    Raises:
+        InputError: The scenario has faults; it lists all of them.
+    """
     scenario, diagnosis = file.scenario, Diagnosis(file)
     components = build_components(file, start_values or {}, diagnosis)
     whole = len(components) == len(scenario.components) and not file.broken
@@ -86,7 +94,7 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
 
 
 def _check_record(file: ScenarioFile, components: Mapping[str, Component], diagnosis: Diagnosis) -> None:
-    """What is recorded on request are variables that there are; what nothing is recorded of is told."""
+    """Note faults of `record` and warn of components without recording."""
     for k, pattern in enumerate(file.scenario.record):
         name = pattern.partition(".")[0]
         component = components.get(name)
@@ -104,7 +112,7 @@ def _check_record(file: ScenarioFile, components: Mapping[str, Component], diagn
 
 
 def _check_design(file: ScenarioFile, diagnosis: Diagnosis) -> None:
-    """What is designed is an FMU of the scenario."""
+    """Note a fault if the designed component is not an FMU."""
     design = file.scenario.design
     if design is None or design.component in file.broken:
         return
@@ -115,7 +123,7 @@ def _check_design(file: ScenarioFile, diagnosis: Diagnosis) -> None:
 
 
 def _check_criteria(scenario: Scenario, columns: Collection[str], diagnosis: Diagnosis) -> None:
-    """Criteria look at signals that there are."""
+    """Note faults of criteria on unknown signals."""
     for kind, k, criterion in scenario.goals:
         where: Place = ("criteria", kind, *(() if k is None else (k,)))
         for key, signal in (("of", criterion.of), ("to", criterion.to)):

@@ -1,4 +1,4 @@
-"""Signals laid out in one row, and the connections between them as transfers from place to place."""
+"""Layout of signals in a row, and connections as transfers between places."""
 
 from __future__ import annotations
 
@@ -31,18 +31,19 @@ from cosim.storage.yaml_file import did_you_mean
 
 Components = Mapping[str, Component]
 MOST_NAMED = 20  # signals in a message
-PASSING = {"freeze", "dropout", "delay"}  # faults that let values through as they are, whatever their type
+PASSING = {"freeze", "dropout", "delay"}  # faults that pass values of any type unchanged
 
 
 @dataclass(frozen=True)
 class RowLayout:
-    """Where signals stand: component after component, inputs before outputs; in the row of doubles, or beside it.
+    """Places of signals: component after component, inputs before outputs, in the row of doubles or beside the row.
 
-    columns: `component.variable`, one a place of the row
-    units:   column → unit, "" where it has none
-    beside:  as columns, of what no double holds exactly
-    place:   column → whether it stands beside the row, and its place there
-    signals: column → its signal
+    Attributes:
+        columns: Names `component.variable` by place in the row.
+        units: Column → unit, "" without unit.
+        beside: Names, like `columns`, of values beyond the exact range of doubles.
+        place: Column → whether beside the row, and place there.
+        signals: Column → signal.
     """
 
     columns: tuple[str, ...]
@@ -54,11 +55,12 @@ class RowLayout:
 
 @dataclass(frozen=True)
 class Transfer:
-    """A connection: from one place to another, through a change of unit, noise and injected faults.
+    """A connection between two places, with unit conversion, noise and injected faults.
 
-    name:   of the target, `component.variable`; it also names the random stream
-    items:  of a target that is an enumeration; `origin` is the name of what it comes from
-    beside: whether the place that it comes from, and the one that it goes to, stand beside the row
+    Attributes:
+        name: Target as `component.variable`, also the name of its random stream.
+        items: Items of an enumeration as target; `origin` is the name of the source.
+        beside: Whether source and target are beside the row.
     """
 
     source: int
@@ -74,24 +76,24 @@ class Transfer:
 
     @property
     def plain(self) -> bool:
-        """Values go from place to place in the row, at most with noise added."""
+        """Return whether values are copied within the row, apart from noise."""
         changed = self.factor != 1.0 or self.offset != 0.0 or self.faults or self.items is not None
         return not changed and self.beside == (False, False)
 
     def check_item(self, value: Any, t: float) -> None:
-        """SimulationError where a value is no item of the enumeration that it goes to."""
+        """Raise SimulationError if a value is no item of the target."""
         if self.items is not None and value not in self.items.values():
             said = f"{value:g}, which comes from {self.origin}, is none of its items: {_numbers(self.items)}"
             raise SimulationError(self.name, t, said)
 
     def samples(self, seed: int, count: int) -> array[float] | None:
-        """What noise adds at each of `count` communication points; None adds nothing."""
+        """Return noise samples per communication point, None without noise."""
         if self.noise is None:
             return None
         return gaussian(stream(seed, self.name), self.noise.variance, self.noise.bias, count)
 
     def through(self, seed: int, start: float, step: float, count: int) -> tuple[Linked, ...]:
-        """What becomes of a value at each of `count` communication points: unit, then noise, then each fault."""
+        """Return the value's conversions in order: unit, noise, faults."""
         chain: list[Linked] = []
         if self.factor != 1.0 or self.offset != 0.0:
             chain.append(Scaled(self.factor, self.offset))
@@ -109,13 +111,13 @@ class Transfer:
 
 
 class _Checked:
-    """A value that is an item of the enumeration it goes to."""
+    """A check that a value is an item of the target enumeration."""
 
     def __init__(self, transfer: Transfer, start: float, step: float) -> None:
         self.transfer, self.start, self.step = transfer, start, step
 
     def __call__(self, k: int, v: Any) -> Any:
-        if k:  # until initialization has ended values may be those of nothing yet
+        if k:  # Values may be undefined until initialization ends.
             self.transfer.check_item(v, self.start + k * self.step)
         return v
 
@@ -125,7 +127,7 @@ class _Checked:
 
 
 def through(chain: Sequence[Linked]) -> Callable[[int, Any], Any]:
-    """All of them, one after the other, as one function of (communication point, value)."""
+    """Return the composition of a chain as a single function."""
 
     def value(k: int, v: Any) -> Any:
         for one in chain:
@@ -136,7 +138,7 @@ def through(chain: Sequence[Linked]) -> Callable[[int, Any], Any]:
 
 
 def lay_out(components: Components) -> RowLayout:
-    """The row of these components' signals, and what stands beside it."""
+    """Return the layout of the components' signals."""
     row: dict[str, Signal] = {}
     beside: dict[str, Signal] = {}
     for name, component in components.items():
@@ -150,7 +152,10 @@ def lay_out(components: Components) -> RowLayout:
 def connect(
     file: ScenarioFile, components: Components, layout: RowLayout, diagnosis: Diagnosis
 ) -> list[tuple[Transfer, ...]]:
-    """Transfers of each connection, in their order, of arrays one an element; none of one with a fault."""
+    """Return the transfers of each connection, one per element.
+
+    A faulty connection has none.
+    """
     _check_sources(file, diagnosis)
     _check_faults(file, diagnosis)
     wiring = _Wiring(file, components, layout, diagnosis)
@@ -159,7 +164,10 @@ def connect(
 
 
 def taken_for(file: ScenarioFile, connection: Connection, source: Signal, target: Signal) -> Taken | None:
-    """How an input without a unit takes numbers whose unit people wrote; None where it declares one."""
+    """Return the conversion for an input without unit, if needed.
+
+    Only numbers with a unit written by people are converted.
+    """
     component = file.scenario.components.get(connection.source.partition(".")[0])
     written = isinstance(component, ReferenceComponent | PlaybackComponent) and source.unit
     if not written or target.unit or target.whole or connection.conversion is not None:
@@ -168,7 +176,7 @@ def taken_for(file: ScenarioFile, connection: Connection, source: Signal, target
 
 
 def _misfit(connection: Connection, source: Signal, target: Signal) -> str:
-    """Why the values of a signal do not go to another, "" where they do."""
+    """Return the objection to a connection, or ""."""
     if not goes(source.kind, target.kind):
         what = f"{connection.source} is {source.kind or 'a number'}, {connection.target} is {target.kind}"
         return f"types do not agree: {what}"
@@ -183,7 +191,7 @@ def _misfit(connection: Connection, source: Signal, target: Signal) -> str:
 
 
 class _Wiring:
-    """Connections to be made: their ends, each a signal or the elements of an array, and the transfers between."""
+    """Connections under construction: their ends, each a signal or the elements of an array, and the transfers."""
 
     def __init__(self, file: ScenarioFile, components: Components, layout: RowLayout, diagnosis: Diagnosis) -> None:
         self.file, self.components, self.layout, self.diagnosis = file, components, layout, diagnosis
@@ -193,7 +201,7 @@ class _Wiring:
             self._faults.setdefault(fault.on, []).append(fault)
 
     def transfers(self, k: int, connection: Connection) -> tuple[Transfer, ...]:
-        """Return the transfers of a connection, of arrays one an element; none, a fault noted, if it has a fault."""
+        """Return the transfers of a connection; none after noting a fault."""
         sources = self._ends(("connections", k, "from"), connection.source, "outputs")
         targets = self._ends(("connections", k, "to"), connection.target, "inputs")
         if not sources or not targets:
@@ -212,7 +220,7 @@ class _Wiring:
         return tuple(made)
 
     def _transfer(self, connection: Connection, source: Signal, target: Signal) -> Transfer | Misfit:
-        """Return the transfer between two signals, or why there is none."""
+        """Return the transfer between two signals, or the objection."""
         if misfit := _misfit(connection, source, target):
             return Misfit(misfit)
         noise = connection.noise if self.file.scenario.noise else None
@@ -230,24 +238,24 @@ class _Wiring:
         return Transfer(at, to, name, noise, factor, offset, faults, sides, target.items, origin)
 
     def _conversion(self, connection: Connection, source: Signal, target: Signal) -> tuple[float, float]:
-        """Return factor and offset between two signals; note a warning if a unit is assumed."""
+        """Return factor and offset; note a warning for an assumed unit."""
         assumed = taken_for(self.file, connection, source, target)
         if assumed is None:
             return connection.conversion or source.conversion(target) or (1.0, 0.0)
         warning = f"{connection.target} {assumed.sentence}"
-        if assumed.sentence and warning not in self.diagnosis.warnings:  # of an array once
+        if assumed.sentence and warning not in self.diagnosis.warnings:  # once for all elements of an array
             self.diagnosis.warnings.append(warning)
         return assumed.factor, assumed.offset
 
     def _ends(self, where: Place, text: str, side: str) -> list[Signal]:
-        """Return one end among a component's `side`, its inputs or outputs; none, a fault noted, if there is none."""
+        """Return the signals of a connection's end; note a fault if none."""
         name, _, variable = text.partition(".")
         if name not in self.file.scenario.components and name not in self.file.broken:
             hint = did_you_mean(name, self.file.scenario.components)
             self.diagnosis.note(where, f'no component "{name}"{hint}')
             return []
         component = self.components.get(name)
-        if component is None or name in self.file.broken:  # its own fault is told already
+        if component is None or name in self.file.broken:  # Another check reports this component.
             return []
         known = self._signals(component, side)
         if variable in known:
@@ -264,7 +272,7 @@ class _Wiring:
         return []
 
     def _signals(self, component: Component, side: str) -> dict[str, list[Signal]]:
-        """Name → signal, and name of an array → its elements."""
+        """Return signals by name, and elements by name of their array."""
         key = component.name, side
         if key not in self._known:
             found = self._known[key] = {}
@@ -291,7 +299,10 @@ def _signals(component: Component, side: str) -> tuple[Signal, ...]:
 
 
 def _check_faults(file: ScenarioFile, diagnosis: Diagnosis) -> None:
-    """An injected fault is on a connection, has what its kind needs, and acts within the run."""
+    """Note faults of injected faults.
+
+    Each must act on a connection, within the run, and have its required keys.
+    """
     scenario = file.scenario
     targets = dict.fromkeys(c.target for c in scenario.connections)
     needs = {"bias": "value", "scale": "value", "stuck": "value", "spike": "value", "delay": "delay"}
@@ -317,7 +328,7 @@ def _check_faults(file: ScenarioFile, diagnosis: Diagnosis) -> None:
 
 
 def _check_sources(file: ScenarioFile, diagnosis: Diagnosis) -> None:
-    """An input has one source."""
+    """Note a fault for each input with two sources."""
     seen: dict[str, str] = {}
     for k, connection in zip(file.places["connections"], file.scenario.connections, strict=True):
         if connection.target in seen:
@@ -327,7 +338,10 @@ def _check_sources(file: ScenarioFile, diagnosis: Diagnosis) -> None:
 
 
 def unconnected(file: ScenarioFile, components: Components) -> Iterator[str]:
-    """A warning for each component with inputs that nothing feeds and the scenario gives no value."""
+    """Yield a warning for each component with unconnected inputs.
+
+    Inputs with a value in the scenario do not count.
+    """
     fed = {c.target for c in file.scenario.connections}
     fed |= {target for event in file.scenario.events for target in event.set}
     for name, component in components.items():
