@@ -342,18 +342,18 @@ class _Untitled(GenerateJsonSchema):
 
 
 def schema() -> dict[str, Any]:
-    """Return the JSON schema, draft 2020-12, as stored in refine.schema.json."""
+    """Return the JSON schema of refine.json."""
     body = Record.model_json_schema(mode="serialization", schema_generator=_Untitled)
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **body}
 
 
 def known(channels: Mapping[str, float]) -> dict[str, float]:
-    """Return the finite channels; a log too short for one replay gives none."""
+    """Return the finite channels."""
     return {name: value for name, value in channels.items() if math.isfinite(value)}
 
 
 def effects(subject: Subject, claimed: Hypothesis, tried: Iterable[Hypothesis]) -> list[EffectEntry]:
-    """Return the added effects; the part with the most costly loss comes first."""
+    """Return the added effects, most important first."""
     declared = subject.declared
     alone = {h.names: h.score for h in tried if len(h.candidates) == 1}
     return [
@@ -368,7 +368,7 @@ def effects(subject: Subject, claimed: Hypothesis, tried: Iterable[Hypothesis]) 
 
 
 def per_log(study: Study, f: Fit, ends: Mapping[str, float]) -> dict[str, PerLog]:
-    """Return every parameter per log: fitted for each group, else the final filtered value."""
+    """Return every parameter per log."""
     declared, found = study.subject.declared, {}
     for name in study.settings.per_log:
         unit, (mean, sd) = declared[name].unit, expected(f, name)
@@ -385,13 +385,13 @@ def _estimate(f: Fit, name: str, unit: str) -> Estimate:
 
 
 def unseen(a: Attribution, claims: Claims) -> list[str]:
-    """Return effects invisible at their usual size, without the claimed ones."""
+    """Return effects that the logs cannot show."""
     claimed = claims.claimed.names if claims.claimed else ()
     return [name for name in a.hidden if name not in claimed]
 
 
 def ranking(a: Attribution, claims: Claims) -> list[CandidateEntry]:
-    """Return every hypothesis, best first, with scores and the reason against it."""
+    """Return every hypothesis with its scores."""
     return [
         CandidateEntry(
             names=list(h.names),

@@ -32,12 +32,12 @@ class Refined:
 
     @property
     def verdict(self) -> str:
-        """Return effect_found, parameter_error, sensor_error, no_effect, ambiguous or unexplained."""
+        """Return the verdict, such as effect_found or ambiguous."""
         return str(self.record.get("verdict", ""))
 
     @property
     def effects(self) -> list[dict[str, Any]]:
-        """Return the added effects with values and intervals, most important first."""
+        """Return the added effects with intervals."""
         return list(self.record.get("effects") or ())
 
     @property
@@ -76,7 +76,7 @@ class Refined:
         return pandas.DataFrame(rows, columns=["model", "part", "channel", "rmse"])
 
     def plot(self, part: str = "validation") -> Figure:
-        """Plot the errors of each channel before and after with matplotlib.
+        """Plot the errors of each channel with matplotlib.
 
         Args:
             part: `validation` or `estimation` logs.
@@ -98,7 +98,7 @@ class Refined:
 
 
 def read_refined(folder: Path) -> Refined | None:
-    """Return the refinement result in a folder, None without a result."""
+    """Return the result in a folder, or None."""
     if not (folder / ANSWER).is_file():
         return None
     return Refined(json.loads((folder / ANSWER).read_text(encoding="utf-8")), folder)

@@ -45,7 +45,7 @@ NARROWEST, WIDEST = 1e-6, 2.0  # share of a parameter: stricter than any data sh
 
 
 def _share(value: Any) -> Any:
-    """Return a valid tolerance; raise ValueError with one message for every fault."""
+    """Return a tolerance or raise ValueError with the cure."""
     if isinstance(value, str) and has_unit(value):
         with suppress(ValueError):
             value = read_quantity(value, "1")
@@ -56,7 +56,7 @@ def _share(value: Any) -> Any:
 
 
 def _by_name(value: Any) -> str:
-    """Return the tag of a setting: common to all, or by name."""
+    """Return the tag of a setting."""
     return "«by name»" if isinstance(value, dict) else "«all»"
 
 
@@ -75,9 +75,8 @@ FileName = Annotated[str, AfterValidator(_file_name)]
 class LogLists(BaseModel):
     """Log files, relative to the study.
 
-    Attributes:
-        estimation: Logs for estimation.
-        validation: Logs sealed until all decisions are made.
+    estimation: Logs for estimation.
+    validation: Logs sealed until all decisions are made.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -89,18 +88,16 @@ class LogLists(BaseModel):
 class StudyFile(BaseModel):
     """A study: the model and its logs.
 
-    Attributes:
-        model: A registered name, a model.yaml, or `file.py:Class`.
-        logs: Files, relative to the study.
-        noise: Output → standard deviation of its sensor, if different from the model's, in the output's unit or `2
-            deg`.
-        tolerance: Relative tolerance of base parameters, for all or by name.
-        inputs: Held from row to row, or interpolated, for all or by name.
-        candidates: Effects, sensor errors and parameters on trial; default: all.
-        columns: Name in the logs → name in the model, if different.
-        per_log: Parameters with a separate value for each log.
-        groups: Name → logs with common values of per_log.
-        limits: Limits of each FMU call in replays.
+    model:      A registered name, a model.yaml, or `file.py:Class`.
+    logs:       Files, relative to the study.
+    noise:      Output → standard deviation of its sensor, if different from the model's, in its unit or `2 deg`.
+    tolerance:  Relative tolerance of base parameters, for all or by name.
+    inputs:     Held from row to row, or interpolated, for all or by name.
+    candidates: Effects, sensor errors and parameters on trial; default: all.
+    columns:    Name in the logs → name in the model, if different.
+    per_log:    Parameters with a separate value for each log.
+    groups:     Name → logs with common values of per_log.
+    limits:     Limits of each FMU call in replays.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -126,7 +123,7 @@ class StudyFile(BaseModel):
         return frozenset(name for name, way in ways.items() if way == "interpolated")
 
     def tolerance_of(self, subject: Subject) -> dict[str, float]:
-        """Return base parameter → relative tolerance; a single number applies to all recalibrated parameters."""
+        """Return base parameter → relative tolerance."""
         if isinstance(self.tolerance, dict):
             return dict(self.tolerance)
         base = [p.name for p in subject.parameters]
@@ -151,7 +148,7 @@ class Study:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """Return the files of the study, its model and its logs."""
+        """Return the study, model and log files."""
         logs = tuple(self.folder / name for _, name in _entries(self.content.logs))
         if self.path is None:
             return logs
@@ -254,7 +251,7 @@ def study_of(
     validation: FilePath | Sequence[FilePath] = (),
     **settings: Any,
 ) -> Study:
-    """Return a study of any subject with logs read and checked like those of a file.
+    """Return a study of any subject with checked logs.
 
     Args:
         settings: Keys of a study file, such as noise={"position": 1e-3} or candidates=["coulomb_friction"].
@@ -279,13 +276,13 @@ def study_of(
 def _lists(
     logs: FilePath | Sequence[FilePath], validation: FilePath | Sequence[FilePath]
 ) -> Iterator[tuple[str, Sequence[FilePath]]]:
-    """Yield the lists of logs; a single file counts as a list."""
+    """Yield the lists of logs."""
     for name, files in (("estimation", logs), ("validation", validation)):
         yield name, [files] if isinstance(files, (str, os.PathLike)) else files
 
 
 def _faults_of_keys(places: Places, content: StudyFile, subject: Subject, *, unlisted: bool) -> list[Fault]:
-    """Return all faults of a study before its logs are read.
+    """Return all faults of the study's keys.
 
     Args:
         unlisted: True if no estimation log is listed.
@@ -302,7 +299,7 @@ def _faults_of_keys(places: Places, content: StudyFile, subject: Subject, *, unl
 def _faults_beside_logs(
     places: Places, content: StudyFile, subject: Subject, logs: Sequence[Log], digests: Mapping[str, str]
 ) -> Iterator[Fault]:
-    """Yield all faults between a study and its estimation logs."""
+    """Yield faults between study and logs."""
     yield from _noise_of_no_sensor(places, content.noise, logs)
     yield from _listed_twice(places, content.logs, digests)
     yield from _too_few(places, content, subject, logs)
@@ -311,7 +308,7 @@ def _faults_beside_logs(
 def _read_logs(
     yaml: Places, content: StudyFile, subject: Subject
 ) -> tuple[dict[str, list[Log]], dict[str, str], list[str], list[Fault]]:
-    """Return usable stretches of each list, digests of files, warnings, and faults."""
+    """Return usable stretches, file digests, warnings and faults."""
     folder, traits = yaml.path.parent, subject.traits
     logs: dict[str, list[Log]] = {"estimation": [], "validation": []}
     digests: dict[str, str] = {}
@@ -351,7 +348,7 @@ def _entries(logs: LogLists) -> list[tuple[str, str]]:
 
 
 def _listed_twice(yaml: Places, logs: LogLists, digests: Mapping[str, str]) -> Iterator[Fault]:
-    """Yield faults of files, or contents (name → digest), listed twice."""
+    """Yield faults of files listed twice, by name or by content."""
     listed: dict[str, tuple[str, str]] = {}
     for n, (part, name) in enumerate(_entries(logs)):
         path = os.path.realpath(yaml.path.parent / name)
@@ -369,7 +366,7 @@ def _listed_twice(yaml: Places, logs: LogLists, digests: Mapping[str, str]) -> I
 
 
 def _digest(log: Log) -> str:
-    """Return a digest of the numbers, independent of their format, to identify copies of a log."""
+    """Return a digest of the numbers, equal for copies."""
     content = hashlib.sha256(log.time.tobytes())
     for name, values in sorted({**log.inputs, **log.outputs}.items()):
         content.update(name.encode() + b"\0" + np.where(np.isnan(values), np.nan, values).tobytes())
@@ -382,7 +379,7 @@ def _spikes(log: Log, subject: Subject) -> dict[str, Rows]:
 
 
 def least_duration(log: Log, horizon: float) -> float:
-    """Return the least duration of a log [s]: skipped start, one replay and a scored second.
+    """Return the least useful duration of a log [s].
 
     A slow log needs proportionally more.
     """
@@ -390,7 +387,7 @@ def least_duration(log: Log, horizon: float) -> float:
 
 
 def judged(log: Log, horizon: float) -> list[Log]:
-    """Return the measured stretches of a log with sufficient duration; a table is whole."""
+    """Return the measured stretches of sufficient duration."""
     if log.table:
         return [log]
     least = least_duration(log, horizon) - 0.5 * log.step
@@ -411,7 +408,7 @@ def _too_short(log: Log, horizon: float) -> Fault:
 
 
 def _too_few(yaml: Places, content: StudyFile, subject: Subject, logs: Sequence[Log]) -> Iterator[Fault]:
-    """Yield faults of tables with too few rows for recalibration, one more parameter, and the noise."""
+    """Yield faults of tables with too few rows."""
     if not logs or not subject.static:
         return
     numbers = len(tolerances(subject, content.tolerance_of(subject)))
@@ -423,7 +420,7 @@ def _too_few(yaml: Places, content: StudyFile, subject: Subject, logs: Sequence[
 
 
 def _too_late(model_file: Path, loaded: LoadedModel, logs: Sequence[Log]) -> Iterator[Fault]:
-    """Yield faults of model.yaml latencies that leave too little of a log."""
+    """Yield faults of latencies too long for the logs."""
     for name in (f"{kind.name}.value" for kind in loaded.model.sensors if kind.late):
         seconds = loaded.sensors.get(name, 0.0)
         lasts: dict[Path, float] = {}
@@ -438,7 +435,7 @@ def _too_late(model_file: Path, loaded: LoadedModel, logs: Sequence[Log]) -> Ite
 
 
 def _noise_of_no_sensor(yaml: Places, noise: Mapping[str, float], logs: Sequence[Log]) -> Iterator[Fault]:
-    """Yield faults of implausible noise, for example in a wrong unit."""
+    """Yield faults of implausible sensor noise."""
     for name, level in noise.items():
         read = np.concatenate([np.zeros(0), *(log.outputs[name] for log in logs if name in log.outputs)])
         read = read[np.isfinite(read)]
@@ -478,5 +475,5 @@ def _unknown_settings(yaml: Places, content: StudyFile, subject: Subject) -> Ite
 
 
 def candidate_names(subject: Subject) -> Sequence[str]:
-    """Return the names of all possible candidates of a study."""
+    """Return the names of all possible candidates."""
     return [c.name for c in subject.candidates([q.name for q in subject.inputs])]

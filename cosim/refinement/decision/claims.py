@@ -134,7 +134,7 @@ class Claims:
 
     @property
     def residual(self) -> Mapping[str, Any]:
-        """Return the location and the signals of the misfit as written to refine.json."""
+        """Return the misfit's location and signals."""
         if self.left_of is None:
             return self.misfit
         output, signal = self.left_of
@@ -142,11 +142,11 @@ class Claims:
 
     @property
     def near(self) -> Hypothesis | None:
-        """Return the nearest hypothesis, or the claim if the claim is complete."""
+        """Return the nearest hypothesis or a complete claim."""
         return self.claimed if self.nearest is None else self.nearest.hypothesis
 
     def withdrawn(self, doubt: Doubt) -> Claims:
-        """Return an unexplained answer with the claim as the nearest candidate and the reason."""
+        """Return an unexplained answer with a reason."""
         names = self.claimed.names if self.claimed else ()
         return Claims("unexplained", rivals=names, misfit=self.misfit, doubt=doubt)
 
@@ -154,7 +154,7 @@ class Claims:
 def judge(
     a: Attribution, left: Leftover, subject: Subject, forced: Sequence[str], moves: Mapping[str, float], *, still: bool
 ) -> Claims:
-    """Return the claim that the fits support; the first rule that applies decides.
+    """Return the claim of the first matching rule.
 
     Args:
         moves: Forced state → size of its unknown input relative to the state's derivative on the logs.
@@ -183,12 +183,12 @@ def judge(
 
 
 def _large(moves: Mapping[str, float]) -> str:
-    """Return the state with the largest unknown input above `LARGE`; empty if none."""
+    """Return the state with the largest disturbance, or ""."""
     return max((name for name in moves if moves[name] > LARGE), key=lambda name: moves[name], default="")
 
 
 def _ambiguous(a: Attribution, subject: Subject, residual: Mapping[str, Any]) -> Claims:
-    """Claim the best hypothesis until an experiment separates the rivals; shared candidates are certain."""
+    """Claim the best hypothesis, and its shared candidates for certain."""
     every = (a.best, *a.rivals, *([a.fuller] if a.fuller and a.fuller.score < a.best.score else []))
     common = set(a.best.names).intersection(*(h.names for h in a.rivals))
     apart = [[n for n in h.names if n not in common] for h in every]
@@ -204,14 +204,14 @@ def usual_experiment(subject: Subject) -> str:
 
 
 def experiment_for(subject: Subject, names: Sequence[str]) -> str:
-    """Return the input that separates these rivals, as declared by the subject."""
+    """Return the input that separates these rivals."""
     known = [(len(row & set(names)), text) for row, text in subject.told_apart_by.items()]
     shared, text = max(known, default=(0, ""))
     return text if shared > 1 else usual_experiment(subject)
 
 
 def name_of(candidates: Sequence[Candidate], subject: Subject) -> Name:
-    """Return the verdict for these candidates according to their kinds."""
+    """Return the verdict for the candidates' kinds."""
     kinds = {kind_within(c, subject) for c in candidates}
     return "parameter_error" if kinds == {"parameter"} else "sensor_error" if kinds == {"sensor"} else "effect_found"
 
@@ -238,7 +238,7 @@ def _disputed(a: Attribution, left: Leftover) -> bool:
 
 
 def _misfit(a: Attribution, left: Leftover, forced: Sequence[str]) -> dict[str, Any]:
-    """Return the location of the misfit and the signals on which the misfit depends."""
+    """Return the misfit's location and signals from the fits."""
     q0, q1 = a.base.fit.noise.density, a.best.fit.noise.density
     noise = {
         equation: {"before": float(q0[k]), "after": float(q1[k]), "inflated": a.noisy[k], "gain": a.noise_gain[k]}

@@ -56,12 +56,12 @@ def blocks_of(problem: Problem, scored: Scored, memory: float) -> Rows:
 
 
 def number_of_blocks(problem: Problem, f: Fit) -> int:
-    """Return the number of blocks of time with scored measurements of a fit."""
+    """Return the number of scored blocks of a fit."""
     return int(np.unique(blocks_of(problem, problem.scored(f.values, f.noise), math.exp(f.noise.memory))).size)
 
 
 def correlated(scored: Scored) -> float:
-    """Return the correlation length of normalised errors [rows]: the sum of the autocorrelation."""
+    """Return the autocorrelation length of normalised errors [rows]."""
     parts, rows = scored.of_each_log(scored.errors / np.sqrt(scored.variances)), scored.of_each_log(scored.rows)
     longest = 0.0
     for part, at in zip(parts, rows, strict=True):
@@ -74,7 +74,7 @@ def correlated(scored: Scored) -> float:
 
 
 def steadiness(problem: Problem, better: Fit, worse: Fit, costs: float = 0.0) -> float:
-    """Return a gain, priors included, divided by its scatter over blocks of time.
+    """Return a gain divided by its scatter over blocks.
 
     Args:
         costs: Additional cost of `worse` relative to `better` (Vuong 1989, eq. 5.9).
@@ -87,20 +87,20 @@ def steadiness(problem: Problem, better: Fit, worse: Fit, costs: float = 0.0) ->
 
 
 def by_block(block: Rows, worse: Scored, better: Scored, known: float) -> float:
-    """Return a gain plus a constant, divided by its scatter over blocks of time."""
+    """Return a gain divided by its scatter over blocks."""
     terms, others = (np.nan_to_num(s.terms, nan=DIVERGED, posinf=DIVERGED) for s in (worse, better))
     gains = np.bincount(block, terms - others).astype(np.float64)
     return in_scatter(gains[np.bincount(block) > 0], known)
 
 
 def in_scatter(gains: Array, known: float = 0.0) -> float:
-    """Return a sum plus a constant, divided by the standard deviation of the sum."""
+    """Return a sum divided by its standard deviation."""
     total, spread = known + float(np.sum(gains)), float(np.std(gains)) * math.sqrt(gains.size)
     return total / spread if spread > 0.0 else math.copysign(math.inf, total) if total else 0.0
 
 
 def held_out(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[float, float]:
-    """Return the held-out likelihood gain of `better`, and its open-loop gain divided by the scatter.
+    """Return the held-out gains in likelihood and open loop.
 
     Parameters claimed by only one hypothesis keep the values from the other logs, or of the model. For the likelihood,
     the
@@ -135,7 +135,7 @@ def held_out(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[flo
 
 
 def predicts(problem: Problem, horizon: float, better: Fit, worse: Fit) -> float:
-    """Return the open-loop gain on held-out logs divided by its scatter; a single log is halved."""
+    """Return the open-loop gain per scatter on held-out logs."""
     problem = problem if len(problem.logs) > 1 else halved(problem)
     logs = range(len(problem.logs))
 
@@ -149,7 +149,7 @@ def predicts(problem: Problem, horizon: float, better: Fit, worse: Fit) -> float
 
 
 def best_of(scatters: float, tried: int) -> float:
-    """Return the gain per scatter that the best of several candidates needs.
+    """Return the required gain per scatter of several candidates.
 
     The probability that the best of n ineffective candidates passes z is at most n·(1 − Φ(z)) (Bonferroni).
     """
@@ -159,7 +159,7 @@ def best_of(scatters: float, tried: int) -> float:
 
 
 def beyond_chance(problem: Problem, f: Fit, tried: int) -> float:
-    """Return the gain per scatter at which chance becomes unlikely for the best of several candidates.
+    """Return the gain per scatter that excludes chance.
 
     An estimate of t standard deviations gains ½·t², which is ½·|t| times the scatter of the gain. t follows Student's
     distribution over the blocks of time, with Bonferroni's correction for `tried` candidates.
@@ -171,7 +171,7 @@ def beyond_chance(problem: Problem, f: Fit, tried: int) -> float:
 
 
 def learnt_without(search: Search, problem: Problem, h: Hypothesis, left_out: int) -> Fit:
-    """Return the fit of a hypothesis to all logs but one, cached in the search."""
+    """Return a cached fit to all logs but one."""
     key = (h.names, left_out)
     if key not in search.learnt:
         others = [k for k in range(len(problem.logs)) if k != left_out]
@@ -182,7 +182,7 @@ def learnt_without(search: Search, problem: Problem, h: Hypothesis, left_out: in
 
 
 def _nearer(found: Sequence[Sequence[Array]]) -> Array:
-    """Return the decrease of squared errors per replay, each output scaled by its own size."""
+    """Return the scaled decrease of squared errors per replay."""
     longest = max(missed[0].shape[1] for missed in found)  # Rows of the longest replay: logs may differ in length.
     worse, better = (np.concatenate([_padded(missed[k], longest) for missed in found]) for k in (0, 1))
     both = np.isfinite(worse) & np.isfinite(better)
@@ -195,12 +195,12 @@ def _nearer(found: Sequence[Sequence[Array]]) -> Array:
 
 
 def _padded(missed: Array, rows: int) -> Array:
-    """Return replays padded with NaN to a common number of rows."""
+    """Return replays padded with NaN to equal length."""
     return np.pad(missed, ((0, 0), (0, rows - missed.shape[1]), (0, 0)), constant_values=np.nan)
 
 
 def open_loop(problem: Problem, horizon: float, values: Mapping[str, float], f: Fit, index: int) -> Array:
-    """Return the open-loop residual of each replay of a log, NaN for missing values.
+    """Return the open-loop residual of each replay.
 
     Each replay starts from the filtered state. Consecutive replays last one horizon of the model, or an eighth of the
     log
@@ -243,7 +243,7 @@ def as_given(problem: Problem, base: Fit, left_out: int | None = None) -> Fit:
 
 
 def scatter(problem: Problem, f: Fit) -> float:
-    """Return the median ratio of estimate variances by scatter over time to variances for a white residual."""
+    """Return the ratio of scattered to white estimate variances."""
     spread, white = scattered(problem, f).scattered, inverse(f.information)
     assert spread is not None
     ratios = [spread[k, k] / white[k, k] for k in range(len(f.free)) if white[k, k] > 0.0]
@@ -262,7 +262,7 @@ def _of_few(covariance: Array, rows: int, free: int) -> Array:
 
 
 def scattered(problem: Problem, f: Fit) -> Fit:
-    """Return the fit with the sandwich covariance of its estimates over blocks of time (White)."""
+    """Return the fit with White's sandwich covariance."""
     each, information = scores(problem, f)
     scored = problem.scored(f.values, f.noise)
     block = blocks_of(problem, scored, math.exp(f.noise.memory))

@@ -31,7 +31,7 @@ TOLERANCES = (0.5, 2.0)  # factors on the tolerances that test whether a claim d
 
 
 def decided(found: Found) -> Attribution:
-    """Return the best supported hypothesis, its rivals, and the reasons against the others."""
+    """Return the best supported hypothesis and its rivals."""
     search, base = found.search, found.search.tried[()]
     kept = _borne_out(search, found.best)
     best = kept.best
@@ -64,7 +64,7 @@ class _Kept:
 
 
 def _borne_out(search: Search, best: Hypothesis) -> _Kept:
-    """Drop the weakest unsupported part until all parts are supported.
+    """Drop the weakest unsupported part until none remains.
 
     Parts with small gains stay if their joint gain is sufficient.
     """
@@ -91,7 +91,7 @@ def _borne_out(search: Search, best: Hypothesis) -> _Kept:
 
 
 def _stand_together(search: Search, every: Hypothesis, left: Hypothesis) -> bool:
-    """Return True if several parts with small gains gain enough together."""
+    """Return True if small parts gain enough together."""
     small = [c for c in every.candidates if c.name not in left.names]
     if len(small) < 2 or left.fit.objective - every.fit.objective < search.cost(small):
         return False
@@ -99,12 +99,12 @@ def _stand_together(search: Search, every: Hypothesis, left: Hypothesis) -> bool
 
 
 def surely(search: Search, f: Fit) -> float:
-    """Return the gain per scatter that excludes chance for the number of candidates on trial."""
+    """Return the gain per scatter that excludes chance."""
     return beyond_chance(search.problem, f, search.on_trial)
 
 
 def _without_each(search: Search, h: Hypothesis) -> dict[str, Hypothesis]:
-    """Fit the hypothesis without each of its parts to convergence."""
+    """Fit the hypothesis without each of its parts."""
 
     def one(c: Candidate) -> Hypothesis:
         left = tuple(other for other in h.candidates if other.name != c.name)
@@ -130,7 +130,7 @@ def _support(search: Search, better: Hypothesis, worse: Hypothesis) -> Support:
 
 
 def _doubt(search: Search, h: Hypothesis, c: Candidate, s: Support) -> str:
-    """Return the reason why a part is not supported; empty if supported."""
+    """Return the reason against a part, or ""."""
     if s.gain < search.cost([c]):
         return f"gains {s.gain:.1f}, less than the {search.cost([c]):.0f} that it costs"
     if limits := _limits(h, [c], search.problem.values):
@@ -188,7 +188,7 @@ def _is_rival(search: Search, best: Hypothesis, h: Hypothesis) -> bool:
 
 
 def _with_tolerance(h: Hypothesis, times: float, weight: float) -> float:
-    """Return the objective with all tolerances scaled by a factor, from the quadratic model of the fit.
+    """Return the objective with all tolerances scaled.
 
     With F the information without priors and θ̂ the optimum of F alone, this is the minimum of ½(θ−θ̂)'F(θ−θ̂) +
     priors.
@@ -216,13 +216,13 @@ def _with_tolerance(h: Hypothesis, times: float, weight: float) -> float:
 
 
 def loss_without(h: Hypothesis, c: Candidate, neutral: Mapping[str, float]) -> float:
-    """Return the log-likelihood loss of a hypothesis without a part, from the information of its fit."""
+    """Return the estimated log-likelihood loss without a part."""
     away = np.array([h.fit.values[f.name] - neutral[f.name] for f in c.free])
     return 0.5 * float(away @ h.fit.marginal(c.parameters) @ away)
 
 
 def noise_gain(problem: Problem, f: Fit) -> tuple[float, ...]:
-    """Return the log-likelihood gain of each forced equation's unknown input in a fit."""
+    """Return the log-likelihood gain of each unknown input."""
     without = np.diag(problem.noise.smallest - f.noise.power) + f.noise.power
     return tuple(problem.scored(f.values, replace(f.noise, power=power)).nll - f.nll for power in without)
 
@@ -238,7 +238,7 @@ def at_limit(h: Hypothesis, f: Free, neutral: Mapping[str, float]) -> bool:
 
 
 def _limits(h: Hypothesis, parts: Sequence[Candidate], neutral: Mapping[str, float]) -> list[str]:
-    """Return the parameters of some parts that are at a limit."""
+    """Return the parameters at a limit."""
     return [f.name for c in parts for f in c.free if at_limit(h, f, neutral)]
 
 

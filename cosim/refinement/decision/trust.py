@@ -32,7 +32,7 @@ CLEARLY = 0.05  # improvement of the log error of open-loop predictions from whi
 
 
 def attributed(subject: Subject, problem: Problem, candidates: Sequence[Candidate], progress: Progress) -> Found:
-    """Return the best hypothesis, with free unknown inputs or with trusted equations.
+    """Return the best hypothesis, with or without unknown inputs.
 
     Equations are trusted if open-loop predictions become clearly better.
     """
@@ -54,12 +54,12 @@ def attributed(subject: Subject, problem: Problem, candidates: Sequence[Candidat
 
 
 def missed(problem: Problem, subject: Subject, f: Fit) -> float:
-    """Return the log error of open-loop predictions over the model's horizon, averaged over the outputs."""
+    """Return the mean log error of open-loop predictions."""
     return size([open_loop(problem, subject.horizon, f.values, f, k) for k in range(len(problem.logs))])
 
 
 def size(errors: Sequence[Array]) -> float:
-    """Return the logarithm of the root mean square error, averaged over the outputs."""
+    """Return the mean log RMSE over the outputs."""
     rows = np.concatenate([e.reshape(-1, e.shape[-1]) for e in errors])
     with np.errstate(invalid="ignore", divide="ignore"):
         sizes = 0.5 * np.log(np.nanmean(rows**2, axis=0))

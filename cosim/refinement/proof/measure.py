@@ -41,7 +41,7 @@ Evidence = list[tuple[Log, Replay]]
 
 
 def filtering(problem: Problem, subject: Subject, logs: Sequence[Log]) -> Problem:
-    """Return the filter problem of a variant on other logs; missing signals are missing readings.
+    """Return a variant's filter problem on other logs.
 
     The kernel of `problem` takes all parameters, including those of the variant.
     """
@@ -57,7 +57,7 @@ def filtering(problem: Problem, subject: Subject, logs: Sequence[Log]) -> Proble
 def replays(
     variant: Variant, replayer: Replayer, problem: Problem, logs: Sequence[Log], horizons: Sequence[float] = ()
 ) -> dict[float, Evidence]:
-    """Return horizon → corrected logs with their consecutive replays through the delivered object.
+    """Return horizon → corrected logs and their replays.
 
     The subject's own horizon comes first. An unstable subject may stop its FMU on another horizon; that log is skipped.
     """
@@ -89,7 +89,7 @@ def replays(
 def _starts(
     variant: Variant, problem: Problem, log: Log, index: int, horizon: float
 ) -> tuple[dict[int, Start], dict[str, Array]]:
-    """Return replay starts from past data only, and parameters per log in every row."""
+    """Return replay starts and parameters per log."""
     rows, layout = first_rows(log, horizon), problem.layout
     data = problem.data(variant.values, index)
     filtered = problem.known(data, variant.values, variant.noise, index, log.grid[rows].tolist())
@@ -104,7 +104,7 @@ def _starts(
 
 
 def first_rows(log: Log, horizon: float) -> list[int]:
-    """Return the rows at which replays start; a free run starts once, at the first row."""
+    """Return the first rows of the replays."""
     return [0] if horizon == FREE_RUN else window_rows(log, horizon)
 
 
@@ -114,7 +114,7 @@ def rmse(evidence: Evidence) -> dict[str, float]:
 
 
 def without_sensor_errors(log: Log, variant: Variant, acting: Mapping[str, Array], said: Mapping[str, Array]) -> Log:
-    """Return the log with its readings corrected for the modelled sensor errors.
+    """Return the log without the modelled sensor errors.
 
     Args:
         acting: Parameters per log, one value for each row.
@@ -131,20 +131,20 @@ def without_sensor_errors(log: Log, variant: Variant, acting: Mapping[str, Array
 
 
 def _sensors(variant: Variant, acting: Mapping[str, Array]) -> Iterator[SensorError]:
-    """Yield the sensor errors in reverse order of their action."""
+    """Yield the sensor errors, last one first."""
     values = {**variant.values, **acting}
     for kind in reversed(variant.subject.sensors):
         yield kind(value=values[f"{kind.name}.value"])
 
 
 def _line(sensor: SensorError) -> tuple[Any, Any]:
-    """Return the reading at zero and the gain of a linear sensor error."""
+    """Return zero reading and gain of a sensor."""
     at_zero = sensor.measure(0.0)
     return at_zero, sensor.measure(1.0) - at_zero
 
 
 def _added(sensor: Any, time: Array, said: Mapping[str, Array]) -> dict[str, Array]:
-    """Return output → error that a nonlinear sensor adds at the simulated outputs."""
+    """Return output → error of a nonlinear sensor."""
     own = {n: said[n] for n in sensor.affected()}
     if sensor.late:
         return {n: np.interp(time - sensor.value, time, there, left=np.nan) - there for n, there in own.items()}
@@ -154,7 +154,7 @@ def _added(sensor: Any, time: Array, said: Mapping[str, Array]) -> dict[str, Arr
 
 
 def _acting(problem: Problem, filtered: Filtered, starts: Rows, rows: Rows) -> dict[str, Array]:
-    """Return parameter per log → value in each row, as filtered at the start of that row's replay."""
+    """Return the parameters per log at each replay's start."""
     constants = problem.layout.constants
     if not constants:
         return {}
@@ -165,7 +165,7 @@ def _acting(problem: Problem, filtered: Filtered, starts: Rows, rows: Rows) -> d
 
 
 def predicted_errors(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
-    """Return the RMSE of each channel over the horizon, replayed by the kernel."""
+    """Return the RMSE of each channel in kernel replays."""
     problem = filtering(problem, variant.subject, logs)
     missed = [
         _missed(variant, problem, log, index, problem.data(variant.values, index)) for index, log in enumerate(logs)
@@ -186,14 +186,14 @@ class Floor:
     scatter: Mapping[str, float]
 
     def above(self, error: Mapping[str, float]) -> dict[str, tuple[float, float]]:
-        """Return channel → floor and error where the floor clearly exceeds the error."""
+        """Return channel → floor and error if the floor is too high."""
         there = {n: (f, error[n]) for n, f in self.level.items() if error.get(n, 0.0) > 0.0}
         limits = {n: max(math.log(CALMER), UNLIKE * self.scatter.get(n, 0.0)) for n in there}
         return {n: (f, e) for n, (f, e) in there.items() if f > 0.0 and math.log(f / e) > limits[n]}
 
 
 def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np.random.Generator) -> Floor:
-    """Return the noise floor: replay errors of simulations with the estimated process and sensor noise."""
+    """Return the noise floor from simulations with random noise."""
     problem = filtering(problem, variant.subject, logs)
     draws: list[list[Array]] = [[] for _ in range(-(-DRAWS // len(logs)))]
     for index, log in enumerate(logs):
@@ -209,7 +209,7 @@ def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np
 
 
 def followed(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
-    """Return final filtered values of parameters per log; of a log in pieces, the last piece counts."""
+    """Return the last filtered values of parameters per log."""
     if not logs or not problem.layout.constants:
         return {}
     problem = filtering(problem, variant.subject, logs)
@@ -218,7 +218,7 @@ def followed(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[st
 
 
 def _known_at_the_end(variant: Variant, problem: Problem, index: int) -> dict[str, float]:
-    """Return the filtered values of parameters per log at the end of a log."""
+    """Return filtered parameters at the end of a log."""
     if not (constants := problem.layout.constants):
         return {}
     last = problem.undisturbed(problem.run(variant.values, variant.noise, index, states=True).states[-1])
@@ -228,7 +228,7 @@ def _known_at_the_end(variant: Variant, problem: Problem, index: int) -> dict[st
 
 
 def _drawn(problem: Problem, index: int, variant: Variant, first: Array, rng: np.random.Generator) -> Data:
-    """Return a simulated log with new process and sensor noise from a given start state.
+    """Return a simulated log with new noise.
 
     Late readings are shifted to the rows of their measurement, as in `Problem.data`.
     """
@@ -245,7 +245,7 @@ def _drawn(problem: Problem, index: int, variant: Variant, first: Array, rng: np
 
 
 def _older(outputs: Array, late: Array | None) -> Array:
-    """Return outputs shifted by fractions of a row, as the filter treats readings older than their row."""
+    """Return outputs shifted by fractions of a row."""
     return outputs if late is None else outputs - np.nan_to_num(late) * np.diff(outputs, axis=0, prepend=outputs[:1])
 
 

@@ -66,7 +66,7 @@ class Proof:
         return self.every(variants, delivered), way
 
     def every(self, variants: Mapping[str, Variant], way: Way) -> Replayed:
-        """Replay every variant on every set; a variant with two names is replayed once."""
+        """Replay every distinct variant on every set."""
         horizons = [] if self.problem.table else list(OTHER_HORIZONS.values())
         done: dict[int, dict[Part, dict[float, Evidence]]] = {}
         for variant in variants.values():
@@ -79,7 +79,7 @@ class Proof:
 
 
 def difference(one: Replay, other: Replay) -> float:
-    """Return the largest output difference relative to max(1, largest value).
+    """Return the largest relative difference of outputs.
 
     The difference is infinite if only one replay predicts.
     """
@@ -96,6 +96,6 @@ def _apart(one: Array, other: Array) -> float:
 
 
 def warnings_of(way: Replays) -> Iterator[str]:
-    """Warn if the native FMU differs from the Python FMU."""
+    """Warn of an unequal native FMU."""
     if way.through == "python" and way.log:
         yield f"the native FMU of the model is not used: {way.why}; every error is that of FMUs in Python"

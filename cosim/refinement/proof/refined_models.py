@@ -28,7 +28,7 @@ class Variant:
 
 
 def refined_subject(subject: Subject, settings: Settings, claimed: Hypothesis | None) -> Subject:
-    """Return the subject with the claim and its recalibrated base parameters; itself without a claim.
+    """Return the subject with the claim and recalibration.
 
     A claim of sensor errors alone changes only sensor parameters and parameters with a stated tolerance. A parameter
     per
@@ -45,7 +45,7 @@ def refined_subject(subject: Subject, settings: Settings, claimed: Hypothesis | 
 def variants_of(
     subject: Subject, settings: Settings, a: Attribution, claimed: Hypothesis | None, refined: Subject
 ) -> dict[str, Variant]:
-    """Return the subject before, recalibrated and after, each with its filter."""
+    """Return the variants before, recalibrated and after."""
     base = a.base.fit
     recalibrated = subject.refined({f.name: float(base.values[f.name]) for f in base.free if not f.group})
     before = after = variant_of(subject, settings, a.given)
@@ -55,7 +55,7 @@ def variants_of(
 
 
 def of_noise(after: Variant, a: Attribution, claimed: Hypothesis | None, heard: Array | None) -> Variant:
-    """Return the refined subject with the noise in the logs, without slow model errors.
+    """Return the refined subject with sensor noise only.
 
     Args:
         heard: ln of the sensor noise variances to use if the fitted variances include model errors.
@@ -65,5 +65,5 @@ def of_noise(after: Variant, a: Attribution, claimed: Hypothesis | None, heard: 
 
 
 def variant_of(subject: Subject, settings: Settings, f: Fit) -> Variant:
-    """Return a subject with the noise and the parameters per log of a fit."""
+    """Return a subject with the noise of a fit."""
     return Variant(subject, {**subject.values, **of_every_log(f, settings.groups.values())}, f.noise)

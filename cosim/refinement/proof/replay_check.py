@@ -32,7 +32,7 @@ ErrorOf = Mapping[str, Channels]  # replays before, recalibrated and after → e
 
 
 def held_against_replays(study: Study, a: Attribution, claims: Claims, found: Found, problem: Problem) -> Claims:
-    """Compare a claim, or the verdict that nothing is missing, with replays of the estimation logs."""
+    """Compare the verdict with replays of the logs."""
     within, single = not _beyond(a.base.fit), False
     if claims.name == "no_effect":
         error, floor = _replay_errors(study, a, claims, problem, found.heard)
@@ -55,7 +55,7 @@ def held_against_replays(study: Study, a: Attribution, claims: Claims, found: Fo
 def _replay_errors(
     study: Study, a: Attribution, claims: Claims, problem: Problem, heard: Array | None
 ) -> tuple[ErrorOf, Channels]:
-    """Return kernel replay errors before, recalibrated and after, and the noise floor after."""
+    """Return replay errors and their noise floor."""
     subject, settings = study.subject, study.settings
     refined = refined_subject(subject, settings, claims.claimed)
     variants = variants_of(subject, settings, a, claims.claimed, refined)
@@ -75,7 +75,7 @@ def checked_claim(
     *,
     recalibrated: bool = True,
 ) -> Claims:
-    """Grade a claim as partial if replays still miss much; withdraw a claim without improvement.
+    """Grade or withdraw a claim according to replays.
 
     A term that reduces innovations one row ahead may still be wrong; only replays show the difference.
 
@@ -100,13 +100,13 @@ def checked_claim(
 
 
 def _still_missed(error: ErrorOf, floor: Channels) -> Doubt | None:
-    """Doubt a claim without plant effects if replays still miss much."""
+    """Doubt a sensor claim if replays miss much."""
     worst, times = max(_missed(error["after"], floor).items(), key=itemgetter(1), default=("", 0.0))
     return Doubt("missed", worst, times) if worst else None
 
 
 def _plant_doubt(error: ErrorOf, floor: Channels, *, effects: bool) -> Doubt | None:
-    """Doubt effects that improve no channel beyond recalibration, and claims that halve no error."""
+    """Doubt effects without improvement in replays."""
     recalibrated, after = error["recalibrated"], error["after"]
     if effects and floor and all(after[n] >= recalibrated[n] for n in floor):
         return Doubt("no_nearer")
@@ -115,7 +115,7 @@ def _plant_doubt(error: ErrorOf, floor: Channels, *, effects: bool) -> Doubt | N
 
 
 def _left(error: ErrorOf, floor: Channels) -> dict[str, float]:
-    """Return the remaining share of the excess error of each channel with an excess."""
+    """Return the remaining excess error of each channel."""
     shares = {n: excess_left(error["before"][n], error["after"][n], f) for n, f in floor.items()}
     return {n: x for n, x in shares.items() if not math.isnan(x)}
 
@@ -124,7 +124,7 @@ def _left(error: ErrorOf, floor: Channels) -> dict[str, float]:
 
 
 def single_number(claims: Claims, a: Attribution, subject: Subject, found: Found, missed: Channels) -> Claims:
-    """Claim a single parameter or input gain if only a model recalibrated beyond its tolerances fits.
+    """Claim a single parameter or input gain.
 
     All other parameters must stay within their tolerances. If the logs do not separate several such claims, the best is
     claimed until an experiment separates them.
@@ -145,7 +145,7 @@ def single_number(claims: Claims, a: Attribution, subject: Subject, found: Found
 
 
 def _alone_off(found: Found, base: Hypothesis) -> list[Hypothesis]:
-    """Return hypotheses of a single wrong parameter or gain, within `RIVAL` of the best."""
+    """Return hypotheses of a single wrong parameter."""
     search = found.search
     single = [c for c in found.candidates if c.kind == "parameter" or c.gain]
     # Fits start from stated values: a fit from recalibrated values would have to follow a ridge of shared effects.
@@ -162,12 +162,12 @@ def _is_far(value: float, prior: tuple[float, float]) -> bool:
 
 
 def _moved(f: Fit, names: Sequence[str]) -> tuple[Moved, ...]:
-    """Return some base parameters of a fit with stated and fitted values."""
+    """Return base parameters with stated and fitted values."""
     return tuple(Moved(x.name, x.prior[0], f.values[x.name]) for x in f.free if x.prior and x.name in names)
 
 
 def _is_off(search: Search, h: Hypothesis) -> bool:
-    """Return True if exactly the hypothesis' own parameter is off, or its gain differs from 1."""
+    """Return True if only the hypothesis' parameter is off."""
     (c,) = h.candidates
     if _beyond(h.fit):
         return False
@@ -175,10 +175,10 @@ def _is_off(search: Search, h: Hypothesis) -> bool:
 
 
 def _beyond(f: Fit) -> list[str]:
-    """Return base parameters whose confidence intervals are outside their tolerances."""
+    """Return base parameters outside their tolerances."""
     return [x.name for x in f.free if x.prior and not x.group and beyond(f, x.name, x.prior)]
 
 
 def _missed(error: Channels, floor: Channels) -> dict[str, float]:
-    """Return channel → error as a multiple of the noise floor, for clear excess only."""
+    """Return channel → error as a multiple of its floor."""
     return {n: error[n] / f for n, f in floor.items() if f > 0.0 and error.get(n, 0.0) > COUNTS_FROM * f}

@@ -20,7 +20,7 @@ Rise = tuple[float, float]  # root mean square before and after
 
 
 def risen(before: Evidence, after: Evidence) -> dict[str, Rise]:
-    """Return channel → error before and after for significant rises, largest first.
+    """Return channel → error before and after of rises.
 
     With d = ln(Σe² after / Σe² before) of each replay, t = d̄·√n / s_d is compared with Student's t of n − 1 degrees of
     freedom. Replays with large errors therefore weigh as much as the others. The channels share the false-alarm
@@ -37,7 +37,7 @@ def risen(before: Evidence, after: Evidence) -> dict[str, Rise]:
 
 
 def plain_rise(rises: Sequence[float], chance: float) -> bool:
-    """Return True if the mean is significantly above 0; a single value is never significant."""
+    """Return True for a significantly positive mean."""
     from scipy.special import stdtrit
 
     count = len(rises)
@@ -48,7 +48,7 @@ def plain_rise(rises: Sequence[float], chance: float) -> bool:
 
 
 def _rises(before: Evidence, after: Evidence, name: str) -> list[float]:
-    """Return the log ratio of squared errors after and before for each replay."""
+    """Return the log error ratio of each replay."""
     found: list[float] = []
     for (log, first), (corrected, second) in zip(before, after, strict=True):
         if name not in log.outputs:

@@ -26,7 +26,7 @@ Channels = dict[str, float]
 
 
 def errors_left_out(search: Search, a: Attribution, claims: Claims) -> dict[str, Channels]:
-    """Return the RMSE of each model and output on held-out rows."""
+    """Return the RMSE on held-out rows."""
     given = _missed(search, None)
     found = {"before": given, "recalibrated": _missed(search, a.base)}
     found["after"] = _missed(search, claims.claimed) if claims.claimed else given
@@ -34,7 +34,7 @@ def errors_left_out(search: Search, a: Attribution, claims: Claims) -> dict[str,
 
 
 def _missed(search: Search, h: Hypothesis | None) -> Channels:
-    """Return the held-out errors of one hypothesis; None stands for the given model."""
+    """Return a hypothesis' errors on held-out rows."""
     problem, rows = search.problem, []
     for k in range(len(problem.logs)):
         fit = search.tried[()].fit if h is None else learnt_without(search, problem, h, k)
@@ -46,7 +46,7 @@ def _missed(search: Search, h: Hypothesis | None) -> Channels:
 
 
 def with_leftover(claims: Claims, a: Attribution, problem: Problem, subject: Subject) -> Claims:
-    """Return the claims with the input on which an output's residual depends, if any."""
+    """Return the claims with the remaining input dependence."""
     left = _leftover(problem, a.best, subject)
     if left is None:
         return claims
@@ -62,7 +62,7 @@ def with_leftover(claims: Claims, a: Attribution, problem: Problem, subject: Sub
 
 
 def _leftover(problem: Problem, h: Hypothesis, subject: Subject) -> tuple[str, str] | None:
-    """Return the output and input with the strongest dependence of the residual; None if not significant.
+    """Return the output and input of the strongest dependence.
 
     Statistic: Σ r_k·r_k+1 / Σ r² of the centred residual ranks in the order of the input; for noise 0 ± 1/√n, also for
     noise of varying level (Bartels 1982).

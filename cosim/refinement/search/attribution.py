@@ -108,11 +108,11 @@ class Attributor:
         return replace(h, score=h.fit.objective + search.cost(h.candidates))
 
     def _leader(self, best: Hypothesis) -> Hypothesis:
-        """Return the best hypothesis after a change of candidate costs."""
+        """Return the best hypothesis at new costs."""
         return leading((best, *self.search.tried.values())) if self.search.problem.trusted else best
 
     def _with_stated_noise(self, base: Hypothesis) -> Hypothesis:
-        """Fix the noise of sensors that appear silent in the logs at the stated value.
+        """Fix silent sensors at their stated noise.
 
         The unknown input of such a fit may have absorbed the sensor noise.
         """
@@ -128,7 +128,7 @@ class Attributor:
         return search.hypothesis((), start)
 
     def _with_stamp_errors(self, h: Hypothesis) -> Hypothesis:
-        """Refit with time stamp errors if innovations grow with the rate of change of readings."""
+        """Refit with time stamp errors if indicated."""
         search = self.search
         problem, noise = search.problem, h.fit.noise
         late = stamps_err(problem, h.fit)
@@ -142,7 +142,7 @@ class Attributor:
         return timed if timed.fit.objective < h.fit.objective else h
 
     def _proposals(self, best: Hypothesis) -> list[Trial]:
-        """Return the most promising untried sets around a hypothesis, each with start values."""
+        """Return promising untried sets with start values."""
         test = ScoreTest(self.search.problem, best.fit, best.candidates)
         self.progress("asking what every candidate promises", 0.0)
         terms: list[Terms] = in_parallel(test.terms, list(self.candidates))
@@ -155,7 +155,7 @@ class Attributor:
         return [*(trial for _, trial in ranking[:FITTED]), *(((*best.candidates, c), None) for c in switched.values())]
 
     def _ranking(self, choice: Choice, best: Hypothesis) -> list[tuple[float, Trial]]:
-        """Return sets worth a fit with their predicted scores, best first."""
+        """Return sets worth a fit, best first."""
         search, parts, ranking = self.search, {c.name: c for c in self.candidates}, []
         for names in self._sets(choice, best):
             if tuple(sorted(names)) in search.tried:
@@ -168,7 +168,7 @@ class Attributor:
         return sorted(ranking, key=lambda entry: entry[0])
 
     def _sets(self, choice: Choice, best: Hypothesis) -> Iterator[tuple[str, ...]]:
-        """Yield sets around a hypothesis: one or more added, one replaced by one or two, one removed."""
+        """Yield sets around a hypothesis."""
         others = [name for name in choice.terms if name not in best.names]
         promises = choice.beside(best.names)
         ranked = list(promises)
@@ -182,7 +182,7 @@ class Attributor:
                 yield from ((*rest, *more) for more in chain([()], combinations(others, 1), likely))
 
     def _reductions(self, fitted: Sequence[Hypothesis]) -> list[Trial]:
-        """Return each fit without the parts that gain less than their cost."""
+        """Return each fit without its ineffective parts."""
         sets: dict[tuple[str, ...], Trial] = {}
         for h in fitted:
             neutral = self.search.problem.values
@@ -192,7 +192,7 @@ class Attributor:
         return list(sets.values())
 
     def _finish(self, base: Hypothesis, best: Hypothesis) -> Found:
-        """Fit the base, the best and the finalists to convergence with full substeps; return the best."""
+        """Fit the best hypotheses to convergence with full substeps."""
         search = self.search
         self.progress("fitting the best to the end", 0.0)
         search.problem = replace(self._fine_enough(best), sensing=best.fit.noise, scatter=search.problem.scatter)
@@ -224,7 +224,7 @@ class Attributor:
         return leading((best, *self.search.fit_again(larger[:MOST_ENLARGED])))
 
     def _fine_enough(self, best: Hypothesis) -> Problem:
-        """Return the problem with enough substeps for the base model and the best."""
+        """Return the problem with enough substeps."""
         enough = zip(self.search.problem.logs, coarsened(self.fine, best.fit.values).logs, strict=True)
         substeps = [max(base.substeps, other.substeps) for base, other in enough]
         logs = [replace(log, substeps=n) for log, n in zip(self.fine.logs, substeps, strict=True)]
@@ -247,7 +247,7 @@ class Attributor:
         return best if nearest is best else leading((best, *search.fit_again([nearest])))
 
     def _replacements(self, best: Hypothesis) -> Iterator[Trial]:
-        """Yield promising replacements of each part, by a score test without that part.
+        """Yield promising replacements of each part.
 
         A score test far from the optimum misjudges a simple candidate in place of a richer one.
         """

@@ -37,12 +37,12 @@ Item = TypeVar("Item")
 
 
 def key_of(parts: Sequence[Candidate]) -> tuple[str, ...]:
-    """Return the key of a hypothesis: the sorted names of its candidates."""
+    """Return the sorted names of candidates as key."""
     return tuple(sorted(c.name for c in parts))
 
 
 def starts_of(parts: Parts, moved: set[str]) -> list[dict[str, float]]:
-    """Return the starts of candidates not moved before; the longest list of starts sets the number."""
+    """Return the starts of new candidates."""
     starts = [c.starts for c in parts if not moved.issuperset(c.parameters)]
     most = max([1, *(len(c.starts) for c in parts)])
     return [dict(chain.from_iterable(s[min(k, len(s) - 1)].items() for s in starts)) for k in range(most)]
@@ -127,7 +127,7 @@ class Search:
         return Hypothesis(parts, best, best.objective + self.cost(parts), ended=sensing and iterations == TO_THE_END)
 
     def _noise_at_start(self, noise: Noise, *, loosen: bool) -> Noise:
-        """Return the start noise of a fit; loosened, unknown inputs are large enough to move."""
+        """Return the start noise of a fit."""
         if self.problem.trusted:
             return replace(self.problem.plain, sensors=noise.sensors, timing=noise.timing)
         return replace(noise, power=np.maximum(noise.power, self.problem.noise.quiet)) if loosen else noise
@@ -168,7 +168,7 @@ class Search:
         return self._each("fitting the best further", one, hypotheses)
 
     def fit_alike(self, hypotheses: Sequence[Hypothesis], like: Hypothesis) -> list[Hypothesis]:
-        """Fit hypotheses to convergence with the noise of another hypothesis."""
+        """Fit hypotheses with the noise of another."""
 
         def one(h: Hypothesis) -> Hypothesis:
             return self.hypothesis(h.candidates, replace(h.fit, noise=like.fit.noise), loosen=False)
@@ -176,7 +176,7 @@ class Search:
         return self._each("fitting what comes near the best", one, hypotheses)
 
     def _each(self, stage: str, one: Callable[[Item], Hypothesis], todo: Sequence[Item]) -> list[Hypothesis]:
-        """Fit items in parallel, keep every hypothesis, and report progress."""
+        """Fit items in parallel and report progress."""
         done = count()
         self.progress(stage, 0.0)
 
@@ -190,19 +190,19 @@ class Search:
         return fitted
 
     def _from_plain_inputs(self, h: Hypothesis) -> Hypothesis:
-        """Return the hypothesis, or its refit from unknown inputs large enough to move."""
+        """Refit a hypothesis from larger unknown inputs."""
         plain = self.problem.plain
         power = np.maximum(h.fit.noise.power, self.problem.noise.quiet)
         return self._further(h, replace(h.fit.noise, power=power, memory=plain.memory))
 
     def _further(self, h: Hypothesis, noise: Noise) -> Hypothesis:
-        """Return the refit with another start noise if better, else the hypothesis."""
+        """Refit a hypothesis from another noise if better."""
         goal = h.fit.objective - DONE
         other = self.hypothesis(h.candidates, replace(h.fit, noise=noise), LEADING, goal, loosen=False)
         return replace(other, ended=h.ended) if other.fit.objective < goal else h
 
     def _without_noise(self, h: Hypothesis) -> Hypothesis:
-        """Return the hypothesis, or a refit without an unknown input, since fits near zero input are slow."""
+        """Refit a hypothesis without unnecessary unknown inputs."""
         least = self.problem.noise.smallest
         for k in np.argsort(h.fit.noise.power - least)[::-1]:
             if h.fit.noise.power[k] < least[k] + NEGLIGIBLE:
@@ -219,7 +219,7 @@ class Search:
         return self.problem.scatter * float(sum(self.entry + self.price * len(c.free) for c in parts))
 
     def reached_within(self, parts: Parts) -> float:
-        """Return the best objective of a subset of the parts, an upper bound for the whole set."""
+        """Return the best objective of a subset."""
         names = {c.name for c in parts}
         fitted = (h.fit.objective for h in self.tried.values() if h.fit.iterations and names.issuperset(h.names))
         return min(fitted, default=self.reached)

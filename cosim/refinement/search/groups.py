@@ -19,26 +19,26 @@ class Places(Protocol):
 
     @property
     def path(self) -> Path:
-        """Return the file of the study; relative log names start in its folder."""
+        """Return the file of the study."""
 
     def fault(self, location: Any, message: str, *, key: bool = False) -> Fault:
         """Return a fault at a key."""
 
 
 def full_name(subject: Subject, name: str) -> str:
-    """Return the full name of a parameter; a sensor error may omit `.value`."""
+    """Return the full name of a parameter."""
     return f"{name}.value" if name in {kind.name for kind in subject.sensors} else name
 
 
 def numbers_of(subject: Subject) -> list[str]:
-    """Return the parameters that may be per log: base parameters, present effects, sensor errors."""
+    """Return the parameters that may be per log."""
     base = [p.name for p in subject.parameters if not isinstance(p.default, bool)]
     of_effects = [n for n in subject.candidate_parameters if n.partition(".")[0] in subject.present]
     return [*base, *of_effects, *subject.sensor_parameters]
 
 
 def group_of(folder: Path, files: Sequence[str], groups: Groups) -> dict[Path, str]:
-    """Return file of each log → group; a log without a group forms its own."""
+    """Return file → group of each log."""
     named = {os.path.realpath(folder / f): group for group, members in groups.items() for f in members}
     return {folder / f: named.get(os.path.realpath(folder / f), f) for f in files}
 
@@ -96,7 +96,7 @@ def _unlearnt(folder: Path, groups: Groups, logs: Mapping[str, Sequence[str]]) -
 
 
 def _wrong_groups(places: Places, groups: Groups, listed: Sequence[str]) -> Iterator[Fault]:
-    """Yield faults of empty groups, unlisted files and files in two groups."""
+    """Yield faults of groups."""
     folder, owner = places.path.parent, dict[str, str]()
     files = {os.path.realpath(folder / f) for f in listed}
     for group, members in groups.items():

@@ -48,7 +48,7 @@ class Hypothesis:
 
 
 def leading(hypotheses: Iterable[Hypothesis]) -> Hypothesis:
-    """Return the hypothesis with the best score, the first among equals."""
+    """Return the hypothesis with the best score."""
     return min(hypotheses, key=lambda h: h.score)
 
 
@@ -97,7 +97,7 @@ class Attribution:
 
     @property
     def small(self) -> tuple[str, ...]:
-        """Return the names of parts with gains too small to distinguish from chance."""
+        """Return parts with gains explained by chance."""
         return tuple(n for n in self.fuller.names if n not in self.best.names) if self.fuller else ()
 
     @property

@@ -82,7 +82,7 @@ class Steps:
 
 
 def missing(problem: Problem, base: Filter, index: int, every: int = 1) -> Missing:
-    """Return the smoothed missing input of the base fit on a log.
+    """Return the smoothed missing input of a log.
 
     Args:
         every: Rows between two linearizations.
@@ -106,13 +106,13 @@ def smoothed_logs(problem: Problem) -> range:
 
 
 def smoothed(problem: Problem, base: Filter, every: int = 1) -> tuple[Smoothed, Array, Array]:
-    """Smooth the first logs; return each, and the stacked missing inputs and standard deviations."""
+    """Smooth the first logs; return single and stacked results."""
     parts = [(k, missing(problem, base, k, every)) for k in smoothed_logs(problem)]
     return parts, np.vstack([m.value for _, m in parts]), np.vstack([m.sigma for _, m in parts])
 
 
 def unknown_inputs(problem: Problem, at: Fit, noisy: Sequence[bool], units: Mapping[str, str]) -> dict[str, float]:
-    """Return the size of each unknown input relative to derivatives of states with the same unit.
+    """Return the relative size of each unknown input.
 
     Args:
         units: Units of the states.
@@ -128,7 +128,7 @@ def unknown_inputs(problem: Problem, at: Fit, noisy: Sequence[bool], units: Mapp
 
 
 def loosened(problem: Problem, noise: Noise) -> Noise:
-    """Return filter noise that follows model errors: at least plainly detected, with usual correlation time.
+    """Return filter noise that follows model errors.
 
     A fit without unknown inputs counts model errors as sensor noise; sensors then keep their stated noise.
     """
@@ -138,7 +138,7 @@ def loosened(problem: Problem, noise: Noise) -> Noise:
 
 
 def claimed(problem: Problem, base: Filter, after: Filter, index: int) -> Array:
-    """Return the claim's contribution to each forced equation at the rows of `missing`.
+    """Return the claim's contribution to each equation.
 
     Both steps start from the refined estimate of the measured states and from their own estimate of the rest.
     """
@@ -159,7 +159,7 @@ def claimed(problem: Problem, base: Filter, after: Filter, index: int) -> Array:
 
 
 def at_best(problem: Problem, at: Fit, column: int, term: Array, lacking: Array) -> Array:
-    """Return a term scaled to remove most of the missing input of one equation on the first logs.
+    """Return a term scaled to the missing input.
 
     The share that parameters without prior can compensate is projected out, because the fit has already moved these
     parameters. A term with the wrong sign scales to zero.
@@ -189,7 +189,7 @@ class _Linear:
 
 
 def _linear(problem: Problem, steps: Steps, states: Array, memory: Array, rows: int, every: int) -> _Linear:
-    """Return the linearization by differences of single steps, for the states that noise reaches."""
+    """Return the linearization by differences of steps."""
     reached = list(problem.layout.stochastic)
     size = NUDGE * np.maximum(np.abs(states[:rows, reached]).max(axis=0), np.sqrt(np.diag(problem.P0)))
     size = np.where(size > 0.0, size, NUDGE)  # A fixed parameter per log may be 0.
@@ -237,7 +237,7 @@ def _smooth(problem: Problem, model: _Linear, states: Array, noise: Noise, index
 
 
 def _take(x: Array, P: Array, C: Array, e: Array, r: Array) -> tuple[Array, Array]:
-    """Return state and covariance conditioned on the available measurements of a row."""
+    """Return the state conditioned on a row's measurements."""
     wide = np.zeros((len(e), len(x)))
     wide[:, : C.shape[1]] = C
     measured = np.isfinite(e)

@@ -100,7 +100,7 @@ class Shape:
         return float({"bump": 2.0 * HALF, "step": 2.0, "spline": 1.0}[self.kind] / self.width)
 
     def settings(self, slot: int) -> dict[str, float]:
-        """Return the kernel slot parameters of this shape, without its coefficients."""
+        """Return the kernel parameters of this shape."""
 
         def mixed(role: str, names: Sequence[str], size: float) -> dict[str, float]:
             return {f"{LOCAL}.{slot}.{role}.{n}": s * size for n, s in zip(names, (1.0, -1.0), strict=False)}
@@ -124,7 +124,7 @@ class Shape:
         return tuple(f"{LOCAL}.{slot}.{name}" for name in own)
 
     def over(self, signals: Signals) -> Array:
-        """Return the signal values; a turning angle within one turn about the place."""
+        """Return the signal, a turning angle near the place."""
         z = _mixed(signals, self.of)
         return np.mod(z - self.place + np.pi, TURN) + self.place - np.pi if self.turned else z
 
@@ -150,7 +150,7 @@ def _mixed(signals: Signals, names: Sequence[str]) -> Array:
 
 
 def signals_of(problem: Problem, parts: Smoothed) -> dict[str, Array]:
-    """Return the signals available for local shapes, at the rows of some logs."""
+    """Return the signals for local shapes."""
     layout, states = problem.layout, np.vstack([m.states for _, m in parts])
     commands = np.vstack([problem.logs[k].u[m.rows(problem.logs[k])] for k, m in parts])
     time, named = np.concatenate([m.time for _, m in parts]), zip(layout.states, states.T, strict=True)
@@ -159,7 +159,7 @@ def signals_of(problem: Problem, parts: Smoothed) -> dict[str, Array]:
 
 
 def promising(problem: Problem, at: Fit, units: Mapping[str, str], worth: float) -> tuple[list[Shape], int]:
-    """Return the most promising shapes and the number of coefficients tried.
+    """Return promising shapes and the number tried.
 
     Args:
         units: Units of the signals; two states with equal units also give a difference signal.
@@ -269,14 +269,14 @@ class _Ground:
                 yield from self._multiplied(shape)
 
     def _multiplied(self, shape: Shape) -> Iterator[Shape]:
-        """Yield a shape multiplied by each factor and by each factor's sign."""
+        """Yield a shape times each factor."""
         for times, slip in self.factors.items():
             yield replace(shape, times=times)
             yield replace(shape, times=times, dry=True, slip=slip)
 
 
 def _grounds(problem: Problem, equation: str, signals: Signals, units: Mapping[str, str]) -> Iterator[_Ground]:
-    """Yield the signals for one equation: varying signals and differences of states with equal units."""
+    """Yield the signals for one equation."""
     states = [n for n in signals if n in problem.layout.states]
     pairs = [(a, b) for a, b in combinations(states, 2) if units.get(a, a) == units.get(b, b)]
     for of in (*((n,) for n in signals), *pairs):
@@ -288,7 +288,7 @@ def _grounds(problem: Problem, equation: str, signals: Signals, units: Mapping[s
 
 
 def _factors(problem: Problem, equation: str, signals: Signals, of: tuple[str, ...]) -> list[tuple[str, ...]]:
-    """Return the factors of a shape: the rate of its signal, and the equation's own state."""
+    """Return the possible factors of a shape."""
     rates = [problem.layout.rates.get(n, "") for n in of]
     factors = [tuple(rates)] if all(rate in signals for rate in rates) else []
     return [*factors, *((t,) for t in (equation,) if t in signals and (t,) not in factors)]

@@ -165,11 +165,11 @@ class _Terms:
         return self.problem.scatter * (self.price * count + ENTRY + math.log(tried))
 
     def number_tried(self, terms: Sequence[Unnamed]) -> int:
-        """Return the number of terms tried, including local shapes if `terms` has one."""
+        """Return the number of terms tried."""
         return len(self.names) + (self.tried if any(u.shape for u in terms) else 0)
 
     def simple(self) -> list[Unnamed]:
-        """Return simple terms, one for each set of equivalent terms of an equation."""
+        """Return the distinct simple terms of each equation."""
 
         def term(name: str) -> tuple[Unnamed, Array]:
             _, equation, signal = name.split(".", 2)
@@ -182,7 +182,7 @@ class _Terms:
         return [u for e in forced for u in _distinct([(u, row) for u, row in terms if u.equation == e])]
 
     def local(self, units: Mapping[str, str]) -> list[tuple[Unnamed, list[Array]]]:
-        """Return local shapes and the effect of each of their coefficients."""
+        """Return local shapes and their coefficients' effects."""
         shapes, self.tried = promising(self.problem, self.at, units, self.cost)
 
         def term(shape: Shape) -> tuple[Unnamed, list[Array]]:
@@ -196,7 +196,7 @@ class _Terms:
         return in_parallel(term, shapes)
 
     def beside(self, simple: Sequence[Unnamed], local: Sequence[tuple[Unnamed, list[Array]]]) -> list[Unnamed]:
-        """Return simple terms, and local shapes that clearly exceed every simple term of their equation.
+        """Return simple terms and clearly better local shapes.
 
         Each local shape must be worth its cost beside the more promising ones of its equation.
         """
@@ -262,7 +262,7 @@ def _as_fitted(u: Unnamed, fitted: Fit, gain: float) -> Unnamed:
 
 
 def _distinct(promising: Sequence[tuple[Unnamed, Array]]) -> list[Unnamed]:
-    """Keep one of several equivalent terms of an equation: the simplest with nearly the best gain."""
+    """Keep the simplest of several equivalent terms."""
     left = [(u, row / np.linalg.norm(row)) for u, row in promising]
     kept = []
     while left:
