@@ -1,7 +1,8 @@
-"""`cosim excite`: the input that separates rival hypotheses best, and a scenario that plays it.
+"""`cosim excite`: the input that best separates rival hypotheses, and a scenario that plays the input.
 
-Experiments are drawn by a seed, played without noise, and kept within limits. Written is the one that separates most
-pairs of rivals, and of those the nearest farthest: a pair that no input separates does not decide between inputs.
+Experiments are drawn from a seed, simulated without noise, and kept within limits. The best one separates most pairs of
+rivals, and among equals has the largest distance of the closest separated pair. A pair that no input separates has no
+influence on the choice.
 """
 
 from __future__ import annotations
@@ -30,22 +31,23 @@ from cosim.storage.table import write_columns
 from cosim.subject.model_subject import ModelSubject
 
 EXPERIMENTS = 48
-DURATION, SHORTEST, LONGEST = 40.0, 5.0, 600.0  # [s], of a model with a step of 50 ms and less
-FEW = 4  # rivals, of which each is played before an experiment is preferred; of more, when it is chosen
-SLACK = 0.95  # of the excursion allowed at which one that goes too far is aimed anew
-SEPARATED = 3.0  # standard deviations between rivals, from which a log decides
-UNSEEN = 1.0  # standard deviations up to which noise hides the difference
+DURATION, SHORTEST, LONGEST = 40.0, 5.0, 600.0  # [s] for a model with a step of 50 ms or less
+FEW = 4  # rivals up to which each is simulated for every preferred experiment; more are simulated at the end
+SLACK = 0.95  # share of the allowed excursion for a second attempt
+SEPARATED = 3.0  # standard deviations between rivals from which a log decides
+UNSEEN = 1.0  # standard deviations below which noise hides the difference
 CURE = "try a wider --limit, a longer --duration or more outputs --measured"
-LISTED = 5  # pairs named in a line, or a line each, before the rest is counted
+LISTED = 5  # pairs listed before the rest is counted
 Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
 class Excitation:
-    """An experiment, played by the model and by its rivals.
+    """An experiment simulated with the model and its rivals.
 
-    apart, usual: how far it, and what is usually played, drive each pair apart [standard deviations]
-    usually:      what is usually played
+    Attributes:
+        apart, usual: Distance of each pair for this and for the usual input [standard deviations].
+        usually: Trial with the usual input.
     """
 
     question: Question
@@ -58,12 +60,12 @@ class Excitation:
 
     @property
     def score(self) -> tuple[int, float]:
-        """Merit of its distances, divided by how far beyond its limits a rival takes the model."""
+        """Return the merit of the distances, reduced by the rivals' excess over the limits."""
         return _merit(self.apart, max([1.0, *(f.beyond(self.question.limits) for f in self.rivals.values())]))
 
     @property
     def distances(self) -> list[str]:
-        """A line for each pair, hardest first."""
+        """Return one line for each pair, closest first."""
         return [
             f"{a} from {b}: {self.apart[a, b]:.1f} standard deviations ({self.rig.usual}: {self.usual[a, b]:.1f})"
             for a, b in self._hardest_first
@@ -71,7 +73,7 @@ class Excitation:
 
     @property
     def sentences(self) -> list[str]:
-        """What it separates, hardest first, and how far it goes, also if a rival is true and takes it farther."""
+        """Return distances, closest first, and excursions, also for rivals beyond the limits."""
         lines = self.distances
         if len(lines) > LISTED + 1:
             least = self.apart[self._hardest_first[LISTED]]
@@ -85,12 +87,12 @@ class Excitation:
 
     @property
     def warning(self) -> str:
-        """The pairs it does not separate, and what separates more but leaves the limits; empty without either."""
+        """Return a warning about inseparable pairs and a better input beyond the limits."""
         return "; ".join(filter(None, (self._inseparable, self._surpassed)))
 
     @property
     def _surpassed(self) -> str:
-        """What is usually played, where it separates better: it then goes beyond the limits."""
+        """Return a note on a usual input that separates better beyond the limits."""
         beyond = self.usually.beyond(self.question.limits)
         if not 1.0 < beyond < np.inf or _merit(self.usual) <= _merit(self.apart):
             return ""
@@ -119,7 +121,10 @@ class Excitation:
 
 
 def _merit(apart: Mapping[Pair, float], beyond: float = 1.0) -> tuple[int, float]:
-    """How many pairs are separated, and the distance of the nearest of them; of the farthest where none is."""
+    """Return the number of separated pairs and the smallest of their distances.
+
+    Without separated pairs, the largest distance counts.
+    """
     distances = [distance / beyond for distance in apart.values()]
     separated = [distance for distance in distances if distance >= SEPARATED]
     return len(separated), min(separated, default=max(distances))
@@ -141,9 +146,14 @@ def excite(
     keep: bool = False,
     progress: Progress | None = None,
 ) -> Excitation:
-    """Choose an experiment for `base`, a model file or a refine.json, and write it to `folder`.
+    """Choose an experiment for `base`, a model file or a refine.json, and write files.
 
-    force: also over what another command left there. keep: files of an earlier one move to `runs`. Raises InputError.
+    Args:
+        force: Overwrite results of another command in `folder`.
+        keep: Move files of an earlier experiment to `runs`.
+
+    Raises:
+        InputError: An argument has faults, or no experiment is suitable.
     """
     report = progress or (lambda stage, share: None)
     report("reading the model", 0.0)
@@ -170,7 +180,7 @@ def excite(
 
 
 def _times(text: str, step: float, duration: float | None) -> Array:
-    """The rows of an experiment; without a duration it lasts as long as is usual, longer for a slow model."""
+    """Return the rows of an experiment; slow models need longer ones."""
     slow = slowness(step)
     lasts = DURATION * slow if duration is None else duration
     if not SHORTEST * slow <= lasts <= LONGEST * slow:
@@ -181,7 +191,7 @@ def _times(text: str, step: float, duration: float | None) -> Array:
 
 
 def _choose(question: Question, rig: Rig, time: Array, seed: int, count: int, report: Progress) -> Excitation | None:
-    """The best of `count` experiments; None where all go too far."""
+    """Return the best of `count` experiments, None if all exceed the limits."""
     model, subject = question.loaded.model, ModelSubject(question.base)
     usually = rig.play(model, rig.usual_signals(time))
     log = usually.log(model, question.measured)
@@ -189,7 +199,7 @@ def _choose(question: Question, rig: Rig, time: Array, seed: int, count: int, re
     separation = Separation(subject, problem, question.rivals, question.pairs)
     usual = separation.of(log)
     best: Excitation | None = None
-    for k in range(-1, count):  # first what is usually played: none that is worse is preferred
+    for k in range(-1, count):  # the usual input first, so that a worse one is never preferred
         report("trying experiments", max(0, k) / count)
         drawn = k >= 0 and draw_signals(np.random.default_rng([seed, k]), rig.axes, time)
         trial = _within(question, rig, drawn) if drawn else usually
@@ -204,13 +214,13 @@ def _choose(question: Question, rig: Rig, time: Array, seed: int, count: int, re
 
 
 def _rivals_played(question: Question, rig: Rig, trial: Trial) -> dict[str, Trial]:
-    """The same signals on the model of each rival that differs in its equations."""
+    """Return trials of rivals with other equations, for the same signals."""
     models = {r.name: question.model_if(r) for r in question.rivals}
     return {name: rig.play(m, trial.signals) for name, m in models.items() if m != question.loaded.model}
 
 
 def _within(question: Question, rig: Rig, signals: Mapping[str, Array]) -> Trial | None:
-    """A trial that stays within the limits, made smaller once if need be; None where that does not help."""
+    """Return a trial within the limits, scaled down once if necessary, or None."""
     trial = rig.play(question.loaded.model, signals)
     if (beyond := trial.beyond(question.limits)) <= 1.0:
         return trial
@@ -219,11 +229,11 @@ def _within(question: Question, rig: Rig, signals: Mapping[str, Array]) -> Trial
     return trial if trial.beyond(question.limits) <= 1.0 else None
 
 
-# -- files ----------------------------------------------------------------------------------------
+# -- files --------------------------------------------------------------------------------------
 
 
 def _write(folder: Path, found: Excitation, seed: int) -> None:
-    """excitation.csv, excitation.yaml and the FMUs it names."""
+    """Write excitation.csv, excitation.yaml and the FMUs."""
     from cosim.fmi.fmu_build import build
 
     trial, model = found.trial, found.question.loaded.model
@@ -234,7 +244,7 @@ def _write(folder: Path, found: Excitation, seed: int) -> None:
 
 
 def _scenario(found: Excitation, seed: int) -> Iterator[str]:
-    """Lines of the scenario that plays it."""
+    """Yield the lines of the scenario."""
     trial, model, rig = found.trial, found.question.loaded.model, found.rig
     yield "name: excitation"
     yield f'description: "To separate {", ".join(r.name for r in found.question.rivals)}."'

@@ -1,4 +1,4 @@
-"""What a linear model comes to, in words and short tables: for the terminal and for the page."""
+"""Descriptions of a linear model in words and tables, for terminal and page."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ SHOWN = 16  # columns of a matrix on a terminal
 
 
 def number(value: float) -> str:
-    """Five digits, no needless ones."""
+    """Return at most five significant digits."""
     return f"{value + 0.0:.5g}".replace("-", "\u2212") if math.isfinite(value) else MISSING
 
 
 def headline(found: Structure, linear: Linear) -> str:
-    """One sentence."""
+    """Return the summary in one sentence."""
     n = len(linear.states)
     if not n:
         return "It has no states: D alone says how outputs follow inputs."
@@ -29,14 +29,14 @@ def headline(found: Structure, linear: Linear) -> str:
         slowest = sum(p.count for p in found.poles if p.value.real >= -1e-9)
         at = f" ({counted(slowest, 'pole')} not to the left of the imaginary axis)" if slowest else ""
         told = ("Asymptotically stable" if found.stable else "Not asymptotically stable") + at
-    else:  # neighbours of a motion may part though the poles of each of its points lie to the left
+    else:  # Trajectories near a motion may diverge although all poles of each point are in the left half plane.
         told = f"No equilibrium; {'all' if found.stable else 'not all'} poles lie to the left of the imaginary axis"
     reach = f"inputs reach {found.controllable} of {counted(n, 'state')}, outputs show {found.observable}"
     return f"{told}; {reach}."
 
 
 def pole_rows(found: Structure) -> list[dict[str, str]]:
-    """The table of poles; of a pair the one above the real axis."""
+    """Return the table of poles; a pair has one row."""
     return [_row(p) for p in found.poles if p.value.imag >= 0.0]
 
 
@@ -58,12 +58,15 @@ HEAD = ("pole [1/s]", "times", "Jordan blocks", "ωₙ [rad/s]", "ζ", "−1/Re 
 
 
 def pole_table(found: Structure) -> list[tuple[str, ...]]:
-    """Rows under HEAD."""
+    """Return the rows under HEAD."""
     return [tuple(row.values()) for row in pole_rows(found)]
 
 
 def matrix_lines(name: str, matrix: Array, rows: Sequence[str], columns: Sequence[str]) -> list[list[str]]:
-    """A matrix as rows of cells, the first its header; one of more than SHOWN columns its entries that are not 0."""
+    """Return a matrix as rows of cells with a header.
+
+    A matrix with more than SHOWN columns is a list of its nonzero entries.
+    """
     if not matrix.size:
         return []
     if len(columns) > SHOWN:

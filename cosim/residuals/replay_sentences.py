@@ -1,4 +1,4 @@
-"""A comparison in words; each sentence follows from the numbers."""
+"""Sentences about a comparison, each derived from the numbers."""
 
 from __future__ import annotations
 
@@ -13,15 +13,17 @@ from cosim.residuals.residual_statistics import FREE_RUN
 
 
 def horizon_name(horizon: float) -> str:
-    """`2 s`, `free run`."""
+    """Return the name of a horizon, such as `2 s` or `free run`."""
     return "free run" if horizon == FREE_RUN else f"{horizon:g}\u00a0s"
 
 
 @dataclass(frozen=True)
 class _Outcome:
-    """What a verdict is made of: channels, those that windows do not measure, those that miss more than noise makes.
+    """Facts of a verdict: all channels, unmeasurable ones, and ones with errors above noise.
 
-    measure: the horizon that counts [s]; lead: how far the model is off
+    Attributes:
+        measure: Decisive horizon [s].
+        lead: Size of the error in words.
     """
 
     comparison: Comparison
@@ -33,7 +35,7 @@ class _Outcome:
 
 
 def verdict(comparison: Comparison) -> str:
-    """How far the model is off, whether noise explains that, and what the rest follows: the first rule that applies."""
+    """Return the verdict of the first matching rule."""
     outcome = _outcome(comparison)
     rules = (_not_measured, _not_in_kind, _explained, _beyond_in_free_run, _beyond_in_windows)
     return next(sentence for rule in rules if (sentence := rule(outcome)))
@@ -86,7 +88,7 @@ def _beyond_in_windows(o: _Outcome) -> str:
 
 
 def _no_measure(lost: Sequence[ChannelSummary]) -> str:
-    """Which channels windows do not measure, how that shows, and what the free run says of them."""
+    """Return a sentence on channels without valid windows and their free run."""
     names = _and([c.name for c in lost])
     own = _and([f"{c.name} by {size(c.floor.astray, c.unit)}" for c in lost])
     return (
@@ -100,7 +102,7 @@ def _sizes(channels: Sequence[ChannelSummary], horizon: float) -> str:
 
 
 def _cause(comparison: Comparison, channels: Sequence[ChannelSummary]) -> str:
-    """A delay, or which command the misfit follows."""
+    """Return a delay, or the command that correlates with the residual."""
     names = {c.name for c in channels}
     late = [f for f in comparison.findings if f.kind == "delay" and f.channel in names]
     if late := [f for f in late if abs(f.numbers["delay"]) > comparison.log.step]:
@@ -122,7 +124,7 @@ def _cause(comparison: Comparison, channels: Sequence[ChannelSummary]) -> str:
 
 
 def whiteness_words(channel: ChannelSummary) -> str:
-    """White or not."""
+    """Return the result of the whiteness test in words."""
     test = channel.whiteness
     if math.isnan(test.p_value):
         return "too few rows to tell"
@@ -132,7 +134,7 @@ def whiteness_words(channel: ChannelSummary) -> str:
 
 
 def input_words(channel: ChannelSummary) -> str:
-    """The command that stands out, or that none does."""
+    """Return the dominant command in words, if any."""
     if not channel.inputs:
         return "no command moves"
     found = channel.inputs[0]
@@ -142,7 +144,7 @@ def input_words(channel: ChannelSummary) -> str:
 
 
 def quality(findings: Sequence[Finding]) -> str:
-    """How sound the log is."""
+    """Return the quality of the log in words."""
     warnings = sum(f.severity == "warning" for f in findings)
     if not warnings:
         return "Clock, units, signs and channels of the log are in order."
