@@ -78,11 +78,13 @@ class Verb:
     command:   place of the function behind `cosim NAME`, typer's options its parameters; "" if there is no command
     function:  place of the function that `cosim.NAME` is in Python; "" if there is none
     artefacts: place of a tuple of `Artefact` (cosim/storage/artefact.py), the files that the verb reads and writes
+    group:     heading of the verb in `cosim -h`: one of cosim's (cosim/verbs/__init__.py), or a new one
     """
 
     command: str = ""
     function: str = ""
     artefacts: str = ""
+    group: str = ""
 
 
 def models() -> dict[str, ModelEntry]:

@@ -106,21 +106,28 @@ def _check(path: Path, checking: Checking) -> list[str]:
 
 
 def command(
-    files: Annotated[list[Path], typer.Argument(help="Scenarios, manifests, studies, models, logs (.csv), FMUs.")],
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="FILE", help="Scenario, study, sweep, protocol, model, log, SSP, FMU or manifest.json."),
+    ],
     model: Annotated[
-        str | None, typer.Option("--model", help="Whose logs they are: base, a model.yaml, or file.py:Class.")
+        str | None,
+        typer.Option("--model", metavar="MODEL", help="Model of the logs: base, a model.yaml, or FILE.py:CLASS."),
     ] = None,
     load: Annotated[
-        bool, typer.Option("--load/--no-load", help="Load FMUs and step them once, in a process of their own.")
+        bool, typer.Option("--load/--no-load", help="Load the FMUs and make one step in a separate process, or do not.")
     ] = True,
     column: Annotated[
         Texts,
-        typer.Option("--column", help="COLUMN=VARIABLE where logs have other names; measured_speed=w, stamp=time."),
+        typer.Option("--column", metavar="COLUMN=VARIABLE", help="Name of a log's column in the model, or time."),
     ] = None,
     compile_: Compile = False,
     as_json: Json = False,
 ) -> None:
-    """Say what is wrong with files, all faults at once."""
+    """Find every fault of scenarios, studies, models, logs and FMUs.
+
+    Example: cosim check scenario.yaml build/*.fmu
+    """
     from cosim.logs.log import renamed
 
     try:

@@ -21,14 +21,16 @@ from cosim.base.registry import ExtensionWarning, attempt
 from cosim.base.version import __version__
 from cosim.storage.files import check_text
 from cosim.verbs import verbs
+from cosim.verbs.help import WHOLE_WIDTH, GroupedHelp, VerbHelp
 from cosim.verbs.manner import with_manner
 from cosim.verbs.outcome import say_partial
 from cosim.verbs.streams import echo, open_streams
 from cosim.verbs.terminal import say, say_failure, say_usage
 
 app = typer.Typer(
-    context_settings={"help_option_names": ["-h", "--help"]},
-    help="Co-simulate FMUs, hold them against measured logs, and find what a model lacks.",
+    cls=GroupedHelp,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": WHOLE_WIDTH},
+    help="Simulate coupled FMUs, compare them with measured logs, and find missing effects of a model.",
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -44,7 +46,7 @@ def _version(asked: bool) -> None:
 @app.callback()
 def main(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
     ] = False,
 ) -> None:
     """Options that stand before the command."""
@@ -62,7 +64,7 @@ _python_shows = warnings.showwarning
 warnings.showwarning = _show_warning
 for _name, _verb in verbs():
     if _verb.command and (_command := attempt(_name, _verb.command)) is not None:
-        app.command(_name)(with_manner(_command))
+        app.command(_name, cls=VerbHelp, rich_help_panel=_verb.group)(with_manner(_command))
 
 
 def entry() -> None:

@@ -55,21 +55,28 @@ def _ran(side: FilePath | Signals) -> Any:
 
 
 def command(
-    a: Annotated[Path, typer.Argument(help="The folder that a run left, or a CSV with time first.")],
-    b: Annotated[Path, typer.Argument(help="Another one, held against it.")],
+    a: Annotated[Path, typer.Argument(help="Baseline: the folder of a run, or a CSV file whose first column is time.")],
+    b: Annotated[Path, typer.Argument(help="Folder or CSV file that is compared with the baseline.")],
     *,
     tolerance: Annotated[
         float | None,
-        typer.Option("--tol", help="Share of each signal's range by which it may differ; beyond it exits 5."),
+        typer.Option("--tol", help="Allowed difference as a share of each signal's range; exit code 5 if exceeded."),
     ] = None,
-    absolute: Annotated[float, typer.Option("--abs", help="In each signal's unit, added to --tol.")] = 0.0,
+    absolute: Annotated[
+        float, typer.Option("--abs", help="Allowed difference in each signal's unit, added to --tol.")
+    ] = 0.0,
     out: Annotated[Path | None, out_option("results/A-and-B")] = None,
     report: Report = True,
     open_: Open = False,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Hold one run against another: differences of every signal, criteria side by side, both drawn over each other."""
+    """Compare two runs signal by signal.
+
+    Prints the largest differences. Writes comparison.json and a report that shows both runs in the same charts.
+
+    Example: cosim compare results/one results/two --tol 1e-3
+    """
     from cosim.comparison.workflow import compare as compare_runs
     from cosim.simulation.run_files import read_ran
 

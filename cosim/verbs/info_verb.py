@@ -21,11 +21,14 @@ MOST = 60  # parameters in the table; --all shows every one
 
 
 def command(
-    fmus: Annotated[list[Path], typer.Argument(help="FMUs.")],
-    every: Annotated[bool, typer.Option("--all", help="Locals and every parameter, too.")] = False,
+    fmus: Annotated[list[Path], typer.Argument(metavar="FMU", help="FMU to describe.")],
+    every: Annotated[bool, typer.Option("--all", help="List local variables and every parameter too.")] = False,
     as_json: Json = False,
 ) -> None:
-    """List what FMUs have: variables with types, units and defaults, capabilities, platforms, states."""
+    """List variables, units, defaults and capabilities of FMUs.
+
+    Example: cosim info plant.fmu controller.fmu
+    """
     from cosim.blocks.summary import summaries
 
     found = summaries(fmus)

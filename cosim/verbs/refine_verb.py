@@ -59,7 +59,7 @@ def refine(
 
 
 def command(
-    study: Annotated[Path, typer.Argument(help="A study.yaml: model, estimation and validation logs.")],
+    study: Annotated[Path, typer.Argument(help="A study: model, estimation logs and validation logs.")],
     *,
     out: Annotated[Path | None, out_option("results/NAME of the study")] = None,
     report: Report = True,
@@ -68,7 +68,12 @@ def command(
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Find what the model lacks in measured logs: refine.json, model.yaml, plant.fmu and report.html."""
+    """Find the effect that a model lacks, from measured logs.
+
+    Writes refine.json, the refined model.yaml and plant.fmu, and report.html.
+
+    Example: cosim refine study.yaml --out results/refine
+    """
     # fits run side by side; more threads within each only wait for one another (read when numpy is first imported)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from cosim.refinement.report.error_tables import second_sentence

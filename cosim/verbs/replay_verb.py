@@ -66,32 +66,43 @@ def _pairs(columns: Given | None) -> Sequence[str]:
 
 
 def command(
-    log: Annotated[Path, typer.Argument(help="A measured log: CSV with time, inputs and measured outputs.")],
+    log: Annotated[Path, typer.Argument(help="Measured log: CSV file with time, inputs and measured outputs.")],
     *,
     plant: Annotated[
-        Path | None, typer.Option("--plant", help="The FMU to drive; without, the plant of this package.")
+        Path | None,
+        typer.Option("--plant", metavar="FMU", help="FMU to simulate (default: the plant of the base model)."),
     ] = None,
     out: Annotated[Path | None, out_option("results/NAME of the log")] = None,
     start: Annotated[
         Texts,
-        typer.Option("--start", help="NAME=VALUE of a start value or parameter of the FMU; gain=0.9, angle=12deg."),
+        typer.Option(
+            "--start", metavar="NAME=VALUE", help="Start value or parameter of the FMU, for example angle=12deg."
+        ),
     ] = None,
     column: Annotated[
         Texts,
-        typer.Option("--column", help="COLUMN=VARIABLE where the log has another name; speed=motor.w, stamp=time."),
+        typer.Option(
+            "--column", metavar="COLUMN=VARIABLE", help="Variable that a column holds, for example stamp=time."
+        ),
     ] = None,
     report: Report = True,
     in_process: InProcess = False,
     format_: Format = "csv",
     compile_: Compile = False,
     limits: Annotated[
-        str, typer.Option("--limits", help="Of what the FMU may take, such as 'step: 10 s, total: 1 h, memory: 2 GB'.")
+        str,
+        typer.Option("--limits", help="Limits of time and memory, for example 'step: 10 s, total: 1 h, memory: 2 GB'."),
     ] = "",
     open_: Open = False,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Drive a plant FMU with a log's recorded inputs and compare: results.csv, residual.csv and report.html."""
+    """Simulate an FMU with the recorded inputs of a log, and compare.
+
+    Writes results.csv, residual.csv and report.html.
+
+    Example: cosim replay log.csv --plant motor.fmu --column speed=w
+    """
     from cosim.blocks.compiling import compiling
     from cosim.residuals.comparison_data import as_json as numbers
     from cosim.residuals.replay_sentences import verdict

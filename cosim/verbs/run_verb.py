@@ -91,12 +91,12 @@ def _scenario_file(scenario: FilePath | Mapping[str, Any], out: Path) -> Iterato
 
 
 def command(
-    scenario: Annotated[Path, typer.Argument(help="A scenario.yaml, an SSP, or a manifest.json to repeat that run.")],
+    scenario: Annotated[Path, typer.Argument(help="A scenario, an SSP, or the manifest.json of a run to repeat.")],
     *,
     out: Annotated[Path | None, out_option("results/NAME of the scenario")] = None,
     set_: Overrides = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Seed of every random stream, over the scenario's own.")
+        int | None, typer.Option(min=0, help="Seed for all random numbers (default: the seed of the scenario).")
     ] = None,
     nearest: Nearest = False,
     report: Report = True,
@@ -108,10 +108,18 @@ def command(
     format_: Format = "csv",
     compile_: Compile = False,
     coupling: Annotated[
-        bool, typer.Option("--coupling-error", help="Run again with half the step, and say what that changes.")
+        bool,
+        typer.Option(
+            "--coupling-error", help="Run again with half the step and print the largest change of each output."
+        ),
     ] = False,
 ) -> None:
-    """Co-simulate a scenario or an SSP: results.csv, manifest.json and report.html."""
+    """Simulate a scenario or an SSP.
+
+    Writes results.csv, manifest.json and report.html. Exit code 5 if a criterion is not met.
+
+    Example: cosim run scenario.yaml --set noise=off --seed 7
+    """
     from cosim.blocks.compiling import compiling
     from cosim.simulation.workflow import run as run_scenario
 

@@ -21,9 +21,12 @@ KEY = re.compile(r"^\s*`?(\w+)`?:\s+(\S.*)$")
 
 
 def command(
-    kind: Annotated[str, typer.Argument(help="scenario, study, model, sweep, or what an installed package adds.")],
+    kind: Annotated[str, typer.Argument(help="Kind of file: scenario, study, model, sweep, or one of a package.")],
 ) -> None:
-    """Print the JSON schema of a file, for the completion of an editor."""
+    """Print the JSON schema of a kind of file, for editors.
+
+    Example: cosim schema scenario
+    """
     say_json(schema_of(kind))
 
 
