@@ -14,32 +14,11 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("cosim", "plant", "controller", "fmus", "benchmarks")
-FRAGMENTS = set(
-    [
-        "what",
-        "whether",
-        "of",
-        "as",
-        "by",
-        "where",
-        "which",
-        "with",
-        "it",
-        "its",
-        "not",
-        "no",
-        "if",
-        "from",
-        "how",
-        "who",
-        "whose",
-        "in",
-        "on",
-        "to",
-        "over",
-    ]
-)
-PRONOUNS = set(["what", "that", "which", "one", "those", "it", "they", "whose", "there", "where", "such", "other"])
+FRAGMENTS = {
+    *("what", "whether", "of", "as", "by", "where", "which", "with", "it", "its", "not", "no"),
+    *("if", "from", "how", "who", "whose", "in", "on", "to", "over"),
+}
+PRONOUNS = {"what", "that", "which", "one", "those", "it", "they", "whose", "there", "where", "such", "other"}
 MAX_README_WORDS = 700
 MAX_PARAGRAPH_WORDS = 80
 HAND_WRITTEN = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
