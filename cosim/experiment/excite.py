@@ -141,9 +141,27 @@ def excite(
     keep: bool = False,
     progress: Progress | None = None,
 ) -> Excitation:
-    """Choose an experiment for `base`, a model file or a refine.json, and write it to `folder`.
+    """Design the input that separates rival hypotheses best.
 
-    force: also over what another command left there. keep: files of an earlier one move to `runs`. Raises InputError.
+    Args:
+        text: Registered model, model.yaml, file.py:Class, refine.json or its folder.
+        folder: Folder for excitation.csv, excitation.yaml and the FMUs.
+        against: Effects, sensor errors or parameters that are rival hypotheses.
+        limits: Texts "name=value": largest distance of an input or output from its start value.
+        ranges: Texts "name=min..max": range of an input.
+        measured: Outputs that will be logged.
+        duration: Duration of the experiment [s], or text with a unit.
+        seed: Seed for the random experiments.
+        experiments: Number of random experiments.
+        force: Overwrite results of another command in `folder`.
+        keep: Move the files of an earlier call to `runs`.
+        progress: Function of (stage, completed share).
+
+    Returns:
+        The chosen experiment and the distance of each pair of hypotheses [standard deviations].
+
+    Raises:
+        InputError: Every fault of the input, or no experiment separates any pair.
     """
     report = progress or (lambda stage, share: None)
     report("reading the model", 0.0)

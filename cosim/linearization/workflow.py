@@ -72,19 +72,32 @@ def linearize(
     keep: bool = False,
     compile: bool = False,
 ) -> Outcome:
-    """A model's A, B, C and D about a point; linear.json, linear.mat, linear.py and report.html are left in `out`.
+    """Linearize a model or an FMU about an operating point.
 
-    model:       base or another known name, a model.yaml, file.py:Class, a refine's folder, an FMU for model exchange
-    at:          NAME=VALUE of states and inputs, SCENARIO@TIME or SCENARIO@START:STOP:STEP; the start without
-    set:         NAME=VALUE of parameters; both may be mappings
-    residualize: states that settle at once
-    component:   of the scenario, where several would do
-    step:        of central differences, for an FMU in place of its directional derivatives
-    side:        below or above: whose slopes are taken where there is no derivative; without, such a point is refused
-    force:       also over what another model's, or another command, left in `out`
-    keep:        files of an earlier one move to `runs` in `out`
-    compile:     the sources of an FMU that has no library for this machine are compiled and run
-    Raises InputError, FmuError, SimulationError.
+    Args:
+        model: Registered model, model.yaml, file.py:Class, folder of a refine, or an FMU for model exchange.
+        out: Folder for linear.json, linear.mat, linear.py and report.html; None writes nothing.
+        at: State or input → value, or texts NAME=VALUE, SCENARIO@TIME, SCENARIO@START:STOP:STEP. By default the start.
+        set: Parameter → value, or texts NAME=VALUE.
+        states: States of the linear model, in this order.
+        inputs: Inputs of the linear model.
+        outputs: Outputs of the linear model.
+        residualize: Fast states that are replaced by their equilibrium.
+        component: Component of the scenario, if several match.
+        step: Step of central differences, which replace the directional derivatives of an FMU.
+        side: "below" or "above": side of a kink whose derivative is used. Without it a kink is refused.
+        report: Write report.html.
+        force: Overwrite results of another model or command in `out`.
+        keep: Move the files of an earlier call to `runs`.
+        compile: Compile and execute the sources of an FMU that has no library for this machine.
+
+    Returns:
+        The linear models, their structure and notes.
+
+    Raises:
+        InputError: Every fault of the input.
+        FmuError: An FMU cannot be read or loaded.
+        SimulationError: The simulation failed.
     """
     if side is not None and side not in SIDES:
         raise InputError([Fault(SIDE, 0, 0, f"is below or above{did_you_mean(side, tuple(SIDES))}")])

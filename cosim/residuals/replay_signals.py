@@ -12,7 +12,7 @@ from cosim.storage.results import read_results, rows_in
 
 @dataclass(frozen=True, repr=False)
 class Replay(Signals):
-    """A replay: what the FMU and the log show, and what the model misses of it, by horizon, in `residual`."""
+    """Signals of an FMU and a log, and `residual` for each horizon."""
 
     residual: Signals | None = None
     sentence: str = ""

@@ -22,10 +22,11 @@ SHOWN = 8  # signals in the short text of a run; further ones are counted
 
 @dataclass(frozen=True, repr=False)
 class Signals:
-    """Rows of a run, `signals["plant.x"]` one column of them.
+    """Rows of a run; `signals["plant.x"]` is one column.
 
-    title:   what it is of
-    folder:  where files of it are, None where none were asked for
+    Attributes:
+        title: Name of the run.
+        folder: Folder of its files; None if nothing was written.
     """
 
     title: str
@@ -39,12 +40,12 @@ class Signals:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Signals that hold numbers, `component.variable`."""
+        """Names of the numeric signals, `component.variable`."""
         return self.results.columns
 
     @property
     def units(self) -> Mapping[str, str]:
-        """Signal → unit, "" where it has none."""
+        """Unit of each signal, "" for none."""
         return self.results.units
 
     def __len__(self) -> int:
@@ -61,7 +62,7 @@ class Signals:
         return self.results[name]
 
     def to_pandas(self) -> pandas.DataFrame:
-        """A data frame of all signals, its index the time [s]; ImportError where pandas is not installed."""
+        """Return a data frame of all signals with the time [s] as index; raise ImportError without pandas."""
         try:
             import pandas
         except ImportError:
@@ -74,7 +75,7 @@ class Signals:
         return frame
 
     def plot(self, *names: str) -> Figure:
-        """A matplotlib figure of signals, those of one unit over each other; of all without names."""
+        """Return a matplotlib figure of the signals; signals of one unit share an axis."""
         for name in names:
             self[name]
         from cosim.simulation.report.figures import figure_of
@@ -114,7 +115,7 @@ class Signals:
 
 @dataclass(frozen=True, repr=False)
 class Run(Signals):
-    """A run: its signals, its manifest, criteria and warnings."""
+    """Signals of a run with its manifest, criteria and warnings."""
 
     manifest: Mapping[str, Any] = field(default_factory=dict)
 
@@ -130,12 +131,12 @@ class Run(Signals):
 
     @property
     def warnings(self) -> list[str]:
-        """What is to be known of the run."""
+        """Warnings of the run."""
         return list(self.manifest.get("warnings") or ())
 
     @property
     def report(self) -> Path | None:
-        """Its page, None where none was written."""
+        """Path of report.html; None if it was not written."""
         page = None if self.folder is None else self.folder / "report.html"
         return page if page is not None and page.is_file() else None
 

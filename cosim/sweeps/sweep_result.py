@@ -17,10 +17,11 @@ from cosim.sweeps.run_chunks import Made
 
 @dataclass(frozen=True)
 class Swept:
-    """What a sweep left.
+    """Result of a sweep.
 
-    record: content of sweep.json
-    made:   runs that were made by this call
+    Attributes:
+        record: Content of sweep.json.
+        made: Number of runs of this call.
     """
 
     sweep: Sweep
@@ -30,7 +31,7 @@ class Swept:
 
     @property
     def sentences(self) -> list[str]:
-        """What it came to, a line each."""
+        """Results in words, one line each."""
         r = self.record
         lines = [f"{r['runs'] - r['failed']} of {counted(r['runs'], 'run')} came to their end{_how(r)}"]
         lines += [f"{c['name']}: met by {c['met']} of {c['of']} ({_interval(c)})" for c in r["criteria"]]

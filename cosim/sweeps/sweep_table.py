@@ -22,7 +22,7 @@ class Runs:
     folder: Path
 
     def to_pandas(self) -> pandas.DataFrame:
-        """A row a run: what varied, criteria, signals; ImportError where pandas is not installed."""
+        """Return one row per run: varied values, criteria, signals; raise ImportError without pandas."""
         try:
             import pandas  # noqa: F401
         except ImportError:

@@ -53,12 +53,28 @@ def sweep(
     in_process: bool = False,
     progress: Progress | None = None,
 ) -> Swept:
-    """Make the runs of a sweep; sweep.parquet, sweep.json and report.html are left in `out`, results/NAME without.
+    """Run a scenario many times with varied values.
 
-    What an earlier call that was stopped has made is gone on with; `force` begins anew, in results/NAME with the
-    files of the earlier one moved to `runs`.
-    workers: processes, one a core without; dask: address of a scheduler, over that of the file
-    Raises InputError before anything runs; SweepStopped, SweepFailed; FmuError.
+    The same call resumes a sweep that was stopped.
+
+    Args:
+        path: Sweep file.
+        out: Folder for sweep.parquet, sweep.json and report.html; None means results/NAME.
+        workers: Number of worker processes; None means one per core.
+        dask: Address of a Dask scheduler; replaces that of the file.
+        report: Write report.html.
+        force: Start again. In results/NAME the files of the earlier sweep move to `runs`.
+        in_process: Load FMUs into this process, for a debugger.
+        progress: Function of (completed runs, all runs).
+
+    Returns:
+        Content of sweep.json, sentences and the folder.
+
+    Raises:
+        InputError: Every fault, before the first run.
+        FmuError: An FMU cannot be read or loaded.
+        SweepStopped: The sweep was stopped from the keyboard; the same call resumes it.
+        SweepFailed: No run was completed.
     """
     study = read_sweep(Path(path))
     folder = folder_named(study.name) if out is None else named_path(out)

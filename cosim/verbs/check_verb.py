@@ -34,14 +34,22 @@ def check(
     compile: bool = False,
     columns: Mapping[str, str] | None = None,
 ) -> list[str]:
-    """Check a file, or several: what is to be known, a line each; InputError with every fault of all of them.
+    """Find every fault of files.
 
-    model:   whose logs they are (base, a model.yaml, file.py:Class); without, a log that has an input of base is one
-             of base, another is checked by itself
-    load:    FMUs and scenarios are loaded and stepped once, and Python that a file names is executed, in a worker
-             process; without, nothing that a file names is executed
-    columns: of logs under other names than the model's, column → variable, or `time`
-    compile: the sources of FMUs that have no library for this machine are compiled and run
+    Args:
+        files: One file or several: scenarios, studies, sweeps, protocols, models, logs, SSPs, FMUs.
+        model: Model of the logs (base, a model.yaml, file.py:Class). By default a log with an input of the base model
+            belongs to that model, and another log is checked alone.
+        load: Load FMUs and make one step, and execute Python files that are named, in a worker process. False executes
+            nothing.
+        compile: Compile and execute the sources of FMUs that have no library for this machine.
+        columns: Column of the logs → variable, or "time".
+
+    Returns:
+        Notes and warnings, one line each.
+
+    Raises:
+        InputError: Every fault of all files.
     """
     from cosim.blocks.compiling import compiling, permission
     from cosim.isolation.process import Worker

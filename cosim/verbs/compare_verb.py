@@ -29,12 +29,23 @@ def compare(
     absolute: NotNegative = 0.0,
     force: bool = False,
 ) -> Compared:
-    """Hold run b against run a, each a folder, a CSV or what a verb returned.
+    """Compare two runs signal by signal.
 
-    out:       folder for comparison.json and report.html; nothing is left without
-    tolerance: a share of each signal's range in a; absolute: in its unit, added to that
-    force:     also over what another command, or the comparison of other runs, left in `out`
-    Differences beyond it are no error: look at `same`. Raises InputError where they share no signal or no time.
+    A difference beyond the tolerance is not an error: see `Compared.same`.
+
+    Args:
+        a: Baseline: folder of a run, CSV file whose first column is time, or result of a function.
+        b: Run that is compared with the baseline.
+        out: Folder for comparison.json and report.html; None writes nothing.
+        tolerance: Allowed difference as a share of each signal's range in `a`.
+        absolute: Allowed difference in each signal's unit, added to `tolerance`.
+        force: Overwrite results of other runs or of another command in `out`.
+
+    Returns:
+        The difference of each signal, and the verdict if there is a tolerance.
+
+    Raises:
+        InputError: The runs have no common signal or no common time.
     """
     from cosim.comparison.workflow import compare as compare_runs
 

@@ -37,15 +37,29 @@ def replay(
     format: str = "csv",
     progress: Callable[[int, int], None] | None = None,
 ) -> Replay:
-    """Drive an FMU, or the plant of this package, with a log's recorded inputs and compare.
+    """Simulate an FMU with the recorded inputs of a log, and compare the outputs.
 
-    out:     folder for results.csv, residual.csv, replay.json and report.html; nothing is left without
-    start:   start values and parameters of the FMU
-    columns: of the log under other names, column → variable, or `time`
-    force:   also over what another command, or the replay of another log or FMU, left in `out`
-    compile: the sources of the FMU are compiled and run where it has no library for this machine
-    format: of the rows in `out`: "csv", or "parquet" (results.parquet in place of results.csv)
-    Raises InputError, FmuError, SimulationError.
+    Args:
+        log: Measured log.
+        out: Folder for results.csv, residual.csv, replay.json and report.html; None writes nothing.
+        fmu: FMU to simulate; None takes the plant of the base model.
+        start: Start value or parameter of the FMU → value.
+        columns: Column of the log → variable, or "time".
+        report: Write report.html.
+        force: Overwrite results of another log, FMU or command in `out`.
+        in_process: Load the FMU into this process, for a debugger; limits do not apply.
+        compile: Compile and execute the sources of an FMU that has no library for this machine.
+        limits: Limits of time and memory, for example "step: 10 s, total: 1 h, memory: 2 GB".
+        format: File format of the rows: "csv", "parquet", or a format of an installed package.
+        progress: Function of (completed steps, all steps).
+
+    Returns:
+        Signals of FMU and log, and the residual of each horizon.
+
+    Raises:
+        InputError: Every fault of the input.
+        FmuError: An FMU cannot be read or loaded.
+        SimulationError: The simulation failed; the rows so far are in `out`.
     """
     from cosim.blocks.compiling import compiling
     from cosim.residuals.replay_signals import read_replay

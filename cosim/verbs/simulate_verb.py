@@ -36,16 +36,30 @@ def simulate(
     format: str = "csv",
     progress: Callable[[int, int], None] | None = None,
 ) -> Run:
-    """Run one FMU over its default experiment.
+    """Simulate one FMU over its default experiment.
 
-    out:        folder for scenario.yaml, results.csv, manifest.json and report.html; nothing is left without
-    set:        parameters and inputs → value; or "name=value" each
-    input:      a CSV with time and columns named as inputs, played to them
-    stop, step: [s], or text such as "4 min", in place of those of the FMU
-    record:     locals and parameters to record beside inputs and outputs
-    compile:    its sources are compiled and run where it has no library for this machine
-    format: of the rows in `out`: "csv", or "parquet" (results.parquet in place of results.csv)
-    Raises InputError, FmuError, SimulationError.
+    Args:
+        fmu: The FMU.
+        out: Folder for scenario.yaml, results.csv, manifest.json and report.html; None writes nothing.
+        set: Parameter or input → value, or texts "name=value".
+        input: CSV file with time and columns named as inputs; each row holds until the next.
+        stop: End of the simulation, in seconds or with a unit ("4 min"); by default that of the FMU or of `input`.
+        step: Communication step, in seconds or with a unit; by default that of the FMU.
+        record: Names or patterns of local variables and parameters to record too.
+        report: Write report.html.
+        force: Overwrite results of another command in `out`.
+        in_process: Load the FMU into this process, for a debugger.
+        compile: Compile and execute the sources of an FMU that has no library for this machine.
+        format: File format of the rows: "csv", "parquet", or a format of an installed package.
+        progress: Function of (completed steps, all steps).
+
+    Returns:
+        The signals, the manifest and the warnings.
+
+    Raises:
+        InputError: Every fault of the input.
+        FmuError: An FMU cannot be read or loaded.
+        SimulationError: The simulation failed; the rows so far are in `out`.
     """
     from cosim.authoring.single import simulate as simulate_fmu
     from cosim.blocks.compiling import compiling
