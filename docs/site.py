@@ -69,7 +69,7 @@ def thumbnails() -> None:
     if browser is None:
         print("no Chromium: the gallery has no thumbnails")
         return
-    options = "--headless --no-sandbox --disable-gpu --disable-background-networking --hide-scrollbars".split()
+    options = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--hide-scrollbars"]
     for page in sorted((MADE / "gallery").glob("*.html")):
         with tempfile.TemporaryDirectory() as profile:
             size = ["--window-size=1200,900", "--force-device-scale-factor=0.4", f"--user-data-dir={profile}"]
