@@ -85,7 +85,7 @@ def linearize(
         residualize: Fast states that are replaced by their equilibrium.
         component: Component of the scenario, if several match.
         step: Step of central differences, which replace the directional derivatives of an FMU.
-        side: "below" or "above": side of a kink whose derivative is used. Without it a kink is refused.
+        side: Side of a kink whose derivative is used, "below" or "above". Without it a kink is refused.
         report: Write report.html.
         force: Overwrite results of another model or command in `out`.
         keep: Move the files of an earlier call to `runs`.
