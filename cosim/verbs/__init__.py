@@ -1,6 +1,6 @@
-"""The verbs: a module `NAME_verb` each, with the command `cosim NAME` and the function `cosim.NAME` of Python.
+"""Verbs: each has a module `NAME_verb` with the command `cosim NAME` and the Python function `cosim.NAME`.
 
-A verb is registered by its line in `VERBS`, or by the entry point of an installed package.
+A verb is registered by its entry in `VERBS`, or by the entry point of an installed package.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""`cosim check` and `cosim.check`: every fault of every file."""
+"""`cosim check` and `cosim.check`: find every fault of files."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def check(
 
 
 def _checked(path: Path, checking: Checking) -> list[str]:
-    """Check a file; Python that it names is executed in the worker, without one not at all."""
+    """Check a file; execute named Python in the worker, or not at all without a worker."""
     from cosim.loading.file import without_execution
     from cosim.scenario.controller_design import ended
 
@@ -96,7 +96,7 @@ def _checked(path: Path, checking: Checking) -> list[str]:
 
 
 def _check(path: Path, checking: Checking) -> list[str]:
-    """Return what is to be known of a file, a line each; InputError with its faults."""
+    """Return the notes of a file; raise InputError with its faults."""
     kind: str | None = kinds.CODE
     if not path.suffix.startswith(".py:"):  # FILE.py:Class
         kinds.refuse_unreadable(path, WANTED)

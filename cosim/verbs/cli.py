@@ -1,4 +1,4 @@
-"""The command line: its commands are those of the verbs; errors become messages and exit codes here."""
+"""Command line of all verbs; errors become messages and exit codes."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def main(
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
     ] = False,
 ) -> None:
-    """Options that stand before the command."""
+    """Define the options before the verb."""
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *place: Any, **options: Any) -> None:
@@ -68,7 +68,7 @@ for _name, _verb in verbs():
 
 
 def entry() -> None:
-    """Console entry: an error of ours is a message and its exit code, never a traceback."""
+    """Run the command line; an error of cosim is a message and an exit code, not a traceback."""
     open_streams()
     collecting = collect_seldom()
     try:
@@ -79,7 +79,7 @@ def entry() -> None:
 
 
 def _run() -> None:
-    """Run the command of this process; SystemExit with its exit code."""
+    """Run the command of this process; exit with its code."""
     try:
         check_text([*sys.argv[1:], *_here(), os.environ.get("TMPDIR", "")])
         app(standalone_mode=True)
@@ -106,7 +106,7 @@ def _run() -> None:
 
 @contextmanager
 def _terminable() -> Iterator[None]:
-    """Have the first signal that asks to end raise Terminated, so that what is half done is removed on the way out."""
+    """Make the first signal that ends the process raise Terminated, so that unfinished files are removed."""
     numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
     before = {number: signal.getsignal(number) for number in numbers}
     asked: list[int] = []
@@ -127,7 +127,7 @@ def _terminable() -> Iterator[None]:
 
 
 def _here() -> list[str]:
-    """The folder of the process, where there still is one."""
+    """Return the current folder, or nothing if it was removed."""
     try:
         return [os.getcwd()]
     except OSError:

@@ -1,4 +1,4 @@
-"""`cosim compare` and `cosim.compare`: hold one run against another."""
+"""`cosim compare` and `cosim.compare`: compare two runs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from cosim.comparison.differences import Compared
     from cosim.simulation.run_signals import Signals
 
-SHOWN = 12  # signals told on the terminal
+SHOWN = 12  # signals on the terminal
 
 
 def compare(
@@ -110,7 +110,7 @@ def command(
 
 
 def _lines(made: Compared) -> list[str]:
-    """Return the signals with the largest differences, those of one run alone, and the verdict."""
+    """Return the largest differences, the signals of one run alone, and the verdict."""
     from cosim.comparison.differences import sentence
     from cosim.comparison.signals import shared, sized
 

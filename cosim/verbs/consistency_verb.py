@@ -1,4 +1,4 @@
-"""`cosim consistency`: are the estimators as good as they believe?"""
+"""`cosim consistency`: test estimators by Monte Carlo runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`cosim excite`: choose the input that separates rival hypotheses."""
+"""`cosim excite`: design the input that separates rival hypotheses."""
 
 from __future__ import annotations
 

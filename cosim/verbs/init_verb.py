@@ -1,4 +1,4 @@
-"""`cosim init`: write a first scenario of FMUs."""
+"""`cosim init`: write a first scenario that connects FMUs."""
 
 from __future__ import annotations
 

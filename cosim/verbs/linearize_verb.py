@@ -1,4 +1,4 @@
-"""`cosim linearize`: a model about a point."""
+"""`cosim linearize`: linearize a model about an operating point."""
 
 from __future__ import annotations
 

@@ -45,10 +45,10 @@ def with_manner(command: Callable[..., Any]) -> Callable[..., Any]:
     """Return a command that also has the options -q and -v."""
 
     @wraps(command)
-    def told(*given: Any, quiet: bool = False, verbose: bool = False, **options: Any) -> Any:
+    def run(*arguments: Any, quiet: bool = False, verbose: bool = False, **options: Any) -> Any:
         MANNER.quiet, MANNER.verbose = quiet, verbose
         MANNER.as_json, MANNER.told = bool(options.get("as_json")), False
-        return command(*given, **options)
+        return command(*arguments, **options)
 
     kind = inspect.Parameter.KEYWORD_ONLY
     more = {"quiet": Quiet, "verbose": Verbose}
@@ -59,6 +59,6 @@ def with_manner(command: Callable[..., Any]) -> Callable[..., Any]:
     own = [
         p.replace(annotation=hints.get(p.name, p.annotation)) for p in inspect.signature(command).parameters.values()
     ]
-    told.__signature__ = inspect.Signature([*own, *added])  # type: ignore[attr-defined]
-    told.__annotations__ = hints
-    return told
+    run.__signature__ = inspect.Signature([*own, *added])  # type: ignore[attr-defined]
+    run.__annotations__ = hints
+    return run

@@ -1,4 +1,4 @@
-"""`cosim.read`: what a verb left in a folder."""
+"""`cosim.read`: read the results of a verb."""
 
 from __future__ import annotations
 

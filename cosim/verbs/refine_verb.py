@@ -1,4 +1,4 @@
-"""`cosim refine` and `cosim.refine`: find what a model lacks in measured logs."""
+"""`cosim refine` and `cosim.refine`: find the effect that a model lacks."""
 
 from __future__ import annotations
 

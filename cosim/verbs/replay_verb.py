@@ -1,4 +1,4 @@
-"""`cosim replay` and `cosim.replay`: drive an FMU with the recorded inputs of a log."""
+"""`cosim replay` and `cosim.replay`: simulate an FMU with the inputs of a log."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`cosim report`: make the page of a run again."""
+"""`cosim report`: write the report of a run again."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`cosim run` and `cosim.run`: co-simulate a scenario or an SSP."""
+"""`cosim run` and `cosim.run`: simulate a scenario or an SSP."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`cosim simulate` and `cosim.simulate`: run one FMU without a file of one's own."""
+"""`cosim simulate` and `cosim.simulate`: simulate one FMU without a scenario."""
 
 from __future__ import annotations
 

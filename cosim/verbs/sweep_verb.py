@@ -61,7 +61,7 @@ def command(
 
 @contextmanager
 def _progress() -> Iterator[Callable[[int, int], None]]:
-    """A bar with the time left on a terminal; lines for those who asked for more."""
+    """Show a progress bar on a terminal; with -v, lines elsewhere."""
     with progress_bar("sweeping") as bar:
         begun = told = time.monotonic()
         first: int | None = None
@@ -80,7 +80,7 @@ def _progress() -> Iterator[Callable[[int, int], None]]:
 
 
 def left_in_words(made: int, left: int, elapsed: float) -> str:
-    """The time that is left at the rate so far; nothing before there is one."""
+    """Return the remaining time at the rate so far; "" before there is a rate."""
     if made <= 0 or left <= 0:
         return ""
     seconds = elapsed * left / made
