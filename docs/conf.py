@@ -17,6 +17,7 @@ copyright = author
 version = release = __version__
 extensions = ["myst_parser"]
 exclude_patterns = ["_made", "_site", "schemas"]
+smartquotes = False  # -- in the name of an option
 html_theme = "furo"
 html_title = f"cosim {version}"
 html_extra_path = ["_made"]
