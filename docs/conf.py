@@ -22,6 +22,7 @@ html_theme = "furo"
 html_title = f"cosim {version}"
 html_extra_path = ["_made"]
 html_copy_source = False
+html_search_scorer = str(DOCS / "_search_scorer.js")
 html_show_sphinx = False
 myst_heading_anchors = 4
 myst_enable_extensions = ["colon_fence"]

@@ -35,7 +35,7 @@ def command_line() -> str:
             group = command.rich_help_panel or OTHERS
             parts.append(f"## {group}")
         text, _, example = inspect.cleandoc(command.help).partition("Example: ")
-        parts += [f"```{{index}} ! {name}\n```", f"### {name}", text.strip(), f"```sh\n{example}\n```"]
+        parts += [f"### {name}", text.strip(), f"```sh\n{example}\n```"]
         rows = [(f"`{names(p)}`", description(p)) for p in command.params]
         parts.append(table(("argument or option", "meaning"), rows))
     return "\n\n".join(parts)
