@@ -44,6 +44,12 @@ def fill(app: Any, page: str, source: list[str]) -> None:
         source[0] = source[0].replace(link, link + image)
 
 
+def changed_pages(app: Any, env: Any, added: set[str], changed: set[str], removed: set[str]) -> list[str]:
+    """Return the pages that `fill` changes: Sphinx reads them again in every build."""
+    return ["api", "cli", "gallery"]
+
+
 def setup(app: Any) -> None:
-    """Register `fill`."""
+    """Register the functions above."""
     app.connect("source-read", fill)
+    app.connect("env-get-outdated", changed_pages)
