@@ -39,4 +39,5 @@ IDENTIFY = Verb(
     command="plant.identification.command:command",
     function="plant.identification.workflow:identify",
     artefacts="plant.identification.artefacts:ARTEFACTS",
+    group="Craft example",
 )

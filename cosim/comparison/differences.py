@@ -40,12 +40,14 @@ SHOWN = 12  # signals, where a comparison is told in a few lines
 
 @dataclass(frozen=True, repr=False)
 class Compared:
-    """Two runs held against each other.
+    """Differences of two runs.
 
-    only_a, only_b: signals of one alone
-    time:    [s], of a, where b has values too; `b` holds them there
-    aligned: both have the same times
-    shorter: what is to be said where one begins or ends before the other, "" where none does
+    Attributes:
+        only_a: Signals of run a alone.
+        only_b: Signals of run b alone.
+        time: Times [s] of a at which b has values too.
+        aligned: Whether both runs have the same times.
+        shorter: Note about a run that begins or ends before the other; "" for none.
     """
 
     a: Ran
@@ -62,22 +64,22 @@ class Compared:
 
     @property
     def beyond(self) -> list[Difference]:
-        """Signals that differ by more than the tolerance, most of their scale first."""
+        """Signals beyond the tolerance, the largest share of their range first."""
         return sorted((d for d in self.differences if d.beyond), key=lambda d: -d.share)
 
     @property
     def judged(self) -> bool:
-        """A tolerance was given."""
+        """Whether there is a tolerance."""
         return self.tolerance is not None
 
     @property
     def same(self) -> bool:
-        """Every signal of a is in b, within the tolerance (without one, equal), over the whole of both."""
+        """Whether every signal of a is in b, within the tolerance (without one, equal), over the whole time."""
         return not self.reasons
 
     @property
     def reasons(self) -> list[str]:
-        """Why they are not the same, in words; none where they are."""
+        """Reasons why the runs differ, in words."""
         apart = self.beyond if self.judged else [d for d in self.differences if d.largest]
         far = sum(d.alike for d in apart)
         verb = "beyond the tolerance" if self.judged else _differ(far)
@@ -96,7 +98,7 @@ class Compared:
         return "\n  ".join([self._heading(), *lines])
 
     def to_pandas(self) -> pandas.DataFrame:
-        """A row a signal that both have, the most different first; ImportError where pandas is not installed."""
+        """Return one row per common signal, the largest difference first; raise ImportError without pandas."""
         try:
             import pandas
         except ImportError:
@@ -105,9 +107,10 @@ class Compared:
         return pandas.DataFrame([asdict(d) for d in ranked]).set_index("name")
 
     def plot(self, *names: str) -> Figure:
-        """A matplotlib figure of both runs over each other and of b − a; of the most different signals without names.
+        """Return a matplotlib figure of both runs and of b − a; without names of the signals that differ most.
 
-        KeyError of a name that has no numbers in both.
+        Raises:
+            KeyError: A name is not numeric in both runs.
         """
         from cosim.comparison.signal_panels import panels_of
         from cosim.simulation.report.figures import sheet
@@ -140,7 +143,7 @@ class Compared:
         return cells, f"… and {len(ranked) - SHOWN} more" if len(ranked) > SHOWN else ""
 
     def as_json(self) -> dict[str, Any]:
-        """What a script asks, in plain data; what is not finite is null."""
+        """Return the comparison as plain data; values that are not finite are null."""
         found = [
             {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in asdict(d).items()}
             for d in self.differences

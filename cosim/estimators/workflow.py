@@ -24,10 +24,19 @@ RECORD, PAGE = "consistency.json", "report.html"
 def consistency(
     runs: Count = 50, steps: Count = 500, seed: Seed = 1, progress: Callable[[int, int], None] | None = None
 ) -> Sequence[Row]:
-    """Test the consistency of the base model's estimators.
+    """Test the estimators of the base model by Monte Carlo runs.
+
+    Args:
+        runs: Number of Monte Carlo runs of each case, at least 2.
+        steps: Number of samples of each run, at least 100.
+        seed: Seed for all random numbers.
+        progress: Function of (completed cases, all cases).
+
+    Returns:
+        One row per case and kind of squares (NEES, NIS) with mean, region and verdict.
 
     Raises:
-        InputError: The number of runs or steps is too small, or too large for the memory.
+        InputError: Too few or too many runs or steps, or too little memory.
     """
     least = (("runs", runs, FEWEST), ("steps", steps, SHORTEST), ("seed", seed, 0))
     refuse([Fault(Path(n), 0, 0, f"is {v}; give {low} or more") for n, v, low in least if v < low])

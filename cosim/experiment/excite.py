@@ -146,14 +146,27 @@ def excite(
     keep: bool = False,
     progress: Progress | None = None,
 ) -> Excitation:
-    """Choose an experiment for `base`, a model file or a refine.json, and write files.
+    """Design the input that separates rival hypotheses best.
 
     Args:
+        text: Registered model, model.yaml, file.py:Class, refine.json or its folder.
+        folder: Folder for excitation.csv, excitation.yaml and the FMUs.
+        against: Effects, sensor errors or parameters that are rival hypotheses.
+        limits: Texts "name=value": largest distance of an input or output from its start value.
+        ranges: Texts "name=min..max": range of an input.
+        measured: Outputs that will be logged.
+        duration: Duration of the experiment [s], or text with a unit.
+        seed: Seed for the random experiments.
+        experiments: Number of random experiments.
         force: Overwrite results of another command in `folder`.
-        keep: Move files of an earlier experiment to `runs`.
+        keep: Move the files of an earlier call to `runs`.
+        progress: Function of (stage, completed share).
+
+    Returns:
+        The chosen experiment and the distance of each pair of hypotheses [standard deviations].
 
     Raises:
-        InputError: An argument has faults, or no experiment is suitable.
+        InputError: Every fault of the input, or no experiment separates any pair.
     """
     report = progress or (lambda stage, share: None)
     report("reading the model", 0.0)

@@ -73,28 +73,32 @@ def linearize(
     keep: bool = False,
     compile: bool = False,
 ) -> Outcome:
-    """Return A, B, C and D of a model at a point, and write result files to `out`.
-
-    Files: linear.json, linear.mat, linear.py and report.html.
+    """Linearize a model or an FMU about an operating point.
 
     Args:
-        model: base or another registered name, a model.yaml, file.py:Class, the folder of a refinement, or an FMU for
-            model
-            exchange.
-        at: NAME=VALUE of states and inputs, SCENARIO@TIME or SCENARIO@START:STOP:STEP; default: the start.
-        set: NAME=VALUE of parameters; both may be mappings.
-        residualize: Fast states to eliminate.
-        component: Name in the scenario if several components fit.
-        step: Step of central differences, which replace an FMU's directional derivatives.
-        side: below or above: one-sided slopes at a point without a derivative; by default such a point is refused.
+        model: Registered model, model.yaml, file.py:Class, folder of a refine, or an FMU for model exchange.
+        out: Folder for linear.json, linear.mat, linear.py and report.html; None writes nothing.
+        at: State or input → value, or texts NAME=VALUE, SCENARIO@TIME, SCENARIO@START:STOP:STEP. By default the start.
+        set: Parameter → value, or texts NAME=VALUE.
+        states: States of the linear model, in this order.
+        inputs: Inputs of the linear model.
+        outputs: Outputs of the linear model.
+        residualize: Fast states that are replaced by their equilibrium.
+        component: Component of the scenario, if several match.
+        step: Step of central differences, which replace the directional derivatives of an FMU.
+        side: Side of a kink whose derivative is used, "below" or "above". Without it a kink is refused.
+        report: Write report.html.
         force: Overwrite results of another model or command in `out`.
-        keep: Move files of an earlier linearization to `runs` in `out`.
-        compile: Compile the sources of an FMU without a library for this machine.
+        keep: Move the files of an earlier call to `runs`.
+        compile: Compile and execute the sources of an FMU that has no library for this machine.
+
+    Returns:
+        The linear models, their structure and notes.
 
     Raises:
-        InputError: An argument or the model has faults.
-        FmuError: The FMU cannot be used.
-        SimulationError: The model has no finite derivatives, or the scenario fails.
+        InputError: Every fault of the input.
+        FmuError: An FMU cannot be read or loaded.
+        SimulationError: The simulation failed.
     """
     if side is not None and side not in SIDES:
         raise InputError([Fault(SIDE, 0, 0, f"is below or above{did_you_mean(side, tuple(SIDES))}")])

@@ -23,10 +23,22 @@ def build(
     fmi: int = 2,
     platforms: Sequence[str] = (),
 ) -> list[Path]:
-    """Build in `folder` the FMUs of a model: base, a model.yaml, file.py:Class, a refine; without one, all there are.
+    """Build the FMUs of a model.
 
-    nearest: of the model that came nearest in the refine that is named
-    native:  compiled, of a version of FMI, for platforms (without one, this machine's). Raises InputError.
+    Args:
+        folder: Folder for the FMUs.
+        model: Registered model, model.yaml, file.py:Class, or the folder of a refine; None takes all FMUs of the base
+            model.
+        nearest: Use nearest.yaml instead of model.yaml of the refine folder.
+        native: Build compiled FMUs, which need no Python.
+        fmi: FMI version of native FMUs, 2 or 3.
+        platforms: Platforms of native FMUs; none means this machine.
+
+    Returns:
+        Paths of the FMUs.
+
+    Raises:
+        InputError: Every fault of the input.
     """
     from cosim.fmi.fmu_build import build as build_fmu
 

@@ -19,11 +19,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class Refined:
-    """Result of a refinement; `folder` holds model.yaml and plant.fmu.
+    """Result of a refine: `record` is refine.json; model.yaml and plant.fmu are in `folder`.
 
     Attributes:
-        record: Content of refine.json.
-        subject: Refined object; None for a result read from a folder.
+        subject: The refined object; None if the result was read from a folder.
     """
 
     record: Mapping[str, Any]
@@ -32,35 +31,31 @@ class Refined:
 
     @property
     def verdict(self) -> str:
-        """Return the verdict, such as effect_found or ambiguous."""
+        """Verdict: effect_found, parameter_error, sensor_error, no_effect, ambiguous or unexplained."""
         return str(self.record.get("verdict", ""))
 
     @property
     def effects(self) -> list[dict[str, Any]]:
-        """Return the added effects with intervals."""
+        """Claimed effects, most important first, with values and intervals."""
         return list(self.record.get("effects") or ())
 
     @property
     def sentence(self) -> str:
-        """Return the verdict in words."""
+        """The verdict in words."""
         return str(self.record.get("sentence", ""))
 
     @property
     def model(self) -> Path:
-        """Return the path of the refined model."""
+        """Path of the refined model.yaml."""
         return self.folder / REFINED[0]
 
     @property
     def fmu(self) -> Path:
-        """Return the path of the refined FMU."""
+        """Path of the refined FMU."""
         return self.folder / REFINED[1]
 
     def to_pandas(self) -> pandas.DataFrame:
-        """Return errors before and after by part and channel.
-
-        Raises:
-            ImportError: pandas is not installed.
-        """
+        """Return the errors before and after by part and channel; raise ImportError without pandas."""
         try:
             import pandas
         except ImportError:

@@ -12,7 +12,7 @@ from cosim.storage.results import read_results, rows_in
 
 @dataclass(frozen=True, repr=False)
 class Replay(Signals):
-    """Signals of the FMU and the log of a replay, with errors by horizon in `residual`."""
+    """Signals of an FMU and a log, and `residual` for each horizon."""
 
     residual: Signals | None = None
     sentence: str = ""

@@ -17,11 +17,11 @@ from cosim.sweeps.run_chunks import Made
 
 @dataclass(frozen=True)
 class Swept:
-    """Results of a sweep.
+    """Result of a sweep.
 
     Attributes:
         record: Content of sweep.json.
-        made: Number of runs made by this call.
+        made: Number of runs of this call.
     """
 
     sweep: Sweep
@@ -31,7 +31,7 @@ class Swept:
 
     @property
     def sentences(self) -> list[str]:
-        """Return the results as sentences."""
+        """Results in words, one line each."""
         r = self.record
         lines = [f"{r['runs'] - r['failed']} of {counted(r['runs'], 'run')} came to their end{_how(r)}"]
         lines += [f"{c['name']}: met by {c['met']} of {c['of']} ({_interval(c)})" for c in r["criteria"]]

@@ -1,4 +1,4 @@
-"""`cosim refine` and `cosim.refine`: find what a model lacks in measured logs."""
+"""`cosim refine` and `cosim.refine`: find the effect that a model lacks."""
 
 from __future__ import annotations
 
@@ -36,12 +36,26 @@ def refine(
     in_process: bool = False,
     progress: Callable[[str, float], None] | None = None,
 ) -> Refined:
-    """Find what a model lacks in measured logs; refine.json, model.yaml, plant.fmu and report.html are left in `out`.
+    """Find the effect that a model lacks, from measured logs.
 
-    study: a study file, or any object that can be refined (`cosim.subject.interface.Subject`) with its logs beside it
-    logs, validation: logs of such an object, to learn from and sealed; settings: further keys of a study file
-    force: also over what another study or command left there
-    Raises InputError, FmuError, SimulationError.
+    Args:
+        study: Study file, or an object that derives from `cosim.subject.interface.Subject`.
+        out: Folder for refine.json, model.yaml, plant.fmu and report.html.
+        logs: Estimation logs of an object.
+        validation: Sealed logs of an object.
+        settings: Further keys of a study file, for an object.
+        report: Write report.html.
+        force: Overwrite results of another study or command in `out`.
+        in_process: Load FMUs into this process, for a debugger; limits do not apply.
+        progress: Function of (stage, completed share).
+
+    Returns:
+        The verdict, the effects, the refined model and its FMU.
+
+    Raises:
+        InputError: Every fault of the input.
+        FmuError: An FMU cannot be read or loaded.
+        SimulationError: The simulation failed; the rows so far are in `out`.
     """
     from cosim.refinement.refined_result import Refined
     from cosim.refinement.study import study_of
@@ -59,7 +73,7 @@ def refine(
 
 
 def command(
-    study: Annotated[Path, typer.Argument(help="A study.yaml: model, estimation and validation logs.")],
+    study: Annotated[Path, typer.Argument(help="A study: model, estimation logs and validation logs.")],
     *,
     out: Annotated[Path | None, out_option("results/NAME of the study")] = None,
     report: Report = True,
@@ -68,7 +82,12 @@ def command(
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Find what the model lacks in measured logs: refine.json, model.yaml, plant.fmu and report.html."""
+    """Find the effect that a model lacks, from measured logs.
+
+    Writes refine.json, the refined model.yaml and plant.fmu, and report.html.
+
+    Example: cosim refine study.yaml --out results/refine
+    """
     # fits run side by side; more threads within each only wait for one another (read when numpy is first imported)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from cosim.refinement.report.error_tables import second_sentence
