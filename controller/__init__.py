@@ -1,1 +1,1 @@
-"""The flight controller: Kalman filter and LQR, designed offline, run in the loop."""
+"""Flight controller: Kalman filter and LQR, designed offline and run in the loop."""

@@ -1,8 +1,9 @@
-"""The craft under its own controller: the rig that plays its experiments.
+"""Rig for experiments on the craft under its own controller.
 
-A tilt of 1° askew, left alone, spins the hovercraft up within seconds. What is to be added to the tilts is put on the
-references, divided by the gain that leads from them to the tilts: in the very sample the controller commands it. It
-leaves the duties alone, so they are played.
+Without control, a tilt error of 1° spins the hovercraft up within seconds. An addition to the tilts is therefore
+applied
+to the references, divided by the gain from reference to tilt: the controller commands the addition in the same sample.
+Duties are not controlled and can be played directly.
 """
 
 from __future__ import annotations
@@ -25,14 +26,14 @@ from cosim.storage.table import write_columns
 from fmus.recipes import controller_recipe
 
 REFERENCE_BAND = (0.05, 0.5)  # [Hz]
-TURN = math.pi  # [rad] of heading asked of the loop, either way
-TRAVEL = 0.9  # of the allowed excursion that is asked of the loop
-DITHER = 0.5  # of the tilt limit; the loop needs the rest
-DUTY_DIFFERENCE = 0.3  # of the duty limit between right and left, the rest on both
+TURN = math.pi  # [rad] heading reference in both directions
+TRAVEL = 0.9  # share of the allowed excursion used for references
+DITHER = 0.5  # share of the tilt limit; the loop needs the rest
+DUTY_DIFFERENCE = 0.3  # share of the duty limit for the difference; the rest is common
 
 
 class ClosedLoop:
-    """The hovercraft under its own controller: references, dither on both tilts and between them, duties."""
+    """Hovercraft under its own controller: references, common and differential tilt dither, duties."""
 
     usual = "the manoeuvre"
     files: tuple[str, ...] = ("references.csv", "controller.fmu")
@@ -55,7 +56,7 @@ class ClosedLoop:
         )
 
     def _tilts(self, limits: Mapping[str, float]) -> Iterator[float]:
-        """How far each propeller may tilt, either way: the controller's limit is one for both ways."""
+        """Yield the tilt limit of each propeller, common to both directions."""
         for name in self.commanded:
             low, high = self.ranges.get(name, (-math.inf, math.inf))
             if not low < 0.0 < high:
@@ -64,7 +65,7 @@ class ClosedLoop:
             yield min(limits[name], -low, high)
 
     def play(self, model: Model, signals: Signals) -> Trial:
-        """The loop as a co-simulation runs it, Gauss-Seidel, without noise."""
+        """Simulate the noise-free loop in Gauss-Seidel order, as a co-simulation."""
         x_ref = signals["x_ref"] + signals["tilt_common"] / self.settings.k_1_1
         psi_ref = signals["psi_ref"] + signals["tilt_difference"] / self.settings.k_1_3
         rest = self.settings.duty_nominal
@@ -82,7 +83,7 @@ class ClosedLoop:
         return trial_of(model, len(x_ref), command, signals, {"x_ref": x_ref, "psi_ref": psi_ref})
 
     def usual_signals(self, time: Array) -> Signals:
-        """The five commands of scenarios/manoeuvre.yaml, as far as the time goes."""
+        """Return the five commands of scenarios/manoeuvre.yaml, cut to the duration."""
         x = Profile(changes=[Change(at=5, to=1.5), Change(at=17, to=3.0)])
         right, about = Change(at=1, to=-math.pi / 2), Change(at=10, to=math.pi / 2, rate=math.pi / 4)
         psi = Profile(changes=[right, about, Change(at=22, to=0.0)])
@@ -92,17 +93,17 @@ class ClosedLoop:
         return signals
 
     def write(self, folder: Path, trial: Trial) -> None:
-        """The references, dither included, and the controller that follows them."""
+        """Write the references with dither, and the controller."""
         write_columns(folder / "references.csv", trial.time, trial.references, {"x_ref": "m", "psi_ref": "rad"})
         build(controller_recipe(), folder / "controller.fmu")
 
     def components(self) -> Iterator[str]:
-        """References and controller."""
+        """Yield the lines of references and controller."""
         yield "  references: {block: playback, file: references.csv} # the dither on the tilts is in them"
         yield f"  controller: {{fmu: controller.fmu, start: {{tilt_max: {self.settings.tilt_max:.9g}}}}}"
 
     def connections(self, model: Model, trial: Trial, variance: Mapping[str, float]) -> Iterator[str]:
-        """The loop through the controller, and the duties played."""
+        """Yield the connections of controller and duties."""
         for name in self.sensors:
             yield f"  - {{from: plant.{name}, to: controller.{name}, noise: {{variance: {variance[name]:g}}}}}"
         yield from (f"  - {{from: references.{name}, to: controller.{name}}}" for name in trial.references)

@@ -1,8 +1,8 @@
-"""Linear design model of the thesis, eqs 5.33 and 5.34, and what each sensor sees of it.
+"""Linear design model of the thesis, eqs 5.33 and 5.34, and its measurement matrices.
 
 State (x, ẋ, ψ, ψ̇, a): distance along the craft's axis, its rate, heading, yaw rate, thrust acceleration
-(F_Rx + F_Lx)/m. Input (α_R, α_L). The thesis puts the lag on the forward axis only; the plant has it on
-both (its linearisation stands in `cosim.model.symbolic.linearize`).
+(F_Rx + F_Lx)/m. Input (α_R, α_L). The thesis has the lag on the forward axis only, the plant on both axes (linearized
+in `cosim.model.symbolic.linearize`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ STATES = ("x", "vx", "psi", "psi_dot", "a")
 
 
 class ModelNumbers(Protocol):
-    """The numbers the design model needs, all SI."""
+    """Parameters of the design model, all SI."""
 
     @property
     def mass(self) -> float: ...
@@ -36,17 +36,18 @@ class ModelNumbers(Protocol):
 
 
 class Timed(ModelNumbers, Protocol):
-    """The numbers of the design model, and how old a fix is when it arrives [s]."""
+    """Parameters of the design model, and the age of a fix at its arrival [s]."""
 
     @property
     def fix_latency(self) -> float: ...
 
 
 def design_model(p: ModelNumbers) -> tuple[Matrix, Matrix]:
-    """A (5, 5) and B (5, 2) of eqs 5.33/5.34, with a yaw damping d that the thesis has at 0.
+    """Return A (5, 5) and B (5, 2) of eqs 5.33/5.34, with yaw damping d.
 
-    A₁₂ = 1, A₂₂ = −c/m, A₂₅ = 1, A₃₄ = 1, A₄₄ = −d/Izz, A₅₅ = −1/τ;  B₄ = ±L·T_N/Izz, B₅ = T_N/(τ·m).
-    Eq E.4 prints 34.27 and 24.17, the values of an older T_N and τ; eqs 5.36 and 6.5 need 41.85 and 40.07.
+    The thesis has d = 0. A₁₂ = 1, A₂₂ = −c/m, A₂₅ = 1, A₃₄ = 1, A₄₄ = −d/Izz, A₅₅ = −1/τ;  B₄ = ±L·T_N/Izz, B₅ =
+    T_N/(τ·m).
+    Eq E.4 prints 34.27 and 24.17, from an older T_N and τ; eqs 5.36 and 6.5 need 41.85 and 40.07.
     """
     A, B = _zeros(p, 5, 5), _zeros(p, 5, 2)
     A[0, 1] = A[1, 4] = A[2, 3] = 1.0
@@ -61,10 +62,10 @@ def design_model(p: ModelNumbers) -> tuple[Matrix, Matrix]:
 
 
 def measurement_matrix(p: ModelNumbers, estimator: str) -> Matrix:
-    """H (3, 5) for the measurements (ψ, ψ̇, a_x), eq 5.43.
+    """Return H (3, 5) for the measurements (ψ, ψ̇, a_x), eq 5.43.
 
-    The thesis reads x₅ from the accelerometer. By Newton's law it reads total acceleration,
-    a_x = x₅ − (c/m)·x₂: variant `consistent`, which makes ẋ observable.
+    The thesis equates the accelerometer with x₅. By Newton's law, the accelerometer measures total acceleration,
+    a_x = x₅ − (c/m)·x₂: variant `consistent`, with observable ẋ.
     """
     H = _zeros(p, 3, 5)
     H[0, 2] = H[1, 3] = H[2, 4] = 1.0
@@ -74,12 +75,12 @@ def measurement_matrix(p: ModelNumbers, estimator: str) -> Matrix:
 
 
 def fix_matrix(p: Timed) -> Matrix:
-    """H (1, 5) of a fix, the position along the craft's axis T seconds ago: x(t − T) = x − T·ẋ, to first order."""
+    """Return H (1, 5) of a fix with age T: x(t − T) = x − T·ẋ to first order."""
     H = _zeros(p, 1, 5)
     H[0, 0], H[0, 1] = 1.0, -p.fix_latency
     return H
 
 
 def _zeros(p: ModelNumbers, *shape: int) -> Matrix:
-    """A matrix for numbers of this kind: floats, or symbols of which the design is printed."""
+    """Return a zero matrix for floats, or for symbols of a printed design."""
     return np.zeros(shape, dtype=float if isinstance(p.mass, (int, float)) else object)

@@ -1,4 +1,4 @@
-"""`design:` of a scenario, for the craft's controllers: what a law needs, from options and the numbers of a craft."""
+"""Design of the craft's controllers for `design:` of a scenario, from options and craft parameters."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ WEIGHTS = (
     "weight_vx",
     "weight_psi",
     "weight_psi_dot",
-)  # the fifth state has no place in the predictive law
-DESIGN_NUMBERS = ("mass", "izz", "arm", "friction", "lag", "thrust_nominal", "yaw_damping")  # of `design_model`
+)  # the predictive law has no fifth state
+DESIGN_NUMBERS = ("mass", "izz", "arm", "friction", "lag", "thrust_nominal", "yaw_damping")  # for `design_model`
 BY_WEIGHTS = ("", INTEGRAL, *PREDICTIONS)
 Place = tuple[str | int, ...]
 
 
 class LqrDesigner:
-    """Gains of eqs 6.2-6.4, or of another law; the numbers of the design model from a craft, or from what is given.
+    """Design of gains by eqs 6.2-6.4, or for another law, with parameters of a craft or given values.
 
-    Q and R mean the same to every law that has weights, so that a scenario may swap its controller by one line.
+    Q and R have the same meaning in all laws with weights, so that a scenario changes its controller in one line.
     """
 
     version = 6
@@ -67,7 +67,7 @@ class LqrDesigner:
     }
 
     def depends_on(self, model: Model | None) -> Mapping[str, Any]:
-        """The craft's numbers, its effects' too; or the controller's."""
+        """Return the craft's parameters with its effects, or the controller's."""
         if model is None:
             return {p.name: getattr(Settings(), p.name) for p in parameters_of(Settings)}
         if not isinstance(model, Hovercraft):
@@ -78,7 +78,7 @@ class LqrDesigner:
         }
 
     def values(self, options: Mapping[str, Any], model: Model | None, law: str = "") -> dict[str, float]:
-        """What the law needs, and the craft's numbers where there is one."""
+        """Return the start values of the law, with the craft's parameters."""
         from controller.synthesis import numbers_of
 
         numbers = numbers_of(model) if isinstance(model, Hovercraft) else {}
@@ -88,7 +88,7 @@ class LqrDesigner:
         return self._gains(options, settings, law) | numbers
 
     def objections(self, options: Mapping[str, Any], law: str) -> list[Objection]:
-        """Options out of the bounds of what they become, poles that cannot be, two weights where there is one."""
+        """Return options out of bounds, impossible poles, and unequal tilt weights."""
         from controller.placement import pole_faults
 
         declared = {p.name: p for p in parameters_of(_settings(law))}
@@ -107,7 +107,7 @@ class LqrDesigner:
         return found
 
     def _gains(self, options: Mapping[str, Any], settings: Settings, law: str) -> dict[str, float]:
-        """Of laws that are gains."""
+        """Return the designed gains."""
         from controller.judging import designed_gains
 
         K, K_i = designed_gains(options, settings, law)
@@ -117,7 +117,7 @@ class LqrDesigner:
     def _predictive(
         self, options: Mapping[str, Any], model: Model | None, numbers: Mapping[str, float], law: str
     ) -> dict[str, float]:
-        """Of the predictive laws: weights and limits, and more numbers of the craft."""
+        """Return weights, limits and craft parameters of a predictive law."""
         values = {**numbers, **{name: float(value) for name, (_, value) in _becomes(options, law).items()}}
         if isinstance(model, Hovercraft) and law == TIME_VARIANT:
             from controller.time_variant_settings import OF_CRAFT
@@ -130,8 +130,8 @@ class LqrDesigner:
         return values
 
     def judged(self, values: Mapping[str, Any], own: Mapping[str, Any], options: Mapping[str, Any], law: str) -> Judged:
-        """Why the predictive law would have no solution, or gains would not be stable on the craft that flies."""
-        own = {name: v for name, v in own.items() if name == "estimator" or not isinstance(v, str)}  # with a unit
+        """Return reasons against a solution of the predictive law, or unstable gains."""
+        own = {name: v for name, v in own.items() if name == "estimator" or not isinstance(v, str)}  # without units
         if law in PREDICTIONS:
             settings = SimpleNamespace(**{p.name: p.default for p in parameters_of(_settings(law))} | {**values, **own})
             faults = conflicts(settings)
@@ -151,18 +151,21 @@ class LqrDesigner:
         return judged_gains(values, own, options, law)
 
     def given(self, options: Mapping[str, Any], law: str) -> dict[str, Any]:
-        """Estimator, thrust and lag; the law with a filter of its own leaves the estimator aside."""
+        """Return estimator, thrust and lag; the estimator only for laws with a choice."""
         names = ("thrust_nominal", "lag", *(["estimator"] if law in self.options["estimator"].laws else []))
         return {k: v for k in names if (v := options.get(k)) is not None}
 
     def rests_on(self, designed: Mapping[str, Any], law: str) -> Mapping[str, float]:
-        """What enters eqs 5.33/5.34; a predictive law designs as it starts, with the numbers that it then has."""
+        """Return the parameters of eqs 5.33/5.34.
+
+        A predictive law is designed at its start with its own parameters.
+        """
         defaults = {} if law in PREDICTIONS else {name: getattr(Settings(), name) for name in DESIGN_NUMBERS}
         return {**defaults, **{n: v for n, v in designed.items() if n in DESIGN_NUMBERS}}
 
 
 def _settings(law: str) -> Any:
-    """Return the settings of a predictive law; they know the numbers that options become."""
+    """Return the settings class of a predictive law."""
     if law == TIME_VARIANT:
         from controller.time_variant_settings import TimeVariantSettings
 
@@ -172,7 +175,7 @@ def _settings(law: str) -> Any:
 
 
 def _becomes(options: Mapping[str, Any], law: str) -> dict[str, tuple[Place, float]]:
-    """What options become as they are: start value → where its number stands among them, and the number."""
+    """Return start value → option place and number, for options used unchanged."""
     found: dict[str, tuple[Place, float]] = {
         name: ((name,), options[name]) for name in ("thrust_nominal", "lag") if options.get(name) is not None
     }

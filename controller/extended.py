@@ -1,4 +1,4 @@
-"""Extended Kalman filter on the nonlinear equations of the craft, by filterpy; an absolute fix makes it observable."""
+"""Extended Kalman filter on the nonlinear craft equations with filterpy, observable with absolute fixes."""
 
 from __future__ import annotations
 
@@ -27,10 +27,11 @@ LINEAR = {p.name: p for p in parameters_of(Settings)}
 
 @dataclass(frozen=True, kw_only=True)
 class ExtendedSettings(Parametric):
-    """Noise that the extended filter believes in, and how its fixes are given; `axes` is one of `AXES`.
+    """Assumed noise of the extended filter, and the axes of its fixes; `axes` is one of `AXES`.
 
-    Process noise is per sample; that of the five states is eq 5.47's, the other numbers are ours. What moves the craft
-    along its own axes moves it in the world's: the world position has no noise of its own.
+    Process noise is per sample; noise of the five design states is from eq 5.47, the rest is chosen here. Motion along
+    the
+    craft's axes also moves the world position, which has no noise of its own.
     """
 
     process_variance_x: float = declared(LINEAR, "process_variance_x")
@@ -62,17 +63,17 @@ class ExtendedSettings(Parametric):
 
     @property
     def process_variances(self) -> tuple[float, ...]:
-        """Diagonal of the process noise, in the order of the plant's states; 0 of the world position."""
+        """Return the process noise diagonal in the order of the plant's states."""
         return tuple(getattr(self, f"process_variance_{name}", 0.0) for name in STATES)
 
     @property
     def measurement_variances(self) -> tuple[float, ...]:
-        """Diagonal of W, eq 5.46."""
+        """Return the diagonal of W, eq 5.46."""
         return tuple(getattr(self, f"measurement_variance_{name}") for name in SENSED)
 
     @property
     def fix_variances(self) -> tuple[float, ...]:
-        """Diagonal of the noise of a fix."""
+        """Return the noise diagonal of a fix."""
         return self.measurement_variance_x, self.measurement_variance_y
 
 
@@ -80,7 +81,7 @@ HEADING = STATES.index("psi")
 
 
 def carried(psi: float) -> Matrix:
-    """G (14, 14): how noise of the states enters them, the own axes' into the world's."""
+    """Return G (14, 14), which transfers noise from craft to world axes."""
     G = np.eye(len(STATES))
     for row, (along, right) in (
         ("x_world", (math.cos(psi), math.sin(psi))),
@@ -91,12 +92,14 @@ def carried(psi: float) -> Matrix:
 
 
 class Craft(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy is untyped
-    """The craft's equations as filterpy's extended filter asks for them.
+    """Craft equations for filterpy's extended Kalman filter.
 
-        x̂ = f(x̂, u),   P = F·P·F' + G·Q·G',   F = I + Δt·A + … + (Δt·A)⁴/24,   A = ∂f/∂x at x̂
-        G = I, but for the world position, which the noise of x and y moves by (cos ψ, sin ψ), (sin ψ, −cos ψ)
+         x̂ = f(x̂, u),   P = F·P·F' + G·Q·G',   F = I + Δt·A + … + (Δt·A)⁴/24,   A = ∂f/∂x at x̂
 
-    jacobians: what `cosim.model.symbolic.jacobian.printed_jacobians` printed of this model and (a_x), loaded
+    G = I, except for the world position, moved by the noise of x and y with (cos ψ, sin ψ), (sin ψ, −cos ψ).
+
+    Args:
+        jacobians: Loaded module of `cosim.model.symbolic.jacobian.printed_jacobians` for this model and (a_x).
     """
 
     def __init__(self, model: Hovercraft, settings: ExtendedSettings, jacobians: Mapping[str, Any]) -> None:
@@ -112,7 +115,7 @@ class Craft(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy is untyped
         self.command: tuple[float, ...] = model.start_command()
 
     def predict_x(self, u: Any = 0) -> None:
-        """State, transition matrix and noise one sample on, the command held."""
+        """Predict state, transition matrix and noise of the next sample with held command."""
         dt = self.settings.sample_time
         A = dt * self.slope("state", (len(STATES), len(STATES)))
         A2 = A @ A
@@ -122,37 +125,37 @@ class Craft(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy is untyped
         self.x = np.array(self.stepper.step(Moment(0.0, tuple(self.x.tolist())), self.command, dt).state)
 
     def slope(self, name: str, shape: tuple[int, int]) -> Matrix:
-        """∂f/∂x or ∂h/∂x at the estimate."""
+        """Return ∂f/∂x or ∂h/∂x at the estimate."""
         return self.slopes.at(name, self.x, self.command, shape)
 
     def sensed(self, x: Matrix) -> Matrix:
-        """(ψ, ψ̇, a_x)."""
+        """Return (ψ, ψ̇, a_x)."""
         y = self.stepper.output(0.0, tuple(x.tolist()), self.command)
         return np.array([y[k] for k in self.outputs])
 
     def sensed_slope(self, x: Matrix) -> Matrix:
-        """H of (ψ, ψ̇, a_x)."""
+        """Return H of (ψ, ψ̇, a_x)."""
         H = np.zeros((3, len(STATES)))
         H[0, STATES.index("psi")] = H[1, STATES.index("psi_dot")] = 1.0
         H[2] = self.slope("output", (1, len(STATES)))[0]
         return H
 
     def located(self, x: Matrix) -> Matrix:
-        """A fix, T seconds old: p(t − T) = p − T·ṗ, to first order."""
+        """Return a fix of age T: p(t − T) = p − T·ṗ to first order."""
         rate = self.stepper.derivative(0.0, tuple(x.tolist()), self.command)
         return np.array([x[k] - self.settings.fix_latency * rate[k] for k in self.fixed])
 
     def located_slope(self, x: Matrix) -> Matrix:
-        """H of a fix."""
+        """Return H of a fix."""
         size = len(STATES)
         H = np.eye(size) - self.settings.fix_latency * self.slope("state", (size, size))
         return np.asarray(H[self.fixed])
 
 
 class ExtendedFilter(SampledFilter):
-    """Estimates the plant's 14 states. Order at a sample: predict with the command held, (ψ, ψ̇, a_x), a new fix.
+    """Estimator of the plant's 14 states: prediction with held command, update with (ψ, ψ̇, a_x), new fix.
 
-    It knows where it starts: P = 0. Positions are along the craft's own axes, fixes along those that `axes` says.
+    The start is known: P = 0. Positions are along the craft's own axes, fixes along the axes of `axes`.
     """
 
     def __init__(
@@ -171,7 +174,14 @@ class ExtendedFilter(SampledFilter):
     def step(
         self, measured: Sequence[float], command: Sequence[float], fix: float = 0.0, position: Sequence[float] = (0, 0)
     ) -> None:
-        """One sample: (ψ, ψ̇, a_x), the command (duties, tilts) that acted until now, the latest fix and its number."""
+        """Process one sample.
+
+        Args:
+            measured: (ψ, ψ̇, a_x).
+            command: Duties and tilts that acted until now.
+            fix: Number of the latest fix.
+            position: Latest fix.
+        """
         kf = self.filter
         kf.command = tuple(command)
         kf.predict()
@@ -184,20 +194,20 @@ class ExtendedFilter(SampledFilter):
 
     @property
     def estimate(self) -> tuple[float, ...]:
-        """(x, ẋ, ψ, ψ̇, a) of the five-state model, then y."""
+        """Return (x, ẋ, ψ, ψ̇, a) of the five-state model, then y."""
         x = dict(zip(STATES, self.filter.x.tolist(), strict=True))
         ax = float(self.filter.sensed(self.filter.x)[2])
         return *(x[name] for name in ESTIMATED), ax + self.damping * x["vx"], x["y"]
 
     @property
     def sigma(self) -> tuple[float, ...]:
-        """Standard deviations of x, ψ and y that it believes in."""
+        """Return the estimated standard deviations of x, ψ and y."""
         P = self.filter.P
         return tuple(math.sqrt(max(0.0, P[k, k])) for k in map(STATES.index, ("x", "psi", "y")))
 
 
 def level_tilt(model: Hovercraft, a: float) -> float:
-    """The tilt [rad] of both propellers at which the hovering craft's thrust acceleration is a [m/s²]; at most ±90°."""
+    """Return the common tilt [rad] for thrust acceleration a [m/s²] at hover; at most ±90°."""
     stepper = Stepper(model)
     outputs = dict(zip((q.name for q in model.outputs), stepper.output(0.0, model.start(), ()), strict=True))
     return math.asin(max(-1.0, min(1.0, a * model.mass / (outputs["thrust_right"] + outputs["thrust_left"]))))

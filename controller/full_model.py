@@ -1,7 +1,7 @@
-"""The plant's fourteen states linearised at hover, by the few numbers that are in it.
+"""Linearization of the plant's fourteen states at hover, from a few parameters.
 
-States and inputs as the plant has them. The lag is on both axes, each propeller has its own thrust and tilt. A test
-holds it against the linearisation of the plant's equations, entry by entry.
+States and inputs are those of the plant. Both axes have the lag; each propeller has its own thrust and tilt. A test
+compares every entry with the linearization of the plant's equations.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ INPUTS = tuple(q.name for q in PLANT_INPUTS)
 
 
 class FullNumbers(ModelNumbers, Protocol):
-    """The numbers of the design model, and those of roll and of the motors, all SI (duty in %)."""
+    """Parameters of the design model, roll and motors, all SI (duty in %)."""
 
     @property
     def ixx(self) -> float: ...
@@ -34,7 +34,7 @@ class FullNumbers(ModelNumbers, Protocol):
 
 
 def full_model(p: FullNumbers) -> tuple[Matrix, Matrix]:
-    """A (14, 14) and B (14, 4) of deviations from hover at ψ = 0, eqs 5.9-5.14 with 4.20 and 4.29.
+    """Return A (14, 14) and B (14, 4) about hover at ψ = 0, eqs 5.9-5.14 with 4.20 and 4.29.
 
     v̇x = −c/m·vx + T_N/m·(α_R + α_L)          v̇y = −c/m·vy − 2·T_N/m·φ
     ψ̈ = −d/Izz·ψ̇ + L·T_N/Izz·(α_R − α_L)      φ̈ = −k/Ixx·φ − d_φ/Ixx·φ̇ + L·Γ/Ixx·(T_R − T_L)
@@ -65,7 +65,10 @@ def full_model(p: FullNumbers) -> tuple[Matrix, Matrix]:
 
 
 def held(A: Matrix, B: Matrix, step: float) -> tuple[Matrix, Matrix]:
-    """F and G of xₖ₊₁ = F·xₖ + G·uₖ, inputs held over the step [s], exact: [F G; 0 I] = exp(Δt·[A B; 0 0])."""
+    """Return F and G of xₖ₊₁ = F·xₖ + G·uₖ for held inputs.
+
+    Exact: [F G; 0 I] = exp(Δt·[A B; 0 0]).
+    """
     from scipy.linalg import expm
 
     n, m = B.shape

@@ -1,4 +1,4 @@
-"""Everything the running controller is told: frozen numbers, declared once."""
+"""Parameters of the running controller, declared once."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ESTIMATORS = ("appendix_f", "lagged", "consistent")
 GAINS = tuple(f"k_{i}_{j}" for i in (1, 2) for j in range(1, 6))  # K, row by row
 CRAFT = {p.name: p for p in parameters_of(Hovercraft)}
 
-# Eq 6.5 in full: LQR gain of eqs 5.33/5.34 with the weights of eq 6.4. A test designs it anew.
+# Eq 6.5 with all digits: LQR gain of eqs 5.33/5.34 with the weights of eq 6.4. A test repeats the design.
 K_X = math.sqrt(0.5)
 K_VX = 0.6593433035062245
 K_PSI = math.sqrt(0.05)
@@ -24,7 +24,7 @@ K_A = 0.0495788342133304
 
 
 def gain(default: float, tilt: str, state: str) -> float:
-    """Declare one entry of K: tilt command [rad] per unit of a state."""
+    """Declare an entry of K: tilt command [rad] per unit of a state."""
     unit = {"x": "rad/m", "vx": "rad.s/m", "psi": "1", "psi_dot": "s", "a": "rad.s2/m"}[state]
     value: float = parameter(
         default, unit=unit, bounds=(-1e4, 1e4), doc=f"gain from {state} to the {tilt} tilt, eq 6.5"
@@ -33,13 +33,13 @@ def gain(default: float, tilt: str, state: str) -> float:
 
 
 def declared(by: Mapping[str, Parameter], name: str, of: str = "") -> Any:
-    """Declare a parameter as another class does, its meaning with a word before it."""
+    """Declare a parameter of another class again, with a prefix `of` in its meaning."""
     p = by[name]
     return parameter(p.default, unit=p.unit, bounds=p.bounds, doc=of + p.doc)
 
 
 def of_craft(name: str) -> Any:
-    """A number of the design model that is a parameter of the plant."""
+    """Declare a design model parameter like the plant's."""
     return declared(CRAFT, name, "design model: ")
 
 
@@ -110,13 +110,13 @@ class Settings(Parametric):
 
     @property
     def gain_matrix(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """K, shape (2, 5)."""
+        """Return K, shape (2, 5)."""
         right = (self.k_1_1, self.k_1_2, self.k_1_3, self.k_1_4, self.k_1_5)
         return right, (self.k_2_1, self.k_2_2, self.k_2_3, self.k_2_4, self.k_2_5)
 
     @property
     def process_variances(self) -> tuple[float, ...]:
-        """Diagonal of V, eq 5.47, shape (5,)."""
+        """Return the diagonal of V, eq 5.47, shape (5,)."""
         return (
             self.process_variance_x,
             self.process_variance_vx,
@@ -127,10 +127,10 @@ class Settings(Parametric):
 
     @property
     def measurement_variances(self) -> tuple[float, ...]:
-        """Diagonal of W, eq 5.46, shape (3,)."""
+        """Return the diagonal of W, eq 5.46, shape (3,)."""
         return self.measurement_variance_psi, self.measurement_variance_psi_dot, self.measurement_variance_ax
 
     @property
     def fix_variances(self) -> tuple[float, ...]:
-        """Diagonal of the noise of a fix, shape (1,)."""
+        """Return the noise diagonal of a fix, shape (1,)."""
         return (self.measurement_variance_x,)

@@ -1,4 +1,4 @@
-"""The quadratic program of the predictive law: commands over a horizon, within limits, by a dual active set."""
+"""Quadratic program of the predictive law: limited commands over a horizon, solved by a dual active set."""
 
 from __future__ import annotations
 
@@ -12,23 +12,24 @@ from controller.design_model import Matrix
 from controller.full_model import INPUTS, STATES, full_model, held
 from controller.variants import PredictionSettings, PredictiveSettings
 
-# x_world and y_world say over again what x and y say, and carry no weight: twelve states are predicted of fourteen.
+# x_world and y_world repeat x and y without weight, so twelve of fourteen states are predicted.
 PREDICTED = [k for k, name in enumerate(STATES) if not name.endswith("_world")]
 NAMES = [STATES[k] for k in PREDICTED]
-BLOCKS = (1, 2, 4, 8, 12, 18, 25, 30)  # steps of the prediction over which a command is held; the last one to its end
+BLOCKS = (1, 2, 4, 8, 12, 18, 25, 30)  # steps with a constant command; the last block extends to the horizon
 VX = NAMES.index("vx")
-SOLVED, AT_LIMIT = (1, 2), -4  # DAQP's flags: optimal, and where a soft limit is exceeded; too many iterations
-HARD, SOFT = 0, 8  # its kinds of limits
-ROUNDING = 1e-9  # multipliers below are those of no limit
+SOLVED, AT_LIMIT = (1, 2), -4  # flags of DAQP: optimal, also with an exceeded soft limit; too many iterations
+HARD, SOFT = 0, 8  # kinds of limits in DAQP
+ROUNDING = 1e-9  # multipliers below are zero
 
 
 class Found(NamedTuple):
-    """What the solver came to.
+    """Result of the solver.
 
-    command: the first one, a deviation from rest
-    every:   all of them, scaled
-    hot:     multipliers, whose signs say at which limits the next sample starts
-    flag:    how it ended, one of DAQP's
+    Attributes:
+        command: First command, a deviation from rest.
+        every: All commands, scaled.
+        hot: Multipliers; their signs mark the active limits for the next sample.
+        flag: Exit flag of DAQP.
     """
 
     command: Matrix
@@ -39,14 +40,14 @@ class Found(NamedTuple):
 
     @property
     def solved(self) -> bool:
-        """Whether it is the best command."""
+        """Return True for the optimal command."""
         return self.flag in SOLVED
 
 
 class Condensed(NamedTuple):
-    """A cost ½·U'·H·U + f'·U over the commands U of all blocks, and the states at each step, free + forced·U.
+    """Cost ½·U'·H·U + f'·U of the commands U of all blocks, and the states free + forced·U at each step.
 
-    Of a deviation z that is still open, f and free have a column for each of its components.
+    For an open initial deviation z, f and free have one column per component.
     """
 
     H: Matrix
@@ -55,14 +56,14 @@ class Condensed(NamedTuple):
     forced: Matrix
 
     def at(self, z: Matrix) -> Condensed:
-        """Return the cost from the deviation z on."""
+        """Return the cost for the initial deviation z."""
         return self._replace(f=self.f @ z, free=self.free @ z)
 
 
 class Steps(NamedTuple):
-    """What a prediction goes by, step j of N: z_{j+1} = F_j·z_j + G_j·u_j + e_j, and its weights.
+    """Prediction z_{j+1} = F_j·z_j + G_j·u_j + e_j for steps j of N, and its weights.
 
-    F (N, n, n), G (N, n, m), e (N, n, 1); Q, R of a step, P (n, n) of the last state
+    F (N, n, n), G (N, n, m), e (N, n, 1); Q, R of a step, P (n, n) of the last state.
     """
 
     F: Matrix
@@ -74,7 +75,10 @@ class Steps(NamedTuple):
 
 
 def limits(p: PredictionSettings) -> tuple[Matrix, Matrix, Matrix]:
-    """Command at rest, and how far it may go down and up: duties [%], tilts [rad]."""
+    """Return the rest command and its lower and upper margins.
+
+    Duties are in %, tilts in rad.
+    """
     rest = np.array([p.duty_nominal, p.duty_nominal, 0.0, 0.0])
     low = np.array([p.duty_min, p.duty_min, -p.tilt_max, -p.tilt_max]) - rest
     high = np.array([p.duty_max, p.duty_max, p.tilt_max, p.tilt_max]) - rest
@@ -82,30 +86,33 @@ def limits(p: PredictionSettings) -> tuple[Matrix, Matrix, Matrix]:
 
 
 def predicted(p: PredictiveSettings) -> tuple[Matrix, Matrix]:
-    """A (12, 12) and B (12, 4) of the states that are predicted."""
+    """Return A (12, 12) and B (12, 4) of the predicted states."""
     A, B = full_model(p)
     return A[np.ix_(PREDICTED, PREDICTED)], B[PREDICTED]
 
 
 def steady(p: PredictiveSettings) -> Steps:
-    """Return the steps of a prediction that is linearised once, at hover."""
+    """Return the steps of a prediction linearized at hover."""
     F, G = held(*predicted(p), p.prediction_step)
     n, (Q, R) = len(of_steps(p)), (p.prediction_step * weight for weight in weights(p))
     return Steps(np.tile(F, (n, 1, 1)), np.tile(G, (n, 1, 1)), np.zeros((n, len(F), 1)), Q, R, cost_to_go(F, G, Q, R))
 
 
 def cost_to_go(F: Matrix, G: Matrix, Q: Matrix, R: Matrix) -> Matrix:
-    """Return P of the LQR's cost z'·P·z from the end of the horizon on."""
+    """Return P of the LQR cost z'·P·z after the horizon."""
     return np.asarray(solve_discrete_are(F, G, Q, R))
 
 
 def condensed(p: PredictionSettings, steps: Steps, start: Matrix, scale: Matrix) -> Condensed:
-    """Return the cost over the horizon, Σ (z'·Q·z + u'·R·u) + z_N'·P·z_N, as one of the scaled commands alone.
+    """Return the horizon cost as a function of the scaled commands alone.
 
-    start: z_0 as a column, or the unit matrix where it is open
+    The cost is Σ (z'·Q·z + u'·R·u) + z_N'·P·z_N.
+
+    Args:
+        start: z_0 as a column, or the unit matrix for an open start.
     """
     of_step, k, m = of_steps(p), start.shape[1], len(INPUTS)
-    columns = k + m * of_step[:, None] + np.arange(m)  # those of each step's commands
+    columns = k + m * of_step[:, None] + np.arange(m)  # columns of each step's commands
     added = np.zeros((len(of_step), len(start), k + m * (of_step[-1] + 1)))
     added[:, :, :k] = steps.e
     np.put_along_axis(added, columns[:, None], steps.G * scale, axis=2)
@@ -117,27 +124,27 @@ def condensed(p: PredictionSettings, steps: Steps, start: Matrix, scale: Matrix)
     found, last = both[1:], both[-1]
     counts = np.flatnonzero(np.diag(steps.Q))
     weighed = np.sqrt(np.diag(steps.Q)[counts])[:, None] * found[:-1, counts]
-    # a small product for each step: of one large one, threads would make the last digits, and take longer
+    # One small product per step: threads would make the last digits of a large product random, and slower.
     costs = (weighed[..., k:].transpose(0, 2, 1) @ weighed).sum(axis=0) + last[:, k:].T @ steps.P @ last
     H = costs[:, k:] + np.kron(np.diag(np.bincount(of_step)), scale[:, None] * steps.R * scale)
     return Condensed(H, costs[:, :k], found[:, :, :k], found[:, :, k:])
 
 
 def weights(p: PredictionSettings) -> tuple[Matrix, Matrix]:
-    """Q (12, 12) and R (4, 4), per second."""
+    """Return Q (12, 12) and R (4, 4), per second."""
     of_state = {name: getattr(p, f"weight_{name}") for name in ("x", "y", "psi", "vx", "vy", "psi_dot")}
     of_input = p.weight_duty, p.weight_duty, p.weight_tilt, p.weight_tilt
     return np.diag([of_state.get(name, 0.0) for name in NAMES]), np.diag(of_input)
 
 
 def of_steps(p: PredictionSettings) -> Matrix:
-    """Return the block of commands that each step of the prediction has."""
+    """Return the command block of each prediction step."""
     lengths = block_lengths(round(p.horizon / p.prediction_step))
     return np.repeat(np.arange(len(lengths)), lengths)
 
 
 def block_lengths(steps: int) -> list[int]:
-    """Lengths of the blocks: as declared, cut or drawn out to the horizon."""
+    """Return the block lengths, cut or extended to the horizon."""
     lengths: list[int] = []
     for length in BLOCKS:
         if (left := steps - sum(lengths)) > 0:
@@ -147,9 +154,9 @@ def block_lengths(steps: int) -> list[int]:
 
 
 class Program:
-    """The quadratic program of a sample: the condensed cost, limits of commands, a limit of speed where there is one.
+    """Quadratic program of a sample: condensed cost, command limits, and an optional speed limit.
 
-    A limit of speed |vx| ≤ speed_max holds at every step of the prediction, yet is soft: there always is a solution.
+    The limit |vx| ≤ speed_max at every prediction step is soft, so that a solution always exists.
     """
 
     def __init__(self, p: PredictionSettings) -> None:
@@ -164,13 +171,13 @@ class Program:
         self.iterations = int(p.iterations_max)
 
     def cold(self) -> Matrix:
-        """Where the first sample starts from: no limit touched."""
+        """Return the start of the first sample, without active limits."""
         return np.zeros(len(self.kinds))
 
     def solve(self, cost: Condensed, hot: Matrix) -> Found:
-        """The best commands, started from the multipliers of the sample before.
+        """Return the optimal commands, started from the previous multipliers.
 
-        Where the limit of iterations comes first: those without limits, cut off at them.
+        At the iteration limit, the unconstrained commands are clipped instead.
         """
         free, rows = cost.free[self.limited, VX], np.ascontiguousarray(cost.forced[self.limited, VX])
         high, low = np.concatenate([self.high, self.most - free]), np.concatenate([self.low, -self.most - free])
@@ -179,6 +186,6 @@ class Program:
         )
         if flag in SOLVED:
             hot = np.where(np.abs(info["lam"]) > ROUNDING, info["lam"], 0.0)
-        else:  # what it leaves then is not all written
+        else:  # The solver's output is then incomplete.
             U, hot = np.clip(-np.linalg.solve(cost.H, cost.f), self.low, self.high), self.cold()
         return Found(self.scale * U[: len(self.scale)], hot, int(info["iterations"]), int(flag), np.array(U))

@@ -1,4 +1,4 @@
-"""Gains designed by a law, and judged on the craft that flies: offline."""
+"""Offline design of gains, and their judgement on the simulated craft."""
 
 from __future__ import annotations
 
@@ -17,15 +17,19 @@ from controller.variants import INTEGRAL, INTEGRALS, POLES, FullSettings, Integr
 from cosim.model import parameters_of
 from cosim.model.design import Judged, Objection, Undesigned
 
-AXES = {"forward": (0, 1, 2), "turning": (3, 4)}  # of the five poles
+AXES = {"forward": (0, 1, 2), "turning": (3, 4)}  # indices of the five poles
 SLOWER_FIRST = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01, 0.001, 1.25, 1.5, 2.0, 3.0, 5.0, 10.0)
-TURNING = "347"  # columns of K and K_i that act on ψ
+TURNING = "347"  # columns of K and K_i for ψ
 WEIGHTS = {"Q": list(Q_THESIS), "R": list(R_THESIS), "Q_integral": list(Q_INTEGRAL)}
 Place = tuple[str | int, ...]
 
 
 def designed_gains(options: Mapping[str, Any], p: ModelNumbers, law: str) -> tuple[Matrix, Matrix | None]:
-    """K (2, 5), and K_i (2, 2) of the law that has integrals, else None. Raises Undesigned."""
+    """Return K (2, 5), and K_i (2, 2) for the law with integrals, else None.
+
+    Raises:
+        Undesigned: The options allow no design.
+    """
     try:
         if law == POLES:
             return placed_gain(p, [complex(pole) for pole in options["poles"]]), None
@@ -37,13 +41,13 @@ def designed_gains(options: Mapping[str, Any], p: ModelNumbers, law: str) -> tup
 
 
 def judged_gains(values: Mapping[str, Any], own: Mapping[str, Any], options: Mapping[str, Any], law: str) -> Judged:
-    """Of designed gains with a scenario's `own` over them: whether the controller takes them, and they are stable."""
+    """Return the judgement of designed gains with a scenario's `own` values: bounds and stability."""
     objections = _too_large(values, options, law)
     return Judged(objections) if objections else _judged_loop(values, own, options, law)
 
 
 def _too_large(values: Mapping[str, Any], options: Mapping[str, Any], law: str) -> list[Objection]:
-    """Gains that the controller does not take."""
+    """Return objections to gains out of bounds."""
     gains = [p for p in parameters_of(IntegralSettings) if p.name.startswith("k_") and p.name in values]
     large = [p for p in gains if p.fault(values[p.name])]
     if not large:
@@ -55,13 +59,13 @@ def _too_large(values: Mapping[str, Any], options: Mapping[str, Any], law: str) 
 
 
 def _judged_loop(values: Mapping[str, Any], own: Mapping[str, Any], options: Mapping[str, Any], law: str) -> Judged:
-    """Whether gains are stable on the craft with its lag, sampled, by what the filter believes, and damped."""
+    """Return the judgement of stability and damping in the sampled loop with lag and filter."""
     names = {p.name for p in parameters_of(FullSettings)} | {"estimator"}
     every = {**values, **own}
     try:
         craft, p = (FullSettings(**{n: v for n, v in known.items() if n in names}) for known in (values, every))
         loop = FlownLoop(craft, p)
-    except (ValueError, np.linalg.LinAlgError):  # the FMU refuses such values, and says why
+    except (ValueError, np.linalg.LinAlgError):  # The FMU refuses such values with its own message.
         return Judged()
     K = np.array([every[name] for name in GAINS]).reshape(2, 5)
     K_i = np.array([every[name] for name in INTEGRALS]).reshape(2, 2) if law == INTEGRAL else None
@@ -81,7 +85,7 @@ def _judged_loop(values: Mapping[str, Any], own: Mapping[str, Any], options: Map
 
 
 def _place_of(axis: str, options: Mapping[str, Any], law: str) -> Place:
-    """What makes an axis as fast as it is: its fastest pole, or weights that are not ours."""
+    """Return the option that determines an axis' speed: its fastest pole, or changed weights."""
     if law != POLES:
         given = (name for name, ours in WEIGHTS.items() if options.get(name) not in (None, ours))
         return (next(given, "Q"),)
@@ -89,7 +93,7 @@ def _place_of(axis: str, options: Mapping[str, Any], law: str) -> Place:
 
 
 def _cure(loop: FlownLoop, craft: Settings, axis: str, options: Mapping[str, Any], law: str) -> str:
-    """Other options with which the axis is damped, the nearest first."""
+    """Return the closest options with a damped axis, in words."""
     for factor in SLOWER_FIRST:
         other, told = _scaled(options, axis, law, factor)
         try:
@@ -104,7 +108,7 @@ def _cure(loop: FlownLoop, craft: Settings, axis: str, options: Mapping[str, Any
 
 
 def _scaled(options: Mapping[str, Any], axis: str, law: str, factor: float) -> tuple[dict[str, Any], str]:
-    """Options that make an axis faster by a factor, and the words in which they are proposed."""
+    """Return options for a faster or slower axis, and a proposal in words."""
     if law != POLES:
         weights = [_rounded(r / factor**2).real for r in options["R"]]
         return {"R": weights}, f"; weigh the tilts more, R: [{', '.join(f'{r:.3g}' for r in weights)}] for one"
@@ -115,7 +119,7 @@ def _scaled(options: Mapping[str, Any], axis: str, law: str, factor: float) -> t
 
 
 def _rounded(number: complex) -> complex:
-    """As it is shown."""
+    """Return the number rounded as displayed."""
     return complex(float(f"{number.real:.3g}"), float(f"{number.imag:.3g}"))
 
 

@@ -1,4 +1,4 @@
-"""Kalman filter of the thesis (Appendix F) on filterpy, and two variants that are truer to the craft."""
+"""Kalman filter of the thesis (Appendix F) on filterpy, and two variants closer to the craft."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from controller.gains import Settings
 
 
 def discrete_model(p: Settings) -> tuple[Matrix, Matrix]:
-    """F (5, 5) and G (5, 2) of x̂ₖ₊₁ = F·x̂ₖ + G·uₖ.
+    """Return F (5, 5) and G (5, 2) of x̂ₖ₊₁ = F·x̂ₖ + G·uₖ.
 
-    `appendix_f`: F = I + Δt·A, but the acceleration has no memory: last row of F zero, of G T_N/m.
-    `lagged`, `consistent`: eqs E.3/E.4 with their lag, held inputs, exact over Δt.
+    `appendix_f`: F = I + Δt·A, with a memoryless acceleration: last row of F zero, of G T_N/m.
+    `lagged`, `consistent`: eqs E.3/E.4 with their lag and held inputs, exact over Δt.
     """
     A, B = design_model(p)
     dt = p.sample_time
@@ -30,7 +30,7 @@ def discrete_model(p: Settings) -> tuple[Matrix, Matrix]:
 
 
 def kalman_filter(p: Settings, x_hat: Matrix) -> KalmanFilter:
-    """Filter that knows where it starts: x̂ given, P = 0, V and W of eqs 5.46 and 5.47."""
+    """Return a filter with known start: P = 0, V and W of eqs 5.46 and 5.47."""
     kf = KalmanFilter(dim_x=5, dim_z=3, dim_u=2)
     kf.x = np.array(x_hat, dtype=float)
     kf.P = np.zeros((5, 5))

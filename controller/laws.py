@@ -1,4 +1,4 @@
-"""Control laws: what makes commands of an estimate and references. A controller is an estimator and one of these."""
+"""Control laws from estimate and references to commands; a controller is an estimator with a law."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from controller.variants import IntegralSettings
 
 
 class Seen(NamedTuple):
-    """What a law is given at a sample, beside the estimate (x, vx, ψ, ψ̇, a).
+    """Input of a law at a sample besides the estimate (x, vx, ψ, ψ̇, a).
 
-    started: whether this is a sample with measurements; at the start there are none
-    fix:     the number of the latest fix, 0 before the first; x_meas, y_meas [m] are its position
+    Attributes:
+        started: False at the start, before the first measurement.
+        fix: Number of the latest fix, 0 before the first; its position is x_meas, y_meas [m].
     """
 
     x_ref: float
@@ -29,99 +30,108 @@ class Seen(NamedTuple):
 
 
 class Estimator(Protocol):
-    """What a law is given its estimate by."""
+    """Estimator of a law."""
 
     def step(self, measured: Sequence[float], command: Sequence[float], fix: float, position: Sequence[float]) -> None:
-        """Take one sample: (ψ, ψ̇, a_x), the command (duties, tilts) that acted until now, number and place of a fix."""
+        """Process one sample.
+
+        Args:
+            measured: (ψ, ψ̇, a_x).
+            command: Duties and tilts that acted until now.
+            fix: Number of the latest fix.
+            position: Latest fix.
+        """
 
     @property
     def estimate(self) -> tuple[float, ...]:
-        """(x, ẋ, ψ, ψ̇, a), then y."""
+        """Return (x, ẋ, ψ, ψ̇, a), then y."""
 
     @property
     def sigma(self) -> tuple[float, ...]:
-        """Standard deviations of x, ψ and y that it believes in."""
+        """Return the estimated standard deviations of x, ψ and y."""
 
     def snapshot(self) -> Any:
-        """Return all that decides its future, as JSON knows it."""
+        """Return the complete state for JSON."""
 
     def restore(self, snapshot: Any) -> None:
-        """Go back to a snapshot, bit for bit."""
+        """Restore a snapshot exactly."""
 
 
 class Law(Protocol):
     """A control law."""
 
     def estimator(self, p: Any, x_hat: Sequence[float], fix: float) -> Estimator:
-        """Return the estimator of this law, which starts at x_hat (x, ẋ, ψ, ψ̇, a)."""
+        """Return the law's estimator, started at x_hat (x, ẋ, ψ, ψ̇, a)."""
 
     @property
     def duties(self) -> tuple[float, float]:
-        """Duties [%] that go with the tilts it commanded last, right and left."""
+        """Return the duties [%] of the last command, right and left."""
 
     def command(self, x_hat: Sequence[float], seen: Seen) -> tuple[float, ...]:
-        """Tilts [rad], right and left."""
+        """Return the tilts [rad], right and left."""
 
     def outputs(self) -> list[float]:
-        """What it publishes beside its commands."""
+        """Return further outputs besides the commands."""
 
     def words(self, start: float) -> str:
-        """What is to be known at the end of a run that began at `start` [s]; "" for nothing."""
+        """Return remarks on a run from `start` [s], "" for none."""
 
     def snapshot(self) -> Any:
-        """What decides its future, as JSON knows it."""
+        """Return the complete state for JSON."""
 
     def restore(self, snapshot: Any) -> None:
-        """Go back to a snapshot, bit for bit."""
+        """Restore a snapshot exactly."""
 
 
 def wanted(seen: Seen) -> tuple[float, ...]:
-    """Where the five states are to be: at rest."""
+    """Return the reference of the five states, at rest."""
     return seen.x_ref, 0.0, seen.psi_ref, 0.0, 0.0
 
 
 class OfLinearFilter:
-    """A law that takes its estimate from the Kalman filter that the settings name; it remembers nothing."""
+    """A law without memory, with the Kalman filter of the settings."""
 
     def estimator(self, p: Settings, x_hat: Sequence[float], fix: float) -> Estimator:
         """Return the linear filter."""
         return LinearFilter(p, x_hat, fix)
 
     def outputs(self) -> list[float]:
-        """Nothing more."""
+        """Return no further outputs."""
         return []
 
     def words(self, start: float) -> str:
-        """Nothing."""
+        """Return no remarks."""
         return ""
 
     def snapshot(self) -> Any:
-        """Nothing."""
+        """Return no state."""
         return None
 
     def restore(self, snapshot: Any) -> None:
-        """Nor is there anything to go back to."""
+        """Restore nothing."""
 
 
 class StateFeedback(OfLinearFilter):
-    """u = sat(−K·(x̂ − x_ref), ±tilt_max), eq 6.1; K by LQR or by pole placement."""
+    """State feedback u = sat(−K·(x̂ − x_ref), ±tilt_max), eq 6.1; K by LQR or pole placement."""
 
     def __init__(self, p: Settings) -> None:
         self.gain, self.limit = p.gain_matrix, p.tilt_max
         self.duties = (p.duty_nominal, p.duty_nominal)
 
     def command(self, x_hat: Sequence[float], seen: Seen) -> tuple[float, ...]:
-        """Tilts [rad]."""
+        """Return the tilts [rad]."""
         return feedback(self.gain, x_hat, wanted(seen), self.limit)
 
 
 class IntegralFeedback(OfLinearFilter):
-    """u = sat(−K·(x̂ − x_ref) − K_i·ξ, ±tilt_max), ξ the integrals of what is measured less its reference.
+    """State feedback with integrals: u = sat(−K·(x̂ − x_ref) − K_i·ξ, ±tilt_max).
+
+    ξ integrates measured errors:
 
         ξ₁ += Δt·(x_meas − x_ref) once there is a fix, Δt·(x̂ − x_ref) before;   ξ₂ += Δt·(ψ_meas − ψ_ref)
 
-    While a tilt is saturated the integrals stand still, so that they do not wind up. Without fixes a push that the
-    accelerometer does not feel (a table out of level) is in no measurement: x̂ comes to rest at x_ref, x does not.
+    The integrals stop while a tilt is saturated (anti-windup). Without fixes, no measurement contains a force that the
+    accelerometer does not sense (a tilted table): x̂ settles at x_ref, but x does not.
     """
 
     def __init__(self, p: IntegralSettings) -> None:
@@ -131,7 +141,7 @@ class IntegralFeedback(OfLinearFilter):
         self.integrals = (0.0, 0.0)
 
     def command(self, x_hat: Sequence[float], seen: Seen) -> tuple[float, ...]:
-        """Tilts [rad]."""
+        """Return the tilts [rad]."""
         if seen.started:
             x = seen.x_meas if seen.fix else x_hat[0]
             errors = x - seen.x_ref, seen.psi - seen.psi_ref
@@ -142,7 +152,7 @@ class IntegralFeedback(OfLinearFilter):
         return tuple(max(-self.limit, min(self.limit, u)) + 0.0 for u in self._tilts(x_hat, seen, self.integrals))
 
     def _tilts(self, x_hat: Sequence[float], seen: Seen, integrals: Sequence[float]) -> tuple[float, ...]:
-        """Before they are saturated."""
+        """Return the tilts before saturation."""
         error = [a - b for a, b in zip(x_hat, wanted(seen), strict=True)]
         rows = zip(self.gain, self.integral_gain, strict=True)
         return tuple(
@@ -150,13 +160,13 @@ class IntegralFeedback(OfLinearFilter):
         )
 
     def outputs(self) -> list[float]:
-        """Both integrals."""
+        """Return both integrals."""
         return list(self.integrals)
 
     def snapshot(self) -> Any:
-        """Both integrals."""
+        """Return both integrals."""
         return list(self.integrals)
 
     def restore(self, snapshot: Any) -> None:
-        """Both integrals."""
+        """Restore both integrals."""
         self.integrals = snapshot[0], snapshot[1]

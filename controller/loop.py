@@ -1,4 +1,4 @@
-"""What runs in the loop at each sample: predict, update, feed back."""
+"""Controller at run time: prediction, update, feedback at each sample."""
 
 from __future__ import annotations
 
@@ -10,19 +10,20 @@ from controller.laws import Law, Seen, StateFeedback
 
 
 class Loop:
-    """The controller at run time. Order at a sample: predict with the last command, update with (ψ, ψ̇, a_x), feed back.
+    """Controller at run time: prediction with the last command, update with (ψ, ψ̇, a_x), feedback.
 
-    With the linear filter, which a law takes that has none of its own:
+    With the linear filter, the default estimator:
 
-        x̂ = F·x̂ + G·u,   P = F·P·F' + V                                             (5.37, 5.38)
-        K = P·H'/(H·P·H' + W),   x̂ += K·(z − H·x̂),   P = (I − K·H)·P               (5.39-5.41)
-        u = law(x̂, references), by default sat(−K·(x̂ − (x_ref, 0, psi_ref, 0, 0)), ±tilt_max)   (6.1)
+         x̂ = F·x̂ + G·u,   P = F·P·F' + V                                             (5.37, 5.38)
+         K = P·H'/(H·P·H' + W),   x̂ += K·(z − H·x̂),   P = (I − K·H)·P               (5.39-5.41)
+         u = law(x̂, references), by default sat(−K·(x̂ − (x_ref, 0, psi_ref, 0, 0)), ±tilt_max)   (6.1)
 
-    Where a fix of the position has come since the last sample, a second update with it before the feedback:
-        z = x_meas,   H = (1, −T, 0, 0, 0), T its age
+    After a new position fix, a second update precedes the feedback:
 
-    State (x, vx, ψ, ψ̇, a), a the thrust acceleration. At the start there is no update, P = 0.
-    Without fixes x is not observable: the filter must be told where it starts.
+         z = x_meas,   H = (1, −T, 0, 0, 0), T its age
+
+    State (x, vx, ψ, ψ̇, a), a the thrust acceleration. The start has no update and P = 0. Without fixes, x is not
+    observable, so the filter needs its start value.
     """
 
     def __init__(
@@ -52,9 +53,11 @@ class Loop:
         y_meas: float = 0.0,
         y_ref: float = 0.0,
     ) -> tuple[float, ...]:
-        """Tilt commands [rad] from the measurements (ψ, ψ̇, a_x) and references of one sample.
+        """Return the tilt commands [rad] of one sample.
 
-        fix: the number of the latest fix, 0 before the first; where it has changed, x_meas and y_meas [m] are it
+        Args:
+            measured: (ψ, ψ̇, a_x).
+            fix: Number of the latest fix, 0 before the first; a new number makes x_meas and y_meas [m] valid.
         """
         self.estimator.step(measured, (*self.law.duties, *self.command), fix, (x_meas, y_meas))
         seen = Seen(x_ref, psi_ref, y_ref, measured[0], x_meas, y_meas, fix, started=True)
@@ -63,17 +66,20 @@ class Loop:
 
     @property
     def estimate(self) -> list[float]:
-        """x̂ = (x, ẋ, ψ, ψ̇, a)."""
+        """Return x̂ = (x, ẋ, ψ, ψ̇, a)."""
         return list(self.estimator.estimate[:5])
 
     @property
     def sigma(self) -> tuple[float, float]:
-        """Standard deviations of x [m] and ψ [rad] the filter believes in."""
+        """Return the estimated standard deviations of x [m] and ψ [rad]."""
         x, psi, *_ = self.estimator.sigma
         return x, psi
 
     def snapshot(self) -> dict[str, Any]:
-        """All that decides the future, as plain numbers: the estimator's, last command, what the law remembers."""
+        """Return the complete state as plain numbers.
+
+        Parts: the estimator's state, the last command, the law's state.
+        """
         return {
             "estimator": self.estimator.snapshot(),
             "command": list(self.command),
@@ -81,7 +87,7 @@ class Loop:
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Go back to a snapshot, bit for bit."""
+        """Restore a snapshot exactly."""
         self.estimator.restore(snapshot["estimator"])
         self.command = tuple(snapshot["command"])
         self.law.restore(snapshot["law"])

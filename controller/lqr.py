@@ -8,7 +8,7 @@ from collections.abc import Sequence
 def feedback(
     gain: Sequence[Sequence[float]], x_hat: Sequence[float], reference: Sequence[float], limit: float
 ) -> tuple[float, ...]:
-    """Tilt commands [rad], eq 6.1 with a reference: u = sat(−K·(x̂ − x_ref), ±limit); K (2, 5)."""
+    """Return tilt commands [rad], eq 6.1: u = sat(−K·(x̂ − x_ref), ±limit), K (2, 5)."""
     error = [a - b for a, b in zip(x_hat, reference, strict=True)]
-    # adding 0.0 turns −0.0 into 0.0, so that a craft at rest reads 0 in every file
+    # Adding 0.0 turns −0.0 into 0.0, so that a craft at rest gives 0 in every file.
     return tuple(max(-limit, min(limit, -sum(k * e for k, e in zip(row, error, strict=True)))) + 0.0 for row in gain)

@@ -1,7 +1,7 @@
-"""The controller of many craft at once, with a value a run of whatever varies: the loop of `controller.loop` on arrays.
+"""Controllers of many craft at once, with one value per run: the loop of `controller.loop` on arrays.
 
-A design stands once: F, G, H, V, W and K of each run are those of its `Settings`. Where all runs have the same settings
-they share one covariance, for it depends on no measurement.
+F, G, H, V, W and K of each run come from its `Settings`. Runs with equal settings share one covariance, which does not
+depend on measurements.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ NUMBERS = frozenset(p.name for p in parameters_of(Settings))
 
 
 class Controllers:
-    """How controllers of many runs are made: `cosim.sweeps.twins` asks it."""
+    """Factory of controllers for many runs, used by `cosim.sweeps.twins`."""
 
     def fits(self, block: Any) -> bool:
-        """The FMU has these inputs, whose order is kept, and these outputs, and nothing more is recorded of it."""
+        """Return True if the FMU has exactly these inputs, in any order, and outputs."""
         given = [s.name for s in block.inputs]
         if sorted(given) != sorted(INPUTS) or tuple(s.name for s in block.outputs) != OUTPUTS:
             return False
@@ -34,16 +34,16 @@ class Controllers:
         return True
 
     def pattern(self, given: Mapping[str, Any]) -> Hashable:
-        """Runs of one estimator are made together."""
+        """Return the estimator, common to runs of one batch."""
         return given.get("estimator")
 
     def make(self, given: Mapping[str, Any], count: int, *, compiled: bool) -> ManyLoops:
-        """The controllers of so many runs; matrices need no compiler."""
+        """Return the controllers of `count` runs; no compiler is needed."""
         return ManyLoops(given, count, self.order)
 
 
 class ManyLoops:
-    """Predict, update, feed back, as `controller.loop.Loop` does; x̂ and u have a column a run."""
+    """Prediction, update and feedback like `controller.loop.Loop`; x̂ and u have one column per run."""
 
     def __init__(self, given: Mapping[str, Any], count: int, order: Sequence[int]) -> None:
         self.given, self.order = given, order
@@ -60,7 +60,7 @@ class ManyLoops:
         ).T
 
     def begin(self, inputs: Matrix, outputs: Matrix, t: float) -> None:
-        """Filters at `*_hat_start`, P = 0."""
+        """Start the filters at `*_hat_start` with P = 0."""
         self.inputs, self.outputs = inputs, outputs
         for name, row in zip(INPUTS, self._rows(), strict=True):
             row[:] = self.given.get(name, 0.0)
@@ -71,11 +71,11 @@ class ManyLoops:
         self.u = np.zeros((2, inputs.shape[1]))
 
     def settle(self) -> None:
-        """u₀ = sat(−K·(x̂₀ − x_ref)), without an update."""
+        """Compute u₀ = sat(−K·(x̂₀ − x_ref)) without an update."""
         self._feed_back()
 
     def advance(self, t: float, h: float) -> None:
-        """One sample, eqs 5.37-5.41 and 6.1; P in Joseph's form, as filterpy has it."""
+        """Process one sample, eqs 5.37-5.41 and 6.1; P in Joseph form as in filterpy."""
         if np.any(np.abs(h - self.sample) > 1e-6 * self.sample):
             raise ValueError(f"step of {h} s; the controller is sampled at {self.sample[0]} s (parameter sample_time)")
         F, H = self.F, self.H
@@ -113,7 +113,7 @@ def _transposed(stack: Matrix) -> Matrix:
 
 
 def _applied(stack: Matrix, columns: Matrix) -> Matrix:
-    """Each matrix times its column; one matrix times all."""
+    """Return each matrix times its column; a single matrix applies to all."""
     if len(stack) == 1:
         shared: Matrix = stack[0] @ columns
         return shared

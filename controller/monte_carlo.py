@@ -1,8 +1,8 @@
-"""Estimators against a truth that is known, over many runs: their normalised errors and innovations.
+"""Monte Carlo tests of estimators: normalised errors and innovations over many runs with known truth.
 
-The truth is the linear model, disturbed with exactly the V of eq 5.47, or the plant, disturbed with the noise that the
-extended filter is given, or the plant as it is. Every case is judged on two flights: tilts that follow sines, and the
-manoeuvre of App. G. The commands of a flight are the same in every run; noise is drawn by the seed.
+The truth is the linear model with the disturbance V of eq 5.47, the plant with the extended filter's process noise, or
+the undisturbed plant. Every case has two flights: sinusoidal tilts, and the manoeuvre of App. G. All runs share the
+commands of a flight; the seed determines the noise.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from cosim.model import Moment, Stepper
 from cosim.model.namespaces import arrays
 from plant.hovercraft import Hovercraft
 
-SETTLING = 50  # samples after which errors count
+SETTLING = 50  # samples before errors count
 FIX_EVERY = 5  # samples, 10 Hz
-OWN = [k for k, name in enumerate(STATES) if not name.endswith("_world")]  # P of the world position has no inverse
+OWN = [k for k, name in enumerate(STATES) if not name.endswith("_world")]  # P of the world position is singular
 SENSED_AT = [[q.name for q in Hovercraft.outputs].index(name) for name in SENSED]
 FIVE = [STATES.index(name) for name in ("x", "vx", "psi", "psi_dot")]
 # NEES, NIS, NIS of fixes → (runs, times), degrees of freedom, times [s]
@@ -36,7 +36,7 @@ Squares = Mapping[str, tuple[Matrix, int, Matrix]]
 
 @dataclass(frozen=True)
 class Truth:
-    """What happened in every run: states of the plant or the model, sensors, fixes; each (samples, runs, values)."""
+    """True states, sensors and fixes of every run; each (samples, runs, values)."""
 
     states: Matrix
     sensors: Matrix
@@ -46,11 +46,12 @@ class Truth:
 
 @dataclass(frozen=True)
 class Flight:
-    """A motion that estimators are judged on.
+    """A motion for tests of estimators.
 
-    name:     what it is called
-    doc:      what the craft does
-    commands: number of samples → duties and tilts at each, shape (samples, 4)
+    Attributes:
+        name: Name of the motion.
+        doc: Description of the motion.
+        commands: Number of samples → duties and tilts at each, shape (samples, 4).
     """
 
     name: str
@@ -59,7 +60,7 @@ class Flight:
 
 
 def sines(steps: int) -> Matrix:
-    """Return tilts [rad] of both propellers that move the craft along and about, with the nominal duties."""
+    """Return commands with sinusoidal tilts [rad] and nominal duties."""
     t = Settings().sample_time * np.arange(steps)
     along, about = 0.08 * np.sin(0.9 * t), 0.05 * np.sin(2.3 * t)
     duty = np.full(steps, Hovercraft().duty_nominal)
@@ -68,7 +69,7 @@ def sines(steps: int) -> Matrix:
 
 @cache
 def manoeuvre(steps: int) -> Matrix:
-    """Return the commands of the LQR on the manoeuvre of App. G, flown without noise."""
+    """Return the noise-free LQR commands for the manoeuvre of App. G."""
     loop, stepper = Loop(Settings(), (0.0,) * 5, *references(0.0)), Stepper(Hovercraft())
     moment, dt, found = stepper.start(), loop.settings.sample_time, []
     for k in range(steps):
@@ -81,7 +82,10 @@ def manoeuvre(steps: int) -> Matrix:
 
 
 def references(t: float) -> tuple[float, float]:
-    """Return x [m] and ψ [rad] that App. G wants at a time: two steps; two steps and a ramp of 45 °/s."""
+    """Return the references x [m] and ψ [rad] of App. G at a time.
+
+    x has two steps, ψ two steps and a ramp of 45 °/s.
+    """
     x = 1.5 * ((t >= 5.0) + (t >= 17.0))
     psi = -0.5 * math.pi * (t >= 1.0) + min(math.pi, max(0.0, 0.25 * math.pi * (t - 10.0)))
     return x, psi * (t < 22.0)
@@ -97,7 +101,7 @@ MANOEUVRE = Flight(
 
 @dataclass(frozen=True)
 class Case:
-    """An estimator, a truth and a flight: who estimates, of what, whether fixes come, what it is called."""
+    """An estimator, a truth and a flight, with or without fixes."""
 
     title: str
     truth: str
@@ -122,7 +126,10 @@ CASES = (*ON_SINES, *(replace(case, flight=MANOEUVRE) for case in ON_SINES))
 
 
 def linear_truth(runs: int, u: Matrix, rng: np.random.Generator) -> Truth:
-    """x⁺ = F·x + G·u + w, z = H·x + v of `consistent`, from x = 0; w by V, v by W."""
+    """Return runs of the linear model `consistent` with its noise.
+
+    x⁺ = F·x + G·u + w, z = H·x + v, from x = 0; w by V, v by W.
+    """
     p = Settings(estimator="consistent")
     (F, G), H = discrete_model(p), measurement_matrix(p, p.estimator)
     x, states = np.zeros((runs, 5)), []
@@ -133,7 +140,7 @@ def linear_truth(runs: int, u: Matrix, rng: np.random.Generator) -> Truth:
 
 
 def plant_truth(runs: int, u: Matrix, rng: np.random.Generator, *, disturbed: bool) -> Truth:
-    """The plant's equations, all runs at once; disturbed each sample with the noise the extended filter is given."""
+    """Return runs of the plant's equations, optionally with the extended filter's process noise."""
     p, stepper = ExtendedSettings(), Stepper(Hovercraft(), arrays())
     deviation = np.sqrt(p.process_variances) * float(disturbed)
     state = np.tile(np.array(Hovercraft().start()), (runs, 1))
@@ -152,7 +159,7 @@ def plant_truth(runs: int, u: Matrix, rng: np.random.Generator, *, disturbed: bo
 
 
 def squares_of(case: Case, runs: int, steps: int, rng: np.random.Generator) -> Squares:
-    """Normalised errors and innovations of a case, each (runs, times), after the first second."""
+    """Return normalised errors and innovations, each (runs, times), after the first second."""
     truth = _TRUTHS[case.truth](runs, case.flight.commands(steps), rng)
     nees, nis, fixed = (np.zeros((runs, steps)) for _ in range(3))
     for r in range(runs):
@@ -166,7 +173,7 @@ def squares_of(case: Case, runs: int, steps: int, rng: np.random.Generator) -> S
     kept, with_fix = slice(SETTLING, None), slice(SETTLING + FIX_EVERY - 1, None, FIX_EVERY)
     t = Settings().sample_time * np.arange(1.0, steps + 1.0)
     found = {"NEES": (nees[:, kept], len(e), t[kept]), "NIS": (nis[:, kept], 3, t[kept])}
-    if case.fixes:  # the last sample of each five has a new one
+    if case.fixes:  # every fifth sample has a new fix
         found["NIS of fixes"] = (fixed[:, with_fix], truth.fixes.shape[-1], t[with_fix])
     return found
 
@@ -186,7 +193,7 @@ def _measured(
     u: Matrix,
     rng: np.random.Generator,
 ) -> Truth:
-    """With the noise of sensors and fixes."""
+    """Return the truth with noise of sensors and fixes."""
     seen = sensors + rng.normal(0.0, np.sqrt(p.measurement_variances), sensors.shape)
     return Truth(states, seen, position + rng.normal(0.0, np.sqrt(p.fix_variances), position.shape), u)
 
@@ -205,7 +212,7 @@ def _jacobians() -> Mapping[str, Any]:
 
 
 def _error(estimator: Any, state: Matrix) -> tuple[Matrix, Matrix]:
-    """x̂ − x and P, of the states that it estimates."""
+    """Return x̂ − x and P of the estimated states."""
     kf = estimator.filter
     if isinstance(estimator, ExtendedFilter):
         return (kf.x - state)[OWN], kf.P[np.ix_(OWN, OWN)]
@@ -221,7 +228,10 @@ def _stepper() -> Stepper:
 
 
 def _thrust_acceleration(state: Matrix) -> float:
-    """(F_Rx + F_Lx)/m [m/s²] of the plant: a_x without friction."""
+    """Return the plant's thrust acceleration (F_Rx + F_Lx)/m [m/s²].
+
+    The value is a_x without friction.
+    """
     stepper = _stepper()
     model = stepper.model
     outputs = stepper.output(0.0, tuple(state.tolist()), ())

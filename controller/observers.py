@@ -1,4 +1,4 @@
-"""Estimators that run beside a controller: the Kalman filters of the thesis, and double integration (§5.6)."""
+"""Estimators beside a controller: Kalman filters of the thesis, and double integration (§5.6)."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from controller.kalman import kalman_filter
 
 DOUBLE_INTEGRATION = "double_integration"
 OBSERVERS = (*ESTIMATORS, DOUBLE_INTEGRATION)
-# Of two integrations of a_x over a sample, held: x̂ += Δt·v̂ + Δt²/2·a, v̂ += Δt·a
+# Double integration of a held a_x over a sample: x̂ += Δt·v̂ + Δt²/2·a, v̂ += Δt·a.
 
 
 class SampledFilter:
-    """A filter of filterpy at work, which the state of an FMU keeps."""
+    """A filterpy filter with a state for the FMU."""
 
     filter: Any
     fix, nis, fix_nis = 0.0, 0.0, 0.0
 
     def snapshot(self) -> dict[str, Any]:
-        """All that decides the future, and what is shown of the past."""
+        """Return the complete state, and the last NIS for display."""
         return {"x": self.filter.x.tolist(), "P": self.filter.P.tolist(), "fix": self.fix, "nis": self.nis}
 
     def restore(self, snapshot: Mapping[str, Any]) -> None:
-        """Go back to a snapshot, bit for bit."""
+        """Restore a snapshot exactly."""
         self.filter.x, self.filter.P = np.array(snapshot["x"]), np.array(snapshot["P"])
         self.fix, self.nis = snapshot["fix"], snapshot["nis"]
 
@@ -38,7 +38,7 @@ class SampledFilter:
 
 
 class LinearFilter(SampledFilter):
-    """A Kalman filter of the thesis, eqs 5.37-5.41, as the controller's: predict, update, a new fix."""
+    """Kalman filter of the thesis, eqs 5.37-5.41, as in the controller: prediction, update, new fix."""
 
     def __init__(self, settings: Settings, start: Sequence[float], fix: float = 0.0) -> None:
         self.filter = kalman_filter(settings, np.array(start, dtype=float))
@@ -48,7 +48,14 @@ class LinearFilter(SampledFilter):
     def step(
         self, measured: Sequence[float], command: Sequence[float], fix: float = 0.0, position: Sequence[float] = (0, 0)
     ) -> None:
-        """One sample: (ψ, ψ̇, a_x), the command (duties, tilts) that acted until now, the latest fix and its number."""
+        """Process one sample.
+
+        Args:
+            measured: (ψ, ψ̇, a_x).
+            command: Duties and tilts that acted until now.
+            fix: Number of the latest fix.
+            position: Latest fix.
+        """
         kf = self.filter
         kf.predict(u=np.array(command[2:]))
         kf.update(np.array(measured))
@@ -60,18 +67,18 @@ class LinearFilter(SampledFilter):
 
     @property
     def estimate(self) -> tuple[float, ...]:
-        """(x, ẋ, ψ, ψ̇, a), then y, which is not estimated: 0."""
+        """Return (x, ẋ, ψ, ψ̇, a), then 0 for y."""
         return *self.filter.x.tolist(), 0.0
 
     @property
     def sigma(self) -> tuple[float, ...]:
-        """Standard deviations of x, ψ and y that it believes in."""
+        """Return the estimated standard deviations of x, ψ and y."""
         P = self.filter.P
         return math.sqrt(max(0.0, P[0, 0])), math.sqrt(max(0.0, P[2, 2])), 0.0
 
 
 class DoubleIntegration:
-    """The accelerometer integrated once and twice, heading and yaw rate as measured (Figs 5.5-5.7); fixes unused.
+    """Integrated acceleration with measured heading and yaw rate (Figs 5.5-5.7), without fixes.
 
     v̂ += Δt·a_x,   x̂ += Δt·v̂ + Δt²/2·a_x,   P = F·P·F' + g·W_a·g',   g = (Δt²/2, Δt)
     """
@@ -81,13 +88,13 @@ class DoubleIntegration:
     def __init__(self, settings: Settings, start: Sequence[float], fix: float = 0.0) -> None:
         self.dt, self.noise = settings.sample_time, settings.measurement_variances
         self.values = [float(v) for v in start]
-        self.variances = [0.0, 0.0, 0.0]  # of x̂, of x̂ with v̂, of v̂
+        self.variances = [0.0, 0.0, 0.0]  # variances of x̂, of x̂ with v̂, and of v̂
         self.fix = fix
 
     def step(
         self, measured: Sequence[float], command: Sequence[float], fix: float = 0.0, position: Sequence[float] = (0, 0)
     ) -> None:
-        """One sample: (ψ, ψ̇, a_x); nothing else is used."""
+        """Process one sample of (ψ, ψ̇, a_x); other arguments are unused."""
         dt, W = self.dt, self.noise[2]
         x, v, *_ = self.values
         psi, psi_dot, ax = measured
@@ -101,18 +108,18 @@ class DoubleIntegration:
 
     @property
     def estimate(self) -> tuple[float, ...]:
-        """(x, ẋ, ψ, ψ̇, a), then y, which is not estimated: 0."""
+        """Return (x, ẋ, ψ, ψ̇, a), then 0 for y."""
         return *self.values, 0.0
 
     @property
     def sigma(self) -> tuple[float, ...]:
-        """Standard deviations of x, ψ and y by the noise of the sensors."""
+        """Return the standard deviations of x, ψ and y from sensor noise."""
         return math.sqrt(self.variances[0]), math.sqrt(self.noise[0]), 0.0
 
     def snapshot(self) -> dict[str, Any]:
-        """All that decides the future."""
+        """Return the complete state."""
         return {"values": self.values, "variances": self.variances}
 
     def restore(self, snapshot: Mapping[str, Any]) -> None:
-        """Go back to a snapshot, bit for bit."""
+        """Restore a snapshot exactly."""
         self.values, self.variances = list(snapshot["values"]), list(snapshot["variances"])

@@ -1,4 +1,4 @@
-"""Poles placed, each axis by its own: offline design."""
+"""Offline pole placement, separate for each axis."""
 
 from __future__ import annotations
 
@@ -8,23 +8,25 @@ import numpy as np
 
 from controller.design_model import STATES, Matrix, ModelNumbers, design_model
 
-# 6.2 prints no poles. Forward: those of the LQR (-10.68, -3.39, -1.56) with the slow ones drawn a little to the left;
-# turn: its pair (-4.26 ± 0.77j) made real. -4 stands in both axes, none twice in one.
+# Section 6.2 prints no poles. Forward: those of the LQR (-10.68, -3.39, -1.56), the slow ones moved slightly left;
+# turn: its pair (-4.26 ± 0.77j) made real. -4 occurs in both axes, but only once in each.
 POLES = (-2.0, -4.0, -11.0, -4.0, -5.0)
-# [rad/s] how far left of the imaginary axis a pole that is asked for must lie: nearer, whether it grows as it flies is
-# within the rounding with which poles of the sampled loop are found (`GROWS` in `controller.stability`)
+# [rad/s] least distance of requested poles from the imaginary axis; closer poles would be indistinguishable from
+# growing ones within the rounding of the sampled loop (`GROWS` in `controller.stability`)
 LEFT = 1e-3
 FORWARD, TURN = (0, 1, 4), (2, 3)  # states (x, vx, a) and (psi, psi_dot)
-SIGNS = ((1.0, 1.0), (1.0, -1.0))  # of the tilts: both forward, or against each other
-ALIKE = 1e-9  # of its size: poles no further apart are equal
+SIGNS = ((1.0, 1.0), (1.0, -1.0))  # signs of the tilts: common, or differential
+ALIKE = 1e-9  # relative distance below which poles are equal
 
 
 def placed_gain(p: ModelNumbers, poles: Sequence[complex] = POLES) -> Matrix:
-    """K (2, 5) with which A − B·K has the five poles [rad/s]: three of the forward axis, then two of the turn.
+    """Return K (2, 5) such that A − B·K has the five poles [rad/s].
 
-    The tilts together move the craft forward and their difference turns it, so each axis has one input and its gain is
-    unique: at most two poles are equal, one in either axis.
-    Raises ValueError where a pole is not stable, equal within an axis, without its conjugate, or out of reach.
+    The first three poles are for the forward axis, two for the turn. The common tilt moves the craft forward, the tilt
+    difference turns it, so each axis has one input and a unique gain: at most two poles are equal, one in each axis.
+
+    Raises:
+        ValueError: A pole is unstable, repeated within an axis, without its conjugate, or uncontrollable.
     """
     from scipy.signal import place_poles
 
@@ -42,7 +44,11 @@ def placed_gain(p: ModelNumbers, poles: Sequence[complex] = POLES) -> Matrix:
 
 
 def check_controllable(A: Matrix, B: Matrix, names: Sequence[str] = STATES) -> None:
-    """ValueError with the pole that no input moves and the states it is seen in, by Hautus: rank [λI − A, B] < n."""
+    """Check controllability by Hautus: rank [λI − A, B] = n.
+
+    Raises:
+        ValueError: A pole is uncontrollable; the message lists its states.
+    """
     poles, left = np.linalg.eig(A.T)
     for pole, vector in zip(poles, left.T, strict=True):
         reach = np.hstack([pole * np.eye(len(A)) - A, B])
@@ -53,7 +59,7 @@ def check_controllable(A: Matrix, B: Matrix, names: Sequence[str] = STATES) -> N
 
 
 def pole_faults(poles: Sequence[complex]) -> list[tuple[int, str]]:
-    """What is wrong with poles that are asked for: which one of the five, and why."""
+    """Return index and fault of each invalid pole."""
     of_axes = ("forward", 0, poles[:3]), ("turning", 3, poles[3:])
     return [(first + k, said) for axis, first, of in of_axes for k, said in _faults(axis, of)]
 
@@ -70,7 +76,7 @@ def _faults(axis: str, poles: Sequence[complex]) -> list[tuple[int, str]]:
 
 
 def _too_far_right(pole: complex) -> str:
-    """Why it is none to ask for."""
+    """Return the reason against a pole."""
     if pole.real >= 0.0:
         return f"{said(pole)} rad/s is not stable; the real part of a pole is below 0"
     return (
@@ -80,5 +86,5 @@ def _too_far_right(pole: complex) -> str:
 
 
 def said(pole: complex) -> str:
-    """A pole as one writes it."""
+    """Return a pole as text."""
     return f"{pole.real:g}{pole.imag:+g}j" if pole.imag else f"{pole.real + 0.0:g}"

@@ -1,4 +1,4 @@
-"""Model predictive control with limits: what every predictive law does, and the one that is linearised once."""
+"""Model predictive control with limits: the common part of all predictive laws, and the law linearized once."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from controller.horizon import AT_LIMIT, NAMES, Condensed, Program, condensed, l
 from controller.laws import OfLinearFilter, Seen
 from controller.variants import PredictionSettings, PredictiveSettings
 
-ESTIMATED = [NAMES.index(name) for name in ("x", "vx", "psi", "psi_dot")]  # by the filter of five states
-OWN = [k for k in range(len(NAMES)) if k not in ESTIMATED]  # by the one here
+ESTIMATED = [NAMES.index(name) for name in ("x", "vx", "psi", "psi_dot")]  # states from the five-state filter
+OWN = [k for k in range(len(NAMES)) if k not in ESTIMATED]  # states from the observer of this law
 POSITIONS = [NAMES.index(name) for name in ("x", "y", "psi")]
 
 
 class Predicting:
-    """The best command of each sample within the limits, its solver started from the sample before."""
+    """Optimal command of each sample within limits, started from the previous solution."""
 
     def __init__(self, p: PredictionSettings) -> None:
         self.rest, self.low, self.high = limits(p)
@@ -33,32 +33,32 @@ class Predicting:
         self.samples, self.given_up = (
             0,
             [0, 0, 0],
-        )  # how many; of those without a solution how many, the first, its flag
+        )  # samples; failures: number, first sample, its flag
 
     @property
     def duties(self) -> tuple[float, float]:
-        """Duties [%] of the last command, right and left."""
+        """Return the duties [%] of the last command, right and left."""
         right, left, *_ = (self.last + self.rest).tolist()
         return right, left
 
     def best(self, cost: Condensed) -> Matrix:
-        """Solve for the next command, which `last` then is; return the scaled commands of every block."""
+        """Update the command and return the scaled commands of every block."""
         found = self.program.solve(cost, self.hot)
         self.hot, self.iterations, self.solved = found.hot, found.iterations, found.solved
         if not found.solved:
             count, *first = self.given_up
             self.given_up = [count + 1, *(first if count else (self.samples, found.flag))]
         self.samples += 1
-        self.last = np.clip(found.command, self.low, self.high) + 0.0  # within a rounding; -0.0 is 0.0
+        self.last = np.clip(found.command, self.low, self.high) + 0.0  # clip rounding errors; -0.0 becomes 0.0
         return found.every
 
     @property
     def tilts(self) -> tuple[float, ...]:
-        """Tilts [rad] of the last command, right and left."""
+        """Return the tilts [rad] of the last command, right and left."""
         return tuple((self.last + self.rest).tolist()[2:])
 
     def words(self, start: float) -> str:
-        """That the solver gave up, how often and when first."""
+        """Return a remark on solver failures: number and first time."""
         count, first, flag = self.given_up
         if not count:
             return ""
@@ -71,7 +71,7 @@ class Predicting:
         )
 
     def snapshot(self) -> dict[str, Any]:
-        """Its last command, and where the solver starts from."""
+        """Return the last command and the solver's start."""
         return {
             "last": self.last.tolist(),
             "hot": self.hot.tolist(),
@@ -80,21 +80,25 @@ class Predicting:
         }
 
     def restore(self, snapshot: Mapping[str, Any]) -> None:
-        """Bit for bit: the solver keeps nothing from one sample to the next but what it is started from."""
+        """Restore a snapshot exactly, since the solver has no other memory."""
         self.last, self.hot = np.array(snapshot["last"]), np.array(snapshot["hot"])
         self.iterations, self.solved = snapshot["told"]
         self.samples, *self.given_up = snapshot["given_up"]
 
 
 class PredictiveLaw(Predicting, OfLinearFilter):
-    """Commands u of both motors and both tilts that minimise, over the N steps of the horizon,
+    """Predictive law for motors and tilts, optimal over the N steps of the horizon.
 
-        Σ (z'·Q·z + u'·R·u)·Δ + z_N'·P·z_N,   z_{j+1} = F·z_j + G·u_j,   |α| ≤ tilt_max,   duty_min ≤ δ ≤ duty_max
+    The commands u minimise
 
-    z the deviation from rest at the references of x, y and ψ; P the cost to go of the LQR, which this law is where no
-    limit is touched. x, ẋ, ψ and ψ̇ are the filter's; y, roll, thrusts and tilts follow from what was commanded,
-    corrected by fixes of y. A limit of speed is given up where it cannot be kept. Where the solver comes to its
-    limit of iterations, the command is that without limits, cut off at them, and `solved` is 0.
+         Σ (z'·Q·z + u'·R·u)·Δ + z_N'·P·z_N,   z_{j+1} = F·z_j + G·u_j,   |α| ≤ tilt_max,   duty_min ≤ δ ≤ duty_max
+
+    with z the deviation from rest at the references of x, y and ψ, and P the cost to go of the LQR. Without active
+    limits,
+    the law equals the LQR. The filter provides x, ẋ, ψ and ψ̇; y, roll, thrusts and tilts follow from the commands,
+    with
+    corrections by fixes of y. An infeasible speed limit is exceeded. At the solver's iteration limit, the unconstrained
+    command is clipped and `solved` is 0.
     """
 
     def __init__(self, p: PredictiveSettings, y_hat: float = 0.0) -> None:
@@ -104,7 +108,7 @@ class PredictiveLaw(Predicting, OfLinearFilter):
         self.fix = 0.0
 
     def command(self, x_hat: Sequence[float], seen: Seen) -> tuple[float, ...]:
-        """Tilts [rad]; the duties stand in `duties`."""
+        """Return the tilts [rad]; `duties` holds the duties."""
         if seen.started:
             self.observer.predict(u=self.last)
             if seen.fix != self.fix:
@@ -117,24 +121,27 @@ class PredictiveLaw(Predicting, OfLinearFilter):
         return self.tilts
 
     def outputs(self) -> list[float]:
-        """ŷ [m] and its standard deviation, iterations, whether they ended in a solution."""
+        """Return ŷ [m], its standard deviation, iterations, and 1 for solved."""
         sigma = math.sqrt(max(0.0, self.observer.P[0, 0]))
         return [float(self.observer.x[0]), sigma, float(self.iterations), float(self.solved)]
 
     def snapshot(self) -> dict[str, Any]:
-        """Its own estimate too."""
+        """Return the state with the law's own estimate."""
         own = {"x": self.observer.x.tolist(), "P": self.observer.P.tolist(), "fix": self.fix}
         return {**own, **super().snapshot()}
 
     def restore(self, snapshot: Mapping[str, Any]) -> None:
-        """Its own estimate too."""
+        """Restore the state with the law's own estimate."""
         self.observer.x, self.observer.P = np.array(snapshot["x"]), np.array(snapshot["P"])
         self.fix = snapshot["fix"]
         super().restore(snapshot)
 
 
 def _observer(p: PredictiveSettings, y_hat: float) -> KalmanFilter:
-    """Filter of y, vy, roll, thrusts and tilts, driven by the commands and corrected by fixes of y; P = 0, at rest."""
+    """Return the filter of y, vy, roll, thrusts and tilts, started at rest with P = 0.
+
+    Commands drive the filter; fixes of y correct it.
+    """
     A, B = predicted(p)
     n, at = len(OWN), [NAMES[k] for k in OWN]
     kf = KalmanFilter(dim_x=n, dim_z=1, dim_u=len(INPUTS))
@@ -142,7 +149,7 @@ def _observer(p: PredictiveSettings, y_hat: float) -> KalmanFilter:
     kf.x, kf.P, kf.Q, kf.H = np.zeros(n), np.zeros((n, n)), np.zeros((n, n)), np.zeros((1, n))
     y, vy = at.index("y"), at.index("vy")
     kf.x[y] = y_hat
-    kf.Q[y, y], kf.Q[vy, vy] = p.process_variance_x, p.process_variance_vx  # as along the craft's axis
+    kf.Q[y, y], kf.Q[vy, vy] = p.process_variance_x, p.process_variance_vx  # equal to the noise along the craft's axis
     kf.H[0, y], kf.H[0, vy] = 1.0, -p.fix_latency
-    kf.R = np.eye(1) * p.measurement_variance_x  # one sensor gives both
+    kf.R = np.eye(1) * p.measurement_variance_x  # same sensor as for x
     return kf

@@ -1,4 +1,4 @@
-"""Jacobians of the craft's equations at given points, by the functions that were printed of them."""
+"""Jacobians of the craft's equations at given points, from printed functions."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from plant.hovercraft import Hovercraft
 
 
 class Slopes:
-    """∂f/∂x (`state`), ∂f/∂u (`command`) and ∂h/∂x (`output`) of a craft.
+    """Jacobians ∂f/∂x (`state`), ∂f/∂u (`command`) and ∂h/∂x (`output`) of a craft.
 
-    printed: module that `cosim.model.symbolic.jacobian.printed_jacobians` printed of the craft, loaded
+    Args:
+        printed: Loaded module of `cosim.model.symbolic.jacobian.printed_jacobians` for the craft.
     """
 
     def __init__(self, craft: Hovercraft, printed: Mapping[str, Any]) -> None:
@@ -22,10 +23,10 @@ class Slopes:
         self.numbers = [_value(craft, name) for name in printed["PARAMETERS"]]
 
     def along(self, name: str, states: Matrix, commands: Matrix, shape: tuple[int, int]) -> Matrix:
-        """Return a Jacobian (points, *shape) at each state (points, 14) and command (points, 4)."""
+        """Return a Jacobian (points, *shape) at states (points, 14) and commands (points, 4)."""
         places, function = self.printed[name.upper()], self.printed[f"{name}_jacobian"]
         entries: list[Any] = [0.0] * len(places)
-        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # branches compute both sides
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # both sides of branches are computed
             function(0.0, tuple(states.T), tuple(commands.T), self.numbers, entries)
         matrices = np.zeros((len(states), *shape))
         for (row, column), entry in zip(places, entries, strict=True):
@@ -39,7 +40,7 @@ class Slopes:
 
 
 def _value(craft: Hovercraft, name: str) -> float:
-    """Return a parameter by its full name; of an effect that the craft lacks, the default."""
+    """Return a parameter by its full name, the default for a missing effect."""
     owner, _, own = name.rpartition(".")
     owners = {"": craft} | {e.name: e for e in craft.effects}
     return float(getattr(owners[owner], own) if owner in owners else craft.declared[name].default)

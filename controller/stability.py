@@ -1,6 +1,6 @@
-"""Whether fixed gains are stable as they fly, where the design model of the thesis only promises it: offline.
+"""Stability of fixed gains in the sampled loop with lag and filter, tested offline.
 
-Eqs 5.33/5.34 have no lag of the turn, and no sample. What flies has both, and feeds back what its filter believes.
+Eqs 5.33/5.34 have no lag of the turn and no sampling. The real loop has both, and feeds back the filter's estimate.
 """
 
 from __future__ import annotations
@@ -17,41 +17,45 @@ from controller.full_model import INPUTS, STATES, full_model, held
 from controller.kalman import kalman_filter
 from controller.variants import FullSettings
 
-# Of the fourteen states those that tilts move and the IMU sees. x is in no measurement and moves nothing; roll, y and
-# thrusts no tilt moves.
+# States moved by tilts and seen by the IMU. x is not measured and moves nothing; roll, y and thrusts do not depend on
+# tilts.
 MOVED = [STATES.index(name) for name in ("vx", "psi", "psi_dot", "tilt_right", "tilt_left")]
 TILTS = [INPUTS.index(name) for name in ("tilt_right", "tilt_left")]
-PSI, PSI_DOT, RIGHT, LEFT = 1, 2, 3, 4  # places among them
-TURNING = {PSI, PSI_DOT, 5 + 2, 5 + 3, 10 + 1}  # of all states of the loop, tilts apart
-GROWS = 1e-3  # [rad/s] a pole further to the right grows; what no gain moves stands at 0, to a rounding
+PSI, PSI_DOT, RIGHT, LEFT = 1, 2, 3, 4  # indices among these states
+TURNING = {PSI, PSI_DOT, 5 + 2, 5 + 3, 10 + 1}  # indices among all states of the loop, without tilts
+GROWS = 1e-3  # [rad/s] poles further right grow; uncontrolled poles are at 0 within rounding
 LEAST_DAMPING = 0.1  # a swing keeps exp(-2π·0.1), more than half of its size, from one to the next
-SETTLED, MOST_UPDATES = 1e-9, 3000  # the filter's gain is steady
+SETTLED, MOST_UPDATES = 1e-9, 3000  # convergence of the filter gain
 
 
 class Mode(NamedTuple):
-    """A pole of the sampled loop as s = ln(z)/Δt [rad/s], and the axis that it is of: forward or turning."""
+    """A pole of the sampled loop as s = ln(z)/Δt [rad/s], and its axis: forward or turning."""
 
     pole: complex
     axis: str
 
     @property
     def grows(self) -> bool:
-        """Whether it is outside the unit circle."""
+        """Return True for a pole outside the unit circle."""
         return self.pole.real > GROWS
 
     @property
     def damping(self) -> float:
-        """ζ = −Re s/|s|; 1 where nothing swings."""
+        """Return ζ = −Re s/|s|, 1 without oscillation."""
         return -self.pole.real / abs(self.pole) if self.pole.imag else 1.0
 
 
 class FlownLoop:
-    """Craft, hold and filter about hover at ψ = 0, no tilt saturated, without fixes; of a law only its gains are new.
+    """Craft, hold and filter at hover with ψ = 0, without saturation and fixes, for varying gains.
 
-        xₖ₊₁ = F·xₖ + G·uₖ,   zₖ₊₁ = H·xₖ₊₁,   x̂ₖ₊₁ = F̂·x̂ₖ + Ĝ·uₖ + L·(zₖ₊₁ − Ĥ·(F̂·x̂ₖ + Ĝ·uₖ)),   uₖ = −K·x̂ₖ − K_i·ξₖ
+         xₖ₊₁ = F·xₖ + G·uₖ,   zₖ₊₁ = H·xₖ₊₁,   x̂ₖ₊₁ = F̂·x̂ₖ + Ĝ·uₖ + L·(zₖ₊₁ − Ĥ·(F̂·x̂ₖ + Ĝ·uₖ)),   uₖ = −K·x̂ₖ −
+         K_i·ξₖ
 
-    F, G of the craft with its lag on both axes, inputs held; F̂, Ĝ, Ĥ by the numbers p of the controller, which may be
-    others than the craft's, L its estimator's gain once steady. Raises LinAlgError where that estimator has none.
+    F, G belong to the craft with lag on both axes and held inputs; F̂, Ĝ, Ĥ to the controller's parameters p, which may
+    differ; L is the steady gain of the estimator.
+
+    Raises:
+        LinAlgError: The estimator has no steady gain.
     """
 
     def __init__(self, craft: FullSettings, p: FullSettings) -> None:
@@ -71,7 +75,7 @@ class FlownLoop:
         self.filter, self.believed, self.correction = (kf.F, kf.B), kf.H, kf.K
 
     def matrix(self, K: Matrix, K_i: Matrix | None = None) -> Matrix:
-        """From one sample to the next: the craft's five states, x̂ and, with K_i (2, 2), the integrals of x and ψ."""
+        """Return the transition matrix of the craft's five states, x̂ and optional integrals of x and ψ."""
         gains = [np.zeros((2, 5)), K, *([] if K_i is None else [K_i])]
         u = -np.hstack(gains)
         n = u.shape[1]
@@ -83,7 +87,7 @@ class FlownLoop:
         return np.vstack([x, x_hat, grown])
 
     def modes(self, K: Matrix, K_i: Matrix | None = None) -> list[Mode]:
-        """Every mode, that which grows fastest first."""
+        """Return all modes, fastest growth first."""
         values, vectors = np.linalg.eig(self.matrix(K, K_i))
         found = [
             Mode(cmath.log(z) / self.sample, _axis(v)) for z, v in zip(values.tolist(), vectors.T, strict=True) if z
@@ -92,14 +96,14 @@ class FlownLoop:
 
 
 def _axis(vector: Matrix) -> str:
-    """Where a mode is: the tilts together move the craft forward, against each other they turn it."""
+    """Return the axis of a mode: common tilt for forward, tilt difference for turning."""
     weight = np.abs(vector) ** 2
     turning = abs(vector[RIGHT] - vector[LEFT]) ** 2 / 2 + sum(weight[k] for k in TURNING if k < len(weight))
     return "turning" if turning > 0.5 * weight.sum() else "forward"
 
 
 def worst(modes: Sequence[Mode]) -> list[Mode]:
-    """Of each axis the mode that grows, or swings hardly damped, if there is one."""
+    """Return the worst growing or weakly damped mode of each axis."""
     told: dict[str, Mode] = {}
     for mode in sorted(modes, key=lambda m: (not m.grows, -m.pole.real if m.grows else m.damping)):
         if mode.grows or mode.damping < LEAST_DAMPING:
@@ -108,5 +112,5 @@ def worst(modes: Sequence[Mode]) -> list[Mode]:
 
 
 def kept(damping: float) -> float:
-    """What a swing keeps of its size from one to the next: exp(−2πζ/√(1 − ζ²))."""
+    """Return the ratio of successive swings, exp(−2πζ/√(1 − ζ²))."""
     return math.exp(-2 * math.pi * damping / math.sqrt(1 - damping**2))

@@ -1,4 +1,4 @@
-"""Offline design: the numbers of the design model from a craft, and the LQR gain from weights, by `control`."""
+"""Offline design: parameters of the design model from a craft, and LQR gains from weights with `control`."""
 
 from __future__ import annotations
 
@@ -13,21 +13,22 @@ from plant.hovercraft import Hovercraft
 
 Q_THESIS = (1.0, 0.5, 0.1, 0.01, 0.0)  # diagonal, eq 6.4
 R_THESIS = (1.0, 1.0)
-Q_INTEGRAL = (0.3, 0.05)  # diagonal, of the integrals of x and ψ: ours
-STABLE = 1e-6  # [rad/s] how far left of the imaginary axis a pole must lie
-# Where friction is taken as viscous: about the mean of the manoeuvre. At rest the slope of dry friction is no damping.
+Q_INTEGRAL = (0.3, 0.05)  # diagonal for the integrals of x and ψ, chosen here
+STABLE = 1e-6  # [rad/s] least distance of a pole from the imaginary axis
+# Operating point of the viscous friction: about the mean of the manoeuvre. At rest, the slope of dry friction is no
+# damping.
 WORKING_SPEED, WORKING_YAW_RATE = 0.4, 1.0  # [m/s], [rad/s]
 
 
 def numbers_of(craft: Hovercraft) -> dict[str, float]:
-    """Numbers of the design model from a craft with its effects, by the names of `Settings`.
+    """Return the design model parameters of a craft with its effects, named as in `Settings`.
 
-    thrust_nominal: m/2·Σ ∂v̇x/∂α_i of the hovering craft
-    lag:            mean delay of a tilt behind its command, −G'(0)/G(0) (τ of first order, 2ζ/ωₙ of second), and the
-                    delay of the commands
-    friction, yaw_damping: all that opposes motion, divided by it, at the working speed and yaw rate
+        thrust_nominal: m/2·Σ ∂v̇x/∂α_i of the hovering craft
+        lag: mean delay of a tilt after its command, −G'(0)/G(0) (τ of first order, 2ζ/ωₙ of second), plus the command
+            delay
+        friction, yaw_damping: opposing force or moment divided by the working speed or yaw rate
 
-    Left out is what has no place in five symmetric states: asymmetry, offsets, play, dead band, rate limit, inflow.
+    Asymmetry, offsets, backlash, dead band, rate limit and inflow have no place in five symmetric states.
     """
     linear = linearize(craft)
     row = linear.states.index("vx")
@@ -46,9 +47,10 @@ def numbers_of(craft: Hovercraft) -> dict[str, float]:
 
 
 def roll_numbers_of(craft: Hovercraft) -> dict[str, float]:
-    """Numbers of roll and of the motors that the predictive law needs too, from a hovering craft with its effects.
+    """Return roll and motor parameters of a hovering craft with effects, for the predictive law.
 
-    Of the linearisation: k/Ixx = −∂φ̈/∂φ, d_φ/Ixx = −∂φ̈/∂φ̇, L·Γ/Ixx = ∂φ̈/∂T, dT/dδ = τ·∂Ṫ/∂δ, means of both sides.
+    From the linearization: k/Ixx = −∂φ̈/∂φ, d_φ/Ixx = −∂φ̈/∂φ̇, L·Γ/Ixx = ∂φ̈/∂T, dT/dδ = τ·∂Ṫ/∂δ, averaged over both
+    sides.
     """
     linear = linearize(craft)
     at = {name: k for k, name in enumerate(linear.states)}
@@ -65,7 +67,7 @@ def roll_numbers_of(craft: Hovercraft) -> dict[str, float]:
 
 
 def _damping(craft: Hovercraft, state: str, rate: float) -> float:
-    """Deceleration per rate [1/s] at ±rate, a constant push left out: (f(−v) − f(v))/2v."""
+    """Return the deceleration per rate [1/s] at ±rate without constant forces: (f(−v) − f(v))/2v."""
     derivative = craft.equations(SCALAR).derivative
     row = [q.name for q in craft.states].index(state)
 
@@ -77,7 +79,10 @@ def _damping(craft: Hovercraft, state: str, rate: float) -> float:
 
 
 def _mean_delay(linear: LinearModel) -> float:
-    """Mean delay [s] of the right tilt behind its command: G(s) = C·(sI − A)⁻¹·B, −G'(0)/G(0)."""
+    """Return the mean delay [s] of the right tilt after its command.
+
+    −G'(0)/G(0) with G(s) = C·(sI − A)⁻¹·B.
+    """
     tilts = [k for k, name in enumerate(linear.states) if "tilt" in name]
     A = linear.A[np.ix_(tilts, tilts)]
     B = linear.B[tilts, linear.inputs.index("tilt_right")]
@@ -87,9 +92,14 @@ def _mean_delay(linear: LinearModel) -> float:
 
 
 def lqr_gain(p: ModelNumbers, Q: Sequence[float] = Q_THESIS, R: Sequence[float] = R_THESIS) -> Matrix:
-    """K (2, 5) that minimises ∫ x'Qx + u'Ru for the design model, eqs 6.1-6.3; Q and R are diagonals.
+    """Return K (2, 5) with minimal ∫ x'Qx + u'Ru for the design model, eqs 6.1-6.3.
 
-    Raises ValueError where no stabilising gain exists or the weights are not of a regulator.
+    Args:
+        Q: Diagonal of the state weights.
+        R: Diagonal of the input weights.
+
+    Raises:
+        ValueError: No stabilising gain exists, or the weights are invalid.
     """
     if len(Q) != 5 or len(R) != 2 or min(Q) < 0 or min(R) <= 0:
         raise ValueError("Q has five diagonal entries ≥ 0 and R two > 0")
@@ -100,7 +110,7 @@ def lqr_gain(p: ModelNumbers, Q: Sequence[float] = Q_THESIS, R: Sequence[float] 
         K, _, poles = control.lqr(A, B, np.diag(Q), np.diag(R))
     except np.linalg.LinAlgError as error:
         raise ValueError(f"no stabilising gain for these weights: {error}") from error
-    # an integrator without weight is left to itself, and the solver does not mind
+    # An integrator without weight remains uncontrolled, and the solver does not report it.
     if max(np.real(poles)) > -STABLE:
         raise ValueError(f"no stabilising gain for these weights: a pole stays at {max(np.real(poles)):.2g} rad/s")
     return np.asarray(K, dtype=float)
@@ -112,9 +122,12 @@ def integral_gain(
     R: Sequence[float] = R_THESIS,
     Q_integral: Sequence[float] = Q_INTEGRAL,
 ) -> tuple[Matrix, Matrix]:
-    """K (2, 5) and K_i (2, 2) of the LQR with the integrals of x and ψ as further states, weights on their diagonal.
+    """Return K (2, 5) and K_i (2, 2) of the LQR with integrals of x and ψ.
 
-    Raises ValueError where no stabilising gain exists or the weights are not of a regulator.
+    All weights are diagonals.
+
+    Raises:
+        ValueError: No stabilising gain exists, or the weights are invalid.
     """
     if len(Q) != 5 or len(R) != 2 or len(Q_integral) != 2 or min(Q) < 0 or min(*R, *Q_integral) <= 0:
         raise ValueError("Q has five diagonal entries ≥ 0, R two > 0 and Q_integral two > 0")

@@ -1,4 +1,4 @@
-"""Model predictive control with A(t), B(t) of the craft's equations along the planned motion, with limits."""
+"""Model predictive control with limits, and A(t), B(t) of the craft's equations along the planned motion."""
 
 from __future__ import annotations
 
@@ -18,20 +18,25 @@ from controller.slopes import Slopes
 from controller.time_variant_settings import TimeVariantSettings
 from cosim.model.namespaces import arrays
 
-SMALL = 0.25  # |λ|·h up to which the series of φ₁ is used: its error is (|λ|·h)⁵/120
+SMALL = 0.25  # |λ|·h up to which the series of φ₁ is used, with error (|λ|·h)⁵/120
 
 
 class TimeVariantLaw(Predicting):
-    """Commands u of both motors and both tilts that minimise, over the N steps of the horizon,
+    """Time-variant predictive law for motors and tilts, optimal over the N steps of the horizon.
 
-        Σ (z'·Q·z + u'·R·u)·Δ + z_N'·P·z_N,   |α| ≤ tilt_max,   duty_min ≤ δ ≤ duty_max,
-        ż = f(x̄, ū) + A(t)·(x − x̄) + B(t)·(u − ū),   A(t) = ∂f/∂x, B(t) = ∂f/∂u at x̄(t), ū(t)
+    The commands u minimise
 
-    z the deviation from rest at the references of x, y and ψ; x̄, ū the motion and the commands that were planned at
-    the sample before, one sample later. At the first sample x̄ is the estimate and ū the command at rest. Commands,
-    A and B are held over a step of the prediction. P is the cost to go of the LQR at hover. One program a sample: the
-    plan follows a changed reference within some samples (real-time iteration, Diehl, Bock, Schlöder 2005). The
-    estimate is that of its own extended Kalman filter, of all states.
+         Σ (z'·Q·z + u'·R·u)·Δ + z_N'·P·z_N,   |α| ≤ tilt_max,   duty_min ≤ δ ≤ duty_max,
+         ż = f(x̄, ū) + A(t)·(x − x̄) + B(t)·(u − ū),   A(t) = ∂f/∂x, B(t) = ∂f/∂u at x̄(t), ū(t)
+
+    z is the deviation from rest at the references of x, y and ψ; x̄, ū are motion and commands planned at the previous
+    sample, shifted by one sample. At the first sample x̄ is the estimate and ū the command at rest. Commands, A and B
+    are
+    held over a prediction step. P is the cost to go of the LQR at hover. With one program per sample, the plan follows
+    a
+    changed reference within some samples (real-time iteration, Diehl, Bock, Schlöder 2005). An own extended Kalman
+    filter
+    estimates all states.
     """
 
     filter: ExtendedFilter
@@ -50,10 +55,10 @@ class TimeVariantLaw(Predicting):
         F, held = held_over(A, p.prediction_step, self.doublings)
         self.Q, self.R = (p.prediction_step * weight for weight in weights(p))
         self.P = cost_to_go(F[0], (held @ B)[0], self.Q, self.R)
-        self.path, self.plan = np.zeros((0, len(NAMES))), np.zeros((0, len(INPUTS)))  # at each step; nothing planned
+        self.path, self.plan = np.zeros((0, len(NAMES))), np.zeros((0, len(INPUTS)))  # no plan yet
 
     def estimator(self, p: TimeVariantSettings, x_hat: Sequence[float], fix: float) -> Estimator:
-        """Return the extended filter, both propellers tilted so that a is that of x_hat."""
+        """Return the extended filter, with tilts for the acceleration in x_hat."""
         x, vx, psi, psi_dot, a = x_hat
         tilt = level_tilt(p.craft, a)
         start = {"x": x, "vx": vx, "psi": psi, "psi_dot": psi_dot, "y": self.y_hat}
@@ -62,7 +67,7 @@ class TimeVariantLaw(Predicting):
         return self.filter
 
     def command(self, x_hat: Sequence[float], seen: Seen) -> tuple[float, ...]:
-        """Tilts [rad]; the duties stand in `duties`."""
+        """Return the tilts [rad]; `duties` holds the duties."""
         x = self.filter.filter.x[PREDICTED]
         target = self.hover.copy()
         target[POSITIONS] += seen.x_ref, seen.y_ref, seen.psi_ref
@@ -75,21 +80,21 @@ class TimeVariantLaw(Predicting):
         return self.tilts
 
     def outputs(self) -> list[float]:
-        """ŷ [m] and its standard deviation, iterations, whether they ended in a solution."""
+        """Return ŷ [m], its standard deviation, iterations, and 1 for solved."""
         return [self.filter.estimate[5], self.filter.sigma[2], float(self.iterations), float(self.solved)]
 
     def snapshot(self) -> dict[str, Any]:
-        """The planned motion too."""
+        """Return the state with the planned motion."""
         return {"path": self.path.tolist(), "plan": self.plan.tolist(), **super().snapshot()}
 
     def restore(self, snapshot: Mapping[str, Any]) -> None:
-        """The planned motion too."""
+        """Restore the state with the planned motion."""
         self.path = np.array(snapshot["path"]).reshape(-1, len(NAMES))
         self.plan = np.array(snapshot["plan"]).reshape(-1, len(INPUTS))
         super().restore(snapshot)
 
     def _expected(self, x: Matrix) -> tuple[Matrix, Matrix]:
-        """Return motion and commands at the start of each step, as planned one sample ago."""
+        """Return motion and commands at each step from the previous plan."""
         n = len(self.of_step)
         if not len(self.path):
             return np.tile(x, (n, 1)), np.tile(self.rest, (n, 1))
@@ -99,7 +104,7 @@ class TimeVariantLaw(Predicting):
         return (1.0 - share) * self.path[before] + share * self.path[before + 1], self.plan[before]
 
     def _steps(self, path: Matrix, plan: Matrix, target: Matrix) -> Steps:
-        """Return the steps of the prediction, in deviations from the target and from the command at rest."""
+        """Return the prediction steps as deviations from target and rest command."""
         states = np.zeros((len(path), len(STATES)))
         states[:, PREDICTED] = path
         A, B = self._linear(states, plan)
@@ -117,9 +122,10 @@ class TimeVariantLaw(Predicting):
 
 
 def held_over(A: Matrix, step: float, doublings: int) -> tuple[Matrix, Matrix]:
-    """Return F = exp(h·A) and ∫₀ʰ exp(s·A) ds = h·φ₁(h·A) of each A; the step h is made of 2^doublings short ones.
+    """Return F = exp(h·A) and ∫₀ʰ exp(s·A) ds = h·φ₁(h·A) of each A.
 
-    h·φ₁(h·A) = h·(I + h·A/2 + (h·A)²/6 + (h·A)³/24);   F = I + A·h·φ₁(h·A);   h·φ₁ → h·φ₁ + F·h·φ₁,   F → F·F
+    The step h consists of 2^doublings short ones with
+    h·φ₁(h·A) = h·(I + h·A/2 + (h·A)²/6 + (h·A)³/24);   F = I + A·h·φ₁(h·A);   h·φ₁ → h·φ₁ + F·h·φ₁,   F → F·F.
     """
     h, unit = step / 2**doublings, np.eye(A.shape[-1])
     hA = h * A

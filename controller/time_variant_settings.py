@@ -1,4 +1,4 @@
-"""Parameters of the predictive law with A(t), B(t): the craft it predicts with, and the noise its filter assumes."""
+"""Parameters of the predictive law with A(t), B(t): craft for the prediction, noise of the filter."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from plant.hovercraft import Hovercraft
 from plant.powertrain import ground_effect
 
 NOISE = {p.name: p for p in parameters_of(ExtendedSettings)}
-# The equations are taken to hold to 1 % of a propeller's thrust, 25 mN at its arm, afresh at each sample of 0.02 s:
-# (0.025 N/m·Δt)², (0.025 N·L/I·Δt)². Positions and angles follow from their rates exactly.
+# The equations are assumed accurate to 1 % of a propeller's thrust, 25 mN at its arm, independently at each sample of
+# 0.02 s: (0.025 N/m·Δt)², (0.025 N·L/I·Δt)². Positions and angles follow exactly from their rates.
 PUSH, TURN, ROLL = 5e-7, 7e-5, 8.4e-5
 
 
 def equation_noise(default: float, unit: str, of: str) -> float:
-    """Declare a variance by which the craft's equations are off at each sample."""
+    """Declare the variance of the equations' error at each sample."""
     return variance(default, unit, f"process noise of {of} per step, what 1 % of a propeller's thrust makes")
 
 
 @dataclass(frozen=True, kw_only=True)
 class TimeVariantSettings(PredictionSettings):
-    """The numbers of the craft's equations beside those of the design model, and of the extended filter's noise.
+    """Parameters of the craft's equations besides the design model, and noise of the extended filter.
 
-    The thrust line passes through `thrust_nominal` at `duty_nominal`. Not used: `k_i_j`, `process_variance_a`.
+    The thrust line passes through `thrust_nominal` at `duty_nominal`. Unused: `k_i_j`, `process_variance_a`.
     """
 
     estimators: ClassVar[tuple[str, ...]] = ("extended",)
@@ -64,12 +64,12 @@ class TimeVariantSettings(PredictionSettings):
 
     @cached_property
     def craft(self) -> Hovercraft:
-        """The craft of these numbers."""
+        """Return the craft with these parameters."""
         return craft_of(self)
 
     @cached_property
     def noise(self) -> ExtendedSettings:
-        """The noise that the filter assumes."""
+        """Return the filter's assumed noise."""
         return ExtendedSettings(**{name: getattr(self, name) for name in NOISE})
 
 
@@ -77,13 +77,17 @@ OF_CRAFT = tuple(p.name for p in parameters_of(TimeVariantSettings) if p.name in
 
 
 def craft_of(p: Any) -> Hovercraft:
-    """Return the craft of these numbers; ValueError where there is none."""
+    """Return the craft with these parameters.
+
+    Raises:
+        ValueError: The parameters are invalid for a craft.
+    """
     values = {name: getattr(p, name) for name in OF_CRAFT}
     return Hovercraft(**values, thrust_offset=_thrust_offset(p)).with_values({"yaw_damping.coefficient": p.yaw_damping})
 
 
 def craft_faults(p: Any) -> list[tuple[tuple[str, ...], str]]:
-    """Return why there is no craft of these numbers: the names at fault, and what is wrong with them."""
+    """Return names and reasons of parameters invalid for a craft."""
     low, high = CRAFT["thrust_offset"].bounds
     if not low <= _thrust_offset(p) <= high:
         names = "thrust_nominal", "thrust_slope", "duty_nominal"
@@ -101,6 +105,6 @@ def craft_faults(p: Any) -> list[tuple[tuple[str, ...], str]]:
 
 
 def _thrust_offset(p: Any) -> float:
-    """Return a [gf] of T_OGE = a + b·δ, eq 4.20, for Γ·T_OGE(δ_N) = T_N."""
+    """Return a [gf] of T_OGE = a + b·δ, eq 4.20, with Γ·T_OGE(δ_N) = T_N."""
     gain = ground_effect(SCALAR, p.height, p.propeller_radius, p.ground_effect_exponent)
     return float(1000.0 * p.thrust_nominal / (p.gravity * gain) - p.thrust_slope * p.duty_nominal)

@@ -1,4 +1,4 @@
-"""Parameters of the controllers beside the LQR: the same estimator and model numbers, and their own law's."""
+"""Parameters of controllers other than the LQR: common estimator and model, own law."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import Any
 from controller.gains import GAINS, Settings
 from cosim.model import parameter
 
-# what `design:` knows; "" is the LQR
+# names in `design:`; "" is the LQR
 POLES, INTEGRAL, PREDICTIVE, TIME_VARIANT = LAWS = ("poles", "integral", "predictive", "time_variant")
 PREDICTIONS = (PREDICTIVE, TIME_VARIANT)
 INTEGRALS = tuple(f"k_{i}_{j}" for i in (1, 2) for j in (6, 7))  # K_i, row by row
 
-# Gains of the poles -2, -4, -11 (forward) and -4, -5 rad/s (turn); of the LQR with weights 0.3 and 0.05 of the
-# integrals. Tests design them anew.
+# Gains of the poles -2, -4, -11 (forward) and -4, -5 rad/s (turn), and of the LQR with integral weights 0.3 and 0.05.
+# Tests repeat the design.
 PLACED = (1.098053097345133, 0.8497106634030005, 0.2389282086946114, 0.10751769391257515, 0.06654667040403645)
 WITH_INTEGRAL = (1.065117707211288, 0.7494112674097084, 0.2908023505812724, 0.10930731206491429, 0.05538288175826896)
 OF_X_INTEGRAL, OF_PSI_INTEGRAL = 0.3872983346207414, 0.15811388300841878
@@ -32,20 +32,20 @@ def weight(default: float, unit: str, doc: str) -> Any:
 
 
 def mirrored(row: Sequence[float]) -> dict[str, Any]:
-    """The ten gains of the right tilt's five: those of ψ and ψ̇ have the other sign for the left."""
+    """Return ten gains from the right tilt's five; ψ and ψ̇ change sign for the left."""
     signs = (1.0, 1.0, -1.0, -1.0, 1.0)
     left = (sign * k for sign, k in zip(signs, row, strict=True))
     return dict(zip(GAINS, (*row, *left), strict=True))
 
 
 def placed_settings() -> Settings:
-    """Of pole placement: the same gains, placed."""
+    """Return the settings of pole placement."""
     return replace(Settings(), **mirrored(PLACED))
 
 
 @dataclass(frozen=True, kw_only=True)
 class IntegralSettings(Settings):
-    """Of the LQR with integrals of what is measured of x and ψ, states six and seven."""
+    """Parameters of the LQR with integrals of measured x and ψ as states six and seven."""
 
     k_1_6: float = integral_gain(OF_X_INTEGRAL, "right", "rad/m/s", "x")
     k_1_7: float = integral_gain(OF_PSI_INTEGRAL, "right", "1/s", "psi")
@@ -54,17 +54,17 @@ class IntegralSettings(Settings):
 
     @property
     def integral_matrix(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Gains of the integrals, shape (2, 2)."""
+        """Return the gains of the integrals, shape (2, 2)."""
         return (self.k_1_6, self.k_1_7), (self.k_2_6, self.k_2_7)
 
 
 def integral_settings() -> IntegralSettings:
-    """Of the LQR with integrals, all gains designed."""
+    """Return the settings of the LQR with integrals."""
     return IntegralSettings(**mirrored(WITH_INTEGRAL))
 
 
 def conflicts(p: Any) -> list[tuple[tuple[str, ...], str]]:
-    """What keeps the predictive law from a solution: by which numbers of `PredictiveSettings`, and why."""
+    """Return the parameters that prevent a predictive solution, with reasons."""
     found: list[tuple[tuple[str, ...], str]] = []
     if not p.duty_min < p.duty_nominal < p.duty_max:
         low = not p.duty_min < p.duty_nominal
@@ -88,7 +88,7 @@ def conflicts(p: Any) -> list[tuple[tuple[str, ...], str]]:
 
 @dataclass(frozen=True, kw_only=True)
 class FullSettings(Settings):
-    """With the numbers of roll and motors: all that is in the fourteen states linearised at hover."""
+    """Parameters with roll and motors, for the fourteen states linearized at hover."""
 
     ixx: float = parameter(0.009377, unit="kg.m2", bounds=(2e-3, 1), doc="design model: roll inertia, eq 5.4")
     ground_gain: float = parameter(
@@ -110,7 +110,7 @@ class FullSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class PredictionSettings(Settings):
-    """Of every predictive law: weights, limits, horizon. Its gains `k_i_j` are not used."""
+    """Parameters of predictive laws: weights, limits, horizon. The gains `k_i_j` are unused."""
 
     weight_x: float = weight(1.0, "1/m2", "x")
     weight_vx: float = weight(0.5, "s2/m2", "vx")
@@ -144,4 +144,4 @@ class PredictionSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class PredictiveSettings(PredictionSettings, FullSettings):
-    """Of the predictive law that is linearised once."""
+    """Parameters of the predictive law linearized once."""
