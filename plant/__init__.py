@@ -1,1 +1,1 @@
-"""Physics of the thrust-vectoring hovercraft: equations stand here once and need nothing but Python."""
+"""Physics of the thrust-vectoring hovercraft: all equations, with Python's standard library only."""

@@ -1,7 +1,7 @@
-"""The testing bench: one tilting propeller on three load cells, read by a converter and a low pass (thesis ch. 3).
+"""Testing bench: one tilting propeller on three load cells, with converter and low pass (thesis ch. 3).
 
-Equation numbers, sections and appendices are those of J. Jorquera Grau, SDSM&T, 2012. The power-train is that of the
-craft (`plant/powertrain.py`); what is new here is the servo's dead band and rate, the cells, and how they are read.
+Equation numbers, sections and appendices refer to J. Jorquera Grau, SDSM&T, 2012. The power-train is the craft's
+(`plant/powertrain.py`); servo dead band and rate, load cells and readings are added here.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from plant.powertrain import (
 )
 from plant.rigid_body import thrust_vector
 
-REST_DUTY, NEUTRAL_DUTY, FREE_HEIGHT = 5.0, 7.5, 10.0  # [%, %, m], App. D.2: motor off, upright, nothing below
-FASTEST_FILTER = 0.005  # [s] that the integration follows
+REST_DUTY, NEUTRAL_DUTY, FREE_HEIGHT = 5.0, 7.5, 10.0  # [%, %, m], App. D.2: motor off, upright, no ground below
+FASTEST_FILTER = 0.005  # [s] fastest low pass that the integration can follow
 CHANNELS = ("z", "x", "m")
 
 STATES = (
@@ -60,20 +60,20 @@ OUTPUTS = (
     Quantity("tilt_actual", "rad", "tilt angle"),
     Quantity("thrust_actual", "N", "thrust, with ground effect"),
 )
-OWN = len(STATES)  # where the effects' own states begin
+OWN = len(STATES)  # index of the effects' first state
 
 
 class BenchEffect(Effect):
     """A term of the bench."""
 
     def tilt_rate(self, m: Namespace, rate: Number, error: Number, states: Values) -> tuple[Number, Values]:
-        """Rate of the tilt [rad/s] in place of `rate`, and derivatives of the effect's own states."""
+        """Return the tilt rate [rad/s] in place of `rate`, and derivatives of own states."""
         return rate, ()
 
 
 @dataclass(frozen=True, kw_only=True)
 class BenchDelay(Delay, BenchEffect):
-    """All commands arrive T later, as `actuator_delay` of the craft."""
+    """Delay of all commands by T, as `actuator_delay` of the craft."""
 
     name = "actuator_delay"
     memory = tuple(Quantity(q.name, q.unit, f"{q.name} that acts until the delay has passed", q.start) for q in INPUTS)
@@ -81,12 +81,12 @@ class BenchDelay(Delay, BenchEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class BenchSecondOrder(BenchEffect):
-    """The overshoot of §4.5.4, as `actuator_second_order` of the craft: α̈ = ωₙ²·e − 2ζωₙ·α̇, e beyond the dead band."""
+    """Overshoot of §4.5.4, as `actuator_second_order` of the craft: α̈ = ωₙ²·e − 2ζωₙ·α̇, e beyond the dead band."""
 
     name = "actuator_second_order"
     equation = "α̈ = ωₙ²·e − 2ζωₙ·α̇ in place of the first-order tilt lag, e the error beyond the dead band"
     states = (Quantity("tilt_rate", "rad/s", "rate of the tilt"),)
-    starts = ({"natural_frequency": 25.0, "damping_ratio": 1.0},)  # fast and heavy looks like slow and light
+    starts = ({"natural_frequency": 25.0, "damping_ratio": 1.0},)  # fast and overdamped resembles slow and underdamped
 
     natural_frequency: float = parameter(
         0.0, unit="rad/s", bounds=(0, 100), neutral=0.0, typical=15.0, doc="natural frequency ωₙ; 0 = off"
@@ -94,14 +94,14 @@ class BenchSecondOrder(BenchEffect):
     damping_ratio: float = parameter(0.7, unit="1", bounds=(0.02, 2.5), doc="damping ratio ζ")
 
     def tilt_rate(self, m: Namespace, rate: Number, error: Number, states: Values) -> tuple[Number, Values]:
-        """The state in place of the lag's rate."""
+        """Return the own tilt rate in place of the lag's rate."""
         w, (own,) = self.natural_frequency, states
         return m.where(w > 0.0, own, rate), (second_order(error, 0.0, own, w, self.damping_ratio),)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bench(Model):
-    """One power-train on three load cells, calibrated at the hub (§3.5); see `equations`."""
+    """One power-train on three load cells, calibrated at the hub (§3.5); see `equations` for the model."""
 
     title = "Testing bench of a tilting propeller"
     base_states, inputs, outputs = STATES, INPUTS, OUTPUTS
@@ -155,12 +155,12 @@ class Bench(Model):
     )
 
     def equations(self, m: Namespace) -> Equations:
-        """Forces on the cells, their voltages, and the lags.
+        """Return forces on the cells, their voltages, and the lags.
 
         F_z = T·Γ(z)·cos α + load, F_x = T·Γ(z)·sin α + load (4.7, 4.8), M = m_PA·g·l·sin α + load (4.10)
         v   = clip(v₀ + s·F + q·F² + c·F³ + noise, 0, range), in whole steps of the converter
-        τ·Ṫ = T_OGE(δ) − T (4.9), T_f·v̇_f = v − v_f where there is a low pass
-        α̇: `servo_rate`, or what effects make of it
+        τ·Ṫ = T_OGE(δ) − T (4.9), T_f·v̇_f = v − v_f with a low pass
+        α̇: `servo_rate`, modified by effects
         """
 
         def forces(state: Values, command: Values) -> tuple[Number, Number, Number]:
@@ -171,10 +171,10 @@ class Bench(Model):
             moment = assembly_moment(m, tilt, self.assembly_mass, self.gravity, self.assembly_arm)
             return z + load_z, x + load_x, moment + load_m
 
-        terms = overrides(self.awake, "tilt_rate", BenchEffect)  # the only ones with states of their own
+        terms = overrides(self.awake, "tilt_rate", BenchEffect)  # only these effects have states
 
         def tilting(state: Values, target: Number) -> tuple[Number, Values]:
-            """Rate of the tilt, and derivatives of the effects' own states."""
+            """Return the tilt rate and derivatives of the effects' states."""
             rate = servo_rate(m, target, state[1], self.lag, self.servo_dead_band, self.servo_speed)
             error = servo_error(m, target, state[1], self.servo_dead_band)
             added: Values = ()
@@ -224,5 +224,5 @@ class Bench(Model):
         return Equations(derivative, output)
 
     def start_state(self, m: Namespace = SCALAR) -> dict[str, Number]:
-        """The low pass has settled on the cells without load."""
+        """Return settled low passes of the unloaded cells."""
         return {f"filtered_{c}": getattr(self, f"{c}_zero") for c in CHANNELS}

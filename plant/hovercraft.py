@@ -1,7 +1,7 @@
-"""The thrust-vectoring hovercraft: parameters, quantities and the one body of its equations.
+"""Thrust-vectoring hovercraft: parameters, quantities and equations.
 
-Equation numbers are those of J. Jorquera Grau, "Testing Bench Design and Tilting Propeller System
-Identification for the Development and Control of a Thrust-vectoring Hovercraft", SDSM&T, 2012.
+Equation numbers refer to J. Jorquera Grau, "Testing Bench Design and Tilting Propeller System Identification for the
+Development and Control of a Thrust-vectoring Hovercraft", SDSM&T, 2012.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from plant.effects.sensor_errors import SENSORS
 from plant.powertrain import ground_effect, lag, thrust_out_of_ground
 from plant.rigid_body import thrust_vector
 
-QUARTER_TURN = (-0.5 * math.pi, 0.5 * math.pi)  # [rad], as far as a propeller tilts
+QUARTER_TURN = (-0.5 * math.pi, 0.5 * math.pi)  # [rad] range of a propeller's tilt
 DUTY_FITTED = Validity("duty", ("duty_right", "duty_left"), 6.0, 7.0, "extrapolates a thrust line fitted on 6-7 %")
 DUTY_NOMINAL = 6.38763  # [%], eq 4.20 solved for the T_N of eq 5.36
 
@@ -49,7 +49,7 @@ STATES = (
     Quantity("tilt_right", "rad", "right propeller tilt after the lag"),
     Quantity("tilt_left", "rad", "left propeller tilt after the lag"),
 )
-PSI, VX, OWN = 4, 5, len(STATES)  # places of the heading, the forward velocity, and the effects' own states
+PSI, VX, OWN = 4, 5, len(STATES)  # indices of the heading, the forward velocity, and the effects' first state
 INPUTS = (
     Quantity("duty_right", "%", "duty command of the right motor", DUTY_NOMINAL),
     Quantity("duty_left", "%", "duty command of the left motor", DUTY_NOMINAL),
@@ -67,14 +67,14 @@ OUTPUTS = (
     Quantity("tilt_right_actual", "rad", "right propeller tilt", bounds=QUARTER_TURN),
     Quantity("tilt_left_actual", "rad", "left propeller tilt", bounds=QUARTER_TURN),
 )
-# Measured with the sensors at rest, eq 5.46; positions are those of a 1 mm tracking system.
+# Measured with resting sensors, eq 5.46; positions are those of a 1 mm tracking system.
 SENSOR_VARIANCE = {"psi": 2.613e-5, "psi_dot": 4.564e-4, "ax": 0.04479} | dict.fromkeys(
     ("x", "y", "x_world", "y_world"), 1e-6
 )
-# A craft is let go by hand: where nothing measures them, speeds at the start are known to 0.2 m/s and 0.1 rad/s.
+# The craft is released by hand: unmeasured initial speeds are known to 0.2 m/s and 0.1 rad/s.
 START_VARIANCE = {q.name: {"m/s": 0.2, "rad/s": 0.1}.get(q.unit, 1.0) ** 2 for q in STATES}
 MEASURED = ("psi", "psi_dot", "ax", "x_world", "y_world")  # an IMU, and a camera
-# An air table of 2 m by 2 m; the thrust line was fitted on 6-7 % of duty; the tilts are limited as in App. G.
+# An air table of 2 m by 2 m; the thrust line was fitted on 6-7 % of duty; tilt limits as in App. G.
 EXCURSION = {
     **dict.fromkeys(("duty_right", "duty_left"), 0.2),
     **dict.fromkeys(("tilt_right", "tilt_left"), math.radians(12)),
@@ -148,18 +148,18 @@ class Hovercraft(Model):
     table_roll_damping: float = parameter(
         0.45, unit="N.m.s/rad", bounds=(0, 4), doc="roll damping of the air cushion; not in the thesis"
     )
-    # Bounds keep |λ|·h of the fastest mode within what RK4 at 5 ms can follow, the other parameters being as declared.
+    # Bounds keep |λ|·h of the fastest mode within the range of RK4 at 5 ms, with other parameters as declared.
     roll_ground_effect: bool = parameter(
         True, unit="", doc="ground effect of each propeller at its own height; the thesis takes one height"
     )
 
     def start_state(self, m: Namespace = SCALAR) -> dict[str, Number]:
-        """Both propellers spin at the nominal duty: T_i = T_OGE(δ_N), eq 4.20."""
+        """Return the thrusts at nominal duty: T_i = T_OGE(δ_N), eq 4.20."""
         thrust = thrust_out_of_ground(m, self.duty_nominal, self.thrust_offset, self.thrust_slope, self.gravity)
         return {"thrust_right": thrust, "thrust_left": thrust}
 
     def start_input(self) -> dict[str, Number]:
-        """An unconnected plant hovers."""
+        """Return the nominal duties, with which an unconnected plant hovers."""
         return {"duty_right": self.duty_nominal, "duty_left": self.duty_nominal}
 
     def equations(self, m: Namespace) -> Equations:
@@ -189,7 +189,7 @@ class Hovercraft(Model):
         added = sum(len(e.states) for e in awake)
 
         def thrusts(t: Number, vx: Number, phi: Number, right: Number, left: Number) -> tuple[Number, Number]:
-            """Both thrusts [N] in ground effect, from those without."""
+            """Return both thrusts [N] with ground effect."""
             if own_height:
                 rise = arm * m.sin(phi)
                 right = right * ground_effect(m, z + rise, radius, exponent)
@@ -203,7 +203,7 @@ class Hovercraft(Model):
             return right, left
 
         def contact(t: Number, state: Values) -> tuple[Number, Number, Number, Number]:
-            """Forward and rightward force [N], yaw and roll moment [N m] that the body feels."""
+            """Return the sensed forward and rightward force [N], yaw and roll moment [N m]."""
             vx, vy, psi_dot, phi, phi_dot, thrust_right, thrust_left, tilt_right, tilt_left = state[VX:OWN]
             right, left = thrusts(t, vx, phi, thrust_right, thrust_left)
             right_x, right_z = thrust_vector(m, right, tilt_right)
@@ -260,7 +260,7 @@ class Hovercraft(Model):
 
 
 def _first_states(effects: tuple[HovercraftEffect, ...]) -> dict[str, int]:
-    """Where each effect's own states begin, counted from the end of the base states."""
+    """Return the index of each effect's first state after the base states."""
     first, count = {}, 0
     for effect in effects:
         first[effect.name] = count

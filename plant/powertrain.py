@@ -6,49 +6,60 @@ from cosim.model import Namespace, Number
 
 
 def thrust_out_of_ground(m: Namespace, duty: Number, offset: Number, slope: Number, gravity: Number) -> Number:
-    """Static thrust [N] out of ground effect, eq 4.20: T_OGE = max(0, a + b·δ)·g/1000; δ in %, a and b in gf."""
+    """Return the static thrust [N] out of ground effect, eq 4.20: T_OGE = max(0, a + b·δ)·g/1000.
+
+    δ is in %, a and b in gf.
+    """
     return m.maximum(0.0, offset + slope * duty) * gravity / 1000.0
 
 
 def ground_effect(m: Namespace, z: Number, radius: Number, exponent: Number) -> Number:
-    """Thrust gain Γ at height z [m], eqs 4.23 and 4.28: Γ = 1/(1 − (R/4z)^k), z no lower than R/2.
+    """Return the thrust gain Γ at height z [m], eqs 4.23 and 4.28.
 
-    The print of eq 4.11 has a plus sign; the thesis' own code and Γ/m = 1.620 of eq E.2 need the minus.
+    Γ = 1/(1 − (R/4z)^k), with z at least R/2. Eq 4.11 is printed with a plus sign; the code of the thesis and Γ/m =
+    1.620
+    of eq E.2 need the minus.
     """
     return 1.0 / (1.0 - (radius / (4.0 * m.maximum(z, 0.5 * radius))) ** exponent)
 
 
 def lag(target: Number, value: Number, time_constant: Number) -> Number:
-    """Rate of a first-order lag, eq 4.29: ẋ = (x_target − x)/τ."""
+    """Return the rate of a first-order lag, eq 4.29: ẋ = (x_target − x)/τ."""
     return (target - value) / time_constant
 
 
 def second_order(target: Number, value: Number, rate: Number, frequency: Number, damping: Number) -> Number:
-    """Second rate of an answer that overshoots, as §4.5.4 saw it: ẍ = ωₙ²·(x_target − x) − 2ζωₙ·ẋ."""
+    """Return the second derivative of a second-order response: ẍ = ωₙ²·(x_target − x) − 2ζωₙ·ẋ.
+
+    §4.5.4 observed its overshoot.
+    """
     return frequency * frequency * (target - value) - 2.0 * damping * frequency * rate
 
 
 def servo_angle(duty: Number, neutral: Number, slope: Number) -> Number:
-    """Angle [rad] that a servo is told, eq 3.1: α = 0.3927·(d − 7.5); d in % of its frame, slope in rad/%."""
+    """Return the commanded servo angle [rad], eq 3.1: α = 0.3927·(d − 7.5).
+
+    d is in % of the frame, slope in rad/%.
+    """
     return slope * (duty - neutral)
 
 
 def servo_rate(
     m: Namespace, target: Number, angle: Number, time_constant: Number, dead_band: Number, fastest: Number
 ) -> Number:
-    """Rate of a tilt behind a servo, App. B.2: α̇ = clip((e − clip(e, ±w/2))/τ, ±r), e = α_target − α.
+    """Return the tilt rate of a servo, App. B.2: α̇ = clip((e − clip(e, ±w/2))/τ, ±r), e = α_target − α.
 
-    It stops where the error comes into the dead band of total width w [rad]: short of the target, from either side.
+    Motion stops at the edge of the dead band with total width w [rad], short of the target from either side.
     """
     return m.clip(lag(servo_error(m, target, angle, dead_band), 0.0, time_constant), -fastest, fastest)
 
 
 def servo_error(m: Namespace, target: Number, angle: Number, dead_band: Number) -> Number:
-    """What a servo acts on, App. B.2: e − clip(e, ±w/2), e = α_target − α."""
+    """Return the effective servo error, App. B.2: e − clip(e, ±w/2), e = α_target − α."""
     half, error = 0.5 * dead_band, target - angle
     return error - m.clip(error, -half, half)
 
 
 def assembly_moment(m: Namespace, tilt: Number, mass: Number, gravity: Number, arm: Number) -> Number:
-    """Moment about the tilting axis [N m], eq 4.10: M(α) = m_PA·g·l·sin α."""
+    """Return the moment about the tilting axis [N m], eq 4.10: M(α) = m_PA·g·l·sin α."""
     return mass * gravity * arm * m.sin(tilt)

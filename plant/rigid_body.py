@@ -1,7 +1,7 @@
-"""Rigid body on the air table (thesis ch. 5), and the frames it moves in.
+"""Rigid body on the air table (thesis ch. 5), and its frames.
 
-Local axes: x forward, y to the right, ψ positive to the left seen from above, φ positive with the right
-side up. World axes: X forward and Y left at ψ = 0, z up. No other reading satisfies eqs 5.6-5.8.
+Local axes: x forward, y to the right, ψ positive to the left seen from above, φ positive with the right side up. World
+axes: X forward and Y left at ψ = 0, z up. Only this convention satisfies eqs 5.6-5.8.
 """
 
 from __future__ import annotations
@@ -10,5 +10,8 @@ from cosim.model import Namespace, Number
 
 
 def thrust_vector(m: Namespace, thrust: Number, alpha: Number) -> tuple[Number, Number]:
-    """Forward and upward force of a propeller tilted by α [rad], eq 5.1: F_x = T·sin α, F_z = T·cos α."""
+    """Return forward and upward force of a propeller tilted by α [rad], eq 5.1.
+
+    F_x = T·sin α, F_z = T·cos α.
+    """
     return thrust * m.sin(alpha), thrust * m.cos(alpha)

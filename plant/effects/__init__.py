@@ -1,4 +1,4 @@
-"""The catalogue of effects the base model lacks, in the order in which they act on a command."""
+"""Catalogue of effects missing in the base model, in the order of their action on a command."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Effects between a command and the propeller: delay, play, offset, dead band, then the lag and its rate limit."""
+"""Effects between command and propeller: delay, backlash, offset, dead band, then lag and rate limit."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from plant.powertrain import second_order
 
 
 def clip(m: Namespace, value: Number, low: Number, high: Number) -> Number:
-    """`value` no lower than `low` and no higher than `high`."""
+    """Return `value` limited to the range from `low` to `high`."""
     return m.minimum(m.maximum(value, low), high)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ActuatorDelay(Delay, HovercraftEffect):
-    """All four commands arrive T later: u(t) → u(t − T)."""
+    """Delay of all four commands by T: u(t) → u(t − T)."""
 
     name = "actuator_delay"
     equation = "u(t) → u(t − T), all four commands"
@@ -30,7 +30,7 @@ class ActuatorDelay(Delay, HovercraftEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class ServoBacklash(HovercraftEffect):
-    """Play of total width w on the tilt commands: p ← clip(p, α_cmd − w/2, α_cmd + w/2)."""
+    """Backlash of total width w on the tilt commands: p ← clip(p, α_cmd − w/2, α_cmd + w/2)."""
 
     name = "servo_backlash"
     equation = "p ← clip(p, α_cmd − w/2, α_cmd + w/2), p in place of α_cmd"
@@ -51,7 +51,7 @@ class ServoBacklash(HovercraftEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class TiltOffset(HovercraftEffect):
-    """Servo horns mounted askew: α_cmd,R + r, α_cmd,L + l."""
+    """Offset of misaligned servo horns: α_cmd,R + r, α_cmd,L + l."""
 
     name = "tilt_offset"
     equation = "α_cmd,R + r, α_cmd,L + l"
@@ -87,7 +87,7 @@ class ServoDeadBand(HovercraftEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class ActuatorSecondOrder(HovercraftEffect):
-    """Second-order tilt in place of the first-order lag: α̈ = ωₙ²·(α_cmd − α) − 2ζωₙ·α̇ (§4.5.4 saw its overshoot)."""
+    """Second-order tilt instead of the first-order lag: α̈ = ωₙ²·(α_cmd − α) − 2ζωₙ·α̇ (overshoot in §4.5.4)."""
 
     name = "actuator_second_order"
     equation = "α̈ = ωₙ²·(α_cmd − α) − 2ζωₙ·α̇ in place of the first-order tilt lag"
@@ -95,7 +95,7 @@ class ActuatorSecondOrder(HovercraftEffect):
         Quantity("tilt_rate_right", "rad/s", "rate of the right tilt"),
         Quantity("tilt_rate_left", "rad/s", "rate of the left tilt"),
     )
-    starts = ({"natural_frequency": 25.0, "damping_ratio": 1.0},)  # fast and heavy looks like slow and light
+    starts = ({"natural_frequency": 25.0, "damping_ratio": 1.0},)  # fast and overdamped resembles slow and underdamped
 
     natural_frequency: float = parameter(
         0.0, unit="rad/s", bounds=(0, 100), neutral=0.0, typical=15.0, doc="natural frequency ωₙ; 0 = off"
@@ -112,7 +112,7 @@ class ActuatorSecondOrder(HovercraftEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class ServoRateLimit(HovercraftEffect):
-    """Slew limit after the lag: |α̇_i| ≤ r. Under load far below the 7.5 rad/s of the data sheet is possible."""
+    """Slew limit after the lag: |α̇_i| ≤ r. Under load, r may be far below the 7.5 rad/s of the data sheet."""
 
     name = "servo_rate_limit"
     equation = "|α̇_i| ≤ r, after the lag"

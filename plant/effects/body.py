@@ -1,4 +1,4 @@
-"""Effects on the rigid body and on the table under it."""
+"""Effects on the rigid body and on the table."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class ComOffset(HovercraftEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class TableTilt(HovercraftEffect):
-    """Table out of level: force m·g·(sin θ_X, sin θ_Y) along world X, Y; the accelerometer falls with the craft."""
+    """Tilted table: force m·g·(sin θ_X, sin θ_Y) along world X, Y, not sensed by the accelerometer."""
 
     name = "table_tilt"
     equation = "force m·g·(sin θ_X, sin θ_Y) along world X, Y, not felt by the accelerometer"
@@ -44,7 +44,7 @@ class TableTilt(HovercraftEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class Coriolis(HovercraftEffect):
-    """Turning of the body axes, which the thesis leaves out: v̇x −= κ·ψ̇·vy, v̇y += κ·ψ̇·vx."""
+    """Rotation of the body axes, neglected in the thesis: v̇x −= κ·ψ̇·vy, v̇y += κ·ψ̇·vx."""
 
     name = "coriolis"
     equation = "v̇x −= κ·ψ̇·vy, v̇y += κ·ψ̇·vx; κ = 1 is physics"

@@ -1,4 +1,4 @@
-"""Forces and moments that oppose motion. s = √(vx² + vy²) is the speed over the table."""
+"""Forces and moments against the motion, with the speed over the table s = √(vx² + vy²)."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from typing import ClassVar
 from cosim.model import Namespace, Number, parameter
 from plant.effects.hooks import HovercraftEffect, Motion, Wrench
 
-STICTION_SPEED = 0.01  # [m/s] below which dry friction is smoothed
-STICTION_YAW_RATE = 0.02  # [rad/s] likewise in yaw
-# Keeps 1/s finite at rest; far below the speed at which tanh(s/0.01) leaves its linear part.
+STICTION_SPEED = 0.01  # [m/s] speed below which dry friction is smoothed
+STICTION_YAW_RATE = 0.02  # [rad/s] yaw rate below which dry friction is smoothed
+# Keeps 1/s finite at rest; far below the speed at which tanh(s/0.01) leaves its linear range.
 REST = 1e-24
 
 
 def speed(m: Namespace, motion: Motion) -> Number:
-    """Speed over the table [m/s], never quite zero."""
+    """Return the speed over the table [m/s], always positive."""
     return m.sqrt(motion.vx * motion.vx + motion.vy * motion.vy + REST)
 
 
 def along(motion: Motion, gain: Number) -> Wrench:
-    """Force `gain` times the velocity vector."""
+    """Return the force `gain` times the velocity vector."""
     return gain * motion.vx, gain * motion.vy, 0.0, 0.0
 
 
@@ -41,7 +41,7 @@ class CoulombFriction(HovercraftEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class StribeckFriction(HovercraftEffect):
-    """Friction that falls with speed: −(F + (F_s − F)·e^(−(s/v_s)²))·tanh(s/0.01)·(vx, vy)/s."""
+    """Friction that decreases with speed: −(F + (F_s − F)·e^(−(s/v_s)²))·tanh(s/0.01)·(vx, vy)/s."""
 
     name = "stribeck_friction"
     equation = "force −(F + (F_s − F)·e^(−(s/v_s)²))·tanh(s/0.01)·(vx, vy)/s"

@@ -1,8 +1,8 @@
-"""What an effect on the hovercraft may add, and where it enters the equations.
+"""Hooks for effects in the hovercraft equations.
 
-    command → shape → lag ← tilt_rate → thrust_factor → wrench (felt) → acceleration (not felt)
+    command → shape → lag ← tilt_rate → thrust_factor → wrench (sensed) → acceleration (not sensed)
 
-An effect overrides the hooks it needs; the craft calls only those an awake effect overrides.
+An effect overrides some hooks; the craft calls only overridden hooks of active effects.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ Wrench = tuple[Number, Number, Number, Number]
 
 
 class Motion(NamedTuple):
-    """What a force may depend on: velocities [m/s, rad/s] and the propellers' total force [N]."""
+    """Arguments of forces: velocities [m/s, rad/s] and the propellers' total force [N]."""
 
     vx: Number
     vy: Number
@@ -29,17 +29,20 @@ class HovercraftEffect(Effect):
     """A term of the hovercraft. Pairs are (right, left)."""
 
     def tilt_rate(self, m: Namespace, rate: Pair, command: Pair, tilt: Pair, states: Values) -> tuple[Pair, Values]:
-        """Tilt rates [rad/s] in place of `rate`, and the derivatives of the effect's own states."""
+        """Return tilt rates [rad/s] in place of `rate`, and derivatives of own states."""
         return rate, ()
 
     def thrust_factor(self, m: Namespace, t: Number, vx: Number) -> Pair:
-        """Factors on both thrusts."""
+        """Return the factors on both thrusts."""
         return 1.0, 1.0
 
     def wrench(self, m: Namespace, motion: Motion) -> Wrench:
-        """Forward and rightward force [N], yaw and roll moment [N m], felt by the accelerometer."""
+        """Return forward and rightward force [N], yaw and roll moment [N m].
+
+        The accelerometer senses these contact forces.
+        """
         return 0.0, 0.0, 0.0, 0.0
 
     def acceleration(self, m: Namespace, gravity: Number, psi: Number, vx: Number, vy: Number, psi_dot: Number) -> Pair:
-        """Forward and rightward acceleration [m/s²] that the accelerometer does not feel."""
+        """Return forward and rightward acceleration [m/s²] not sensed by the accelerometer."""
         return 0.0, 0.0

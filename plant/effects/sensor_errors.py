@@ -1,4 +1,4 @@
-"""Errors of the sensors: on the measurement, not in the plant."""
+"""Sensor errors of the hovercraft, which act on the measurement and not on the plant."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ HOVER_THRUST = 2.4973  # [N], T_N of eq 5.36
 
 @dataclass(frozen=True, kw_only=True)
 class AccelerometerBias(Bias):
-    """The accelerometer reads a_x + b."""
+    """Accelerometer bias: reading a_x + b."""
 
     name = "accelerometer_bias"
     equation = "reading a_x + b"
@@ -23,7 +23,7 @@ class AccelerometerBias(Bias):
 
 @dataclass(frozen=True, kw_only=True)
 class AccelerometerScale(Scale):
-    """The accelerometer reads s·a_x."""
+    """Accelerometer scale error: reading s·a_x."""
 
     name = "accelerometer_scale"
     equation = "reading s·a_x"
@@ -34,7 +34,7 @@ class AccelerometerScale(Scale):
 
 @dataclass(frozen=True, kw_only=True)
 class GyroBias(Bias):
-    """The gyroscope reads ψ̇ + b."""
+    """Gyroscope bias: reading ψ̇ + b."""
 
     name = "gyro_bias"
     equation = "reading ψ̇ + b"
@@ -45,7 +45,7 @@ class GyroBias(Bias):
 
 @dataclass(frozen=True, kw_only=True)
 class AccelerometerLeverArm(LeverArm):
-    """The accelerometer sits l ahead of the CoM and reads what a turn presses out of a_P = a + ψ̈×r + ψ̇×(ψ̇×r)."""
+    """Accelerometer l ahead of the CoM, with the centripetal part of a_P = a + ψ̈×r + ψ̇×(ψ̇×r)."""
 
     name = "accelerometer_lever_arm"
     equation = "reading a_x − l·ψ̇²"
@@ -58,7 +58,7 @@ class AccelerometerLeverArm(LeverArm):
 
 @dataclass(frozen=True, kw_only=True)
 class AccelerometerDrift(Drift):
-    """The accelerometer reads a_x + d·t."""
+    """Accelerometer drift: reading a_x + d·t."""
 
     name = "accelerometer_drift"
     equation = "reading a_x + d·t"
@@ -69,7 +69,7 @@ class AccelerometerDrift(Drift):
 
 @dataclass(frozen=True, kw_only=True)
 class GyroDrift(Drift):
-    """The gyroscope reads ψ̇ + d·t."""
+    """Gyroscope drift: reading ψ̇ + d·t."""
 
     name = "gyro_drift"
     equation = "reading ψ̇ + d·t"
@@ -80,7 +80,7 @@ class GyroDrift(Drift):
 
 @dataclass(frozen=True, kw_only=True)
 class CameraLatency(Latency):
-    """The camera's frames are stamped T after they were taken: positions at t are those of t − T."""
+    """Camera latency T: positions at t are those of t − T."""
 
     name = "camera_latency"
     equation = "readings X(t − T), Y(t − T)"
@@ -89,9 +89,9 @@ class CameraLatency(Latency):
 
 @dataclass(frozen=True, kw_only=True)
 class MagnetometerDisturbance(SensorError):
-    """The magnetometer is disturbed by the motors (§5.2): a heading error that follows their duty, none at hover.
+    """Magnetometer disturbance by the motors (§5.2): a heading error proportional to their duty, zero at hover.
 
-    The current of a motor goes with its thrust, a + b·δ behind the lag (4.20): the error is a line of the duty.
+    Motor current follows the thrust, a + b·δ after the lag (4.20), so the error is linear in the duty.
     """
 
     name = "magnetometer_disturbance"
@@ -103,12 +103,12 @@ class MagnetometerDisturbance(SensorError):
     )
 
     def read(self, m: Namespace, t: Number, outputs: Mapping[str, Number]) -> Number:
-        """ψ + k·(T_R + T_L − 2·T_N)."""
+        """Return ψ + k·(T_R + T_L − 2·T_N)."""
         beyond_hover = outputs["thrust_right"] + outputs["thrust_left"] - 2.0 * HOVER_THRUST
         return outputs["psi"] + self.value * beyond_hover
 
 
-# What is there, then what the sensor makes of it: a lever arm before a scale, and that before a bias.
+# Order of action: a lever arm before a scale, a scale before a bias.
 SENSORS = (
     AccelerometerLeverArm,
     AccelerometerScale,

@@ -23,7 +23,7 @@ class ThrustAsymmetry(HovercraftEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class BatterySag(HovercraftEffect):
-    """A battery that tires: both thrusts × (1 − p·(1 − e^(−t/θ))), t the simulation time."""
+    """Discharging battery: both thrusts × (1 − p·(1 − e^(−t/θ))), t the simulation time."""
 
     name = "battery_sag"
     equation = "both thrusts × (1 − p·(1 − e^(−t/θ)))"
@@ -40,7 +40,7 @@ class BatterySag(HovercraftEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class InflowThrustLoss(HovercraftEffect):
-    """Thrust falls as air flows into the disc: both thrusts × (1 − κ·vx)."""
+    """Thrust loss by air flow into the disc: both thrusts × (1 − κ·vx)."""
 
     name = "inflow_thrust_loss"
     equation = "both thrusts × (1 − κ·vx)"

@@ -1,1 +1,1 @@
-"""A power-train identified on a testing bench: five tests, played on the bench's FMU or measured."""
+"""Identification of a power-train on a testing bench from five tests, simulated or measured."""

@@ -1,4 +1,4 @@
-"""Shape of the answer to a step: first order behind the command, or ahead of it, late, or of another shape."""
+"""Shape of a step response: first order, early, late, or of another shape."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from plant.identification.estimates import Measured, Result, shifts_of
 from plant.identification.misfit import SHARE, Misfit, is_quieter, misfit, residuals
 from plant.identification.recordings import Recording
 
-PARAMETERS = 3  # of each repetition: offset, size and lag
-DELAYS = np.linspace(-BEFORE, BEFORE, 61)  # [s] that are tried
-Response = Callable[[Recording], Array]  # force behind the command of a run, a column for each of LAGS
+PARAMETERS = 3  # parameters of each repetition: offset, size and lag
+DELAYS = np.linspace(-BEFORE, BEFORE, 61)  # [s] delays to try
+Response = Callable[[Recording], Array]  # force of a run's commands, one column for each of LAGS
 
 
 def judge(m: Measured, result: Result, channel: str, response: Response, rows: Sequence[Flags]) -> None:
-    """Add a fault to the result where the force moves before its command, a warning where its shape is another."""
-    # rows of each run nearest to the clock of the slowest
+    """Add a fault for a force before its command, and a warning for another shape."""
+    # rows of each run nearest to the slowest clock
     slowest = max(m.recordings, key=lambda r: r.step)
     clock = slowest.time[rows[m.recordings.index(slowest)]]
     places = [np.clip(np.searchsorted(r.time, clock - 0.5 * r.step), 0, r.time.size - 1) for r in m.recordings]
@@ -44,7 +44,7 @@ def judge(m: Measured, result: Result, channel: str, response: Response, rows: S
         )
 
     def missed(using: Cells) -> Array:
-        """Residuals of the shape, shape (repetitions, rows)."""
+        """Return the residuals of the shape, shape (repetitions, rows)."""
         found = []
         for r, place in zip(m.recordings, places, strict=True):
             values, slope = _at_lag(table(r)[place], tau)
@@ -60,14 +60,14 @@ def judge(m: Measured, result: Result, channel: str, response: Response, rows: S
     first = m.recordings[0]
 
     def later(delay: float) -> Array:
-        """Return the response on the clock, delayed, a column for each of LAGS."""
+        """Return the delayed response on the clock, one column for each of LAGS."""
         return np.array([np.interp(clock - delay, first.time, column) for column in table(first).T]).T
 
     _explain(result, found, force, clock, m.test.at, later)
 
 
 def _at_lag(table: Array, lag: float) -> tuple[Array, Array]:
-    """Return the response at a lag and its slope over the logarithm of the lag."""
+    """Return the response at a lag and its slope by the logarithm of the lag."""
     k = int(np.clip(np.searchsorted(LAGS, lag) - 1, 0, LAGS.size - 2))
     share = float(np.log(lag / LAGS[k]) / np.log(LAGS[k + 1] / LAGS[k]))
     return table[:, k] + share * (table[:, k + 1] - table[:, k]), table[:, k + 1] - table[:, k]
@@ -76,9 +76,9 @@ def _at_lag(table: Array, lag: float) -> tuple[Array, Array]:
 def _explain(
     result: Result, found: Misfit, force: Array, clock: Array, at: float, later: Callable[[float], Array]
 ) -> None:
-    """Add what is known of a misfit: a delay, a sine, or its size."""
+    """Add the explanation of a misfit: a delay, a sine, or its size."""
     size = float(np.ptp(_fitted(force, later(0.0))[0]))
-    # the same response, earlier or later: the best of all lags and delays
+    # the same response, shifted: the best of all lags and delays
     best: tuple[float, float, float, Array] | None = None
     for delay in DELAYS:
         fitted, k = _fitted(force, later(float(delay)))
@@ -110,7 +110,7 @@ def _explain(
 
 
 def _moves_before(found: Misfit, clock: Array, at: float) -> bool:
-    """Return whether the mean residual moves before the command, more than scatter."""
+    """Return whether the mean residual moves before the command beyond its scatter."""
     before = clock < at - 1e-9
     if before.sum() < 2:
         return False
@@ -119,7 +119,7 @@ def _moves_before(found: Misfit, clock: Array, at: float) -> bool:
 
 
 def _fitted(force: Array, table: Array) -> tuple[Array, int]:
-    """Return offset and scale times the column that comes nearest to a force, and its number."""
+    """Return offset plus the best scaled column for a force, and the column's index."""
     shape = table - table.mean(axis=0)
     norm = np.sqrt((shape**2).sum(axis=0))
     along = np.divide(shape.T @ force, norm, out=np.zeros(norm.size), where=norm > 0.0)
@@ -128,7 +128,7 @@ def _fitted(force: Array, table: Array) -> tuple[Array, int]:
 
 
 def _sine(values: Array, clock: Array) -> str:
-    """Name the frequency of a residual that is mostly one sine, "" of another."""
+    """Return the frequency of a mostly sinusoidal residual in words, else ""."""
     power = np.abs(np.fft.rfft(values - values.mean())) ** 2
     k = int(np.argmax(power))
     if not power[max(0, k - 1) : k + 2].sum() > SHARE * power.sum() or k < 2:

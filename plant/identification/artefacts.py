@@ -1,4 +1,4 @@
-"""Kinds of files that bench identification adds."""
+"""File kinds of bench identification."""
 
 from __future__ import annotations
 

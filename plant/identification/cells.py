@@ -1,7 +1,7 @@
-"""Load cells: voltage to force by a cubic through calibration points that carry error.
+"""Load cells: conversion of voltage to force by a cubic through uncertain calibration points.
 
-The thesis reads a piecewise cubic that goes through every point (interp1) and so takes on its error; ours is the one
-cubic nearest to all of them, where that keeps their shape (rises or falls throughout), else the piecewise one.
+The thesis uses a piecewise cubic through every point (interp1), including its error. Here one cubic is fitted to all
+points if monotonic, else the piecewise cubic is used.
 """
 
 from __future__ import annotations
@@ -18,17 +18,18 @@ from plant.bench import Bench
 from plant.identification.protocol import CHANNELS, Protocol
 from plant.identification.recordings import Recording, load_in_si
 
-RAIL = 1.5  # steps of the converter within which a reading is at the end of its range
-RAIL_SLACK = 0.01  # of the range, by which a voltmeter may read beyond the converter's end
-LEAST_POINTS = 3  # for a curve
-NEAR_RAIL = 3.0  # standard errors of a load, in voltage, that a point keeps from the rail: or chance chooses it
+RAIL = 1.5  # converter steps from the end of the range within which a reading is saturated
+RAIL_SLACK = 0.01  # share of the range that a voltmeter may exceed
+LEAST_POINTS = 3  # points of a curve
+NEAR_RAIL = 3.0  # distance of a point from the rail in standard errors, so that chance selects no points
 
 
 @dataclass(frozen=True)
 class Cell:
-    """Calibration points in SI, in the order of their voltage; each load is off by `error`, a standard deviation.
+    """Calibration points in SI, ordered by voltage; `error` is the standard deviation of each load.
 
-    left_out: loads whose readings were at the end of the converter's range
+    Attributes:
+        left_out: Loads with saturated readings.
     """
 
     loads: Array
@@ -39,7 +40,7 @@ class Cell:
 
     @cached_property
     def curve(self) -> Any:
-        """Load over voltage, called with (voltages, order of the derivative)."""
+        """Return load as a function of (voltages, order of the derivative)."""
         from scipy.interpolate import PchipInterpolator
 
         if self.smooth:
@@ -52,33 +53,33 @@ class Cell:
 
     @property
     def as_printed(self) -> Cell:
-        """The same, read by the piecewise cubic of the thesis."""
+        """Return the cell with the piecewise cubic of the thesis."""
         return replace(self, smooth=False)
 
     @cached_property
     def zero(self) -> float:
-        """Voltage at which the curve says no load."""
+        """Return the voltage of zero load on the curve."""
         grid = np.linspace(self.volts[0], self.volts[-1], 4001)
         loads = self.force(grid)
         order = np.argsort(loads)
         return float(np.interp(0.0, loads[order], grid[order]))
 
     def force(self, volts: Array) -> Array:
-        """Force [N] or moment [N m] for voltages."""
+        """Return the force [N] or moment [N m] of voltages."""
         low, high = self.volts[0], self.volts[-1]
         slopes = self.curve([low, high], 1)
         inside = self.curve(np.clip(volts, low, high))
         return np.asarray(inside + slopes[0] * np.minimum(volts - low, 0.0) + slopes[1] * np.maximum(volts - high, 0.0))
 
     def moved(self, point: int, amount: float) -> Cell:
-        """The same with one load off by an amount."""
+        """Return the cell with one load changed."""
         loads = self.loads.copy()
         loads[point] += amount
         return replace(self, loads=loads)
 
     @property
     def left_one_out(self) -> Array:
-        """What a curve without each inner point misses it by."""
+        """Return the error at each inner point of a curve without the point."""
         missed = []
         for k in range(1, self.loads.size - 1):
             rest = replace(self, loads=np.delete(self.loads, k), volts=np.delete(self.volts, k))
@@ -90,14 +91,18 @@ Cells = Mapping[str, Cell]
 
 
 def at_rail(known: Bench, volts: Array) -> Flags:
-    """Whether readings are at an end of the converter's range."""
+    """Return True for saturated readings."""
     margin = RAIL * known.converter_range / known.converter_levels
     result: Flags = (volts <= margin) | (volts >= known.converter_range - margin)
     return result
 
 
 def cell_of(loads: Sequence[float], volts: Sequence[float], error: float, left_out: Sequence[float] = ()) -> Cell:
-    """A cell from its points; ValueError where the voltage does not rise or fall with the load throughout."""
+    """Return a cell from its points.
+
+    Raises:
+        ValueError: The voltage is not monotonic in the load.
+    """
     order = np.argsort(volts)
     f, v = np.asarray(loads, float)[order], np.asarray(volts, float)[order]
     steps = np.diff(f)
@@ -109,7 +114,11 @@ def cell_of(loads: Sequence[float], volts: Sequence[float], error: float, left_o
 
 
 def calibrated(protocol: Protocol, hung: Mapping[str, Sequence[Recording]]) -> dict[str, Cell]:
-    """The cells, from loads hung on a bench that is played or from points as measured; ValueError as `cell_of`."""
+    """Return the cells from simulated loads or measured points.
+
+    Raises:
+        ValueError: As in `cell_of`.
+    """
     cells = {}
     for channel in CHANNELS:
         cell, unit = protocol.file.cells[channel], load_in_si(protocol, channel)
@@ -126,7 +135,11 @@ def calibrated(protocol: Protocol, hung: Mapping[str, Sequence[Recording]]) -> d
 
 
 def _cell_inside(pairs: Sequence[tuple[float, float]], error: float, known: Bench) -> Cell:
-    """Return a cell from its points inside the converter's range; ValueError if they are too few."""
+    """Return a cell from its unsaturated points.
+
+    Raises:
+        ValueError: Too few points are unsaturated.
+    """
     for _, reading in pairs:
         if not -RAIL_SLACK <= reading / known.converter_range <= 1.0 + RAIL_SLACK:
             cure = "write volts, or `converter_range` under `parameters`"
@@ -146,17 +159,21 @@ def _cell_inside(pairs: Sequence[tuple[float, float]], error: float, known: Benc
 
 
 def _at_the_rail(pairs: Sequence[tuple[float, float]], error: float, known: Bench) -> list[bool]:
-    """Points whose voltage is at an end of the converter's range, or so near that their own error decides it."""
+    """Return True for points at the rail, or within their own error of it."""
     loads, volts = np.array(pairs).T
     per_load = abs(float(np.ptp(volts))) / (float(np.ptp(loads)) or 1.0)
     margin = max(RAIL * known.converter_range / known.converter_levels, NEAR_RAIL * error * per_load)
     exact = RAIL * known.converter_range / known.converter_levels
-    near = [exact if load == 0 else margin for load in loads]  # no load is known for sure
+    near = [exact if load == 0 else margin for load in loads]  # zero load is exact
     return [bool(v <= m or v >= known.converter_range - m) for v, m in zip(volts, near, strict=True)]
 
 
 def force_of(recording: Recording, cells: Cells, channel: str, rest: tuple[float, float] | None) -> Array:
-    """Force of a cell over a recording; the tare is read at rest. None: as the thesis reads it, tare and all."""
+    """Return the force of a cell with the tare removed.
+
+    Args:
+        rest: Window of the tare; None for the thesis' reading, tare included.
+    """
     cell, volts = cells[channel], recording.volts[channel]
     if rest is None:
         return cell.as_printed.force(volts)

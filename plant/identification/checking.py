@@ -1,4 +1,4 @@
-"""`cosim check` of a protocol: what `cosim identify` would refuse or warn of, without playing a bench."""
+"""`cosim check` of a protocol: faults and warnings of `cosim identify`, without simulation of a bench."""
 
 from __future__ import annotations
 
@@ -13,9 +13,12 @@ from plant.identification.workflow import checked_results
 
 
 def check_protocol(path: Path, checking: Checking) -> list[str]:
-    """Return the warnings of a protocol; raise InputError with every fault of it, or of logs of a craft.
+    """Return the warnings of a protocol.
 
-    Recordings that were measured are analysed, so that a number that cannot be is a fault here as in `identify`.
+    Measured recordings are analysed, so that impossible numbers are faults as in `identify`.
+
+    Raises:
+        InputError: Every fault of the protocol, or of logs of a craft.
     """
     if (yaml := craft_file(path)) is not None:
         read_craft(yaml)

@@ -1,6 +1,6 @@
-"""Columns of a recording: unit, possible range and meaning of each, declared once, and the check against them.
+"""Columns of a recording: unit, plausible range and meaning, and their check.
 
-A range is wide: it tells another unit or another column from a reading, not a good reading from a poor one.
+Ranges are wide: they detect wrong units or columns, not poor readings.
 """
 
 from __future__ import annotations
@@ -16,19 +16,20 @@ from plant.bench import Bench
 from plant.identification.protocol import HeightTest, Test
 from plant.powertrain import servo_angle
 
-MAX_HEIGHT = 20.0  # [m]: twice the default height without ground effect, App. D.2; a height in mm or cm is beyond it
+MAX_HEIGHT = 20.0  # [m]: twice the default height without ground effect, App. D.2; a height in mm or cm exceeds it
 MAX_TILT = np.radians(120.0)  # a servo turns by ±90° and some degrees; a duty in other units gives whole turns
-MIN_HEIGHT_RATIO = 0.5  # height over radius of the propeller, where eq 4.28 ends
-MAX_LOWEST_HEIGHT_RATIO = 3.0  # of the lowest height of Test 2; above it Γ − 1 is below 1 %
-MAX_HEIGHT_CHANGE = 0.1  # share of the height in a window; the height is that of a fixed bench
+MIN_HEIGHT_RATIO = 0.5  # least ratio of height to propeller radius in eq 4.28
+MAX_LOWEST_HEIGHT_RATIO = 3.0  # largest ratio for the lowest height of Test 2; above, Γ − 1 is below 1 %
+MAX_HEIGHT_CHANGE = 0.1  # share of the height in a window; a bench is fixed
 PULSE = "such as 7.5 for a pulse of 1500 µs in a frame of 20 ms"
 
 
 @dataclass(frozen=True)
 class BenchColumn:
-    """A column of a recording; `high` None: the bench's `converter_range`.
+    """A column of a recording; `high` None stands for the bench's `converter_range`.
 
-    cure: what to do about a value outside the range
+    Attributes:
+        cure: Advice for a value outside the range.
     """
 
     unit: str
@@ -41,7 +42,7 @@ class BenchColumn:
 HEIGHT_CURE = f"say its unit, {{name}} [mm]; {MAX_HEIGHT:g} m is as good as no ground"
 NEGATIVE_CURE = "write raw voltages: the tare is read at rest and taken off here"
 SPIKE_CURE = "a spike; repeat the run, or replace the reading by the mean of its neighbours"
-SPIKE_SHARE = 0.02  # of the readings: more are another unit, or a cell that stays there
+SPIKE_SHARE = 0.02  # share of readings above which the cause is a unit or a saturated cell
 VOLTAGE_CURE = "say its unit in the column's name, {name} [mV], or `converter_range` under `parameters`"
 COLUMNS = {
     "duty": BenchColumn("%", 0.0, 100.0, "duty of the speed controller", f"write it in % of the frame, {PULSE}"),
@@ -55,14 +56,14 @@ COLUMNS = {
 
 @dataclass(frozen=True)
 class OutOfRange:
-    """A value that its column cannot have, with its row and the cure."""
+    """An implausible value with its row and cure."""
 
     row: int
     message: str
 
 
 def out_of_range(known: Bench, values: dict[str, Array]) -> Iterator[OutOfRange]:
-    """Yield the first value of each column outside its range, and a servo duty that no servo follows."""
+    """Yield the first implausible value of each column, and an impossible servo duty."""
     step = known.converter_range / known.converter_levels
     duty_found = False
     for name, column in COLUMNS.items():
@@ -96,7 +97,7 @@ def out_of_range(known: Bench, values: dict[str, Array]) -> Iterator[OutOfRange]
 
 
 def wrong_height(known: Bench, name: str, test: Test, height: Array, window: Flags) -> Iterator[OutOfRange]:
-    """Yield a height that moves, that is not the protocol's, or that is below what eq 4.28 covers."""
+    """Yield a height that varies, differs from the protocol, or is too low for eq 4.28."""
     inside, row = height[window], _first(window)
     middle = float(np.median(inside))
     if np.ptp(inside) > MAX_HEIGHT_CHANGE * middle:

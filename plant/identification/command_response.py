@@ -1,4 +1,4 @@
-"""How tilt and thrust follow recorded commands, by the equations of the bench: what a fit compares with."""
+"""Responses of tilt and thrust to recorded commands by the bench equations, for fits."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from cosim.model.namespaces import arrays
 from plant.bench import Bench
 from plant.powertrain import servo_angle, servo_rate
 
-LAGS = np.geomspace(0.01, 0.6, 83)  # [s] among which a lag is sought, 5 % apart
+LAGS = np.geomspace(0.01, 0.6, 83)  # [s] lags to try, 5 % apart
 
 
 def tilt_response(known: Bench, time: Array, servo_duty: Array, lags: Array) -> Array:
-    """Tilt [rad] at each row for each lag, shape (rows, lags), behind dead band and rate; settled at the start."""
+    """Return the tilt [rad], shape (rows, lags), with dead band and rate limit, settled at the start."""
     m, lags = arrays(), np.asarray(lags, float)
     target = servo_angle(servo_duty, known.servo_neutral, known.servo_slope)
     h = float(np.median(np.diff(time)))
@@ -34,7 +34,7 @@ def tilt_response(known: Bench, time: Array, servo_duty: Array, lags: Array) -> 
 
 
 def held_lag(values: Array, step: float, lag: float) -> Array:
-    """First-order lag of a command that is held from row to row: exact."""
+    """Return the exact first-order lag of a held command."""
     if lag <= 0:
         return values
     share, out = 1.0 - np.exp(-step / lag), np.empty_like(values)
@@ -46,7 +46,7 @@ def held_lag(values: Array, step: float, lag: float) -> Array:
 
 
 def low_pass(values: Array, step: float, lag: float) -> Array:
-    """First-order low pass of what runs straight from row to row (trapezoidal rule), along the first axis."""
+    """Return the first-order low pass of interpolated values along the first axis (trapezoidal rule)."""
     if lag <= 0:
         return values
     from scipy.signal import lfilter

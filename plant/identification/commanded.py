@@ -1,5 +1,4 @@
-"""What the commands of a run must be for its test to tell anything: asked of recordings, and of phases before they are
-played."""
+"""Requirements of each test on its commands, for recordings and for planned phases."""
 
 from __future__ import annotations
 
@@ -14,22 +13,22 @@ from plant.identification.protocol import HoldTest, SineTest, StepTest, Test
 from plant.identification.recordings import Recording
 from plant.powertrain import servo_angle
 
-LEAST_DUTY, LEAST_ANGLE = 0.1, np.radians(5)  # [%, rad] that a line and a moment need
+LEAST_DUTY, LEAST_ANGLE = 0.1, np.radians(5)  # [%, rad] least variation for a line and a moment
 LEAST_STEP = 0.02  # [%] of the duty
-SAME_DUTY = 0.01  # [%] between means of what is one command: two decimals, rounded
-UPRIGHT = np.radians(2.5)  # cos is off 1 by 0.1 %
+SAME_DUTY = 0.01  # [%] difference of means within one command: two decimals, rounded
+UPRIGHT = np.radians(2.5)  # cos deviates by 0.1 % from 1
 LEAST_ROWS = 10
-ROWS_PER_PERIOD = 10  # of a sine
+ROWS_PER_PERIOD = 10  # rows in a period of a sine
 LEAST_BEFORE = 3  # rows before a step
-BEFORE = 0.3  # [s] before a step that a fit sees
-UNSETTLED = 0.1  # of a window, which may still carry what was before it
-JUMP = 3.0  # times the steps of a ramp from row to row, from which a step is none of it
-SETTLED = 3.0  # lags and low passes after which a duty has its thrust, to 5 % of what changed
+BEFORE = 0.3  # [s] before a step in a fit
+UNSETTLED = 0.1  # share of a window that may contain the previous transient
+JUMP = 3.0  # multiple of a ramp's step from row to row beyond which a jump is no ramp
+SETTLED = 3.0  # lags and low passes until the thrust has settled to 5 % of a change
 
 
 @dataclass(frozen=True)
 class Lack:
-    """What a run lacks: the key of its test, the row where it shows, and the cure of a recording and of a protocol."""
+    """A deficiency of a run: key of its test, row, and cures for a recording and a protocol."""
 
     key: str
     row: int
@@ -39,7 +38,7 @@ class Lack:
 
 
 def windows_of(test: Test) -> dict[str, tuple[float, float]]:
-    """The windows that a test looks at, by key; a test of sines looks at all after its lead."""
+    """Return the windows of a test by key; a sine test uses all rows after its lead."""
     found = {"rest": test.rest, "window": test.window}
     if isinstance(test, HoldTest):
         found["hold"] = test.hold
@@ -49,10 +48,11 @@ def windows_of(test: Test) -> dict[str, tuple[float, float]]:
 
 
 def lacks(known: Bench, name: str, test: Test, r: Recording, place: str, *, own: bool) -> Iterator[Lack]:
-    """All that a run lacks of what its test needs.
+    """Yield all deficiencies of a run for its test.
 
-    place: of the test in its protocol, for a cure
-    own:   the thrust line in `known` is the one that is played, so that it says which duty gives thrust
+    Args:
+        place: Place of the test in its protocol, for a cure.
+        own: True if the thrust line in `known` is simulated and gives the duty of zero thrust.
     """
     missing = list(_windows(test, r, place))
     yield from missing
@@ -100,13 +100,13 @@ def _windows(test: Test, r: Recording, place: str) -> Iterator[Lack]:
 
 
 def moves(duty: Array) -> bool:
-    """Whether a duty that is to stand goes somewhere: all in all, or from its first quarter to its last."""
+    """Return True for a changing duty, in total or from first to last quarter."""
     quarter = max(1, duty.size // 4)
     return bool(np.ptp(duty) > LEAST_DUTY or abs(duty[:quarter].mean() - duty[-quarter:].mean()) > SAME_DUTY)
 
 
 class _Seen:
-    """A run as its test looks at it: commands, and rows at rest and in the window."""
+    """A run from the view of its test: commands, and rows at rest and in the window."""
 
     def __init__(self, known: Bench, name: str, test: Test, r: Recording, own: bool) -> None:
         self.name, self.test, self.run, self.known = name, test, r, known
@@ -117,11 +117,11 @@ class _Seen:
         self.idle = -known.thrust_offset / known.thrust_slope if own else REST_DUTY
 
     def first(self, rows: Flags) -> int:
-        """First row of those."""
+        """Return the first of these rows."""
         return int(np.flatnonzero(rows)[0])
 
     def without_thrust(self, rows: Flags, key: str, where: str) -> Iterator[Lack]:
-        """The motor does not run somewhere in these rows."""
+        """Yield a deficiency if the motor does not run in some rows."""
         idle = max(self.idle, float(self.duty[self.rest].max()))
         low = rows & (self.duty <= idle)
         if low.any():
@@ -129,7 +129,7 @@ class _Seen:
             yield Lack(key, self.first(low), what, "record it under thrust", "move it to where there is thrust")
 
     def tilted(self, rows: Flags, key: str, where: str) -> Iterator[Lack]:
-        """Not upright somewhere in these rows."""
+        """Yield a deficiency if some rows are not upright."""
         over = rows & (np.abs(self.angle) > UPRIGHT)
         if over.any():
             most = np.degrees(np.abs(self.angle[over]).max())
@@ -137,7 +137,7 @@ class _Seen:
             yield Lack(key, self.first(over), what, "record it upright", "move it to where it is upright")
 
     def unsteady(self, window: tuple[float, float], key: str, where: str) -> Iterator[Lack]:
-        """The duty changes in a window, or so shortly before that its thrust is not there yet."""
+        """Yield a deficiency if the duty changes in or shortly before a window."""
         before = SETTLED * (self.known.lag + self.test.low_pass)
         rows = self.run.rows((window[0] - before, window[1]))
         if moves(self.duty[rows]):
@@ -213,7 +213,7 @@ def _step(see: _Seen, place: str) -> Iterator[Lack]:
             size, need = (f"{v:.3g} %" if thrust else f"{np.degrees(v):.3g}°" for v in (step, least))
             cure = f"let it step by {need} at least"
             yield Lack("at", row, f"{what} steps by {size} at {at:g} s, less than {need}", cure, cure)
-        else:  # slower motion is none
+        else:  # slower motion is no step
             plan = f"phases of two values at one time make a step; {_steps(own, r.time, least)}"
             yield Lack("at", row, f"{what} has no step at {at:g} s", f"say when it is in {place}.at", plan)
         return
@@ -237,7 +237,7 @@ def _step(see: _Seen, place: str) -> Iterator[Lack]:
 
 
 def _steps(signal: Array, time: Array, least: float) -> str:
-    """When a command steps by as much."""
+    """Return the times of steps of a command in words."""
     found = time[1:][np.abs(np.diff(signal)) >= least]
     return f"there is one at {', '.join(f'{t:g}' for t in found[:3])} s" if 0 < found.size < 20 else "there is none"
 
@@ -270,7 +270,7 @@ def _sine(see: _Seen, place: str) -> Iterator[Lack]:
 
 
 def frequency_of(r: Recording, test: SineTest) -> float:
-    """Return the frequency of the protocol [rad/s] whose sine is nearest to the command of a run."""
+    """Return the protocol's frequency [rad/s] closest to the command of a run."""
     rows = r.time >= test.lead
     t, y = r.time[rows] - test.lead, r.servo_duty[rows] - r.servo_duty[rows].mean()
 

@@ -1,4 +1,4 @@
-"""Logs of a craft: noise of its sensors from rest (5.44-5.46), a parameter from the distance covered (§5.5).
+"""Logs of a craft: sensor noise at rest (5.44-5.46), and a parameter from the distance covered (§5.5).
 
 name: The craft at rest, and over 1.5 m
 model: base                       # or a model.yaml, or file.py:Class
@@ -28,14 +28,14 @@ LEAST = 3  # runs over the distance: the interval comes from the scatter between
 
 
 class RestFile(Part):
-    """Logs of the craft at rest; `window` [s] of each, all of it without."""
+    """Logs of the craft at rest; `window` [s] of each, by default the whole log."""
 
     files: Annotated[list[str], Field(min_length=1)]
     window: tuple[NotNegative, NotNegative] | None = None
 
 
 class DistanceFile(Part):
-    """Runs over a distance that was measured: `covered`, of all or one each, in the unit of `output`."""
+    """Runs over a measured distance `covered`, common or separate, in the unit of `output`."""
 
     files: Annotated[list[str], Field(min_length=1)]
     parameter: str
@@ -44,7 +44,7 @@ class DistanceFile(Part):
 
 
 class CraftFile(Part):
-    """What is to be identified from logs of a craft."""
+    """Identification from logs of a craft."""
 
     schema_version: Literal[1] = 1
     name: str
@@ -55,7 +55,7 @@ class CraftFile(Part):
 
 @dataclass(frozen=True)
 class Craft:
-    """The file and its logs, read."""
+    """The file and its logs."""
 
     yaml: YamlFile
     file: CraftFile
@@ -65,32 +65,32 @@ class Craft:
 
     @property
     def covered(self) -> list[float]:
-        """Distance of each run."""
+        """Return the distance of each run."""
         assert self.file.distance is not None
         told = self.file.distance.covered
         return list(told) if isinstance(told, list) else [told] * len(self.runs)
 
     @property
     def files(self) -> list[Path]:
-        """What it reads."""
+        """Return the files of the identification."""
         return [self.yaml.path, *(log.path for log in (*self.rest, *self.runs))]
 
 
 @dataclass
 class CraftOutcome:
-    """What came of it."""
+    """Result of the identification."""
 
     craft: Craft
     results: list[Result] = field(default_factory=list)
 
     @property
     def estimates(self) -> dict[str, Estimate]:
-        """Every number by what it is from, and name."""
+        """Return every estimate by test and name."""
         return {f"{r.test}.{e.name}": e for r in self.results for e in r.estimates}
 
     @property
     def sentences(self) -> list[str]:
-        """A line a number, then notes."""
+        """Return one line per estimate, then notes."""
         lines = [
             f"{key} = {e.value:.5g} {e.unit} (95 % {e.low:.5g} … {e.high:.5g}; as the thesis {e.thesis:.5g})"
             for key, e in self.estimates.items()
@@ -99,16 +99,20 @@ class CraftOutcome:
 
     @property
     def warnings(self) -> list[str]:
-        """What its numbers are to be taken with care for."""
+        """Return the warnings about the estimates."""
         return [text for r in self.results for text in r.warnings]
 
     def closing(self, out: Path) -> str:
-        """Where it is."""
+        """Return the places of the results."""
         return f"model: {out / 'model.yaml'}, numbers: {out / 'identify.json'}"
 
 
 def read_craft(yaml: YamlFile) -> Craft:
-    """Read the file and its logs; InputError with every fault of all of them."""
+    """Read the file and its logs.
+
+    Raises:
+        InputError: Every fault of the file and its logs.
+    """
     content, faults = yaml.partly(CraftFile, "rest")
     if content is None:
         raise InputError(faults)
@@ -142,7 +146,7 @@ def _logs(
     read: Callable[[Path], Log],
     faults: list[Fault],
 ) -> list[Log]:
-    """The logs that a part of the file names; what is wrong with one is added to the faults."""
+    """Return the logs of a part of the file, and extend `faults`."""
     logs, contents = list[Log](), dict[bytes, str]()
     for k, name in enumerate(asked.files if asked else ()):
         path, place = yaml.path.parent / name, (part, "files", k)

@@ -1,4 +1,4 @@
-"""Logs of a craft analysed: model.yaml, identify.json and a report written."""
+"""Workflow for logs of a craft: analysis, model.yaml, identify.json and report."""
 
 from __future__ import annotations
 
@@ -18,9 +18,13 @@ FILES = ("model.yaml", RECORD, REPORT)
 
 
 def identify_craft(yaml: YamlFile, out: Path, *, report: bool = True, keep: bool = False) -> CraftOutcome:
-    """Write model.yaml, identify.json and report.html to `out`; raises InputError.
+    """Write model.yaml, identify.json and report.html to `out`.
 
-    keep: the files of an earlier identification move to `runs` in `out`
+    Args:
+        keep: Move the files of an earlier identification to `runs` in `out`.
+
+    Raises:
+        InputError: Every fault of the file and its logs.
     """
     craft = read_craft(yaml)
     check_writable(out, FILES, craft.files)

@@ -1,7 +1,7 @@
-"""A parameter from the distance covered, §5.5: c of eq 5.31 so that model and tape measure agree over 1.5 m.
+"""Parameter from the distance covered, §5.5: c of eq 5.31 that matches model and tape measure over 1.5 m.
 
-The thesis matches what its observer says; an observer that is told the accelerations follows them and not the model
-alone, and takes their errors for friction. Beside it stands the model by itself under the recorded commands.
+The thesis matches its observer; an observer with measured accelerations follows these more than the model, and counts
+their errors as friction. Here the model alone follows the recorded commands; both results are given.
 """
 
 from __future__ import annotations
@@ -19,14 +19,17 @@ from cosim.logs.log import Log
 from cosim.model import Model, Stepper
 from plant.identification.estimates import Figure, Result, made
 
-TRIES = 6  # values to either side of the model's own, among which the two that enclose the distance are sought
-NEAREST, WIDEST = 0.01, 1e3  # the first of them, as a share of the way to a bound; of a parameter without bounds
+TRIES = 6  # values on either side of the model's own, to bracket the distance
+NEAREST, WIDEST = 0.01, 1e3  # first of them as a share of the way to a bound; range of an unbounded parameter
 IMU = ("psi", "psi_dot", "ax")
-Covered = Callable[[float], float]  # of a value of the parameter
+Covered = Callable[[float], float]  # distance as a function of the parameter
 
 
 def distance(runs: Sequence[Log], loaded: LoadedModel, parameter: str, output: str, covered: Sequence[float]) -> Result:
-    """The parameter with which every run covers its distance: the mean, and its interval by the scatter of runs."""
+    """Return the parameter that gives every run its distance.
+
+    The value is the mean over the runs, its interval comes from their scatter.
+    """
     model, declared = loaded.model, loaded.model.declared[parameter]
     near = float(loaded.parameters.get(parameter, declared.default))
     faults, values, observed = [], list[float](), list[float]()
@@ -59,7 +62,11 @@ def distance(runs: Sequence[Log], loaded: LoadedModel, parameter: str, output: s
 
 
 def matched(covered: Covered, wanted: float, bounds: tuple[float, float], near: float) -> float:
-    """The value with which the distance is the wanted one, sought from `near` outwards; ValueError where none is."""
+    """Return the value with the wanted distance, closest to `near`.
+
+    Raises:
+        ValueError: No value gives the distance.
+    """
     from scipy.optimize import brentq
 
     known: dict[float, float] = {}
@@ -87,7 +94,7 @@ def matched(covered: Covered, wanted: float, bounds: tuple[float, float], near: 
 
 
 def matching_faults(model: Model, runs: Sequence[Log]) -> Iterator[Fault]:
-    """Runs in which nothing is commanded."""
+    """Yield faults of runs without commands."""
     for run in runs:
         if all(np.ptp(v) == 0.0 for v in run.inputs.values()):
             yield Fault(run.path, 0, 0, "no command changes in it: nothing moves, and nothing can be matched")
@@ -98,7 +105,7 @@ def _by_model(run: Log, model: Model, parameter: str, output: str) -> Covered:
 
 
 def _path(run: Log, model: Model, output: str) -> Array:
-    """An output from the start of the model on, under the recorded commands."""
+    """Return an output of the model under the recorded commands, from its start."""
     stepper, row = Stepper(model), [q.name for q in model.outputs].index(output)
     commands = np.column_stack([run.inputs[q.name] for q in model.inputs]).tolist()
     moment = stepper.start(float(run.time[0]))
@@ -111,7 +118,7 @@ def _path(run: Log, model: Model, output: str) -> Array:
 
 
 def _by_observer(run: Log, model: Model, parameter: str, output: str) -> Covered | None:
-    """What the craft's own observer (App. F) says of the distance; None of another model, or without its sensors."""
+    """Return the distance of the craft's observer (App. F), None for other models or missing sensors."""
     from controller.gains import Settings
     from controller.kalman import kalman_filter
     from controller.synthesis import numbers_of

@@ -1,7 +1,7 @@
-"""Readings that are equal where noise should move them: a cell that is stuck, clipped, repeated or too coarse.
+"""Equal readings despite noise: a cell that is stuck, clipped, repeated or too coarse.
 
-Each is judged by how often neighbouring readings of the same recording are equal elsewhere, so that a quiet cell on a
-coarse converter is no fault: its readings are equal for long everywhere.
+The probability of equal neighbours comes from the rest of the same recording, so that a quiet cell on a coarse
+converter, with long equal runs everywhere, is no fault.
 """
 
 from __future__ import annotations
@@ -12,20 +12,21 @@ import numpy as np
 
 from cosim.base.arrays import Array, Flags
 
-MAX_CHANCE = 1e-9  # of a run of equal readings as long as the longest; a bench has some thousand recordings at most
+MAX_CHANCE = 1e-9  # probability of the longest run of equal readings; a bench has some thousand recordings at most
 MIN_CLIPPED, MIN_CLIPPED_SHARE = 10, 0.02  # readings at the extreme value, and their share of the window
-MAX_EQUAL_SHARE = 0.2  # of equal neighbours: noise of 1.4 steps or more, so that an extreme value is rare
-MIN_REPEATED_SHARE = 0.4  # of equal neighbours: each reading stands there about twice
-REPEATED_JUMP = 4.0  # steps of the converter by which a repeated reading changes, at least: noise is that large
-MIN_LEVELS = 4.0  # steps by which a cell moves from rest to the window, at least
+MAX_EQUAL_SHARE = 0.2  # share of equal neighbours at noise of 1.4 steps or more, where an extreme value is rare
+MIN_REPEATED_SHARE = 0.4  # share of equal neighbours if each reading occurs about twice
+REPEATED_JUMP = 4.0  # least change of a repeated reading in converter steps, larger than the noise
+MIN_LEVELS = 4.0  # least number of steps between rest and window
 
 
 @dataclass(frozen=True)
 class EqualReadings:
-    """A group of equal readings: its kind, first row, number of rows, and the value [V].
+    """A group of equal readings: kind, first row, number of rows, and value [V].
 
-    kind: `stuck`, `clipped`, `repeated` or `coarse`; of `repeated`, `value` is how many rows a reading lasts;
-        of `coarse`, the step of the readings [V], and `count` the number of steps that the cell moves by
+    Attributes:
+        kind: `stuck`, `clipped`, `repeated` or `coarse`. For `repeated`, `value` is the number of rows per reading; for
+            `coarse`, `value` is the step [V], and `count` the number of steps between rest and window.
     """
 
     kind: str
@@ -35,12 +36,13 @@ class EqualReadings:
 
 
 def equal_readings(volts: Array, window: Flags, rest: Flags, rail: Flags) -> EqualReadings | None:
-    """Return the most telling group of equal readings in a window, None where there is none.
+    """Return the most significant group of equal readings in a window, or None.
 
-    rail: readings at an end of the converter's range, which may be equal
+    Args:
+        rail: Saturated readings, which may be equal.
     """
     first, last = np.flatnonzero(window)[[0, -1]]
-    begin = max(0, first - (last - first))  # as long before the window: what the cell does when nothing is wrong
+    begin = max(0, first - (last - first))  # the same duration before the window shows the normal behaviour
     near, ends = volts[begin : last + 1], rail[begin : last + 1]
     equal = (np.diff(near) == 0.0) & ~ends[1:]
     start, length = _longest(equal, first - begin)
@@ -65,7 +67,7 @@ def equal_readings(volts: Array, window: Flags, rest: Flags, rail: Flags) -> Equ
 
 
 def _coarse(volts: Array, near: Array, equal: Flags, first: int) -> EqualReadings | None:
-    """Return readings that are repeated, or as coarse as what they measure; None where there are none."""
+    """Return repeated or too coarse readings, or None."""
     changes, jumps = (d[d > 0.0] for d in (np.abs(np.diff(volts)), np.abs(np.diff(near))))
     if not changes.size:
         return None
@@ -78,7 +80,7 @@ def _coarse(volts: Array, near: Array, equal: Flags, first: int) -> EqualReading
 
 
 def _longest(equal: Flags, first: int) -> tuple[int, int]:
-    """Return start and length of the longest run of equal readings that reaches into the rows from `first` on."""
+    """Return start and length of the longest equal run that reaches into the rows from `first`."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], equal, [False])).astype(np.int8)))
     starts, ends = edges[::2], edges[1::2]  # pairs of neighbours: a run of n readings has n − 1
     reach = ends >= first

@@ -1,4 +1,4 @@
-"""What a test says of a number: the thesis' estimator and an unbiased one, with an interval from repetitions."""
+"""Estimates of a test: the thesis' estimator and an unbiased one, with an interval from repetitions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True)
 class Estimate:
-    """One number; `scatter` and `calibration` are the standard errors that its 95 % interval is made of."""
+    """An estimate; `scatter` and `calibration` are the standard errors in its 95 % interval."""
 
     name: str
     unit: str
@@ -35,18 +35,18 @@ class Estimate:
 
     @property
     def half_width(self) -> float:
-        """Half the width of the interval."""
+        """Return half the width of the interval."""
         return 0.5 * (self.high - self.low)
 
     @property
     def holds(self) -> bool:
-        """The true value lies inside the interval."""
+        """Return True if the interval contains the true value."""
         return bool(self.low <= self.truth <= self.high)
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure of the report: lines and points over x. Each entry: label, x, y, style. log: x on a logarithmic axis."""
+    """A figure of the report: lines and points over x; each has label, x, y, style. `log`: logarithmic x axis."""
 
     title: str
     x_label: str
@@ -60,7 +60,7 @@ class Figure:
 
 @dataclass
 class Result:
-    """Of one test: numbers, notes, warnings and faults about them, figures, and more for identify.json."""
+    """Result of a test: estimates, notes, warnings, faults, figures, and additions to identify.json."""
 
     test: str
     estimates: list[Estimate]
@@ -69,12 +69,12 @@ class Result:
     more: dict[str, Any] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     faults: list[str] = field(default_factory=list)
-    odd: list[str] = field(default_factory=list)  # recordings that are out of line
+    odd: list[str] = field(default_factory=list)  # outlying recordings
 
 
 @dataclass(frozen=True)
 class Measured:
-    """The recordings of a test, and what is known of the bench; `truth` where ours is played."""
+    """The recordings of a test, and the known bench; `truth` if the bench is simulated."""
 
     recordings: Sequence[Recording]
     cells: Cells
@@ -84,31 +84,32 @@ class Measured:
 
     @property
     def gram(self) -> float:
-        """Gram-force in a newton, at the bench's gravity."""
+        """Return gram-force per newton at the bench's gravity."""
         return 1000.0 / self.known.gravity
 
     def force(self, r: Recording, channel: str, using: Cells | None = None) -> Array:
-        """Force of a cell over a recording, its tare read at rest."""
+        """Return the force of a cell without its tare."""
         return force_of(r, using or self.cells, channel, self.test.rest)
 
     def printed_force(self, r: Recording, channel: str) -> Array:
-        """Force of a cell as the thesis reads it, tare and all."""
+        """Return the force of a cell as in the thesis, tare included."""
         return force_of(r, self.cells, channel, None)
 
     def true(self, name: str) -> float:
-        """The true value of a parameter, NaN where it is not known."""
+        """Return the true value of a parameter, NaN if unknown."""
         return getattr(self.truth, name) if self.truth else float("nan")
 
     def alike(self) -> list[Recording]:
-        """The recordings with as many rows in the window as the first."""
+        """Return the recordings with the first one's number of rows in the window."""
         count = self.recordings[0].rows(self.test.window).sum()
         return [r for r in self.recordings if r.rows(self.test.window).sum() == count]
 
 
 def out_of_line(groups: Sequence[tuple[str, Sequence[Recording], Array]]) -> list[str]:
-    """Name recordings whose values stand apart from those of the others.
+    """Return sentences about outlying recordings.
 
-    groups: what the values are, recordings and their values; all groups have the same scatter
+    Args:
+        groups: Name of the values, recordings and their values; all groups have equal scatter.
     """
     place, chosen = odd_group([values for _, _, values in groups])
     if not chosen:
@@ -124,10 +125,13 @@ PerRepetition = Callable[[Cells], Array]  # → shape (repetitions, numbers)
 
 
 def interval(each: Array, shifts: Array) -> tuple[Array, Array, Array, Array]:
-    """Mean over repetitions, half-width of its 95 % interval, standard errors by scatter and by calibration.
+    """Return mean, half-width of the 95 % interval, and standard errors by scatter and calibration.
 
-    each:   shape (N, p); shifts: what each calibration point's error would move the means by, shape (points, p)
-    The degrees of freedom are Welch and Satterthwaite's: the calibration's error is known, the scatter estimated.
+    Degrees of freedom follow Welch and Satterthwaite: the calibration error is known, the scatter estimated.
+
+    Args:
+        each: Values, shape (N, p).
+        shifts: Change of the means by each calibration point's error, shape (points, p).
     """
     from scipy import stats
 
@@ -141,24 +145,28 @@ def interval(each: Array, shifts: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def shifts_of(per_repetition: PerRepetition, cells: Cells, channels: Sequence[str], each: Array | None = None) -> Array:
-    """What the error of each calibration point, one standard deviation, moves the means by."""
+    """Return the change of the means by one standard deviation of each calibration point."""
     base = (per_repetition(cells) if each is None else each).mean(axis=0)
     rows = [
         per_repetition(moved(cells, c, k)).mean(axis=0) - base
         for c in channels
         for k in range(cells[c].loads.size)
-        if cells[c].error > 0 and cells[c].loads[k] != 0  # no load is known for sure
+        if cells[c].error > 0 and cells[c].loads[k] != 0  # zero load is exact
     ]
     return np.array(rows) if rows else np.zeros((0, base.size))
 
 
 def moved(cells: Cells, channel: str, point: int) -> Mapping[str, Cell]:
-    """The cells with one load off by a standard deviation."""
+    """Return the cells with one load changed by a standard deviation."""
     return {**cells, channel: cells[channel].moved(point, cells[channel].error)}
 
 
 def made(names: Sequence[tuple[str, str, float, float]], each: Array, shifts: Array, origin: str) -> list[Estimate]:
-    """Estimates of numbers, each (name, unit, by the thesis' estimator, true value), from (N, p) and shifts."""
+    """Return estimates of numbers from repetitions (N, p) and shifts.
+
+    Args:
+        names: Name, unit, thesis' estimate and true value of each number.
+    """
     value, half, scatter, calibration = interval(each, shifts)
     return [
         Estimate(
@@ -169,18 +177,18 @@ def made(names: Sequence[tuple[str, str, float, float]], each: Array, shifts: Ar
 
 
 def pseudo_values(estimate: Callable[[Rows], Array], n: int) -> Array:
-    """Jackknife pseudo-values of an estimate that takes the repetitions that are used, shape (n, p)."""
+    """Return jackknife pseudo-values, shape (n, p), of an estimate from selected repetitions."""
     whole = estimate(np.arange(n))
     left = np.array([estimate(np.delete(np.arange(n), k)) for k in range(n)])
     return np.asarray(n * whole - (n - 1) * left)
 
 
 def least(grid: Array, cost: Array) -> Array:
-    """Where each row of costs over a grid is least, by the parabola through the three points about it."""
+    """Return the minimum of each row of costs over a grid, refined by a parabola."""
     k = np.clip(np.argmin(cost, axis=1), 1, grid.size - 2)
     rows = np.arange(cost.shape[0])
     before, here, after = cost[rows, k - 1], cost[rows, k], cost[rows, k + 1]
-    # grids are even in the logarithm
+    # grids are logarithmic
     x, h = np.log(grid), np.log(grid[1] / grid[0])
     curvature = before - 2.0 * here + after
     offset = np.divide(before - after, 2.0 * curvature, out=np.zeros_like(here), where=curvature > 0)

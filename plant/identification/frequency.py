@@ -1,4 +1,4 @@
-"""Test 4, in frequency: horizontal force behind sines of the tilt (§4.5.4, App. D.3.4)."""
+"""Test 4 with sines: horizontal force after sinusoidal tilt commands (§4.5.4, App. D.3.4)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DECIBEL, DEGREE = 20.0, 180.0 / np.pi
 
 
 def analyse(m: Measured, *, draw: bool = True) -> Result:
-    """τ from sines fitted at their known frequency, against those of the bench's equations behind the same commands."""
+    """Return τ from sines fitted at known frequencies, compared with the bench equations."""
     test, by_frequency = m.test, grouped(m.recordings, m.test)
     frequencies = np.array(sorted(by_frequency))
     count = min(len(found) for found in by_frequency.values())
@@ -32,7 +32,7 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
         return np.array([[sine(r, m.force(r, "x", using), w, test) for r, w in row] for row in chosen])
 
     def scale(c: Array) -> Array:
-        """Force per sine of the tilt at each lag, shape (repetitions, lags)."""
+        """Return the force per sine of the tilt at each lag, shape (repetitions, lags)."""
         along = (np.conj(tables).T[None] * c[:, None, :]).sum(axis=2).real
         return np.asarray(along / (np.abs(tables) ** 2).sum(axis=0))
 
@@ -73,16 +73,17 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
 def _judge(
     m: Measured, result: Result, chosen: Sequence[Sequence[tuple[Recording, float]]], c: Array, tables: Array
 ) -> None:
-    """Add a fault where the force is ahead of the sines, a warning where it misses the first order.
+    """Add a warning for an early or late force, or a response that is not of first order.
 
-    Phases and sizes are judged apart: the thrust of a run changes the size of its sine, and no phase. An error of the
-    calibration is common to all frequencies and cancels.
+    Phases and amplitudes are tested separately: the thrust of a run changes amplitudes only. A calibration error is
+    common
+    to all frequencies and cancels.
     """
     frequencies = np.array([w for _, w in chosen[0]])
     place = int(np.argmin(np.abs(LAGS - result.estimates[0].value)))
     slopes = np.gradient(np.log(tables), np.log(LAGS), axis=1)[:, place]
     ratio = np.log(c / tables[:, place])
-    # noise of a phase is that of a reading over the size of the sine, and the root of the number of rows
+    # phase noise is reading noise divided by amplitude and the root of the number of rows
     rows = np.array([sum(r.time >= m.test.lead + m.test.skip) for r, _ in chosen[0]])
     weights = np.sqrt(rows) * np.abs(c).mean(axis=0)
     phase = misfit(
@@ -122,7 +123,7 @@ def _judge(
 
 
 def harmonics(m: Measured, chosen: Sequence[Sequence[tuple[Recording, float]]], tau: float) -> Misfit | None:
-    """Return the second and third harmonics [gf] that the response at a lag leaves over."""
+    """Return second and third harmonics [gf] beyond the response at a lag."""
     shapes = [
         low_pass(np.sin(tilt_response(m.known, r.time, r.servo_duty, np.array([tau])))[:, 0], r.step, m.test.low_pass)
         for r, _ in chosen[0]
@@ -151,7 +152,7 @@ def harmonics(m: Measured, chosen: Sequence[Sequence[tuple[Recording, float]]], 
 
 
 def grouped(recordings: Sequence[Recording], test: SineTest) -> dict[float, list[Recording]]:
-    """Recordings by frequency: that of the protocol's whose sine comes nearest to the command."""
+    """Return recordings by the protocol's closest frequency."""
     found: dict[float, list[Recording]] = {}
     for r in recordings:
         found.setdefault(frequency_of(r, test), []).append(r)
@@ -159,7 +160,7 @@ def grouped(recordings: Sequence[Recording], test: SineTest) -> dict[float, list
 
 
 def sine(r: Recording, values: Array, w: float, test: SineTest) -> complex:
-    """Complex amplitude of the sine of a known frequency, beside a constant, after what is skipped."""
+    """Return the complex amplitude of a sine with known frequency, plus constant, after the skipped part."""
     rows = r.time >= test.lead + test.skip
     t = r.time[rows] - test.lead
     basis = np.column_stack((np.sin(w * t), np.cos(w * t), np.ones_like(t)))
@@ -168,7 +169,7 @@ def sine(r: Recording, values: Array, w: float, test: SineTest) -> complex:
 
 
 def _table(r: Recording, w: float, known: Bench, test: SineTest) -> Array:
-    """The same of sin α by the equations, a lag each."""
+    """Return the same amplitude of sin α by the equations, one per lag."""
     shapes = low_pass(np.sin(tilt_response(known, r.time, r.servo_duty, LAGS)), r.step, test.low_pass)
     rows = r.time >= test.lead + test.skip
     t = r.time[rows] - test.lead
@@ -178,7 +179,10 @@ def _table(r: Recording, w: float, known: Bench, test: SineTest) -> Array:
 
 
 def _by_hand(chosen: Sequence[Sequence[tuple[Recording, float]]], m: Measured) -> tuple[Array, Array]:
-    """Magnitude [dB] and phase [°] against the lowest frequency, from least and largest of the smoothed force."""
+    """Return magnitude [dB] and phase [°] from extremes of the smoothed force.
+
+    Values are relative to the lowest frequency.
+    """
     mask = np.exp(-0.5 * (np.arange(-4, 5) / 100.0) ** 2)
     mask /= mask.sum()
     skips = [*m.test.thesis_skip, *(0.0 for _ in chosen[0])]
@@ -195,13 +199,13 @@ def _by_hand(chosen: Sequence[Sequence[tuple[Recording, float]]], m: Measured) -
 
 
 def _fit_magnitudes(w: Array, db: Array) -> float:
-    """τ of the first-order line nearest to magnitudes in dB."""
+    """Return τ of the best first-order fit to magnitudes in dB."""
     lines = -10.0 * np.log10(1.0 + (w[None] * LAGS[:, None]) ** 2)
     return float(least(LAGS, ((lines - db) ** 2).sum(axis=1)[None])[0])
 
 
 def _mean_of_nine(w: float, step: float) -> float:
-    """Gain of a mean over nine rows."""
+    """Return the gain of a mean over nine rows."""
     return float(np.mean(np.cos(w * step * np.arange(-(SMOOTHING // 2), SMOOTHING // 2 + 1))))
 
 
@@ -213,7 +217,7 @@ def _figures(
     grid = np.geomspace(w.min(), w.max() * 1.5, 80)
     response = control.frequency_response(control.tf([1.0], [tau, 1.0]), grid)
     curves = DECIBEL * np.log10(np.abs(response.complex)), np.angle(response.complex) * DEGREE
-    x, apart = np.repeat(w[None], ours[0].shape[0], axis=0).ravel(), 10**0.012  # so that neither hides the other
+    x, apart = np.repeat(w[None], ours[0].shape[0], axis=0).ravel(), 10**0.012  # offset for visibility
     found = []
     for k, (title, unit) in enumerate((("magnitude", "dB"), ("phase", "°"))):
         mean, half = means[k]

@@ -24,11 +24,14 @@ from plant.identification.recordings import Recording
 from plant.powertrain import ground_effect
 
 CHEESEMAN_BENNETT = 2.0
-MISFIT_CHANCE = 1e-3  # of a warning where eq 4.28 is right
+MISFIT_CHANCE = 1e-3  # false alarm probability if eq 4.28 is correct
 
 
 def analyse(m: Measured, *, draw: bool = True) -> Result:
-    """Exponent k: the thesis by ln((Γ−1)/Γ) (4.24), which has no value where Γ ≤ 1; ours by least squares on Γ."""
+    """Return the exponent k by least squares on Γ.
+
+    The thesis uses ln((Γ−1)/Γ) (4.24), which is undefined for Γ ≤ 1.
+    """
     main, *others = _sets(m.recordings, m.test)
     heights = np.array(sorted(h for h in main if h < m.test.free_height))
     free = max(main)
@@ -36,7 +39,7 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
     radius = m.known.propeller_radius
 
     def forces(force: Callable[[Recording], Array], chosen: dict[float, list[Recording]] = main) -> Array:
-        """Mean force, shape (heights with the free one last, repetitions)."""
+        """Return mean forces, shape (heights with the free one last, repetitions)."""
         rows = [[float(force(r)[r.rows(m.test.window)].mean()) for r in chosen[h][:count]] for h in (*heights, free)]
         return np.array(rows)
 
@@ -44,7 +47,7 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
         return _gain(heights, radius, exponent) / _gain(np.array([free]), radius, exponent)
 
     def gains(using: Cells) -> Array:
-        """Pseudo-values of Γ, shape (repetitions, heights)."""
+        """Return pseudo-values of Γ, shape (repetitions, heights)."""
         f = forces(lambda r: m.force(r, "z", using))
         return pseudo_values(lambda rows: np.asarray(f[:-1, rows].mean(axis=1) / f[-1, rows].mean()), count)
 
@@ -87,7 +90,7 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
 
 
 def _misfit(ratios: Array, model: Array, each: Array, shifts: Array) -> list[str]:
-    """Return a warning where eq 4.28 misses the measured Γ by more than repetitions and calibration scatter."""
+    """Return a warning if eq 4.28 misses the measured Γ beyond scatter and calibration."""
     from scipy import stats
 
     count, places = each.shape
@@ -105,7 +108,7 @@ def _misfit(ratios: Array, model: Array, each: Array, shifts: Array) -> list[str
 
 
 def fit(heights: Array, gains: Array, radius: float, free: float) -> float:
-    """k that is nearest to Γ measured, weights 1/Z̄ (4.27), by Gauss and Newton."""
+    """Return the best k for measured Γ with weights 1/Z̄ (4.27), by Gauss-Newton."""
     k, weights = CHEESEMAN_BENNETT, radius / heights
 
     def model(exponent: float) -> Array:
@@ -127,7 +130,7 @@ def _gain(heights: Array, radius: float, exponent: float) -> Array:
 
 
 def _sets(recordings: Sequence[Recording], test: HeightTest) -> list[dict[float, list[Recording]]]:
-    """Recordings by duty, the one with most first, then by height; all that is higher than `free_height` is free."""
+    """Return recordings by duty, largest set first, then by height; heights above `free_height` are equal."""
     sets: dict[float, dict[float, list[Recording]]] = {}
     for r in recordings:
         rows = r.rows(test.window)
@@ -140,7 +143,7 @@ def _sets(recordings: Sequence[Recording], test: HeightTest) -> list[dict[float,
 
 
 def _thesis(ratios: Array, gains: Array) -> tuple[float, int]:
-    """k by ln((Γ−1)/Γ) = k·ln(1/(4Z̄)), weights 1/Z̄, over every single ratio that has a logarithm."""
+    """Return k by ln((Γ−1)/Γ) = k·ln(1/(4Z̄)) with weights 1/Z̄, and the number of undefined ratios."""
     z = np.repeat(ratios[:, None], gains.shape[1], axis=1)
     good = gains > 1.0
     if not good.any():

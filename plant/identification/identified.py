@@ -1,4 +1,4 @@
-"""What comes of a protocol: every number with both estimators."""
+"""Result of a protocol: every number with both estimators."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from plant.identification.recordings import Recording
 
 @dataclass
 class Outcome:
-    """What came of a protocol."""
+    """Result of a protocol."""
 
     protocol: Protocol
     cells: Cells
@@ -26,12 +26,12 @@ class Outcome:
 
     @property
     def estimates(self) -> dict[str, Estimate]:
-        """Every number by test and name."""
+        """Return every estimate by test and name."""
         return {f"{r.test}.{e.name}": e for r in self.results for e in r.estimates}
 
     @property
     def chosen(self) -> dict[str, Estimate]:
-        """By name; the lag is that of the step where there is one."""
+        """Return estimates by name; a step test has priority for the lag."""
         found: dict[str, Estimate] = {}
         for r in self.results:
             for e in r.estimates:
@@ -40,17 +40,17 @@ class Outcome:
 
     @property
     def warnings(self) -> list[str]:
-        """What its numbers are to be taken with care for, by test."""
+        """Return the warnings with their tests."""
         return [f"{r.test}: {text}" for r in self.results for text in r.warnings]
 
     def closing(self, out: Path) -> str:
-        """Where the power-train is, and what builds it."""
+        """Return the place of the power-train and its build command."""
         file = out / "powertrain.yaml"
         return f"power-train: {file}, built by: cosim build --model {as_typed(file)}"
 
     @property
     def sentences(self) -> list[str]:
-        """A line a number."""
+        """Return one line per estimate."""
         lines = []
         for key, e in self.estimates.items():
             unit = "" if e.unit == "1" else f" {e.unit}"
@@ -63,7 +63,7 @@ class Outcome:
 
 
 def plain_values(value: Any) -> Any:
-    """Numbers that JSON knows: what is missing is null."""
+    """Return values for JSON, with null for missing numbers."""
     if isinstance(value, dict):
         return {str(k): plain_values(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):

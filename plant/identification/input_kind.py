@@ -1,4 +1,4 @@
-"""What `cosim identify` is given: a protocol of a bench, or logs of a craft and what they are to tell."""
+"""Kind of the input of `cosim identify`: protocol of a bench, or logs of a craft."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from plant.identification.artefacts import PROTOCOL
 
 
 def craft_file(path: Path) -> YamlFile | None:
-    """The file where it is about logs of a craft in place of a bench."""
+    """Return the file if about logs of a craft, else None."""
     check_given(path, PROTOCOL)
     yaml = YamlFile(path)
     return yaml if {"rest", "distance"} & set(yaml.root) and not {"cells", "tests"} & set(yaml.root) else None
 
 
 def results_of(path: Path) -> Path:
-    """results/NAME, of the name that the file gives, of its own where it has none."""
+    """Return the results folder, named after the file's `name` or the file."""
     try:
         named = YamlFile(path).root.get("name")
-    except InputError:  # which is told when it is read
+    except InputError:  # reported by the reader
         named = None
     return folder_named(named if isinstance(named, str) else path.stem)

@@ -1,4 +1,4 @@
-"""Test 4: lag of the tilt behind a step (§4.5.4, App. D.3.4), and of the thrust behind a step of the duty."""
+"""Test 4: lag of the tilt after a step (§4.5.4, App. D.3.4), and of the thrust after a step of the duty."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from plant.identification.estimates import Figure, Measured, Result, least, made
 from plant.identification.protocol import StepTest
 from plant.identification.recordings import Recording
 
-SETTLED = (0.68, 0.88)  # [s] after the step, over which App. D.3.4 takes the end value
+SETTLED = (0.68, 0.88)  # [s] after the step, window of the end value in App. D.3.4
 SMOOTH = np.exp(-0.5 * (np.arange(-1, 2) / 10.0) ** 2) / np.exp(-0.5 * (np.arange(-1, 2) / 10.0) ** 2).sum()
 
 
 def analyse(m: Measured, *, draw: bool = True, thrust: bool = False) -> Result:
-    """τ by a fit of F_x(t), behind the servo that is known; beside it by 63 %, by rise time, by slope (§4.3.4)."""
+    """Return τ from a fit of F_x(t), and by 63 %, rise time and slope (§4.3.4)."""
     channel, name, title = ("z", "lag_of_thrust", "thrust") if thrust else ("x", "lag", "horizontal force")
-    # every repetition plays the same commands; measured ones are told from their own
+    # simulated repetitions share commands; measured ones have their own
     rows = [r.rows((m.test.at - BEFORE, m.test.window[1])) for r in m.recordings]
     shapes: dict[bytes, Array] = {}
 
@@ -71,7 +71,7 @@ def analyse(m: Measured, *, draw: bool = True, thrust: bool = False) -> Result:
 
 
 def _response(m: Measured, r: Recording, lags: Array, *, thrust: bool) -> Array:
-    """Shape of the force behind the command of a run for each lag, shape (rows, lags)."""
+    """Return the normalised force for each lag, shape (rows, lags)."""
     if thrust:
         effective = np.maximum(r.duty, -m.known.thrust_offset / m.known.thrust_slope)
         table = np.stack([held_lag(effective, r.step, tau) for tau in lags], axis=1)
@@ -81,19 +81,19 @@ def _response(m: Measured, r: Recording, lags: Array, *, thrust: bool) -> Array:
 
 
 def _mean(values: Array) -> float:
-    """Return the mean of the finite values, NaN where there is none."""
+    """Return the mean of the finite values, NaN without any."""
     finite = values[np.isfinite(values)]
     return float(finite.mean()) if finite.size else float("nan")
 
 
 def _deviation(values: Array) -> float:
-    """Return the standard deviation of the finite values, NaN of fewer than two."""
+    """Return the standard deviation of the finite values, NaN below two."""
     finite = values[np.isfinite(values)]
     return float(finite.std(ddof=1)) if finite.size > 1 else float("nan")
 
 
 def by_hand(r: Recording, force: Array, test: StepTest) -> tuple[float, float, float]:
-    """τ of one test by 63 %, by rise time over 2.2 and by the first slope, smoothed over three rows (App. D.3.4)."""
+    """Return τ by 63 %, by rise time over 2.2, and by the initial slope (App. D.3.4)."""
     time = r.time - test.at
     start = float(force[(time > -BEFORE) & (time < 0)].mean())
     smooth = np.convolve(force - start, SMOOTH, mode="same")

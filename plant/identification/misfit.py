@@ -1,7 +1,7 @@
-"""Tests of what a fit leaves over: the shape of a mean answer, and the drift of a cell.
+"""Tests of fit residuals: the shape of a mean response, and the drift of a cell.
 
-Each test warns of right recordings with probability `FALSE_ALARM`. It compares with the scatter of the recordings
-themselves, so that it needs no threshold: noise that is correlated from row to row counts as fewer readings.
+Each test has the false alarm probability `FALSE_ALARM`. The reference is the scatter of the recordings themselves, so
+no threshold is needed; correlated noise counts as fewer readings.
 """
 
 from __future__ import annotations
@@ -13,17 +13,19 @@ import numpy as np
 
 from cosim.base.arrays import Array
 
-FALSE_ALARM = 1e-3  # probability of a warning of right recordings, for each test
-LEAST_FREEDOM = 4  # degrees of freedom of values that are judged as one group or two
-DRAWS = 20_000  # of normal values, for a quantile at `FALSE_ALARM`
-SHARE = 0.5  # of a misfit that one cause explains before the cause is named
+FALSE_ALARM = 1e-3  # false alarm probability of each test
+LEAST_FREEDOM = 4  # degrees of freedom for a test of one group or two
+DRAWS = 20_000  # normal samples for the quantile at `FALSE_ALARM`
+SHARE = 0.5  # share of a misfit that a single cause must explain
 
 
 @dataclass(frozen=True)
 class Misfit:
     """Mean residual of repetitions by row, and its covariance by scatter and calibration.
 
-    freedom: degrees of freedom of the mean residual; repetitions: their number
+    Attributes:
+        freedom: Degrees of freedom of the mean residual.
+        repetitions: Number of repetitions.
     """
 
     mean: Array
@@ -32,12 +34,12 @@ class Misfit:
     repetitions: int
 
     def size(self, residual: Array | None = None) -> float:
-        """Return the square of a residual over its covariance: of the mean, or of another one."""
+        """Return the squared residual relative to its covariance, by default of the mean."""
         values = self.mean if residual is None else residual
         return float(values @ np.linalg.solve(self.covariance, values))
 
     def is_significant(self, size: float, freedom: float) -> bool:
-        """Return whether a size is above the quantile of F that right recordings exceed by `FALSE_ALARM`."""
+        """Return whether a size exceeds the F quantile at `FALSE_ALARM`."""
         from scipy import stats
 
         spare = self.freedom * (self.repetitions - 1)
@@ -45,16 +47,17 @@ class Misfit:
 
     @property
     def significant(self) -> bool:
-        """The mean answer misses the fitted shape by more than the scatter explains."""
+        """Return True if the mean response misses the fit beyond its scatter."""
         return self.size() > 0.0 and self.is_significant(self.size(), self.freedom)
 
 
 def misfit(each: Array, shifts: Array, parameters: int) -> Misfit | None:
-    """Return the misfit of residuals, None where they have no scatter or too few rows.
+    """Return the misfit of residuals, None without scatter or with too few rows.
 
-    each:       residuals, shape (repetitions, rows)
-    shifts:     what the error of each calibration point would move their mean by, shape (points, rows)
-    parameters: that were fitted to each repetition
+    Args:
+        each: Residuals, shape (repetitions, rows).
+        shifts: Change of the mean by each calibration point's error, shape (points, rows).
+        parameters: Number of parameters fitted to each repetition.
     """
     count, rows = each.shape
     mean = each.mean(axis=0)
@@ -70,15 +73,17 @@ def misfit(each: Array, shifts: Array, parameters: int) -> Misfit | None:
 
 
 def residuals(values: Array, basis: Array) -> Array:
-    """Return what least squares over the columns of a basis leaves of values."""
+    """Return the least-squares residual of values over a basis."""
     return np.asarray(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0])
 
 
 @dataclass(frozen=True)
 class Drift:
-    """A coefficient of each recording that is 0 where nothing drifts, and its standard error by noise.
+    """A coefficient of each recording, 0 without drift, and its standard error by noise.
 
-    above_noise: their mean is beyond the noise of the readings; significant: and beyond scatter and calibration
+    Attributes:
+        above_noise: True if the mean exceeds the noise of the readings.
+        significant: True if the mean also exceeds scatter and calibration error.
     """
 
     each: Array
@@ -88,19 +93,20 @@ class Drift:
 
     @property
     def worst(self) -> int:
-        """Number of the recording whose coefficient is farthest from 0."""
+        """Return the index of the most significant recording."""
         return int(np.argmax(np.abs(self.each) / self.errors))
 
     @property
     def mean(self) -> float:
-        """Mean over the recordings."""
+        """Return the mean over the recordings."""
         return float(self.each.mean())
 
 
 def drift(values: Sequence[Array], bases: Sequence[Array], calibration: float = 0.0) -> Drift | None:
-    """Return the coefficient of the last column of each basis; None where the readings have no noise.
+    """Return the coefficient of each basis' last column, None for noise-free readings.
 
-    calibration: standard error of the coefficients by the calibration, which they have in common
+    Args:
+        calibration: Common standard error of the coefficients by calibration.
     """
     from scipy import stats
 
@@ -132,10 +138,10 @@ def drift(values: Sequence[Array], bases: Sequence[Array], calibration: float = 
 
 
 def is_quieter(before: Sequence[Array], after: Sequence[Array]) -> bool:
-    """Return whether readings change less from row to row than those before them, beyond chance."""
+    """Return whether readings vary less from row to row than before, beyond chance."""
     from scipy import stats
 
-    # differences of pairs of rows, so that each reading counts once
+    # differences of separate pairs, so that each reading counts once
     one, other = (np.concatenate([v[1::2] - v[: v.size - v.size % 2 : 2] for v in part]) for part in (before, after))
     if min(one.size, other.size) < 2 or not one.any():
         return False
@@ -144,10 +150,11 @@ def is_quieter(before: Sequence[Array], after: Sequence[Array]) -> bool:
 
 
 def odd_group(groups: Sequence[Array]) -> tuple[int, list[int]]:
-    """Return the group whose values fall into two, and the numbers of the fewer of them; (0, []) where none does.
+    """Return the group with two clusters, and the indices of the smaller one; (0, []) without any.
 
-    All groups have the same scatter. The statistic is the scatter within the groups, the one that splits best taken as
-    two, over that without a split; its quantile is that of normal values.
+    All groups have equal scatter. The statistic is the scatter after the best split of one group relative to that
+    without a
+    split, compared with its quantile for normal values.
     """
     if sum(v.size - 1 for v in groups) < LEAST_FREEDOM or not any(np.ptp(v) > 0.0 for v in groups):
         return 0, []
@@ -163,13 +170,13 @@ def odd_group(groups: Sequence[Array]) -> tuple[int, list[int]]:
 
 
 def _split(groups: Sequence[Array]) -> tuple[Array, Array, Array]:
-    """Return the scatter that the best split of one group leaves, the group, and the size of its lower part, by row."""
+    """Return remaining scatter, group and lower size of the best split, for each row."""
     total = sum(((v - v.mean(axis=1, keepdims=True)) ** 2).sum(axis=1) for v in groups)
     gains, sizes = [], []
     for v in groups:
         low = np.cumsum(np.sort(v - v.mean(axis=1, keepdims=True), axis=1), axis=1)[:, :-1]
         size = np.arange(1, v.shape[1])
-        gain = low**2 * (1.0 / size + 1.0 / (v.shape[1] - size))  # the upper part sums up to -low
+        gain = low**2 * (1.0 / size + 1.0 / (v.shape[1] - size))  # the upper part sums to -low
         best = np.argmax(gain, axis=1)
         gains.append(np.take_along_axis(gain, best[:, None], axis=1)[:, 0])
         sizes.append(size[best])
@@ -179,11 +186,12 @@ def _split(groups: Sequence[Array]) -> tuple[Array, Array, Array]:
 
 
 def _correlated(scatter: Array, power: float) -> float:
-    """Return how many rows of correlated noise count as one: 1 of white noise.
+    """Return the number of correlated rows that count as one, 1 for white noise.
 
-    power: 1 for the variance of a mean, 2 for that of a sum of squares; of first-order noise, by its first lag
+    Args:
+        power: 1 for the variance of a mean, 2 for that of a sum of squares; assumes first-order noise.
     """
     size = scatter.shape[1]
     first = float((scatter[:, 1:] * scatter[:, :-1]).sum()) / max(float((scatter**2).sum()), 1e-300)
-    near = min(first, 1.0 - 2.0 / max(size, 3)) if first > 2.0 / np.sqrt(scatter.size) else 0.0  # of white noise 0
+    near = min(first, 1.0 - 2.0 / max(size, 3)) if first > 2.0 / np.sqrt(scatter.size) else 0.0  # 0 for white noise
     return float((1.0 + near**power) / (1.0 - near**power))

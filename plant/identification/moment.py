@@ -1,4 +1,4 @@
-"""Test 5: moment about the tilting axis over the tilt, the motor off (§4.5.5, eq 4.10, App. D.3.5)."""
+"""Test 5: moment about the tilting axis over the tilt, motor off (§4.5.5, eq 4.10, App. D.3.5)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from plant.powertrain import assembly_moment, servo_angle
 
 
 def analyse(m: Measured, *, draw: bool = True) -> Result:
-    """Arm l [m] of M = m_PA·g·l·sin α; ours lets each test have an offset, behind lag and low pass."""
+    """Return the arm l [m] of M = m_PA·g·l·sin α, with an offset for each test."""
     known, window = m.known, m.test.window
     shapes: dict[bytes, Array] = {}
 
@@ -64,7 +64,7 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
 
 
 def _judge(m: Measured, result: Result, shape: Callable[[Recording], Array]) -> None:
-    """Add a fault where the cell does not answer the sweep, a warning where it drifts."""
+    """Add a fault for a cell without response to the sweep, and a warning for drift."""
     window = m.test.window
     times = [r.time[r.rows(window)] - window[0] for r in m.recordings]
     moments = [m.force(r, "m")[r.rows(window)] for r in m.recordings]
@@ -79,7 +79,7 @@ def _judge(m: Measured, result: Result, shape: Callable[[Recording], Array]) -> 
     bases = [np.column_stack(row) for row in zip(constant, shapes, times, strict=True)]
 
     def slopes(using: Cells) -> Array:
-        """Slope of each recording over the time that the shape leaves."""
+        """Return each recording's slope over time after removal of the shape."""
         rows = []
         for r, basis in zip(m.recordings, bases, strict=True):
             rows.append(np.linalg.lstsq(basis, m.force(r, "m", using)[r.rows(window)], rcond=None)[0][-1:])
@@ -89,7 +89,7 @@ def _judge(m: Measured, result: Result, shape: Callable[[Recording], Array]) -> 
     found = drift(moments, bases, float(np.sqrt((calibration**2).sum())))
     if found is None or not found.significant:
         return
-    # what the drift moves the arm by: the part of it that looks like the shape
+    # change of the arm by the drift, from its projection on the shape
     moved = [
         float((s - s.mean()) @ t / ((s - s.mean()) @ (s - s.mean()))) * slope
         for s, t, slope in zip(shapes, times, found.each, strict=True)

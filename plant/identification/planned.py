@@ -1,4 +1,4 @@
-"""What the phases of a protocol already tell before a bench is played: each fault at its line, once for all runs."""
+"""Faults of planned phases before a simulation of the bench, each at its line, once for all runs."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from plant.identification.commanded import LEAST_ROWS, ROWS_PER_PERIOD, lacks, w
 from plant.identification.protocol import BENCH, LONGEST, HeightTest, ProtocolFile, SineTest, Test
 from plant.identification.recordings import Recording, commands
 
-MOST_ROWS = 1_000_000  # of a run
+MOST_ROWS = 1_000_000  # rows of a run
 
 
 def planned_faults(yaml: YamlFile, content: ProtocolFile, known: Bench) -> list[Fault]:
-    """Every fault of the tests that are played, whose keys and values are sound."""
+    """Return every fault of the simulated tests with valid keys and values."""
     tests = [(n, t) for n, t in content.tests.given() if not t.files]
     if faults := list(_step_faults(yaml, content, tests)):
         return faults
@@ -28,7 +28,7 @@ def planned_faults(yaml: YamlFile, content: ProtocolFile, known: Bench) -> list[
 
 
 def _step_faults(yaml: YamlFile, content: ProtocolFile, tests: list[tuple[str, Test]]) -> Iterator[Fault]:
-    """A step that is too long for windows and sines, or too short to be played, at the step itself."""
+    """Yield a fault of a step too long for windows and sines, or too short to simulate."""
     step = content.step
     if step < LONGEST / MOST_ROWS and (longest := max((_end(t) for _, t in tests), default=0.0)) / step > MOST_ROWS:
         rows, least_step = f"{longest / step:.3g}", f"{longest / MOST_ROWS:.1g}"

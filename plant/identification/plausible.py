@@ -1,4 +1,4 @@
-"""Numbers that are impossible, which are faults, and intervals that contain impossible values, which are warnings."""
+"""Plausibility of results: impossible numbers are faults, intervals with impossible values are warnings."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from plant.identification.command_response import LAGS
 from plant.identification.estimates import Estimate, Result
 from plant.identification.protocol import Protocol
 
-FACTOR_BOUNDS = (0.5, 2.0)  # of a projection, which is 1: beyond it another angle, unit or channel was read
-FACTOR_HALF_WIDTHS = 3.0  # that 1 may lie outside a projection's interval, in its half-widths
+FACTOR_BOUNDS = (0.5, 2.0)  # range of a projection factor, ideally 1; outside, another angle, unit or channel was read
+FACTOR_HALF_WIDTHS = 3.0  # half-widths of a projection's interval by which 1 may lie outside
 CURES = {
     "thrust_offset": "look at the unit and points of cell z, and whether the cell is at its end in `window`",
     "thrust_slope": "look at the unit and points of cell z, and whether the cell is at its end in `window`",
@@ -26,7 +26,7 @@ CURES = {
 
 
 def bounds_of(name: str) -> tuple[float, float]:
-    """Return the possible range of a number, as the bench declares it."""
+    """Return the possible range of a number, as declared by the bench."""
     if name.endswith("_projection"):
         return FACTOR_BOUNDS
     declared = Bench().declared["lag" if name.startswith("lag") else name]
@@ -34,7 +34,7 @@ def bounds_of(name: str) -> tuple[float, float]:
 
 
 def result_faults(protocol: Protocol, results: Sequence[Result]) -> list[Fault]:
-    """Return the faults of results and one for each impossible number; add warnings of intervals to the results."""
+    """Return faults of results and impossible numbers; add interval warnings to the results."""
     faults = []
     for result in results:
         for e in result.estimates:
@@ -53,7 +53,7 @@ def _unit(e: Estimate) -> str:
 
 
 def _impossible(e: Estimate) -> str:
-    """Return why a number cannot be, "" where it can."""
+    """Return the reason why a number is impossible, else ""."""
     low, high = bounds_of(e.name)
     if not np.isfinite([e.value, e.low, e.high]).all():
         if np.isfinite(e.value):
@@ -67,7 +67,7 @@ def _impossible(e: Estimate) -> str:
 
 
 def _doubtful(e: Estimate) -> Iterator[str]:
-    """Yield what is doubtful about a number that is possible."""
+    """Yield doubts about a possible number."""
     low, high = bounds_of(e.name)
     if e.low < low or e.high > high:
         yield (

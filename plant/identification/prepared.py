@@ -1,4 +1,4 @@
-"""What is read of a protocol of a bench before anything is played: itself, its model, its recordings."""
+"""Input of an identification before any simulation: protocol, model and recordings."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from plant.identification.protocol import CHANNELS, Protocol, partly_read
 from plant.identification.recording_faults import recording_faults, repeated
 from plant.identification.recordings import Recording, read_recordings
 
-NUMBERS = {"thrust_offset", "thrust_slope", "ground_effect_exponent", "lag", "assembly_arm"}  # for a power-train
+NUMBERS = {"thrust_offset", "thrust_slope", "ground_effect_exponent", "lag", "assembly_arm"}  # of a power-train
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """A protocol, the model whose parameters it sets, and what was measured, by test."""
+    """A protocol, the model of its parameters, and measured recordings by test."""
 
     protocol: Protocol
     model: Model
@@ -28,7 +28,11 @@ class Prepared:
 
 
 def read_protocol(path: Path) -> Protocol:
-    """Read a protocol; InputError with every fault that can be known without its model and recordings."""
+    """Read a protocol.
+
+    Raises:
+        InputError: Every fault that does not depend on model and recordings.
+    """
     protocol, faults = partly_read(path)
     faults = faults or planned_faults(protocol.yaml, protocol.file, protocol.known)
     refuse(faults)
@@ -36,7 +40,11 @@ def read_protocol(path: Path) -> Protocol:
 
 
 def prepare(path: Path) -> Prepared:
-    """Read a protocol, its model and its recordings; InputError with every fault of all of them."""
+    """Read a protocol, its model and its recordings.
+
+    Raises:
+        InputError: Every fault of them.
+    """
     protocol, faults = partly_read(path)
     if not faults:
         faults += planned_faults(protocol.yaml, protocol.file, protocol.known)
@@ -60,7 +68,7 @@ def prepare(path: Path) -> Prepared:
 
 
 def _model_of(protocol: Protocol) -> Model:
-    """The model whose parameters the power-train sets."""
+    """Return the model whose parameters the power-train sets."""
     text, where = protocol.file.model, protocol.yaml.place(("model",))
     try:
         model = named_model(text) if is_model(text) else load_model(text, protocol.folder, protocol.yaml).model
@@ -75,7 +83,7 @@ def _model_of(protocol: Protocol) -> Model:
 
 
 def _measured(protocol: Protocol) -> dict[str, list[Recording]]:
-    """What was measured, with all that can be wrong with it, before anything is played."""
+    """Return the measured recordings after all checks."""
     faults: list[Fault] = []
     found: dict[str, list[Recording]] = {}
     cells: Cells | None = None
@@ -96,6 +104,6 @@ def _measured(protocol: Protocol) -> dict[str, list[Recording]]:
 
 
 def cell_fault(protocol: Protocol, error: ValueError) -> Fault:
-    """What is wrong with a cell, at its line."""
+    """Return the fault of a cell at its line."""
     name = str(error).partition(":")[0].removeprefix("cells.")
     return protocol.yaml.fault(("cells", name), str(error), key=True)

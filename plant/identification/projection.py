@@ -15,7 +15,10 @@ BIN = np.radians(2.5)
 
 
 def analyse(m: Measured, *, draw: bool = True) -> Result:
-    """Factors on cos α and sin α in F_z and F_x over the thrust held upright: 1 where these project it."""
+    """Return factors on cos α and sin α in F_z and F_x, ideally 1.
+
+    Forces are relative to the thrust held upright.
+    """
     recordings, known, test = m.recordings, m.known, m.test
     tilts: dict[bytes, Array] = {}
 
@@ -67,7 +70,7 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
 
 
 def _thesis(m: Measured) -> tuple[float, float]:
-    """Against the thrust of the first five rows of the fifth test, at the angle that is commanded, no tare."""
+    """Return the thesis' factors: five rows of the fifth test, commanded angle, no tare."""
     fifth = m.recordings[min(4, len(m.recordings) - 1)]
     total = float(m.printed_force(fifth, "z")[fifth.rows(m.test.window)][:5].mean())
     top, bottom = np.zeros(2), np.zeros(2)

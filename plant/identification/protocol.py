@@ -1,4 +1,4 @@
-"""A protocol: what is known of a bench, its cells, and the tests that are played on it or were measured."""
+"""Protocols of a bench: known parameters, cells, and simulated or measured tests."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ from plant.bench import FREE_HEIGHT, REST_DUTY, Bench
 from plant.identification.artefacts import PROTOCOL
 
 LEAST = 3  # repetitions: intervals come from the scatter between them
-CHANNELS = {"z": "N", "x": "N", "m": "N.m"}  # cell → unit in which it is computed
-BENCH = "bench"  # our own
-MAX_OVERLOAD = 1.5  # of full scale, which a cell may be loaded to for its calibration
-MIN_SPAN = 10.0  # errors of a load that the loads of a calibration span, at least
-WINDOWS = ("rest", "window", "hold")  # of a test
-LONGEST = 3600.0  # [s] of a run that is played
+CHANNELS = {"z": "N", "x": "N", "m": "N.m"}  # cell → SI unit
+BENCH = "bench"  # the bench of this package
+MAX_OVERLOAD = 1.5  # largest calibration load, as a multiple of full scale
+MIN_SPAN = 10.0  # least range of calibration loads, as a multiple of a load's error
+WINDOWS = ("rest", "window", "hold")  # windows of a test
+LONGEST = 3600.0  # [s] of a simulated run
 
 Metres = Annotated[Positive, InUnit("m")]
 Volts = Annotated[NotNegative, InUnit("V", difference=True)]
@@ -49,13 +49,13 @@ Phase = tuple[NotNegativeSeconds, Annotated[NotNegative, Percent], Annotated[Num
 
 
 class CellFile(Part):
-    """A load cell: the loads hung on it, or points as measured.
+    """A load cell: calibration loads, or measured points.
 
-    unit:       of full scale and loads
-    full_scale: what it measures at most
-    error:      standard deviation, a share of full scale
-    loads:      hung on it for its calibration, played
-    points:     load and voltage [V] each, as measured, in place of loads
+    unit:       Unit of full scale and loads.
+    full_scale: Largest load.
+    error:      Standard deviation as a share of full scale.
+    loads:      Simulated calibration loads.
+    points:     Measured load and voltage [V] of each point, instead of loads.
     """
 
     unit: str = "N"
@@ -67,7 +67,7 @@ class CellFile(Part):
     @field_validator("full_scale", "loads", "points", mode="before")
     @classmethod
     def _in_its_unit(cls, value: Any, info: ValidationInfo) -> Any:
-        """Loads in the unit of the cell."""
+        """Return loads in the unit of the cell."""
         unit = InUnit(str(info.data.get("unit", "")))
         if info.field_name == "points" and isinstance(value, list):
             return [[unit.number(p[0]), *p[1:]] if isinstance(p, list) and p else p for p in value]
@@ -75,11 +75,11 @@ class CellFile(Part):
 
 
 class Draws(Part):
-    """What differs from run to run on a bench that is played; standard deviations.
+    """Variation between runs of a simulated bench, as standard deviations.
 
-    thrust: of the battery's state, a share
-    tare:   of each cell [V]
-    noise:  of each reading of each cell [V]
+    thrust: Relative thrust change by the battery.
+    tare:   Tare of each cell [V].
+    noise:  Noise of each cell's readings [V].
     """
 
     thrust: Annotated[NotNegative, Share] = 0.0
@@ -88,7 +88,7 @@ class Draws(Part):
 
 
 class Test(Part):
-    """A test: played in `phases`, or read from `files`."""
+    """A test: simulated `phases`, or measured `files`."""
 
     repetitions: Annotated[int, Field(strict=True, ge=1, le=10_000, description="runs that are played")] = 1
     files: list[str] = Field(default=[], description="runs that were measured, a CSV each, in place of phases")
@@ -102,11 +102,11 @@ class Test(Part):
 
 
 class HeightTest(Test):
-    """Thrust at heights against that with nothing below.
+    """Thrust at several heights relative to the thrust without ground.
 
-    heights:         radii of the propeller
-    free_height:     with nothing below [m]
-    validation_duty: duty of the set that is held against what is found [%]
+    heights:         Heights in propeller radii.
+    free_height:     Height without ground effect [m].
+    validation_duty: Duty of the validation set [%].
     """
 
     heights: list[Positive] = Field(default=[])
@@ -117,31 +117,31 @@ class HeightTest(Test):
 class HoldTest(Test):
     """Forces over the tilt.
 
-    hold: from and to [s], upright, under full thrust
+    hold: Start and end [s], upright, under full thrust.
     """
 
     hold: Window
 
 
 class StepTest(Test):
-    """A step.
+    """A step response.
 
-    at: time [s]
+    at: Time of the step [s].
     """
 
     at: PositiveSeconds
 
 
 class SineTest(Test):
-    """Sines of the tilt.
+    """Sinusoidal tilt.
 
-    frequencies: [rad/s]
-    periods:     of each, whole or in part
-    amplitude:   [deg]
-    duty:        [%]
-    lead:        before the sines [s]
-    skip:        first part of the sines that is left out [s]
-    thesis_skip: periods of each that the thesis leaves out
+    frequencies: Frequencies [rad/s].
+    periods:     Periods of each, whole or fractional.
+    amplitude:   Amplitude [deg].
+    duty:        Duty [%].
+    lead:        Time before the sines [s].
+    skip:        First part of the sines to ignore [s].
+    thesis_skip: Periods of each ignored in the thesis.
     """
 
     frequencies: list[Annotated[Positive, InUnit("rad/s")]]
@@ -154,15 +154,15 @@ class SineTest(Test):
 
 
 class Tests(Part):
-    """Those that are there are done.
+    """Tests; only the listed ones are done.
 
-    thrust_line:   thrust over duty
-    ground_effect: thrust over height
-    projection:    forces over tilt
-    step:          lag of a step of the tilt
-    thrust_step:   lag of a step of the duty
-    frequency:     lag of sines of the tilt
-    moment:        moment of the weight over the tilt, motor off
+    thrust_line:   Thrust over duty.
+    ground_effect: Thrust over height.
+    projection:    Forces over tilt.
+    step:          Lag after a step of the tilt.
+    thrust_step:   Lag after a step of the duty.
+    frequency:     Lag from sines of the tilt.
+    moment:        Moment of the weight over the tilt, motor off.
     """
 
     thrust_line: Test | None = None
@@ -174,25 +174,25 @@ class Tests(Part):
     moment: Test | None = None
 
     def given(self) -> Iterator[tuple[str, Test]]:
-        """Name and test."""
+        """Yield name and test of each test done."""
         for name in type(self).model_fields:
             if (test := getattr(self, name)) is not None:
                 yield name, test
 
 
 class ProtocolFile(Part):
-    """A protocol of a testing bench: its cells, the tests that are played on it or were measured.
+    """A protocol of a testing bench: its cells, and simulated or measured tests.
 
     schema_version: 1
-    name:       of the results
-    bench:      `bench`, which is built here; or the FMU of another; without, tests have files
-    model:      whose parameters powertrain.yaml sets
-    seed:       of every random stream
-    step:       between rows [s]
-    parameters: of the bench, over its own
-    draws:      what differs from run to run
-    cells:      z, x, m: what measures the forces and the moment
-    tests:      those that are done
+    name:       Name of the results.
+    bench:      `bench`, built here, or the FMU of another bench; by default tests need files.
+    model:      Model whose parameters powertrain.yaml sets.
+    seed:       Seed of every random stream.
+    step:       Time between rows [s].
+    parameters: Parameters of the bench that differ from its defaults.
+    draws:      Variation between runs.
+    cells:      z, x, m: cells of the forces and the moment.
+    tests:      Tests to do.
     """
 
     schema_version: Literal[1] = 1
@@ -209,7 +209,7 @@ class ProtocolFile(Part):
 
 @dataclass(frozen=True)
 class Protocol:
-    """A protocol as read; `known` is the bench with what is known of it, its truth where ours is played."""
+    """A protocol; `known` is the bench with the stated parameters, exact for a simulated one."""
 
     yaml: YamlFile
     file: ProtocolFile
@@ -217,17 +217,21 @@ class Protocol:
 
     @property
     def folder(self) -> Path:
-        """Where it stands."""
+        """Return the folder of the protocol."""
         return self.yaml.path.parent
 
     @property
     def true_known(self) -> bool:
-        """Our own bench is played, whose parameters are known."""
+        """Return True for the simulated bench, whose parameters are known."""
         return self.file.bench == BENCH
 
 
 def partly_read(path: Path) -> tuple[Protocol, list[Fault]]:
-    """A protocol and the faults of its keys and values; InputError where it cannot be read at all."""
+    """Return a protocol and the faults of its keys and values.
+
+    Raises:
+        InputError: The file is not readable.
+    """
     check_given(path, PROTOCOL)
     yaml = YamlFile(path)
     content, faults = yaml.partly(ProtocolFile, "tests")
@@ -273,13 +277,13 @@ def _cell_faults(yaml: YamlFile, content: ProtocolFile) -> Iterator[Fault]:
         written = yaml.root["cells"][name]
         if bool(cell.loads) != bool(cell.points):
             yield from _calibration_faults(yaml, content, name, cell)
-        elif cell.loads or not (written.get("loads") or written.get("points")):  # what cannot be read is told already
+        elif cell.loads or not (written.get("loads") or written.get("points")):  # unreadable values are reported
             cure = "give `loads` to hang on the bench that is played, or `points` [load, voltage] as measured"
             yield yaml.fault(("cells", name), f"has {'both' if cell.loads else 'no'} loads and points; {cure}")
 
 
 def _calibration_faults(yaml: YamlFile, content: ProtocolFile, name: str, cell: CellFile) -> Iterator[Fault]:
-    """Yield what keeps the loads or points of a cell from giving a curve."""
+    """Yield faults of loads or points that prevent a curve."""
     at, unit, key = ("cells", name), cell.unit, "loads" if cell.loads else "points"
     if cell.loads and content.bench is None:
         yield yaml.fault((*at, key), "no bench is played; give `points` [load, voltage] as measured")
@@ -303,7 +307,7 @@ def _calibration_faults(yaml: YamlFile, content: ProtocolFile, name: str, cell: 
 
 
 def _force_unit(unit: str) -> str:
-    """Return the unit of force that a unit of mass stands for, as a hint."""
+    """Return a hint at the force unit for a mass unit."""
     return f"; a mass that is hung is a force: write {unit}f" if unit in ("g", "kg") else ""
 
 

@@ -1,4 +1,4 @@
-"""What keeps recordings from telling anything: a phase that is missing, cells swapped or at their end."""
+"""Faults of recordings: missing phases, swapped or saturated cells."""
 
 from __future__ import annotations
 
@@ -22,27 +22,28 @@ from plant.identification.thrust_line import LEAST_DUTY, LEAST_ROWS, rows_with_t
 from plant.powertrain import servo_angle
 
 SWAPPED = "are the channels swapped? Change their names"
-MOST_AT_RAIL = {"thrust_line": 1.0 - 0.2, "projection": 0.5}  # of the readings of a window; of other tests 0.05
-WANTED = {"thrust_line": "z", "ground_effect": "z", "thrust_step": "z", "projection": "zx", "moment": "m"}  # cells
+MOST_AT_RAIL = {"thrust_line": 1.0 - 0.2, "projection": 0.5}  # share of saturated readings in a window; default 0.05
+WANTED = {"thrust_line": "z", "ground_effect": "z", "thrust_step": "z", "projection": "zx", "moment": "m"}  # required
 LEAST_FORCE = 3.0  # standard deviations of one reading at rest
-PROJECTION = (0.4, 2.5)  # factor on sin α within which angle and cells may be off; beyond it a column is another
-MAX_TARE = 0.25  # of a calibration's voltages, by which a cell at rest may be off
-TIMED = ("step", "thrust_step", "frequency")  # tests that read a time
-SAME_NOISE = 0.9  # correlation of fourth differences; that of two runs with noise is 0 ± 0.2
+PROJECTION = (0.4, 2.5)  # plausible factors on sin α; outside, the column is wrong
+MAX_TARE = 0.25  # largest tare as a share of the calibration voltages
+TIMED = ("step", "thrust_step", "frequency")  # tests of a time
+SAME_NOISE = 0.9  # correlation of fourth differences; 0 ± 0.2 for two noisy runs
 
 
 def recording_faults(
     protocol: Protocol, name: str, recordings: Sequence[Recording], cells: Cells, *, whole: bool = True
 ) -> list[Fault]:
-    """Return every fault of the recordings of a test, at their file and row.
+    """Return every fault of a test's recordings, at file and row.
 
-    whole: all files of the test could be read, so that they are also judged together
+    Args:
+        whole: True if all files of the test are readable, for joint checks.
     """
     test: Test = getattr(protocol.file.tests, name)
     faults: list[Fault] = []
     for r in recordings:
         found = [] if r.path is None else _out_of_range(protocol, r)
-        if r.path is not None and not found:  # phases were asked before they played
+        if r.path is not None and not found:  # planned phases are checked before
             found = [*_missing(protocol, name, test, r), *_wrong_height(protocol, name, test, r)]
         faults += found or list(_cells_at_fault(protocol, name, test, r, cells))
     if whole and not faults:
@@ -127,7 +128,7 @@ def _told(found: EqualReadings, r: Recording) -> str:
 
 
 def _channels_at_fault(protocol: Protocol, name: str, test: Test, r: Recording, cells: Cells) -> Iterator[Fault]:
-    """Yield channels that do not follow what is commanded."""
+    """Yield channels that do not follow the commands."""
     if name == "moment":
         return
     known, window = protocol.known, _window(test, r)
@@ -153,7 +154,7 @@ def _channels_at_fault(protocol: Protocol, name: str, test: Test, r: Recording, 
         fz, fx = (float(force_of(r, cells, c, test.rest)[after].mean()) for c in "zx")
         angle = float(np.mean(servo_angle(r.servo_duty[after], known.servo_neutral, known.servo_slope)))
         one = float(force_of(r, cells, "z", test.rest)[rest].std())
-        if max(abs(fz), abs(fx)) < LEAST_FORCE * one:  # noise against noise tells of no channel
+        if max(abs(fz), abs(fx)) < LEAST_FORCE * one:  # noise alone identifies no channel
             told = f"neither volts_z nor volts_x has a force at {np.degrees(angle):.0f}°"
             cure = "beyond what a reading scatters; did the motor run? Record it under thrust"
             yield _at(protocol, r, f"{told}, {cure}", int(np.flatnonzero(after)[0]))
@@ -167,16 +168,16 @@ def _channels_at_fault(protocol: Protocol, name: str, test: Test, r: Recording, 
 
 
 def _nearly_all(values: Array) -> float:
-    """Return what 99 of 100 sizes are below: a single spike is no force."""
+    """Return the 99 % quantile of sizes, insensitive to a single spike."""
     return float(np.quantile(np.abs(values), 0.99))
 
 
 def _projected(protocol: Protocol, name: str, test: Test, r: Recording, cells: Cells) -> Iterator[Fault]:
-    """Yield a horizontal force that is not the thrust times the sine of the commanded tilt: another sign, or size."""
+    """Yield a horizontal force that differs from thrust times sine in sign or size."""
     known, rows = protocol.known, _window(test, r)
     if isinstance(test, SineTest):
         if frequency_of(r, test) > min(test.frequencies):
-            return  # an unknown lag turns the phase
+            return  # an unknown lag changes the phase
     elif name == "step":
         rows = r.rows((test.window[1] - 0.3, test.window[1]))
     angle = held_lag(servo_angle(r.servo_duty, known.servo_neutral, known.servo_slope), r.step, known.lag)
@@ -197,7 +198,7 @@ def _projected(protocol: Protocol, name: str, test: Test, r: Recording, cells: C
 
 
 def _other_cell(protocol: Protocol, test: Test, r: Recording, cells: Cells, wanted: str) -> Iterator[Fault]:
-    """Yield a channel whose voltage at rest is far from that of its cell without load: another cell's, mostly."""
+    """Yield a channel whose rest voltage is far from the unloaded cell's."""
     for c in wanted:
         volts, cell = float(r.volts[c][r.rows(test.rest)].mean()), cells[c]
         if abs(volts - cell.zero) > MAX_TARE * float(np.ptp(cell.volts)):
@@ -207,9 +208,9 @@ def _other_cell(protocol: Protocol, test: Test, r: Recording, cells: Cells, want
 
 
 def repeated(recordings: Sequence[Recording]) -> list[Fault]:
-    """Return a fault for each recording of a test with the noise of one before it: it is no repetition.
+    """Return a fault for each recording with the noise of an earlier one, a copy.
 
-    Copies that were cut, shifted in time or rounded have the same noise too.
+    Cut, shifted or rounded copies have the same noise too.
     """
     faults = []
     for k, r in enumerate(recordings):
@@ -221,7 +222,7 @@ def repeated(recordings: Sequence[Recording]) -> list[Fault]:
 
 
 def _same_noise(one: Recording, other: Recording) -> bool:
-    """Whether all cells that change do so alike from row to row, or are equal."""
+    """Return True if all varying cells have the same noise or equal values."""
     size = min(one.time.size, other.time.size)
     if abs(one.time.size - other.time.size) > 0.5 * size:
         return False
@@ -236,14 +237,14 @@ def _same_noise(one: Recording, other: Recording) -> bool:
 
 
 def _rough(values: Array) -> Array:
-    """Return fourth differences, in which smooth motion is small, limited so that no spike or step outweighs noise."""
+    """Return clipped fourth differences, which suppress smooth motion, spikes and steps."""
     rough = np.diff(values, 4)
     limit = 3.0 * float(np.median(np.abs(rough)))
     return np.asarray(np.clip(rough, -limit, limit) if limit else rough)
 
 
 def _of_all(protocol: Protocol, name: str, test: Test, recordings: Sequence[Recording]) -> Iterator[Fault]:
-    """What only all recordings of a test together can lack."""
+    """Yield faults of a test's recordings as a whole."""
     from plant.identification.frequency import grouped
     from plant.identification.protocol import LEAST
 

@@ -1,4 +1,4 @@
-"""Runs of a protocol and what was recorded of them: played on an FMU, by plain functions, or measured."""
+"""Runs of a protocol and their recordings: simulated by an FMU, by plain functions, or measured."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from plant.bench import FREE_HEIGHT, NEUTRAL_DUTY, REST_DUTY, Bench
 from plant.identification.columns import COLUMNS, PULSE
 from plant.identification.protocol import CHANNELS, HeightTest, Protocol, SineTest, Test
 
-LANES = 1000  # runs at once
-SECONDS = 1.0  # of a load that hangs
-SAME_STEP = 0.1  # of a step, by which the steps of an even clock differ
-MAX_MISSING = 0.02  # of the rows, single ones that are filled in
+LANES = 1000  # simultaneous runs
+SECONDS = 1.0  # duration of a calibration load
+SAME_STEP = 0.1  # share of a step by which an even clock varies
+MAX_MISSING = 0.02  # largest share of single missing rows, which are interpolated
 DEGREE = np.pi / 180.0
 
 
 @dataclass(frozen=True)
 class Run:
-    """One run to be played; noise has a row a cell, added at each reading. `thrust`: factor by the battery's state."""
+    """A run for simulation; noise has one row per cell, one value per reading. `thrust`: battery factor."""
 
     label: str
     time: Array
@@ -48,7 +48,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Recording:
-    """One run as recorded: commands held from each row, voltages by cell; `path` and `lines` where it was read."""
+    """A recorded run: held commands, voltages by cell; `path` and `lines` for a file."""
 
     label: str
     time: Array
@@ -61,21 +61,21 @@ class Recording:
 
     @property
     def step(self) -> float:
-        """Median step [s]."""
+        """Return the median step [s]."""
         return float(np.median(np.diff(self.time)))
 
     def rows(self, window: tuple[float, float]) -> Flags:
-        """Rows within a window of time."""
+        """Return the rows within a time window."""
         slack = 1e-6 * self.step
         rows: Flags = (self.time >= window[0] - slack) & (self.time <= window[1] + slack)
         return rows
 
 
-# -- what a protocol plays --------------------------------------------------------------------
+# -- commands of a protocol ---------------------------------------------------------------
 
 
 def commands(test: Test, known: Bench, step: float) -> list[tuple[str, Array, Array, Array, float]]:
-    """Label, time, duty, servo duty and height of each different run of a test, in order."""
+    """Return label, time, duty, servo duty and height of each different run of a test."""
     if isinstance(test, SineTest):
         return [_sine(test, known, step, *pair) for pair in zip(test.frequencies, test.periods, strict=True)]
     sets = [("", test.height, test.phases)]
@@ -90,7 +90,7 @@ def commands(test: Test, known: Bench, step: float) -> list[tuple[str, Array, Ar
 
 
 def _played(phases: Sequence[tuple[float, float, float]], known: Bench, step: float) -> tuple[Array, Array, Array]:
-    """Straight lines from phase to phase; where two have one time, a step."""
+    """Return straight lines between phases; two phases at one time make a step."""
     times, duty, angle = np.array(phases, float).T
     time = step * np.arange(round(times[-1] / step) + 1)
     k = np.clip(np.searchsorted(times, time + 1e-9, side="right") - 1, 0, times.size - 2)
@@ -113,7 +113,7 @@ def _sine(
 
 
 def runs_of(protocol: Protocol, name: str, seed: int) -> list[Run]:
-    """The runs of a test with what chance does to them; the same seed, the same bytes."""
+    """Return the runs of a test with random variation, reproducible by the seed."""
     file, runs = protocol.file, []
     number = list(type(file.tests).model_fields).index(name)
     for k, (label, time, duty, servo_duty, height) in enumerate(
@@ -137,7 +137,7 @@ def _noise(protocol: Protocol, rng: np.random.Generator, rows: int, *, tare: boo
 
 
 def load_runs(protocol: Protocol, seed: int) -> dict[str, list[Run]]:
-    """Calibration: each load hung for a second; it is off by the error of the scale."""
+    """Return calibration runs of one second per load, with random load errors."""
     file, found = protocol.file, dict[str, list[Run]]()
     time = np.asarray(file.step * np.arange(round(SECONDS / file.step) + 1), dtype=np.float64)
     at_rest = np.full_like(time, REST_DUTY), np.full_like(time, NEUTRAL_DUTY)
@@ -154,29 +154,29 @@ def load_runs(protocol: Protocol, seed: int) -> dict[str, list[Run]]:
 
 
 def _of_bench(unit: str, known: Bench) -> float:
-    """Gram-force is g/1000 here, g the bench's gravity, as in the thrust line."""
+    """Return the correction of gram-force for the bench's gravity, as in the thrust line."""
     return known.gravity / 9.80665 if unit == "gf" else 1.0
 
 
 def load_in_si(protocol: Protocol, channel: str) -> float:
-    """What a load of a cell's unit is in N or N m."""
+    """Return the load unit of a cell in N or N m."""
     unit = protocol.file.cells[channel].unit
     return (factor(unit, CHANNELS[channel]) or 1.0) * _of_bench(unit, protocol.known)
 
 
-# -- playing ----------------------------------------------------------------------------------
+# -- simulation ---------------------------------------------------------------------------
 
 Play = Callable[[Sequence[Run]], list[Recording]]
 
 
 def recorded(run: Run, volts: Array) -> Recording:
-    """A run with its voltages, shape (rows, cells)."""
+    """Return a run with its voltages, shape (rows, cells)."""
     by_cell = dict(zip(CHANNELS, np.ascontiguousarray(volts.T), strict=True))
     return Recording(run.label, run.time, run.duty, run.servo_duty, np.full(run.time.size, run.height), by_cell)
 
 
 class FmuPlayer:
-    """Plays runs on an FMU with the variables of the bench."""
+    """Simulation of runs on an FMU with the bench's variables."""
 
     def __init__(
         self, fmu: Path, parameters: Mapping[str, float], progress: Callable[[int], None] | None = None
@@ -193,11 +193,14 @@ class FmuPlayer:
         self.block.bind(self.row, 0)
 
     def __call__(self, runs: Sequence[Run]) -> list[Recording]:
-        """Play runs one after another."""
+        """Simulate runs one after another."""
         return [self._play(run) for run in runs]
 
     def _play(self, run: Run) -> Recording:
-        """Row k holds what is read at t_k and the command from t_k on; noise is that of the reading at a step's end."""
+        """Simulate a run; row k has the reading at t_k and the command from t_k.
+
+        The noise belongs to the reading at the end of a step.
+        """
         block, time = self.block, run.time
         own = {"thrust_factor": run.thrust, "filter_time": run.low_pass}
         block.begin({**self.parameters, **own}, float(time[0]), float(time[-1]))
@@ -227,7 +230,7 @@ class FmuPlayer:
 
 
 def _inputs(run: Run) -> Array:
-    """Row k: the inputs over the step that ends at t_k, the noise of the reading there among them."""
+    """Return the inputs over the step that ends at t_k in row k, reading noise included."""
     before = np.maximum(np.arange(run.time.size) - 1, 0)
     same = np.ones(run.time.size)
     return np.column_stack(
@@ -236,7 +239,7 @@ def _inputs(run: Run) -> Array:
 
 
 def play_plain(known: Bench) -> Play:
-    """Plays runs by the equations as arrays, those with the same commands at once."""
+    """Return a simulator of runs by plain equations, with equal commands in parallel."""
 
     def play(runs: Sequence[Run]) -> list[Recording]:
         groups: dict[tuple[object, ...], list[int]] = {}
@@ -271,11 +274,15 @@ def _together(known: Bench, runs: Sequence[Run]) -> list[Recording]:
     return [recorded(run, volts[:, :, j]) for j, run in enumerate(runs)]
 
 
-# -- measured ---------------------------------------------------------------------------------
+# -- measured recordings ------------------------------------------------------------------
 
 
 def read_recording(path: Path) -> Recording:
-    """A measured run: time, duty, servo_duty, height, volts_z, volts_x, volts_m; InputError with every fault."""
+    """Read a measured run: time, duty, servo_duty, height, volts_z, volts_x, volts_m.
+
+    Raises:
+        InputError: Every fault of the file.
+    """
     faults = Faults(path)
 
     def choose(heading: Heading) -> Column | None:
@@ -295,7 +302,7 @@ def read_recording(path: Path) -> Recording:
         return Column(heading, scale or 1.0, known="a column of the bench")
 
     table = read_table(faults, choose, ", ".join(COLUMNS), "leave out rows")
-    if any(kind.endswith("with a decimal comma") for _, kind in faults.counts):  # then all else follows from it
+    if any(kind.endswith("with a decimal comma") for _, kind in faults.counts):  # cause of all other faults
         message = "numbers have decimal commas; write decimals with a point, and separate cells with commas"
         raise InputError([Fault(path, table.header + 1, 1, message)])
     if table.whole:
@@ -322,7 +329,10 @@ def read_recording(path: Path) -> Recording:
 
 
 def _with_single_rows(time: Array, values: Array, lines: Array) -> tuple[Array, Array, Array]:
-    """Fill in single rows that are missing from an even clock: commands are held, voltages on a straight line."""
+    """Return rows with single gaps of an even clock filled.
+
+    Commands are held, voltages interpolated.
+    """
     gaps = np.diff(time)
     step = float(np.median(gaps))
     missing = np.flatnonzero(np.abs(gaps - 2.0 * step) < SAME_STEP * step)
@@ -341,7 +351,7 @@ def _with_single_rows(time: Array, values: Array, lines: Array) -> tuple[Array, 
 
 
 def read_recordings(protocol: Protocol, name: str) -> tuple[list[Recording], list[Fault]]:
-    """Return the recordings that a test names, as far as they can be read, and the faults of the others."""
+    """Return the readable recordings of a test, and the faults of the others."""
     faults: list[Fault] = []
     found = []
     for text in getattr(protocol.file.tests, name).files:

@@ -1,7 +1,7 @@
-"""Noise of sensors from a craft at rest, eqs 5.44-5.46.
+"""Sensor noise of a craft at rest, eqs 5.44-5.46.
 
-The thesis takes the variance about the mean. Beside it stands the variance about a straight line in time, so that a
-sensor that drifts is not taken for a noisy one; its interval counts rows that follow one another closely as fewer.
+The thesis uses the variance about the mean. The variance about a straight line is given too, so that drift does not
+count as noise; its interval accounts for correlated rows.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from cosim.model import Model
 from cosim.storage.yaml_file import YamlFile
 from plant.identification.estimates import Estimate, Figure, Result
 
-FEWEST = 50  # rows: of fewer the 95 % interval of a variance reaches from 0.7 to 1.55 of it
-DRIFTS = 1.1  # times the variance about a line, from which a mean hides a drift
-MOVING = 5.0  # standard deviations between the halves of a log, beyond which it was not at rest
-AT_ENDS = 0.05  # share of rows at the smallest or largest value, beyond which a sensor is at its ends
-SLOW = 0.05  # of the variance, that of steps from row to row of what swings slowly; of white noise it is 1
+FEWEST = 50  # rows: below, the 95 % interval of a variance spans more than 0.7 to 1.55 of it
+DRIFTS = 1.1  # ratio to the variance about a line from which a mean hides a drift
+MOVING = 5.0  # standard deviations between the halves of a log beyond which it was not at rest
+AT_ENDS = 0.05  # share of rows at the extreme values beyond which a sensor is saturated
+SLOW = 0.05  # share of the variance in row-to-row steps of a slow swing; 1 for white noise
 Window = tuple[float, float] | None
 
 
 def noise(logs: Sequence[Log], model: Model, window: Window = None) -> Result:
-    """Variance of every output that was measured at rest."""
+    """Return the variance of every output measured at rest."""
     units = {q.name: q.unit for q in model.outputs}
     names = [q.name for q in model.outputs if any(q.name in log.outputs for log in logs)]
     estimates, notes, figures = [], list[str](), list[Figure]()
@@ -44,7 +44,7 @@ def noise(logs: Sequence[Log], model: Model, window: Window = None) -> Result:
 
 
 def variance(name: str, unit: str, parts: Sequence[tuple[Array, Array]]) -> Estimate:
-    """S² of eq 5.44 pooled over logs, and that about a line in time of each, with its 95 % interval by χ²."""
+    """Return the pooled S² of eq 5.44, and the variance about a line with its 95 % χ² interval."""
     from scipy import stats
 
     rows = sum(v.size for _, v in parts)
@@ -52,7 +52,7 @@ def variance(name: str, unit: str, parts: Sequence[tuple[Array, Array]]) -> Esti
     left = [v - np.polyval(np.polyfit(t - t.mean(), v, 1), t - t.mean()) for t, v in parts]
     freedom = rows - 2 * len(parts)
     about_line = sum(float(np.sum(r**2)) for r in left) / freedom
-    # rows that are alike count as fewer: of squares, 1 + 2·Σρ² (Bartlett)
+    # correlated rows count as fewer: for squares, 1 + 2·Σρ² (Bartlett)
     follows = 1.0 + 2.0 * sum(_correlation(left, lag) ** 2 for lag in range(1, 6))
     free = max(2.0, freedom / follows)
     low, high = (free * about_line / float(stats.chi2.ppf(p, free)) for p in (0.975, 0.025))
@@ -61,12 +61,12 @@ def variance(name: str, unit: str, parts: Sequence[tuple[Array, Array]]) -> Esti
 
 
 def squared(unit: str) -> str:
-    """`m/s2` → `m2/s4`."""
+    """Return the square of a unit, `m/s2` → `m2/s4`."""
     return re.sub(r"([^\W\d]+)(\d*)", lambda part: part[1] + str(2 * int(part[2] or 1)), unit) or "1"
 
 
 def rest_faults(yaml: YamlFile, logs: Sequence[Log], window: Window) -> Iterator[Fault]:
-    """Too few rows, or a craft that moves."""
+    """Yield faults of too few rows or a moving craft."""
     if window is not None and window[0] >= window[1]:
         yield yaml.fault(("rest", "window"), f"{window[0]:g} … {window[1]:g} s is empty; write its start, then its end")
         return
@@ -88,7 +88,7 @@ def rest_faults(yaml: YamlFile, logs: Sequence[Log], window: Window) -> Iterator
 
 
 def _unusable(values: Array) -> str:
-    """Why rows tell nothing of a sensor's noise; "" where they do."""
+    """Return the reason why rows show no sensor noise, else ""."""
     low, high = float(values.min()), float(values.max())
     if low == high:
         return f"is {low:g} in every row: a dead channel"
@@ -102,7 +102,7 @@ def _unusable(values: Array) -> str:
 
 
 def _turns(values: Array) -> int:
-    """How often it crosses its mean, rows that follow one another taken together."""
+    """Return the number of crossings of the mean after smoothing."""
     smooth = np.convolve(values - values.mean(), np.ones(9) / 9, "valid")
     return int(np.sum(smooth[1:] * smooth[:-1] < 0.0))
 

@@ -1,4 +1,4 @@
-"""Test 1: thrust out of ground effect over the duty (§4.5.1, eqs 4.15-4.22, App. D.3.1)."""
+"""Test 1: thrust without ground effect over the duty (§4.5.1, eqs 4.15-4.22, App. D.3.1)."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from plant.identification.recordings import Recording
 from plant.powertrain import ground_effect
 
 DEGREES = (1, 2, 3)
-MARGIN = 0.02  # [%] of duty kept from where the cell leaves its range or thrust begins: a low pass remembers
-MEMORY = 5.0  # lags and low passes after which a reading no longer knows of a higher duty, to 1 %
-LEAST_ROWS, LEAST_DUTY = 50, 0.1  # of a repetition, [%] of its ramp: with thrust, for a line
+MARGIN = 0.02  # [%] margin of duty to the cell's range and to zero thrust, since a low pass has memory
+MEMORY = 5.0  # lags and low passes after which a higher duty is forgotten to 1 %
+LEAST_ROWS, LEAST_DUTY = 50, 0.1  # rows of a repetition, [%] of its ramp with thrust, for a line
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Readings that a line is fitted to: rows of each repetition, and the duty [%] whose thrust they have."""
+    """Readings of a line fit: rows of each repetition, and the duty [%] of their thrust."""
 
     end: float
     dead_end: float
@@ -38,14 +38,14 @@ class Rows:
 
     @property
     def enough(self) -> bool:
-        """Every repetition has a ramp under thrust."""
+        """Return True if every repetition has a ramp with thrust."""
         return all(d.size >= LEAST_ROWS and np.ptp(d) >= LEAST_DUTY for d in self.delayed)
 
 
 def rows_with_thrust(m: Measured) -> Rows:
-    """Rows of the window within the cell's range where T = max(0, a + b·δ), eq 4.20, has thrust.
+    """Return rows in the window and the cell's range where T = max(0, a + b·δ), eq 4.20, is positive.
 
-    All by what was commanded: where the thrust begins is the kink of the equation that is nearest to all readings.
+    Selection is by command only: zero thrust ends at the kink of the equation fitted to all readings.
     """
     known, test, end = m.known, m.test, highest_duty(m)
     kept = [r.rows(test.window) & (recent <= end) for r, recent in _recent(m)]
@@ -60,12 +60,15 @@ def rows_with_thrust(m: Measured) -> Rows:
 
 
 def _thrust(m: Measured, r: Recording, rows: Flags, using: Cells | None = None) -> Array:
-    """Thrust [gf] without the ground effect."""
+    """Return the thrust [gf] without the ground effect."""
     return m.gram * m.force(r, "z", using)[rows] / _gain(r, rows, m.known)
 
 
 def dead_end(duty: Array, thrust: Array) -> float:
-    """δ₀ [%] of T = b·max(0, δ − δ₀) by least squares; below all duties where a line alone is nearest."""
+    """Return δ₀ [%] of T = b·max(0, δ − δ₀) by least squares.
+
+    The result is below all duties if a plain line fits best.
+    """
     middle = float(duty.mean())
     order = np.argsort(duty)
     x, y = duty[order] - middle, thrust[order]
@@ -73,7 +76,7 @@ def dead_end(duty: Array, thrust: Array) -> float:
     edges = np.linspace(x[0], x[-1], 401)[:-1]
 
     def above(values: Array) -> Array:
-        """Sums over what lies above each edge."""
+        """Return sums over the values above each edge."""
         sums = np.append(np.cumsum(values[::-1])[::-1], 0.0)
         return np.asarray(sums[np.searchsorted(x, edges, side="right")])
 
@@ -85,7 +88,7 @@ def dead_end(duty: Array, thrust: Array) -> float:
     if crossing <= x[0] and float(y @ y) - float(((y - offset - slope * x) ** 2).sum()) >= gained[best]:
         return float(middle + crossing)
     here = float(edges[best])
-    for _ in range(20):  # where the line through what is above it says none: least squares to the last digit
+    for _ in range(20):  # zero of the line through the values above, iterated to the last digit
         rows = x > here
         if rows.sum() < 3:
             break
@@ -98,11 +101,11 @@ def dead_end(duty: Array, thrust: Array) -> float:
 
 
 def analyse(m: Measured, *, draw: bool = True) -> Result:
-    """Line a + b·δ [gf, gf/%]; degrees one to three, the lowest within one standard error of the best."""
+    """Return the line a + b·δ [gf, gf/%], and the lowest sufficient degree of one to three."""
     cells, known, test = m.cells, m.known, m.test
     rows = rows_with_thrust(m)
     own, delayed = list(zip(m.recordings, rows.kept, strict=True)), rows.delayed
-    bowed = [np.zeros_like(d) for d in delayed]  # [gf] by which a reading on a ramp misses its thrust
+    bowed = [np.zeros_like(d) for d in delayed]  # [gf] error of a reading on a ramp
 
     def thrusts(using: Cells) -> list[Array]:
         return [_thrust(m, r, k, using) - bow for (r, k), bow in zip(own, bowed, strict=True)]
@@ -110,7 +113,7 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
     def lines(using: Cells) -> Array:
         return np.array([np.polyfit(d, y, 1)[::-1] for d, y in zip(delayed, thrusts(using), strict=True)])
 
-    # the thesis: every sample alike against the duty as commanded, its cell as calibrated
+    # thesis: all samples with equal weight over the commanded duty, cell as calibrated
     duty = np.concatenate([r.duty[k] for r, k in own])
     raw = np.concatenate([m.gram * m.printed_force(r, "z")[k] for r, k in own])
     slope, offset = np.polyfit(duty, raw, 1)
@@ -120,7 +123,7 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
     ]
     line = lines(cells).mean(axis=0)
     bowed = [_bow(r, line, cells["z"], known, test, rows.dead_end)[k] for r, k in own]
-    if rows.idle and line[1] > 0:  # where the thrust begins was read from ramps that were bowed
+    if rows.idle and line[1] > 0:  # the first estimate of zero thrust came from uncorrected ramps
         line = lines(cells).mean(axis=0)
         begins = -line[0] / line[1]
         delayed = [_delayed(r, known, test, begins)[k] for r, k in own]
@@ -145,7 +148,7 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
 
 
 def _tell_of_rows(result: Result, m: Measured, rows: Rows) -> None:
-    """Say which readings are left out of the line, and why."""
+    """Add notes on excluded readings and their reasons."""
     if rows.idle:
         result.warnings.append(
             f"{rows.idle} of {rows.whole} readings are without thrust, which begins at {rows.dead_end:.2f} %: T = "
@@ -160,7 +163,7 @@ def _tell_of_rows(result: Result, m: Measured, rows: Rows) -> None:
 
 
 def _second_tare(m: Measured, dead_end: float, slope: float) -> list[str]:
-    """Return a warning where a cell without thrust reads otherwise after the window than at rest."""
+    """Return a warning if a cell without thrust reads differently after the window."""
     values, bases, taken_off = [], [], [0.0]
     for r in m.recordings:
         delayed = _delayed(r, m.known, m.test, dead_end)
@@ -169,7 +172,7 @@ def _second_tare(m: Measured, dead_end: float, slope: float) -> list[str]:
         if not end.any():
             return []
         thrust = slope * (delayed - dead_end) / m.gram * _gain(r, np.ones(r.time.size, dtype=bool), m.known)
-        taken_off.append(float(thrust[end].mean()))  # and as uncertain
+        taken_off.append(float(thrust[end].mean()))  # the correction is as uncertain as large
         both = rest | end
         values.append((m.force(r, "z") - np.where(end, thrust, 0.0))[both])
         bases.append(np.column_stack((np.ones(both.sum()), end[both])))
@@ -184,7 +187,7 @@ def _second_tare(m: Measured, dead_end: float, slope: float) -> list[str]:
 
 
 def _bend(result: Result, degree: int, errors: dict[int, float], duty: Array, thrust: Array) -> None:
-    """Thrust that bends over the duty has no one line: intervals reach over its tangents at all duties seen."""
+    """Extend the intervals over the tangents of a nonlinear thrust curve, and warn."""
     curve = np.poly1d(np.polyfit(duty - 6.0, thrust, degree))
     grid = np.linspace(duty.min(), duty.max(), 101)
     slopes = curve.deriv()(grid - 6.0)
@@ -207,12 +210,12 @@ def _gain(r: Recording, rows: Flags, known: Bench) -> Array:
 
 
 def _delayed(r: Recording, known: Bench, test: Test, dead_end: float) -> Array:
-    """The duty whose thrust is read: behind lag and low pass, and none below where the thrust begins."""
+    """Return the duty after lag and low pass, at least that of zero thrust."""
     return low_pass(held_lag(np.maximum(r.duty, dead_end), r.step, known.lag), r.step, test.low_pass)
 
 
 def _bow(r: Recording, line: Array, cell: Cell, known: Bench, test: Test, dead_end: float) -> Array:
-    """By how much [gf] a line's thrust is misread where it moves: volts are low-passed, and the cell's curve bends."""
+    """Return the error [gf] of a line's thrust on ramps by the low pass and the cell's curve."""
     effective = held_lag(np.maximum(r.duty, dead_end), r.step, known.lag)
     steady = line[0] + line[1] * effective
     everywhere = np.ones(r.time.size, dtype=bool)
@@ -226,7 +229,7 @@ def _bow(r: Recording, line: Array, cell: Cell, known: Bench, test: Test, dead_e
 
 
 def _recent(m: Measured) -> Iterator[tuple[Recording, Array]]:
-    """Each recording and the highest duty that its readings still know of, behind lag and low pass."""
+    """Yield each recording with the highest duty still in the memory of its readings."""
     found: dict[bytes, Array] = {}
     for r in m.recordings:
         key = r.duty.tobytes()
@@ -238,9 +241,9 @@ def _recent(m: Measured) -> Iterator[tuple[Recording, Array]]:
 
 
 def highest_duty(m: Measured) -> float:
-    """The duty up to which no repetition is at the converter's end or beyond the calibration.
+    """Return the highest duty without saturation or extrapolation in any repetition.
 
-    Chosen by what is commanded, alike for all: leaving out readings by their value would bend the line.
+    Selection is by command, equal for all: selection by value would bias the line.
     """
     end, cell = np.inf, m.cells["z"]
     for r, recent in _recent(m):
@@ -253,7 +256,7 @@ def highest_duty(m: Measured) -> float:
 
 
 def least_degree(duty: Sequence[Array], thrust: Sequence[Array]) -> tuple[int, dict[int, float]]:
-    """The lowest degree whose error on repetitions left out is within one standard error of the least."""
+    """Return the lowest degree within one standard error of the best cross-validation error."""
     means, spreads = {}, {}
     for degree in DEGREES:
         x = [np.vander(d - 6.0, degree + 1) for d in duty]

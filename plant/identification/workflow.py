@@ -1,4 +1,4 @@
-"""`cosim identify`: a protocol played or read, its tests analysed, powertrain.yaml and a report written."""
+"""Workflow of `cosim identify`: simulation or reading of a protocol, analysis, powertrain.yaml, report."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from plant.identification.recordings import FmuPlayer, Play, Recording, Run, loa
 from plant.identification.write import RECORD, REPORT, model_text, write
 
 FILES = ("powertrain.yaml", RECORD, REPORT)
-# in the order in which one needs another's number; the lag of a step is that of the model
+# in order of dependence; the lag of a step is that of the model
 ANALYSES: Mapping[str, Callable[..., Result]] = {
     "step": lag.analyse,
     "frequency": frequency.analyse,
@@ -106,7 +106,7 @@ def identify(
 def _outcome(
     protocol: Protocol, measured: Mapping[str, list[Recording]], seed: int, progress: Progress | None
 ) -> Outcome:
-    """Played on the FMU where nothing was measured, then analysed."""
+    """Return the results, with unmeasured tests simulated on the FMU."""
     hung: dict[str, list[Recording]] = {}
     played: dict[str, list[Recording]] = {}
     if protocol.file.bench is not None:
@@ -128,7 +128,7 @@ Runs = Mapping[str, Sequence[Run]]
 
 
 def _on_fmu(protocol: Protocol, *groups: Runs, progress: Progress | None) -> list[dict[str, list[Recording]]]:
-    """Play groups of runs on the FMU of the bench."""
+    """Simulate groups of runs on the FMU of the bench."""
     total = sum(run.time.size for group in groups for runs in group.values() for run in runs) or 1
     tell = None if progress is None else (lambda done: progress("playing the bench", done / total))
     with temporary_folder("identify") as folder:
@@ -140,7 +140,7 @@ def _on_fmu(protocol: Protocol, *groups: Runs, progress: Progress | None) -> lis
 
 
 def _fmu(protocol: Protocol, folder: Path) -> Path:
-    """The bench's FMU: our own, built now, or the one that is named."""
+    """Return the FMU of the bench: built now, or named in the protocol."""
     if protocol.file.bench != BENCH:
         return protocol.folder / str(protocol.file.bench)
     from cosim.fmi.fmu_build import build
@@ -151,9 +151,12 @@ def _fmu(protocol: Protocol, folder: Path) -> Path:
 def analyse(
     protocol: Protocol, cells: Cells, recordings: Mapping[str, Sequence[Recording]], *, draw: bool = True
 ) -> list[Result]:
-    """Each test in the order in which one needs another's number; what is not known yet is taken from the protocol."""
+    """Return the results of all tests in order of dependence.
+
+    Unknown numbers come from earlier tests, else from the protocol.
+    """
     known, truth = protocol.known, protocol.known if protocol.true_known else None
-    if truth is not None:  # what is to be found is not known
+    if truth is not None:  # estimated parameters must not be known
         blank = Bench()
         known = known.with_values(
             {n: getattr(blank, n) for n in ("thrust_offset", "thrust_slope", "lag", "assembly_arm")}
@@ -163,7 +166,7 @@ def analyse(
         measured = Measured(recordings[name], cells, known, getattr(protocol.file.tests, name), truth)
         result = ANALYSES[name](measured, draw=draw)
         results.append(result)
-        # a lag in frequency is that of the step only where there is no step
+        # the lag of a step test has priority over that of sines
         fresh = {e.name: _within(known, e) for e in result.estimates if e.name in known.declared}
         if not (name == "frequency" and "step" in recordings):
             known = known.with_values(fresh)
@@ -173,7 +176,11 @@ def analyse(
 def checked_results(
     protocol: Protocol, cells: Cells, recordings: Mapping[str, Sequence[Recording]], *, draw: bool = True
 ) -> list[Result]:
-    """Return the results of all tests; raise InputError with every number that cannot be."""
+    """Return the results of all tests.
+
+    Raises:
+        InputError: Every impossible number.
+    """
     results = analyse(protocol, cells, recordings, draw=draw)
     refuse(result_faults(protocol, results))
     return results
@@ -185,7 +192,7 @@ def _within(known: Bench, e: Estimate) -> float:
 
 
 def played(protocol: Protocol, play: Play, seeds: Sequence[int]) -> list[Outcome]:
-    """Whole protocols, a seed each, by plain functions and without figures; those of all seeds are played at once."""
+    """Return whole protocols, one per seed, by plain functions, without figures, in parallel."""
     names = [n for n, _ in protocol.file.tests.given()]
     hung: list[dict[str, list[Recording]]] = [{} for _ in seeds]
     found: list[dict[str, list[Recording]]] = [{} for _ in seeds]
@@ -211,7 +218,7 @@ def _dealt(play: Play, groups: Sequence[Sequence[Any]]) -> Iterable[list[Recordi
         first += len(group)
 
 
-# -- what is left -----------------------------------------------------------------------------
+# -- results ------------------------------------------------------------------------------
 
 
 def _record(outcome: Outcome) -> dict[str, Any]:
@@ -231,7 +238,7 @@ def _record(outcome: Outcome) -> dict[str, Any]:
 
 
 def powertrain(outcome: Outcome, model: Model) -> str:
-    """A model.yaml with every number that was identified, its interval and where it comes from."""
+    """Return a model.yaml with every identified number, its interval and origin."""
     protocol = outcome.protocol
     declared = {p.name for p in model.parameters}
     values = {n: v for n, v in protocol.file.parameters.items() if n in declared}
@@ -242,7 +249,7 @@ def powertrain(outcome: Outcome, model: Model) -> str:
 
 
 def _hovering(model: Model, values: Mapping[str, float]) -> dict[str, float]:
-    """The nominal duty at which the model has the thrust that it has now, solved for eq 4.20 and eq 4.28."""
+    """Return the nominal duty that keeps the model's thrust, by eqs 4.20 and 4.28."""
     needed = {"duty_nominal", "height", "propeller_radius", "ground_effect_exponent", "thrust_offset", "thrust_slope"}
     base: Any = model
     if not needed <= {p.name for p in model.parameters} or not needed & set(values):

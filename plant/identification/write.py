@@ -1,4 +1,4 @@
-"""What both kinds of identification leave: a model file, identify.json and report.html."""
+"""Files of both kinds of identification: model file, identify.json and report.html."""
 
 from __future__ import annotations
 
@@ -25,11 +25,13 @@ def write(
     *,
     keep: bool = False,
 ) -> None:
-    """Each file whole or not at all.
+    """Write each file completely or not at all.
 
-    model:  name and text of the model file
-    record: what identify.json holds beside estimates and tests; page: the report, where it is wanted
-    keep:   the files of an earlier identification move to `runs` in the folder
+    Args:
+        model: Name and text of the model file.
+        record: Content of identify.json besides estimates and tests.
+        page: Function that returns the report, or None.
+        keep: Move the files of an earlier identification to `runs` in the folder.
     """
     results = list(results)
     whole = {
@@ -55,7 +57,7 @@ def model_text(
     identified: Mapping[str, Estimate],
     repetitions: str,
 ) -> str:
-    """A model.yaml: parameters, sensor errors, and of each number that was identified interval, unit and origin."""
+    """Return a model.yaml: parameters, sensor errors, and interval, unit and origin of identified numbers."""
     lines = ["schema_version: 1", f"model: {source}", "parameters:" if values else "parameters: {}"]
     lines += [f"  {n}: {str(v).lower() if isinstance(v, bool) else repr(float(v))}" for n, v in values.items()]
     lines += ["sensors:" if sensors else "sensors: {}", *(f"  {n}: {v!r}" for n, v in sensors.items())]
