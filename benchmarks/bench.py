@@ -131,7 +131,7 @@ def loop_seconds(system: System, steps: int, rows: Rows | None = None) -> float:
 
 
 def loop_over_plain(scenario: Path) -> float:
-    """Compare the master with plant and controller as plain functions."""
+    """Compare the master with plain functions."""
     file = ScenarioFile(scenario)
     return ratio(lambda: loop_seconds(build_system(file), STEPS), plain_seconds)
 
@@ -175,7 +175,7 @@ def fmpy_over_ours(place: Path) -> float:
 
 
 def fmpy_seconds(path_a: Path, path_b: Path) -> float:
-    """Return the seconds of an FMPy loop with equal recorded signals."""
+    """Return the seconds of an FMPy loop."""
     with fmpy_slaves({path_a: {}, path_b: {}}) as ((a, b), _):
         return idle_seconds(a, b)
 
@@ -203,7 +203,7 @@ def fmpy_slaves(starts: Mapping[Path, Mapping[str, float]]) -> Iterator[tuple[li
 
 
 def idle_seconds(a: Any, b: Any) -> float:
-    """Return the seconds of the steps of two idle FMUs."""
+    """Return the seconds of two idle FMUs."""
     a_in, b_in, a_out, b_out = list(range(5)), list(range(12)), list(range(5, 17)), list(range(12, 17))
     table = np.zeros((STEPS + 1, 34))
     values_b = b.getReal(b_out)
@@ -221,7 +221,7 @@ def idle_seconds(a: Any, b: Any) -> float:
 
 
 def dormant_over_base() -> float:
-    """Compare a plant step with all effects dormant and without effects."""
+    """Compare plant steps with dormant and without effects."""
     command = (6.4, 6.38, 0.1, 0.05)
 
     def seconds(craft: Hovercraft) -> float:
@@ -237,7 +237,7 @@ def dormant_over_base() -> float:
 
 
 def startup_over_import(place: Path) -> float:
-    """Compare a one-step run without report with its unavoidable imports."""
+    """Compare a one-step run with its imports."""
     options = ["--no-report", "--out", str(place / "out")]
     run = [sys.executable, "-m", "cosim.verbs.cli", "run", str(place / "one.yaml"), *options]
     # As installed: with this variable set, each run would compile this package's modules, but no others.
@@ -295,7 +295,7 @@ def fmpy_craft_seconds(place: Path) -> float:
 
 
 def craft_seconds(plant: Any, controller: Any, numbers: Sequence[Mapping[str, int]]) -> float:
-    """Return the seconds of the steps of plant and controller."""
+    """Return the seconds of plant and controller."""
     outputs = [numbers[0][q.name] for q in Hovercraft.outputs]
     commands = [[of[q.name] for q in Hovercraft.inputs] for of in numbers]
     measured = [numbers[1][name] for name in NOISE]
@@ -317,7 +317,7 @@ def craft_seconds(plant: Any, controller: Any, numbers: Sequence[Mapping[str, in
 
 
 def isolated_over_inprocess(place: Path) -> float:
-    """Compare steps in a monitored worker and in this process.
+    """Compare steps in a worker and in this process.
 
     The system has two C FMUs with 20 variables.
     """

@@ -82,7 +82,7 @@ def native_figures(place: Path) -> dict[str, float | str]:
 
 
 def of_pairs(one: Seconds, other: Seconds) -> float:
-    """Return the median ratio of two times, measured in turn.
+    """Return the median ratio of two times.
 
     Each function returns its own seconds.
     """
@@ -161,7 +161,7 @@ class _Part(ctypes.Structure):
 
 
 def c_seconds(craft: Mapping[str, Unpacked]) -> float:
-    """Return the seconds of an independent C loop without checks."""
+    """Return the seconds of an independent C loop."""
     drive = loaded(DRIVER.read_text(encoding="utf-8")).drive
     drive.argtypes = [*[ctypes.POINTER(_Part)] * 2, ctypes.c_long, ctypes.c_double, ctypes.c_void_p]
     table = np.zeros((STEPS + 1, 20))
@@ -185,7 +185,7 @@ def _address(fmu: Any, name: str) -> int | None:
 
 
 def ecos_over_ours(place: Path, ours: Seconds) -> float | str:
-    """Compare ecos, stepped and read from Python, with the master.
+    """Compare ecos with the master.
 
     The loop calls `step(1)`, then `get_real` of the 20 variables.
     """

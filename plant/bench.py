@@ -94,7 +94,7 @@ class BenchSecondOrder(BenchEffect):
     damping_ratio: float = parameter(0.7, unit="1", bounds=(0.02, 2.5), doc="damping ratio ζ")
 
     def tilt_rate(self, m: Namespace, rate: Number, error: Number, states: Values) -> tuple[Number, Values]:
-        """Return the own tilt rate in place of the lag's rate."""
+        """Return the own tilt rate."""
         w, (own,) = self.natural_frequency, states
         return m.where(w > 0.0, own, rate), (second_order(error, 0.0, own, w, self.damping_ratio),)
 
@@ -155,7 +155,7 @@ class Bench(Model):
     )
 
     def equations(self, m: Namespace) -> Equations:
-        """Return forces on the cells, their voltages, and the lags.
+        """Return the equations of forces, voltages and lags.
 
         F_z = T·Γ(z)·cos α + load, F_x = T·Γ(z)·sin α + load (4.7, 4.8), M = m_PA·g·l·sin α + load (4.10)
         v   = clip(v₀ + s·F + q·F² + c·F³ + noise, 0, range), in whole steps of the converter
@@ -174,7 +174,7 @@ class Bench(Model):
         terms = overrides(self.awake, "tilt_rate", BenchEffect)  # only these effects have states
 
         def tilting(state: Values, target: Number) -> tuple[Number, Values]:
-            """Return the tilt rate and derivatives of the effects' states."""
+            """Return tilt rate and state derivatives."""
             rate = servo_rate(m, target, state[1], self.lag, self.servo_dead_band, self.servo_speed)
             error = servo_error(m, target, state[1], self.servo_dead_band)
             added: Values = ()

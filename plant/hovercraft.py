@@ -154,12 +154,12 @@ class Hovercraft(Model):
     )
 
     def start_state(self, m: Namespace = SCALAR) -> dict[str, Number]:
-        """Return the thrusts at nominal duty: T_i = T_OGE(δ_N), eq 4.20."""
+        """Return the thrusts at nominal duty, eq 4.20."""
         thrust = thrust_out_of_ground(m, self.duty_nominal, self.thrust_offset, self.thrust_slope, self.gravity)
         return {"thrust_right": thrust, "thrust_left": thrust}
 
     def start_input(self) -> dict[str, Number]:
-        """Return the nominal duties, with which an unconnected plant hovers."""
+        """Return the nominal duties, which hover."""
         return {"duty_right": self.duty_nominal, "duty_left": self.duty_nominal}
 
     def equations(self, m: Namespace) -> Equations:

@@ -14,7 +14,7 @@ def thrust_out_of_ground(m: Namespace, duty: Number, offset: Number, slope: Numb
 
 
 def ground_effect(m: Namespace, z: Number, radius: Number, exponent: Number) -> Number:
-    """Return the thrust gain Γ at height z [m], eqs 4.23 and 4.28.
+    """Return thrust gain Γ at height z [m].
 
     Γ = 1/(1 − (R/4z)^k), with z at least R/2. Eq 4.11 is printed with a plus sign; the code of the thesis and Γ/m =
     1.620

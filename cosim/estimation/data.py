@@ -71,7 +71,7 @@ def folds(logs: Sequence[Data]) -> list[Data]:
 
 
 def _as_acted(log: Log, u: Array, grid: Rows) -> Array:
-    """Return the mean of each command over each equal step.
+    """Return the mean command over each equal step.
 
     The integral of a command is exact if the command changes within a step.
     """

@@ -61,7 +61,7 @@ def unseen(problem: Problem, f: Fit, left_out: int) -> Fit:
 
 
 def of_every_log(f: Fit, groups: Iterable[str]) -> dict[str, float]:
-    """Return parameters per log for each group, fitted or expected."""
+    """Return fitted or expected parameters of each group."""
     fitted = {x.name: f.values[x.name] for x in f.free if x.group}
     known = {x.group for x in f.free if x.group}
     return {**{k: v for g in dict.fromkeys(groups) if g not in known for k, v in as_expected(f, g).items()}, **fitted}

@@ -90,7 +90,7 @@ class Fit:
 
 
 def unfitted(problem: Problem) -> Fit:
-    """Return the given model as a fit without free parameters."""
+    """Return the given model as an unfitted result."""
     return Fit(problem.values, problem.plain, (), (), 0.0, np.zeros((0, 0)), 0, False)
 
 

@@ -84,7 +84,7 @@ class NoiseLimits:
 
 
 def noise_range(variances: Callable[[Array, bool], Array], count: int) -> NoiseRange:
-    """Return the useful range of power of each unknown input.
+    """Return the power range of each unknown input.
 
     The smallest level must be invisible at the longest memory too. Otherwise a fit with a longer memory would have an
     unknown input for free.

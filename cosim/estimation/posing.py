@@ -69,7 +69,7 @@ def _variance(subject: Subject, output: str, noise: Mapping[str, float]) -> floa
 
 
 def _late(subject: Subject, measured: Sequence[str]) -> dict[str, list[int]]:
-    """Return the indices of the outputs that each latency delays."""
+    """Return the output indices of each latency."""
     return {name: [measured.index(n) for n in of if n in measured] for name, of in subject.late.items()}
 
 
@@ -128,7 +128,7 @@ def _measured_at_start(subject: Subject, problem: Problem) -> set[str]:
 
 
 def _range(problem: Problem) -> Array:
-    """Return the range of each state in the model's own run.
+    """Return the range of each simulated state.
 
     The range is 0 at rest, and for a run that leaves the measurements by more than their span (unstable model).
     """
@@ -144,13 +144,13 @@ def _range(problem: Problem) -> Array:
 
 
 def own_run(problem: Problem, index: int) -> Simulated:
-    """Return the noise-free response to a log's commands; NaN after divergence."""
+    """Return the noise-free response to a log's commands."""
     p, memory = problem.numbers(problem.of_log(problem.values, index)), np.zeros(problem.layout.memory)
     return problem.kernel.simulate(problem.logs[index], p, problem.start(problem.values, index)[0], memory)
 
 
 def _first_measured(subject: Subject, data: Data, measured: Sequence[str]) -> dict[str, float]:
-    """Return state → first measurement for states measured near the start."""
+    """Return state → first measurement near the start."""
     shown, first = subject.shown, {}
     early = data.y[: round(STARTING * slowness(data.step) / data.step) + 1]
     for j, name in enumerate(measured):
@@ -166,7 +166,7 @@ def varied_inputs(subject: Subject, logs: Sequence[Log]) -> list[str]:
 
 
 def coarsened(problem: Problem, values: Mapping[str, float] | None = None) -> Problem:
-    """Return the problem with the fewest substeps of equal likelihood.
+    """Return the problem with as few substeps as possible.
 
     Args:
         values: Parameter values if not those of the base model; an active effect may need finer steps.

@@ -157,12 +157,12 @@ class Problem:
 
     @property
     def longest_memory(self) -> float:
-        """Return the longest correlation time of an unknown input [s]."""
+        """Return the longest input correlation time [s]."""
         longest = max(len(d.u) * d.step for d in self.logs)
         return max(LONGEST_MEMORY * longest, 4.0 * min(d.step for d in self.logs))
 
     def at(self, power: Array) -> Noise:
-        """Return noise with this input power, current memory and sensors."""
+        """Return the current noise with another input power."""
         if self.sensing is not None:
             return replace(self.sensing, power=power)
         return Noise(power, float(np.log(self.values[MEMORY])), np.log(self.r), np.full(len(self.r), -np.inf))
@@ -203,7 +203,7 @@ class Problem:
         return NoiseLimits(*map(np.concatenate, zip(*parts, strict=True)))
 
     def undisturbed(self, state: Array) -> Array:
-        """Return a state without unknown inputs, constants clipped to bounds."""
+        """Return a state without unknown inputs, within bounds."""
         plain = state.copy()
         for f in self.own:
             place = self.layout.constants[f.parameter]
@@ -230,7 +230,7 @@ class Problem:
         return started(self.kernel, self.logs[index], p, x0, known, self.origins[index].shown)
 
     def _own(self, values: Mapping[str, float], index: int) -> dict[str, tuple[float, float]]:
-        """Return parameter per log → value and standard deviation, 0 if known."""
+        """Return parameter per log → value, standard deviation."""
         known = {}
         for name in self.layout.constants:
             group = self.origins[index].group
@@ -239,7 +239,7 @@ class Problem:
         return known
 
     def densities(self, noise: Noise) -> Array:
-        """Return q of every stochastic state [unit²/s], 0 without noise.
+        """Return q of every stochastic state [unit²/s].
 
         An unknown input with variance σ² and correlation time T is driven by 2·σ²/T.
         """
@@ -249,7 +249,7 @@ class Problem:
         return q
 
     def lateness(self, values: Mapping[str, float], index: int) -> dict[int, float]:
-        """Return latencies in rows by output index; empty without latency."""
+        """Return latencies in rows by output index."""
         step, values = self.logs[index].step, self.of_log(values, index) if self.late else values
         late = {k: values.get(name, self.values[name]) / step for name, places in self.late.items() for k in places}
         return late if any(late.values()) else {}
@@ -270,7 +270,7 @@ class Problem:
         return replace(data, y=y, late=older)
 
     def variances(self, noise: Noise, index: int) -> Array:
-        """Return the variance of each reading, time stamp error included."""
+        """Return the variance of each reading."""
         r = np.exp(noise.sensors)
         if not np.isfinite(noise.timing).any():
             return r
@@ -316,7 +316,7 @@ class Problem:
         return replace(filtered, states=states)
 
     def innovations(self, values: Mapping[str, float], noise: Noise, index: int) -> tuple[Array, Array]:
-        """Return errors and variances (rows, outputs) in the rows of logging."""
+        """Return logged errors and variances (rows, outputs)."""
         filtered = self.run(values, noise, index)
         e, s = filtered.errors, filtered.variances
         for k, late in self.lateness(values, index).items():

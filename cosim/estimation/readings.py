@@ -32,7 +32,7 @@ class Readings:
 
     @cached_property
     def places(self) -> Rows:
-        """Return the flat indices of scored readings, row by row."""
+        """Return the flat indices of scored readings."""
         places: Rows = np.flatnonzero(self.scored)
         return places
 
@@ -44,7 +44,7 @@ class Readings:
 
     @staticmethod
     def earlier(table: Array, late: Mapping[int, int]) -> Array:
-        """Return a table with some columns shifted to earlier rows."""
+        """Return a table with columns shifted to earlier rows."""
         moved = table.copy()
         for j, rows in late.items():
             if rows:
@@ -67,7 +67,7 @@ def readings_of(y: Array, unscored: int) -> Readings:
 
 
 def readings_of_table(parts: Sequence[Array]) -> list[Readings]:
-    """Return readings of a table: no slopes, common resolution and spread."""
+    """Return readings of a table, without slopes."""
     whole = readings_of(np.vstack(parts), 0)
     return [Readings(np.isfinite(y), np.zeros_like(y), whole.resolution, whole.spread) for y in parts]
 

@@ -93,7 +93,7 @@ class ScoreTest:
         return row - self.basis @ (self.basis.T @ row)
 
     def gain(self, rows: Sequence[Array]) -> tuple[float, Array]:
-        """Return the joint gain of terms and the optimal step multiples."""
+        """Return joint gain and optimal multiples of terms."""
         detected = np.array([r if r @ r > NOTHING * (self.residual @ self.residual) else 0.0 * r for r in rows])
         taken = -least_squares(detected.T, self.residual, rcond=1e-8)
         fitted = detected.T @ taken
@@ -179,7 +179,7 @@ class Choice:
         self.square = float(test.residual @ test.residual)
 
     def promise(self, names: Sequence[str]) -> Promise:
-        """Return the predicted gain of these candidates relative to the fit.
+        """Return the predicted gain of these candidates.
 
         The gain is negative for a set without the fit's parts. An estimate beyond a limit counts as invalid.
         """
@@ -200,7 +200,7 @@ class Choice:
         return Promise(0.5 * (self.square - left), values, within)
 
     def beside(self, names: Sequence[str]) -> dict[str, Promise]:
-        """Return the prediction with each other candidate added, largest gain first."""
+        """Return the prediction with each other candidate added."""
         promises = {n: self.promise([*names, n]) for n in self.terms if n not in names}
         return dict(sorted(promises.items(), key=lambda item: -item[1].gain))
 

@@ -74,7 +74,7 @@ class Consistency:
 
     @property
     def factor(self) -> float:
-        """Return the mean square error relative to the estimated variance."""
+        """Return mean square error over estimated variance."""
         return self.mean / self.degrees
 
     @property
@@ -210,12 +210,12 @@ class Judged:
 
     @property
     def factor(self) -> float:
-        """Return the mean square error relative to the estimated variance."""
+        """Return mean square error over estimated variance."""
         return self.rows[0].result.factor
 
 
 def by_case(rows: Sequence[Row]) -> list[Judged]:
-    """Return the rows grouped by case and flight, in order."""
+    """Return rows grouped by case and flight."""
     return [
         Judged([row for row in rows if (row.case, row.flight) == key])
         for key in dict.fromkeys((row.case, row.flight) for row in rows)

@@ -227,7 +227,7 @@ def _choose(question: Question, rig: Rig, time: Array, seed: int, count: int, re
 
 
 def _rivals_played(question: Question, rig: Rig, trial: Trial) -> dict[str, Trial]:
-    """Return trials of rivals with other equations, for the same signals."""
+    """Return trials of rivals with the same signals."""
     models = {r.name: question.model_if(r) for r in question.rivals}
     return {name: rig.play(m, trial.signals) for name, m in models.items() if m != question.loaded.model}
 

@@ -150,13 +150,13 @@ def _of_refinement(path: Path, against: Sequence[str]) -> Question:
 
 
 def _together(text: str, names: Sequence[str], found: Refined, known: Mapping[str, Candidate]) -> Rival:
-    """Return a rival of several candidates, as fitted in the study."""
+    """Return a rival of several candidates."""
     h = next((h for h in found.candidates if set(h.names) == set(names)), None)
     return Rival(text, h.parameters if h else {}, tuple(f for n in names for f in known[n].free))
 
 
 def _seen(model: Model, folder: Path, study: StudyFile) -> Ranges:
-    """Return the ranges of inputs in a study's logs, if undeclared.
+    """Return undeclared input ranges from a study's logs.
 
     Missing logs are skipped.
     """

@@ -97,7 +97,7 @@ def _narrowed(model: Model, given: Sequence[str], spans: dict[str, tuple[float, 
 
 
 def _filled(span: tuple[float, float], seen: tuple[float, float] | None) -> tuple[float, float]:
-    """Return a range with open ends filled from the logs."""
+    """Return a range, completed from the logs."""
     low, high = seen or (-math.inf, math.inf)
     return (span[0] if math.isfinite(span[0]) else low), (span[1] if math.isfinite(span[1]) else high)
 

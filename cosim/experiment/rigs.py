@@ -75,7 +75,7 @@ class Rig(Protocol):
     axes: tuple[Axis, ...]
 
     def play(self, model: Model, signals: Signals) -> Trial:
-        """Return the noise-free response of a model to axis signals."""
+        """Return a model's response to axis signals."""
 
     def usual_signals(self, time: Array) -> Signals:
         """Return the signals of the usual input."""

@@ -74,7 +74,7 @@ class _AloneReader(LogReader):
         self.faults.found = [f for f in self.faults.found if f.column != column.cell or f.line <= header]
 
     def notes(self, log: Log) -> Iterator[Finding]:
-        """Yield notes on text columns, unknown units, and the missing model."""
+        """Yield notes on text columns and unknown units."""
         for name, unit in self.unknown.items():
             if name in log.outputs:
                 text = f'"{unit}" is no unit known here: its numbers are taken as they are'

@@ -103,7 +103,7 @@ def _blocks(log: Log, values: Array, rates: Array) -> tuple[Array, Array, Array]
 
 
 def degrees_or(log: Log, name: str) -> str:
-    """Return the cure for an angle that is too large."""
+    """Return the cure for a large angle."""
     if written := log.written.get(name):
         return f'its header says "{written}": is it so, and may the model not go there?'
     return f'if it is in degrees, call it "{name} [deg]"'

@@ -66,7 +66,7 @@ def gate_faults(log: Log, findings: Sequence[Finding]) -> list[Fault]:
 
 
 def _undeclared(log: Log) -> Iterator[Finding]:
-    """Warn of columns with a unit for signals without a unit."""
+    """Warn of columns with an undeclared unit."""
     for name, said in log.undeclared.items():
         yield Finding("warning", "undeclared", name, said)
 

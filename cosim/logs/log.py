@@ -187,7 +187,7 @@ class LogReader:
         return Log(*known, header, unread, called, self.undeclared, cells, table=not self.timed)
 
     def _unread(self) -> dict[str, str]:
-        """Return unread columns with suggestions from the model's missing names."""
+        """Return unread columns with suggested names."""
         missing = [name for name in self.known if name not in self.table.columns]
         close = (
             closest(name, missing, ALIKE) or closest(name.rpartition(".")[2], missing, ALIKE)
@@ -249,7 +249,7 @@ class LogReader:
             self.faults.note(line, 1, f"holds no output of the model{hints}; {one}")
 
     def _check_called(self) -> None:
-        """Note faults of renamed columns without a signal or a column."""
+        """Note faults of renamed columns."""
         line, first = self.table.header, self.table.first
         for name, meant in self.called.items():
             if meant == "time" and self.timed:
@@ -263,7 +263,7 @@ class LogReader:
                 self.faults.note(line, 1, message)
 
     def _about_the_model(self) -> bool:
-        """Return True if some column resembles a signal of the model."""
+        """Return True if some column matches the model."""
         if self.called or len(self.unread) > HINTS or any(name in self.table.columns for name in self.known):
             return True
         return any(closest(name, self.unread) for name in self.known)
@@ -326,7 +326,7 @@ def _absurd(values: Array) -> Rows:
 
 
 def _continuous(angle: Array) -> tuple[Array, Rows]:
-    """Return the angle without jumps of a turn, and their rows.
+    """Return the continuous angle and its jumps.
 
     An angle that spans more than a turn is unchanged.
     """
@@ -368,7 +368,7 @@ def usual_step(time: Array) -> float:
 
 
 def slowness(step: float) -> int:
-    """Return the factor on fixed times for rows slower than 50 ms.
+    """Return the time scale for slow rows.
 
     A tank logged every half second is slow: a second, or a memory of 0.15 s, would be two rows or none.
     """

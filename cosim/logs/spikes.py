@@ -94,12 +94,12 @@ def _moves_too(values: Array, model: Array | None, rows: Rows) -> Flags:
 
 
 def _off_neighbours(values: Array) -> Array:
-    """Return the deviation of each reading from the four nearest readings."""
+    """Return the deviation from the four nearest readings."""
     return SCALE * np.nan_to_num(np.abs(surprise(values)))
 
 
 def _close_together(values: Array, apart: float) -> list[int]:
-    """Return rows of outlier groups whose surroundings agree without the group.
+    """Return rows of groups of outliers.
 
     In a stretch of deviating readings, the outliers are those off the cubic through three readings on each side.
     """

@@ -37,7 +37,7 @@ def table_findings(log: Log, traits: Traits | None = None) -> Iterator[Finding]:
 
 
 def _angles(log: Log, bounds: Mapping[str, tuple[float, float]]) -> Iterator[Finding]:
-    """Yield faults of angles beyond the model's limits, probably in degrees."""
+    """Yield faults of angles beyond limits."""
     columns = {**log.inputs, **log.outputs}
     for name, (low, high) in bounds.items():
         if name not in columns or log.units[name] != "rad":

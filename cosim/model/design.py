@@ -90,7 +90,7 @@ class Designer(Protocol):
         """Return the consistency of designed values, overridden by the scenario's `own` values."""
 
     def given(self, options: Mapping[str, Any], law: str) -> dict[str, Any]:
-        """Return start values set directly by options, which take precedence."""
+        """Return start values set directly by options."""
 
     def rests_on(self, designed: Mapping[str, Any], law: str) -> Mapping[str, float]:
         """Return plant parameters behind designed start values that are start values too."""

@@ -115,7 +115,7 @@ class DualNamespace(ScalarNamespace):
 
     @staticmethod
     def rint(x: Any) -> Any:
-        """Return the nearest integer with the slope of the argument."""
+        """Round a number and keep its slope."""
         return x + (ScalarNamespace.rint(_value(x)) - _value(x))
 
 

@@ -63,7 +63,7 @@ class Stepper:
     def shape(
         self, t: Number, h: Number, command: Values, memory: tuple[Values, ...]
     ) -> tuple[Values, tuple[Values, ...]]:
-        """Return the command after all shaping effects, and their memory."""
+        """Return the shaped command and the memory."""
         after = []
         for effect, remembered in zip(self.shaping, memory, strict=True):
             command, remembered = effect.shape(self.namespace, t, h, command, remembered)

@@ -71,7 +71,7 @@ class Effect(Parametric):
         return all(isinstance(v := getattr(self, p.name), (int, float)) and v == p.neutral for p in awake)
 
     def remember(self, t: Number, start: Values) -> Values:
-        """Return the memory at time `t` [s] from its start values."""
+        """Return the initial memory at time `t` [s]."""
         return start
 
     def shape(self, m: Namespace, t: Number, h: Number, command: Values, memory: Values) -> tuple[Values, Values]:
@@ -171,7 +171,7 @@ class Model(Parametric):
         raise NotImplementedError
 
     def start_state(self, m: Namespace = SCALAR) -> dict[str, Number]:
-        """Return start values of base states that differ from their quantities."""
+        """Return start values that override base states."""
         return {}
 
     def warning(self, command: Values) -> str | None:
@@ -184,13 +184,13 @@ class Model(Parametric):
         return None
 
     def start_input(self) -> dict[str, Number]:
-        """Return start values of inputs that differ from their quantities."""
+        """Return start values that override inputs."""
         return {}
 
     # -- common to all models ----------------------------------------------------------------
 
     def acting(self, m: Namespace) -> Equations:
-        """Return the equations with the transmission of commands by effects."""
+        """Return the equations with transmitted commands."""
         bound = self.equations(m)
         names = [q.name for q in self.inputs]
         terms = overrides(self.awake, "transmit", Effect)
@@ -220,7 +220,7 @@ class Model(Parametric):
 
     @property
     def states(self) -> tuple[Quantity, ...]:
-        """Return base states, then states of active effects as `effect.state`."""
+        """Return base states, then states of effects."""
         return self.base_states + tuple(
             Quantity(f"{e.name}.{s.name}", s.unit, s.doc, s.start) for e in self.awake for s in e.states
         )
@@ -237,7 +237,7 @@ class Model(Parametric):
 
     @property
     def sensor_parameters(self) -> dict[str, Parameter]:
-        """Return the parameters of possible sensor errors by `sensor.parameter`."""
+        """Return the sensor parameters by `sensor.parameter`."""
         return _prefixed(self.sensors)
 
     def with_effect(self, effect: Any) -> Self:
@@ -246,7 +246,7 @@ class Model(Parametric):
         return replace(self, effects=(*others, effect))
 
     def with_values(self, values: Mapping[str, Number]) -> Self:
-        """Return the model with values of `parameter` and `effect.parameter`.
+        """Return the model with other parameter values.
 
         Raises:
             KeyError: A name is unknown.

@@ -49,7 +49,7 @@ SCALAR: Namespace = ScalarNamespace()
 
 
 def arrays() -> Namespace:
-    """Return the namespace of NumPy arrays, for many runs at once."""
+    """Return the NumPy namespace for parallel runs."""
     import numpy
 
     return numpy

@@ -75,7 +75,7 @@ def parameter(
 
 
 def parameters_of(owner: Any) -> tuple[Parameter, ...]:
-    """Return the declared parameters of a dataclass or instance, in order."""
+    """Return a dataclass' declared parameters in order."""
     kind = owner if isinstance(owner, type) else type(owner)
     found = _declared.get(kind)
     if found is None:

@@ -50,7 +50,7 @@ class SensorError(Effect):
 
     @classmethod
     def straight(cls) -> bool:
-        """Return True for a reading linear in the output alone."""
+        """Return True for a linear reading."""
         return cls.read is SensorError.read and cls.readings is SensorError.readings and not cls.late
 
 

@@ -32,7 +32,7 @@ class Traits:
 
     @classmethod
     def of(cls, model: Model) -> Traits:
-        """Return the traits of a model, with rates from its equations."""
+        """Return the traits of a model."""
         signals = {q.name: q for q in (*model.outputs, *model.inputs)}
         bounds = {n: q.bounds for n, q in signals.items() if q.bounded}
         return cls(rates_of(model), bounds, model.planar, model.static)
@@ -46,7 +46,7 @@ def rate_of(name: str, known: Container[str]) -> str | None:
 
 
 def rates_of(model: Model) -> dict[str, str]:
-    """Return output → derivative output, confirmed by the equations near the start."""
+    """Return output → derivative, confirmed by the equations."""
     import numpy as np
 
     names = [q.name for q in model.outputs]

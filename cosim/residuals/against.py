@@ -70,7 +70,7 @@ def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
 
 
 def _other_unit(unit: str, slope: float) -> str | None:
-    """Return the unit that explains a slope far from 1, or None."""
+    """Return the unit that explains a slope."""
     sizes = {other: factor(other, unit) for other in alternatives(unit)} if unit else {}
     return next((u for u, f in sizes.items() if f and 0.7 < slope * f < 1.4 and not 0.2 < slope < 5.0), None)
 

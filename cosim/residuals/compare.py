@@ -58,12 +58,12 @@ class ChannelSummary:
 
     @property
     def lost(self) -> bool:
-        """Return True if windows drift by more than noise explains."""
+        """Return True if windows drift beyond noise."""
         return self.floor.astray > self.floor.rmse
 
     @property
     def excess(self) -> float:
-        """Return the RMSE relative to the noise floor, NaN if undefined."""
+        """Return the RMSE relative to the noise floor."""
         floor = self.floor.rmse
         return self.scores[self.measure].rmse / floor if not self.lost and floor > 0.0 else math.nan
 
@@ -75,12 +75,12 @@ class ChannelSummary:
 
     @property
     def matched(self) -> bool:
-        """Return True for an error at noise or rounding level."""
+        """Return True for a noise or rounding error."""
         return not self.lost and (self.exact or self.excess < self.floor.limit)
 
     @property
     def explained(self) -> bool:
-        """Return True if matched and the residual follows no input."""
+        """Return True for an error independent of inputs."""
         return self.matched and (self.exact or not any(u.strength > FOLLOWS for u in self.inputs[:1]))
 
 
@@ -106,7 +106,7 @@ class Comparison:
 
 
 def compare(drive: Drive, free: Replay, findings: Sequence[Finding] = ()) -> Comparison:
-    """Return windows, noise floor and residual statistics for a free run.
+    """Return the complete comparison for a free run.
 
     Raises:
         InputError: The comparison shows a wrong unit.

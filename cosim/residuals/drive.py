@@ -58,7 +58,7 @@ def model_signals(fmu: Path) -> tuple[Sequence[Signal], Sequence[Signal]]:
 
 
 def check_files(log: Path, fmu: Path | None) -> None:
-    """Check that the files are a log and an FMU.
+    """Check the kinds of log and FMU.
 
     Raises:
         InputError: A file is of another kind, or both files have faults.
@@ -174,13 +174,13 @@ class Drive:
         return {s.name: s.unit for s in self.block.outputs}
 
     def on(self, log: Log) -> Drive:
-        """Return a copy with other measurements at the same times."""
+        """Return a copy with other measurements."""
         other = copy.copy(self)
         other.log = log
         return other
 
     def initial(self, start: Mapping[str, Any], row: int) -> dict[str, float]:
-        """Return the outputs after initialization at a row of the log."""
+        """Return the initial outputs at a row."""
         self._begin(start, row, float(self.log.time[-1]))
         self.block.start()
         self.block.get()
@@ -194,7 +194,7 @@ class Drive:
         return self.block.own()
 
     def state(self) -> Own:
-        """Return the state of an own FMU after the last run."""
+        """Return the last state of an own FMU."""
         return self.block.own()
 
     def run_and_keep(
@@ -358,7 +358,7 @@ class Drive:
         return np.column_stack([np.interp(reached, times, column) for column in table.T])
 
     def _check_signals(self) -> None:
-        """Check that the FMU has the log's signals in equal units."""
+        """Check that log and FMU signals match."""
         faults = []
         sides = (("input", self.log.inputs, self.block.inputs), ("output", self.log.outputs, self.block.outputs))
         for kind, names, signals in sides:
@@ -379,7 +379,7 @@ class Drive:
 
 
 def rows_of(log: Log, first: int, seconds: float) -> int:
-    """Return the last row at most `seconds` after row `first`."""
+    """Return the last row within `seconds` after `first`."""
     return int(np.searchsorted(log.time, log.time[first] + seconds + 1e-6 * log.step, side="right")) - 1
 
 

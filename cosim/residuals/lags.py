@@ -14,7 +14,7 @@ LAG = ("lag", "s")
 
 
 def every_lag(count: int, most: int) -> Rows:
-    """Return at most about `most` of `count` lags [rows], without zero."""
+    """Return about `most` of `count` lags [rows]."""
     return np.arange(1, count + 1)[:: max(1, (count + 1) // most)]
 
 

@@ -43,7 +43,7 @@ class Loaded:
 
 
 def load(asked: Loaded) -> None:
-    """Prepare a drive; its FMU is loaded at the first run."""
+    """Prepare a drive without loading its FMU."""
     drive = Drive(asked.log, asked.fmu, interpolated=asked.interpolated, given=asked.given)
     here.overheard(drive.block)
     drive._new_rows = partial(_mapped, asked.table)

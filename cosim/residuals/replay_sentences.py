@@ -102,7 +102,7 @@ def _sizes(channels: Sequence[ChannelSummary], horizon: float) -> str:
 
 
 def _cause(comparison: Comparison, channels: Sequence[ChannelSummary]) -> str:
-    """Return a delay, or the command that correlates with the residual."""
+    """Return the probable cause: delay, or a command."""
     names = {c.name for c in channels}
     late = [f for f in comparison.findings if f.kind == "delay" and f.channel in names]
     if late := [f for f in late if abs(f.numbers["delay"]) > comparison.log.step]:

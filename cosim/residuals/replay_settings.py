@@ -17,7 +17,7 @@ SWITCHES = {"true": True, "on": True, "1": True, "false": False, "off": False, "
 
 
 def start_values(fmu: Path, texts: Sequence[str]) -> dict[str, float | int | bool | str]:
-    """Return variable → value for texts such as `gain=0.9` or `angle=12 deg`.
+    """Return values for texts such as `angle=12 deg`.
 
     Raises:
         InputError: Every invalid text.

@@ -22,7 +22,7 @@ class Replay(Signals):
 
 
 def read_replay(folder: Path, *, kept: bool = True) -> Replay | None:
-    """Return the replay in a folder, None without a residual.
+    """Return the replay in a folder, or None.
 
     Args:
         kept: True if the folder is permanent.

@@ -67,7 +67,7 @@ class InputCorrelation:
 
     @property
     def strength(self) -> float:
-        """Return the largest causal |ρ| in units of the band."""
+        """Return the largest causal |ρ| in bands."""
         return abs(float(self.rho[self.peak])) / self.band
 
     @property
@@ -83,7 +83,7 @@ class InputCorrelation:
 
 
 def rmse(*errors: Array) -> float:
-    """Return the pooled RMSE of finite values, NaN without any."""
+    """Return the pooled RMSE of finite values."""
     kept = np.concatenate([e[np.isfinite(e)] for e in errors]) if errors else np.zeros(0)
     with np.errstate(over="ignore"):  # A diverging model overflows.
         return math.sqrt(float(np.mean(kept * kept))) if kept.size else math.nan
@@ -152,7 +152,7 @@ def input_correlations(residual: Array, inputs: Mapping[str, Array], lags: int) 
 
 
 def correlation_at_lags(before: Array, after: Array, lags: int) -> Array:
-    """Return the correlation of `after` with `before` −lags … lags rows earlier."""
+    """Return the correlation of two signals over lags."""
     a, seen_a = _centred(before)
     b, seen_b = _centred(after)
     return _correlation(a, seen_a, b, seen_b, lags)[0]
@@ -173,7 +173,7 @@ def pooled(errors: Iterable[Mapping[str, Array]]) -> dict[str, float]:
 
 
 def _centred(values: Array) -> tuple[Array, Array]:
-    """Return centred values, 0 if missing, and a mask of 1 and 0."""
+    """Return centred values and a validity mask."""
     seen = np.isfinite(values)
     mean = float(values[seen].mean()) if seen.any() else 0.0
     return np.where(seen, values - mean, 0.0), seen.astype(np.float64)

@@ -157,12 +157,12 @@ def noise_levels(log: Log, model: Mapping[str, Array] | None = None) -> dict[str
 
 
 def readable(parameters: Mapping[str, StartParameter]) -> bool:
-    """Return True if the FMU's state can be read and restored."""
+    """Return True if the state is readable."""
     return any(p.places for p in parameters.values())
 
 
 def kept(own: Own, parameters: Mapping[str, StartParameter], start: Mapping[str, float]) -> Memory:
-    """Return the FMU's state except the part set by start values."""
+    """Return the state without the start values' part."""
     given = {(STATE, k) for p in parameters.values() if p.name in start for k in p.places}
     whole = {(part, k): value for part in (STATE, MEMORY) for k, value in enumerate(own[part])}
     return {place: value for place, value in whole.items() if place not in given}
@@ -176,7 +176,7 @@ def _corrected(
     at: int,
     rows: Rows,
 ) -> dict[str, float]:
-    """Return corrected states at row `at` from the measurements at `rows`."""
+    """Return measured corrections of the state at a row."""
     log, changes, slopes = drive.log, dict[str, float](), dict[str, float]()
     rates = {rate_of(name, log.outputs) for name in log.outputs}
     for name in log.outputs:
@@ -256,7 +256,7 @@ def _near(log: Log, rows: Rows, at: int, reach: float) -> Rows:
 
 
 def sigma_of(values: Array, model: Array | None = None) -> float:
-    """Return the noise of a channel, at least its rounding."""
+    """Return the noise level of a channel."""
     level = noise_level(values) if model is None else noise_beside(values, model)
     floor = 1e-6 * float(np.nanmax(np.abs(values)))
     return max(floor, 1e-12) if math.isnan(level) else max(level, floor, 1e-12)

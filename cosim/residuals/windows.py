@@ -112,7 +112,7 @@ def windows(
 
 
 def self_started(drive: Drive, parameters: Mapping[str, StartParameter], free: Replay, horizon: float) -> Replay | None:
-    """Return consecutive windows, started from measurements and the previous window.
+    """Return consecutive windows started from measurements.
 
     The free run provides the start of each chain. An output first measured later is predicted from then on. The result
     is
@@ -169,7 +169,7 @@ def chains(log: Log, horizon: float) -> list[Chain]:
 
 
 def window_rows(log: Log, horizon: float, skipped: float = SKIPPED) -> list[int]:
-    """Return first rows of consecutive whole windows after `skipped` seconds."""
+    """Return first rows of consecutive whole windows."""
     rows: list[int] = []
     k = int(np.searchsorted(log.time, log.time[0] + skipped - 1e-6 * log.step))
     while k < log.rows - 1 and log.time[k] + horizon <= log.time[-1] + 0.5 * log.step:

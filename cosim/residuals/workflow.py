@@ -209,7 +209,7 @@ def _free_run(drive: Drive, start: Mapping[str, Any] | None, file: Path) -> Repl
 
 
 def _full(file: Path, residual: Path, log: Log) -> DiskFull:
-    """Return an error for a disk full after the rows."""
+    """Return the error of a full disk."""
     missing = "no report" if residual.exists() else f"no {residual.name} and no report"
     reason = f"the disk is full: all {log.rows} rows are in {file.name}, there is {missing}"
     return DiskFull("the replay", float(log.time[-1]), reason)
@@ -256,7 +256,7 @@ def results(drive: Drive, outputs: Mapping[str, Array]) -> Results:
 
 
 def residuals(comparison: Comparison) -> Results:
-    """Return measured − model by horizon: `free_run.angle`, `within_2s.angle`, `within_500ms.angle`."""
+    """Return measured − model by horizon, such as `free_run.angle`."""
     columns: dict[str, Array] = {}
     units: dict[str, str] = {}
     for horizon, replayed in sorted(comparison.replays.items(), reverse=True):

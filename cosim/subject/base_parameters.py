@@ -30,7 +30,7 @@ def tolerances(subject: Subject, tolerance: Mapping[str, float]) -> dict[str, fl
 
 
 def base_parameter(subject: Subject, name: str, values: Mapping[str, float], tolerance: float | None) -> Free:
-    """Return a base parameter with bounds, step size and prior."""
+    """Return a base parameter for a fit."""
     p, value = subject.declared[name], values[name]
     prior = None if tolerance is None else (value, spread_of_base(p, value, tolerance))
     return Free(name, *p.bounds, 0.05 * _scale(p, value), prior)

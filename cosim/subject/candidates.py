@@ -75,7 +75,7 @@ def _start(p: Parameter, value: float) -> float:
 
 
 def usual_size(p: Parameter) -> float:
-    """Return the usual size of a parameter's error or effect."""
+    """Return the usual size of a parameter."""
     return p.typical or 0.3 * abs(float(p.default)) or 0.1
 
 

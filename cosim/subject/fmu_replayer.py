@@ -54,7 +54,7 @@ class FmuReplayer(Replayer):
 
 
 def start_values(model: Model, start: Start) -> dict[str, float]:
-    """Return FMU start parameters: states, effect memory and parameters per log.
+    """Return FMU start parameters for a start.
 
     Delays are excluded, and so are sensor errors, which the plant lacks.
     """

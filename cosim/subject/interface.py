@@ -148,7 +148,7 @@ class Subject(Protocol):
         ...
 
     def kernel(self, measured: Sequence[str], *, unnamed: bool = False, constant: Sequence[str] = ()) -> Kernel:
-        """Return the filter for logs with these outputs; called repeatedly.
+        """Return a filter for logs with these outputs.
 
         Args:
             unnamed: Include unnamed terms (`cosim.kernel.nameless`), if available.
@@ -195,7 +195,7 @@ class Subject(Protocol):
 
     @property
     def shown(self) -> frozenset[str]:
-        """Return states shown unchanged by an output of the same name."""
+        """Return states shown unchanged by an output."""
         return frozenset(q.name for q in self.states) & {q.name for q in self.outputs}
 
     def substeps(self, step: float) -> int:

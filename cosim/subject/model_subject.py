@@ -65,7 +65,7 @@ class ModelSubject(Subject):
 
     @classmethod
     def of(cls, model: Model) -> ModelSubject:
-        """Return the subject of a model without a file of values."""
+        """Return the subject of a bare model."""
         return cls(LoadedModel(model, ""))
 
     @property
@@ -124,7 +124,7 @@ class ModelSubject(Subject):
         return substeps(step, self.model.substep)
 
     def settling(self, states: Sequence[str]) -> float:
-        """Return the settling time of the slowest stable mode [s]."""
+        """Return the slowest stable settling time [s]."""
         return settling(self.model, states)
 
     def prediction(self, log: Log) -> Predict | None:
@@ -178,7 +178,7 @@ class ModelSubject(Subject):
         return yaml, fmu
 
     def use(self, folder: Path) -> list[str]:
-        """Return the command that runs a scenario with the FMU.
+        """Return a command that uses the FMU.
 
         A controller is designed for the FMU if the model has a designer. Paths are absolute, since relative paths refer
         to the

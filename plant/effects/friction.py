@@ -16,7 +16,7 @@ REST = 1e-24
 
 
 def speed(m: Namespace, motion: Motion) -> Number:
-    """Return the speed over the table [m/s], always positive."""
+    """Return the positive speed over the table [m/s]."""
     return m.sqrt(motion.vx * motion.vx + motion.vy * motion.vy + REST)
 
 

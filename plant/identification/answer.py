@@ -128,7 +128,7 @@ def _fitted(force: Array, table: Array) -> tuple[Array, int]:
 
 
 def _sine(values: Array, clock: Array) -> str:
-    """Return the frequency of a mostly sinusoidal residual in words, else ""."""
+    """Name the frequency of a sinusoidal residual."""
     power = np.abs(np.fft.rfft(values - values.mean())) ** 2
     k = int(np.argmax(power))
     if not power[max(0, k - 1) : k + 2].sum() > SHARE * power.sum() or k < 2:

@@ -40,7 +40,7 @@ class Cell:
 
     @cached_property
     def curve(self) -> Any:
-        """Return load as a function of (voltages, order of the derivative)."""
+        """Return load as a function of voltage."""
         from scipy.interpolate import PchipInterpolator
 
         if self.smooth:
@@ -53,7 +53,7 @@ class Cell:
 
     @property
     def as_printed(self) -> Cell:
-        """Return the cell with the piecewise cubic of the thesis."""
+        """Return the cell with the thesis' cubic."""
         return replace(self, smooth=False)
 
     @cached_property
@@ -65,7 +65,7 @@ class Cell:
         return float(np.interp(0.0, loads[order], grid[order]))
 
     def force(self, volts: Array) -> Array:
-        """Return the force [N] or moment [N m] of voltages."""
+        """Return force [N] or moment [N m]."""
         low, high = self.volts[0], self.volts[-1]
         slopes = self.curve([low, high], 1)
         inside = self.curve(np.clip(volts, low, high))
@@ -169,7 +169,7 @@ def _at_the_rail(pairs: Sequence[tuple[float, float]], error: float, known: Benc
 
 
 def force_of(recording: Recording, cells: Cells, channel: str, rest: tuple[float, float] | None) -> Array:
-    """Return the force of a cell with the tare removed.
+    """Return the force of a cell without tare.
 
     Args:
         rest: Window of the tare; None for the thesis' reading, tare included.

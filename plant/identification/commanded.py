@@ -237,7 +237,7 @@ def _step(see: _Seen, place: str) -> Iterator[Lack]:
 
 
 def _steps(signal: Array, time: Array, least: float) -> str:
-    """Return the times of steps of a command in words."""
+    """Return the step times of a command."""
     found = time[1:][np.abs(np.diff(signal)) >= least]
     return f"there is one at {', '.join(f'{t:g}' for t in found[:3])} s" if 0 < found.size < 20 else "there is none"
 

@@ -18,7 +18,7 @@ FILES = ("model.yaml", RECORD, REPORT)
 
 
 def identify_craft(yaml: YamlFile, out: Path, *, report: bool = True, keep: bool = False) -> CraftOutcome:
-    """Write model.yaml, identify.json and report.html to `out`.
+    """Analyse logs of a craft and write results.
 
     Args:
         keep: Move the files of an earlier identification to `runs` in `out`.

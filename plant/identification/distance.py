@@ -62,7 +62,7 @@ def distance(runs: Sequence[Log], loaded: LoadedModel, parameter: str, output: s
 
 
 def matched(covered: Covered, wanted: float, bounds: tuple[float, float], near: float) -> float:
-    """Return the value with the wanted distance, closest to `near`.
+    """Return the closest value with the wanted distance.
 
     Raises:
         ValueError: No value gives the distance.

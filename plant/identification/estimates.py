@@ -96,7 +96,7 @@ class Measured:
         return force_of(r, self.cells, channel, None)
 
     def true(self, name: str) -> float:
-        """Return the true value of a parameter, NaN if unknown."""
+        """Return the true value, NaN if unknown."""
         return getattr(self.truth, name) if self.truth else float("nan")
 
     def alike(self) -> list[Recording]:
@@ -157,12 +157,12 @@ def shifts_of(per_repetition: PerRepetition, cells: Cells, channels: Sequence[st
 
 
 def moved(cells: Cells, channel: str, point: int) -> Mapping[str, Cell]:
-    """Return the cells with one load changed by a standard deviation."""
+    """Return the cells with one changed load."""
     return {**cells, channel: cells[channel].moved(point, cells[channel].error)}
 
 
 def made(names: Sequence[tuple[str, str, float, float]], each: Array, shifts: Array, origin: str) -> list[Estimate]:
-    """Return estimates of numbers from repetitions (N, p) and shifts.
+    """Return estimates from repetitions (N, p) and shifts.
 
     Args:
         names: Name, unit, thesis' estimate and true value of each number.

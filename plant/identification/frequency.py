@@ -179,7 +179,7 @@ def _table(r: Recording, w: float, known: Bench, test: SineTest) -> Array:
 
 
 def _by_hand(chosen: Sequence[Sequence[tuple[Recording, float]]], m: Measured) -> tuple[Array, Array]:
-    """Return magnitude [dB] and phase [°] from extremes of the smoothed force.
+    """Return magnitude [dB] and phase [°] from extremes.
 
     Values are relative to the lowest frequency.
     """
@@ -199,7 +199,7 @@ def _by_hand(chosen: Sequence[Sequence[tuple[Recording, float]]], m: Measured) -
 
 
 def _fit_magnitudes(w: Array, db: Array) -> float:
-    """Return τ of the best first-order fit to magnitudes in dB."""
+    """Return τ of a first-order fit to magnitudes."""
     lines = -10.0 * np.log10(1.0 + (w[None] * LAGS[:, None]) ** 2)
     return float(least(LAGS, ((lines - db) ** 2).sum(axis=1)[None])[0])
 

@@ -39,7 +39,7 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
     radius = m.known.propeller_radius
 
     def forces(force: Callable[[Recording], Array], chosen: dict[float, list[Recording]] = main) -> Array:
-        """Return mean forces, shape (heights with the free one last, repetitions)."""
+        """Return mean forces, shape (heights, repetitions), free height last."""
         rows = [[float(force(r)[r.rows(m.test.window)].mean()) for r in chosen[h][:count]] for h in (*heights, free)]
         return np.array(rows)
 

@@ -44,7 +44,7 @@ class Outcome:
         return [f"{r.test}: {text}" for r in self.results for text in r.warnings]
 
     def closing(self, out: Path) -> str:
-        """Return the place of the power-train and its build command."""
+        """Return the power-train's place and build command."""
         file = out / "powertrain.yaml"
         return f"power-train: {file}, built by: cosim build --model {as_typed(file)}"
 

@@ -71,7 +71,7 @@ def analyse(m: Measured, *, draw: bool = True, thrust: bool = False) -> Result:
 
 
 def _response(m: Measured, r: Recording, lags: Array, *, thrust: bool) -> Array:
-    """Return the normalised force for each lag, shape (rows, lags)."""
+    """Return normalised forces, shape (rows, lags)."""
     if thrust:
         effective = np.maximum(r.duty, -m.known.thrust_offset / m.known.thrust_slope)
         table = np.stack([held_lag(effective, r.step, tau) for tau in lags], axis=1)
@@ -81,13 +81,13 @@ def _response(m: Measured, r: Recording, lags: Array, *, thrust: bool) -> Array:
 
 
 def _mean(values: Array) -> float:
-    """Return the mean of the finite values, NaN without any."""
+    """Return the mean of finite values."""
     finite = values[np.isfinite(values)]
     return float(finite.mean()) if finite.size else float("nan")
 
 
 def _deviation(values: Array) -> float:
-    """Return the standard deviation of the finite values, NaN below two."""
+    """Return the standard deviation of finite values."""
     finite = values[np.isfinite(values)]
     return float(finite.std(ddof=1)) if finite.size > 1 else float("nan")
 

@@ -39,7 +39,7 @@ class Misfit:
         return float(values @ np.linalg.solve(self.covariance, values))
 
     def is_significant(self, size: float, freedom: float) -> bool:
-        """Return whether a size exceeds the F quantile at `FALSE_ALARM`."""
+        """Return whether a size exceeds chance."""
         from scipy import stats
 
         spare = self.freedom * (self.repetitions - 1)

@@ -79,7 +79,7 @@ def _judge(m: Measured, result: Result, shape: Callable[[Recording], Array]) -> 
     bases = [np.column_stack(row) for row in zip(constant, shapes, times, strict=True)]
 
     def slopes(using: Cells) -> Array:
-        """Return each recording's slope over time after removal of the shape."""
+        """Return the residual slope of each recording."""
         rows = []
         for r, basis in zip(m.recordings, bases, strict=True):
             rows.append(np.linalg.lstsq(basis, m.force(r, "m", using)[r.rows(window)], rcond=None)[0][-1:])

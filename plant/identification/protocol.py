@@ -222,12 +222,12 @@ class Protocol:
 
     @property
     def true_known(self) -> bool:
-        """Return True for the simulated bench, whose parameters are known."""
+        """Return True for the simulated bench."""
         return self.file.bench == BENCH
 
 
 def partly_read(path: Path) -> tuple[Protocol, list[Fault]]:
-    """Return a protocol and the faults of its keys and values.
+    """Return a protocol and its faults.
 
     Raises:
         InputError: The file is not readable.
@@ -283,7 +283,7 @@ def _cell_faults(yaml: YamlFile, content: ProtocolFile) -> Iterator[Fault]:
 
 
 def _calibration_faults(yaml: YamlFile, content: ProtocolFile, name: str, cell: CellFile) -> Iterator[Fault]:
-    """Yield faults of loads or points that prevent a curve."""
+    """Yield faults of calibration loads or points."""
     at, unit, key = ("cells", name), cell.unit, "loads" if cell.loads else "points"
     if cell.loads and content.bench is None:
         yield yaml.fault((*at, key), "no bench is played; give `points` [load, voltage] as measured")
@@ -307,7 +307,7 @@ def _calibration_faults(yaml: YamlFile, content: ProtocolFile, name: str, cell: 
 
 
 def _force_unit(unit: str) -> str:
-    """Return a hint at the force unit for a mass unit."""
+    """Return a hint for a mass unit."""
     return f"; a mass that is hung is a force: write {unit}f" if unit in ("g", "kg") else ""
 
 

@@ -34,7 +34,7 @@ SAME_NOISE = 0.9  # correlation of fourth differences; 0 ± 0.2 for two noisy ru
 def recording_faults(
     protocol: Protocol, name: str, recordings: Sequence[Recording], cells: Cells, *, whole: bool = True
 ) -> list[Fault]:
-    """Return every fault of a test's recordings, at file and row.
+    """Return every fault of a test's recordings.
 
     Args:
         whole: True if all files of the test are readable, for joint checks.
@@ -168,7 +168,7 @@ def _channels_at_fault(protocol: Protocol, name: str, test: Test, r: Recording, 
 
 
 def _nearly_all(values: Array) -> float:
-    """Return the 99 % quantile of sizes, insensitive to a single spike."""
+    """Return the 99 % quantile of sizes."""
     return float(np.quantile(np.abs(values), 0.99))
 
 
@@ -237,7 +237,7 @@ def _same_noise(one: Recording, other: Recording) -> bool:
 
 
 def _rough(values: Array) -> Array:
-    """Return clipped fourth differences, which suppress smooth motion, spikes and steps."""
+    """Return clipped fourth differences, mostly noise."""
     rough = np.diff(values, 4)
     limit = 3.0 * float(np.median(np.abs(rough)))
     return np.asarray(np.clip(rough, -limit, limit) if limit else rough)

@@ -278,7 +278,7 @@ def _together(known: Bench, runs: Sequence[Run]) -> list[Recording]:
 
 
 def read_recording(path: Path) -> Recording:
-    """Read a measured run: time, duty, servo_duty, height, volts_z, volts_x, volts_m.
+    """Read a measured run with all bench columns.
 
     Raises:
         InputError: Every fault of the file.
@@ -329,7 +329,7 @@ def read_recording(path: Path) -> Recording:
 
 
 def _with_single_rows(time: Array, values: Array, lines: Array) -> tuple[Array, Array, Array]:
-    """Return rows with single gaps of an even clock filled.
+    """Return rows with single gaps filled.
 
     Commands are held, voltages interpolated.
     """

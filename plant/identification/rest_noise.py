@@ -61,12 +61,12 @@ def variance(name: str, unit: str, parts: Sequence[tuple[Array, Array]]) -> Esti
 
 
 def squared(unit: str) -> str:
-    """Return the square of a unit, `m/s2` → `m2/s4`."""
+    """Square a unit, `m/s2` → `m2/s4`."""
     return re.sub(r"([^\W\d]+)(\d*)", lambda part: part[1] + str(2 * int(part[2] or 1)), unit) or "1"
 
 
 def rest_faults(yaml: YamlFile, logs: Sequence[Log], window: Window) -> Iterator[Fault]:
-    """Yield faults of too few rows or a moving craft."""
+    """Yield faults of short or moving logs."""
     if window is not None and window[0] >= window[1]:
         yield yaml.fault(("rest", "window"), f"{window[0]:g} … {window[1]:g} s is empty; write its start, then its end")
         return
@@ -88,7 +88,7 @@ def rest_faults(yaml: YamlFile, logs: Sequence[Log], window: Window) -> Iterator
 
 
 def _unusable(values: Array) -> str:
-    """Return the reason why rows show no sensor noise, else ""."""
+    """Return the reason against rows, or ""."""
     low, high = float(values.min()), float(values.max())
     if low == high:
         return f"is {low:g} in every row: a dead channel"
@@ -102,7 +102,7 @@ def _unusable(values: Array) -> str:
 
 
 def _turns(values: Array) -> int:
-    """Return the number of crossings of the mean after smoothing."""
+    """Return the number of smoothed mean crossings."""
     smooth = np.convolve(values - values.mean(), np.ones(9) / 9, "valid")
     return int(np.sum(smooth[1:] * smooth[:-1] < 0.0))
 

@@ -38,7 +38,7 @@ class Rows:
 
     @property
     def enough(self) -> bool:
-        """Return True if every repetition has a ramp with thrust."""
+        """Return True for sufficient ramps."""
         return all(d.size >= LEAST_ROWS and np.ptp(d) >= LEAST_DUTY for d in self.delayed)
 
 
@@ -65,7 +65,7 @@ def _thrust(m: Measured, r: Recording, rows: Flags, using: Cells | None = None) 
 
 
 def dead_end(duty: Array, thrust: Array) -> float:
-    """Return δ₀ [%] of T = b·max(0, δ − δ₀) by least squares.
+    """Return δ₀ [%] of T = b·max(0, δ − δ₀).
 
     The result is below all duties if a plain line fits best.
     """
@@ -241,7 +241,7 @@ def _recent(m: Measured) -> Iterator[tuple[Recording, Array]]:
 
 
 def highest_duty(m: Measured) -> float:
-    """Return the highest duty without saturation or extrapolation in any repetition.
+    """Return the highest duty within all cells' ranges.
 
     Selection is by command, equal for all: selection by value would bias the line.
     """

@@ -106,7 +106,7 @@ def identify(
 def _outcome(
     protocol: Protocol, measured: Mapping[str, list[Recording]], seed: int, progress: Progress | None
 ) -> Outcome:
-    """Return the results, with unmeasured tests simulated on the FMU."""
+    """Simulate unmeasured tests and return the results."""
     hung: dict[str, list[Recording]] = {}
     played: dict[str, list[Recording]] = {}
     if protocol.file.bench is not None:
@@ -128,7 +128,7 @@ Runs = Mapping[str, Sequence[Run]]
 
 
 def _on_fmu(protocol: Protocol, *groups: Runs, progress: Progress | None) -> list[dict[str, list[Recording]]]:
-    """Simulate groups of runs on the FMU of the bench."""
+    """Simulate groups of runs on the FMU."""
     total = sum(run.time.size for group in groups for runs in group.values() for run in runs) or 1
     tell = None if progress is None else (lambda done: progress("playing the bench", done / total))
     with temporary_folder("identify") as folder:
@@ -151,7 +151,7 @@ def _fmu(protocol: Protocol, folder: Path) -> Path:
 def analyse(
     protocol: Protocol, cells: Cells, recordings: Mapping[str, Sequence[Recording]], *, draw: bool = True
 ) -> list[Result]:
-    """Return the results of all tests in order of dependence.
+    """Return the results in order of dependence.
 
     Unknown numbers come from earlier tests, else from the protocol.
     """

@@ -193,7 +193,7 @@ def _ordered(nodes: Sequence[_Node], results: Sequence[Any]) -> list[_Node]:
 
 
 def _sunk(nodes: list[_Node], results: Sequence[Any]) -> list[_Node]:
-    """Return the nodes with those of a single branch moved inside."""
+    """Return nodes, moved into branches where possible."""
     homes: dict[Any, set[tuple[int, int] | None]] = {}
 
     def use(expressions: Sequence[Any], home: tuple[int, int] | None) -> None:

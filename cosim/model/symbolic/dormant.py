@@ -68,7 +68,7 @@ class _Lines:
         return self.asked[symbol]
 
     def _needed(self, line: Line, symbol: Any) -> set[int] | None:
-        """Return the terms that need a symbol in a line."""
+        """Return the terms that need a symbol."""
         import sympy
 
         target, e = line

@@ -112,7 +112,7 @@ class Body:
 
     @property
     def terms(self) -> list[dict[Any, float]]:
-        """Return the dormancy condition of each effect: parameters and neutral values."""
+        """Return the neutral parameter values of each effect."""
         every = (
             {self.parameters[f"{e.name}.{p.name}"]: p.neutral for p in parameters_of(e) if p.neutral is not None}
             for e in self.symbols.model.effects

@@ -57,7 +57,7 @@ class Linearizer:
         self._jacobian = scope["jacobian"]
 
     def __call__(self, state: Values, command: Values, t: float = 0.0) -> LinearModel:
-        """Return the linear model at a state and a command.
+        """Return the linear model at a point.
 
         Raises:
             ArithmeticError, ValueError: A derivative is not finite.

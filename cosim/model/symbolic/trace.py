@@ -119,7 +119,7 @@ class Trace:
         return self._named[expression]
 
     def _still(self) -> None:
-        """Set the derivatives of a dormant effect's states to zero."""
+        """Stop the states of dormant effects."""
         import sympy
 
         place = len(self.s.model.base_states)
@@ -256,7 +256,7 @@ def _numbers(value: Any) -> Iterator[Any]:
 
 
 def _key(value: Any) -> Any:
-    """Return a key of a call's arguments, texts and Booleans included."""
+    """Return a hashable key of call arguments."""
     if isinstance(value, Mapping):
         return ("mapping", *((key, _key(part)) for key, part in value.items()))
     if isinstance(value, (tuple, list)):
@@ -288,5 +288,5 @@ def _mapped(value: Any, change: Callable[[Any], Any]) -> Any:
 
 
 def switches(model: Model) -> tuple[str, ...]:
-    """Return the Boolean parameters of model and catalogue by FMI name."""
+    """Return the Boolean parameters by FMI name."""
     return tuple(name for name, p in model.declared.items() if isinstance(p.default, bool))
