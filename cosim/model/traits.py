@@ -1,6 +1,6 @@
 """Signal properties of a model beyond names and units, for the checks of logs.
 
-An own FMU stores the traits in its description, for use without the model.
+An FMU built by cosim stores the traits in its description, for use without the model.
 """
 
 from __future__ import annotations

@@ -163,7 +163,7 @@ class Drive:
 
     @property
     def has_readable_state(self) -> bool:
-        """Return True if the state of an own FMU can be read and restored."""
+        """Return True if the state of a cosim FMU can be read and restored."""
         about = self.description.coSimulation  # None for an FMU of model exchange only
         flags = about and about.canGetAndSetFMUstate and about.canSerializeFMUstate
         return bool(self.traits and flags and self.variable_step)
@@ -187,20 +187,20 @@ class Drive:
         return dict(zip(self.outputs, self._row[len(self.block.inputs) :], strict=True))
 
     def own(self, start: Mapping[str, Any]) -> Own:
-        """Return the initial state of an own FMU, restored once to test support."""
+        """Return the initial state of a cosim FMU, restored once to test support."""
         self._begin(start, 0, float(self.log.time[-1]))
         self.block.start()
         self.block.remember({})
         return self.block.own()
 
     def state(self) -> Own:
-        """Return the last state of an own FMU."""
+        """Return the last state of a cosim FMU."""
         return self.block.own()
 
     def run_and_keep(
         self, first: int, last: int, start: Mapping[str, Any], rows: Container[int]
     ) -> tuple[Array, dict[int, Own]]:
-        """Run and return the outputs and the states of an own FMU at some rows."""
+        """Run and return the outputs and the states of a cosim FMU at some rows."""
         states: dict[int, Own] = {}
 
         def keep(k: int) -> None:
@@ -222,7 +222,7 @@ class Drive:
         The command of row k is held from t_k to t_k+1.
 
         Args:
-            memory: State of an own FMU at the first row, instead of the state after initialization.
+            memory: State of a cosim FMU at the first row, instead of the state after initialization.
             visit: Callback at each row between, for an FMU with variable step.
 
         Raises:

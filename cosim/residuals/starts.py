@@ -3,7 +3,7 @@
 The FMU provides fast motion, the measurements the slow part: over the last PAST seconds the difference
 measured − carrier is fitted by a parabola in time, whose end corrects the carrier's state. The carrier is the previous
 window, because even a correct model drifts over a whole log. Angle and rate share one parabola, weighted by their
-noise. Unmeasured states come from the carrier, including states without an output if the FMU is an own one with
+noise. Unmeasured states come from the carrier, including states without an output if the FMU is a cosim FMU with
 readable state.
 """
 
@@ -44,7 +44,7 @@ class StartParameter:
 
     Attributes:
         tried: The two parameter values of the test.
-        places: Indices in the state of an own FMU; empty if the state cannot be read.
+        places: Indices in the state of a cosim FMU; empty if the state cannot be read.
     """
 
     name: str
@@ -141,7 +141,7 @@ def window_start(
 ) -> dict[str, float]:
     """Return the start of a window at row k from the carrier and past measurements.
 
-    For an own FMU, only corrected states are returned; `kept` provides the rest. The carrier is valid from row `since`.
+    For a cosim FMU, only corrected states are returned; `kept` provides the rest. The carrier is valid from row `since`.
     """
     log = drive.log
     state = {name: float(carrier[name][k]) for name in parameters}

@@ -43,7 +43,7 @@ class Replay:
         horizon: Length of each run [s], FREE_RUN for one run over the whole log.
         starts: First row of each run → start values.
         outputs: Name → (rows,), NaN without a prediction.
-        states: Possible first row of a chain of windows → state of an own FMU.
+        states: Possible first row of a chain of windows → state of a cosim FMU.
     """
 
     time: Array
@@ -97,7 +97,7 @@ def windows(
 
     Args:
         starts: First row → start values.
-        memories: Row → state of an own FMU.
+        memories: Row → state of a cosim FMU.
     """
     table = np.full((drive.log.rows, len(drive.outputs)), np.nan)
     done = -1

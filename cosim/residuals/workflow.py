@@ -238,7 +238,7 @@ def _record(folder: Path, content: Mapping[str, Any]) -> None:
 
 
 def _older(drive: Drive) -> Iterator[Finding]:
-    """Yield a warning for an own FMU of an earlier version, treated as a foreign one."""
+    """Yield a warning for an FMU built by an earlier version, treated as a foreign one."""
     if drive.traits is None and drive.description.author == AUTHOR:
         older = f"{drive.fmu.name} was built by an earlier version, which says nothing of frame, limits and state"
         worse = "the log is checked less and windows start worse; build it again"

@@ -213,7 +213,7 @@ class Subject(Protocol):
     def nameless(self, signal: str) -> tuple[Callable[..., Any], Sequence[str]] | None:
         """Return an unnamed term as a function, and its signals; None without such terms.
 
-        The function takes all times, states and inputs in order.
+        The function takes time, all states and all inputs in order.
         """
         return None
 

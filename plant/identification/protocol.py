@@ -102,7 +102,7 @@ class Test(Part):
 
 
 class HeightTest(Test):
-    """Thrust at several heights relative to the thrust without ground.
+    """Thrust at several heights relative to the thrust far from the ground.
 
     heights:         Heights in propeller radii.
     free_height:     Height without ground effect [m].

@@ -55,7 +55,7 @@ def variants_of(
 
 
 def of_noise(after: Variant, a: Attribution, claimed: Hypothesis | None, heard: Array | None) -> Variant:
-    """Return the refined subject with sensor noise only.
+    """Return the refined subject with the logs' noise.
 
     Args:
         heard: ln of the sensor noise variances to use if the fitted variances include model errors.

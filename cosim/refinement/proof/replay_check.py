@@ -100,7 +100,7 @@ def checked_claim(
 
 
 def _still_missed(error: ErrorOf, floor: Channels) -> Doubt | None:
-    """Doubt a sensor claim if replays miss much."""
+    """Doubt a claim without effects if replays miss much."""
     worst, times = max(_missed(error["after"], floor).items(), key=itemgetter(1), default=("", 0.0))
     return Doubt("missed", worst, times) if worst else None
 

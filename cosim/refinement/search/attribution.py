@@ -114,7 +114,7 @@ class Attributor:
     def _with_stated_noise(self, base: Hypothesis) -> Hypothesis:
         """Fix silent sensors at their stated noise.
 
-        The unknown input of such a fit may have absorbed the sensor noise.
+        The stated noise may include errors that these logs do not contain.
         """
         search, problem = self.search, self.search.problem
         low = base.fit.noise.like(problem.limits.low).sensors
