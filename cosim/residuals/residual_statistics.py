@@ -152,7 +152,7 @@ def input_correlations(residual: Array, inputs: Mapping[str, Array], lags: int) 
 
 
 def correlation_at_lags(before: Array, after: Array, lags: int) -> Array:
-    """Return the correlation of two signals over lags."""
+    """Return the correlation of `after` with `before` −lags … lags rows earlier."""
     a, seen_a = _centred(before)
     b, seen_b = _centred(after)
     return _correlation(a, seen_a, b, seen_b, lags)[0]

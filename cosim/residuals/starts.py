@@ -141,7 +141,7 @@ def window_start(
 ) -> dict[str, float]:
     """Return the start of a window at row k from the carrier and past measurements.
 
-    For a cosim FMU, only corrected states are returned; `kept` provides the rest. The carrier is valid from row `since`.
+    For a cosim FMU, the result has only corrected states; `kept` provides the rest. The carrier is valid from `since`.
     """
     log = drive.log
     state = {name: float(carrier[name][k]) for name in parameters}

@@ -249,7 +249,7 @@ class Attributor:
     def _replacements(self, best: Hypothesis) -> Iterator[Trial]:
         """Yield promising replacements of each part.
 
-        A score test far from the optimum misjudges a simple candidate in place of a richer one.
+        Each score test starts without the part: a test with the part misjudges a simpler candidate in its place.
         """
         search = self.search
         others = [c for c in self.candidates if c.name not in best.names and c.kind != "parameter"]
