@@ -147,7 +147,7 @@ def _residual_panels(comparison: Comparison) -> list[Panel]:
 
 def _command_panels(log: Log) -> list[Panel]:
     panels = []
-    for unit, names in by_unit(log.inputs, log.units.__getitem__):
+    for unit, names in by_unit(log.inputs, log.units.__getitem__, log.inputs.__getitem__):
         shown, factor = display(unit)
         traces = [Trace(n, log.inputs[n] * factor, f"s{i}", held=True) for i, n in enumerate(names)]
         panels.append(Panel(", ".join(names), shown or "1", traces))
