@@ -74,7 +74,7 @@ def percent(share: float) -> str:
 
 def counted(count: int, noun: str) -> str:
     """`1 row`, `2 rows`, `3 criteria`."""
-    plural = {"criterion": "criteria"}.get(noun, f"{noun}s")
+    plural = {"criterion": "criteria", "hypothesis": "hypotheses"}.get(noun, f"{noun}s")
     return f"{count} {noun if count == 1 else plural}"
 
 
