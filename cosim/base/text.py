@@ -84,6 +84,12 @@ def listed(names: Sequence[str]) -> str:
     return " and ".join(filter(None, (", ".join(shown[:-1]), *shown[-1:])))
 
 
+def parted(text: str) -> tuple[str, str]:
+    """Return the first sentence of a text, and the others."""
+    first, stop, others = text.partition(". ")
+    return f"{first}{stop}".strip(), others
+
+
 def display(unit: str) -> tuple[str, float]:
     """Unit as it stands behind a number, and what to multiply by: `°/s²` and 57.3 for `rad/s2`, nothing for 1."""
     if ANGLE.fullmatch(unit):

@@ -36,6 +36,7 @@ SLACK = 0.95  # of the excursion allowed at which one that goes too far is aimed
 SEPARATED = 3.0  # standard deviations between rivals, from which a log decides
 UNSEEN = 1.0  # standard deviations up to which noise hides the difference
 CURE = "try a wider --limit, a longer --duration or more outputs --measured"
+REPORT = "report.html"
 LISTED = 5  # pairs named in a line, or a line each, before the rest is counted
 Progress = Callable[[str, float], None]
 
@@ -62,11 +63,19 @@ class Excitation:
         return _merit(self.apart, max([1.0, *(f.beyond(self.question.limits) for f in self.rivals.values())]))
 
     @property
+    def headline(self) -> str:
+        """Return how many pairs the input separates, and the distance of the hardest."""
+        count, pairs = sum(distance >= SEPARATED for distance in self.apart.values()), counted(len(self.apart), "pair")
+        hardest = self.hardest_first[0]
+        least = f"{self.apart[hardest]:.1f} standard deviations apart, {SEPARATED:g} are needed"
+        return f"The input separates {count} of {pairs} of rivals; {hardest[0]} and {hardest[1]} are {least}."
+
+    @property
     def distances(self) -> list[str]:
         """A line for each pair, hardest first."""
         return [
             f"{a} from {b}: {self.apart[a, b]:.1f} standard deviations ({self.rig.usual}: {self.usual[a, b]:.1f})"
-            for a, b in self._hardest_first
+            for a, b in self.hardest_first
         ]
 
     @property
@@ -74,7 +83,7 @@ class Excitation:
         """What it separates, hardest first, and how far it goes, also if a rival is true and takes it farther."""
         lines = self.distances
         if len(lines) > LISTED + 1:
-            least = self.apart[self._hardest_first[LISTED]]
+            least = self.apart[self.hardest_first[LISTED]]
             rest = counted(len(lines) - LISTED, "more pair")
             lines[LISTED:] = [f"and {rest}, {least:.1f} standard deviations apart at least"]
         lines.append(f"excursion: {self._ranges(self.trial)}")
@@ -100,14 +109,15 @@ class Excitation:
 
     @property
     def _inseparable(self) -> str:
-        if not (left := [pair for pair in self._hardest_first if self.apart[pair] < SEPARATED]):
+        if not (left := [pair for pair in self.hardest_first if self.apart[pair] < SEPARATED]):
             return ""
         named = [f"{a} from {b}" for a, b in left[:LISTED]] + ([f"{len(left) - LISTED} more"] if left[LISTED:] else [])
         what = f"the best input found does not tell {', '.join(named)}"
         return f"{what} (less than {SEPARATED:g} standard deviations apart); {CURE}"
 
     @property
-    def _hardest_first(self) -> list[Pair]:
+    def hardest_first(self) -> list[Pair]:
+        """Pairs of rivals, the nearest first."""
         return sorted(self.apart, key=lambda pair: self.apart[pair])
 
     def _ranges(self, trial: Trial) -> str:
@@ -137,6 +147,7 @@ def excite(
     duration: PositiveSeconds | None = None,
     seed: Seed = 1,
     experiments: Count = EXPERIMENTS,
+    report: bool = True,
     force: bool = True,
     keep: bool = False,
     progress: Progress | None = None,
@@ -145,27 +156,32 @@ def excite(
 
     force: also over what another command left there. keep: files of an earlier one move to `runs`. Raises InputError.
     """
-    report = progress or (lambda stage, share: None)
-    report("reading the model", 0.0)
+    show_stage = progress or (lambda stage, share: None)
+    show_stage("reading the model", 0.0)
     folder = named_path(folder)
     question = ask(text, against, limits, measured, ranges)
     model = question.loaded.model
     time = _times(text, model.rate, duration)
     rig: Rig = registry.rig_of(type(model), OpenLoop)(model, question.limits, question.ranges, float(time[-1]))
-    written = ("excitation.csv", "excitation.yaml", "plant.fmu", *rig.files)
+    written = ("excitation.csv", "excitation.yaml", "plant.fmu", REPORT, *rig.files)
     check_left(folder, "cosim excite", force=force, keep=keep)
     check_writable(folder, written, [found_in / "plant.fmu"] if (found_in := refinement_folder(text)) else [])
-    found = _choose(question, rig, time, seed, experiments, report)
+    found = _choose(question, rig, time, seed, experiments, show_stage)
     if found is None:
         message = f"none of {experiments} experiments stays within the limits; widen --limit or shorten --duration"
         raise InputError([Fault(Path(text), 0, 0, message)])
     if max(found.apart.values()) < UNSEEN:
         message = f"none of {experiments} experiments drives any two rivals a standard deviation apart; {CURE}"
         raise InputError([Fault(Path(text), 0, 0, message)])
-    report("building the FMUs", 0.0)
+    show_stage("building the FMUs", 0.0)
     if keep:
         keep_earlier(folder, "cosim excite", rig.files)
     _write(folder, found, seed)
+    (folder / REPORT).unlink(missing_ok=True)
+    if report:
+        from cosim.experiment.report import page
+
+        write_text(folder / REPORT, page(found, folder / "excitation.yaml"))
     return found
 
 

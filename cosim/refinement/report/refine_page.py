@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.text import MISSING, counted, listed, percent, plain
+from cosim.base.text import MISSING, counted, listed, parted, percent, plain
 from cosim.base.version import __version__
 from cosim.logs.log import Log
 from cosim.refinement.refinement import Refinement
@@ -158,12 +158,6 @@ def _tried(r: Refinement) -> str:
     fitted = sum(bool(row["fitted"]) for row in r.record["candidates"])
     screened = len(r.record["candidates"]) - fitted
     return f"{fitted} hypotheses fitted" + (f", {screened} screened" if screened else "")
-
-
-def parted(text: str) -> tuple[str, str]:
-    """Return the first sentence of a text, and the others."""
-    first, stop, others = text.partition(". ")
-    return f"{first}{stop}".strip(), others
 
 
 def _next_step(r: Refinement) -> str:
