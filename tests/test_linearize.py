@@ -353,9 +353,7 @@ def test_a_transfer_function_that_is_zero_is_not_drawn() -> None:
     from cosim.linearization.report import _bode
 
     # y0 answers u0 alone, y1 both, y2 none
-    m = linear_of(
-        [[-1.0, 0.0], [1.0, -2.0]], [[1.0, 0.0], [0.0, 1.0]], [[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]]
-    )
+    m = linear_of([[-1.0, 0.0], [1.0, -2.0]], [[1.0, 0.0], [0.0, 1.0]], [[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]])
     drawn = [(name, [t.label for t in size.traces]) for name, size, _ in _bode(m)]
     assert drawn == [("y0", ["u0"]), ("y1", ["u0", "u1"])]
 

@@ -434,7 +434,13 @@ def test_a_recorded_log_is_replayed_and_reported(tmp_path: Path, plant_fmu: Path
     comparison = write_replay(tmp_path, log, plant_fmu, rate=0.02, progress=lambda k, n: seen.append((k, n)))
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert verdict(comparison).split(".")[0] in page
-    for heading in ("Free run", "Is the residual only noise?", "Which command does the residual follow?", "Numbers", "The log"):
+    for heading in (
+        "Free run",
+        "Is the residual only noise?",
+        "Which command does the residual follow?",
+        "Numbers",
+        "The log",
+    ):
         assert heading in page
     assert re.search(r"https?://|@import|url\(|src=", page) is None  # complete in itself
     assert len(page) < 600_000

@@ -457,7 +457,15 @@ def test_a_page_with_criteria_draws_the_judged_signals_first_the_missed_ones_bef
     goals = [
         {"kind": "peak", "of": "tank.flow", "value": 1.0, "max": 4.0, "unit": "m3/s", "met": True},
         {"kind": "final_error", "of": "tank.level", "to": 0.5, "value": 0.5, "max": 0.1, "unit": "m", "met": False},
-        {"kind": "settling_time", "of": "tank.level", "to": "tank.set", "value": 1.0, "max": 2.0, "unit": "s", "met": True},
+        {
+            "kind": "settling_time",
+            "of": "tank.level",
+            "to": "tank.set",
+            "value": 1.0,
+            "max": 2.0,
+            "unit": "s",
+            "met": True,
+        },
     ]
     names = ("tank.flow", "tank.level", "tank.set", "tank.other")
     results = Results(np.arange(3.0), names, np.ones((3, 4)), {"tank.level": "m", "tank.set": "m"})

@@ -40,7 +40,9 @@ def _names(record: Record) -> Iterator[str]:
     if record["verdict"] in CLAIMS:
         yield from (f"{name} is claimed and not in the sentence" for name in claimed if name not in said)
     if record["verdict"] == "no_effect":
-        yield from (f"{name} would not have shown, which the sentence does not say" for name in _untold(record["hidden"], said))
+        yield from (
+            f"{name} would not have shown, which the sentence does not say" for name in _untold(record["hidden"], said)
+        )
 
 
 def _untold(names: list[str], said: str) -> list[str]:

@@ -77,7 +77,17 @@ def _row(p: Pole) -> dict[str, str]:
     }
 
 
-HEAD = ("pole [1/s]", "times", "Jordan blocks", "ωₙ [rad/s]", "ζ", "−1/Re [s]", "deviation", "controllable", "observable")
+HEAD = (
+    "pole [1/s]",
+    "times",
+    "Jordan blocks",
+    "ωₙ [rad/s]",
+    "ζ",
+    "−1/Re [s]",
+    "deviation",
+    "controllable",
+    "observable",
+)
 
 
 def pole_table(found: Structure) -> list[tuple[str, ...]]:

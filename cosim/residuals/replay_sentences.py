@@ -57,7 +57,8 @@ def _not_in_kind(o: _Outcome) -> str:
     following = [c for c in o.channels if c.matched and not c.explained]
     if o.beyond or not following:
         return ""
-    return f"{o.lead}. Noise could explain that in size, but not in kind. {_cause(o.comparison, following)}"
+    cause = _cause(o.comparison, following)
+    return f"{o.lead}. Noise could explain that in size, but not in kind. {cause}"
 
 
 def _explained(o: _Outcome) -> str:
@@ -77,7 +78,8 @@ def _beyond_in_free_run(o: _Outcome) -> str:
 def _beyond_in_windows(o: _Outcome) -> str:
     times = listed([f"{plain(c.excess, 2)} times for {c.name}" for c in o.beyond])
     rest = f" {_no_measure(o.lost)}" if o.lost else ""
-    return f"{o.lead}. That is more than the noise of the sensors explains: {times}. {_cause(o.comparison, o.beyond)}{rest}"
+    cause = _cause(o.comparison, o.beyond)
+    return f"{o.lead}. That is more than the noise of the sensors explains: {times}. {cause}{rest}"
 
 
 def _no_measure(lost: Sequence[ChannelSummary]) -> str:
@@ -104,8 +106,8 @@ def _cause(comparison: Comparison, channels: Sequence[ChannelSummary]) -> str:
     pairs = [(c, u) for c in channels for u in c.inputs[:1] if u.stands_out]
     if not pairs:
         return (
-            "No command stands out in the residual: the cause is an effect that depends on the motion, a disturbance or "
-            "a sensor. `cosim refine` distinguishes them."
+            "No command stands out in the residual: the cause may be an effect that depends on the motion, "
+            "a disturbance or a sensor. `cosim refine` distinguishes them."
         )
     channel, found = max(pairs, key=lambda pair: pair[1].strength)
     rho = plain(float(found.rho[found.peak]), 2)
@@ -142,4 +144,3 @@ def quality(findings: Sequence[Finding]) -> str:
     if not warnings:
         return "Clock, units, signs and channels of the log are in order."
     return f"{counted(warnings, 'warning')} about the log, to be known before the numbers are believed."
-

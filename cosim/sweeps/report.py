@@ -97,7 +97,9 @@ def _warnings(swept: Swept, indices: Sequence[Sensitivity]) -> list[str]:
         texts.append(f"Too few runs for sensitivities: {completed} completed, {FEWEST} are needed.")
     widest = max((half for s in indices for _, half in (*s.first, *s.total)), default=0.0)
     if widest > WIDE:
-        texts.append(f"Too few runs for exact sensitivities: their intervals reach ±{plain(widest, 2)}. Take more runs.")
+        texts.append(
+            f"Too few runs for exact sensitivities: their intervals reach ±{plain(widest, 2)}. Take more runs."
+        )
     if "DO NOT" in swept.record["check"]["sentence"]:
         texts.append(swept.record["check"]["sentence"])
     return texts
@@ -153,7 +155,10 @@ def _scatters(swept: Swept, table: Any, indices: Sequence[Sensitivity], charts: 
             low, high = min(float(y.min()), limit), max(float(y.max()), limit)
             room = 0.06 * (high - low) or 1.0
             edge = 0.04 * float(np.ptp(x))
-            axes = make_axis(float(x.min()) - edge, float(x.max()) + edge, 6), make_axis(low - room, high + room, TICKS_UP)
+            axes = (
+                make_axis(float(x.min()) - edge, float(x.max()) + edge, 6),
+                make_axis(low - room, high + room, TICKS_UP),
+            )
             trace = Trace(c["name"], y[order], "s0 dots", x=x[order])
             panel = Panel(f"{c['name']} over {name}", unit or "1", [trace], None, (limit,), "limit")
             also = {"run": runs[good][order].astype(float)}
@@ -202,9 +207,7 @@ def _band(name: str, values: Array, record: Mapping[str, Any]) -> Panel:
 def _sensitivities(swept: Swept, table: Any) -> list[Sensitivity]:
     """Of the criteria, and of each signal at its end."""
     factors = {n: v for n, v in swept.sweep.columns.items() if n != "seed"}
-    outcomes: dict[str, Array] = {
-        c["name"]: _values_of(table, c["name"]) for c in swept.record["criteria"]
-    }
+    outcomes: dict[str, Array] = {c["name"]: _values_of(table, c["name"]) for c in swept.record["criteria"]}
     for name in swept.sweep.job.signals[:MOST_BANDS]:
         last = [np.nan if row is None else row[-1] for row in table.column(name).to_pylist()]
         outcomes[f"{name} at the end"] = np.array(last)

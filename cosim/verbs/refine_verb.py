@@ -105,7 +105,14 @@ def _say_verdict(result: Refinement, place: Path, *, report: bool) -> None:
         claimed = result.verdict.claimed is not None
         header = ("channel", "before", "recalibrated", "refined" if claimed else "", "nearest", "noise floor")
         rows = [
-            (r.channel, r.before, r.recalibrated, r.after if claimed else "", r.nearest if errors.nearest else "", r.floor)
+            (
+                r.channel,
+                r.before,
+                r.recalibrated,
+                r.after if claimed else "",
+                r.nearest if errors.nearest else "",
+                r.floor,
+            )
             for r in errors.rows
         ]
         say(f"\n{errors.title}, root mean square error:")

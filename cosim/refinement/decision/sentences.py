@@ -126,11 +126,9 @@ def cannot_tell(names: Sequence[str], experiment: str, certain: str, subject: Su
     """Say what rivals leave open, beside what they have in common."""
     opening = f"{certain} Beside it, these logs" if certain else "These logs"
     designed = "" if subject.static else " `cosim excite` designs it, and says whether any would."
-    if len(names) == 2:
-        apart = f"tell {names[0]} from {names[1]}"
-    else:
-        apart = f"decide between {_counted(names, 'hypothesis')}"
-    return f"{opening} cannot {apart}. An experiment that may: {experiment}.{designed}"
+    many = f"decide between {_counted(names, 'hypothesis')}"
+    apart = f"tell {names[0]} from {names[1]}" if len(names) == 2 else many
+    return f"{opening} cannot {apart}. An experiment that may decide: {experiment}.{designed}"
 
 
 def unexplained(residual: Mapping[str, Any], nearest: Sequence[str], otherwise: str = NO_HYPOTHESIS) -> str:

@@ -20,7 +20,7 @@ from cosim.report.panels import Band, Panel, Trace, by_unit
 from cosim.report.svg import extent
 from cosim.report.template import render
 from cosim.simulation.report.component_page import ComponentPage, component_page
-from cosim.simulation.report.recorded import Run, mapping, mappings, number, texts
+from cosim.simulation.report.recorded import Run, mappings, number, texts
 from cosim.simulation.report.run_rows import (
     Connection,
     badges,
@@ -40,6 +40,7 @@ from cosim.storage.results import Results
 TEMPLATE = Path(__file__).with_name("templates") / "run.html.j2"
 MOST_TILES = 4
 LIMIT_LABEL = "allowed"
+WIDTHS = {"settling_time": "band", "peak": "max", "final_error": "max"}  # criterion → its distance from the target
 MOST_CONNECTIONS = 40  # with a chart of their own; the signals of further ones stand among the others
 MOST_WIRES = 200  # in the picture of the system; `cosim graph` draws all
 MOST_DRAWN = 1000  # signals that a page shows
@@ -140,7 +141,7 @@ def judged_panels(run: Run) -> list[Panel]:
 
 def _width(entry: Mapping[str, Any]) -> float:
     """Return how far from its target a signal may be by a criterion; NaN where that is no distance."""
-    return number(entry.get({"settling_time": "band", "peak": "max", "final_error": "max"}.get(str(entry["kind"]), "")))
+    return number(entry.get(WIDTHS.get(str(entry.get("kind")), "")))
 
 
 def connection_panels(
