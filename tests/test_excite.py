@@ -23,7 +23,8 @@ from controller.loop import Loop
 from cosim.base.errors import InputError
 from cosim.base.text import plain
 from cosim.estimation.posing import build_problem
-from cosim.experiment.excite import Excitation, _merit, excite
+from cosim.experiment.chosen_input import Excitation, merit_of
+from cosim.experiment.excite import excite
 from cosim.experiment.question import ask
 from cosim.logs.log import read_log
 from cosim.refinement.decision.judgement import decided
@@ -114,7 +115,7 @@ def test_no_experiment_worse_than_what_is_usually_played_is_chosen_in_its_place(
         wide = ["force=60", "position=10 m"]
         found = excite(f"{DRIVE}:Drive", tmp_path, limits=wide, duration=5.0, experiments=1, seed=seed)
         assert found.usually.beyond(found.question.limits) <= 1.0
-        assert _merit(found.apart) >= _merit(found.usual)
+        assert merit_of(found.apart) >= merit_of(found.usual)
         assert "separates better" not in found.warning
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from cosim.base.text import counted, display, joined, plain
 from cosim.base.version import __version__
-from cosim.experiment.excite import SEPARATED, Excitation
+from cosim.experiment.chosen_input import SEPARATED, Excitation
 from cosim.experiment.separation import Pair
 from cosim.report.drawing import Charts, Drawing
 from cosim.report.html_tables import Badge
@@ -118,7 +118,7 @@ def _pair(found: Excitation, pair: Pair, largest: float) -> Mapping[str, Any]:
 def _limits(found: Excitation) -> list[Mapping[str, Any]]:
     """Return each limited signal: the allowed excursion from its start, and the one of the model and of its rivals."""
     units, trials = _units(found), {"": found.trial, **found.rivals}
-    rows = []
+    rows: list[Mapping[str, Any]] = []
     for name, limit in found.question.limits.items():
         excursions = {}
         for rival, trial in trials.items():

@@ -37,8 +37,6 @@ def page(swept: Swept) -> str:
     drawing = charts.over(np.array(record["times"], float), 5 * len(names))
     failed, runs = record["failed"], record["runs"]
     indices = _sensitivities(swept, table)
-    names_of_criteria = {c["name"] for c in record["criteria"]}
-    of_criteria = [s for s in indices if s.outcome in names_of_criteria] or indices
     failures = Badge(f"{failed} failed", "bad") if failed else Badge("none failed", "good")
     badges = [Badge(counted(runs, "run")), Badge(way_of(record)), failures]
     return render(
@@ -47,19 +45,14 @@ def page(swept: Swept) -> str:
             "name": record["name"],
             "description": swept.sweep.file.description,
             "outcome": headline(record),
-            "tone": "plain" if not record["criteria"] else "good" if record.get("met_all") == runs else "bad",
             "badges": badges,
             "warnings": _warnings(swept, indices),
-            "worst": _worst(swept, table),
-            "hardest_name": hardest(record)["name"] if record["criteria"] else "",
+            **_judged(swept, table),
             "scatters": _scatters(swept, table, indices, charts),
-            "criteria": [_criterion(c) for c in record["criteria"]],
-            "values": [_spread(c, _values_of(table, c["name"])) for c in record["criteria"]],
             "factors": _factors(swept),
             "plots": drawing.plots([_band(name, signal_of(table, name, MOST_RUNS), record) for name in names]),
             "data": charts.data(),  # after all that is drawn
-            "sensitivities": [_table(s) for s in of_criteria],
-            "more_sensitivities": [_table(s) for s in indices if s not in of_criteria],
+            **_sensitivity_tables(record, indices),
             "failures": record["failures"],
             "more_failures": max(0, failed - len(record["failures"])),
             "check": record["check"]["sentence"],
@@ -68,6 +61,30 @@ def page(swept: Swept) -> str:
             "version": __version__,
         },
     )
+
+
+def _judged(swept: Swept, table: Any) -> Mapping[str, Any]:
+    """Return how many runs meet each criterion, the values, and the runs that fail most."""
+    record = swept.record
+    if not record["criteria"]:
+        return {"tone": "plain", "worst": [], "hardest_name": "", "criteria": [], "values": []}
+    return {
+        "tone": "good" if record.get("met_all") == record["runs"] else "bad",
+        "worst": _worst(swept, table),
+        "hardest_name": hardest(record)["name"],
+        "criteria": [_criterion(c) for c in record["criteria"]],
+        "values": [_spread(c, _values_of(table, c["name"])) for c in record["criteria"]],
+    }
+
+
+def _sensitivity_tables(record: Mapping[str, Any], indices: Sequence[Sensitivity]) -> Mapping[str, Any]:
+    """Return the tables of the criteria, and those of the signals; without criteria those of the signals first."""
+    names = {c["name"] for c in record["criteria"]}
+    first = [s for s in indices if s.outcome in names] or indices
+    return {
+        "sensitivities": [_table(s) for s in first],
+        "more_sensitivities": [_table(s) for s in indices if s not in first],
+    }
 
 
 def _criterion(c: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -111,8 +128,6 @@ def _values_of(table: Any, name: str) -> Array:
 
 def _worst(swept: Swept, table: Any) -> list[Mapping[str, Any]]:
     """Return runs that fail the hardest criterion, farthest from its limit first, with their values and command."""
-    if not swept.record["criteria"]:
-        return []
     criterion = hardest(swept.record)
     values, runs = _values_of(table, criterion["name"]), np.array(table.column("run").to_pylist(), int)
     completed = np.array([status == "ok" for status in table.column("status").to_pylist()])
@@ -138,32 +153,31 @@ def _short(value: Any) -> str:
 def _scatters(swept: Swept, table: Any, indices: Sequence[Sensitivity], charts: Charts) -> list[tuple[Plot, str]]:
     """Return each criterion over its two most important factors, a point a run; the hardest criteria first."""
     ranked = {s.outcome: s.factors for s in indices}
-    units = {f.name: f.unit for f in swept.sweep.factors}
-    numbers = [n for n in units if n != "seed" and are_numbers(swept.sweep.columns[n])]
-    drawn = []
-    for c in sorted(swept.record["criteria"], key=lambda c: c["met"])[:MOST_SCATTERED]:
-        unit, factor = display(c["unit"])
-        values, runs = _values_of(table, c["name"]) * factor, np.array(table.column("run").to_pylist(), int)
-        good = np.flatnonzero(np.isfinite(values))
-        good = good[:: max(1, -(-good.size // MOST_POINTS))]
-        for name in ranked.get(c["name"], tuple(numbers))[:2]:
-            of_factor, scale = display(units[name])
-            x = np.array([swept.sweep.columns[name][run] for run in runs[good]], float) * scale
-            if x.size < 2 or np.ptp(x) == 0.0:
-                continue
-            order, y, limit = np.argsort(x, kind="stable"), values[good], c["max"] * factor
-            low, high = min(float(y.min()), limit), max(float(y.max()), limit)
-            room = 0.06 * (high - low) or 1.0
-            edge = 0.04 * float(np.ptp(x))
-            axes = (
-                make_axis(float(x.min()) - edge, float(x.max()) + edge, 6),
-                make_axis(low - room, high + room, TICKS_UP),
-            )
-            trace = Trace(c["name"], y[order], "s0 dots", x=x[order])
-            panel = Panel(f"{c['name']} over {name}", unit or "1", [trace], None, (limit,), "limit")
-            also = {"run": runs[good][order].astype(float)}
-            drawn.append((charts.points(panel, axes, (name, of_factor or "1"), also), f"{name} [{of_factor or '1'}]"))
-    return drawn
+    numbers = [f.name for f in swept.sweep.factors if f.name != "seed" and are_numbers(swept.sweep.columns[f.name])]
+    first = sorted(swept.record["criteria"], key=lambda c: c["met"])[:MOST_SCATTERED]
+    pairs = [(c, name) for c in first for name in ranked.get(c["name"], tuple(numbers))[:2]]
+    drawn = (_scatter(swept, table, c, name, charts) for c, name in pairs)
+    return [plot for plot in drawn if plot is not None]
+
+
+def _scatter(swept: Swept, table: Any, c: Mapping[str, Any], name: str, charts: Charts) -> tuple[Plot, str] | None:
+    """Return a criterion over a factor, and the label of its axis; None where there is nothing to be seen."""
+    values, runs = _values_of(table, c["name"]), np.array(table.column("run").to_pylist(), int)
+    good = np.flatnonzero(np.isfinite(values))
+    good = good[:: max(1, -(-good.size // MOST_POINTS))]
+    unit, factor = display(c["unit"])
+    x_unit, scale = display(next(f.unit for f in swept.sweep.factors if f.name == name))
+    x = np.array([swept.sweep.columns[name][run] for run in runs[good]], float) * scale
+    if x.size < 2 or np.ptp(x) == 0.0:
+        return None
+    order, y, limit = np.argsort(x, kind="stable"), values[good] * factor, c["max"] * factor
+    low, high = min(float(y.min()), limit), max(float(y.max()), limit)
+    room, edge = 0.06 * (high - low) or 1.0, 0.04 * float(np.ptp(x))
+    axes = make_axis(float(x.min()) - edge, float(x.max()) + edge, 6), make_axis(low - room, high + room, TICKS_UP)
+    trace = Trace(c["name"], y[order], "s0 dots", x=x[order])
+    panel = Panel(f"{c['name']} over {name}", unit or "1", [trace], None, (limit,), "limit")
+    also = {"run": runs[good][order].astype(float)}
+    return charts.points(panel, axes, (name, x_unit or "1"), also), f"{name} [{x_unit or '1'}]"
 
 
 def _spread(c: Mapping[str, Any], values: Array) -> Mapping[str, Any]:

@@ -70,7 +70,7 @@ def context(run: Run, drawing: Drawing, page: ComponentPage) -> Mapping[str, Any
     goals, connected = criteria(run), connections(run)
     judged = judged_panels(run) if run.time.size and not page.shown else []
     links = connection_panels(run, connected, page.shown) if run.time.size else {}
-    others = signal_panels(run, page.shown.union(*links, *(p.title for p in judged))) if run.time.size else []
+    others = signal_panels(run, page.shown.union(*links, {p.title for p in judged})) if run.time.size else []
     return {
         "name": str(run.scenario.get("name") or "Run"),
         "description": str(run.scenario.get("description") or ""),
