@@ -77,6 +77,7 @@ SUBJECTS: list[tuple[str, str]] = [
     ("cosim/blocks/sources.py", "solving stepping noise"),
     ("cosim/blocks/noise.py", "solving stepping noise"),
     ("cosim/blocks/stepping.py", "stepping"),
+    ("cosim/blocks/instance.py", "statuses fmu_isolation blame exchange types"),
     ("cosim/blocks/*", "statuses solving schedule blame stepping exchange types"),
     ("cosim/isolation/*", "worker blame fmu_isolation misbehaving"),
     ("cosim/logs/static_table.py", "log_edges static"),

@@ -223,11 +223,17 @@ def by_case(rows: Sequence[Row]) -> list[Judged]:
 
 
 def headline(rows: Sequence[Row]) -> str:
-    """Return a summary and the case with the largest errors."""
+    """Return how many cases are consistent, and in a second sentence the case with the largest errors."""
     judged = by_case(rows)
-    worst, right = max(judged, key=lambda j: j.factor), sum(j.consistent for j in judged)
-    said = f"{right} of {len(judged)} cases are consistent."
-    if worst.factor <= 1.0 or worst.consistent:
-        return said
-    case = f"{worst.rows[0].case}, {worst.rows[0].flight}"
-    return f"{said} Largest errors: {case}: square errors {worst.factor:.3g} times the variance it believes in."
+    right, largest = sum(j.consistent for j in judged), worst(judged)
+    opening = f"{right} of {len(judged)} cases are consistent: errors match the variance that the estimator claims."
+    if largest is None:
+        return opening
+    case = f"{largest.rows[0].case}, {largest.rows[0].flight}"
+    return f"{opening} Largest: {case}: mean square error {largest.factor:.3g} times the claimed variance."
+
+
+def worst(judged: Sequence[Judged]) -> Judged | None:
+    """Return the case with the largest errors for the variance that it claims; None where all are consistent."""
+    largest = max(judged, key=lambda j: j.factor)
+    return None if largest.factor <= 1.0 or largest.consistent else largest

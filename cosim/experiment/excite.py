@@ -8,7 +8,7 @@ influence on the choice.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +17,12 @@ from cosim.base import registry
 from cosim.base.arrays import Array
 from cosim.base.errors import Fault, InputError
 from cosim.base.settings import Count, ModelName, PositiveSeconds, Seed
-from cosim.base.text import counted
 from cosim.estimation.posing import build_problem
+from cosim.experiment.chosen_input import CURE, Excitation, merit_of
 from cosim.experiment.excitation import draw_signals
 from cosim.experiment.question import Question, ask, refinement_folder
 from cosim.experiment.rigs import OpenLoop, Rig, Trial
-from cosim.experiment.separation import Pair, Separation
+from cosim.experiment.separation import Separation
 from cosim.logs.log import slowness
 from cosim.storage.files import FilePath, check_writable, named_path, write_text
 from cosim.storage.folder_lock import folder_locks
@@ -31,103 +31,12 @@ from cosim.storage.table import write_columns
 from cosim.subject.model_subject import ModelSubject
 
 EXPERIMENTS = 48
-DURATION, SHORTEST, LONGEST = 40.0, 5.0, 600.0  # [s] for a model with a step of 50 ms or less
-FEW = 4  # rivals up to which each is simulated for every preferred experiment; more are simulated at the end
-SLACK = 0.95  # share of the allowed excursion for a second attempt
-SEPARATED = 3.0  # standard deviations between rivals from which a log decides
-UNSEEN = 1.0  # standard deviations below which noise hides the difference
-CURE = "try a wider --limit, a longer --duration or more outputs --measured"
-LISTED = 5  # pairs listed before the rest is counted
+DURATION, SHORTEST, LONGEST = 40.0, 5.0, 600.0  # [s], of a model with a step of 50 ms and less
+FEW = 4  # rivals, of which each is played before an experiment is preferred; of more, when it is chosen
+SLACK = 0.95  # of the excursion allowed at which one that goes too far is aimed anew
+UNSEEN = 1.0  # standard deviations up to which noise hides the difference
+REPORT = "report.html"
 Progress = Callable[[str, float], None]
-
-
-@dataclass(frozen=True)
-class Excitation:
-    """An experiment simulated with the model and its rivals.
-
-    Attributes:
-        apart, usual: Distance of each pair for this and for the usual input [standard deviations].
-        usually: Trial with the usual input.
-    """
-
-    question: Question
-    rig: Rig
-    trial: Trial
-    rivals: Mapping[str, Trial]
-    apart: Mapping[Pair, float]
-    usual: Mapping[Pair, float]
-    usually: Trial
-
-    @property
-    def score(self) -> tuple[int, float]:
-        """Return the merit of the distances, reduced by the rivals' excess over the limits."""
-        return _merit(self.apart, max([1.0, *(f.beyond(self.question.limits) for f in self.rivals.values())]))
-
-    @property
-    def distances(self) -> list[str]:
-        """Return one line for each pair, closest first."""
-        return [
-            f"{a} from {b}: {self.apart[a, b]:.1f} standard deviations ({self.rig.usual}: {self.usual[a, b]:.1f})"
-            for a, b in self._hardest_first
-        ]
-
-    @property
-    def sentences(self) -> list[str]:
-        """Return distances, closest first, and excursions, also for rivals beyond the limits."""
-        lines = self.distances
-        if len(lines) > LISTED + 1:
-            least = self.apart[self._hardest_first[LISTED]]
-            rest = counted(len(lines) - LISTED, "more pair")
-            lines[LISTED:] = [f"and {rest}, {least:.1f} standard deviations apart at least"]
-        lines.append(f"excursion: {self._ranges(self.trial)}")
-        for name, trial in self.rivals.items():
-            if trial.beyond(self.question.limits) > 1.0:
-                lines.append(f"beyond its limits if {name} is true: {self._ranges(trial)}")
-        return lines
-
-    @property
-    def warning(self) -> str:
-        """Return a warning about inseparable pairs and a better input beyond the limits."""
-        return "; ".join(filter(None, (self._inseparable, self._surpassed)))
-
-    @property
-    def _surpassed(self) -> str:
-        """Return a note on a usual input that separates better beyond the limits."""
-        beyond = self.usually.beyond(self.question.limits)
-        if not 1.0 < beyond < np.inf or _merit(self.usual) <= _merit(self.apart):
-            return ""
-        (count, least), pairs = _merit(self.usual), counted(len(self.apart), "pair")
-        what = f"{count} of {pairs}, the nearest {least:.1f} standard deviations apart"
-        return f"{self.rig.usual} separates better ({what}) but goes {beyond:.1f} times as far as --limit allows"
-
-    @property
-    def _inseparable(self) -> str:
-        if not (left := [pair for pair in self._hardest_first if self.apart[pair] < SEPARATED]):
-            return ""
-        named = [f"{a} from {b}" for a, b in left[:LISTED]] + ([f"{len(left) - LISTED} more"] if left[LISTED:] else [])
-        what = f"the best input found does not tell {', '.join(named)}"
-        return f"{what} (less than {SEPARATED:g} standard deviations apart); {CURE}"
-
-    @property
-    def _hardest_first(self) -> list[Pair]:
-        return sorted(self.apart, key=lambda pair: self.apart[pair])
-
-    def _ranges(self, trial: Trial) -> str:
-        model = self.question.loaded.model
-        units = {q.name: q.unit for q in model.outputs}
-        shown = [n for n in units if n in self.question.limits] or list(self.question.measured)
-        ranges = ((n, *trial.excursion(n)) for n in shown)
-        return ", ".join(f"{n} {low:.3g} to {high:.3g} {units[n]}" for n, low, high in ranges)
-
-
-def _merit(apart: Mapping[Pair, float], beyond: float = 1.0) -> tuple[int, float]:
-    """Return the number of separated pairs and the smallest of their distances.
-
-    Without separated pairs, the largest distance counts.
-    """
-    distances = [distance / beyond for distance in apart.values()]
-    separated = [distance for distance in distances if distance >= SEPARATED]
-    return len(separated), min(separated, default=max(distances))
 
 
 @folder_locks()
@@ -142,6 +51,7 @@ def excite(
     duration: PositiveSeconds | None = None,
     seed: Seed = 1,
     experiments: Count = EXPERIMENTS,
+    report: bool = True,
     force: bool = True,
     keep: bool = False,
     progress: Progress | None = None,
@@ -168,27 +78,32 @@ def excite(
     Raises:
         InputError: Every fault of the input, or no experiment separates any pair.
     """
-    report = progress or (lambda stage, share: None)
-    report("reading the model", 0.0)
+    show_stage = progress or (lambda stage, share: None)
+    show_stage("reading the model", 0.0)
     folder = named_path(folder)
     question = ask(text, against, limits, measured, ranges)
     model = question.loaded.model
     time = _times(text, model.rate, duration)
     rig: Rig = registry.rig_of(type(model), OpenLoop)(model, question.limits, question.ranges, float(time[-1]))
-    written = ("excitation.csv", "excitation.yaml", "plant.fmu", *rig.files)
+    written = ("excitation.csv", "excitation.yaml", "plant.fmu", REPORT, *rig.files)
     check_left(folder, "cosim excite", force=force, keep=keep)
     check_writable(folder, written, [found_in / "plant.fmu"] if (found_in := refinement_folder(text)) else [])
-    found = _choose(question, rig, time, seed, experiments, report)
+    found = _choose(question, rig, time, seed, experiments, show_stage)
     if found is None:
         message = f"none of {experiments} experiments stays within the limits; widen --limit or shorten --duration"
         raise InputError([Fault(Path(text), 0, 0, message)])
     if max(found.apart.values()) < UNSEEN:
         message = f"none of {experiments} experiments drives any two rivals a standard deviation apart; {CURE}"
         raise InputError([Fault(Path(text), 0, 0, message)])
-    report("building the FMUs", 0.0)
+    show_stage("building the FMUs", 0.0)
     if keep:
         keep_earlier(folder, "cosim excite", rig.files)
     _write(folder, found, seed)
+    (folder / REPORT).unlink(missing_ok=True)
+    if report:
+        from cosim.experiment.report import page
+
+        write_text(folder / REPORT, page(found, folder / "excitation.yaml"))
     return found
 
 
@@ -219,7 +134,7 @@ def _choose(question: Question, rig: Rig, time: Array, seed: int, count: int, re
         if trial is None or trial.beyond(question.limits) > 1.0:
             continue
         apart = separation.of(trial.log(model, question.measured)) if drawn else usual
-        if best is None or _merit(apart) > best.score:
+        if best is None or merit_of(apart) > best.score:
             rivals = _rivals_played(question, rig, trial) if len(question.rivals) <= FEW else {}
             other = Excitation(question, rig, trial, rivals, apart, usual, usually)
             best = other if best is None or other.score > best.score else best

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from cosim.base.text import amount, counted, plain, size
+from cosim.base.text import amount, counted, listed, plain, size
 from cosim.logs.finding import Finding
 from cosim.residuals.compare import ChannelSummary, Comparison
 from cosim.residuals.residual_statistics import FREE_RUN
@@ -59,13 +59,14 @@ def _not_in_kind(o: _Outcome) -> str:
     following = [c for c in o.channels if c.matched and not c.explained]
     if o.beyond or not following:
         return ""
-    return f"{o.lead}, which noise could explain in size, but not in kind. {_cause(o.comparison, following)}"
+    cause = _cause(o.comparison, following)
+    return f"{o.lead}. Noise could explain that in size, but not in kind. {cause}"
 
 
 def _explained(o: _Outcome) -> str:
     if o.beyond:
         return ""
-    return f"{o.lead}, no more than the noise of the sensors explains: this log shows nothing that the model lacks."
+    return f"{o.lead}. The noise of the sensors explains that: this log shows nothing that the model lacks."
 
 
 def _beyond_in_free_run(o: _Outcome) -> str:
@@ -73,32 +74,28 @@ def _beyond_in_free_run(o: _Outcome) -> str:
         return ""
     worst = min(o.beyond, key=lambda c: c.scores[FREE_RUN].fit)
     fit = amount(worst.scores[FREE_RUN].fit, "%", 2)
-    return f"{o.lead}; {worst.name} fits to {fit}. {_cause(o.comparison, o.beyond)}"
+    return f"{o.lead}. The fit of {worst.name} is {fit}. {_cause(o.comparison, o.beyond)}"
 
 
 def _beyond_in_windows(o: _Outcome) -> str:
-    first, *others = (f"{plain(c.excess, 2)} times" for c in o.beyond)
-    names = [c.name for c in o.beyond]
-    times = [
-        f"{first} what the noise of the sensors explains for {names[0]}",
-        *(f"{times} for {name}" for times, name in zip(others, names[1:], strict=True)),
-    ]
+    times = listed([f"{plain(c.excess, 2)} times for {c.name}" for c in o.beyond])
     rest = f" {_no_measure(o.lost)}" if o.lost else ""
-    return f"{o.lead}. That is {_and(times)}. {_cause(o.comparison, o.beyond)}{rest}"
+    cause = _cause(o.comparison, o.beyond)
+    return f"{o.lead}. That is more than the noise of the sensors explains: {times}. {cause}{rest}"
 
 
 def _no_measure(lost: Sequence[ChannelSummary]) -> str:
-    """Return a sentence on channels without valid windows and their free run."""
-    names = _and([c.name for c in lost])
-    own = _and([f"{c.name} by {size(c.floor.astray, c.unit)}" for c in lost])
+    """Which channels windows do not measure, how that shows, and what the free run says of them."""
+    names = listed([c.name for c in lost])
+    own = listed([f"{c.name} by {size(c.floor.astray, c.unit)}" for c in lost])
     return (
-        f"The windows do not measure {names}: restarted from its own outputs this FMU misses {own}, "
-        f"for it keeps a state that no output shows. Its free run misses {_sizes(lost, FREE_RUN)}."
+        f"The windows do not measure {names}: this FMU keeps a state that no output shows. "
+        f"Restarted from its own outputs it misses {own}. Its free run misses {_sizes(lost, FREE_RUN)}."
     )
 
 
 def _sizes(channels: Sequence[ChannelSummary], horizon: float) -> str:
-    return _and([f"{c.name} by {size(c.scores[horizon].rmse, c.unit)}" for c in channels])
+    return listed([f"{c.name} by {size(c.scores[horizon].rmse, c.unit)}" for c in channels])
 
 
 def _cause(comparison: Comparison, channels: Sequence[ChannelSummary]) -> str:
@@ -111,8 +108,8 @@ def _cause(comparison: Comparison, channels: Sequence[ChannelSummary]) -> str:
     pairs = [(c, u) for c in channels for u in c.inputs[:1] if u.stands_out]
     if not pairs:
         return (
-            "No command stands out in the residual: an effect that depends on the motion, a disturbance or a sensor; "
-            "`cosim refine` tells them apart."
+            "No command stands out in the residual: the cause may be an effect that depends on the motion, "
+            "a disturbance or a sensor. `cosim refine` distinguishes them."
         )
     channel, found = max(pairs, key=lambda pair: pair[1].strength)
     rho = plain(float(found.rho[found.peak]), 2)
@@ -124,13 +121,13 @@ def _cause(comparison: Comparison, channels: Sequence[ChannelSummary]) -> str:
 
 
 def whiteness_words(channel: ChannelSummary) -> str:
-    """Return the result of the whiteness test in words."""
+    """Say whether the residual is only noise."""
     test = channel.whiteness
     if math.isnan(test.p_value):
         return "too few rows to tell"
     if test.white:
-        return "white"
-    return "not white, yet no larger than noise and start explain" if channel.matched else "not white"
+        return "yes"
+    return "no, but no larger than noise and start explain" if channel.matched else "no"
 
 
 def input_words(channel: ChannelSummary) -> str:
@@ -149,7 +146,3 @@ def quality(findings: Sequence[Finding]) -> str:
     if not warnings:
         return "Clock, units, signs and channels of the log are in order."
     return f"{counted(warnings, 'warning')} about the log, to be known before the numbers are believed."
-
-
-def _and(words: Sequence[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}" if words else ""

@@ -215,13 +215,14 @@ class _Sweep:
 
     def _record(self, way: Way, why: str) -> dict[str, Any]:
         study, scenario = self.study, self.study.scenario
-        count = through = failed = 0
+        count = through = failed = met_all = 0
         failures: list[dict[str, Any]] = []
         met = np.zeros(len(scenario.goals), int)
         for m in self.base.runs():
             count, through = count + 1, through + (m.through == "fmus")
             if m.status == "ok":
                 met += np.array(m.met, int)
+                met_all += all(m.met)
             else:
                 failed += 1
                 failures += [{"run": m.run, "why": m.status}] if failed <= TOLD else []
@@ -236,6 +237,7 @@ class _Sweep:
             "scenario": study.resolved,
             "runs": count,
             "failed": failed,
+            "met_all": met_all,
             "failures": failures,
             "way": way,
             "why": why,

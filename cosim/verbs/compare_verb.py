@@ -110,7 +110,7 @@ def command(
 
 
 def _lines(made: Compared) -> list[str]:
-    """Return the largest differences, the signals of one run alone, and the verdict."""
+    """Return the verdict, the signals with the largest differences, and those of one run alone."""
     from cosim.comparison.differences import sentence
     from cosim.comparison.signals import shared, sized
 
@@ -124,4 +124,4 @@ def _lines(made: Compared) -> list[str]:
         lines.append(f"  … and {len(ranked) - SHOWN} more that differ")
     for name, only in (("a", made.only_a), ("b", made.only_b)):
         lines += [f"  only in {name}: {some(only, SHOWN)}"] if only else []
-    return [*lines, judged(made.same, sentence(made)) if made.judged else sentence(made)]
+    return [judged(made.same, sentence(made)) if made.judged else sentence(made), *lines]

@@ -47,6 +47,7 @@ def command(
     if as_json:
         say_json([row.as_json() for row in rows])
         return
+    say(headline(rows))
     for flight, motion in {row.flight: row.motion for row in rows}.items():
         say(f"{flight}: {motion}")
     header = ("case", "flight", "of", "dof", "mean", "its region", "times above", "below", "at most", "verdict")
@@ -60,5 +61,4 @@ def command(
     say(head)
     for row, line in zip(rows, body, strict=True):
         say(judged(row.result.verdict == CONSISTENT, line))
-    say(headline(rows))
     say(f"numbers: {out / 'consistency.json'}" + (f"; report: {out / 'report.html'}" if report else ""))

@@ -10,8 +10,8 @@ import typer
 
 from cosim.base.program import ending_when_stuck
 from cosim.storage.folders import folder_named, name_of
-from cosim.verbs.options import Force, Json, Texts, out_option, time_option
-from cosim.verbs.terminal import say, say_json, stages, warn
+from cosim.verbs.options import Force, Json, Open, Report, Texts, out_option, time_option
+from cosim.verbs.terminal import files_in, say, say_json, show, stages, warn
 
 
 def command(
@@ -45,12 +45,14 @@ def command(
         time_option("Duration of the experiment, for example 90 or 2min (default: 40 s, longer for a slow model)."),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed for the random experiments.")] = 1,
+    report: Report = True,
+    open_: Open = False,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Design the input that separates rival hypotheses best.
 
-    Writes excitation.csv and excitation.yaml, a scenario that plays the input.
+    Writes excitation.csv, excitation.yaml, a scenario that plays the input, and report.html.
 
     Example: cosim excite results/refine --limit angle=8deg
     """
@@ -67,17 +69,22 @@ def command(
             measured=measured or (),
             duration=duration,
             seed=seed,
+            report=report,
             force=force,
             keep=out is None,
             progress=progress,
         )
+    say(found.headline)
     if found.warning:
         warn(found.warning)
     for line in found.sentences:
         say(line)
     played = shlex.quote(str(place / "excitation.yaml"))
     say(f"excitation: {place / 'excitation.csv'}, played by: cosim run {played}")
+    if report:
+        say(f"report: {place / 'report.html'}")
+    show(place / "report.html", asked=report and open_)
     if as_json:
         apart = [{"pair": list(pair), "standard_deviations": distance} for pair, distance in found.apart.items()]
         files = {"excitation": str(place / "excitation.csv"), "scenario": str(place / "excitation.yaml")}
-        say_json({"apart": apart, "warning": found.warning, **files})
+        say_json({"apart": apart, "warning": found.warning, **files, **files_in(place)})

@@ -107,14 +107,14 @@ def _tell(outcome: Outcome, out: Path, *, report: bool) -> None:
     from cosim.linearization.descriptions import HEAD, headline, matrix_lines, pole_table
 
     m = outcome.first
+    say(headline(outcome.structure, m))
+    for line in table(HEAD, pole_table(outcome.structure)):
+        say(line)
     for name in "ABCD":
         rows = m.states if name in "AB" else m.outputs
         header, *cells = matrix_lines(name, getattr(m, name), rows, m.states if name in "AC" else m.inputs) or [[name]]
         for line in table(header, cells) if cells else []:
             say(line)
-    for line in table(HEAD, pole_table(outcome.structure)):
-        say(line)
-    say(headline(outcome.structure, m))
     count = len(outcome.linear)
     several = f", {count} times from {m.point.time:g} s on; above is the first" if count > 1 else ""
     say(f"by {m.method}{several}")

@@ -16,9 +16,10 @@ from cosim.storage.results import rows_in
 from cosim.verbs.options import Compile, Force, Format, InProcess, Json, Open, Report, Texts, out_option
 from cosim.verbs.scratch_results import results_in
 from cosim.verbs.streams import echo
-from cosim.verbs.terminal import files_in, progress_bar, say, say_json, show
+from cosim.verbs.terminal import files_in, progress_bar, say, say_json, show, table
 
 if TYPE_CHECKING:
+    from cosim.residuals.compare import Comparison
     from cosim.residuals.replay_signals import Replay
 
 
@@ -131,6 +132,8 @@ def command(
         if finding.severity == "warning":
             echo(finding.line, err=True)
     say(verdict(comparison))
+    for line in _error_table(comparison):
+        say(line)
     say(f"residual: {rows_in(place, 'residual')}" + (f", report: {place / 'report.html'}" if report else ""))
     if as_json:
         findings = [finding.line for finding in comparison.findings]
@@ -138,3 +141,22 @@ def command(
         rows = [path.name for stem in ("results", "residual") if (path := rows_in(place, stem))]
         say_json({**content, **files_in(place, *rows)})
     show(place / "report.html", asked=report and open_)
+
+
+def _error_table(comparison: Comparison) -> list[str]:
+    """Return the error of each channel as a table, beside the noise of its sensor."""
+    from cosim.base.text import plain, size
+    from cosim.residuals.replay_sentences import horizon_name
+
+    header = ("channel", "error (rms)", "over", "noise σ", "error / noise floor")
+    rows = [
+        (
+            c.name,
+            size(c.scores[c.measure].rmse, c.unit),
+            horizon_name(c.measure),
+            size(c.noise, c.unit),
+            plain(c.excess, 2),
+        )
+        for c in comparison.channels
+    ]
+    return table(header, rows)

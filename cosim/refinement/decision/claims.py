@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
+from cosim.base.text import MOST_NAMED
 from cosim.refinement.decision.judgement import SIGNIFICANT, loss_without
 from cosim.refinement.search.hypotheses import TOGETHER, Attribution, Hypothesis
 from cosim.refinement.search.unnamed import Leftover, Unnamed
@@ -194,7 +195,8 @@ def _ambiguous(a: Attribution, subject: Subject, residual: Mapping[str, Any]) ->
     apart = [[n for n in h.names if n not in common] for h in every]
     experiment = experiment_for(subject, [n for names in apart for n in names])
     rivals = tuple(TOGETHER.join(h.names) for h in every)
-    claims = Claims("ambiguous", a.best, rivals, experiment, residual, apart=tuple(map(" and ".join, apart)))
+    short = tuple(TOGETHER.join(names) if len(names) <= MOST_NAMED else f"{len(names)} candidates" for names in apart)
+    claims = Claims("ambiguous", a.best, rivals, experiment, residual, apart=short)
     return replace(claims, certain=tuple(c for c in a.best.candidates if c.name in common))
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from cosim.base.text import listed
 from cosim.estimation.fit import Fit, inverse
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
@@ -260,7 +261,7 @@ class Reasons:
     def _reason(self, h: Hypothesis) -> str:
         """Return the first reason that applies."""
         gained, behind = self.base.score - h.score, h.score - self.best.score
-        than = " and ".join(self.best.names) or "the base model"
+        than = listed(self.best.names) or "the base model"
         if any(h.names == r.names for r in self.rivals):
             return f"a rival: explains as well as {than}"
         if extra := [n for n in h.names if n in self.dropped]:
