@@ -1,4 +1,4 @@
-"""The input that was chosen: the expected separation of the rivals, the excursions, and both in sentences."""
+"""Chosen input of an experiment: separation of the rivals, excursions, and sentences about both."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ from cosim.experiment.question import Question
 from cosim.experiment.rigs import Rig, Trial
 from cosim.experiment.separation import Pair
 
-SEPARATED = 3.0  # standard deviations between rivals, from which a log decides
+SEPARATED = 3.0  # standard deviations between rivals from which a log decides
 CURE = "try a wider --limit, a longer --duration or more outputs --measured"
-LISTED = 5  # pairs named in a line, or a line each, before the rest is counted
+LISTED = 5  # pairs listed before the rest is counted
 
 
 @dataclass(frozen=True)
 class Excitation:
-    """An experiment, played by the model and by its rivals.
+    """An experiment simulated with the model and its rivals.
 
-    apart, usual: how far it, and what is usually played, drive each pair apart [standard deviations]
-    usually:      what is usually played
+    Attributes:
+        apart, usual: Distance of each pair for this and for the usual input [standard deviations].
+        usually: Trial with the usual input.
     """
 
     question: Question
@@ -35,12 +36,12 @@ class Excitation:
 
     @property
     def score(self) -> tuple[int, float]:
-        """Merit of its distances, divided by how far beyond its limits a rival takes the model."""
+        """Return the merit, reduced by the rivals' excess over the limits."""
         return merit_of(self.apart, max([1.0, *(f.beyond(self.question.limits) for f in self.rivals.values())]))
 
     @property
     def headline(self) -> str:
-        """Return how many pairs the input separates, and the distance of the hardest."""
+        """Return the number of separated pairs and the hardest pair."""
         count, pairs = sum(distance >= SEPARATED for distance in self.apart.values()), counted(len(self.apart), "pair")
         hardest = self.hardest_first[0]
         least = f"{self.apart[hardest]:.1f} standard deviations apart, {SEPARATED:g} are needed"
@@ -48,7 +49,7 @@ class Excitation:
 
     @property
     def distances(self) -> list[str]:
-        """A line for each pair, hardest first."""
+        """Return one line for each pair, hardest first."""
         return [
             f"{a} from {b}: {self.apart[a, b]:.1f} standard deviations ({self.rig.usual}: {self.usual[a, b]:.1f})"
             for a, b in self.hardest_first
@@ -56,7 +57,7 @@ class Excitation:
 
     @property
     def sentences(self) -> list[str]:
-        """What it separates, hardest first, and how far it goes, also if a rival is true and takes it farther."""
+        """Return distances, hardest first, and excursions of model and rivals."""
         lines = self.distances
         if len(lines) > LISTED + 1:
             least = self.apart[self.hardest_first[LISTED]]
@@ -70,12 +71,12 @@ class Excitation:
 
     @property
     def warning(self) -> str:
-        """The pairs it does not separate, and what separates more but leaves the limits; empty without either."""
+        """Return a warning about inseparable pairs and a better input beyond the limits."""
         return "; ".join(filter(None, (self._inseparable, self._surpassed)))
 
     @property
     def _surpassed(self) -> str:
-        """What is usually played, where it separates better: it then goes beyond the limits."""
+        """Return a note on a better usual input beyond the limits."""
         beyond = self.usually.beyond(self.question.limits)
         if not 1.0 < beyond < np.inf or merit_of(self.usual) <= merit_of(self.apart):
             return ""
@@ -93,7 +94,7 @@ class Excitation:
 
     @property
     def hardest_first(self) -> list[Pair]:
-        """Pairs of rivals, the nearest first."""
+        """Return the pairs of rivals, closest first."""
         return sorted(self.apart, key=lambda pair: self.apart[pair])
 
     def _ranges(self, trial: Trial) -> str:
@@ -105,7 +106,10 @@ class Excitation:
 
 
 def merit_of(apart: Mapping[Pair, float], beyond: float = 1.0) -> tuple[int, float]:
-    """How many pairs are separated, and the distance of the nearest of them; of the farthest where none is."""
+    """Return the number of separated pairs and the smallest of their distances.
+
+    Without separated pairs, the largest distance counts.
+    """
     distances = [distance / beyond for distance in apart.values()]
     separated = [distance for distance in distances if distance >= SEPARATED]
     return len(separated), min(separated, default=max(distances))

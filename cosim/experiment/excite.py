@@ -31,10 +31,10 @@ from cosim.storage.table import write_columns
 from cosim.subject.model_subject import ModelSubject
 
 EXPERIMENTS = 48
-DURATION, SHORTEST, LONGEST = 40.0, 5.0, 600.0  # [s], of a model with a step of 50 ms and less
-FEW = 4  # rivals, of which each is played before an experiment is preferred; of more, when it is chosen
-SLACK = 0.95  # of the excursion allowed at which one that goes too far is aimed anew
-UNSEEN = 1.0  # standard deviations up to which noise hides the difference
+DURATION, SHORTEST, LONGEST = 40.0, 5.0, 600.0  # [s] for a model with a step of 50 ms or less
+FEW = 4  # rivals up to which each is simulated for every preferred experiment; more are simulated at the end
+SLACK = 0.95  # share of the allowed excursion for a second attempt
+UNSEEN = 1.0  # standard deviations below which noise hides the difference
 REPORT = "report.html"
 Progress = Callable[[str, float], None]
 

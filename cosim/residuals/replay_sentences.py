@@ -85,7 +85,7 @@ def _beyond_in_windows(o: _Outcome) -> str:
 
 
 def _no_measure(lost: Sequence[ChannelSummary]) -> str:
-    """Which channels windows do not measure, how that shows, and what the free run says of them."""
+    """Return sentences on channels without valid windows."""
     names = listed([c.name for c in lost])
     own = listed([f"{c.name} by {size(c.floor.astray, c.unit)}" for c in lost])
     return (
