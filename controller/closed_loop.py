@@ -1,9 +1,8 @@
 """Rig for experiments on the craft under its own controller.
 
 Without control, a tilt error of 1° spins the hovercraft up within seconds. An addition to the tilts is therefore
-applied
-to the references, divided by the gain from reference to tilt: the controller commands the addition in the same sample.
-Duties are not controlled and can be played directly.
+applied to the references, divided by the gain from reference to tilt: the controller commands the addition in the same
+sample. Duties are not controlled and can be played directly.
 """
 
 from __future__ import annotations

@@ -46,8 +46,7 @@ def design_model(p: ModelNumbers) -> tuple[Matrix, Matrix]:
     """Return A (5, 5) and B (5, 2) of eqs 5.33/5.34, with yaw damping d.
 
     The thesis has d = 0. A₁₂ = 1, A₂₂ = −c/m, A₂₅ = 1, A₃₄ = 1, A₄₄ = −d/Izz, A₅₅ = −1/τ;  B₄ = ±L·T_N/Izz, B₅ =
-    T_N/(τ·m).
-    Eq E.4 prints 34.27 and 24.17, from an older T_N and τ; eqs 5.36 and 6.5 need 41.85 and 40.07.
+    T_N/(τ·m). Eq E.4 prints 34.27 and 24.17, from an older T_N and τ; eqs 5.36 and 6.5 need 41.85 and 40.07.
     """
     A, B = _zeros(p, 5, 5), _zeros(p, 5, 2)
     A[0, 1] = A[1, 4] = A[2, 3] = 1.0

@@ -30,8 +30,7 @@ class ExtendedSettings(Parametric):
     """Assumed noise of the extended filter, and the axes of its fixes; `axes` is one of `AXES`.
 
     Process noise is per sample; noise of the five design states is from eq 5.47, the rest is chosen here. Motion along
-    the
-    craft's axes also moves the world position, which has no noise of its own.
+    the craft's axes also moves the world position, which has no noise of its own.
     """
 
     process_variance_x: float = declared(LINEAR, "process_variance_x")

@@ -94,11 +94,9 @@ class PredictiveLaw(Predicting, OfLinearFilter):
          Σ (z'·Q·z + u'·R·u)·Δ + z_N'·P·z_N,   z_{j+1} = F·z_j + G·u_j,   |α| ≤ tilt_max,   duty_min ≤ δ ≤ duty_max
 
     with z the deviation from rest at the references of x, y and ψ, and P the cost to go of the LQR. Without active
-    limits,
-    the law equals the LQR. The filter provides x, ẋ, ψ and ψ̇; y, roll, thrusts and tilts follow from the commands,
-    with
-    corrections by fixes of y. An infeasible speed limit is exceeded. At the solver's iteration limit, the unconstrained
-    command is clipped and `solved` is 0.
+    limits, the law equals the LQR. The filter provides x, ẋ, ψ and ψ̇; y, roll, thrusts and tilts follow from the
+    commands, with corrections by fixes of y. An infeasible speed limit is exceeded. At the solver's iteration limit,
+    the unconstrained command is clipped and `solved` is 0.
     """
 
     def __init__(self, p: PredictiveSettings, y_hat: float = 0.0) -> None:

@@ -31,12 +31,9 @@ class TimeVariantLaw(Predicting):
 
     z is the deviation from rest at the references of x, y and ψ; x̄, ū are motion and commands planned at the previous
     sample, shifted by one sample. At the first sample x̄ is the estimate and ū the command at rest. Commands, A and B
-    are
-    held over a prediction step. P is the cost to go of the LQR at hover. With one program per sample, the plan follows
-    a
-    changed reference within some samples (real-time iteration, Diehl, Bock, Schlöder 2005). An own extended Kalman
-    filter
-    estimates all states.
+    are held over a prediction step. P is the cost to go of the LQR at hover. With one program per sample, the plan
+    follows a changed reference within some samples (real-time iteration, Diehl, Bock, Schlöder 2005). An own extended
+    Kalman filter estimates all states.
     """
 
     filter: ExtendedFilter

@@ -37,8 +37,7 @@ class HovercraftPolesController(HovercraftController):
     """Pole placement: −2, −4, −11 rad/s of the forward axis, −4, −5 rad/s of the turn.
 
     The common tilt drives the forward axis, the tilt difference the turn, so that the gain of each is unique. At most
-    two
-    poles are equal, one in each axis.
+    two poles are equal, one in each axis.
     """
 
     settings = placed_settings()

@@ -17,8 +17,7 @@ def ground_effect(m: Namespace, z: Number, radius: Number, exponent: Number) -> 
     """Return thrust gain Γ at height z [m].
 
     Γ = 1/(1 − (R/4z)^k), with z at least R/2. Eq 4.11 is printed with a plus sign; the code of the thesis and Γ/m =
-    1.620
-    of eq E.2 need the minus.
+    1.620 of eq E.2 need the minus.
     """
     return 1.0 / (1.0 - (radius / (4.0 * m.maximum(z, 0.5 * radius))) ** exponent)
 

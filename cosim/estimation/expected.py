@@ -23,8 +23,8 @@ def expected(f: Fit, name: str, besides: str = "") -> tuple[float, float]:
     """Return a parameter's mean over groups and its spread for a new group.
 
     For estimates θ̂ of n groups with scatter s, the spread is t·s·√(1 + 1/n), with Student's t for few groups (95 % of
-    both
-    distributions agree); s is at least the uncertainty of the estimates. A single group has the spread of the prior.
+    both distributions agree); s is at least the uncertainty of the estimates. A single group has the spread of the
+    prior.
 
     Args:
         besides: Group to ignore.

@@ -36,8 +36,7 @@ class Patience:
     Attributes:
         goal: After `fair` iterations the quadratic model must predict an objective below `goal`.
         reached: Upper bound of the optimum. Above the bound the quadratic model is unreliable, and the fit continues
-            while
-            the pace of its last iteration would reach `goal` in time.
+            while the pace of its last iteration would reach `goal` in time.
     """
 
     goal: float = np.inf

@@ -298,8 +298,7 @@ class Problem:
         """Filter measurements in place of a log's, with causal states in `rows`.
 
         A late reading arrives after the row of its measurement. States in `rows` use only readings available by then.
-        Readings
-        that arrive while another requested state is computed are also ignored; few are, and long past.
+        Readings that arrive while another requested state is computed are also ignored; few are, and long past.
         """
         filtered = self.filtered(data, values, noise, index, states=True)
         late = {k: n for k, by in self.lateness(values, index).items() if (n := round(by)) > 0}

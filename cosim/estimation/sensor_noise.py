@@ -26,8 +26,7 @@ def sensor_noise(problem: Problem) -> dict[str, float]:
     """Return the noise standard deviation of each output that allows an estimate.
 
     The level is the deviation of readings from four neighbours, which includes fast motion. The model's own run
-    estimates
-    the share of motion. Outputs with a large share, such as sensors slower than the motion, are omitted.
+    estimates the share of motion. Outputs with a large share, such as sensors slower than the motion, are omitted.
     """
     levels = {}
     runs = [own_run(problem, index).outputs for index in range(len(problem.logs))]

@@ -4,8 +4,7 @@
     NIS   ε = ν'·S⁻¹·ν,               m degrees of freedom, m measurements
 
 For N independent runs of a consistent estimator, N·(mean of ε at one time) is χ² with N·n degrees of freedom
-(Bar-Shalom,
-Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, 5.4). Two tests follow:
+(Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, 5.4). Two tests follow:
 
     mean over all times    n if consistent; the scatter between independent runs is the uncertainty
     each single time       2.5 % of the times lie above the 95 % region, 2.5 % below

@@ -1,8 +1,7 @@
 """Separation of rival hypotheses by an input: T-optimality with the filter of the later refinement.
 
 After Atkinson and Fedorov (1975): the value of an input is the remaining difference of two models after the parameters
-of
-one model are adapted to the other. Innovations are compared, as in `refine`, so that a visible disturbance hides the
+of one model are adapted to the other. Innovations are compared, as in `refine`, so that a visible disturbance hides the
 same differences. With e the innovations, s their variances and θ the adaptable parameters:
 
     D² = min over δ of Σ (e_a − e_b − ∂e_b/∂θ·δ)²/s + Σ (δ/σ)²,  σ the prior of a base parameter

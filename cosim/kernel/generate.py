@@ -63,8 +63,7 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
 
     Args:
         unnamed: Add terms outside the catalogue to each forced equation: `unnamed.state.basis`, a coefficient times a
-            basis
-            function of one signal, and local shapes. They detect missing terms that no effect explains.
+            basis function of one signal, and local shapes. They detect missing terms that no effect explains.
         constant: Parameters as states with derivative 0; shaping of commands still uses `p`.
     """
     import sympy

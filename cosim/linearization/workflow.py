@@ -242,8 +242,7 @@ def _beside(source: Source, found: Sequence[Linear], asked: Asked, sign: float) 
     """Return models with one-sided slopes at kinks.
 
     The point leaves one kink after another, inputs first, so that all slopes belong to the same branch. A kink between
-    two
-    variables is then passed by the first move.
+    two variables is then passed by the first move.
 
     Args:
         sign: Sign of the side.

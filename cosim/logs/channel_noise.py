@@ -35,8 +35,7 @@ def surprise(values: Array) -> Array:
     """Return the deviation from four neighbours, scaled to the noise; NaN if unknown.
 
     The cubic through two neighbours on each side predicts y_k, for equal rows as (−1, 4, 4, −1)/6; white noise σ gives
-    a
-    difference of σ·√(1 + Σ w²). Neighbours of a slow sensor are its own samples, but not across a gap.
+    a difference of σ·√(1 + Σ w²). Neighbours of a slow sensor are its own samples, but not across a gap.
     """
     left = np.full(values.size, np.nan)
     rows = np.flatnonzero(np.isfinite(values))

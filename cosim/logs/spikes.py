@@ -1,8 +1,7 @@
 """Outliers of the recorder: single readings unexplained by neighbours and model.
 
 `check`, `replay` and `refine` share one rule. A reading is suspect if its neighbours agree without it and the reading
-is
-far away from them. A suspect is genuine if the model moves as sharply, for example with an inrush current. Without a
+is far away from them. A suspect is genuine if the model moves as sharply, for example with an inrush current. Without a
 model, a suspect is genuine directly after a jump of an input.
 """
 

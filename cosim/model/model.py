@@ -45,8 +45,7 @@ class Effect(Parametric):
         states: Additional continuous states.
         memory: Quantities stored between substeps; each has a start value `name.memory_start`.
         delay: Parameter that delays the whole command [s]. The effect comes first in the catalogue and stores a history
-            of
-            commands, with one quantity in `memory` per input; with a whole log, the late command is looked up there.
+            of commands, with one quantity in `memory` per input; with a whole log, the late command is looked up there.
         starts: Additional start values of fits, for likelihoods with several maxima.
         at_least: Parameter → lower-bound parameter of the same effect, a physical constraint of every fit.
     """

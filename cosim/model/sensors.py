@@ -20,10 +20,8 @@ class SensorError(Effect):
     """A wrong reading of one output.
 
     `measure` gives the reading for a true value, a straight line. An error common to several outputs lists them in
-    `outputs`
-    instead of `output`. A reading that depends on time or other outputs overrides `read` (for several outputs,
-    `readings`):
-    the true output plus a term of time and the other outputs.
+    `outputs` instead of `output`. A reading that depends on time or other outputs overrides `read` (for several
+    outputs, `readings`): the true output plus a term of time and the other outputs.
     """
 
     output: ClassVar[str]

@@ -309,8 +309,7 @@ class Drive:
         """Return the steps between two rows of the log.
 
         An FMU with variable step follows the logged times, with several steps over a gap. Another FMU takes equal steps
-        of the
-        log's median.
+        of the log's median.
         """
         time, step = self.log.time[first : last + 1], self.log.step
         if self.variable_step:

@@ -115,8 +115,7 @@ def self_started(drive: Drive, parameters: Mapping[str, StartParameter], free: R
     """Return consecutive windows started from measurements.
 
     The free run provides the start of each chain. An output first measured later is predicted from then on. The result
-    is
-    None if the FMU or the log allows no windows.
+    is None if the FMU or the log allows no windows.
     """
     log, found = drive.log, chains(drive.log, horizon)
     if not found or not parameters.keys() & log.outputs.keys():

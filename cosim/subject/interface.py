@@ -80,8 +80,7 @@ class Replayer(Protocol):
         """Yield a replay for each horizon [s], in the order of `starts`.
 
         A run begins at each row of `starts[horizon]`, numbered as in `log`, and ends at the next start. Start rows are
-        not
-        predicted. A table (`log.table`) has one replay, each row from its own inputs.
+        not predicted. A table (`log.table`) has one replay, each row from its own inputs.
 
         Args:
             data: Log in equal steps with the commands before a start.

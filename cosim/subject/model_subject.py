@@ -181,8 +181,7 @@ class ModelSubject(Subject):
         """Return a command that uses the FMU.
 
         A controller is designed for the FMU if the model has a designer. Paths are absolute, since relative paths refer
-        to the
-        scenario.
+        to the scenario.
         """
         model, fmu = ((folder / name).resolve() for name in REFINED)
         command = ["cosim", "run", "scenario.yaml", "--set", f"components.plant.fmu={fmu}"]

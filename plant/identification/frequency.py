@@ -76,8 +76,7 @@ def _judge(
     """Add a warning for an early or late force, or a response that is not of first order.
 
     Phases and amplitudes are tested separately: the thrust of a run changes amplitudes only. A calibration error is
-    common
-    to all frequencies and cancels.
+    common to all frequencies and cancels.
     """
     frequencies = np.array([w for _, w in chosen[0]])
     place = int(np.argmin(np.abs(LAGS - result.estimates[0].value)))

@@ -153,8 +153,7 @@ def odd_group(groups: Sequence[Array]) -> tuple[int, list[int]]:
     """Return the group with two clusters, and the indices of the smaller one; (0, []) without any.
 
     All groups have equal scatter. The statistic is the scatter after the best split of one group relative to that
-    without a
-    split, compared with its quantile for normal values.
+    without a split, compared with its quantile for normal values.
     """
     if sum(v.size - 1 for v in groups) < LEAST_FREEDOM or not any(np.ptp(v) > 0.0 for v in groups):
         return 0, []

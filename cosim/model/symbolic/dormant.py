@@ -1,8 +1,7 @@
 """Detection of costly functions without effect while terms are dormant.
 
 A term is dormant at its neutral values. A function that is then multiplied by 0 can be replaced by 0 without a change
-of
-any bit of the results.
+of any bit of the results.
 """
 
 from __future__ import annotations

@@ -25,8 +25,7 @@ class Shaping:
 
     Attributes:
         stages: Symbol → expression for each effect. Later effects refer to plain symbols, because sympy is slow with
-            nested
-            branches.
+            nested branches.
         results: Resulting command, then the memory after.
         remembered: Symbols of the memory before.
     """

@@ -1,9 +1,8 @@
 """Symbolic evaluation of the equations effect by effect, with a block for each effect that can be skipped.
 
 A model calls its effects through hooks with names of its own. Each call of an overridden hook is recorded as a block:
-its
-values with the active effect, and the values of the same code at the neutral values. One set of expressions then serves
-every combination of effects, and a dormant effect costs one jump.
+its values with the active effect, and the values of the same code at the neutral values. One set of expressions then
+serves every combination of effects, and a dormant effect costs one jump.
 """
 
 from __future__ import annotations

@@ -103,10 +103,9 @@ def held_out(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[flo
     """Return the held-out gains in likelihood and open loop.
 
     Parameters claimed by only one hypothesis keep the values from the other logs, or of the model. For the likelihood,
-    the
-    remaining parameters and the noise are refitted on the held-out log for both hypotheses, because a log with little
-    excitation leaves these parameters open. Open-loop predictions use nothing of the held-out log. A single log is
-    halved.
+    the remaining parameters and the noise are refitted on the held-out log for both hypotheses, because a log with
+    little excitation leaves these parameters open. Open-loop predictions use nothing of the held-out log. A single log
+    is halved.
     """
     problem = search.problem if len(search.problem.logs) > 1 else halved(search.problem)
     count = len(problem.logs)
@@ -203,8 +202,7 @@ def open_loop(problem: Problem, horizon: float, values: Mapping[str, float], f: 
     """Return the open-loop residual of each replay.
 
     Each replay starts from the filtered state. Consecutive replays last one horizon of the model, or an eighth of the
-    log
-    for a free run.
+    log for a free run.
 
     Returns:
         Residuals, shape (replays, rows, outputs).
@@ -230,8 +228,7 @@ def as_given(problem: Problem, base: Fit, left_out: int | None = None) -> Fit:
     """Fit the unknown inputs of the given model, and its parameters per log.
 
     Parameters per log come from all logs, or from all but `left_out`. The noise must be refitted: a filter that trusts
-    the
-    given model as much as the recalibrated model would not follow the measurements.
+    the given model as much as the recalibrated model would not follow the measurements.
     """
     given = fit(problem, (), problem.values, base.noise, None, SCREEN_ITERATIONS, sensing=False)
     if not problem.own:

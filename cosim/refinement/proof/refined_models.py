@@ -31,8 +31,7 @@ def refined_subject(subject: Subject, settings: Settings, claimed: Hypothesis | 
     """Return the subject with the claim and recalibration.
 
     A claim of sensor errors alone changes only sensor parameters and parameters with a stated tolerance. A parameter
-    per
-    log takes its mean.
+    per log takes its mean.
     """
     if claimed is None:
         return subject
