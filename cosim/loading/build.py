@@ -1,4 +1,4 @@
-"""The FMUs of a model: what `cosim build` makes."""
+"""FMUs of a model: the work of `cosim build`."""
 
 from __future__ import annotations
 
@@ -23,10 +23,15 @@ def build(
     fmi: int = 2,
     platforms: Sequence[str] = (),
 ) -> list[Path]:
-    """Build in `folder` the FMUs of a model: base, a model.yaml, file.py:Class, a refine; without one, all there are.
+    """Build the FMUs of a model in `folder`.
 
-    nearest: of the model that came nearest in the refine that is named
-    native:  compiled, of a version of FMI, for platforms (without one, this machine's). Raises InputError.
+    Args:
+        model: `base`, a model.yaml, file.py:Class or a refine; by default all registered FMUs.
+        nearest: Whether to use the nearest model of the refine.
+        native: Whether to compile, for `fmi` version and `platforms` (default: this machine's).
+
+    Raises:
+        InputError: The model is faulty or cannot be built.
     """
     from cosim.fmi.fmu_build import build as build_fmu
 
