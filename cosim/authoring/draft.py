@@ -188,11 +188,7 @@ def write_draft(path: Path, fmus: Sequence[Path]) -> Draft:
 
 
 def _write_sound(made: Path, lines: str, fmu: Path) -> System:
-    """Write a scenario and return its system.
-
-    Raises:
-        InputError: The scenario is faulty, with the FMU as place.
-    """
+    """Write a scenario and return its system; raise InputError, with the FMU as place, if faulty."""
     made.write_text(lines, encoding="utf-8")
     try:
         return build_system(ScenarioFile(made))

@@ -76,11 +76,7 @@ def export_ssp(
 
 
 def _target(file: ScenarioFile, path: Path) -> Path:
-    """Return the file to write, in a folder named after the scenario.
-
-    Raises:
-        InputError: The file is an input.
-    """
+    """Return the file to write, named after the scenario in a folder; raise InputError for an input."""
     if path.is_dir():
         path = path / f"{re.sub(r'[^A-Za-z0-9_.-]+', '_', file.scenario.name) or 'system'}.ssp"
     if path.suffix.lower() != ".ssp":
@@ -102,7 +98,7 @@ def _block(system: System, name: str) -> FmuBlock:
 
 
 def _notes(file: ScenarioFile) -> Iterator[str]:
-    """Yield notes on omissions and on differences of importing tools."""
+    """Yield notes on omissions and differences of importing tools."""
     scenario = file.scenario
     if any(connection.noise for connection in scenario.connections):
         yield "noise is left out: SSP has no word for it"
@@ -170,7 +166,7 @@ def _unfit(file: ScenarioFile, system: System, k: int, connection: Connection) -
 
 
 def _model(file: ScenarioFile, name: str, block: FmuBlock) -> Model:
-    """Return an FMU's outputs, connected inputs and changed start values."""
+    """Return an FMU's outputs, connected inputs, changed start values."""
     fed = {c.target for c in file.scenario.connections}
     ports = [Port(s.name, "input", s.kind, s.unit) for s in block.inputs if f"{name}.{s.name}" in fed]
     ports += [Port(s.name, "output", s.kind, s.unit) for s in block.outputs if s.kind in TYPES and not s.local]
@@ -202,7 +198,7 @@ def _typed(variable: Any, value: Any) -> tuple[str, Value]:
 
 
 def _source(file: ScenarioFile, name: str, component: ReferenceComponent | PlaybackComponent, folder: Path) -> Model:
-    """Return a reference or recording as an FMU in C."""
+    """Return a reference or recording as a C FMU."""
     if isinstance(component, ReferenceComponent):
         signals = {signal: _profile(profile) for signal, profile in component.signals.items()}
     else:

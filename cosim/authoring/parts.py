@@ -118,11 +118,7 @@ def _identifier(text: str) -> str:
 
 
 def parts_of(paths: Sequence[Path], start: Mapping[str, Any] | None = None) -> list[Part]:
-    """Return FMUs with unique component names.
-
-    Raises:
-        InputError: FMUs are faulty; it lists all faults.
-    """
+    """Return FMUs with unique component names; raise InputError with all faults."""
     found: list[Part] = []
     for path, description in zip(paths, read_fmus(paths), strict=True):
         stem = component_name(path.stem, description.modelName or "")

@@ -121,11 +121,7 @@ class Component(Protocol):
         """Write the outputs to the row."""
 
     def advance(self, t: float, h: float) -> None:
-        """Step from `t` to `t + h` [s].
-
-        Raises:
-            EndedEarly: The component ends the simulation.
-        """
+        """Step from `t` to `t + h` [s]; raise EndedEarly if the component ends the simulation."""
 
     def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
         """Return a function of (t, h) for put, advance and get.

@@ -181,11 +181,7 @@ class NotCompiled(Exception):
 
 @cache
 def library() -> Any:
-    """Return the compiled loop from the user's cache.
-
-    Raises:
-        NotCompiled: No working compiler exists.
-    """
+    """Return the compiled loop from the cache; raise NotCompiled without a working compiler."""
     try:
         run = loaded(SOURCE.read_text(encoding="utf-8")).run
     except NoCompiler:

@@ -26,11 +26,7 @@ def to_bytes(state: Mapping[str, Any]) -> bytes:
 
 
 def own_of(data: bytes) -> Own:
-    """Return the part that determines the future.
-
-    Raises:
-        ValueError: The bytes are of a foreign FMU; KeyError and TypeError likewise.
-    """
+    """Return the part that determines the future; raise ValueError, KeyError or TypeError for foreign bytes."""
     if not data.startswith(JSON):
         return _Doubles(data).own
     t, state, memory = json.loads(data)["own"]

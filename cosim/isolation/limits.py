@@ -63,11 +63,7 @@ class Limits(Part):
 
 
 def read_limits(text: str) -> Limits:
-    """Return the limits of a command, e.g. `step: 10 s, memory: 2 GB`.
-
-    Raises:
-        InputError: A limit is unknown or invalid.
-    """
+    """Return limits from text like `step: 10 s, memory: 2 GB`; raise InputError if invalid."""
     pairs = (part.partition(":") for part in text.strip().strip("{}").split(",") if part.strip())
     try:
         return Limits.model_validate({key.strip(): value.strip() for key, _, value in pairs})

@@ -30,11 +30,7 @@ DATACLASS = "put @dataclass(frozen=True, kw_only=True) above the class"
 
 
 def checked(kind: type[Model], source: Source) -> Model:
-    """Return a model with default parameters.
-
-    Raises:
-        InputError: The class has faults; it lists all of them.
-    """
+    """Return a model with default parameters; raise InputError with all faults of its class."""
     _refuse(source, _shape(kind))
     declared = [*_effects(kind), *_sensors(kind), *_delays(kind), *_gains(kind), *_timeless(kind)]
     names = [*unique(kind), *named(kind), *_numbers(kind), *_limits(kind), *_units(kind)]

@@ -282,11 +282,7 @@ def _relative(source: str, folder: Path) -> str:
 
 
 def own_model(text: str, folder: Path) -> Model:
-    """Return the model `Class` of `file.py` with default parameters.
-
-    Raises:
-        InputError: The file or class has faults; it lists all of them.
-    """
+    """Return the model `Class` of `file.py`; raise InputError with all faults."""
     file, _, name = text.rpartition(":")
     path = (folder / file).resolve()
     if not path.is_file():
@@ -303,11 +299,7 @@ def own_model(text: str, folder: Path) -> Model:
 
 
 def only_model(path: Path) -> Model:
-    """Return the only model defined in `file.py`.
-
-    Raises:
-        InputError: The file has faults, no model or several.
-    """
+    """Return the only model of `file.py`; raise InputError for faults, no model or several."""
     if not path.is_file():
         raise InputError([Fault(path, 0, 0, "no such model file")])
     source = Source(path.resolve())

@@ -54,11 +54,7 @@ class Element:
 
 
 def parse(file: Path, text: bytes) -> Element:
-    """Return the root of a document.
-
-    Raises:
-        BadArchive: The document is invalid or unsafe.
-    """
+    """Return the root of a document; raise BadArchive if invalid or unsafe."""
     if len(text) > MOST_XML:
         raise BadArchive(f"it has more than the {MOST_XML / 1e6:.0f} MB that are read")
     check_xml(file.name, text, "SSP")

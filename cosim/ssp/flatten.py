@@ -269,11 +269,7 @@ class _Flattener:
 
 
 def read(reader: Reader) -> tuple[Structure, Flat]:
-    """Return a package flattened, without its faulty parts.
-
-    Raises:
-        InputError: Nothing usable remains.
-    """
+    """Return a package flattened, without faulty parts; raise InputError if nothing remains."""
     structure = reader.structure()
     if structure is None:
         raise InputError(reader.faults)

@@ -28,11 +28,7 @@ class Notes:
         self.warnings: list[str] = []
 
     def note(self, element: Element, message: str) -> None:
-        """Note a fault of an element.
-
-        Raises:
-            InputError: The number of faults reaches its limit.
-        """
+        """Note a fault of an element; raise InputError at the limit of faults."""
         self.faults.append(element.fault(message))
         if len(self.faults) >= MOST_FAULTS:
             raise InputError(self.faults)

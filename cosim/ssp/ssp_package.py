@@ -79,11 +79,7 @@ class Package:
 
 @contextmanager
 def opened(path: Path) -> Iterator[Package]:
-    """Yield a package, unpacked for the time of the block.
-
-    Raises:
-        InputError: The archive is invalid or unsafe.
-    """
+    """Yield a package, unpacked during the block; raise InputError if invalid or unsafe."""
     check_form(path, SSP_FILE)
     if path.suffix.lower() == ".ssd":
         yield Package(path, path.parent, path, packed=False)

@@ -196,11 +196,7 @@ class YamlFile:
         return True
 
     def validate(self, model: type[M], data: Any = None, at: Location = ()) -> M:
-        """Return the document, or a part of it, as a pydantic model.
-
-        Raises:
-            InputError: The data are invalid; it lists all faults.
-        """
+        """Return the data at a location as a pydantic model; raise InputError with all faults."""
         data = self.root if data is None else data
         try:
             return model.model_validate(data)

@@ -129,11 +129,7 @@ class Check:
         return [Printed(trace) for trace in self.printer.variants]
 
     def run(self) -> None:
-        """Compare in every case.
-
-        Raises:
-            Unprintable: The code differs; the message names difference and remedy.
-        """
+        """Compare in every case; raise Unprintable with the first difference and its remedy."""
         kinds = self.model.catalogue
         flags = list(product((False, True), repeat=len(self.printer.switches)))
         awake = dict.fromkeys([(), *((kind,) for kind in kinds), kinds])

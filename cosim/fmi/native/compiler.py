@@ -82,13 +82,7 @@ def fmi_headers() -> Path:
 
 
 def library_command() -> list[str]:
-    """Return the command for a plain library of this machine.
-
-    Language and optimization are left to the caller.
-
-    Raises:
-        NoCompiler: No compiler exists.
-    """
+    """Return the command for a plain library of this machine; raise NoCompiler if none exists."""
     command = compiler()
     if command is None:
         raise NoCompiler(f"no C compiler is found; {cure('native')}")

@@ -62,11 +62,7 @@ class Built:
 
 
 def native_model(model: Model, recipe: Recipe, name: str) -> Native:
-    """Return a model ready for a native FMU, checked against its Python.
-
-    Raises:
-        Unprintable: The model cannot be expressed in C.
-    """
+    """Return a model for a native FMU, checked against its Python; raise Unprintable on failure."""
     printer = Printer(model, recipe.about.ports)
     printed = printer.sources()
     check(model, printer)
