@@ -132,8 +132,7 @@ def times_of(parts: Sequence[Part], asked: Asked | None = None, *, most: int = M
     """Return start, duration and step of a run.
 
     A step that is requested or required by an FMU stays, and the end moves to a whole number of steps. Otherwise the
-    end
-    stays, and the step is shortened to fit.
+    end stays, and the step is shortened to fit.
 
     Args:
         most: Largest number of steps without a requested stop.

@@ -38,8 +38,7 @@ def simulate(
     """Run an FMU over its default experiment.
 
     Writes scenario.yaml, results.csv, manifest.json and report.html. After a failure the rows so far are written before
-    the
-    error is raised.
+    the error is raised.
 
     Args:
         start: Start values of parameters and inputs, as a mapping or NAME=VALUE texts.

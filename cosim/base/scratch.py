@@ -124,7 +124,7 @@ def locked(path: Path, *, create: bool = False) -> int | None:
 
 
 def lock_descriptor(descriptor: int) -> None:
-    """Lock an open file; raise OSError if the lock is held or fails."""
+    """Lock an open file; raise OSError if locked elsewhere or not lockable."""
     if os.name == "nt":
         import msvcrt
 

@@ -84,8 +84,7 @@ class Component(Protocol):
     """A component, called in order: bind, open, (put, get)* during initialization, start, (put, advance, get)*, close.
 
     The master writes inputs to `row[first:]`; the component writes outputs directly behind them. Values beyond the
-    exact
-    range of doubles (text, 64-bit integers) use `beside[first_beside:]` in the same way.
+    exact range of doubles (text, 64-bit integers) use `beside[first_beside:]` in the same way.
     """
 
     name: str

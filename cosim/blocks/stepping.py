@@ -35,8 +35,7 @@ class Why(IntEnum):
     STATUS: a call returned a status other than OK; NOT_FINITE: an output is not finite; UNFIT: an input does not fit
         its
     type; NO_ITEM: a value is no item of the target enumeration; TERMINATED: an FMU ended the simulation; PAUSED: the
-    row of
-    a point is complete but not stored; LATER: a second has passed
+    row of a point is complete but not stored; LATER: a second has passed
     """
 
     FINISHED, STATUS, NOT_FINITE, UNFIT, NO_ITEM, TERMINATED, PAUSED, LATER = range(8)

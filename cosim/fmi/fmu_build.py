@@ -63,8 +63,7 @@ def model_recipe(model: Model, file: Path, values: Mapping[str, float | bool] | 
     """Return the recipe of a user's model.
 
     The FMU carries `file`. Further packages imported by the file, apart from `cosim.model` and the standard library,
-    must be
-    installed with the importing tool.
+    must be installed on the machine that runs the FMU.
 
     Args:
         file: Python file of the model class.

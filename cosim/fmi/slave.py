@@ -1,8 +1,7 @@
 """Common part of FMI slaves: variables, phases, checks and state.
 
 pythonfmu turns an exception into fmi2Fatal with its text in the log, and anything weaker into a Discard, which most
-hosts
-ignore. Checks therefore raise.
+hosts ignore. Checks therefore raise.
 """
 
 from __future__ import annotations

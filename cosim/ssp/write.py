@@ -1,11 +1,9 @@
 """Writing of SSPs for other importing tools.
 
 libcosim and ecos identify elements by prefix, accept no nested systems, and read only inline parameter sets of
-components;
-FMPy requires a connection to each input connector. The written system therefore has no connectors of its own,
-components
-have their outputs and connected inputs, and each component has an inline set of start values. The value for FMPy's
-`simulate_ssp` parameter `parameter_set` is `resources/start.ssv`, with names prefixed by the component.
+components; FMPy requires a connection to each input connector. The written system therefore has no connectors of its
+own, components have their outputs and connected inputs, and each component has an inline set of start values. The value
+for FMPy's `simulate_ssp` parameter `parameter_set` is `resources/start.ssv`, with names prefixed by the component.
 """
 
 from __future__ import annotations

@@ -150,8 +150,7 @@ def keep_earlier(folder: Path, verb: str, also: Iterable[str] = ()) -> Path | No
     """Move an earlier run's files to the next of runs/0001, 0002.
 
     The files are those declared by the verb, `also`, and those of verbs whose marks are in the folder; user files stay.
-    The
-    next verb to lock the folder finishes an interrupted move.
+    The next verb to lock the folder finishes an interrupted move.
 
     Returns:
         The new folder; None without files to move.

@@ -207,8 +207,7 @@ class YamlFile:
         """Return the document without faulty parts, and their faults.
 
         The model is None if a faulty part is essential or a faulty key at the top may affect the rest. An unknown
-        top-level
-        key does not, unless it resembles `first`, on which the reading of the rest depends.
+        top-level key does not, unless it resembles `first`, on which the reading of the rest depends.
         """
         data = copy.deepcopy(self.root)
         try:

@@ -1,8 +1,7 @@
 """Check of generated C against a model's Python at seeded random points, before compilation.
 
 A model may make a decision while its equations are traced that depends on numbers at run time (a dictionary look-up of
-a
-parameter, a test for effects). No rule detects all such lines, but comparing two evaluations does.
+a parameter, a test for effects). No rule detects all such lines, but comparing two evaluations does.
 """
 
 from __future__ import annotations
