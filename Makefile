@@ -7,7 +7,7 @@ CHECKING := .venv/.checking
 DOCUMENTING := .venv/.documenting
 MUTATING := .venv/.mutating
 
-.PHONY: run test thorough refine bench blind crash fuzz mutants seed check docs clean fmus
+.PHONY: run test thorough refine bench blind crash fuzz mutants seed check docs english clean fmus
 N ?= 24
 CRASHES ?= 200
 EXAMPLES ?= 10000
@@ -83,7 +83,11 @@ check: $(CHECKING)
 	@if command -v npm >/dev/null; then npm install --silent --no-audit --no-fund --no-package-lock && npm run --silent check; \
 	else echo "no npm: scripts of pages are not checked"; fi
 
-# the site, docs/_site: reports for the gallery, pages, every link tried; LINKS=--external those to other sites too
+# measures of the prose of docstrings and documents
+english: $(RUNTIME)
+	$(BIN)/python -m tests.english
+
+# the site, docs/_site: reports of the gallery, pages, check of every link; LINKS=--external also links to other sites
 docs: $(DOCUMENTING)
 	$(BIN)/python docs/site.py $(LINKS)
 

@@ -1,1 +1,1 @@
-"""Benchmarks that `make bench` runs; not installed."""
+"""Benchmarks of `make bench`; not installed."""

@@ -1,4 +1,4 @@
-"""Benchmarks as ratios: both sides interleaved in one process, medians of each, for machines are shared and noisy."""
+"""Benchmarks as ratios of medians, interleaved in one process because shared machines are noisy."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 
 H = 0.02
 STEPS = 1000
-MANY = 100_000  # steps of FMUs that take next to no time
+MANY = 100_000  # steps of FMUs with next to no computation
 ROUNDS = 9
-RUNS = 512  # of a sweep at once
+RUNS = 512  # simultaneous runs of a sweep
 IMPORTS = "import numpy, fmpy, filterpy.kalman"
 NOISE = {name: SENSOR_VARIANCE[name] for name in ("psi", "psi_dot", "ax")}
 
@@ -88,7 +88,7 @@ class {name}(Fmi2Slave):
 
 
 def bench() -> dict[str, float | str]:
-    """Every ratio, by the name the issues and the README use; why there is none, where there is none."""
+    """Return every ratio by name, or the reason for a missing one."""
     with tempfile.TemporaryDirectory(prefix="cosim-bench-") as folder:
         place = Path(folder)
         build(plant_recipe(), place / "plant.fmu")
@@ -114,27 +114,30 @@ def bench() -> dict[str, float | str]:
 
 
 def ratio(ours: Callable[[], float], other: Callable[[], float], rounds: int = ROUNDS) -> float:
-    """Median time of `ours` over that of `other`, run in turn; each returns its own seconds."""
+    """Return the ratio of median times, measured in turn.
+
+    Each function returns its own seconds.
+    """
     ours(), other()
     pairs = [(ours(), other()) for _ in range(rounds)]
     return median(a for a, _ in pairs) / median(b for _, b in pairs)
 
 
 def loop_seconds(system: System, steps: int, rows: Rows | None = None) -> float:
-    """Seconds the master takes for the steps alone, loading and unloading left out."""
+    """Return the seconds of the master's steps, without loading."""
     marks: list[float] = []
     simulate(system, steps, H, lambda k: marks.append(time.perf_counter()), rows)
     return (marks[-1] - marks[0]) * steps / (steps - PROGRESS_EVERY)
 
 
 def loop_over_plain(scenario: Path) -> float:
-    """Master with both FMUs over the same plant and controller as plain functions."""
+    """Compare the master with plant and controller as plain functions."""
     file = ScenarioFile(scenario)
     return ratio(lambda: loop_seconds(build_system(file), STEPS), plain_seconds)
 
 
 def plain_seconds() -> float:
-    """The loop as plain functions: same noise, same signals recorded."""
+    """Return the seconds of the loop as plain functions, with equal noise and signals."""
     stepper = Stepper(Hovercraft())
     moment = stepper.start(0.0, {"x": 1.0, "psi": 1.0})
     loop = Loop(Settings(), (1.0, 0.0, 1.0, 0.0, 0.0), 0.0, 0.0)
@@ -154,7 +157,7 @@ def plain_seconds() -> float:
 
 
 def fmpy_over_ours(place: Path) -> float:
-    """A plain FMPy loop over our master, on two FMUs that do nothing."""
+    """Compare a plain FMPy loop with the master, for two idle FMUs."""
     from pythonfmu.builder import FmuBuilder
 
     for name, inputs, outputs in (("IdleA", 5, 12), ("IdleB", 12, 5)):
@@ -172,14 +175,14 @@ def fmpy_over_ours(place: Path) -> float:
 
 
 def fmpy_seconds(path_a: Path, path_b: Path) -> float:
-    """getReal, setReal, doStep through FMPy's methods; the same signals recorded."""
+    """Return the seconds of an FMPy loop with equal recorded signals."""
     with fmpy_slaves({path_a: {}, path_b: {}}) as ((a, b), _):
         return idle_seconds(a, b)
 
 
 @contextmanager
 def fmpy_slaves(starts: Mapping[Path, Mapping[str, float]]) -> Iterator[tuple[list[Any], list[dict[str, int]]]]:
-    """FMUs by FMPy's methods, initialized from start values, and the value references of each."""
+    """Yield FMPy instances after initialization, and their value references."""
     import fmpy
 
     slaves: list[Any] = []
@@ -200,7 +203,7 @@ def fmpy_slaves(starts: Mapping[Path, Mapping[str, float]]) -> Iterator[tuple[li
 
 
 def idle_seconds(a: Any, b: Any) -> float:
-    """Seconds of the steps of two FMUs that do nothing."""
+    """Return the seconds of the steps of two idle FMUs."""
     a_in, b_in, a_out, b_out = list(range(5)), list(range(12)), list(range(5, 17)), list(range(12, 17))
     table = np.zeros((STEPS + 1, 34))
     values_b = b.getReal(b_out)
@@ -218,7 +221,7 @@ def idle_seconds(a: Any, b: Any) -> float:
 
 
 def dormant_over_base() -> float:
-    """A plant step with the whole catalogue dormant over one built without effects."""
+    """Compare a plant step with all effects dormant and without effects."""
     command = (6.4, 6.38, 0.1, 0.05)
 
     def seconds(craft: Hovercraft) -> float:
@@ -234,10 +237,10 @@ def dormant_over_base() -> float:
 
 
 def startup_over_import(place: Path) -> float:
-    """A one-step run without report over the imports it cannot do without; gains and bytecode are cached before."""
+    """Compare a one-step run without report with its unavoidable imports."""
     options = ["--no-report", "--out", str(place / "out")]
     run = [sys.executable, "-m", "cosim.verbs.cli", "run", str(place / "one.yaml"), *options]
-    # as installed: where this is set, each run would compile all that it imports of this package, and of no other
+    # As installed: with this variable set, each run would compile this package's modules, but no others.
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
 
     def seconds(command: list[str]) -> float:
@@ -249,7 +252,7 @@ def startup_over_import(place: Path) -> float:
 
 
 def ten_times_the_steps(place: Path) -> float:
-    """Time of ten times the steps over the time of the steps."""
+    """Return the time ratio of ten times the steps."""
     short, long = ScenarioFile(place / "loop.yaml"), ScenarioFile(place / "long.yaml")
     return ratio(
         lambda: loop_seconds(build_system(long), 10 * STEPS), lambda: loop_seconds(build_system(short), STEPS), rounds=5
@@ -257,7 +260,10 @@ def ten_times_the_steps(place: Path) -> float:
 
 
 def sweep_over_fmpy(place: Path, *, compiled: bool) -> float:
-    """Runs a second of a sweep on one core over those of a warm FMPy loop: the same noise, 15 outputs kept by both."""
+    """Compare runs per second of a sweep and of a warm FMPy loop.
+
+    Both use one core, the same noise and 15 recorded outputs.
+    """
     system = build_system(ScenarioFile(place / "loop.yaml"))
     kinds = kinds_of(system)
     assert not isinstance(kinds, str), kinds
@@ -279,7 +285,7 @@ def sweep_over_fmpy(place: Path, *, compiled: bool) -> float:
 
 
 def fmpy_craft_seconds(place: Path) -> float:
-    """A run of plant and controller by FMPy's own methods, loaded before: 15 outputs read, 3 measured with noise."""
+    """Return the seconds of a loaded FMPy run of plant and controller."""
     starts = {
         place / "plant.fmu": {"x_start": 1.0, "psi_start": 1.0},
         place / "controller.fmu": {"x_hat_start": 1.0, "psi_hat_start": 1.0},
@@ -289,7 +295,7 @@ def fmpy_craft_seconds(place: Path) -> float:
 
 
 def craft_seconds(plant: Any, controller: Any, numbers: Sequence[Mapping[str, int]]) -> float:
-    """Seconds of the steps of plant and controller."""
+    """Return the seconds of the steps of plant and controller."""
     outputs = [numbers[0][q.name] for q in Hovercraft.outputs]
     commands = [[of[q.name] for q in Hovercraft.inputs] for of in numbers]
     measured = [numbers[1][name] for name in NOISE]
@@ -311,7 +317,10 @@ def craft_seconds(plant: Any, controller: Any, numbers: Sequence[Mapping[str, in
 
 
 def isolated_over_inprocess(place: Path) -> float:
-    """Time of steps in a worker that is watched over their time in this process: two FMUs of C, 20 variables."""
+    """Compare steps in a monitored worker and in this process.
+
+    The system has two C FMUs with 20 variables.
+    """
     scenario = native_scenario(place)
     file, table = ScenarioFile(scenario), place / "rows"
     system = build_system(file)
@@ -328,7 +337,7 @@ def isolated_over_inprocess(place: Path) -> float:
 
 
 def worker_seconds(scenario: Path, table: Path) -> float:
-    """Called in the worker: seconds for the steps, rows and counters mapped as those of a run are."""
+    """Return the seconds of the steps in the worker, rows and counters mapped as in a run."""
     system = build_system(ScenarioFile(scenario))
     mapped, progress = mapped_table(table, MANY + 1, len(system.columns)), worker.progress
     rows = Rows(mapped, made=progress.made, doing=progress.doing)
@@ -336,7 +345,7 @@ def worker_seconds(scenario: Path, table: Path) -> float:
 
 
 def native_scenario(place: Path) -> Path:
-    """Two FMUs of C, compiled now, each of whose outputs is an input of the other."""
+    """Build two C FMUs with mutual connections, and return their scenario."""
     library = place / "lags.so"
     source = Path(__file__).with_name("bench_fmu.c")
     flags = ["-O2", "-shared", "-fPIC"]

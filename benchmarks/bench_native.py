@@ -1,7 +1,7 @@
-"""The loop of the native craft against others: FMPy's methods, C by hand, ecos; as ratios of CPU time, side by side.
+"""Benchmarks of the native craft loop against FMPy, manual C and ecos, as ratios of CPU time.
 
-All are Jacobi without noise and record the same 20 variables; `cosim run` records its inputs too, and makes its checks.
-CPU time of the thread, not time on the wall: these loops never wait, and other work on the machine does not count.
+All are Jacobi without noise and record the same 20 variables; `cosim run` also records inputs and performs its checks.
+CPU time of the thread is used, because these loops never wait, and other work on the machine must not count.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ INPUTS = {
     "plant": ("duty_right", "duty_left", "tilt_right", "tilt_left"),
     "controller": ("psi", "psi_dot", "ax"),
 }
-READ = {"plant": 15, "controller": 5}  # of the outputs, the first so many: the commands and x_hat of the controller
-PSI, PSI_DOT, AX = 4, 8, 10  # among those of the plant
+READ = {"plant": 15, "controller": 5}  # number of first outputs read: the controller's commands and x_hat
+PSI, PSI_DOT, AX = 4, 8, 10  # indices among the plant's outputs
 SCENARIO = """name: native
 duration: {duration}
 step: 0.02
@@ -56,7 +56,7 @@ Seconds = Callable[[], float]
 
 
 def native_figures(place: Path) -> dict[str, float | str]:
-    """Each ratio by its name, or why there is none."""
+    """Return each ratio by name, or the reason for a missing one."""
     if compiler() is None:
         return dict.fromkeys(FIGURES, "no C compiler")
     build_native(place)
@@ -82,13 +82,16 @@ def native_figures(place: Path) -> dict[str, float | str]:
 
 
 def of_pairs(one: Seconds, other: Seconds) -> float:
-    """Median of the ratios of one to the other, run in turn; each returns its own seconds."""
+    """Return the median ratio of two times, measured in turn.
+
+    Each function returns its own seconds.
+    """
     one(), other()
     return median(one() / other() for _ in range(ROUNDS))
 
 
 def loop_seconds(system: System, *, in_c: bool) -> float:
-    """Seconds the master takes for the steps alone."""
+    """Return the seconds of the master's steps."""
     marks: list[float] = []
     results = simulate(system, STEPS, H, lambda k: marks.append(time.thread_time()), in_c=in_c)
     assert results.loop.startswith("C" if in_c else "Python"), results.loop
@@ -99,7 +102,7 @@ def loop_seconds(system: System, *, in_c: bool) -> float:
 
 
 class Unpacked:
-    """An FMU that FMPy has unpacked, for instance after instance."""
+    """An FMU unpacked by FMPy, for several instances."""
 
     def __init__(self, path: Path, name: str) -> None:
         import fmpy
@@ -112,7 +115,7 @@ class Unpacked:
 
     @contextmanager
     def started(self) -> Iterator[Any]:
-        """An instance out of initialization."""
+        """Yield an instance after initialization."""
         import fmpy
 
         fmu = fmpy.instantiate_fmu(self.folder, self.description, "CoSimulation")
@@ -128,12 +131,12 @@ class Unpacked:
 
 @contextmanager
 def two(place: Path) -> Iterator[Mapping[str, Unpacked]]:
-    """Both FMUs."""
+    """Yield both FMUs."""
     yield {name: Unpacked(place / f"{name}-native.fmu", name) for name in INPUTS}
 
 
 def fmpy_seconds(craft: Mapping[str, Unpacked]) -> float:
-    """setReal, doStep, getReal of FMPy's classes."""
+    """Return the seconds of setReal, doStep, getReal in FMPy."""
     plant, controller = craft["plant"], craft["controller"]
     table = np.zeros((STEPS + 1, 20))
     with plant.started() as a, controller.started() as b:
@@ -158,7 +161,7 @@ class _Part(ctypes.Structure):
 
 
 def c_seconds(craft: Mapping[str, Unpacked]) -> float:
-    """The same without a check, in C that shares nothing with the loop of `cosim run`."""
+    """Return the seconds of an independent C loop without checks."""
     drive = loaded(DRIVER.read_text(encoding="utf-8")).drive
     drive.argtypes = [*[ctypes.POINTER(_Part)] * 2, ctypes.c_long, ctypes.c_double, ctypes.c_void_p]
     table = np.zeros((STEPS + 1, 20))
@@ -182,10 +185,13 @@ def _address(fmu: Any, name: str) -> int | None:
 
 
 def ecos_over_ours(place: Path, ours: Seconds) -> float | str:
-    """ecos, stepped and read from Python: `step(1)`, then `get_real` of the 20 variables."""
+    """Compare ecos, stepped and read from Python, with the master.
+
+    The loop calls `step(1)`, then `get_real` of the 20 variables.
+    """
     for library in sorted((Path(sys.prefix) / "lib").glob("libtbb.so*")):
         with suppress(OSError):
-            ctypes.CDLL(str(library), ctypes.RTLD_GLOBAL)  # ecos is linked to it, and pip puts it where nobody looks
+            ctypes.CDLL(str(library), ctypes.RTLD_GLOBAL)  # required by ecos, outside the search path
     try:
         from ecospy import EcosSimulation, EcosSimulationStructure
         from ecospy.lib import EcosLib
@@ -210,7 +216,7 @@ def ecos_over_ours(place: Path, ours: Seconds) -> float | str:
             ]
 
             def ecos() -> float:
-                began = time.process_time()  # it has threads of its own
+                began = time.process_time()  # ecos uses its own threads
                 for _ in range(STEPS):
                     simulation.step(1)
                     for name in read:
@@ -224,7 +230,7 @@ def ecos_over_ours(place: Path, ours: Seconds) -> float | str:
 
 
 def python_over_native_plant(place: Path, native: Unpacked) -> float:
-    """fmi2DoStep alone: the plant in Python over the native one, called alike."""
+    """Compare fmi2DoStep of the Python and the native plant."""
     in_python = Unpacked(place / "plant.fmu", "plant")
 
     def seconds(plant: Unpacked, steps: int) -> float:

@@ -1,4 +1,4 @@
-"""Builds the site into docs/_site: reports for the gallery, pages by Sphinx, then every link is tried."""
+"""Build the site into docs/_site: reports and thumbnails of the gallery, pages by Sphinx; then check every link."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ TANKS = (
     "build/Tank.fmu build/Controller.fmu --out tanks.yaml",
     "--set components.Controller.start.gain=0.1 --set components.Controller.start.reset=0.004",
 )
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 REPORTS: tuple[tuple[str, str], ...] = (  # name of the page, "" for none; command
     ("", "build --out build"),
     ("run", "run scenarios/manoeuvre.yaml --out results/run"),
@@ -39,7 +40,7 @@ REPORTS: tuple[tuple[str, str], ...] = (  # name of the page, "" for none; comma
 
 
 def gallery() -> None:
-    """Each report by its command, in a folder of its own; a run that is to miss or to fail does so."""
+    """Write the reports of the gallery in a temporary project; check the exit codes."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     (MADE / "gallery").mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as name:
@@ -62,8 +63,23 @@ def gallery() -> None:
                 shutil.copy(folder / "results" / page / "report.html", MADE / "gallery" / f"{page}.html")
 
 
+def thumbnails() -> None:
+    """Draw a thumbnail of every report of the gallery, if there is a Chromium."""
+    browser = next((found for name in BROWSERS if (found := shutil.which(name))), None)
+    if browser is None:
+        print("no Chromium: the gallery has no thumbnails")
+        return
+    options = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--hide-scrollbars"]
+    for page in sorted((MADE / "gallery").glob("*.html")):
+        with tempfile.TemporaryDirectory() as profile:
+            size = ["--window-size=1200,900", "--force-device-scale-factor=0.4", f"--user-data-dir={profile}"]
+            picture = f"--screenshot={page.with_suffix('.png')}"
+            command = [browser, *options, *size, picture, page.as_uri()]
+            subprocess.run(command, check=True, capture_output=True, timeout=120)
+
+
 class Page(HTMLParser):
-    """What a page links to, what it loads, and the places in it that can be linked to."""
+    """Links, loaded files and link targets of a page."""
 
     def __init__(self, path: Path) -> None:
         super().__init__()
@@ -73,7 +89,7 @@ class Page(HTMLParser):
         self.feed(path.read_text(encoding="utf-8"))
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Keeps links and places."""
+        """Collect links and targets."""
         given = {name: value or "" for name, value in attrs}
         self.places |= {given[name] for name in ("id", "name") if name in given}
         if tag == "a" and "href" in given:
@@ -83,7 +99,7 @@ class Page(HTMLParser):
 
 
 def faults(site: Path) -> list[str]:
-    """Links that lead nowhere within a site, and what it would load from elsewhere."""
+    """Return broken links within a site, and loads of external content."""
     pages = {path: Page(path) for path in sorted(site.rglob("*.html"))}
     found = []
     for path, page in pages.items():
@@ -104,15 +120,14 @@ def faults(site: Path) -> list[str]:
 
 
 def main() -> int:
-    """Reports, pages, links."""
-    options = argparse.ArgumentParser(
-        description="The site, docs/_site: reports for the gallery, pages, every link tried."
-    )
-    options.add_argument("--external", action="store_true", help="try links to other sites too")
-    options.add_argument("--no-gallery", action="store_true", help="keep the reports of the last time")
+    """Build the site; return 1 for a broken link."""
+    options = argparse.ArgumentParser(description="Build the site into docs/_site and check every link.")
+    options.add_argument("--external", action="store_true", help="check links to other sites too")
+    options.add_argument("--no-gallery", action="store_true", help="keep the reports of the previous build")
     chosen = options.parse_args()
     if not chosen.no_gallery:
         gallery()
+        thumbnails()
     shutil.rmtree(SITE, ignore_errors=True)
     sphinx = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-d", str(MADE.parent / "_site.doctrees")]
     subprocess.run([*sphinx, "-b", "html", str(DOCS), str(SITE)], check=True)

@@ -1,3 +1,3 @@
-"""FMUs of the worked example, the thrust-vectoring hovercraft: their variables and recipes."""
+"""FMUs of the worked example, the thrust-vectoring hovercraft: variables and recipes."""
 
-PACKAGES = ("plant", "controller", "fmus")  # carried by an FMU of the example, as far as its slave imports them
+PACKAGES = ("plant", "controller", "fmus")  # packages included in an FMU of the example if imported by its slave

@@ -1,4 +1,4 @@
-"""The testing bench as an FMI slave. Needs Python's standard library and pythonfmu's own module, nothing else."""
+"""Testing bench as an FMI slave, with Python's standard library and pythonfmu's own module only."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The controller as an FMI slave: Kalman filter on filterpy, LQR, saturation, references in."""
+"""Controller as an FMI slave: Kalman filter with filterpy, LQR, saturation, reference inputs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from fmus.craft_ports import ESTIMATE, ESTIMATES, MEASURED, fix_ports, sigma_por
 
 
 def controller_ports(settings: Settings) -> tuple[Port, ...]:
-    """All variables of the controller: inputs first, then outputs, parameters and start values."""
+    """Return all variables of the controller: inputs, outputs, parameters, start values."""
     duty = settings.duty_nominal
     return (
         *MEASURED,
@@ -38,12 +38,12 @@ def controller_ports(settings: Settings) -> tuple[Port, ...]:
 
 
 def _either(names: Sequence[str]) -> str:
-    """Return names to choose from, as people list them."""
+    """Return a readable list of alternatives."""
     *first, last = names
     return f"{', '.join(first)} or {last}" if first else last
 
 
-# What each output depends on at a sample. The axes do not couple; of the inputs only a fix changes the covariance.
+# Dependencies of outputs at a sample. The axes are decoupled; of the inputs, only a fix changes the covariance.
 FORWARD, TURN = ("ax", "x_meas", "fix"), ("psi", "psi_dot")
 DEPENDENCIES: dict[str, tuple[str, ...]] = {
     "duty_right": (),
@@ -58,7 +58,7 @@ DEPENDENCIES: dict[str, tuple[str, ...]] = {
     "x_sigma": ("fix",),
     "psi_sigma": (),
 }
-# And in initialization mode, where the filter makes no update and P = 0.
+# Dependencies in initialization mode, without filter update and with P = 0.
 INITIAL_DEPENDENCIES: dict[str, tuple[str, ...]] = {
     "duty_right": ("duty_nominal",),
     "duty_left": ("duty_nominal",),
@@ -79,20 +79,20 @@ INITIAL_DEPENDENCIES: dict[str, tuple[str, ...]] = {
 
 
 class HovercraftController(Slave):
-    """Sampled controller: a communication step is one sample, and one other than `sample_time` is refused.
+    """Sampled controller: a communication step is one sample; a step other than `sample_time` is refused.
 
-    Needs numpy, scipy and filterpy in the Python that hosts it. The filter starts at `*_hat_start`.
+    The hosting Python needs numpy, scipy and filterpy. The filter starts at `*_hat_start`.
     """
 
-    settings: ClassVar[Settings] = Settings()  # its defaults
+    settings: ClassVar[Settings] = Settings()  # default values
     ports = controller_ports(settings)
 
     def law(self, settings: Any, given: dict[str, Value]) -> Law:
-        """The control law, from its parameters and what else the host has set."""
+        """Return the control law for parameters and start values of the host."""
         return StateFeedback(settings)
 
     def initialize(self, given: dict[str, Value]) -> None:
-        """Filter at `*_hat_start`, P = 0, no update before the first command."""
+        """Start the filter at `*_hat_start` with P = 0, without update."""
         names = {p.name for p in parameters_of(self.settings)} | {"estimator"}
         values: dict[str, Any] = {name: v for name, v in given.items() if name in names}
         settings = replace(self.settings, **values)
@@ -103,26 +103,26 @@ class HovercraftController(Slave):
         self._publish()
 
     def advance(self, t: float, h: float) -> None:
-        """One sample."""
+        """Process one sample."""
         sample = self.loop.settings.sample_time
         if abs(h - sample) > 1e-6 * sample:
             raise ValueError(f"step of {h} s; the controller is sampled at {sample} s (parameter sample_time)")
-        # y_ref only where the law knows y
+        # y_ref exists only for laws with y
         psi, psi_dot, ax, x_ref, psi_ref, x_meas, y_meas, fix, *y_ref = self.inputs
         self.loop.step((psi, psi_dot, ax), x_ref, psi_ref, fix, x_meas, y_meas=y_meas, y_ref=sum(y_ref))
         self._publish()
 
     def terminate(self) -> None:
-        """What the law has to say of the run is a warning."""
+        """Log the law's remarks on the run as a warning."""
         if self.phase is STEP and (words := self.loop.law.words(self.start_time)):
             self.log(words, Fmi2Status.warning)
 
     def snapshot(self) -> Any:
-        """Estimate, covariance, last command, last fix."""
+        """Return estimate, covariance, last command and last fix."""
         return self.loop.snapshot()
 
     def restore(self, snapshot: Any) -> None:
-        """Bit for bit."""
+        """Restore a snapshot exactly."""
         self.loop.restore(snapshot)
 
     def _publish(self) -> None:

@@ -1,4 +1,4 @@
-"""Controllers beside the LQR as FMI slaves: the same estimator and ports under another law, swapped by one line."""
+"""Controllers with other laws than LQR as FMI slaves, with the same estimator and ports."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Y_START = Port("y_hat_start", "parameter", 0.0, "m", "start value of y_hat; the 
 
 
 def extended(ports: Sequence[Port], *more: Port) -> tuple[Port, ...]:
-    """Ports and further ones, each after the others of its causality."""
+    """Return ports with further ones inserted by causality."""
     every = (*ports, *more)
     return tuple(p for causality in ("input", "output", "parameter") for p in every if p.causality == causality)
 
@@ -36,8 +36,9 @@ def extended(ports: Sequence[Port], *more: Port) -> tuple[Port, ...]:
 class HovercraftPolesController(HovercraftController):
     """Pole placement: −2, −4, −11 rad/s of the forward axis, −4, −5 rad/s of the turn.
 
-    The tilts together drive the one axis, their difference the other, so that the gain of each is unique; at most two
-    poles are equal, one in either axis.
+    The common tilt drives the forward axis, the tilt difference the turn, so that the gain of each is unique. At most
+    two
+    poles are equal, one in each axis.
     """
 
     settings = placed_settings()
@@ -45,40 +46,43 @@ class HovercraftPolesController(HovercraftController):
 
 
 class HovercraftIntegralController(HovercraftController):
-    """LQR with integrals of the errors of what is measured: of x by fixes, of ψ by the IMU."""
+    """LQR with integrals of measured errors: of x from fixes, of ψ from the IMU."""
 
     settings = integral_settings()
     ports = extended(controller_ports(settings), *INTEGRALS)
 
     def law(self, settings: Any, given: dict[str, Value]) -> Law:
-        """State feedback with integrals."""
+        """Return state feedback with integrals."""
         return IntegralFeedback(settings)
 
 
 class HovercraftPredictiveController(HovercraftController):
-    """Predictive control with limits of tilt and duty; holds y as well, given fixes. Needs daqp in its host too."""
+    """Predictive control with limits of tilt and duty, and control of y with fixes. The host needs daqp too."""
 
     settings = PredictiveSettings()
     ports = extended(controller_ports(settings), Y_REF, *LATERAL, Y_START)
 
     def law(self, settings: Any, given: dict[str, Value]) -> Law:
-        """The predictive law; its solver is loaded here, for the other controllers go without."""
+        """Return the predictive law.
+
+        The solver is imported here, since other controllers do not need it.
+        """
         from controller.predictive import PredictiveLaw
 
         return PredictiveLaw(settings, float(given.get("y_hat_start", 0.0)))
 
 
 class HovercraftTimeVariantController(HovercraftController):
-    """Predictive control with A(t), B(t) along the planned motion, on an extended Kalman filter of its own.
+    """Predictive control with A(t), B(t) along the planned motion, and an own extended Kalman filter.
 
-    Limits of tilt and duty; holds y as well, given fixes. Needs daqp in its host too.
+    Tilt and duty are limited; y is controlled with fixes. The host needs daqp too.
     """
 
     settings = TimeVariantSettings()
     ports = extended(controller_ports(settings), Y_REF, *LATERAL, Y_START)
 
     def law(self, settings: Any, given: dict[str, Value]) -> Law:
-        """Return the law; its Jacobians were printed when the FMU was built."""
+        """Return the law, with Jacobians printed at the build of the FMU."""
         from controller import printed  # type: ignore[attr-defined]
         from controller.time_variant import TimeVariantLaw
 
@@ -86,15 +90,15 @@ class HovercraftTimeVariantController(HovercraftController):
 
 
 def integral_dependencies() -> tuple[Dependencies, Dependencies]:
-    """What outputs depend on at a sample, and in initialization mode."""
+    """Return output dependencies at a sample and in initialization mode."""
     tilts = DEPENDENCIES["tilt_right"]
-    # whether a tilt saturates decides about both integrals
+    # saturation of a tilt affects both integrals
     at_sample = {**DEPENDENCIES, "x_integral": tilts, "psi_integral": tilts}
     return at_sample, {**INITIAL_DEPENDENCIES, "x_integral": (), "psi_integral": ()}
 
 
 def predictive_dependencies(slave: type[HovercraftController]) -> tuple[Dependencies, Dependencies]:
-    """Return what outputs depend on at a sample, and in initialization mode: commands on all there is."""
+    """Return output dependencies; commands depend on all inputs and parameters."""
     inputs = tuple(p.name for p in slave.ports if p.causality == "input")
     parameters = [p.name for p in slave.ports if p.causality == "parameter" and p.kind == "Real"]
     known = ("x_ref", "psi_ref", "y_ref", *(name for name in parameters if not name.startswith("k_")))
@@ -105,7 +109,7 @@ def predictive_dependencies(slave: type[HovercraftController]) -> tuple[Dependen
 
 
 def time_variant_dependencies() -> tuple[Dependencies, Dependencies]:
-    """Return the same of the law with a filter of its own, which couples what it estimates."""
+    """Return dependencies with an own filter, which couples all estimates."""
     at_sample, at_start = predictive_dependencies(HovercraftTimeVariantController)
     measured = tuple(n for n in at_sample["tilt_right"] if not n.endswith("_ref"))
     estimates = (*(p.name for p in ESTIMATES), "x_sigma", "psi_sigma", "y_hat", "y_sigma")

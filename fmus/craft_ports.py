@@ -1,4 +1,4 @@
-"""FMI variables that controller and estimators of the craft have in common, declared once."""
+"""FMI variables common to controller and estimators of the craft."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ESTIMATES = tuple(
 
 
 def fix_ports(of_y: str = "") -> tuple[Port, ...]:
-    """Fixes of the position, which may stay unconnected; `of_y` is what is to be known of y."""
+    """Return the optional ports of position fixes; `of_y` is a remark on y."""
     return (
         Port("x_meas", "input", 0.0, "m", "fix of x, the distance along the craft's own axis", optional=True),
         Port("y_meas", "input", 0.0, "m", f"fix of y, the drift to the right{of_y}", optional=True),
@@ -34,7 +34,7 @@ def fix_ports(of_y: str = "") -> tuple[Port, ...]:
 
 
 def sigma_ports(who: str) -> tuple[Port, ...]:
-    """How uncertain the filter or the estimator holds x and ψ to be."""
+    """Return ports for the standard deviations of x and ψ."""
     return tuple(
         Port(f"{name}_sigma", "output", 0.0, unit, f"standard deviation of {name}_hat the {who} believes in")
         for name, unit in (("x", "m"), ("psi", "rad"))
@@ -42,7 +42,7 @@ def sigma_ports(who: str) -> tuple[Port, ...]:
 
 
 def start_ports(who: str) -> tuple[Port, ...]:
-    """Where the estimate starts."""
+    """Return ports for the start of the estimate."""
     return tuple(
         Port(f"{p.name}_start", "parameter", 0.0, p.unit, f"start value of {p.name}; the {who} knows where it starts")
         for p in ESTIMATES

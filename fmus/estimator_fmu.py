@@ -1,6 +1,6 @@
-"""Estimators as FMI slaves with one set of inputs and outputs, so that one takes the place of another by one line.
+"""Estimators as FMI slaves with common inputs and outputs, exchangeable by one line of a scenario.
 
-They need numpy, scipy and filterpy in the Python that hosts them, as the controller does.
+Like the controller, they need numpy, scipy and filterpy in the hosting Python.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ SIGNALS = (
 INPUTS = tuple(p.name for p in SIGNALS if p.causality == "input")
 OUTPUTS = tuple(p.name for p in SIGNALS if p.causality == "output")
 MEASURED = ("psi", "psi_dot", "ax", "x_meas", "y_meas", "fix")
-# A command is taken as it acted until the sample, so no output depends on that of the same time.
+# A command acts until the sample, so no output depends on the command of the same time.
 DEPENDENCIES = dict.fromkeys(OUTPUTS, MEASURED)
 NUMBERS: tuple[Parameter, ...] = tuple(p for p in Hovercraft().parameters if not isinstance(p.default, bool))
 
 
 def filter_ports() -> tuple[Port, ...]:
-    """Variables of the linear filters and of double integration: the controller's numbers without its gains."""
+    """Return variables of linear filters and double integration: the controller's without gains."""
     settings = Settings()
     numbers = [p for p in parameters_of(Settings) if not p.name.startswith("k_") and p.name != "tilt_max"]
     return (
@@ -59,7 +59,7 @@ def filter_ports() -> tuple[Port, ...]:
 
 
 def extended_ports() -> tuple[Port, ...]:
-    """Variables of the extended filter: the plant's numbers, its noise, in which axes its fixes are."""
+    """Return variables of the extended filter: plant parameters, noise, axes of fixes."""
     model, settings = Hovercraft(), ExtendedSettings()
     return (
         *SIGNALS,
@@ -73,7 +73,7 @@ def extended_ports() -> tuple[Port, ...]:
 
 
 def initial_dependencies(ports: Sequence[Port]) -> dict[str, tuple[str, ...]]:
-    """At the start an estimate is what it is told; a of the plant's equations depends on the plant's numbers too."""
+    """Return dependencies at the start; a also depends on plant parameters."""
     known: dict[str, tuple[str, ...]] = {n: (f"{n}_start",) for n in ESTIMATE}
     if any(p.name == "axes" for p in ports):
         known["a_hat"] = tuple(p.name for p in ports if p.causality == "parameter")
@@ -81,13 +81,13 @@ def initial_dependencies(ports: Sequence[Port]) -> dict[str, tuple[str, ...]]:
 
 
 class Estimator(Slave):
-    """A communication step is one sample, and one other than `sample_time` is refused."""
+    """Sampled estimator: a communication step is one sample; a step other than `sample_time` is refused."""
 
     sample: float
     running: Any
 
     def advance(self, t: float, h: float) -> None:
-        """One sample."""
+        """Process one sample."""
         if abs(h - self.sample) > 1e-6 * self.sample:
             raise ValueError(f"step of {h} s; the estimator is sampled at {self.sample} s (parameter sample_time)")
         *both, x_meas, y_meas, fix = self.inputs
@@ -95,11 +95,11 @@ class Estimator(Slave):
         self._publish()
 
     def snapshot(self) -> Any:
-        """Estimate, covariance, last fix."""
+        """Return estimate, covariance and last fix."""
         return self.running.snapshot()
 
     def restore(self, snapshot: Any) -> None:
-        """Bit for bit."""
+        """Restore a snapshot exactly."""
         self.running.restore(snapshot)
 
     def _publish(self) -> None:
@@ -107,12 +107,12 @@ class Estimator(Slave):
 
 
 class HovercraftFilter(Estimator):
-    """Kalman filter of the thesis in three variants, or double integration: parameter `estimator`."""
+    """Kalman filter of the thesis in three variants, or double integration, by parameter `estimator`."""
 
     ports: ClassVar[tuple[Port, ...]] = filter_ports()
 
     def initialize(self, given: dict[str, Value]) -> None:
-        """Estimate at `*_hat_start`, P = 0, no update."""
+        """Start the estimate at `*_hat_start` with P = 0, without update."""
         names = {p.name for p in parameters_of(Settings)}
         chosen = str(given.get("estimator", Settings().estimator))
         if chosen not in OBSERVERS:
@@ -130,12 +130,15 @@ class HovercraftFilter(Estimator):
 
 
 class HovercraftEkf(Estimator):
-    """Extended Kalman filter on the plant's equations."""
+    """Extended Kalman filter with the plant's equations."""
 
     ports: ClassVar[tuple[Port, ...]] = extended_ports()
 
     def initialize(self, given: dict[str, Value]) -> None:
-        """Estimate at `*_hat_start`, P = 0, no update. Both propellers are tilted so that a is a_hat_start."""
+        """Start the estimate at `*_hat_start` with P = 0, without update.
+
+        Both propellers start at the tilt of acceleration a_hat_start.
+        """
         from controller import printed  # type: ignore[attr-defined]  # printed when the FMU is built
 
         faults, numbers = [], {p.name: v for p in NUMBERS if (v := given.get(p.name)) is not None}

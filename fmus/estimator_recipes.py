@@ -1,4 +1,4 @@
-"""What makes the FMUs of the craft's estimators."""
+"""Recipes of the craft's estimator FMUs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fmus import PACKAGES
 
 
 def filter_recipe() -> Recipe:
-    """The linear filters and double integration."""
+    """Return the recipe of linear filters and double integration."""
     from controller.kalman import discrete_model
     from controller.observers import DoubleIntegration, LinearFilter
     from fmus.estimator_fmu import HovercraftFilter
@@ -24,7 +24,7 @@ def filter_recipe() -> Recipe:
 
 
 def extended_recipe() -> Recipe:
-    """The extended Kalman filter; its Jacobians are printed now, so that it needs no sympy."""
+    """Return the recipe of the extended Kalman filter, with printed Jacobians instead of sympy."""
     from controller.extended import Craft, ExtendedFilter
     from fmus.estimator_fmu import HovercraftEkf
 
@@ -36,7 +36,7 @@ def extended_recipe() -> Recipe:
 
 
 def jacobians() -> str:
-    """Print ∂f/∂x, ∂f/∂u and ∂a_x/∂x of the craft as a Python module; kept in the user's cache."""
+    """Return ∂f/∂x, ∂f/∂u and ∂a_x/∂x of the craft as a cached Python module."""
     from cosim.model.symbolic.jacobian import printed_jacobians
     from cosim.storage.cache import fingerprint, kept
     from plant.hovercraft import Hovercraft

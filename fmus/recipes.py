@@ -1,4 +1,4 @@
-"""What makes the craft's own FMUs."""
+"""Recipes of the craft's own FMUs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cosim.fmi.fmu_build import Recipe, about_model, ordered
 from cosim.fmi.model_description import Description
 from fmus import PACKAGES
 
-# A second plant for scenarios/swap.yaml: a heavier craft whose servos overshoot (§4.5.4 saw it on the real one).
+# A second plant for scenarios/swap.yaml: a heavier craft whose servos overshoot (observed in §4.5.4).
 HEAVY = {
     "mass": 0.8,
     "izz": 0.0116,
@@ -23,7 +23,7 @@ Dependencies = Mapping[str, Sequence[str]]
 
 
 def plant_recipe(values: Mapping[str, float | bool] | None = None) -> Recipe:
-    """The plant, with other defaults where `values` says so (a refined model)."""
+    """Return the recipe of the plant, with defaults from `values`."""
     import cosim.model.planar as planar
     import plant.hovercraft as craft
 
@@ -37,12 +37,12 @@ def plant_recipe(values: Mapping[str, float | bool] | None = None) -> Recipe:
 
 
 def heavy_recipe() -> Recipe:
-    """The heavier craft."""
+    """Return the recipe of the heavier craft."""
     return plant_recipe(HEAVY)
 
 
 def controller_recipe() -> Recipe:
-    """The controller."""
+    """Return the recipe of the controller."""
     from fmus.controller_fmu import DEPENDENCIES, INITIAL_DEPENDENCIES, HovercraftController
 
     text = "Flight controller of the hovercraft: Kalman filter and LQR with tilt saturation"
@@ -50,7 +50,7 @@ def controller_recipe() -> Recipe:
 
 
 def poles_recipe() -> Recipe:
-    """The controller by pole placement."""
+    """Return the recipe of the controller by pole placement."""
     from controller.variants import POLES
     from fmus.controller_fmu import DEPENDENCIES, INITIAL_DEPENDENCIES
     from fmus.controller_laws import HovercraftPolesController
@@ -60,7 +60,7 @@ def poles_recipe() -> Recipe:
 
 
 def integral_recipe() -> Recipe:
-    """The controller with integrals."""
+    """Return the recipe of the controller with integrals."""
     from controller.laws import IntegralFeedback
     from controller.variants import INTEGRAL
     from fmus.controller_laws import HovercraftIntegralController, integral_dependencies
@@ -70,7 +70,7 @@ def integral_recipe() -> Recipe:
 
 
 def predictive_recipe() -> Recipe:
-    """The predictive controller."""
+    """Return the recipe of the predictive controller."""
     from controller.predictive import PredictiveLaw
     from controller.variants import PREDICTIVE
     from fmus.controller_laws import HovercraftPredictiveController, predictive_dependencies
@@ -81,7 +81,7 @@ def predictive_recipe() -> Recipe:
 
 
 def time_variant_recipe() -> Recipe:
-    """Return what makes the predictive controller with A(t), B(t)."""
+    """Return the recipe of the predictive controller with A(t), B(t)."""
     from controller.extended import Craft, ExtendedFilter
     from controller.time_variant import TimeVariantLaw
     from controller.variants import TIME_VARIANT
@@ -98,7 +98,7 @@ def time_variant_recipe() -> Recipe:
 def _controller(
     slave: Any, about: str, dependencies: tuple[Dependencies, Dependencies], law: str = "", *more: object
 ) -> Recipe:
-    """A controller: its slave, what depends on what at a sample and at the start, its law and what documents that."""
+    """Return the recipe of a controller: slave, dependencies, law and documentation."""
     from controller.kalman import discrete_model
     from controller.loop import Loop
     from controller.variants import TIME_VARIANT
@@ -111,7 +111,7 @@ def _controller(
 
 
 def bench_recipe(values: Mapping[str, float | bool] | None = None) -> Recipe:
-    """The testing bench, with other defaults where `values` says so."""
+    """Return the recipe of the testing bench, with defaults from `values`."""
     import plant.bench as bench
 
     model = bench.Bench()

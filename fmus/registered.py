@@ -1,10 +1,10 @@
-"""Everything that the worked example registers with the framework; examples/hovercraft/pyproject.toml names it."""
+"""Registrations of the worked example, named in examples/hovercraft/pyproject.toml."""
 
 from __future__ import annotations
 
 from cosim.base.registry import ModelEntry, Page, Verb
 
-LAWS = {  # the controller under another law, with the same ports
+LAWS = {  # controllers with other laws and the same ports
     "controller-pole.fmu": "fmus.recipes:poles_recipe",
     "controller-lqi.fmu": "fmus.recipes:integral_recipe",
     "controller-mpc.fmu": "fmus.recipes:predictive_recipe",
@@ -39,4 +39,5 @@ IDENTIFY = Verb(
     command="plant.identification.command:command",
     function="plant.identification.workflow:identify",
     artefacts="plant.identification.artefacts:ARTEFACTS",
+    group="Craft example",
 )

@@ -77,16 +77,19 @@ SUBJECTS: list[tuple[str, str]] = [
     ("cosim/blocks/sources.py", "solving stepping noise"),
     ("cosim/blocks/noise.py", "solving stepping noise"),
     ("cosim/blocks/stepping.py", "stepping"),
+    ("cosim/blocks/instance.py", "statuses fmu_isolation blame exchange types"),
     ("cosim/blocks/*", "statuses solving schedule blame stepping exchange types"),
     ("cosim/isolation/*", "worker blame fmu_isolation misbehaving"),
     ("cosim/logs/static_table.py", "log_edges static"),
     ("cosim/logs/alone.py", "log_alone"),
     ("cosim/logs/log.py", "log_edges log undeclared_units static"),
+    ("cosim/logs/log_check.py", "log_alone"),
     ("cosim/logs/*", "log_edges spikes gate log"),
     ("cosim/residuals/replay_settings.py", "windows undeclared_units replay"),
     ("cosim/residuals/against.py", "windows gate undeclared_units"),
     ("cosim/residuals/starts.py", "starts windows replay hidden_state"),
     ("cosim/residuals/drive.py", "starts windows replay hidden_state"),
+    ("cosim/residuals/report.py", "replay"),
     ("cosim/residuals/*", "windows residual replay hidden_state"),
     ("cosim/comparison/report_again.py", "compare"),
     ("cosim/comparison/*", "compare_edges compare"),
@@ -96,6 +99,7 @@ SUBJECTS: list[tuple[str, str]] = [
     ("cosim/authoring/export.py", "ssp"),
     ("cosim/authoring/*", "planning first_steps"),
     ("cosim/simulation/packaged.py", "ssp"),
+    ("cosim/simulation/trial.py", "misbehaving"),
     ("cosim/scenario/controller_design.py", "design design_options"),
     ("cosim/simulation/manifest.py", "planning repeat run"),
     ("cosim/simulation/workflow.py", "planning run scenario"),
@@ -238,19 +242,23 @@ def drawn(files: list[str], count: int, seed: int) -> list[Mutant]:
         sizes = [(ROOT / file).stat().st_size for file in rooms[room]]
         share = count // len(rooms) + (number < count % len(rooms))
         for file, wanted in sorted(Counter(rng.choices(rooms[room], sizes, k=share)).items()):
-            places = mutants_of(file, tried)
+            places, before = mutants_of(file, tried), (ROOT / file).read_text(encoding="utf-8")
             chosen = (rng.choice(place) for place in rng.sample(places, len(places)))
-            sample += islice((mutant for mutant in chosen if _is_python(mutated(mutant, tried))), wanted)
+            sample += islice((m for m in chosen if _is_fault(mutated(m, tried), before)), wanted)
     return sample
 
 
-def _is_python(text: str) -> bool:
-    """Return whether a mutant is of valid syntax: `not` without the brackets of `:=` is none."""
+def _is_fault(text: str, before: str) -> bool:
+    """Return whether a mutant is valid Python and not just `*` before arguments made `/`: calls by name fit both."""
     try:
-        compile(text, "mutant", "exec")
-    except SyntaxError:
+        tree = ast.parse(text)
+    except SyntaxError:  # `not` without the brackets of `:=`
         return False
-    return True
+    return _positional_only(tree) == _positional_only(ast.parse(before))
+
+
+def _positional_only(tree: ast.Module) -> int:
+    return sum(len(node.posonlyargs) for node in ast.walk(tree) if isinstance(node, ast.arguments))
 
 
 def mutated(mutant: Mutant, tried: dict[str, Any]) -> str:
@@ -339,6 +347,8 @@ class Change:
         if bodies != other_bodies or old.keys() != new.keys():
             return False
         changed = {place: new[place] for place in old if old[place] != new[place]}
+        if any(_makes_functions(old[place]) for place in changed):
+            return False  # functions that it has made keep their code
         met = set()
         for function in gc.get_objects():
             if isinstance(function, FunctionType) and function.__code__.co_filename == str(self.path):
@@ -366,6 +376,11 @@ def _parts(module: CodeType) -> tuple[list[tuple[Any, ...]], dict[tuple[str, int
                 functions[constant.co_qualname, constant.co_firstlineno] = constant
         bodies.append((code.co_code, constants, code.co_names))
     return bodies, functions
+
+
+def _makes_functions(code: CodeType) -> bool:
+    """Return whether a function defines others."""
+    return any(isinstance(c, CodeType) and not c.co_name.startswith("<") for c in code.co_consts)
 
 
 def _forget() -> None:

@@ -235,7 +235,8 @@ def test_the_page_of_a_run_is_the_same_when_it_is_made_again(tmp_path: Path) -> 
     told("report", a)
     assert (a / "report.html").read_bytes() == before
     (a / "results.csv").write_text("time,typed.r_out\n")
-    assert "results.csv: has no rows: the run stopped before its first" in told("report", a, code=2)
+    no_rows = f"{a / 'results.csv'}: has no rows: the run stopped before its first; run it again"
+    assert told("report", a, code=2) == no_rows
 
 
 def test_results_are_read_back_as_they_were_written(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import inspect
 import os
 import re
 import shlex
@@ -11,9 +12,12 @@ import subprocess
 import sys
 import sysconfig
 from pathlib import Path
+from types import ModuleType
 
 import pytest
+import typer.main
 
+from cosim.base.registry import resolve
 from cosim.fmi.fmu_build import build
 from cosim.model import parameters_of
 from cosim.subject.model_subject import ModelSubject
@@ -208,12 +212,44 @@ def test_the_notebook_runs(tmp_path: Path) -> None:
     assert len(done.stdout) < 1500  # a result shows itself in a few lines
 
 
-def test_the_site_is_searched_for_links_that_lead_nowhere_and_for_what_it_would_load(tmp_path: Path) -> None:
-    spec = importlib.util.spec_from_file_location("site_of_a_test", ROOT / "docs" / "site.py")
+def script_of_docs(name: str) -> ModuleType:
+    """A module in docs/."""
+    spec = importlib.util.spec_from_file_location(f"{name}_of_docs", ROOT / "docs" / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None
-    site = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(site)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_reference_of_the_command_line_has_every_verb_and_option() -> None:
+    sections = re.split(r"^### ", script_of_docs("reference").command_line(), flags=re.MULTILINE)[1:]
+    text_of = {section.split("\n")[0]: section for section in sections}
+    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    assert set(text_of) == set(commands)
+    for name, command in commands.items():
+        for parameter in command.params:
+            assert parameter.help.rstrip(".").replace("|", "\\|") in text_of[name], (name, parameter.name)
+
+
+@pytest.mark.parametrize("name", [name for name, verb in verbs() if verb.function])
+def test_the_reference_of_python_explains_every_argument_of_a_function(name: str) -> None:
+    function = resolve(dict(verbs())[name].function)
+    page = script_of_docs("reference").python()
+    (section,) = re.findall(rf"^### cosim\.{name.replace('-', '_')}\n(.*?)^##", page, re.MULTILINE | re.DOTALL)
+    for argument in inspect.signature(function).parameters:
+        assert re.search(rf"^\| `{argument}` \| [A-Z][^|]+\. \|$", section, re.MULTILINE), argument
+    assert "Returns: " in section
+    assert "| error | meaning |" in section
+
+
+def test_each_generated_page_has_its_marker_once() -> None:
+    pages = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "docs").glob("*.md"))
+    assert [pages.count(marker) for marker in script_of_docs("reference").PAGES] == [1, 1]
+
+
+def test_the_site_is_searched_for_links_that_lead_nowhere_and_for_what_it_would_load(tmp_path: Path) -> None:
+    site = script_of_docs("site")
     (tmp_path / "a.html").write_text(
         '<p id="here"></p><a href="b.html#there">1</a><a href="#here">2</a><a href="https://example.org">3</a>'
         '<a href="b.html#gone">4</a><a href="c.html">5</a><script src="https://example.org/x.js"></script>'

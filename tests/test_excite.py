@@ -7,6 +7,7 @@ project's controller, with the noise of the sensors in the feedback.
 from __future__ import annotations
 
 import csv
+import html
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -20,8 +21,10 @@ from typer.testing import CliRunner
 from controller.gains import Settings
 from controller.loop import Loop
 from cosim.base.errors import InputError
+from cosim.base.text import plain
 from cosim.estimation.posing import build_problem
-from cosim.experiment.excite import Excitation, _merit, excite
+from cosim.experiment.chosen_input import Excitation, merit_of
+from cosim.experiment.excite import excite
 from cosim.experiment.question import ask
 from cosim.logs.log import read_log
 from cosim.refinement.decision.judgement import decided
@@ -113,7 +116,7 @@ def test_no_experiment_worse_than_what_is_usually_played_is_chosen_in_its_place(
         wide = ["force=60", "position=10 m"]
         found = excite(f"{DRIVE}:Drive", tmp_path, limits=wide, duration=5.0, experiments=1, seed=seed)
         assert found.usually.beyond(found.question.limits) <= 1.0
-        assert _merit(found.apart) >= _merit(found.usual)
+        assert merit_of(found.apart) >= merit_of(found.usual)
         assert "separates better" not in found.warning
 
 
@@ -269,6 +272,22 @@ def test_of_many_pairs_the_hardest_are_told_and_the_rest_counted(tmp_path: Path)
     assert done.stderr.startswith("warning: the best input found does not tell ")
     assert done.stderr.count("\n") == 1
     assert (tmp_path / "excitation.yaml").read_text().count(" standard deviations (the manoeuvre:") == 20
+
+
+def test_the_page_shows_input_separation_and_limits(tmp_path: Path) -> None:
+    asked = ("base", tmp_path / "out", ["yaw_damping", "coriolis"])
+    found = excite(*asked, limits=["x_world=500mm"], duration=5.0, experiments=2)
+    text = html.unescape((tmp_path / "out" / "report.html").read_text(encoding="utf-8"))
+    assert found.headline in text
+    assert text.index(found.headline) < text.index("<figure") < text.index("<table")
+    assert all(f">{name}<" in text for name in found.trial.inputs)
+    (pair,) = found.apart
+    row = text[text.index(f"{pair[0]} and {pair[1]}</th>") :].partition("</tr>")[0]
+    assert f">{plain(found.apart[pair], 2)}</td>" in row
+    assert f">{plain(found.usual[pair], 2)}</td>" in row
+    assert "±0.500\u00a0m</td>" in text  # the limit that was given
+    excite(*asked, limits=["x_world=500mm"], duration=5.0, experiments=2, report=False)
+    assert not (tmp_path / "out" / "report.html").exists()  # none that is of another input
 
 
 def test_what_a_model_holds_is_told_from_what_is_usually_taken_for_it(tmp_path: Path) -> None:

@@ -50,7 +50,7 @@ from cosim.storage.artefact import Artefact
 
 TANK = ModelEntry(name="acme_tank", model="acme.tank:Tank", recipe="acme.registered:tank_recipe")
 PAGE = Page(frozenset({"inflow", "level"}), "acme.registered:subject")
-VOLUME = Verb("acme.registered:command", "acme.registered:volume", "acme.registered:ARTEFACTS")
+VOLUME = Verb("acme.registered:command", "acme.registered:volume", "acme.registered:ARTEFACTS", group="Tanks")
 ARTEFACTS = (
     Artefact(
         "a tank book", "`cosim tank-volume LEVEL` tells volumes", keys=(frozenset({"tank_book"}),),
@@ -150,7 +150,8 @@ def test_a_third_party_registers_a_model_a_page_and_a_command(acme: Path, tmp_pa
     assert "A tank by Acme" in (tmp_path / "results" / "tank" / "report.html").read_text(encoding="utf-8")
     told = command("tank-volume", "2.0", folder=tmp_path, PYTHONPATH=path)
     assert told.stdout == "volume: 1.0 m3\n", told.stderr
-    assert "tank-volume" in command("--help", folder=tmp_path, PYTHONPATH=path).stdout
+    help_page = command("--help", folder=tmp_path, PYTHONPATH=path).stdout
+    assert re.search(r"^Tanks:\n  tank-volume +Print the volume", help_page, re.MULTILINE)
     (tmp_path / "book.json").write_text('{"tank_book": 1}')
     assert "book.json: note: a tank book" in command("check", "book.json", folder=tmp_path, PYTHONPATH=path).stdout
     refused = command("run", "book.json", folder=tmp_path, PYTHONPATH=path).stderr
@@ -199,7 +200,7 @@ def test_a_verb_of_a_package_under_a_name_of_ours_is_left_out_with_a_warning(tmp
         "from cosim.base.registry import Verb\nVERB = Verb('clash:command')\n\n\ndef command():\n    print('clash')\n"
     )
     done = command("schema", "model", folder=tmp_path, PYTHONPATH=str(site))
-    assert done.stderr == "warning: schema: an installed package registers a verb that cosim has; it is left out\n"
+    assert done.stderr == "warning: schema: an installed package registers a verb that cosim has; it is ignored\n"
     assert json.loads(done.stdout)["title"] == "cosim model file"
 
 

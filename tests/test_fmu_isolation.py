@@ -204,6 +204,7 @@ def test_what_pythonfmu_releases_twice_is_kept_in_balance(
 FOREIGN = """
 import atexit, ctypes, json, sys
 from pathlib import Path
+from cosim.base.scratch import process_folder
 from cosim.blocks.fmu import FmuBlock, read_description
 at_exit, register = [], atexit.register
 atexit.register = lambda function: at_exit.append(register(function))
@@ -213,14 +214,17 @@ for _ in range(2):
     block.bind((ctypes.c_double * 3)(), 0)
     block.open(0.0, 1.0)
     block.close()
-print(json.dumps([f.__name__ for f in at_exit if getattr(f, "__name__", "") == "finalizePythonInterpreter"]))
+names = [f.__name__ for f in at_exit if getattr(f, "__name__", "") == "finalizePythonInterpreter"]
+print(json.dumps([names, [path.name for path in process_folder().glob("fmu-*")]]))
 """
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the library of Linux alone has this fault")
 def test_cosim_keeps_it_in_balance_for_an_fmu_that_does_not(tmp_path: Path) -> None:
     fmu = misbehaving_fmu(tmp_path, "Behaves")
-    assert in_a_process_of_its_own(FOREIGN, fmu) == ["finalizePythonInterpreter"] * 2  # a library an extraction
+    let_go, folders = in_a_process_of_its_own(FOREIGN, fmu)
+    assert let_go == ["finalizePythonInterpreter"] * 2  # a library an extraction
+    assert folders == []
 
 
 def test_instances_of_one_fmu_share_no_state(plant_fmu: Path) -> None:

@@ -117,7 +117,7 @@ def test_windows_of_an_fmu_whose_state_cannot_be_set_are_no_measure(
     assert "do not measure psi" in told
     assert "keeps a state that no output shows" in told
     assert {f.channel for f in comparison.findings if f.kind == "hidden_state"} >= {"psi", "psi_dot"}
-    assert "restarted from its own outputs" in (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "Restarted from its own outputs" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("hidden", [True, False])

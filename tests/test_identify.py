@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -163,7 +164,10 @@ def test_the_nominal_duty_follows_the_new_thrust_line(found: tuple[Path, Any]) -
 def test_the_report_has_the_counterpart_of_every_figure(found: tuple[Path, Any]) -> None:
     text = (found[0] / "report.html").read_text(encoding="utf-8")
     for figure in ("3.18", "4.6", *(f"4.{k}" for k in range(10, 21))):
-        assert f"Counterpart of Fig {figure}." in text, figure
+        assert f"Compare thesis, Fig {figure}." in text, figure
+    titles = re.findall(r'class="plot-title">([^<]+?) <', text)
+    assert len(titles) == len(set(titles)) >= 16  # each chart by what it shows
+    assert not any("Fig" in title for title in titles)
     assert "http" not in text.partition("</head>")[2].replace("http://www.w3.org", "")
 
 

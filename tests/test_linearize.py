@@ -291,7 +291,7 @@ def test_the_exports_hold_the_same_numbers(tank: Path, tmp_path: Path) -> None:
     linearize(f"{tank}:Tank", tmp_path / "out", at=["level=0.25"])
     assert (tmp_path / "out" / "linear.mat").read_bytes() == before  # no time of day in it
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert "inflow: magnitude" in page
+    assert f"{outcome.first.outputs[0]}: magnitude" in page
     assert "Imaginary part of the poles" in page
 
 
@@ -318,12 +318,44 @@ def test_an_unstable_pole_and_a_pole_without_an_input_are_seen() -> None:
 
 @pytest.mark.parametrize(
     ("rate", "told"),
-    [(0.0, "Asymptotically stable;"), (0.5, "No equilibrium; all poles lie to the left of the imaginary axis;")],
+    [(0.0, "Stable equilibrium: "), (0.5, "No equilibrium: the model moves here; all poles are to the left")],
 )
 def test_only_an_equilibrium_is_called_stable(rate: float, told: str) -> None:
     one, point = np.ones((1, 1)), Point(0.0, np.zeros(1), np.zeros(1))
     m = Linear(-one, one, one, 0 * one, ("a",), ("u",), ("y",), point, np.array([rate]), np.zeros(1), {}, "by hand")
     assert headline(structure(m), m).startswith(told)
+
+
+def linear_of(A: list[list[float]], B: list[list[float]], C: list[list[float]]) -> Linear:
+    """A model at rest, whose states are a, b, …, inputs u0, … and outputs y0, …"""
+    a, b, c = np.array(A), np.array(B), np.array(C)
+    n, m, p = len(a), b.shape[1], len(c)
+    names = tuple("abcdef"[:n]), tuple(f"u{k}" for k in range(m)), tuple(f"y{k}" for k in range(p))
+    point = Point(0.0, np.zeros(n), np.zeros(m))
+    return Linear(a, b, c, np.zeros((p, m)), *names, point, np.zeros(n), np.zeros(p), {}, "by hand")
+
+
+@pytest.mark.parametrize(
+    ("A", "words"),
+    [
+        ([[-0.5, 0.0], [0.0, -4.0]], "decays with a time constant of 2 s"),
+        ([[0.25, 0.0], [0.0, -4.0]], "grows with a time constant of 4 s"),
+        ([[-1.0, 2.0 * math.pi], [-2.0 * math.pi, -1.0]], "oscillates with a period of 1 s and decays"),
+        ([[0.0, 1.0], [0.0, 0.0]], "Not asymptotically stable: 2 poles on the imaginary axis"),
+    ],
+)
+def test_the_headline_says_what_the_decisive_pole_means(A: list[list[float]], words: str) -> None:
+    m = linear_of(A, [[1.0], [1.0]], [[1.0, 1.0]])
+    assert words in headline(structure(m), m)
+
+
+def test_a_transfer_function_that_is_zero_is_not_drawn() -> None:
+    from cosim.linearization.report import _bode
+
+    # y0 answers u0 alone, y1 both, y2 none
+    m = linear_of([[-1.0, 0.0], [1.0, -2.0]], [[1.0, 0.0], [0.0, 1.0]], [[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]])
+    drawn = [(name, [t.label for t in size.traces]) for name, size, _ in _bode(m)]
+    assert drawn == [("y0", ["u0"]), ("y1", ["u0", "u1"])]
 
 
 def test_bode_plots_are_those_of_the_control_library(tank: Path) -> None:

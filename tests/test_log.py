@@ -13,7 +13,7 @@ import pytest
 from cosim.base.errors import InputError
 from cosim.base.units import alternatives, factor
 from cosim.logs.gate import gate
-from cosim.logs.log import Log, read_log
+from cosim.logs.log import Log, read_log, renamed
 from cosim.model.traits import rate_of
 from cosim.residuals.drive import model_signals
 from cosim.storage import csv_source
@@ -219,6 +219,16 @@ def test_columns_may_be_mapped_to_names_of_the_model(tmp_path: Path) -> None:
         with pytest.raises(InputError) as refused:
             read_log(path, INPUTS, OUTPUTS, columns=wrong)
         assert words in str(refused.value)
+
+
+def test_texts_of_columns_are_a_column_and_a_variable(tmp_path: Path) -> None:
+    assert renamed(["left = duty_left", "t=time"], tmp_path) == {"left": "duty_left", "t": "time"}
+    wrong = ["left", "=duty_left", "left=", " = ", "="]
+    with pytest.raises(InputError) as refused:
+        renamed(["t=time", *wrong], tmp_path)
+    assert {f.message for f in refused.value.faults} == {
+        f'--column "{text}" is not COLUMN=VARIABLE, as in measured_speed=motor.w' for text in wrong
+    }
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import pytest
 
 import cosim
 from cosim.base.errors import InputError
+from cosim.logs import log_check
 from cosim.storage.table import read_columns, read_header
 from tests.typed import typed_fmu
 
@@ -40,6 +41,16 @@ def test_a_log_that_has_an_input_of_base_is_one_of_base(tmp_path: Path) -> None:
     (tmp_path / "b.csv").write_text("time,u,x\n0,6,0\n1,6,1\n")
     with pytest.raises(InputError, match=r"input .duty_right. is missing"):
         cosim.check(tmp_path / "b.csv", "base")
+
+
+def test_without_the_example_a_log_is_one_of_the_named_model_or_of_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(log_check, "is_model", lambda name: False)
+    (tmp_path / "a.csv").write_text("time,duty_right,x\n0,6,0\n1,6,1\n2,6,3\n")
+    assert "checked without a model" in "\n".join(cosim.check(tmp_path / "a.csv"))
+    with pytest.raises(InputError, match=r"input .duty_left. is missing"):
+        cosim.check(tmp_path / "a.csv", "base")
 
 
 def test_a_table_without_a_signal_or_a_name_is_a_fault(tmp_path: Path) -> None:

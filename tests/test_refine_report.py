@@ -25,14 +25,14 @@ from cosim.loading.file import BASE, LoadedModel
 from cosim.model import Stepper
 from cosim.refinement.decision.claims import Claims, judge
 from cosim.refinement.decision.judgement import decided
-from cosim.refinement.decision.sentences import sentence
+from cosim.refinement.decision.sentences import DISTURBED, IN_PART, sentence
 from cosim.refinement.proof.refined_models import Variant
 from cosim.refinement.proof.replay_check import checked_claim
 from cosim.refinement.record import SCHEMA, ranking, schema
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.dependence import bins, explained
 from cosim.refinement.report.effect_plots import Shown, shown
-from cosim.refinement.report.error_tables import second_sentence
+from cosim.refinement.report.error_tables import error_tables, second_sentence
 from cosim.refinement.report.innovations import innovations
 from cosim.refinement.report.plots import runs
 from cosim.refinement.report.refine_page import context, write_refine_report
@@ -246,9 +246,13 @@ def test_the_command_tells_the_verdict_and_what_became_of_the_error(cart: Refine
     out = tmp_path / "out"
     result = CliRunner().invoke(app, ["refine", str(cart.study.path), "--out", str(out), "--no-report"])
     assert result.exit_code == 0, result.output
-    first, second = result.output.strip().splitlines()[-2:]
-    assert first == f"{cart.record['sentence']} {second_sentence(cart)}"
-    assert second == f"verdict: effect_found, model: {out / 'model.yaml'}, FMU: {out / 'plant.fmu'}"
+    lines = result.output.strip().splitlines()
+    at = lines.index("verdict: effect_found")
+    assert lines[at + 1] == f"{cart.record['sentence']} {second_sentence(cart)}"
+    shown = error_tables(cart)[-1].rows[0]
+    assert [line.split("  ")[0] for line in lines[at + 4 : at + 6]] == ["channel", "s"]
+    assert all(text in lines[at + 5] for text in (shown.before, shown.after, shown.floor))
+    assert lines[-2:] == [f"model:   {out / 'model.yaml'}", f"FMU:     {out / 'plant.fmu'}"]
 
 
 def dry_friction(r: Refinement) -> Shown:
@@ -312,8 +316,8 @@ NONE = ("", {"process_noise": {"v": {"before": 1e-3, "after": 1e-3, "inflated": 
     [
         ("no_effect", (), "nothing missing"),
         ("unexplained", (), "unexplained"),
-        ("unexplained", ("dry",), "dry comes closest and is not claimed"),
-        ("ambiguous", ("dry", "push"), "What would tell them apart: push harder."),
+        ("unexplained", ("dry",), "Best candidates, not confirmed:<ul><li>dry</li>"),
+        ("ambiguous", ("dry", "push"), "Next step: record a log with push harder."),
         ("ambiguous", ("dry",), "the model is left as it was"),
         ("parameter_error", (), "wrong parameter"),
     ],
@@ -328,7 +332,7 @@ def test_every_verdict_has_its_page(
     jsonschema.validate(record, json.loads(SCHEMA.read_text()))
     text = page(replace(cart, verdict=verdict, record=record), tmp_path)
     assert says in text
-    assert ("Excess left" in text) == (claimed is not None)
+    assert ("Remaining share" in text) == (claimed is not None)
     assert ('id="term"' in text) == (name == "unexplained" or claimed is not None)
 
 
@@ -345,7 +349,7 @@ def test_what_is_left_is_drawn_with_the_term_that_explains_it(cart: Refinement) 
     assert np.polyfit(speed, found.term, 1) == pytest.approx(
         [lacking @ speed / (speed @ speed), 0.0], rel=1e-9, abs=1e-9
     )
-    assert "the term in v takes away 60\u00a0%" in context(r)["terms"][0]["sentence"]
+    assert "the term in v explains 60\u00a0%" in context(r)["terms"][0]["sentence"]
 
 
 CRAFT = ModelSubject.of(Hovercraft())
@@ -380,7 +384,9 @@ def test_what_rivals_have_in_common_is_said_to_be_missing(cart: Refinement) -> N
     verdict = judged(best=best, rivals=(rival,))
     assert (verdict.name, verdict.rivals) == ("ambiguous", ("dry + push", "dry + shove"))
     assert words(verdict, cart).startswith("The model lacks dry (force = 0.")
-    assert ". Beside it, these logs cannot tell push from shove. This may: " in words(verdict, cart)
+    assert ". Beside it, these logs cannot tell push from shove. An experiment that may decide: " in words(
+        verdict, cart
+    )
     alone = judged(best=dry, rivals=(judged.single("push"),))
     assert words(alone, cart).startswith("These logs cannot tell dry from push. ")
 
@@ -391,12 +397,12 @@ def test_what_gains_too_little_to_be_told_from_chance_is_named_beside_the_claim(
     fuller = replace(dry, candidates=(*dry.candidates, push), score=dry.score - 1.0)
     claimed = judged(best=dry, rivals=(), fuller=fuller)
     assert (claimed.name, claimed.claimed) == ("effect_found", dry)
-    assert words(claimed, cart).endswith(" (Perhaps push: what that gains may be chance.)")
+    assert words(claimed, cart).endswith(" Perhaps also push; that gain may be chance.")
     base = cart.attribution.base
     none = judged(best=base, rivals=(), noise_gain=(0.0,), fuller=dry)
     assert (
         none.name,
-        words(none, cart).endswith("noise. (Perhaps dry: what that gains may be chance.)"),
+        words(none, cart).endswith("noise. Perhaps also dry; that gain may be chance."),
     ) == (
         "no_effect",
         True,
@@ -407,7 +413,7 @@ def test_what_gains_too_little_to_be_told_from_chance_is_named_beside_the_claim(
     other = replace(dry, candidates=(shove,))
     open_ = judged(best=dry, rivals=(other,), fuller=fuller)
     assert open_.rivals == ("dry", "shove", "dry + push")
-    assert words(open_, cart).startswith("These logs cannot tell these apart: dry, or shove, or dry and push. ")
+    assert words(open_, cart).startswith("These logs cannot decide between dry, shove and dry + push. ")
 
 
 def test_a_fit_that_had_not_settled_is_said_to(cart: Refinement) -> None:
@@ -425,7 +431,7 @@ def test_what_could_not_have_shown_is_said_where_nothing_is_missing(cart: Refine
     judged, base = Judged(cart), cart.attribution.base
     verdict = judged(best=base, rivals=(), noise_gain=(0.0,), hidden=("push",))
     assert verdict.name == "no_effect"
-    assert words(verdict, cart).endswith("down to the sensors' noise. (push would not have shown.)")
+    assert words(verdict, cart).endswith("down to the sensors' noise. These logs would not show push.")
     assert "(" not in words(judged(best=base, rivals=(), noise_gain=(0.0,)), cart)
 
 
@@ -442,8 +448,8 @@ def test_the_deficient_equation_is_that_whose_noise_is_worth_most_not_that_of_th
     small = judged(vx=0.018, vy=0.01)
     assert (small.name, small.residual["equation"]) == ("no_effect", "vy")
     assert [q["inflated"] for q in small.residual["process_noise"].values()] == [False, True, True]
-    disturbance = "a disturbance (2\u00a0% of what moves vx, 1\u00a0% of what moves vy) that follows no signal."
-    assert sentence(small, CRAFT) == f"Nothing is missing: what the model leaves is {disturbance}"
+    sizes = "Its size: 2\u00a0% of what moves vx and 1\u00a0% of what moves vy."
+    assert sentence(small, CRAFT) == f"{DISTURBED} {sizes}"
     # where a disturbance is no small one, it is the equation that it moves most
     large = judged(vx=0.3, vy=0.03)
     assert (large.name, large.claimed, large.residual["equation"]) == ("unexplained", None, "vx")
@@ -463,10 +469,8 @@ def test_a_claim_that_leaves_much_of_the_error_says_so_and_one_that_leaves_most_
     assert held({"x": 1.2, "v": 1.5, "quiet": 1.5}) is verdict  # 5 % of the excess of v stays
     part = held({"x": 1.2, "v": 2.1, "quiet": 1.5})  # 3.41 of 24
     assert (part.name, part.grade, part.claimed) == (verdict.name, "part", verdict.claimed)
-    assert words(part, cart).startswith(
-        "A part of what is missing: replays keep 14\u00a0% of the excess error of v, and the rest has no place"
-    )
-    assert words(part, cart).endswith(words(verdict, cart))
+    assert words(part, cart).startswith(words(verdict, cart))
+    assert f"{IN_PART}: replays keep 14\u00a0% of the excess error of v. The rest has no place" in words(part, cart)
     assert held({"x": 1.2, "v": 5.0, "quiet": 1.5}).grade == "part"  # one channel is mended
     withdrawn = held({"x": 9.0, "v": 5.0, "quiet": 1.0})
     assert withdrawn.grade == "nearest"
@@ -486,9 +490,7 @@ def test_a_sentence_says_of_a_term_without_a_name_how_much_it_is(cart: Refinemen
     terms = (Unnamed("v", "1", 40.0, 0.1, 41.0, 0.79), Unnamed("v", "time", 30.0, 0.1, 30.0))
     verdict = judged(*terms, best=base, rivals=(), noise_gain=(50.0,))
     assert verdict.name == "unexplained"
-    assert "acts on v; it is constant, and that takes away 79\u00a0% of what is missing." in sentence(
-        verdict, cart.study.subject
-    )
+    assert "acts on v; it is constant. That explains 79\u00a0% of what is missing." in words(verdict, cart)
     assert (verdict.residual["signals"], verdict.residual["share"]) == (["1", "time"], 0.79)
     nothing = judged(Unnamed("v", "1", 40.0, 0.1, 41.0, 0.0), best=base, rivals=(), noise_gain=(50.0,))
     assert words(nothing, cart).endswith("acts on v; it is constant.")
@@ -497,9 +499,7 @@ def test_a_sentence_says_of_a_term_without_a_name_how_much_it_is(cart: Refinemen
     assert (disputed.name, disputed.claimed, disputed.rivals) == ("unexplained", None, cart.attribution.best.names)
     left = judged(Unnamed("v", "|v|", 0.25 * gained, 0.1, 0.25 * gained), rivals=())
     assert left.claimed is cart.attribution.best
-    assert "left in v that depends on |v|: a term without a name promises 25\u00a0% of the claim's gain" in sentence(
-        left, cart.study.subject
-    )
+    assert "in v that depends on |v|. A term without a name would add 25\u00a0% to the claim's" in words(left, cart)
 
 
 @pytest.mark.thorough

@@ -60,7 +60,7 @@ def test_what_only_recalibration_explains_is_said_where_no_candidate_accounts_fo
     assert r.record["verdict"] == "unexplained"
     assert "The model as it stands misses" in r.record["sentence"]
     assert "mass 0.705 → 0.77" in r.record["sentence"]
-    assert r.record["sentence"].endswith("(Tried: only what the study names as candidates.)")
+    assert r.record["sentence"].endswith("Only the candidates that the study names were tried.")
 
 
 @pytest.mark.thorough
@@ -70,7 +70,7 @@ def test_an_effect_that_the_model_has_too_much_of_is_taken_out(tmp_path: Path) -
     r = flown(study, tmp_path / "out")
     assert (r.record["verdict"], named(r)) == ("parameter_error", {"coulomb_friction", "yaw_damping"})
     assert r.record["sentence"].startswith("The model has a wrong ")
-    assert r.record["sentence"].count("; the logs show none)") == 2
+    assert r.record["sentence"].count("; the logs show none") == 2
 
 
 @pytest.mark.thorough
@@ -102,7 +102,7 @@ def test_a_sensor_is_not_blamed_while_replays_stay_wrong() -> None:
     withdrawn = held(8.0)
     assert (withdrawn.name, withdrawn.claimed, withdrawn.rivals) == ("unexplained", None, ("accelerometer_scale",))
     assert sentence(withdrawn, ModelSubject.of(Hovercraft())).endswith(
-        "With it, replays still miss x by 8.0 times what noise makes."
+        "With it, replays still miss x by 8.0 times the noise floor."
     )
 
 

@@ -99,6 +99,6 @@ def test_a_filter_that_trusts_the_equations_hardly_weighs_their_noise(
 @pytest.mark.thorough
 def test_the_bars_of_the_process_noise_do_not_depend_on_the_unit(metres: Refinement, millimetres: Refinement) -> None:
     (here,), (there,) = (noise_rows(r) for r in (metres, millimetres))
-    assert (here.equation, here.words) == (there.equation, there.words) == ("speed", "deficient still")
+    assert (here.equation, here.words) == (there.equation, there.words) == ("speed", "incomplete")
     assert 10.0 < here.before_width < 90.0
     assert there.before_width == pytest.approx(here.before_width, abs=1.0)

@@ -263,7 +263,7 @@ def test_a_free_run_is_held_against_the_noise_too(tmp_path: Path) -> None:
     log = read_log(write_log(tmp_path / "cart.csv", columns), *model_signals(fmu))
     told = verdict(write_replay(tmp_path / "out", log, fmu, report=False))
     assert "nothing that the model lacks" not in told
-    assert "position fits to" in told
+    assert "The fit of position is" in told
 
 
 def test_a_model_that_stands_still_as_the_craft_does_misses_nothing(tmp_path: Path, plant_fmu: Path) -> None:
@@ -440,8 +440,16 @@ def test_a_recorded_log_is_replayed_and_reported(tmp_path: Path, plant_fmu: Path
     comparison = write_replay(tmp_path, log, plant_fmu, rate=0.02, progress=lambda k, n: seen.append((k, n)))
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert verdict(comparison).split(".")[0] in page
-    for heading in ("Free run", "Is it white?", "Which command does it follow?", "Numbers", "The log"):
+    for heading in (
+        "Free run",
+        "Is the residual only noise?",
+        "Which command does the residual follow?",
+        "Numbers",
+        "The log",
+    ):
         assert heading in page
+    (seconds,) = re.findall(r"([\d.]+) s at ", page)
+    assert float(seconds) == pytest.approx(log.time[-1] - log.time[0])
     assert re.search(r"https?://|@import|url\(|src=", page) is None  # complete in itself
     assert len(page) < 600_000
     assert seen

@@ -25,7 +25,7 @@ from cosim.report.svg import log_axis, make_axis, thin
 from cosim.simulation.report import write_figures, write_report
 from cosim.simulation.report.figures import sheet
 from cosim.simulation.report.recorded import Run
-from cosim.simulation.report.run_page import connection_panels, signal_panels
+from cosim.simulation.report.run_page import connection_panels, judged_panels, signal_panels
 from cosim.simulation.report.run_rows import connections
 from cosim.storage.results import Results
 from fmus.report.figures_of_run import belief, reference_steps, responses, saturation
@@ -348,6 +348,15 @@ def test_a_read_out_is_of_a_recorded_row_and_names_it(t: str, nearest: int, monk
 
 
 @with_node
+def test_no_row_is_named_before_a_chart_is_read() -> None:
+    series = Series(np.arange(5.0), 1)
+    series.add(Panel("Rate", "°/s", [Trace("a", np.arange(5.0), "true")]))
+    shown, hidden, *_ = told_by_the_script(series, "")
+    assert float(shown) == 4.0
+    assert hidden
+
+
+@with_node
 def test_the_script_has_every_row_to_five_digits() -> None:
     rng = np.random.default_rng(3)
     time = np.cumsum(rng.uniform(1e-4, 0.1, 3000))
@@ -414,6 +423,62 @@ def test_without_a_craft_every_signal_is_plotted(tmp_path: Path) -> None:
     assert all(text.count(f"</svg><span>{name}</span>") == 1 for name in columns)
     panels = signal_panels(Run(results, {}))
     assert [(panel.unit, len(panel.traces)) for panel in panels] == [("m", 6), ("m", 3), ("N", 1)]
+
+
+def test_signals_without_a_unit_share_an_axis_only_if_each_is_seen_on_it(tmp_path: Path) -> None:
+    time = np.linspace(0.0, 1.0, 11)
+    signals = {
+        "a.small": time,
+        "a.large": 100.0 * time,  # on its axis a.small would be flat
+        "a.similar": 8.0 * time,
+        "a.constant": np.full(11, 50.0),  # would squeeze a.small, and not a.large
+        "a.high": 1000.0 + time,  # as large as a.small, and far from it
+        "b.metres": time,
+        "b.far": 1e6 * time,  # of one unit: meant to be compared
+    }
+    results = Results(time, tuple(signals), np.column_stack(list(signals.values())), {"b.metres": "m", "b.far": "m"})
+    panels = signal_panels(Run(results, {}))
+    assert [[t.label for t in panel.traces] for panel in panels] == [
+        ["a.small", "a.similar"], ["a.large", "a.constant"], ["a.high"], ["b.metres", "b.far"],
+    ]  # fmt: skip
+
+
+def test_a_page_without_criteria_opens_with_what_was_simulated(tmp_path: Path) -> None:
+    record = {
+        "scenario": {"components": {name: {} for name in ("tank", "pump", "valve", "level")}},
+        "timings": {"load": 0.1, "simulate": 0.2, "real_time_factor": 9.2},
+    }
+    results = Results(np.arange(3.0), ("tank.level",), np.ones((3, 1)), {"tank.level": "m"})
+    text = page(tmp_path, results, record)
+    opening = text[text.index("<h1>") : text.index("<section")]
+    assert all(words in opening for words in ("tank, pump, valve and 1 more", "2\u00a0s in 2 steps"))
+    assert "real time" not in opening
+    assert "9.2 × real time" in text
+
+
+def test_a_page_with_criteria_draws_the_judged_signals_first_the_missed_ones_before(tmp_path: Path) -> None:
+    goals = [
+        {"kind": "peak", "of": "tank.flow", "value": 1.0, "max": 4.0, "unit": "m3/s", "met": True},
+        {"kind": "final_error", "of": "tank.level", "to": 0.5, "value": 0.5, "max": 0.1, "unit": "m", "met": False},
+        {
+            "kind": "settling_time",
+            "of": "tank.level",
+            "to": "tank.set",
+            "value": 1.0,
+            "max": 2.0,
+            "unit": "s",
+            "met": True,
+        },
+    ]
+    names = ("tank.flow", "tank.level", "tank.set", "tank.other")
+    results = Results(np.arange(3.0), names, np.ones((3, 4)), {"tank.level": "m", "tank.set": "m"})
+    panels = judged_panels(Run(results, {"criteria": goals}))
+    assert [(p.title, p.limits) for p in panels] == [("tank.level", (0.4, 0.6)), ("tank.flow", (-4.0, 4.0))]
+    text = page(tmp_path, results, {"criteria": goals})
+    titles = re.findall(r'class="plot-title">([^<]+?) <', text)
+    assert titles[:2] == ["tank.level", "tank.flow"]
+    assert text.count("</svg><span>tank.level</span>") == 1  # and not among the other signals again
+    assert text.index('class="plot-title"') < text.index("<table")
 
 
 def test_text_and_items_are_spelled_out_with_the_times_of_their_changes(tmp_path: Path) -> None:

@@ -100,6 +100,22 @@ def test_a_cursor_moves_in_the_charts_of_its_axis_alone(page: Page) -> None:
     assert float(read_outs(page)["model"]) == pytest.approx(MODEL[400], abs=0.51 * 10.0 ** -power(MODEL))
 
 
+def test_the_row_is_named_only_while_a_chart_is_read(page: Page) -> None:
+    row = page.locator("#row")
+    assert row.is_hidden()
+    there = box(page, 0)
+    page.mouse.move(there["x"] + 0.5 * there["width"], there["y"] + 50)
+    assert row.is_visible()
+    page.mouse.move(2, 2)
+    assert row.is_hidden()
+    first = page.locator("[data-box]").first
+    first.focus()
+    first.press("ArrowLeft")
+    assert row.is_visible()
+    first.blur()
+    assert row.is_hidden()
+
+
 def test_a_zoom_changes_the_charts_of_its_axis_alone_and_lines_still_begin_anew(page: Page) -> None:
     before = shapes(page)
     assert before[1].count("M") == len(STARTS) + 1  # nothing before the first start but that row

@@ -76,6 +76,7 @@ def test_a_step_a_kink_a_pulse_and_a_quick_oscillation_are_motion(moving: Array,
     motions = {
         "step": size * (k > 200),
         "kink": 0.1 * size * np.maximum(0, k - 200),
+        "pulse of three rows": size * ((k >= 200) & (k < 203)),
         "pulse of four rows": size * ((k >= 200) & (k < 204)),
         "decay": size * np.where(k >= 200, np.exp(-(k - 200) / 4.0), 0.0),
         "oscillation of eight rows": size * np.sin(2.0 * np.pi * k / 8.0) * (k >= 200),

@@ -52,7 +52,8 @@ class Trial:
         self.description = SimpleNamespace(modelVariables=[SimpleNamespace(name=name, **start, **kind)])
         self.outputs, self.shown, self.name, self.tried = (output,), shown, name, list[float]()
 
-    def initial(self, start: Mapping[str, float]) -> dict[str, float]:
+    def initial(self, start: Mapping[str, float], row: int) -> dict[str, float]:
+        assert row == 0
         self.tried.append(start[self.name])
         return {self.outputs[0]: self.shown(start[self.name])}
 

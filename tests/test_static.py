@@ -96,7 +96,7 @@ def test_the_fmu_predicts_each_row_from_its_own_inputs(leak: Refinement) -> None
 def test_the_report_of_a_table_knows_no_time(leak: Refinement, tmp_path: Path) -> None:
     write_refine_report(tmp_path / "report.html", leak)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "1 table learnt from, 24 rows" in page
+    assert "1 table used for the fits, 24 rows" in page
     assert "Rows left out" in page
     assert page.count("opening [1]") == page.count("flow in kg/s over opening in 1") + 2  # residuals beside
     assert "drop [kPa]" in page  # in the unit of the table
@@ -139,7 +139,8 @@ def test_a_claim_that_leaves_much_over_an_input_is_one_of_a_part(tmp_path: Path)
 
     r = proven(study_of(tmp_path, both, rows=40), tmp_path / "out")
     assert (named(r), r.record["grade"]) == ({"seat_leak"}, "part"), r.record["sentence"]
-    assert "the rest acts on flow and depends on opening. The model lacks seat_leak" in r.record["sentence"]
+    assert "The model lacks seat_leak" in r.record["sentence"]
+    assert "The rest acts on flow and depends on opening." in r.record["sentence"]
 
 
 # -- rows -------------------------------------------------------------------------------------------

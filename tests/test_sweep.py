@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import html
 import json
 import os
+import re
+import shlex
 import signal
 import sqlite3
 import subprocess
@@ -17,6 +20,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from cosim.base.errors import InputError, SweepFailed
 from cosim.fmi.fmu_build import build
@@ -32,7 +36,9 @@ from cosim.sweeps.run_chunks import Made, made
 from cosim.sweeps.run_statistics import sensitivity, share
 from cosim.sweeps.sampling import Factor, columns_of, distribution
 from cosim.sweeps.store import DATABASE, TABLE, read_table, signal_of
+from cosim.sweeps.sweep_result import repeated
 from cosim.sweeps.workflow import EQUAL, sweep
+from cosim.verbs.cli import app
 from tests.tank import MODEL
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -615,3 +621,39 @@ def test_the_page_has_criteria_bands_sensitivities_and_the_check(tanks: Callable
     record = json.loads((study.folder / "sweep.json").read_text())
     assert record["check"]["apart"] <= EQUAL
     assert record["runs"] == 80
+
+
+def test_the_page_of_a_sweep_opens_with_its_answer_and_links_to_runs_that_fail(tanks: Callable[..., Path]) -> None:
+    path = tanks()
+    study = sweep(path, path.parent / "out", in_process=True)
+    table, _ = read_table(study.folder / TABLE)
+    met = np.all([table.column(f"{c['name']} met").to_pylist() for c in study.record["criteria"]], axis=0)
+    assert study.record["met_all"] == int(met.sum())
+    page = html.unescape((study.folder / "report.html").read_text())
+    opening = page[page.index("<h1>") : page.index("<section")]
+    assert f"{study.record['met_all']} of 80 runs" in opening
+    assert study.sentences[0] in opening
+    linked = [int(k) for k in re.findall(r'href="#run-(\d+)"', opening)]
+    assert linked
+    assert all(not met[k] and f'id="run-{k}"' in page for k in linked)
+    assert page.count('class="share"') >= len(study.record["criteria"])
+    assert re.search(r"data-title=\"peak of next.level over (tank|next)\.", page)  # a scatter plot
+
+
+def test_the_command_beside_a_run_of_a_sweep_repeats_it(tanks: Callable[..., Path]) -> None:
+    path = tanks(VARY.replace("runs: 40", "runs: 5"))
+    study = sweep(path, path.parent / "out", in_process=True, report=False)
+    table, _ = read_table(study.folder / TABLE)
+    words = shlex.split(repeated(study.sweep, 7))
+    options = [*words[2:], "--out", str(path.parent / "again"), "--no-report"]
+    done = CliRunner().invoke(app, ["run", *options])
+    assert done.exit_code in (0, 5), done.output
+    (criterion, *_) = json.loads((path.parent / "again" / "manifest.json").read_text())["criteria"]
+    assert criterion["value"] == pytest.approx(table.column("peak of next.level").to_pylist()[7], rel=1e-12)
+
+
+def test_of_few_runs_the_page_says_that_sensitivities_need_more(tanks: Callable[..., Path]) -> None:
+    path = tanks(VARY.replace("runs: 40", "runs: 5"))
+    study = sweep(path, path.parent / "out", in_process=True)
+    page = (study.folder / "report.html").read_text()
+    assert "Too few runs for sensitivities: 10 completed, 50 are needed." in page

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,17 +14,20 @@ import pytest
 from cosim.base.text import percent
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
-from cosim.refinement.decision.claims import Claims
+from cosim.refinement.decision.claims import Claims, Doubt, Moved
 from cosim.refinement.decision.sentences import (
     calmer,
     cannot_tell,
     claim,
+    doubted,
     excites_too_little,
+    further,
     holds,
     left_over,
     misses,
     nothing,
     part,
+    perhaps,
     rises,
     unexplained,
 )
@@ -51,6 +55,17 @@ def fitted(*names: str) -> Hypothesis:
     free = tuple(KINDS[n][0] for n in names)
     information = np.diag([(0.01 * VALUES[f.name]) ** -2 for f in free])
     fit = Fit(VALUES, Noise(np.zeros(1), 0.0, np.zeros(1), np.zeros(1)), free, (0.0,), 0.0, information, 5, True)
+    return Hypothesis(parts, fit, -100.0)
+
+
+def many_parameters() -> Hypothesis:
+    """A hypothesis of every effect of the craft that has several parameters."""
+    parts = tuple(c for c in ModelSubject.of(CRAFT).candidates(()) if len(c.free) > 1)
+    free = tuple(f for c in parts for f in c.free)
+    values = {f.name: (f.neutral or 0.0) + 0.5 * f.size for f in free}
+    noise = Noise(np.zeros(1), 0.0, np.zeros(1), np.zeros(1))
+    fit = Fit(values, noise, free, (0.0,), 0.0, np.diag([1e4 / f.size**2 for f in free]), 5, True)
+    assert len(parts) > 3
     return Hypothesis(parts, fit, -100.0)
 
 
@@ -90,7 +105,7 @@ def in_part() -> dict[str, Any]:
     residual = {"equation": "vx", "signals": ["x_world"], "share": 0.3, "terms": [{"gain": 30.0}]}
     left = (0.05**2 - 0.01**2) / (0.1**2 - 0.01**2)
     kept = part(residual, f"replays keep {percent(left)} of the excess error of vx")
-    sentence = f"{kept} {claim(h, h.candidates, ModelSubject.of(CRAFT))}"
+    sentence = f"{claim(h, h.candidates, ModelSubject.of(CRAFT))} {kept}"
     near = ("coulomb_friction", "quadratic_drag")
     return written("effect_found", sentence, "part", h, near, residual=residual, error=errors(0.1, 0.05, 0.04))
 
@@ -117,7 +132,7 @@ def too_little() -> dict[str, Any]:
 
 
 def only_recalibrated() -> dict[str, Any]:
-    sentence = misses("vx", 10.0, ())
+    sentence = misses("vx", 10.0, (), {})
     return written("unexplained", sentence, "nearest", error=errors(0.1, 0.1, 0.1))
 
 
@@ -129,7 +144,7 @@ def nothing_missing() -> dict[str, Any]:
 def beside_something() -> dict[str, Any]:
     h = fitted("coulomb_friction")
     term = Unnamed("vx", "x_world", 30.0, 0.1, 30.0)
-    sentence = claim(h, h.candidates, ModelSubject.of(CRAFT)) + left_over(term, 200.0)
+    sentence = f"{claim(h, h.candidates, ModelSubject.of(CRAFT))} {left_over(term, 200.0)}"
     return found("coulomb_friction") | {
         "sentence": sentence,
         "residual": {"equation": "vx", "signals": ["x_world"], "share": 0.1, "terms": [{"gain": 30.0}]},
@@ -172,6 +187,33 @@ def test_a_verdict_agrees_with_its_own_numbers(made: str) -> None:
     assert contradictions(MADE[made]()) == []
 
 
+MANY = [f"effect_{k}" for k in range(10)]
+FAR = [Moved(name, 1.0, 2.0) for name in MANY]
+ACTS = {"equation": "vx", "signals": ["x_world"], "share": 0.3, "terms": []}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *(make()["sentence"] for make in MADE.values()),
+        nothing(MANY, dict.fromkeys(MANY, 0.01)),
+        cannot_tell(MANY, "both duties varied", "", ModelSubject.of(CRAFT)),
+        unexplained(ACTS, MANY),
+        doubted(Doubt("unsteady", names=tuple(MANY))),
+        holds(MANY, fitted=True),
+        misses("vx", 10.0, FAR, dict.fromkeys(MANY, "kg")),
+        further(FAR, dict.fromkeys(MANY, "kg")),
+        perhaps(MANY),
+        rises(dict.fromkeys(MANY, (0.1, 0.2)), dict.fromkeys(MANY, "m"), "nearest.yaml"),
+        claim(wide := many_parameters(), wide.candidates, ModelSubject.of(CRAFT)),
+    ],
+)
+def test_a_sentence_has_at_most_25_words_and_no_chain_of_more_than_three_names(text: str) -> None:
+    for one in re.split(r"(?<=\.) (?=[A-Za-z`])", text):
+        assert len(one.replace("\u00a0", "").split()) <= 25, one
+        assert len(re.findall(r"effect_\d", one)) <= 3, one
+
+
 def changed(record: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
     """The record with something else at a place of it."""
     record = copy.deepcopy(record)
@@ -198,8 +240,8 @@ def changed(record: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
         ("an effect", "noise_floor", {"vx": 0.3}, "noise_floor is none of noise_floors"),
         ("a part", "error/after/estimation/vx", 0.08, "in the sentence, {'vx': 0.6"),
         ("a part", "grade", "claimed", "the grade is claimed"),
-        ("a part", "sentence", lambda s: s.replace("rest", "remainder"), "does not say how much is left"),
-        ("a part", "nearest", ["coulomb_friction"], "nearest.yaml has ['coulomb_friction'], the sentence says it has"),
+        ("a part", "sentence", lambda s: s.replace("The rest", "The remainder"), "does not say how much is left"),
+        ("a part", "nearest", ["coulomb_friction"], "nearest.yaml contains ['coulomb_friction'], the sentence says it"),
         ("outside", "residual/equation", "vy", "the misfit is in vy"),
         ("outside", "residual/signals", ["psi"], "it depends on psi"),
         ("outside", "residual/share", 0.6, "0.6 in the record"),

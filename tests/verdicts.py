@@ -8,7 +8,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from cosim.base.text import percent, plain
+from cosim.base.text import MOST_NAMED, listed, percent, plain
+from cosim.refinement.decision.sentences import IN_PART
 
 CLAIMS = {"effect_found", "parameter_error", "sensor_error"}
 FILES = {"claimed": ("model.yaml", "plant.fmu"), "other": ("model.yaml", "plant.fmu", "nearest.yaml", "nearest.fmu")}
@@ -40,10 +41,15 @@ def _names(record: Record) -> Iterator[str]:
         yield from (f"{name} is claimed and not in the sentence" for name in claimed if name not in said)
     if record["verdict"] == "no_effect":
         yield from (
-            f"{name} would not have shown, which the sentence does not say"
-            for name in record["hidden"]
-            if name not in said
+            f"{name} would not have shown, which the sentence does not say" for name in _untold(record["hidden"], said)
         )
+
+
+def _untold(names: list[str], said: str) -> list[str]:
+    """Names that a sentence does not have; of more than three it has the first, and their number."""
+    if len(names) > MOST_NAMED and not re.search(rf"\b{len(names)} \w+: ", said):
+        return names
+    return [name for name in names[:MOST_NAMED] if name not in said]
 
 
 def _intervals(record: Record) -> Iterator[str]:
@@ -79,7 +85,7 @@ def _grade(record: Record) -> Iterator[str]:
         yield f"{verdict}, and nothing is claimed"
     if verdict in ("no_effect", "unexplained") and claimed:
         yield f"{verdict}, and {claimed} is claimed"
-    if (grade == "part") != ("A part of what is missing" in record["sentence"]):
+    if (grade == "part") != (IN_PART in record["sentence"]):
         yield f"the grade is {grade}, the sentence {record['sentence']!r}"
     changed = any(
         record["error"]["before"][part] != record["error"]["after"][part] for part in record["error"]["before"]
@@ -102,14 +108,14 @@ def _rivals(record: Record) -> Iterator[str]:
     if counted is not None and int(counted[1]) != effects:
         yield f"{counted[0]} in the sentence, {effects} in the record"
     if counted is None and "the one effect" not in said:
-        yield from (f"the rival {name} is not in the sentence" for name in rivals if name not in said)
+        yield from (f"the rival {name} is not in the sentence" for name in _untold(rivals, said))
 
 
 def _nearest(record: Record) -> Iterator[str]:
     """Where not all is claimed, there is a nearest model, and the sentence says what it holds."""
     error, held = (
         record["error"],
-        re.search(r"nearest\.yaml, which predicts logs left out best, (.*?)\.(?: |$)", record["sentence"]),
+        re.search(r"nearest\.yaml predicts held-out logs best; it (.*?)\.(?: |$)", record["sentence"]),
     )
     if (record["grade"] == "claimed") != (error.get("nearest") is None) or (record["grade"] == "claimed") != (
         held is None
@@ -118,8 +124,11 @@ def _nearest(record: Record) -> Iterator[str]:
     if held is None or error.get("nearest") is None:
         return
     names = record["nearest"]
-    if names != (held[1].removeprefix("has ").split(" and ") if held[1].startswith("has ") else []):
-        yield f"nearest.yaml has {names}, the sentence says it {held[1]}"
+    before = re.search(r"Best candidates, not confirmed: (.*?)\.", record["sentence"])
+    contents = before[1] if before and held[1] == "contains them" else held[1].removeprefix("contains ")
+    contents = "" if held[1].startswith("is the model") else re.sub(r"^\d+ candidates: ", "", contents)
+    if listed(names) != contents:
+        yield f"nearest.yaml contains {names}, the sentence says it {held[1]}"
     if held[1] == "is the model as it was" and error["nearest"] != error["before"]:
         yield "nearest.yaml is the model as it was, and its error another"
 
@@ -133,10 +142,10 @@ def _share(record: Record) -> Iterator[str]:
         for signal in residual["signals"][:1]:
             if signal != "1" and f"depends on {signal}" not in said:
                 yield f"it depends on {signal}, the sentence says {said!r}"
-    found = re.search(r"and that takes away ((?:less than |more than )?[\d.]+\u00a0%) of what is missing", said)
+    found = re.search(r"That explains ((?:less than |more than )?[\d.]+\u00a0%) of what is missing", said)
     if found is not None and found[1] != percent(residual["share"]):
         yield f"{found[1]} in the sentence, {residual['share']} in the record"
-    if found := re.search(r"promises ((?:less than |more than )?[\d.]+\u00a0%) of the claim's gain", said):
+    if found := re.search(r"would add ((?:less than |more than )?[\d.]+\u00a0%) to the claim's gain", said):
         gained = next(c["score_gain"] for c in record["candidates"] if c["why"] == "claimed")
         if found[1] != percent(residual["terms"][0]["gain"] / gained):
             yield f"{found[1]} in the sentence, {residual['terms'][0]['gain']} of {gained} in the record"
@@ -164,12 +173,12 @@ def _left(record: Record) -> Iterator[str]:
             yield f"a part, and the sentence does not say how much is left: {said!r}"
         elif abs(0.01 * float(found[1]) - (after[found[2]] / other[found[2]]) ** 2) > NOISE:
             yield f"{found[0]} in the sentence, {error} in the record"
-    elif record["grade"] == "part" and "beside it an unknown input of" in said:
-        if re.search(r"unknown input of [\d.]+\u00a0% of what moves \w+ is left", said) is None:
+    elif record["grade"] == "part" and "an unknown input of" in said:
+        if re.search(r"unknown input of [\d.]+\u00a0% of what moves \w+ remains", said) is None:
             yield f"a part, and the sentence does not say how much is left: {said!r}"
     elif record["grade"] == "part":
         found = re.search(r"replays keep (\d+)\u00a0% of the excess error of (\w+)", said)
-        if found is None or "the rest" not in said:
+        if found is None or "The rest" not in said:
             yield f"a part, and the sentence does not say how much is left: {said!r}"
         elif abs(0.01 * float(found[1]) - left.get(found[2], math.inf)) > NOISE:
             yield f"{found[0]} in the sentence, {left} in the record"
@@ -177,7 +186,7 @@ def _left(record: Record) -> Iterator[str]:
 
 def _misses(record: Record) -> Iterator[str]:
     """By how many times what noise makes the model as it stands misses a channel."""
-    found = re.search(r"as it stands misses (\w+) by ([\d.]+) times what noise makes", record["sentence"])
+    found = re.search(r"as it stands misses (\w+) by ([\d.]+) times the noise floor", record["sentence"])
     if found is not None:
         before, floor = (record[k] for k in ("error", "noise_floors"))
         times = before["before"]["estimation"][found[1]] / floor["estimation"][found[1]]
@@ -205,7 +214,7 @@ def _floors(record: Record) -> Iterator[str]:
 
 def _sealed(record: Record) -> Iterator[str]:
     """An error that is said to rise on sealed logs does, and begins the sentence."""
-    for name in re.findall(r"(?:the error of|and of) (\w+) rises from", record["sentence"]):
+    for name in re.findall(r"the error of (\w+) rises from", record["sentence"]):
         variant = "after" if record["effects"] else "nearest"
         before, after = (record["error"][v]["validation"][name] for v in ("before", variant))
         if not (after > before and record["sentence"].startswith("On the sealed logs the error of ")):

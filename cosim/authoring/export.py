@@ -45,12 +45,19 @@ class Exported:
 def export_ssp(
     scenario: FilePath, path: FilePath | None = None, overrides: tuple[str, ...] = (), *, nearest: bool = False
 ) -> Exported:
-    """Write a scenario as an SSP, by default NAME.ssp.
+    """Write a scenario as an SSP 1.0 without noise; references become FMUs in C.
 
-    Noise is off, and references become FMUs in C.
+    Args:
+        scenario: Scenario or manifest.json.
+        path: SSP file; None writes NAME.ssp into the current folder.
+        overrides: Texts "path=value" that replace values of the scenario.
+        nearest: Use nearest.yaml instead of model.yaml of every refine folder that the scenario names.
+
+    Returns:
+        The path, and notes about parts that SSP cannot hold.
 
     Raises:
-        InputError: The scenario is faulty, or SSP or its importing tools cannot express a part.
+        InputError: Every fault of the scenario, and every part that SSP or its importers cannot hold.
     """
     file = ScenarioFile(Path(scenario), [*overrides, "noise=off"])
     if nearest:

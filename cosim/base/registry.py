@@ -77,15 +77,16 @@ class Page:
 class Verb:
     """A verb of another package, declared like cosim's own in `cosim.verbs`. Places are `module:object`, "" if absent.
 
-    Attributes:
-        command: Place of the function behind `cosim NAME`; its parameters are typer's options.
-        function: Place of the Python function `cosim.NAME`.
-        artefacts: Place of a tuple of `Artefact` (cosim/storage/artefact.py), the files read and written by the verb.
+    command:   place of the function behind `cosim NAME`, typer's options its parameters; "" if there is no command
+    function:  place of the function that `cosim.NAME` is in Python; "" if there is none
+    artefacts: place of a tuple of `Artefact` (cosim/storage/artefact.py), the files that the verb reads and writes
+    group:     heading of the verb in `cosim -h`: one of cosim's (cosim/verbs/__init__.py), or a new one
     """
 
     command: str = ""
     function: str = ""
     artefacts: str = ""
+    group: str = ""
 
 
 def models() -> dict[str, ModelEntry]:

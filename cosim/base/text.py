@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 
 from cosim.base.units import DISPLAY
 
@@ -13,6 +14,7 @@ POWER = re.compile(r"(?<=[A-Za-z])\d")
 RAISED = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 MINUS = "\u2212"
 MISSING = "\u2013"
+MOST_NAMED = 3  # names in a sentence; a reader loses the thread of a longer chain
 
 
 def plain(value: float, digits: int | None = 3) -> str:
@@ -75,8 +77,20 @@ def percent(share: float) -> str:
 
 def counted(count: int, noun: str) -> str:
     """Return `1 row`, `2 rows` or `3 criteria`."""
-    plural = {"criterion": "criteria"}.get(noun, f"{noun}s")
+    plural = {"criterion": "criteria", "hypothesis": "hypotheses"}.get(noun, f"{noun}s")
     return f"{count} {noun if count == 1 else plural}"
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return names as a sentence holds them: `a`, `a and b`, `a, b and c`; of more than three `a, b, c and 7 more`."""
+    shown = [*names] if len(names) <= MOST_NAMED else [*names[:MOST_NAMED], f"{len(names) - MOST_NAMED} more"]
+    return " and ".join(filter(None, (", ".join(shown[:-1]), *shown[-1:])))
+
+
+def parted(text: str) -> tuple[str, str]:
+    """Return the first sentence of a text, and the others."""
+    first, stop, others = text.partition(". ")
+    return f"{first}{stop}".strip(), others
 
 
 def display(unit: str) -> tuple[str, float]:

@@ -282,7 +282,7 @@ class Loop:
             slot.pulls, slot.pull = len(pull), ctypes.addressof(pull)
         self.slots, hold = (Slot * len(slots))(*(slot for slot, _ in slots)), (Transfer * len(held))(*held)
         self._keeping = slots, pulls, held, hold, row, table, made, doing
-        self.plan = plan = Plan(begin, h, len(self.slots), len(hold), len(row), 1, 0, NEVER)
+        self.plan = plan = Plan(begin, h, len(self.slots), len(hold), len(row), next=1)
         plan.slot, plan.hold = ctypes.addressof(self.slots), ctypes.addressof(hold)
         plan.row, plan.table = ctypes.addressof(row), table.ctypes.data
         plan.made, plan.doing = _address(made), _address(doing)

@@ -40,14 +40,14 @@ SHOWN = 12  # signals in a short text
 
 @dataclass(frozen=True, repr=False)
 class Compared:
-    """A comparison of two runs.
+    """Differences of two runs.
 
     Attributes:
-        only_a: Signals of a alone, as `only_b` of b.
-        time: Times [s] of a covered by b.
-        values: Signal → values of a and b at these times.
+        only_a: Signals of run a alone.
+        only_b: Signals of run b alone.
+        time: Times [s] of a at which b has values too.
         aligned: Whether both runs have the same times.
-        shorter: Note on a run that begins later or ends earlier, or "".
+        shorter: Note about a run that begins or ends before the other; "" for none.
     """
 
     a: Ran
@@ -101,10 +101,7 @@ class Compared:
         return "\n  ".join([self._heading(), *lines])
 
     def to_pandas(self) -> pandas.DataFrame:
-        """Return a data frame with a row per common signal.
-
-        The largest difference comes first. Raises ImportError without pandas.
-        """
+        """Return one row per common signal, the largest difference first; raise ImportError without pandas."""
         try:
             import pandas
         except ImportError:
@@ -113,10 +110,10 @@ class Compared:
         return pandas.DataFrame([asdict(d) for d in ranked]).set_index("name")
 
     def plot(self, *names: str) -> Figure:
-        """Return a matplotlib figure of both runs and of b − a.
+        """Return a matplotlib figure of both runs and of b − a; without names of the signals that differ most.
 
-        By default it shows the signals with the largest differences. Raises KeyError for a name without numbers in
-        both.
+        Raises:
+            KeyError: A name is not numeric in both runs.
         """
         from cosim.comparison.signal_panels import panels_of
         from cosim.simulation.report.figures import sheet

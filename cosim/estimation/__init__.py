@@ -1,1 +1,1 @@
-"""Maximum likelihood on measured logs: the filter and its noise, what a fit may move, what more would promise."""
+"""Maximum likelihood on measured logs: filter, noise, free parameters and score tests."""

@@ -1,4 +1,4 @@
-"""A log as the filter takes it: equal steps, what is measured in them, and how late each reading is."""
+"""Logs as input of the filter: equal steps, measurements, and the age of each reading."""
 
 from __future__ import annotations
 
@@ -12,17 +12,20 @@ from cosim.kernel.kernel import Data, Layout
 from cosim.logs.log import Log, slowness
 from cosim.subject.interface import Subject
 
-UNSCORED = 1.0  # [s] of each log, in which the filter settles; see `unscored`
-MOST_ROWS, FOLDS = 40, 20  # rows of all tables, up to which each is left out alone; parts of those with more
-JITTER = 0.01  # of a row, from which rows are no longer taken to be equally far apart
+UNSCORED = 1.0  # [s] of each log in which the filter settles; see `unscored`
+MOST_ROWS, FOLDS = 40, 20  # rows of all tables up to which each is held out alone; parts of larger tables
+JITTER = 0.01  # share of a row from which rows are not equally spaced
 
 
 def as_data(
     subject: Subject, log: Log, layout: Layout, settle: float, interpolated: frozenset[str] = frozenset()
 ) -> Data:
-    """Return a log in equal steps; where a row is missing the command is held and nothing is measured.
+    """Return a log in equal steps.
 
-    settle: [s] until lags have forgotten an unknown start, see `settling`
+    A missing row holds its command and has no measurement.
+
+    Args:
+        settle: Time until lags have forgotten an unknown start [s], see `settling`.
     """
     if log.table:
         return _as_table(log, layout)
@@ -46,7 +49,7 @@ def as_data(
 
 
 def _as_table(log: Log, layout: Layout) -> Data:
-    """Return a table: the outputs of a row are those of its own inputs, as where these run straight from row to row."""
+    """Return a table, in which outputs depend on the inputs of their own row."""
     u = np.column_stack([log.inputs[name] for name in layout.inputs])
     nothing = np.full(log.rows, np.nan)
     y = np.column_stack([log.outputs.get(name, nothing) for name in layout.outputs])
@@ -54,9 +57,9 @@ def _as_table(log: Log, layout: Layout) -> Data:
 
 
 def folds(logs: Sequence[Data]) -> list[Data]:
-    """Return tables in parts that can be left out in turn: row by row, or rows spread evenly where there are many.
+    """Return tables in parts for cross-validation, without unmeasured rows.
 
-    Rows in which nothing is measured are left away.
+    Each row is a part, or evenly spread rows are for many rows.
     """
     measured = [np.flatnonzero(np.isfinite(data.y).any(axis=1)) for data in logs]
     total = sum(rows.size for rows in measured)
@@ -68,12 +71,15 @@ def folds(logs: Sequence[Data]) -> list[Data]:
 
 
 def _as_acted(log: Log, u: Array, grid: Rows) -> Array:
-    """Return the mean of each command over each equal step, where commands change in between: the impulse is exact."""
+    """Return the mean of each command over each equal step.
+
+    The integral of a command is exact if the command changes within a step.
+    """
     edges = np.arange(len(u) + 1, dtype=np.float64)
     given = (log.time - log.time[0]) / log.step
     commands = u[grid]
     lasting = np.vstack([np.zeros(u.shape[1]), np.cumsum(commands[:-1] * np.diff(given)[:, None], axis=0)])
-    # the last command goes on, and so does the first before it was given
+    # The last command continues, and the first command also acts before its row.
     times = np.concatenate([[min(0.0, given[0]) - 1.0], given, [edges[-1] + 1.0]])
     before, after = (lasting[k] + commands[k] * (times[k] - given[k]) for k in (0, -1))
     total = np.vstack([before, lasting, after])
@@ -81,7 +87,7 @@ def _as_acted(log: Log, u: Array, grid: Rows) -> Array:
 
 
 def unscored(data: Data) -> int:
-    """Return rows at the start of a log that are not scored: the filter settles. None of a table."""
+    """Return the rows before scoring starts, in which the filter settles; 0 for a table."""
     if data.table:
         return 0
     return round(UNSCORED * slowness(data.step) / data.step)

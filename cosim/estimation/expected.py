@@ -1,4 +1,4 @@
-"""What is expected of a parameter per log where its group's value is not known: of a log kept apart, a sealed one."""
+"""Expected values of parameters per log for groups without an estimate, such as held-out and sealed logs."""
 
 from __future__ import annotations
 
@@ -15,16 +15,19 @@ from cosim.logs.channel_noise import NORMAL_95
 
 
 def means(f: Fit) -> dict[str, float]:
-    """Return each parameter per log as a mean over the groups."""
+    """Return each parameter per log averaged over the groups."""
     return {name: expected(f, name)[0] for name in dict.fromkeys(x.parameter for x in f.free if x.group)}
 
 
 def expected(f: Fit, name: str, besides: str = "") -> tuple[float, float]:
-    """Return the mean over groups of a parameter per log, and the standard deviation expected of a further group.
+    """Return a parameter's mean over groups and its spread for a new group.
 
-    Of estimates θ̂ of n groups, that scatter by s about their mean, t·s·√(1 + 1/n), with Student's t for the few that
-    they are (95 % of both distributions alike); s is no less than they are uncertain. Of a single one, the prior's.
-    besides: a group that is not looked at
+    For estimates θ̂ of n groups with scatter s, the spread is t·s·√(1 + 1/n), with Student's t for few groups (95 % of
+    both
+    distributions agree); s is at least the uncertainty of the estimates. A single group has the spread of the prior.
+
+    Args:
+        besides: Group to ignore.
     """
     every = [x for x in f.free if x.parameter == name]
     seen = [x for x in every if x.group != besides]
@@ -40,7 +43,7 @@ def expected(f: Fit, name: str, besides: str = "") -> tuple[float, float]:
 
 
 def as_expected(f: Fit, group: str) -> dict[str, float]:
-    """Return values of a group as they are expected of what the fit has of the others, with their spread."""
+    """Return the expected values of a group with their spread, from the other groups."""
     values = {}
     for name in dict.fromkeys(x.parameter for x in f.free if x.group):
         values[own(name, group)], values[spread(name, group)] = expected(f, name, group)
@@ -48,7 +51,7 @@ def as_expected(f: Fit, group: str) -> dict[str, float]:
 
 
 def unseen(problem: Problem, f: Fit, left_out: int) -> Fit:
-    """Return a fit of all logs but one; of that one's parameters nothing is known where no other is of its group."""
+    """Return a fit to the other logs, with expected parameters for an unknown group."""
     if not problem.own:
         return f
     group = problem.origins[left_out].group
@@ -58,7 +61,7 @@ def unseen(problem: Problem, f: Fit, left_out: int) -> Fit:
 
 
 def of_every_log(f: Fit, groups: Iterable[str]) -> dict[str, float]:
-    """Return values of parameters per log, for each of the groups: as fitted, or as expected."""
+    """Return parameters per log for each group, fitted or expected."""
     fitted = {x.name: f.values[x.name] for x in f.free if x.group}
     known = {x.group for x in f.free if x.group}
     return {**{k: v for g in dict.fromkeys(groups) if g not in known for k, v in as_expected(f, g).items()}, **fitted}

@@ -1,7 +1,8 @@
-"""Maximum likelihood on the innovations, process and sensor noise free, by Fisher scoring.
+"""Maximum likelihood on the innovations by Fisher scoring, with free process and sensor noise.
 
-Kristensen, Madsen and Jørgensen (2004): the noise is estimated with the parameters; which equation's unknown input is
-inflated says which equation is deficient, and it falls back when the right term is in.
+Kristensen, Madsen and Jørgensen (2004): noise and parameters are estimated together. An inflated unknown input marks a
+deficient equation and decreases when the correct term is added.
+
     NLL = ½ Σ ln 2πs + e²/s    gradient Σ ∂e·e/s + ½ ∂ln s·(1 − e²/s)    information Σ ∂e·∂e'/s + ½ ∂ln s·∂ln s'
 """
 
@@ -20,21 +21,23 @@ from cosim.estimation.problem import Problem, Scored
 from cosim.subject.candidates import Free
 
 ITERATIONS = 30
-CONVERGED, NEARLY = 0.02, 0.3  # of NLL, the improvement below which an iteration is the last; of a fit that ranks
-DIFFERENCE = 0.01  # of a parameter's size, for one-sided differences
+CONVERGED, NEARLY = 0.02, 0.3  # NLL improvement of the last iteration; the same for a fit that only ranks
+DIFFERENCE = 0.01  # share of a parameter's size for one-sided differences
 NOISE_DIFFERENCE = 0.05
-LONGER = 3  # times as many iterations, for a fit that is above what its parts are known to reach
-FAIR = 3  # iterations given to every fit that starts away from what it extends; one where it starts there
-PROMISE = 3.0  # times the improvement the quadratic model promises, before a fit is given up
+LONGER = 3  # factor on the iterations of a fit above the objective of its parts
+FAIR = 3  # iterations granted to a fit that starts away from its base; otherwise one
+PROMISE = 3.0  # factor on the improvement of the quadratic model before a fit is abandoned
 
 
 @dataclass(frozen=True)
 class Patience:
-    """When a fit is given up where it is.
+    """Rules for abandoning a fit.
 
-    goal:    after `fair` iterations the quadratic model must promise an objective below it
-    reached: while the objective is above what some values of these parameters are known to reach, that model says
-             little: then the fit goes on as long as the pace of its last iteration would bring it below `goal` in time
+    Attributes:
+        goal: After `fair` iterations the quadratic model must predict an objective below `goal`.
+        reached: Upper bound of the optimum. Above the bound the quadratic model is unreliable, and the fit continues
+            while
+            the pace of its last iteration would reach `goal` in time.
     """
 
     goal: float = np.inf
@@ -47,7 +50,7 @@ ENDLESS = Patience()
 
 @dataclass(frozen=True)
 class Fit:
-    """Result: values of all parameters, noise, NLL by log, and the information of what is free, noise last."""
+    """Result of a fit: parameter values, noise, NLL by log, and the information of free parameters, noise last."""
 
     values: Mapping[str, float]
     noise: Noise
@@ -57,39 +60,45 @@ class Fit:
     information: Array
     iterations: int
     converged: bool
-    scattered: Array | None = None  # covariance of the free ones as estimates scatter from block to block of time
+    scattered: Array | None = None  # covariance of the free parameters by scatter over blocks of time
 
     @property
     def nll(self) -> float:
-        """Negative log-likelihood of all logs."""
+        """Return the negative log-likelihood of all logs."""
         return sum(self.nll_by_log)
 
     @property
     def objective(self) -> float:
-        """What was minimised: NLL and the penalty of the priors."""
+        """Return the minimised objective: NLL plus prior penalty."""
         return self.nll + self.penalty
 
     def marginal(self, names: Sequence[str]) -> Array:
-        """Return the information on some parameters when all others are free too: the Schur complement of theirs."""
+        """Return the marginal information of some parameters (Schur complement)."""
         F = self.information
         own = np.isin([f.name for f in self.free] + [""] * (len(F) - len(self.free)), names)
         mended = F[np.ix_(own, ~own)] @ inverse(F[np.ix_(~own, ~own)]) @ F[np.ix_(~own, own)]
         return np.asarray(F[np.ix_(own, own)] - mended)
 
     def sigma(self, name: str) -> float:
-        """Return the standard deviation of an estimate: by the information, or by its scatter where that is more."""
+        """Return the standard deviation of an estimate.
+
+        The larger of the values from information and from scatter counts.
+        """
         k = [f.name for f in self.free].index(name)
         variance = inverse(self.information)[k, k]
         return float(np.sqrt(max(0.0, variance, self.scattered[k, k] if self.scattered is not None else 0.0)))
 
 
 def unfitted(problem: Problem) -> Fit:
-    """Return the model as it was given, of which nothing is free."""
+    """Return the given model as a fit without free parameters."""
     return Fit(problem.values, problem.plain, (), (), 0.0, np.zeros((0, 0)), 0, False)
 
 
 def inverse(information: Array) -> Array:
-    """Return the pseudo-inverse, each parameter in its own unit, or the least identifiable would be dropped."""
+    """Return the pseudo-inverse in scaled units.
+
+    Without scaling, the least identifiable parameter would be dropped.
+    """
     scale = np.sqrt(np.diag(information).clip(min=0.0))
     scale[scale == 0.0] = 1.0
     return np.asarray(pseudo_inverse(information / np.outer(scale, scale)) / np.outer(scale, scale))
@@ -106,19 +115,20 @@ def fit(
     patience: Patience = ENDLESS,
     sensing: bool = True,
 ) -> Fit:
-    """Move the free parameters and the process noise to the maximum of the posterior, from a start.
+    """Fit free parameters and noise to the posterior maximum.
 
-    Without `sensing`, of the noise only the power of the unknown inputs is moved.
+    Args:
+        sensing: Also fit sensor noise and memory; otherwise only the power of the unknown inputs.
     """
     return _Scoring(problem, tuple(free), start, noise, only, sensing=sensing).run(iterations, patience)
 
 
 def scores(problem: Problem, f: Fit) -> tuple[Array, Array]:
-    """Return derivative of each measurement's NLL by the free parameters and all free noise, and their information."""
+    """Return the score of each measurement and the information of all free parameters."""
     scoring = _Scoring(problem, f.free, f.values, f.noise, None, sensing=True)
     scoring.scored = scoring._evaluate(scoring.theta)
     e, s = scoring.scored.errors, scoring.scored.variances
-    de, dls = scoring.sensitivities(both=True)  # along a ridge one side sees more than there is
+    de, dls = scoring.sensitivities(both=True)  # On a ridge, one-sided differences overestimate the sensitivity.
     _, information = scoring.derivatives(de, dls)
     size = scoring.size
     each = de * (e / s) + 0.5 * dls * (1.0 - e * e / s)
@@ -126,7 +136,7 @@ def scores(problem: Problem, f: Fit) -> tuple[Array, Array]:
 
 
 class _Scoring:
-    """Fisher scoring with Levenberg's damping; θ is the free parameters, then what of the noise is free."""
+    """Fisher scoring with Levenberg damping; θ holds the free parameters, then the free noise."""
 
     def __init__(
         self,
@@ -155,21 +165,21 @@ class _Scoring:
         self.enough = CONVERGED if sensing else NEARLY
 
     def run(self, iterations: int, patience: Patience) -> Fit:
-        """Iterate until the objective stops moving."""
+        """Iterate until the objective converges."""
         self.scored = self._evaluate(self.theta)
         done, converged, pace, limit = 0, False, 0.0, iterations
         information = np.zeros((len(self.theta),) * 2)
         if not np.isfinite(self.scored.nll):
-            limit = 0  # the filter diverges where the fit would start
+            limit = 0  # The filter diverges at the start values.
         while done < limit and not converged:
             gradient, found = self.derivatives(*self.sensitivities())
             if not (np.isfinite(gradient).all() and np.isfinite(found).all()):
-                break  # the model runs away beside this point: it gives no direction to move in
+                break  # The model diverges near this point, so no search direction exists.
             information = found
             before = self._objective(self.theta, self.scored)
             hope = PROMISE * 0.5 * float(gradient @ least_squares(information, gradient))
             limit = iterations
-            if before > patience.reached:  # it is far from where it will end
+            if before > patience.reached:  # The optimum is far away.
                 limit *= LONGER
                 hope = max(hope, pace * (limit - done))
             if done >= patience.fair and before - hope > patience.goal:
@@ -185,13 +195,13 @@ class _Scoring:
         return {**self.known, **moved}, self.noise.like(self._noise_vector(theta))
 
     def _noise_vector(self, theta: Array) -> Array:
-        """Return all of the noise in one row."""
+        """Return the complete noise vector."""
         vector = self.fixed.copy()
         vector[self.moved] = theta[len(self.free) :]
         return vector
 
     def _within(self, theta: Array) -> Array:
-        """Return the nearest within the limits; what may not be below another is raised to it."""
+        """Return θ clipped to limits and order constraints."""
         there = np.clip(theta, self.low, self.high)
         for upper, lower in self.ordered:
             there[upper] = max(there[upper], there[lower])
@@ -210,9 +220,12 @@ class _Scoring:
         return scored.nll + self._penalty(theta)
 
     def sensitivities(self, *, both: bool = False) -> tuple[Array, Array]:
-        """Return ∂e and ∂ln s by θ in units of the parameters' sizes: one-sided, inwards from an upper limit.
+        """Return ∂e and ∂ln s by θ in units of the parameters' sizes.
 
-        both: differences to both sides, where the limits leave room
+        Differences are one-sided, inwards at an upper limit.
+
+        Args:
+            both: Use central differences within the limits.
         """
         shape = (len(self.theta), len(self.scored.errors))
         de, dls = np.empty(shape), np.empty(shape)
@@ -222,7 +235,7 @@ class _Scoring:
             h = h if self.theta[i] + h <= self.high[i] else -h
             back = h if both and self.low[i] <= self.theta[i] - h <= self.high[i] else 0.0
             ahead, behind = self._beside(i, h), self._beside(i, -back) if back else self.scored
-            with np.errstate(invalid="ignore", divide="ignore"):  # where a filter has diverged
+            with np.errstate(invalid="ignore", divide="ignore"):  # A diverged filter gives NaN.
                 de[i] = (ahead.errors - behind.errors) / (h + back) * self.size[i]
                 dls[i] = np.log(ahead.variances / behind.variances) / (h + back) * self.size[i]
 
@@ -230,13 +243,13 @@ class _Scoring:
         return np.nan_to_num(de, posinf=0.0, neginf=0.0), np.nan_to_num(dls, posinf=0.0, neginf=0.0)
 
     def _beside(self, i: int, h: float) -> Scored:
-        """Filter with one of θ moved by h."""
+        """Filter with component `i` of θ moved by `h`."""
         there = self.theta.copy()
         there[i] += h
         return self._evaluate(there)
 
     def derivatives(self, de: Array, dls: Array) -> tuple[Array, Array]:
-        """Return gradient ∂NLL/∂θ and information of NLL and priors, θ in units of the parameters' sizes."""
+        """Return the gradient ∂NLL/∂θ and the information, priors included, for scaled θ."""
         e, s = self.scored.errors, self.scored.variances
         gradient = de @ (e / s) + 0.5 * dls @ (1.0 - e * e / s)
         information = (de / s) @ de.T + 0.5 * dls @ dls.T
@@ -252,10 +265,10 @@ class _Scoring:
         return gradient, information
 
     def _move(self, gradient: Array, information: Array) -> float:
-        """Take a damped step that improves, within the limits; the improvement, 0 where there is none."""
+        """Take a damped step within the limits and return the improvement, or 0."""
         before = self._objective(self.theta, self.scored)
         for _ in range(8):
-            # a parameter at a limit that would leave it does not take part
+            # A parameter pushed beyond its limit stays fixed.
             pinned = ((self.theta <= self.low) & (gradient > 0)) | ((self.theta >= self.high) & (gradient < 0))
             rest = np.flatnonzero(~pinned)
             F = information[np.ix_(rest, rest)]

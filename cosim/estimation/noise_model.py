@@ -1,8 +1,8 @@
-"""What a filter takes as random: the unknown input of each forced equation, and the noise of the sensors.
+"""Random quantities of a filter: the unknown input of each forced equation, and sensor noise.
 
-How large an unknown input can be is measured by what it does to the innovations: no number here has a unit of a model.
-It raises their variance s. Where the mean of ln s rises by less than SMALLEST, no log can show it; where it rises by
-PLAIN, it is plainly detected and still leaves the sensors their say.
+The range of an unknown input is measured by its effect on the innovations, so no constant here has a model's unit. An
+input raises the innovation variance s. If the mean of ln s rises by less than SMALLEST, no log can show the input. At
+PLAIN the input is plainly detected, and sensors still contribute.
 """
 
 from __future__ import annotations
@@ -21,12 +21,13 @@ GRID = np.arange(-60.0, 40.0, 4.0)
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """Natural logarithms, so that a step of a fit is a factor.
+    """Noise in natural logarithms, so that a step of a fit is a factor.
 
-    power:   variance of the unknown input of each forced equation [(unit of the state/s)²]
-    memory:  time within which it is forgotten [s]
-    sensors: variance of the noise of each output
-    timing:  variance of the time stamps of each output [s²], whose error is noise that grows with speed; −∞ for none
+    Attributes:
+        power: Variance of the unknown input of each forced equation [(unit of the state/s)²].
+        memory: Correlation time of the unknown inputs [s].
+        sensors: Variance of the noise of each output.
+        timing: Variance of the time stamp error of each output [s²], noise proportional to speed; −∞ for none.
     """
 
     power: Array
@@ -36,24 +37,24 @@ class Noise:
 
     @property
     def vector(self) -> Array:
-        """All in one row."""
+        """Return all values in one vector."""
         return np.concatenate([self.power, [self.memory], self.sensors, self.timing])
 
     def like(self, vector: Array) -> Self:
-        """Return others of the same sizes, from one row."""
+        """Return noise of the same sizes from one vector."""
         n, m = len(self.power), len(self.sensors)
         power, memory, sensors, timing = np.split(vector, [n, n + 1, n + 1 + m])
         return type(self)(power, float(memory[0]), sensors, timing)
 
     @property
     def density(self) -> Array:
-        """Low-frequency spectral density of the unknown inputs, 2·σ²·T [unit of the state squared per second]."""
+        """Return the low-frequency density 2·σ²·T of unknown inputs [unit of the state squared per second]."""
         return np.asarray(2.0 * np.exp(self.power + self.memory))
 
 
 @dataclass(frozen=True, eq=False)
 class NoiseRange:
-    """ln of the power of each unknown input where the rise of ln s is SMALLEST, QUIET, PLAIN, LARGEST."""
+    """Log power of each unknown input at which ln s rises by SMALLEST, QUIET, PLAIN and LARGEST."""
 
     smallest: Array
     quiet: Array
@@ -63,16 +64,16 @@ class NoiseRange:
 
 @dataclass(frozen=True, eq=False)
 class NoiseLimits:
-    """Limits of a `Noise` in one row, and a weak prior: what is not free has one limit on both sides."""
+    """Limits and weak prior of a noise vector; a fixed value has equal limits."""
 
     low: Array
     high: Array
     mean: Array
-    sigma: Array  # infinite: no prior
+    sigma: Array  # infinite without a prior
 
     @property
     def free(self) -> Rows:
-        """Places that a fit may move."""
+        """Return the indices of free values."""
         places: Rows = np.flatnonzero(self.low < self.high)
         return places
 
@@ -83,10 +84,14 @@ class NoiseLimits:
 
 
 def noise_range(variances: Callable[[Array, bool], Array], count: int) -> NoiseRange:
-    """Return the range; `variances` gives those of innovations at the ln of the power of `count` unknown inputs.
+    """Return the useful range of power of each unknown input.
 
-    Its second argument: whether they last as long as they may, else as long as usual. The least is none, however long
-    it lasts: else a fit that takes it to last longer would have an unknown input for nothing.
+    The smallest level must be invisible at the longest memory too. Otherwise a fit with a longer memory would have an
+    unknown input for free.
+
+    Args:
+        variances: Innovation variances from ln power, and True for the longest memory instead of the usual one.
+        count: Number of unknown inputs.
     """
     nothing = np.full(count, GRID[0])
     levels = np.empty((4, count))

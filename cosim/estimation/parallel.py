@@ -1,7 +1,7 @@
-"""As many at a time as there are cores, two at most: the kernels release the interpreter's lock while they run.
+"""Parallel work on up to two cores; kernels release the interpreter lock.
 
-Work may have parts of its own that are done so. Whoever has items left is helped by whoever has none, so that the last
-and longest fit of a stage does not leave a core idle.
+Work may contain parallel parts. Idle threads help with remaining items, so that the last and longest fit of a stage
+leaves no core idle.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from typing import TypeVar
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_idle = Semaphore(min(2, os.cpu_count() or 1) - 1)  # cores, beside that of the thread that has the whole work
+_idle = Semaphore(min(2, os.cpu_count() or 1) - 1)  # cores besides the calling thread's
 
 
 def in_parallel(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-    """Return the results of `work`, in the order of the items; raises what the first of them that fails does."""
+    """Return the results of `work` in the order of the items; raise the first error."""
     results: dict[int, Result] = {}
     faults: dict[int, BaseException] = {}
     numbers = count()
 
     def done() -> bool:
-        """Do the next item; whether there was none."""
+        """Process the next item; return True if none remains."""
         k = next(numbers)
         if k >= len(items) or faults:
             return True
@@ -54,7 +54,7 @@ def in_parallel(work: Callable[[Item], Result], items: Sequence[Item]) -> list[R
 
 
 def _wait(helpers: Sequence[Thread]) -> None:
-    """Wait for the others, who may have parts of their own: the core of this thread is theirs meanwhile."""
+    """Wait for helpers, and lend this thread's core to their parallel parts."""
     if helpers:
         _idle.release()
         try:

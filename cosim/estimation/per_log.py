@@ -1,8 +1,9 @@
-"""Parameters of which each group of logs has its own value: names, priors, and where the filter of a log starts.
+"""Parameters with a separate value for each group of logs: names, priors, and filter starts.
 
-In the filter such a parameter is a constant state θ. Where its group's value is known it starts there with variance 0,
-else at what is expected of a further group, with the spread that is expected. A state that starts at its first reading
-starts there as the sensor would have it: y = g(x, θ) holds at the start, so that x and θ are correlated from there,
+In the filter, such a parameter is a constant state θ. A known group value starts with variance 0, an unknown one at the
+expected value with the expected spread. A state initialized from its first reading satisfies the sensor equation
+y = g(x, θ) at the start, so that x and θ are correlated,
+
     x₀ ← x₀ + G⁻¹(y − g(x₀, θ))      δx = −G⁻¹ ∂g/∂θ · δθ      G = ∂g/∂x
 """
 
@@ -20,24 +21,24 @@ from cosim.subject.base_parameters import spread_of_base
 from cosim.subject.candidates import Candidate, Free, usual_size
 from cosim.subject.interface import Subject
 
-STEP = 1e-4  # of a value, or of 1 where it is less, for differences; readings are nearly straight lines
+STEP = 1e-4  # step of differences relative to max(1, value); readings are nearly linear
 
 
 @dataclass(frozen=True)
 class Origin:
-    """Of a log: its group, and states that start at a reading → the outputs that show them, by their places."""
+    """Group of a log, and states with an initial reading → outputs, by index."""
 
     group: str
     shown: Mapping[int, int]
 
 
 def own(name: str, group: str) -> str:
-    """Return the name of the value of a parameter for a group."""
+    """Return the name of a parameter's value for a group."""
     return f"{name}@{group}"
 
 
 def spread(name: str, group: str) -> str:
-    """Return the name of the standard deviation of that value; without it, the value is known."""
+    """Return the name of a value's standard deviation; a missing entry means a known value."""
     return f"spread of {name}@{group}"
 
 
@@ -48,7 +49,7 @@ def own_parameters(
     values: Mapping[str, float],
     tolerance: Mapping[str, float],
 ) -> Iterator[Free]:
-    """Yield each parameter once for each group, held near the subject's value: by its tolerance or its usual size."""
+    """Yield each parameter once per group, with a prior around the subject's value."""
     for name in names:
         p, value = subject.declared[name], values[name]
         share = tolerance.get(name, p.tolerance)
@@ -59,7 +60,7 @@ def own_parameters(
 
 
 def not_per_log(candidates: Sequence[Candidate], names: Sequence[str]) -> Iterator[Candidate]:
-    """Yield candidates without parameters that are per log: those are free in every hypothesis."""
+    """Yield candidates without parameters per log, which are free in every hypothesis."""
     for c in candidates:
         if free := tuple(f for f in c.free if f.name not in names):
             starts = tuple({n: v for n, v in s.items() if n not in names} for s in c.starts)
@@ -69,9 +70,13 @@ def not_per_log(candidates: Sequence[Candidate], names: Sequence[str]) -> Iterat
 def started(
     kernel: Kernel, data: Data, p: Array, x0: Array, known: Mapping[str, tuple[float, float]], shown: Mapping[int, int]
 ) -> tuple[Array, Array]:
-    """Start state of a log, and L, stochastic states × constants, with which L·L' is its covariance beside P0.
+    """Return the start state of a log and its covariance factor L.
 
-    known: parameter → value and standard deviation; shown: as of an `Origin`
+    L·L' adds to P0. Shape of L: (stochastic states, constants).
+
+    Args:
+        known: Parameter → value and standard deviation.
+        shown: As in `Origin`.
     """
     layout = kernel.layout
     places = [layout.constants[name] for name in known]
@@ -93,7 +98,7 @@ def started(
 
 
 def _slopes(read: Callable[[Array], Array], x: Array, places: Sequence[int], here: Array) -> Array:
-    """Return derivatives of readings by some states, shape (readings, states)."""
+    """Return the derivatives of readings by some states, shape (readings, states)."""
     columns = []
     for place in places:
         step = STEP * max(1.0, abs(float(x[place])))

@@ -1,4 +1,4 @@
-"""From logs to a fitting problem: the kernel for what they hold, where each starts, and how fine the steps must be."""
+"""Construction of a fitting problem from logs: kernel, start states and substeps."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from cosim.kernel.kernel import CONSTANT, DISTURBANCE, MEMORY, Data, Layout, Sim
 from cosim.logs.log import Log, slowness
 from cosim.subject.interface import Subject
 
-SAME, ALIKE = 0.5, 1e-5  # of NLL, and of what a wrong model makes of it, by which fewer substeps may change it
-STARTING = 0.2  # [s] within which a measurement still counts as of the start
+SAME, ALIKE = 0.5, 1e-5  # allowed NLL change by fewer substeps, absolute and relative to the NLL of a wrong model
+STARTING = 0.2  # [s] within which a measurement counts as initial
 NO_SETTINGS = Settings()
-USUAL_MEMORY = 0.15  # [s] for which an unknown input lasts, where nothing is known of it: longer than a few rows
+USUAL_MEMORY = 0.15  # [s] default correlation time of an unknown input: more than a few rows
 
 
 def build_problem(
@@ -31,9 +31,11 @@ def build_problem(
     noise: Mapping[str, float] = MappingProxyType({}),
     settings: Settings = NO_SETTINGS,
 ) -> Problem:
-    """Return kernel and data; an output that only some logs hold is missing in the others.
+    """Return the fitting problem; outputs absent from a log are missing readings.
 
-    noise: standard deviations of outputs, as the study states them
+    Args:
+        unnamed: Include unnamed terms in the kernel.
+        noise: Standard deviations of outputs stated in the study.
     """
     logged = set().union(*(log.outputs for log in logs))
     measured = tuple(q.name for q in subject.outputs if q.name in logged)
@@ -62,17 +64,17 @@ def build_problem(
 
 
 def _variance(subject: Subject, output: str, noise: Mapping[str, float]) -> float:
-    """Return the variance of a sensor: as the study states it, else as the subject does, else 1."""
+    """Return a sensor variance from the study, the subject, or the default 1."""
     return noise[output] * noise[output] if output in noise else subject.sensor_variance.get(output, 1.0)
 
 
 def _late(subject: Subject, measured: Sequence[str]) -> dict[str, list[int]]:
-    """Return the places of the outputs that each latency delays."""
+    """Return the indices of the outputs that each latency delays."""
     return {name: [measured.index(n) for n in of if n in measured] for name, of in subject.late.items()}
 
 
 def start_state(subject: Subject, data: Data, measured: Sequence[str], states: Sequence[str]) -> Array:
-    """Return the subject's own start, with what is measured near the start of the log in its place."""
+    """Return the subject's start state, with initial measurements inserted."""
     start = {**subject.start(), **_first_measured(subject, data, measured)}
     return np.array([start.get(name, 0.0) for name in states])
 
@@ -80,7 +82,7 @@ def start_state(subject: Subject, data: Data, measured: Sequence[str], states: S
 def origins(
     subject: Subject, layout: Layout, logs: Sequence[Log], data: Sequence[Data], settings: Settings
 ) -> list[Origin]:
-    """Return group and start of each log where there are parameters per log, else none."""
+    """Return group and start of each log; empty without parameters per log."""
     if not settings.per_log:
         return []
     states, outputs = layout.states, layout.outputs
@@ -92,15 +94,16 @@ def origins(
 
 
 def start_covariance(subject: Subject, problem: Problem) -> Array:
-    """Return P0 of the stochastic states: 10·r of what every log measures at its start, else what the model says of it.
+    """Return P0 of the stochastic states.
 
-    Of a state of which it says nothing, the squared range of the model's own run on the commands, or 1 without.
+    A state with initial measurements in every log has 10·r, another the subject's variance. Without either, the squared
+    range of the model's own run on the commands counts, or 1.
     """
     layout = problem.layout
     measured = _measured_at_start(subject, problem)
     known = {n: 10 * v for n, v in zip(layout.outputs, problem.r.tolist(), strict=True) if n in measured}
     known = {**subject.start_variance, **known}
-    later = {layout.states[k] for k in layout.carrying}  # known as long as the constant is
+    later = {layout.states[k] for k in layout.carrying}  # derived from a constant, known to the same degree
     names = [n for n in layout.uncertain if not n.startswith((DISTURBANCE, CONSTANT)) and n not in later]
     if not known.keys() >= set(names):
         ranges = dict(zip(layout.states, _range(problem).tolist(), strict=True))
@@ -109,7 +112,7 @@ def start_covariance(subject: Subject, problem: Problem) -> Array:
 
 
 def with_equations_trusted(subject: Subject, problem: Problem) -> Problem:
-    """Return the problem without unknown inputs; one of free runs starts from what was read first."""
+    """Return the problem without unknown inputs; free runs start from the first readings."""
     P0 = problem.P0.copy()
     if math.isinf(subject.horizon):
         for k, name in enumerate(problem.layout.uncertain):
@@ -119,35 +122,35 @@ def with_equations_trusted(subject: Subject, problem: Problem) -> Problem:
 
 
 def _measured_at_start(subject: Subject, problem: Problem) -> set[str]:
-    """Return states that every log measures at its start."""
+    """Return states with an initial measurement in every log."""
     outputs = problem.layout.outputs
     return set.intersection(*(set(_first_measured(subject, data, outputs)) for data in problem.logs))
 
 
 def _range(problem: Problem) -> Array:
-    """Return the range of each state within which the model's own run moves; 0 at rest.
+    """Return the range of each state in the model's own run.
 
-    0 also where the run is further from what was measured than that itself moves, as the run of an unstable model is.
+    The range is 0 at rest, and for a run that leaves the measurements by more than their span (unstable model).
     """
     runs = [own_run(problem, index) for index in range(len(problem.logs))]
     for log, run in zip(problem.logs, runs, strict=True):
         there = np.isfinite(log.y)
         apart = np.abs(np.where(there, run.outputs - np.where(there, log.y, 0.0), 0.0)).max(axis=0)
         span = np.where(there, log.y, -np.inf).max(axis=0) - np.where(there, log.y, np.inf).min(axis=0)
-        if not np.all((apart <= span) | ~there.any(axis=0)):  # also where it has run to infinity
+        if not np.all((apart <= span) | ~there.any(axis=0)):  # also true after overflow
             return np.zeros(len(problem.layout.states))
     low, high = np.percentile(np.vstack([run.states for run in runs]), (1, 99), axis=0)
     return np.asarray(high - low)
 
 
 def own_run(problem: Problem, index: int) -> Simulated:
-    """Return the model on the commands of a log, free of noise; NaN from where it runs away."""
+    """Return the noise-free response to a log's commands; NaN after divergence."""
     p, memory = problem.numbers(problem.of_log(problem.values, index)), np.zeros(problem.layout.memory)
     return problem.kernel.simulate(problem.logs[index], p, problem.start(problem.values, index)[0], memory)
 
 
 def _first_measured(subject: Subject, data: Data, measured: Sequence[str]) -> dict[str, float]:
-    """Return state → its first measurement, of the states that an output shows and that are measured near the start."""
+    """Return state → first measurement for states measured near the start."""
     shown, first = subject.shown, {}
     early = data.y[: round(STARTING * slowness(data.step) / data.step) + 1]
     for j, name in enumerate(measured):
@@ -158,14 +161,15 @@ def _first_measured(subject: Subject, data: Data, measured: Sequence[str]) -> di
 
 
 def varied_inputs(subject: Subject, logs: Sequence[Log]) -> list[str]:
-    """Return inputs that are not constant in some log."""
+    """Return inputs that vary in at least one log."""
     return [q.name for q in subject.inputs if any(np.ptp(log.inputs[q.name]) > 1e-9 for log in logs)]
 
 
 def coarsened(problem: Problem, values: Mapping[str, float] | None = None) -> Problem:
-    """Return the problem with the fewest substeps that give a model's likelihood as the model's own number does.
+    """Return the problem with the fewest substeps of equal likelihood.
 
-    values: where that model is not the base model; an effect that is awake may need finer steps
+    Args:
+        values: Parameter values if not those of the base model; an active effect may need finer steps.
     """
     noise, values = problem.plain, {**problem.values, **(values or {})}
     exact = problem.scored(values, noise).nll
@@ -178,7 +182,7 @@ def coarsened(problem: Problem, values: Mapping[str, float] | None = None) -> Pr
 
 
 def halved(problem: Problem) -> Problem:
-    """Return one log as two; the second starts where a filter is then that follows what is measured."""
+    """Return one log as two halves; the second starts from the filtered state."""
     (log,), (x0,) = problem.logs, problem.x0
     half = len(log.u) // 2
     halves = [log.rows(0, half), log.rows(half, len(log.u))]
@@ -188,7 +192,7 @@ def halved(problem: Problem) -> Problem:
     readings = [readings_of(d.y, unscored(d)) for d in halves]
     begins = list(problem.origins) * 2
     for origin in problem.origins:
-        # as it is read, or would be: what that says of the state depends on the group's value
+        # A start from a reading depends on the group's parameter value.
         p, memory = problem.numbers(problem.of_log(problem.values, 0)), np.zeros(problem.layout.memory)
         read, y = problem.kernel.simulate(halves[1].rows(0, 1), p, reached, memory).outputs[0], halves[1].y[0]
         reached[list(origin.shown)] = np.where(np.isfinite(y), y, read)[list(origin.shown.values())]

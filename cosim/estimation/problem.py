@@ -1,4 +1,4 @@
-"""The fitting problem: logs, the kernel that filters them, and what is known beforehand."""
+"""Fitting problem: logs, filter kernel and prior knowledge."""
 
 from __future__ import annotations
 
@@ -20,21 +20,22 @@ from cosim.kernel.kernel import MEMORY, Data, Filtered, Kernel, Layout
 from cosim.logs.log import slowness
 from cosim.subject.candidates import Free
 
-RANGE_FROM, RANGE_ROWS = 10.0, 500  # [s] of the first log and rows at least, for the range of the process noise
-TOO_QUIET, UNKNOWN = 0.1, 1e-4  # of a stated standard deviation, below which it is no sensor's; where none is stated
-LONGEST_MEMORY = 0.1  # of a log
-APART = 10  # times as long as readings are late, rows are apart whose states are asked of one run of the filter
-WITHIN = 10.0  # times, by which a stated variance of a sensor is believed: a standard deviation of its logarithm
+RANGE_FROM, RANGE_ROWS = 10.0, 500  # [s] of the first log, and least rows, for the range of the process noise
+TOO_QUIET, UNKNOWN = 0.1, 1e-4  # share of a stated standard deviation below which no sensor lies; without statement
+LONGEST_MEMORY = 0.1  # share of a log
+APART = 10  # spacing of state requests in one filter run, in multiples of the latency
+WITHIN = 10.0  # factor on a stated sensor variance, as one standard deviation of its logarithm
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What a study says of its logs.
+    """Settings of a study for its logs.
 
-    interpolated: inputs that run straight from row to row
-    tolerance:    base parameter → how far it may be off, as a share of it: the half-width that holds 95 %
-    per_log:      parameters of which each group of logs has its own value
-    groups:       file of a log → its group
+    Attributes:
+        interpolated: Inputs interpolated between rows.
+        tolerance: Base parameter → relative tolerance, the half-width of 95 %.
+        per_log: Parameters with a separate value for each group of logs.
+        groups: File of a log → group.
     """
 
     interpolated: frozenset[str] = frozenset()
@@ -45,9 +46,10 @@ class Settings:
 
 @dataclass(frozen=True)
 class Scored:
-    """Errors and variances of the scored measurements of all logs in one row, and how many are each log's.
+    """Errors and variances of the scored measurements of all logs in sequence, and their count by log.
 
-    rows: row of its log in which each was measured
+    Attributes:
+        rows: Row of each measurement in its log.
     """
 
     errors: Array
@@ -57,35 +59,36 @@ class Scored:
 
     @property
     def nll(self) -> float:
-        """½ Σ (ln 2πs + e²/s); infinite where the filter has diverged."""
+        """Return ½ Σ (ln 2πs + e²/s); infinite for a diverged filter."""
         return sum(self.by_log)
 
     @property
     def terms(self) -> Array:
-        """½ (ln 2πs + e²/s) of each measurement."""
+        """Return ½ (ln 2πs + e²/s) of each measurement."""
         with np.errstate(over="ignore", invalid="ignore"):
             return np.asarray(0.5 * (np.log(2 * np.pi * self.variances) + self.errors**2 / self.variances))
 
     @property
     def by_log(self) -> tuple[float, ...]:
-        """NLL of each log."""
+        """Return the NLL of each log."""
         sums = [float(part.sum()) for part in self.of_each_log(self.terms)]
         return tuple(v if np.isfinite(v) else np.inf for v in sums)
 
     def of_each_log(self, numbers: Any) -> list[Any]:
-        """Return numbers of all measurements log by log."""
+        """Return values of all measurements split by log."""
         return np.split(numbers, np.cumsum(self.counts)[:-1])
 
 
 @dataclass
 class Problem:
-    """Logs, kernel and what is known beforehand: start states, measurement variances, values of all parameters.
+    """Logs, kernel and prior knowledge: start states, measurement variances, parameter values.
 
-    readings: what else there is to the measurements of each log
-    r:      stated variance of each output; `stated` those that somebody did state, `adjusted` those that a fit may move
-    settle: [s] until the lags of the model that was given have forgotten an unknown start
-    late:   parameter that is a latency → places of the outputs that are late by it
-    own:    what is free of each group of logs, where there are parameters per log; origins: of each log, then
+    Attributes:
+        readings: Scored readings, slopes and resolutions of each log.
+        r: Variance of each output; `stated` marks explicit ones, `adjusted` those free in a fit.
+        settle: Time until lags of the given model have forgotten an unknown start [s].
+        late: Latency parameter → indices of its outputs.
+        own: Free parameters of each group; `origins` holds the group and start of each log.
     """
 
     kernel: Kernel
@@ -100,40 +103,40 @@ class Problem:
     late: Mapping[str, Sequence[int]]
     stated: Flags
     adjusted: Flags
-    sensing: Noise | None = None  # noise of sensors as fitted once; None: as stated
-    trusted: bool = False  # equations are: no unknown input is free
-    scatter: float = 1.0  # how many times what is left outweighs what white noise would: priors count so much more
+    sensing: Noise | None = None  # fitted sensor noise; None for stated noise
+    trusted: bool = False  # equations are trusted: no unknown input is free
+    scatter: float = 1.0  # scatter of estimates relative to a white residual; scales the priors
     own: tuple[Free, ...] = ()
     origins: Sequence[Origin] = ()
 
     def with_noise(self, levels: Mapping[str, float]) -> Problem:
-        """Return the problem with a first guess of the noise [standard deviation] of some outputs."""
+        """Return the problem with initial noise levels (standard deviations) of some outputs."""
         guess = [levels.get(name, 0.0) ** 2 for name in self.layout.outputs]
         return replace(self, r=np.where(np.array(guess) > 0.0, guess, self.r))
 
     @property
     def layout(self) -> Layout:
-        """What stands where in the kernel's arrays."""
+        """Return the layout of the kernel's arrays."""
         return self.kernel.layout
 
     @property
     def table(self) -> bool:
-        """Whether the logs are parts of tables, whose rows stand each for itself."""
+        """Return True for tables with independent rows."""
         return self.logs[0].table
 
     @property
     def samples(self) -> int:
-        """Number of scored measurements."""
+        """Return the number of scored measurements."""
         return int(sum(readings.scored.sum() for readings in self.readings))
 
     @cached_property
     def noise(self) -> NoiseRange:
-        """How large process noise can be."""
+        """Return the range of process noise."""
         step = self.logs[0].step
         rows = round((UNSCORED * slowness(step) + max(RANGE_FROM, RANGE_ROWS * step)) / step)
         logs = [log.rows(0, rows) for log in self.logs]
         measured = [np.isfinite(log.y).any(axis=0) for log in logs]
-        # the first log, and those that measure what it does not
+        # the first log, and logs with further outputs
         taken = [k for k in range(len(logs)) if k == 0 or np.any(measured[k] & ~measured[0])]
         short = replace(
             self,
@@ -141,7 +144,7 @@ class Problem:
             readings=[readings_of(logs[k].y, unscored(logs[k])) for k in taken],
             x0=[self.x0[k] for k in taken],
             origins=[self.origins[k] for k in taken if self.origins],
-            sensing=None,  # limits do not move with what was fitted
+            sensing=None,  # limits must not depend on fitted noise
         )
         lasting = float(np.log(self.longest_memory)) if self.layout.coloured else None
 
@@ -154,24 +157,24 @@ class Problem:
 
     @property
     def longest_memory(self) -> float:
-        """[s] that an unknown input lasts at most."""
+        """Return the longest correlation time of an unknown input [s]."""
         longest = max(len(d.u) * d.step for d in self.logs)
         return max(LONGEST_MEMORY * longest, 4.0 * min(d.step for d in self.logs))
 
     def at(self, power: Array) -> Noise:
-        """Return unknown inputs of this power; memory and sensors as they are known so far."""
+        """Return noise with this input power, current memory and sensors."""
         if self.sensing is not None:
             return replace(self.sensing, power=power)
         return Noise(power, float(np.log(self.values[MEMORY])), np.log(self.r), np.full(len(self.r), -np.inf))
 
     @property
     def plain(self) -> Noise:
-        """Unknown inputs that are plainly detected, or none where equations are trusted."""
+        """Return noise with plainly detected inputs, or none for trusted equations."""
         return self.at(self.noise.smallest if self.trusted else self.noise.plain)
 
     @cached_property
     def limits(self) -> NoiseLimits:
-        """Limits of what is random, and what is said of the sensors as a weak prior."""
+        """Return limits of the noise, with stated sensor noise as weak prior."""
         ny, now = len(self.r), self.at(self.noise.plain)
         steps = [d.step for d in self.logs]
         finest = np.max([r.resolution for r in self.readings], axis=0)
@@ -200,7 +203,7 @@ class Problem:
         return NoiseLimits(*map(np.concatenate, zip(*parts, strict=True)))
 
     def undisturbed(self, state: Array) -> Array:
-        """Return a state without unknown inputs, of which no prediction is made; constants within bounds."""
+        """Return a state without unknown inputs, constants clipped to bounds."""
         plain = state.copy()
         for f in self.own:
             place = self.layout.constants[f.parameter]
@@ -210,16 +213,16 @@ class Problem:
         return plain
 
     def numbers(self, values: Mapping[str, float]) -> Array:
-        """Return values of the parameters in the kernel's order."""
+        """Return parameter values in the kernel's order."""
         return np.array([values[name] if name in values else self.values[name] for name in self.layout.parameters])
 
     def of_log(self, values: Mapping[str, float], index: int) -> Mapping[str, float]:
-        """Return the values that hold for a log: parameters per log as its group has them."""
+        """Return the parameter values of a log's group."""
         known = {name: value for name, (value, _) in self._own(values, index).items()}
         return {**values, **known} if known else values
 
     def start(self, values: Mapping[str, float], index: int) -> tuple[Array, Array]:
-        """Start state of a log, and L, with which L·L' is its covariance beside P0."""
+        """Return the start state of a log and L; L·L' adds to P0."""
         known, x0 = self._own(values, index), self.x0[index]
         if not known:
             return x0, np.zeros((len(self.layout.stochastic), 0))
@@ -227,7 +230,7 @@ class Problem:
         return started(self.kernel, self.logs[index], p, x0, known, self.origins[index].shown)
 
     def _own(self, values: Mapping[str, float], index: int) -> dict[str, tuple[float, float]]:
-        """Return parameter per log → its value for a log and the standard deviation of that; 0 where it is known."""
+        """Return parameter per log → value and standard deviation, 0 if known."""
         known = {}
         for name in self.layout.constants:
             group = self.origins[index].group
@@ -236,9 +239,9 @@ class Problem:
         return known
 
     def densities(self, noise: Noise) -> Array:
-        """Return q of every stochastic state, its unit squared per second, 0 where no noise enters.
+        """Return q of every stochastic state [unit²/s], 0 without noise.
 
-        An unknown input of variance σ² that lasts T is driven by 2·σ²/T.
+        An unknown input with variance σ² and correlation time T is driven by 2·σ²/T.
         """
         q = np.zeros(len(self.layout.stochastic))
         power = np.exp(noise.power)
@@ -246,15 +249,15 @@ class Problem:
         return q
 
     def lateness(self, values: Mapping[str, float], index: int) -> dict[int, float]:
-        """Return rows by which readings are late, by the place of their output; nothing where none are."""
+        """Return latencies in rows by output index; empty without latency."""
         step, values = self.logs[index].step, self.of_log(values, index) if self.late else values
         late = {k: values.get(name, self.values[name]) / step for name, places in self.late.items() for k in places}
         return late if any(late.values()) else {}
 
     def data(self, values: Mapping[str, float], index: int) -> Data:
-        """Return a log with its late readings put where they belong.
+        """Return a log with late readings moved to the rows of their measurement.
 
-        To the nearest row; by how much of a row they are older or younger than that, the filter takes into account.
+        Readings move by whole rows; the filter accounts for the remaining fraction.
         """
         data, late = self.logs[index], self.lateness(values, index)
         if not late:
@@ -267,7 +270,7 @@ class Problem:
         return replace(data, y=y, late=older)
 
     def variances(self, noise: Noise, index: int) -> Array:
-        """Return the variance of each reading of a log: its sensor's, and the error of its time stamp by its speed."""
+        """Return the variance of each reading, time stamp error included."""
         r = np.exp(noise.sensors)
         if not np.isfinite(noise.timing).any():
             return r
@@ -281,7 +284,7 @@ class Problem:
     def filtered(
         self, data: Data, values: Mapping[str, float], noise: Noise, index: int, *, states: bool = False
     ) -> Filtered:
-        """Filter what might have been measured in place of a log."""
+        """Filter measurements in place of a log's."""
         lasting = {MEMORY: float(np.exp(noise.memory))} if self.layout.coloured else {}
         x0, more = self.start(values, index)
         p, P0 = self.numbers({**self.of_log(values, index), **lasting}), self.P0 + more @ more.T
@@ -292,10 +295,11 @@ class Problem:
         return self.kernel.run(data, p, x0, P0, self.densities(noise), variances, states=states)
 
     def known(self, data: Data, values: Mapping[str, float], noise: Noise, index: int, rows: Sequence[int]) -> Filtered:
-        """Filter what might have been measured in place of a log; its states in `rows` know what had arrived by then.
+        """Filter measurements in place of a log's, with causal states in `rows`.
 
-        A late reading stands in the row that it shows, and arrives after it: a state there must do without. It does
-        without those that arrived while another one was asked for, too: a few, long ago.
+        A late reading arrives after the row of its measurement. States in `rows` use only readings available by then.
+        Readings
+        that arrive while another requested state is computed are also ignored; few are, and long past.
         """
         filtered = self.filtered(data, values, noise, index, states=True)
         late = {k: n for k, by in self.lateness(values, index).items() if (n := round(by)) > 0}
@@ -312,7 +316,7 @@ class Problem:
         return replace(filtered, states=states)
 
     def innovations(self, values: Mapping[str, float], noise: Noise, index: int) -> tuple[Array, Array]:
-        """Return errors and variances (rows, outputs) of a log, in the rows in which the readings were logged."""
+        """Return errors and variances (rows, outputs) in the rows of logging."""
         filtered = self.run(values, noise, index)
         e, s = filtered.errors, filtered.variances
         for k, late in self.lateness(values, index).items():
@@ -320,7 +324,7 @@ class Problem:
         return e, s
 
     def scored(self, values: Mapping[str, float], noise: Noise, only: Sequence[int] | None = None) -> Scored:
-        """Filter all logs, or some."""
+        """Filter some logs, by default all."""
         errors, variances, rows = [], [], []
         for index in range(len(self.logs)) if only is None else only:
             (e, s), readings = self.innovations(values, noise, index), self.readings[index]

@@ -1,4 +1,4 @@
-"""What there is to the readings of a log beside their values: which are scored, their slopes, their resolution."""
+"""Properties of a log's readings: scored readings, slopes, resolution and spread."""
 
 from __future__ import annotations
 
@@ -10,18 +10,19 @@ import numpy as np
 
 from cosim.base.arrays import Array, Flags, Rows
 
-NEAR = 4  # readings on each side, over which a slope is taken
-ON_GRID = 0.99  # of the steps between readings, from which they are taken to be quantised
+NEAR = 4  # readings on each side for a slope
+ON_GRID = 0.99  # share of steps between readings that marks quantisation
 
 
 @dataclass(frozen=True, eq=False)
 class Readings:
     """Readings of one log, shape (rows, outputs).
 
-    scored:     which take part in a likelihood
-    slopes:     how fast each changes, per row, by the readings about it; 0 where that is unknown
-    resolution: step in which the readings of each output come; 0 where they come in no steps
-    spread:     standard deviation of the readings of each output
+    Attributes:
+        scored: True for readings in the likelihood.
+        slopes: Rate of change per row from neighbouring readings; 0 if unknown.
+        resolution: Quantisation step of each output; 0 without quantisation.
+        spread: Standard deviation of each output.
     """
 
     scored: Flags
@@ -31,19 +32,19 @@ class Readings:
 
     @cached_property
     def places(self) -> Rows:
-        """Where those scored stand in a table read row by row."""
+        """Return the flat indices of scored readings, row by row."""
         places: Rows = np.flatnonzero(self.scored)
         return places
 
     @cached_property
     def rows(self) -> Rows:
-        """Row of each of those scored."""
+        """Return the row of each scored reading."""
         rows: Rows = self.places // max(1, self.scored.shape[1])
         return rows
 
     @staticmethod
     def earlier(table: Array, late: Mapping[int, int]) -> Array:
-        """Return a table of the readings' size, the columns of some outputs put so many whole rows earlier."""
+        """Return a table with some columns shifted to earlier rows."""
         moved = table.copy()
         for j, rows in late.items():
             if rows:
@@ -53,7 +54,7 @@ class Readings:
 
 
 def readings_of(y: Array, unscored: int) -> Readings:
-    """Return the readings of a log of which the first rows are not scored."""
+    """Return the readings of a log without scores in the first rows."""
     scored = np.isfinite(y)
     scored[:unscored] = False
     columns = list(y.T)
@@ -66,13 +67,13 @@ def readings_of(y: Array, unscored: int) -> Readings:
 
 
 def readings_of_table(parts: Sequence[Array]) -> list[Readings]:
-    """Return readings of a table in parts: no neighbours, no slopes; resolution and spread are those of the whole."""
+    """Return readings of a table: no slopes, common resolution and spread."""
     whole = readings_of(np.vstack(parts), 0)
     return [Readings(np.isfinite(y), np.zeros_like(y), whole.resolution, whole.spread) for y in parts]
 
 
 def _slopes(column: Array) -> Array:
-    """Change per row, of the straight line through the nearest readings."""
+    """Return the slope per row of a line through the nearest readings."""
     slopes = np.zeros(column.size)
     rows = np.flatnonzero(np.isfinite(column))
     if rows.size < 2 * NEAR + 1:
@@ -86,13 +87,13 @@ def _slopes(column: Array) -> Array:
 
 
 def _resolution(column: Array) -> float:
-    """Return the step in which readings come, where nearly all differ by whole numbers of the smallest one."""
+    """Return the quantisation step of readings, or 0."""
     values = np.unique(column[np.isfinite(column)])
     if values.size < 3:
         return 0.0
     steps = np.diff(values)
     least = float(np.median(steps[steps <= 1.5 * steps.min()]))
     whole = np.abs(steps / least - np.rint(steps / least)) < 0.02
-    # printed with few digits, everything is on some grid: a resolution is one that repeats many values
+    # Printed decimals are a grid too, so a resolution must repeat many values.
     repeated = values.size < 0.2 * np.isfinite(column).sum()
     return least if repeated and float(np.mean(whole)) >= ON_GRID else 0.0

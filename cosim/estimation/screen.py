@@ -1,8 +1,8 @@
-"""Rao's score test at a fit: what more terms promise, together too, for one filter run a parameter and no fit.
+"""Rao's score test at a fit: predicted gain of further terms, jointly too, for one filter run per parameter.
 
-With r the normalised innovations, their spread and priors, [e/√s; (1 − e²/s)/√2; (θ − μ)/σ], and X the sensitivities
-of r to what is free already, terms of sensitivities R promise ½·‖P·r‖²: P projects on what of R no X can mend.
-A part of the hypothesis that stands is such a term too: without it, r would be r − R·(steps from neutral to here).
+Let r be the normalised innovations, their spread and priors, [e/√s; (1 − e²/s)/√2; (θ − μ)/σ], and X the sensitivities
+of r to the free parameters. Terms with sensitivities R promise ½·‖P·r‖², with P the projection on the part of R
+orthogonal to X. A part of the hypothesis is such a term too: without the part, r becomes r − R·(steps from neutral).
 """
 
 from __future__ import annotations
@@ -21,21 +21,22 @@ from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
 from cosim.subject.candidates import Candidate
 
-SHARE = 0.3  # of the size at which an effect is usually met, for its difference: its kinks are not at neutral alone
-TINY = 1e-3  # of it, at which an effect that is switched on rather than grown differs by more than at SHARE
-JUMP, DETECTED = 0.5, 1.0  # of that difference's square, and of one that can be detected
-NOTHING = 1e-12  # of the residual's square, below which a term cannot be detected at all
-BEYOND = 1.0  # standard deviations by which an estimate may be beyond a limit and still be meant
+SHARE = 0.3  # share of an effect's usual size for its difference, since kinks may be away from neutral
+TINY = 1e-3  # share at which a switched effect changes more than at SHARE
+JUMP, DETECTED = 0.5, 1.0  # share of the squared difference; squared difference that is detectable
+NOTHING = 1e-12  # share of the squared residual below which a term is not detectable
+BEYOND = 1.0  # standard deviations by which an estimate may exceed a limit
 
 
 @dataclass(frozen=True, eq=False)
 class Terms:
-    """A candidate's terms about a fit.
+    """A candidate's terms at a fit.
 
-    rows:         what a step of each changes, less what is free anyway can mend
-    steps:        parameter → size of each step
-    identifiable: largest χ² of a usual size
-    switched:     no small step leads there: the candidate is switched on rather than grown
+    Attributes:
+        rows: Change by a step of each term, without the share that free parameters can compensate.
+        steps: Parameter → size of each step.
+        identifiable: Largest χ² of a usual size.
+        switched: True if no small step is informative because the candidate switches on.
     """
 
     candidate: Candidate
@@ -47,7 +48,7 @@ class Terms:
 
 @dataclass(frozen=True)
 class Promise:
-    """gain: of log-likelihood; values: estimates, linear in the steps; within: inside their limits."""
+    """Predicted log-likelihood gain, linear estimates, and True in `within` if the estimates respect their limits."""
 
     gain: float
     values: Mapping[str, float]
@@ -55,9 +56,10 @@ class Promise:
 
 
 class ScoreTest:
-    """Filters once more for each parameter that is free at a fit; then computes what terms promise beside them.
+    """Score test with one filter run for each free parameter of a fit.
 
-    parts: what of the fit is on trial, so that a hypothesis without it can be asked for; it is not among the free
+    Args:
+        parts: Parts of the fit on trial, not among the free parameters, for hypotheses without them.
     """
 
     def __init__(self, problem: Problem, at: Fit, parts: Sequence[Candidate] = ()) -> None:
@@ -86,19 +88,19 @@ class ScoreTest:
         return self.noise.like(vector)
 
     def row(self, steps: Mapping[str, float]) -> Array:
-        """Return the change by finite steps of parameters, less what the free ones can mend."""
+        """Return the projected change for finite parameter steps."""
         row = self._row(steps)
         return row - self.basis @ (self.basis.T @ row)
 
     def gain(self, rows: Sequence[Array]) -> tuple[float, Array]:
-        """Return the promised gain of terms together, and how many steps of each they would take."""
+        """Return the joint gain of terms and the optimal step multiples."""
         detected = np.array([r if r @ r > NOTHING * (self.residual @ self.residual) else 0.0 * r for r in rows])
         taken = -least_squares(detected.T, self.residual, rcond=1e-8)
         fitted = detected.T @ taken
         return 0.5 * float(fitted @ fitted), taken
 
     def terms(self, c: Candidate) -> Terms:
-        """Return a candidate's terms: away from where the fit has it, or from neutral towards its usual size."""
+        """Return a candidate's terms at the fit, or at neutral towards the usual size."""
         if c.kind == "parameter" and c.parameters[0] in self.held:
             return self._loosened(c)
         at_neutral = all(f.neutral is None or self.values[f.name] == f.neutral for f in c.free)
@@ -109,7 +111,7 @@ class ScoreTest:
         return self._away_from_fit(c, SHARE if at_neutral else DIFFERENCE)
 
     def _away_from_fit(self, c: Candidate, share: float) -> Terms:
-        """Return the terms of a candidate whose parameters move, each alone, by a share of their sizes."""
+        """Return a candidate's terms with each parameter moved alone."""
         rows, steps = [], []
         for f in c.free:
             step = share * f.size
@@ -119,7 +121,7 @@ class ScoreTest:
         return self._make_terms(c, rows, steps)
 
     def _toward_usual_size(self, c: Candidate, away: Mapping[str, float]) -> Terms:
-        """Return the terms of a candidate at neutral: all parameters together, and each, towards its usual size."""
+        """Return a candidate's terms from neutral towards the usual size, joint and single."""
         steps = [{n: SHARE * d for n, d in away.items()}]
         if len(away) > 1:
             steps += [{n: SHARE * d} for n, d in away.items()]
@@ -131,13 +133,13 @@ class ScoreTest:
     def _make_terms(
         self, c: Candidate, rows: Sequence[Array], steps: Sequence[Mapping[str, float]], switched: bool = False
     ) -> Terms:
-        """Return terms with how well they can be detected in what is read, not in how well the filter knows it."""
+        """Return terms with detectability in the innovations."""
         read = [r[: len(self.scored.errors)] for r in rows]
         identifiable = max((float(r @ r) for r in read), default=0.0) / SHARE**2
         return Terms(c, np.array(rows), tuple(steps), identifiable, switched)
 
     def _loosened(self, c: Candidate) -> Terms:
-        """Return the terms of a base parameter on trial: its prior no longer counts, it moves as the others want it."""
+        """Return the terms of a base parameter on trial, which loses its prior."""
         (name,) = c.parameters
         row = np.zeros(self.residual.size)
         row[len(row) - len(self.held) + self.held[name]] = 1.0
@@ -157,10 +159,11 @@ class ScoreTest:
 
 
 class Choice:
-    """What any set of candidates promises about a fit, from the products of their terms alone.
+    """Predicted gain of any set of candidates at a fit, from the inner products of their terms.
 
-    standing: names of the parts that the fit has
-    neutral:  values without any candidate
+    Attributes:
+        standing: Parts of the fit by name.
+        neutral: Values without any candidate.
     """
 
     def __init__(
@@ -176,14 +179,14 @@ class Choice:
         self.square = float(test.residual @ test.residual)
 
     def promise(self, names: Sequence[str]) -> Promise:
-        """Return what a fit of these candidates together would gain on the present one; negative without its parts.
+        """Return the predicted gain of these candidates relative to the fit.
 
-        An estimate beyond a limit counts as none.
+        The gain is negative for a set without the fit's parts. An estimate beyond a limit counts as invalid.
         """
         gone = [name for name in self.standing if name not in names]
         back = self._back(gone)
         places = [k for name in names for k in self.places[name]]
-        # r without the parts that go: r + R·back
+        # r without the removed parts: r + R·back
         against = self.against + self.products @ back
         square = self.square + 2.0 * float(self.against @ back) + float(back @ self.products @ back)
         G, b = self.products[np.ix_(places, places)], against[places]
@@ -197,12 +200,12 @@ class Choice:
         return Promise(0.5 * (self.square - left), values, within)
 
     def beside(self, names: Sequence[str]) -> dict[str, Promise]:
-        """Return the promise of these with each other candidate, the largest gain first."""
+        """Return the prediction with each other candidate added, largest gain first."""
         promises = {n: self.promise([*names, n]) for n in self.terms if n not in names}
         return dict(sorted(promises.items(), key=lambda item: -item[1].gain))
 
     def _back(self, gone: Sequence[str]) -> Array:
-        """Return the steps from where parts are to neutral."""
+        """Return the steps from fitted values to neutral."""
         back = np.zeros(len(self.against))
         for name in gone:
             for k, step in zip(self.places[name], self.terms[name].steps, strict=True):
@@ -227,7 +230,7 @@ class Choice:
                 slack = BEYOND * sigma[f.name]
                 low = max(f.low, estimates.get(f.above, f.low))
                 there = f.neutral is None or low - slack <= estimates[f.name] <= f.high + slack
-                # of an effect that the model has, too much may be taken away: none is left
+                # An effect of the model may be removed completely; a larger removal stops at zero.
                 within = within and (there or self.neutral[f.name] != f.neutral)
                 values[f.name] = float(np.clip(estimates[f.name], low, f.high))
         return values, within

@@ -1,4 +1,4 @@
-"""How much noise the sensors have, as the logs show it: what the model says of them may be of another sensor."""
+"""Sensor noise in the logs, which may differ from the noise stated by the model."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from cosim.estimation.problem import Problem
 from cosim.logs.channel_noise import noise_level, surprise, white_noise
 from cosim.subject.interface import Subject
 
-OFF = 1.5  # times, from which the noise in the logs is another than the model's; it is known to a tenth
-STAMPS_ERR, WILD = 5.0, 9.0  # standard deviations of that test; squares of innovations are cut there
-REST = 1.2  # times its noise, up to which the spread of a channel is no motion
-SMOOTH = 0.3  # of a channel's level, that the model's own motion may make of it from row to row
+OFF = 1.5  # ratio from which the noise differs from the model's; accuracy is about 10 %
+STAMPS_ERR, WILD = 5.0, 9.0  # standard deviations of the test; limit on squared innovations
+REST = 1.2  # factor on the noise up to which a channel is at rest
+SMOOTH = 0.3  # share of a channel's level that may come from motion between rows
 
 
 def sensor_noise(problem: Problem) -> dict[str, float]:
-    """Return the standard deviation of the noise in the logs of each output in which it is identifiable.
+    """Return the noise standard deviation of each output that allows an estimate.
 
-    The level is that of what four neighbours do not say of a reading, so of white noise and of fast motion alike. The
-    model's own run says how much is motion; an output in which that is much, as of a sensor slower than what it
-    measures, is left out.
+    The level is the deviation of readings from four neighbours, which includes fast motion. The model's own run
+    estimates
+    the share of motion. Outputs with a large share, such as sensors slower than the motion, are omitted.
     """
     levels = {}
     runs = [own_run(problem, index).outputs for index in range(len(problem.logs))]
-    if problem.table:  # no neighbours: a first guess is all that the model as it stands does not say
+    if problem.table:  # A table has no neighbours, so the first guess is the residual of the given model.
         left = np.vstack([log.y - run for log, run in zip(problem.logs, runs, strict=True)])
         return dict(zip(problem.layout.outputs, np.sqrt(np.nanmean(left**2, axis=0)).tolist(), strict=True))
     for j, name in enumerate(problem.layout.outputs):
@@ -44,9 +44,10 @@ def sensor_noise(problem: Problem) -> dict[str, float]:
 
 
 def stamps_err(problem: Problem, at: Fit) -> Flags:
-    """Return outputs whose stamps seem to err: the faster a reading changes, the larger its innovation.
+    """Return outputs whose time stamps seem to err.
 
-    Rao's score test of a variance τ²·ẏ² beside the others, at τ = 0: Σ ½ ẏ²/s·(e²/s − 1) over √(Σ ½ (ẏ²/s)²).
+    Innovations then grow with the rate of change. Rao's score test of a variance τ²·ẏ² at τ = 0:
+    Σ ½ ẏ²/s·(e²/s − 1) over √(Σ ½ (ẏ²/s)²).
     """
     scores, information = np.zeros(len(problem.r)), np.zeros(len(problem.r))
     for index, readings in enumerate(problem.readings):
@@ -55,7 +56,7 @@ def stamps_err(problem: Problem, at: Fit) -> Flags:
         with np.errstate(invalid="ignore"):
             share = np.where(readings.scored, speed**2 / s, 0.0)
             share = share - share.sum(axis=0) / np.maximum(1, readings.scored.sum(axis=0)) * readings.scored
-            # what a reading says of its spread, the largest cut: a few wild ones are no clock that errs
+            # Large squares are clipped, because a few outliers are no clock error.
             spread = np.where(readings.scored, np.minimum(e**2 / s, WILD) - 1.0, 0.0)
         scores += 0.5 * np.sum(share * spread, axis=0)
         information += 0.5 * np.sum(share**2, axis=0)
@@ -65,7 +66,7 @@ def stamps_err(problem: Problem, at: Fit) -> Flags:
 
 
 def noise_warnings(problem: Problem, found: Noise, subject: Subject) -> tuple[str, ...]:
-    """Warn where the logs have another noise than is stated, or none is stated; to be read beside a verdict."""
+    """Return warnings about noise different from the stated noise, or not stated."""
     names, units = problem.layout.outputs, {q.name: q.unit for q in subject.outputs}
     known = dict(zip(names, np.sqrt(problem.r).tolist(), strict=True))
     levels = zip(names, np.exp(0.5 * found.sensors).tolist(), problem.adjusted, strict=True)
@@ -96,7 +97,7 @@ def _line(levels: Mapping[str, float]) -> str:
 
 
 def at_rest(problem: Problem) -> bool:
-    """Whether in none of the logs anything moves: neither an input nor, beyond its noise, an output."""
+    """Return True if no input moves and no output exceeds its noise in any log."""
     if problem.table:
         return not np.ptp(np.vstack([log.u for log in problem.logs]), axis=0).any()
     return all(

@@ -1,1 +1,1 @@
-"""Estimators held against what they believe."""
+"""Consistency tests of estimators."""

@@ -1,17 +1,18 @@
-"""Is an estimator as good as it believes? Normalised errors and innovations, held against their χ² distribution.
+"""Consistency of estimators: normalised errors and innovations compared with their χ² distribution.
 
     NEES  ε = (x − x̂)'·P⁻¹·(x − x̂),   n degrees of freedom, n states
     NIS   ε = ν'·S⁻¹·ν,               m degrees of freedom, m measurements
 
-Of N independent runs N·(mean of ε at a time) is χ² with N·n degrees of freedom, where the estimator is consistent
-(Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, 5.4). That is asked twice:
+For N independent runs of a consistent estimator, N·(mean of ε at one time) is χ² with N·n degrees of freedom
+(Bar-Shalom,
+Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, 5.4). Two tests follow:
 
-    of the mean over all times    a consistent one has n; runs are independent, so their scatter is its uncertainty
-    of each time by itself        2.5 % of the times lie above the region of 95 %, 2.5 % below it
+    mean over all times    n if consistent; the scatter between independent runs is the uncertainty
+    each single time       2.5 % of the times lie above the 95 % region, 2.5 % below
 
-Errors of one time and the next are alike, so shares of times scatter as those of fewer, independent times would.
-Innovations of a consistent estimator are white: all times count, and the mean of K is χ² with N·K·m. The two questions
-share the 5 % in which a verdict on a consistent one is wrong.
+Errors of successive times are correlated, so shares of times scatter like those of fewer independent times.
+Innovations of a consistent estimator are white: all times count, and the mean of K times is χ² with N·K·m. The two
+tests share the error probability of 5 %.
 """
 
 from __future__ import annotations
@@ -26,22 +27,23 @@ import numpy as np
 from cosim.base.arrays import Array
 
 LEVEL = 0.95
-SIDE = 0.5 * (1.0 - LEVEL)  # of the times, to either side of their region
-HALF = 0.25 * (1.0 - LEVEL)  # to either side, of one of the two questions
+SIDE = 0.5 * (1.0 - LEVEL)  # expected share of times on either side of their region
+HALF = 0.25 * (1.0 - LEVEL)  # tail probability on each side of each of the two tests
 CONSISTENT, OPTIMISTIC, PESSIMISTIC = "consistent", "optimistic", "pessimistic"
 BOTH = f"{OPTIMISTIC} and {PESSIMISTIC}"
-ROWS = 256  # of the matrix of correlations, at once
+ROWS = 256  # rows of the correlation matrix processed at once
 
 
 @dataclass(frozen=True)
 class Consistency:
-    """Of one kind of normalised squares: what was found, what a consistent estimator has, what follows.
+    """Test result for one kind of normalised squares.
 
-    mean:         over runs and times; region: where that of a consistent one is
-    above, below: shares of the times, whose own mean over the runs lies to that side of the region of one time
-    most:         the largest such share of a consistent one; 2.5 % is expected
-    times:        independent ones that would scatter as much as these
-    at_times:     mean over the runs at each time; at_time: the region of 95 % for it
+    Attributes:
+        mean: Mean over runs and times; `region` is its range for a consistent estimator.
+        above, below: Shares of times with a mean outside the region of one time.
+        most: Largest such share of a consistent estimator; 2.5 % is expected.
+        times: Number of independent times with equal scatter.
+        at_times: Mean over the runs at each time; `at_time` is its 95 % region.
     """
 
     degrees: int
@@ -57,12 +59,12 @@ class Consistency:
 
     @property
     def share(self) -> float:
-        """Of the times, those within their region; 0.95 is expected."""
+        """Return the share of times within their region; 0.95 is expected."""
         return 1.0 - self.above - self.below
 
     @property
     def verdict(self) -> str:
-        """Optimistic where errors are larger than it believes, in the mean or at too many times; pessimistic; both."""
+        """Return consistent, optimistic (errors larger than the covariance), pessimistic, or both."""
         low, high = self.region
         optimistic = self.mean > high or self.above > self.most
         pessimistic = self.mean < low or self.below > self.most
@@ -72,12 +74,12 @@ class Consistency:
 
     @property
     def factor(self) -> float:
-        """By how much: mean square error over the variance that it believes in."""
+        """Return the mean square error relative to the estimated variance."""
         return self.mean / self.degrees
 
     @property
     def sentence(self) -> str:
-        """The verdict in words, with the numbers that it rests on."""
+        """Return the verdict in words with its numbers."""
         low, high = self.region
         verdict = self.verdict
         if verdict == CONSISTENT:
@@ -96,17 +98,21 @@ class Consistency:
         return f"{verdict}: {'; '.join(told)}"
 
     def as_json(self) -> Mapping[str, Any]:
-        """For a script."""
+        """Return plain data for scripts."""
         kept = {"degrees": self.degrees, "runs": self.runs, "mean": self.mean, "region": list(self.region)}
         shares = {"share": self.share, "above": self.above, "below": self.below, "most": self.most}
         return {**kept, **shares, "times": self.times, "verdict": self.verdict, "factor": self.factor}
 
 
 def consistency_of(squares: Array, degrees: int, *, white: bool = False) -> Consistency:
-    """From normalised squares, shape (runs, times), each with so many degrees of freedom.
+    """Return the consistency of normalised squares, shape (runs, times).
 
-    white: those of a run do not depend on each other, as innovations
-    Raises ValueError where a square is no number, or there are fewer than two runs.
+    Args:
+        degrees: Degrees of freedom of each square.
+        white: True for squares without correlation within a run, such as innovations.
+
+    Raises:
+        ValueError: A square is not finite, or fewer than two runs exist.
     """
     from scipy.stats import beta, chi2, t
 
@@ -127,16 +133,17 @@ def consistency_of(squares: Array, degrees: int, *, white: bool = False) -> Cons
     else:
         off = float(t.ppf(1.0 - HALF, runs - 1) * squares.mean(axis=1).std(ddof=1) / math.sqrt(runs))
         region, times = (degrees - off, degrees + off), independent_times(squares)
-    rest = max(times - 1.0, 1e-6)  # the beta distribution with this mean and the variance p·(1 − p)/times
+    rest = max(times - 1.0, 1e-6)  # beta distribution with this mean and the variance p·(1 − p)/times
     most = float(beta.ppf(1.0 - HALF, SIDE * rest, (1.0 - SIDE) * rest))
     above, below = float(np.mean(at_times > high)), float(np.mean(at_times < low))
     return Consistency(degrees, runs, float(squares.mean()), region, above, below, most, times, at_times, (low, high))
 
 
 def independent_times(squares: Array) -> float:
-    """So many independent times have shares that scatter as much: p·(1 − p)/K = mean of cov(1(z_j > c), 1(z_k > c)).
+    """Return the number of independent times with equally scattered shares.
 
-    z_j is the mean over the runs at time j, nearly normal, its correlations those between runs; c its 97.5 % quantile.
+    p·(1 − p)/K = mean of cov(1(z_j > c), 1(z_k > c)), with z_j the nearly normal mean over the runs at time j, its
+    correlations from the runs, and c the 97.5 % quantile.
     """
     off = squares - squares.mean(axis=0)
     size = np.sqrt((off * off).sum(axis=0))
@@ -147,7 +154,10 @@ def independent_times(squares: Array) -> float:
 
 
 def _covariances() -> tuple[Array, Array]:
-    """Correlations ρ of two normal numbers and cov(1(z₁ > c), 1(z₂ > c)) = ∫₀^asin ρ exp(−c²/(1 + sin θ)) dθ/2π."""
+    """Return correlations ρ of two normal numbers and cov(1(z₁ > c), 1(z₂ > c)).
+
+    The covariance is ∫₀^asin ρ exp(−c²/(1 + sin θ)) dθ/2π.
+    """
     from scipy.integrate import cumulative_simpson
     from scipy.stats import norm
 
@@ -160,11 +170,12 @@ def _covariances() -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Row:
-    """A result of one case on one flight.
+    """Result of one case on one flight.
 
-    case:   estimator and truth
-    flight: name of the motion; motion: what happens in it
-    of:     which squares; at: their times [s]
+    Attributes:
+        case: Estimator and true plant.
+        flight: Name of the motion; `motion` describes it.
+        of: Kind of squares; `at` are the times [s].
     """
 
     case: str
@@ -175,7 +186,7 @@ class Row:
     at: Array
 
     def as_json(self) -> Mapping[str, Any]:
-        """For a script."""
+        """Return plain data for scripts."""
         named = {"case": self.case, "flight": self.flight, "motion": self.motion, "of": self.of}
         return {**named, **self.result.as_json()}
 
@@ -188,23 +199,23 @@ class Judged:
 
     @property
     def consistent(self) -> bool:
-        """Whether every kind of squares is."""
+        """Return True if every kind of squares is consistent."""
         return all(row.result.verdict == CONSISTENT for row in self.rows)
 
     @property
     def verdict(self) -> str:
-        """Return what its squares are: consistent, optimistic, pessimistic, or both of these."""
+        """Return consistent, optimistic, pessimistic, or both of the latter."""
         kinds = {kind for row in self.rows for kind in (OPTIMISTIC, PESSIMISTIC) if kind in row.result.verdict}
         return BOTH if len(kinds) == 2 else next(iter(kinds), CONSISTENT)
 
     @property
     def factor(self) -> float:
-        """Return the mean square error of the estimate over the variance that it believes in."""
+        """Return the mean square error relative to the estimated variance."""
         return self.rows[0].result.factor
 
 
 def by_case(rows: Sequence[Row]) -> list[Judged]:
-    """Return the rows of each case and flight together, in order."""
+    """Return the rows grouped by case and flight, in order."""
     return [
         Judged([row for row in rows if (row.case, row.flight) == key])
         for key in dict.fromkeys((row.case, row.flight) for row in rows)
@@ -212,11 +223,17 @@ def by_case(rows: Sequence[Row]) -> list[Judged]:
 
 
 def headline(rows: Sequence[Row]) -> str:
-    """Return the result in a sentence, and in a second one the case with the largest errors."""
+    """Return how many cases are consistent, and in a second sentence the case with the largest errors."""
     judged = by_case(rows)
-    worst, right = max(judged, key=lambda j: j.factor), sum(j.consistent for j in judged)
-    said = f"{right} of {len(judged)} cases are consistent."
-    if worst.factor <= 1.0 or worst.consistent:
-        return said
-    case = f"{worst.rows[0].case}, {worst.rows[0].flight}"
-    return f"{said} Largest errors: {case}: square errors {worst.factor:.3g} times the variance it believes in."
+    right, largest = sum(j.consistent for j in judged), worst(judged)
+    opening = f"{right} of {len(judged)} cases are consistent: errors match the variance that the estimator claims."
+    if largest is None:
+        return opening
+    case = f"{largest.rows[0].case}, {largest.rows[0].flight}"
+    return f"{opening} Largest: {case}: mean square error {largest.factor:.3g} times the claimed variance."
+
+
+def worst(judged: Sequence[Judged]) -> Judged | None:
+    """Return the case with the largest errors for the variance that it claims; None where all are consistent."""
+    largest = max(judged, key=lambda j: j.factor)
+    return None if largest.factor <= 1.0 or largest.consistent else largest

@@ -10,7 +10,7 @@ import numpy as np
 
 from cosim.base.text import counted, percent, plain
 from cosim.base.version import __version__
-from cosim.estimators.consistency import CONSISTENT, Judged, Row, by_case, headline
+from cosim.estimators.consistency import CONSISTENT, Judged, Row, by_case, headline, worst
 from cosim.report.drawing import Charts
 from cosim.report.html_tables import Badge
 from cosim.report.panels import Band, Panel, Trace
@@ -23,36 +23,36 @@ TEMPLATE = Path(__file__).with_name("templates") / "consistency.html.j2"
 def page(rows: Sequence[Row], steps: int, seed: int) -> str:
     """One self-contained page."""
     charts, runs, judged = Charts(), rows[0].result.runs, by_case(rows)
-    kinds = list(dict.fromkeys(row.of for row in rows))
+    flights, largest = {row.flight: row.motion for row in rows}, worst(judged)
+    shown = largest or judged[0]
     return render(
         TEMPLATE,
         {
             "badges": [Badge(f"{counted(runs, 'run')} of {counted(steps, 'sample')} each"), Badge(f"seed {seed}")],
             "headline": headline(rows),
-            "flights": list({row.flight: row.motion for row in rows}.items()),
-            "kinds": kinds,
-            "judged": [_summary(of, kinds) for of in judged],
+            "tone": "good" if all(j.consistent for j in judged) else "bad",
+            "shown": f"{shown.rows[0].case}, {shown.rows[0].flight}",
+            "first": [_plot(row, charts) for row in shown.rows],
+            "flights": list(flights.items()),
+            "judged": [
+                _summary(case, [j for j in judged if j.rows[0].case == case], list(flights))
+                for case in dict.fromkeys(row.case for row in rows)
+            ],
             "rows": [_cells(row) for row in rows],
             "cases": [
                 (f"{of.rows[0].case}; {of.rows[0].flight}", [_plot(row, charts) for row in of.rows]) for of in judged
             ],
-            "data": charts.data(),
+            "data": charts.data(),  # after all that is drawn
             "repeat": f"cosim consistency --runs {runs} --steps {steps} --seed {seed}",
             "version": __version__,
         },
     )
 
 
-def _summary(of: Judged, kinds: Sequence[str]) -> Mapping[str, Any]:
-    """Return a case on a flight as one row: each mean over its degrees of freedom, and the verdict."""
-    factors = {row.of: plain(row.result.factor, 3) for row in of.rows}
-    return {
-        "case": of.rows[0].case,
-        "flight": of.rows[0].flight,
-        "factors": [factors.get(kind, "–") for kind in kinds],
-        "verdict": of.verdict,
-        "good": of.consistent,
-    }
+def _summary(case: str, of: Sequence[Judged], flights: Sequence[str]) -> Mapping[str, Any]:
+    """Return an estimator as one row: on each flight the verdict, and square errors over the claimed variance."""
+    cells = {j.rows[0].flight: {"verdict": j.verdict, "good": j.consistent, "factor": plain(j.factor, 3)} for j in of}
+    return {"case": case, "flights": [cells.get(flight) for flight in flights]}
 
 
 def _cells(row: Row) -> Mapping[str, Any]:
@@ -80,7 +80,7 @@ def _plot(row: Row, charts: Charts) -> Plot:
     r = row.result
     low, high = (np.full(row.at.size, edge) for edge in r.at_time)
     traces = (Trace(f"mean of {counted(r.runs, 'run')}", r.at_times, "true"),)
-    band = Band("95 % of a consistent one", low, high)
-    panel = Panel(row.of, "1", traces, band, (float(r.degrees),), "its mean")
+    band = Band("95 % range of a consistent estimator", low, high)
+    panel = Panel(row.of, "1", traces, band, (float(r.degrees),), "expected mean")
     (plot,) = charts.over(row.at, 1).plots([panel])
     return plot

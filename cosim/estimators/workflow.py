@@ -1,4 +1,4 @@
-"""The estimators of the base model, over Monte Carlo runs: rows of a table, and a folder with the page."""
+"""Monte Carlo consistency test of the base model's estimators, with table and page."""
 
 from __future__ import annotations
 
@@ -17,16 +17,26 @@ from cosim.storage.folders import check_left, keep_earlier
 
 FEWEST = 2  # runs
 SHORTEST = 100  # steps; errors count after the first second
-MOST_SAMPLES = 20_000_000  # of all runs of a case: each takes some 400 bytes while it is made, 8 GB in all
+MOST_SAMPLES = 20_000_000  # samples of all runs of a case: about 400 bytes each, 8 GB in total
 RECORD, PAGE = "consistency.json", "report.html"
 
 
 def consistency(
     runs: Count = 50, steps: Count = 500, seed: Seed = 1, progress: Callable[[int, int], None] | None = None
 ) -> Sequence[Row]:
-    """Judge the estimators of the base model over Monte Carlo runs.
+    """Test the estimators of the base model by Monte Carlo runs.
 
-    Raises InputError for too few or too many runs or steps, or if there is too little memory for them.
+    Args:
+        runs: Number of Monte Carlo runs of each case, at least 2.
+        steps: Number of samples of each run, at least 100.
+        seed: Seed for all random numbers.
+        progress: Function of (completed cases, all cases).
+
+    Returns:
+        One row per case and kind of squares (NEES, NIS) with mean, region and verdict.
+
+    Raises:
+        InputError: Too few or too many runs or steps, or too little memory.
     """
     least = (("runs", runs, FEWEST), ("steps", steps, SHORTEST), ("seed", seed, 0))
     refuse([Fault(Path(n), 0, 0, f"is {v}; give {low} or more") for n, v, low in least if v < low])
@@ -49,7 +59,11 @@ def consistency(
 
 
 def check_size(runs: int, steps: int) -> None:
-    """InputError where runs, or steps of them, are more than memory holds."""
+    """Check that the samples fit into memory.
+
+    Raises:
+        InputError: They do not.
+    """
     if runs * steps <= MOST_SAMPLES:
         return
     option, other = ("--runs", steps) if 2 * steps <= MOST_SAMPLES else ("--steps", 2)
@@ -63,13 +77,21 @@ def _asked(runs: int, steps: int) -> str:
 
 
 def check_folder(folder: Path, *, force: bool = False, keep: bool = False) -> None:
-    """Make the folder; InputError where it cannot be written, or, without force, holds what another command left."""
+    """Check and create the output folder.
+
+    Raises:
+        InputError: The folder is not writable, or holds results of another command without `force`.
+    """
     check_left(folder, "cosim consistency", force=force, keep=keep)
     check_writable(folder, [RECORD, PAGE])
 
 
 def write(folder: Path, rows: Sequence[Row], steps: int, seed: int, *, report: bool = True, keep: bool = False) -> None:
-    """Write consistency.json and report.html into a folder that was checked; keep: an earlier one moves to `runs`."""
+    """Write consistency.json and report.html to a checked folder.
+
+    Args:
+        keep: Move an earlier result to `runs`.
+    """
     if keep:
         keep_earlier(folder, "cosim consistency")
     record = {"runs": rows[0].result.runs, "steps": steps, "seed": seed, "rows": [row.as_json() for row in rows]}

@@ -1,1 +1,1 @@
-"""Experiments: the input that drives rival hypotheses apart, within limits."""
+"""Experiments that separate rival hypotheses within limits."""

@@ -1,4 +1,4 @@
-"""Kinds of files of this room."""
+"""File kinds of this room."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ ARTEFACTS = (
         "`cosim run` plays the excitation.yaml beside it",
         verb="cosim excite",
         marks=("excitation.csv", "excitation.yaml"),
-        files=("excitation.csv", "excitation.yaml", "plant.fmu"),
+        files=("excitation.csv", "excitation.yaml", "plant.fmu", "report.html"),
         folder="the folder of an excitation",
-        folder_step="`cosim run {file}/excitation.yaml` plays it",
+        folder_step="its report.html opens in a browser, `cosim run {file}/excitation.yaml` plays it",
     ),
 )

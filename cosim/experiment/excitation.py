@@ -1,4 +1,4 @@
-"""Families of excitation: multisines, chirps, steps and ramps, with rests between, drawn by a random generator."""
+"""Random excitation signals: multisines, chirps, steps and ramps, with rests between."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from cosim.base.arrays import Array
 from cosim.experiment.rigs import Axis
 
 TONES = 12
-MOST_PARTS = 6  # of a trial, in each of which an axis moves or rests
-MOVES = 0.75  # how likely an axis moves in a part
-SHARE = (0.3, 1.0)  # of its amplitude an axis takes
+MOST_PARTS = 6  # parts of a trial in which an axis moves or rests
+MOVES = 0.75  # probability that an axis moves in a part
+SHARE = (0.3, 1.0)  # share of an axis' amplitude
 KINDS = ("multisine", "chirp", "steps", "ramps")
 
 
 def draw_signals(rng: np.random.Generator, axes: Sequence[Axis], time: Array) -> dict[str, Array]:
-    """One experiment: for each axis a kind, a size, and the parts of the trial in which it moves."""
+    """Return random signals of one experiment for all axes."""
     parts = int(rng.integers(1, MOST_PARTS + 1))
     part = np.minimum((time / time[-1] * parts).astype(int), parts - 1)
     signals = {}
@@ -31,7 +31,7 @@ def draw_signals(rng: np.random.Generator, axes: Sequence[Axis], time: Array) ->
 
 
 def _wave(rng: np.random.Generator, kind: str, axis: Axis, time: Array) -> Array:
-    """A signal of a kind within ±1."""
+    """Return a signal of a kind within ±1."""
     if kind == "multisine":
         frequency = np.geomspace(axis.slowest, axis.fastest, TONES)
         phase = rng.uniform(0.0, 2.0 * math.pi, TONES)
@@ -42,7 +42,7 @@ def _wave(rng: np.random.Generator, kind: str, axis: Axis, time: Array) -> Array
 
         swept = chirp(time, axis.slowest, time[-1], axis.fastest, method="logarithmic", phi=-90)
         return np.asarray(swept if rng.random() < 0.5 else swept[::-1])
-    # levels held, or passed on straight lines, for anything from half a period of the fastest to half of the slowest
+    # Levels are held, or joined by lines, for between half a period of the fastest and of the slowest frequency.
     knots, ahead = [0.0], (0.5 / axis.fastest, 0.5 / axis.slowest)
     while knots[-1] < time[-1]:
         knots.append(knots[-1] + math.exp(rng.uniform(math.log(ahead[0]), math.log(ahead[1]))))

@@ -1,13 +1,14 @@
-"""`cosim excite`: the input that separates rival hypotheses best, and a scenario that plays it.
+"""`cosim excite`: the input that best separates rival hypotheses, and a scenario that plays the input.
 
-Experiments are drawn by a seed, played without noise, and kept within limits. Written is the one that separates most
-pairs of rivals, and of those the nearest farthest: a pair that no input separates does not decide between inputs.
+Experiments are drawn from a seed, simulated without noise, and kept within limits. The best one separates most pairs of
+rivals, and among equals has the largest distance of the closest separated pair. A pair that no input separates has no
+influence on the choice.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +17,12 @@ from cosim.base import registry
 from cosim.base.arrays import Array
 from cosim.base.errors import Fault, InputError
 from cosim.base.settings import Count, ModelName, PositiveSeconds, Seed
-from cosim.base.text import counted
 from cosim.estimation.posing import build_problem
+from cosim.experiment.chosen_input import CURE, Excitation, merit_of
 from cosim.experiment.excitation import draw_signals
 from cosim.experiment.question import Question, ask, refinement_folder
 from cosim.experiment.rigs import OpenLoop, Rig, Trial
-from cosim.experiment.separation import Pair, Separation
+from cosim.experiment.separation import Separation
 from cosim.logs.log import slowness
 from cosim.storage.files import FilePath, check_writable, named_path, write_text
 from cosim.storage.folder_lock import folder_locks
@@ -33,96 +34,9 @@ EXPERIMENTS = 48
 DURATION, SHORTEST, LONGEST = 40.0, 5.0, 600.0  # [s], of a model with a step of 50 ms and less
 FEW = 4  # rivals, of which each is played before an experiment is preferred; of more, when it is chosen
 SLACK = 0.95  # of the excursion allowed at which one that goes too far is aimed anew
-SEPARATED = 3.0  # standard deviations between rivals, from which a log decides
 UNSEEN = 1.0  # standard deviations up to which noise hides the difference
-CURE = "try a wider --limit, a longer --duration or more outputs --measured"
-LISTED = 5  # pairs named in a line, or a line each, before the rest is counted
+REPORT = "report.html"
 Progress = Callable[[str, float], None]
-
-
-@dataclass(frozen=True)
-class Excitation:
-    """An experiment, played by the model and by its rivals.
-
-    apart, usual: how far it, and what is usually played, drive each pair apart [standard deviations]
-    usually:      what is usually played
-    """
-
-    question: Question
-    rig: Rig
-    trial: Trial
-    rivals: Mapping[str, Trial]
-    apart: Mapping[Pair, float]
-    usual: Mapping[Pair, float]
-    usually: Trial
-
-    @property
-    def score(self) -> tuple[int, float]:
-        """Merit of its distances, divided by how far beyond its limits a rival takes the model."""
-        return _merit(self.apart, max([1.0, *(f.beyond(self.question.limits) for f in self.rivals.values())]))
-
-    @property
-    def distances(self) -> list[str]:
-        """A line for each pair, hardest first."""
-        return [
-            f"{a} from {b}: {self.apart[a, b]:.1f} standard deviations ({self.rig.usual}: {self.usual[a, b]:.1f})"
-            for a, b in self._hardest_first
-        ]
-
-    @property
-    def sentences(self) -> list[str]:
-        """What it separates, hardest first, and how far it goes, also if a rival is true and takes it farther."""
-        lines = self.distances
-        if len(lines) > LISTED + 1:
-            least = self.apart[self._hardest_first[LISTED]]
-            rest = counted(len(lines) - LISTED, "more pair")
-            lines[LISTED:] = [f"and {rest}, {least:.1f} standard deviations apart at least"]
-        lines.append(f"excursion: {self._ranges(self.trial)}")
-        for name, trial in self.rivals.items():
-            if trial.beyond(self.question.limits) > 1.0:
-                lines.append(f"beyond its limits if {name} is true: {self._ranges(trial)}")
-        return lines
-
-    @property
-    def warning(self) -> str:
-        """The pairs it does not separate, and what separates more but leaves the limits; empty without either."""
-        return "; ".join(filter(None, (self._inseparable, self._surpassed)))
-
-    @property
-    def _surpassed(self) -> str:
-        """What is usually played, where it separates better: it then goes beyond the limits."""
-        beyond = self.usually.beyond(self.question.limits)
-        if not 1.0 < beyond < np.inf or _merit(self.usual) <= _merit(self.apart):
-            return ""
-        (count, least), pairs = _merit(self.usual), counted(len(self.apart), "pair")
-        what = f"{count} of {pairs}, the nearest {least:.1f} standard deviations apart"
-        return f"{self.rig.usual} separates better ({what}) but goes {beyond:.1f} times as far as --limit allows"
-
-    @property
-    def _inseparable(self) -> str:
-        if not (left := [pair for pair in self._hardest_first if self.apart[pair] < SEPARATED]):
-            return ""
-        named = [f"{a} from {b}" for a, b in left[:LISTED]] + ([f"{len(left) - LISTED} more"] if left[LISTED:] else [])
-        what = f"the best input found does not tell {', '.join(named)}"
-        return f"{what} (less than {SEPARATED:g} standard deviations apart); {CURE}"
-
-    @property
-    def _hardest_first(self) -> list[Pair]:
-        return sorted(self.apart, key=lambda pair: self.apart[pair])
-
-    def _ranges(self, trial: Trial) -> str:
-        model = self.question.loaded.model
-        units = {q.name: q.unit for q in model.outputs}
-        shown = [n for n in units if n in self.question.limits] or list(self.question.measured)
-        ranges = ((n, *trial.excursion(n)) for n in shown)
-        return ", ".join(f"{n} {low:.3g} to {high:.3g} {units[n]}" for n, low, high in ranges)
-
-
-def _merit(apart: Mapping[Pair, float], beyond: float = 1.0) -> tuple[int, float]:
-    """How many pairs are separated, and the distance of the nearest of them; of the farthest where none is."""
-    distances = [distance / beyond for distance in apart.values()]
-    separated = [distance for distance in distances if distance >= SEPARATED]
-    return len(separated), min(separated, default=max(distances))
 
 
 @folder_locks()
@@ -137,40 +51,64 @@ def excite(
     duration: PositiveSeconds | None = None,
     seed: Seed = 1,
     experiments: Count = EXPERIMENTS,
+    report: bool = True,
     force: bool = True,
     keep: bool = False,
     progress: Progress | None = None,
 ) -> Excitation:
-    """Choose an experiment for `base`, a model file or a refine.json, and write it to `folder`.
+    """Design the input that separates rival hypotheses best.
 
-    force: also over what another command left there. keep: files of an earlier one move to `runs`. Raises InputError.
+    Args:
+        text: Registered model, model.yaml, file.py:Class, refine.json or its folder.
+        folder: Folder for excitation.csv, excitation.yaml and the FMUs.
+        against: Effects, sensor errors or parameters that are rival hypotheses.
+        limits: Texts "name=value": largest distance of an input or output from its start value.
+        ranges: Texts "name=min..max": range of an input.
+        measured: Outputs that will be logged.
+        duration: Duration of the experiment [s], or text with a unit.
+        seed: Seed for the random experiments.
+        experiments: Number of random experiments.
+        force: Overwrite results of another command in `folder`.
+        keep: Move the files of an earlier call to `runs`.
+        progress: Function of (stage, completed share).
+
+    Returns:
+        The chosen experiment and the distance of each pair of hypotheses [standard deviations].
+
+    Raises:
+        InputError: Every fault of the input, or no experiment separates any pair.
     """
-    report = progress or (lambda stage, share: None)
-    report("reading the model", 0.0)
+    show_stage = progress or (lambda stage, share: None)
+    show_stage("reading the model", 0.0)
     folder = named_path(folder)
     question = ask(text, against, limits, measured, ranges)
     model = question.loaded.model
     time = _times(text, model.rate, duration)
     rig: Rig = registry.rig_of(type(model), OpenLoop)(model, question.limits, question.ranges, float(time[-1]))
-    written = ("excitation.csv", "excitation.yaml", "plant.fmu", *rig.files)
+    written = ("excitation.csv", "excitation.yaml", "plant.fmu", REPORT, *rig.files)
     check_left(folder, "cosim excite", force=force, keep=keep)
     check_writable(folder, written, [found_in / "plant.fmu"] if (found_in := refinement_folder(text)) else [])
-    found = _choose(question, rig, time, seed, experiments, report)
+    found = _choose(question, rig, time, seed, experiments, show_stage)
     if found is None:
         message = f"none of {experiments} experiments stays within the limits; widen --limit or shorten --duration"
         raise InputError([Fault(Path(text), 0, 0, message)])
     if max(found.apart.values()) < UNSEEN:
         message = f"none of {experiments} experiments drives any two rivals a standard deviation apart; {CURE}"
         raise InputError([Fault(Path(text), 0, 0, message)])
-    report("building the FMUs", 0.0)
+    show_stage("building the FMUs", 0.0)
     if keep:
         keep_earlier(folder, "cosim excite", rig.files)
     _write(folder, found, seed)
+    (folder / REPORT).unlink(missing_ok=True)
+    if report:
+        from cosim.experiment.report import page
+
+        write_text(folder / REPORT, page(found, folder / "excitation.yaml"))
     return found
 
 
 def _times(text: str, step: float, duration: float | None) -> Array:
-    """The rows of an experiment; without a duration it lasts as long as is usual, longer for a slow model."""
+    """Return the rows of an experiment; slow models need longer ones."""
     slow = slowness(step)
     lasts = DURATION * slow if duration is None else duration
     if not SHORTEST * slow <= lasts <= LONGEST * slow:
@@ -181,7 +119,7 @@ def _times(text: str, step: float, duration: float | None) -> Array:
 
 
 def _choose(question: Question, rig: Rig, time: Array, seed: int, count: int, report: Progress) -> Excitation | None:
-    """The best of `count` experiments; None where all go too far."""
+    """Return the best of `count` experiments, None if all exceed the limits."""
     model, subject = question.loaded.model, ModelSubject(question.base)
     usually = rig.play(model, rig.usual_signals(time))
     log = usually.log(model, question.measured)
@@ -189,14 +127,14 @@ def _choose(question: Question, rig: Rig, time: Array, seed: int, count: int, re
     separation = Separation(subject, problem, question.rivals, question.pairs)
     usual = separation.of(log)
     best: Excitation | None = None
-    for k in range(-1, count):  # first what is usually played: none that is worse is preferred
+    for k in range(-1, count):  # the usual input first, so that a worse one is never preferred
         report("trying experiments", max(0, k) / count)
         drawn = k >= 0 and draw_signals(np.random.default_rng([seed, k]), rig.axes, time)
         trial = _within(question, rig, drawn) if drawn else usually
         if trial is None or trial.beyond(question.limits) > 1.0:
             continue
         apart = separation.of(trial.log(model, question.measured)) if drawn else usual
-        if best is None or _merit(apart) > best.score:
+        if best is None or merit_of(apart) > best.score:
             rivals = _rivals_played(question, rig, trial) if len(question.rivals) <= FEW else {}
             other = Excitation(question, rig, trial, rivals, apart, usual, usually)
             best = other if best is None or other.score > best.score else best
@@ -204,13 +142,13 @@ def _choose(question: Question, rig: Rig, time: Array, seed: int, count: int, re
 
 
 def _rivals_played(question: Question, rig: Rig, trial: Trial) -> dict[str, Trial]:
-    """The same signals on the model of each rival that differs in its equations."""
+    """Return trials of rivals with other equations, for the same signals."""
     models = {r.name: question.model_if(r) for r in question.rivals}
     return {name: rig.play(m, trial.signals) for name, m in models.items() if m != question.loaded.model}
 
 
 def _within(question: Question, rig: Rig, signals: Mapping[str, Array]) -> Trial | None:
-    """A trial that stays within the limits, made smaller once if need be; None where that does not help."""
+    """Return a trial within the limits, scaled down once if necessary, or None."""
     trial = rig.play(question.loaded.model, signals)
     if (beyond := trial.beyond(question.limits)) <= 1.0:
         return trial
@@ -219,11 +157,11 @@ def _within(question: Question, rig: Rig, signals: Mapping[str, Array]) -> Trial
     return trial if trial.beyond(question.limits) <= 1.0 else None
 
 
-# -- files ----------------------------------------------------------------------------------------
+# -- files --------------------------------------------------------------------------------------
 
 
 def _write(folder: Path, found: Excitation, seed: int) -> None:
-    """excitation.csv, excitation.yaml and the FMUs it names."""
+    """Write excitation.csv, excitation.yaml and the FMUs."""
     from cosim.fmi.fmu_build import build
 
     trial, model = found.trial, found.question.loaded.model
@@ -234,7 +172,7 @@ def _write(folder: Path, found: Excitation, seed: int) -> None:
 
 
 def _scenario(found: Excitation, seed: int) -> Iterator[str]:
-    """Lines of the scenario that plays it."""
+    """Yield the lines of the scenario."""
     trial, model, rig = found.trial, found.question.loaded.model, found.rig
     yield "name: excitation"
     yield f'description: "To separate {", ".join(r.name for r in found.question.rivals)}."'

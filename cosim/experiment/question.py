@@ -1,4 +1,4 @@
-"""What an experiment is to decide: the model, the rivals, the outputs that will be measured, and how far it may go."""
+"""Purpose of an experiment: model, rivals, measured outputs and limits."""
 
 from __future__ import annotations
 
@@ -30,13 +30,14 @@ NOTHING = "nothing"
 
 @dataclass(frozen=True)
 class Question:
-    """Rivals and the pairs of them that are to be separated.
+    """Rivals and the pairs to separate.
 
-    loaded:   the model it is played to
-    base:     the model the rivals differ from, whose filter the logs are given to
-    measured: outputs that will be logged; noise: their standard deviations where they are not the model's own
-    limits:   how far from its start an input or output may go
-    ranges:   input → least and largest command that it takes, as declared, as asked for, or else as the logs have it
+    Attributes:
+        loaded: Model under test.
+        base: Model from which the rivals differ, used for the filter.
+        measured: Logged outputs; `noise` holds standard deviations that differ from the model's.
+        limits: Largest excursion of an input or output from its start.
+        ranges: Input → least and largest command, declared, requested, or observed in logs.
     """
 
     loaded: LoadedModel
@@ -49,7 +50,7 @@ class Question:
     ranges: Ranges = field(default_factory=dict)
 
     def model_if(self, rival: Rival) -> Model:
-        """The model if a rival is true; an error of a sensor does not change it."""
+        """Return the model under a rival hypothesis; sensor errors do not change the model."""
         sensors = {k.name for k in self.base.model.sensors}
         return self.base.model.with_values({n: v for n, v in rival.values.items() if n.split(".")[0] not in sensors})
 
@@ -66,7 +67,7 @@ class Ranked(BaseModel):
 
 
 class Refined(BaseModel):
-    """What is needed of a refine.json."""
+    """Required part of a refine.json."""
 
     model_config = ConfigDict(extra="ignore", frozen=True)
 
@@ -75,7 +76,7 @@ class Refined(BaseModel):
     candidates: list[Ranked]
     hidden: list[str]
     measured: list[str]
-    sensor_noise: dict[str, float] = {}  # of an older one, the model's is taken
+    sensor_noise: dict[str, float] = {}  # missing in older files; the model's noise is used
 
 
 def ask(
@@ -85,7 +86,11 @@ def ask(
     measured: Sequence[str] = (),
     ranges: Sequence[str] = (),
 ) -> Question:
-    """From `base`, a model file, or a refine.json (or its folder), whose rivals are taken. Raises InputError."""
+    """Return the question for `base`, a model file, or a refine.json (or its folder).
+
+    Raises:
+        InputError: An argument has faults, or the model has no states.
+    """
     path, question = _posed(text, against)
     model, faults = question.base.model, list[str]()
     if model.static:
@@ -102,7 +107,7 @@ def ask(
 
 
 def _posed(text: str, against: Sequence[str]) -> tuple[Path, Question]:
-    """The file that is named, and the question as it poses it."""
+    """Return the file and its question."""
     path = Path(text)
     if path.exists() and not names_refine(path) and ".py:" not in text:
         (check_given if path.suffix == ".json" else check_form)(path, ANSWER, MODEL, CODE)
@@ -113,13 +118,13 @@ def _posed(text: str, against: Sequence[str]) -> tuple[Path, Question]:
 
 
 def refinement_folder(text: str) -> Path | None:
-    """Where a refinement lies, if that is what the text names: its folder, or its refine.json."""
+    """Return the folder of a refinement, or None."""
     path = Path(text)
     return path if path.is_dir() else path.parent if path.suffix == ".json" else None
 
 
 def _of_refinement(path: Path, against: Sequence[str]) -> Question:
-    """Rivals as they were fitted, or typical where they did not show, about the model that was given to the study."""
+    """Return the question of a refinement, with fitted rivals, or typical ones if invisible."""
     yaml = YamlFile(path)
     content = yaml.validate(Refined)
     study = Path(content.study)
@@ -145,13 +150,16 @@ def _of_refinement(path: Path, against: Sequence[str]) -> Question:
 
 
 def _together(text: str, names: Sequence[str], found: Refined, known: Mapping[str, Candidate]) -> Rival:
-    """A rival of several candidates, as the study fitted it."""
+    """Return a rival of several candidates, as fitted in the study."""
     h = next((h for h in found.candidates if set(h.names) == set(names)), None)
     return Rival(text, h.parameters if h else {}, tuple(f for n in names for f in known[n].free))
 
 
 def _seen(model: Model, folder: Path, study: StudyFile) -> Ranges:
-    """The ranges of inputs in the logs of a study, where nobody says how far they may go; logs may be gone by now."""
+    """Return the ranges of inputs in a study's logs, if undeclared.
+
+    Missing logs are skipped.
+    """
     if not inputs_to_limit(model):
         return {}
     logs = []
@@ -166,9 +174,9 @@ def _seen(model: Model, folder: Path, study: StudyFile) -> Ranges:
 def _as_fitted(
     r: Rival, names: Sequence[str], found: Refined, known: Mapping[str, Candidate], values: Mapping[str, float]
 ) -> Rival:
-    """A rival as the best hypothesis has it that holds none of the others; as it is where the logs did not show it.
+    """Return a rival as fitted without the other rivals, or unchanged if invisible.
 
-    What they did not show was fitted to noise, to neutral as a rule, where no input could separate it from anything.
+    An invisible rival was fitted to noise, usually to neutral, where no input could separate it.
     """
     others = set(names) - {r.name}
     for h in found.candidates:
@@ -178,7 +186,7 @@ def _as_fitted(
 
 
 def _shown(c: Candidate, h: Ranked, found: Refined, values: Mapping[str, float]) -> bool:
-    """Whether the logs showed a candidate of a hypothesis: fitted, within its limits, significant by likelihood."""
+    """Return True if a candidate is fitted, within its limits, and significant."""
     if c.name in found.hidden or not h.fitted or h.log_likelihood_gain is None:
         return False
     if any(h.parameters[f.name] in (f.low, f.high) and h.parameters[f.name] != values[f.name] for f in c.free):
@@ -189,7 +197,7 @@ def _shown(c: Candidate, h: Ranked, found: Refined, values: Mapping[str, float])
 
 
 def _of_model(path: Path, loaded: LoadedModel, against: Sequence[str]) -> Question:
-    """The names given against each other, or against the effects the model has."""
+    """Return the question of a model: named rivals, or the model's effects."""
     model = loaded.model
     base = replace(loaded, model=replace(model, effects=()))
     known = _candidates(base)
@@ -207,12 +215,12 @@ def _of_model(path: Path, loaded: LoadedModel, against: Sequence[str]) -> Questi
 
 
 def _beside(own: set[str], groups: Sequence[set[str]]) -> set[str]:
-    """Return what is hard to separate from the effects that a model has."""
+    """Return names hard to separate from the effects of a model."""
     return {name for group in groups if group & own for name in group - own}
 
 
 def _candidates(loaded: LoadedModel) -> dict[str, Candidate]:
-    """Everything that may be missing or wrong, every input taken as varied."""
+    """Return all candidates, with all inputs regarded as varied."""
     subject = ModelSubject(loaded)
     return {c.name: c for c in subject.candidates([q.name for q in subject.inputs])}
 
@@ -224,14 +232,17 @@ def _check_names(path: Path, names: Sequence[str], known: Mapping[str, Candidate
 
 
 def _groups(model: Model, known: Mapping[str, Candidate]) -> list[set[str]]:
-    """What is usually hard to separate, as the model says; all of it where nothing is known."""
+    """Return groups hard to separate, as declared by the model, else one group."""
     return [g for group in model.told_apart_by if len(g := set(group) & known.keys()) > 1] or [set(known)]
 
 
 def _rivals(
     loaded: LoadedModel, known: Mapping[str, Candidate], names: Sequence[str]
 ) -> tuple[tuple[Rival, ...], tuple[Pair, ...]]:
-    """The names at typical size, every two of them; one alone against nothing; without names, the usual pairs."""
+    """Return typical rivals and their pairs.
+
+    A single name is compared with nothing; without names, the usual pairs count.
+    """
     subject = ModelSubject(loaded)
     if len(names) == 1:
         return (at_typical(subject, known[names[0]]), Rival(NOTHING, {}, ())), ((names[0], NOTHING),)

@@ -1,4 +1,4 @@
-"""How far an experiment may go: limits about the start of a signal, and ranges that no command ever leaves."""
+"""Limits of an experiment: excursions from the start, and ranges of commands."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ RANGE = re.compile(rf"(?P<name>[^=]+)=\s*(?P<low>{NUMBER})\s*\.\.\s*(?P<high>{NU
 
 
 def inputs_to_limit(model: Model | Subject) -> tuple[str, ...]:
-    """Inputs of which one has to say how far they may go."""
+    """Return inputs without a declared limit."""
     return tuple(q.name for q in model.inputs if q.name not in model.excursion and not _whole(q.bounds))
 
 
 def seen_in(logs: Sequence[Log]) -> dict[str, tuple[float, float]]:
-    """Input → least and largest command in some logs."""
+    """Return input → least and largest command in some logs."""
     names = logs[0].inputs if logs else ()
     return {
         n: (min(float(log.inputs[n].min()) for log in logs), max(float(log.inputs[n].max()) for log in logs))
@@ -34,10 +34,10 @@ def seen_in(logs: Sequence[Log]) -> dict[str, tuple[float, float]]:
 def allowed(
     model: Model, limits: Sequence[str], ranges: Sequence[str], seen: Ranges, faults: list[str]
 ) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
-    """Signal → how far from its start it may go; input → its range, of those that have one. What is wrong with either.
+    """Return the allowed excursions of signals and the ranges of inputs; extend `faults`.
 
-    A range is what the model declares, narrowed by what is given as NAME=MIN..MAX. Of an input of which neither that
-    nor a limit is known, it is what logs have seen of it.
+    A range is the declared one, narrowed by NAME=MIN..MAX. For an input without range and limit, the logs' range
+    counts.
     """
     spans = {q.name: q.bounds for q in model.inputs}
     faults += _narrowed(model, ranges, spans)
@@ -56,7 +56,7 @@ def allowed(
 
 
 def _limits(model: Model, given: Sequence[str], faults: list[str]) -> dict[str, float]:
-    """Limits by signal: the model's own, and over them those given as NAME=VALUE, a unit behind the value."""
+    """Return excursion limits: the model's, overridden by NAME=VALUE with unit."""
     units = {q.name: q.unit for q in (*model.outputs, *model.inputs)}
     limits = dict(model.excursion)
     for item in given:
@@ -76,7 +76,7 @@ def _limits(model: Model, given: Sequence[str], faults: list[str]) -> dict[str, 
 
 
 def _narrowed(model: Model, given: Sequence[str], spans: dict[str, tuple[float, float]]) -> Iterator[str]:
-    """Narrow the ranges that are declared to those given as NAME=MIN..MAX, a unit behind; what is wrong with these."""
+    """Narrow declared ranges by NAME=MIN..MAX with unit, and yield faults."""
     units = {q.name: q.unit for q in model.inputs}
     for item in given:
         read = RANGE.fullmatch(item.strip())
@@ -97,7 +97,7 @@ def _narrowed(model: Model, given: Sequence[str], spans: dict[str, tuple[float, 
 
 
 def _filled(span: tuple[float, float], seen: tuple[float, float] | None) -> tuple[float, float]:
-    """A range, its open ends as the logs have seen them."""
+    """Return a range with open ends filled from the logs."""
     low, high = seen or (-math.inf, math.inf)
     return (span[0] if math.isfinite(span[0]) else low), (span[1] if math.isfinite(span[1]) else high)
 

@@ -1,6 +1,6 @@
-"""Experiments that a rig can play: signals on a few axes, and what the model does under them.
+"""Rigs that play experiments: signals on a few axes, and the model's response.
 
-Any model is played open loop; one that would not stay where it is brings a rig of its own (`cosim.base.registry`).
+Any model can be played in open loop; an unstable one registers its own rig (`cosim.base.registry`).
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from cosim.model.model import Model, Values
 
 Signals = Mapping[str, Array]
 Ranges = Mapping[str, tuple[float, float]]  # input → least and largest command
-FASTEST = 0.1  # of the sample rate
+FASTEST = 0.1  # share of the sample rate
 SLOWEST = 2.0  # periods in a trial
 
 
 @dataclass(frozen=True)
 class Axis:
-    """Something an experiment may move: up to ±amplitude, between two frequencies [Hz]."""
+    """An axis of an experiment: up to ±amplitude, between two frequencies [Hz]."""
 
     name: str
     amplitude: float
@@ -36,7 +36,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Trial:
-    """A trial without noise, all by name: signals of the axes, the model's inputs, references of the loop, outputs."""
+    """A noise-free trial: axis signals, model inputs, loop references and outputs by name."""
 
     time: Array
     signals: Signals
@@ -45,17 +45,17 @@ class Trial:
     outputs: dict[str, Array]
 
     def log(self, model: Model, measured: tuple[str, ...]) -> Log:
-        """The log it would leave."""
+        """Return the trial as a log."""
         units = {q.name: q.unit for q in (*model.inputs, *model.outputs)}
         outputs = {name: self.outputs[name] for name in measured}
         return Log(Path("trial.csv"), self.time, self.inputs, outputs, units, model.rate, units, {})
 
     def excursion(self, name: str) -> tuple[float, float]:
-        """Least and largest value of an output."""
+        """Return the least and largest value of an output."""
         return float(np.min(self.outputs[name])), float(np.max(self.outputs[name]))
 
     def beyond(self, limits: Mapping[str, float]) -> float:
-        """The largest excursion from the start, in parts of what is allowed; infinite where the trial diverged."""
+        """Return the largest excursion relative to its limit, infinite after divergence."""
         if not all(np.isfinite(values).all() for values in self.outputs.values()):
             return math.inf
         seen = (np.abs(self.outputs[n] - self.outputs[n][0]).max() / v for n, v in limits.items() if n in self.outputs)
@@ -63,10 +63,11 @@ class Trial:
 
 
 class Rig(Protocol):
-    """What plays an experiment within the ranges of the inputs, and writes down how a scenario plays it.
+    """A rig that plays an experiment within input ranges and writes its scenario.
 
-    usual: what is played without thinking, to compare an experiment with
-    files: what it writes beside excitation.csv, excitation.yaml and plant.fmu
+    Attributes:
+        usual: Description of the usual input, for comparison.
+        files: Files beside excitation.csv, excitation.yaml and plant.fmu.
     """
 
     usual: str
@@ -74,23 +75,27 @@ class Rig(Protocol):
     axes: tuple[Axis, ...]
 
     def play(self, model: Model, signals: Signals) -> Trial:
-        """What a model does under the signals of the axes, without noise."""
+        """Return the noise-free response of a model to axis signals."""
 
     def usual_signals(self, time: Array) -> Signals:
-        """Signals of what is usually played."""
+        """Return the signals of the usual input."""
 
     def write(self, folder: Path, trial: Trial) -> None:
         """Write `files`."""
 
     def components(self) -> Iterator[str]:
-        """Lines of the scenario: components beside `plant` and `excitation`."""
+        """Yield scenario lines of components beside `plant` and `excitation`."""
 
     def connections(self, model: Model, trial: Trial, variance: Mapping[str, float]) -> Iterator[str]:
-        """Lines of the scenario: how they are connected; variance: of the noise of each output."""
+        """Yield scenario lines of connections.
+
+        Args:
+            variance: Noise variance of each output.
+        """
 
 
 class OpenLoop:
-    """Any model: each input is an axis about its start value."""
+    """Rig for any model in open loop: each input is an axis around its start value."""
 
     usual = "a step of each input in turn"
     files: tuple[str, ...] = ()
@@ -102,7 +107,7 @@ class OpenLoop:
         self.axes = tuple(Axis(q.name, limits[q.name], slowest, fastest) for q in model.inputs)
 
     def play(self, model: Model, signals: Signals) -> Trial:
-        """Inputs played to the model; what would leave a range stays at its end."""
+        """Return the response to inputs clipped to their ranges."""
         rest = model.start_command()
         moved = [start + signals[q.name] for q, start in zip(model.inputs, rest, strict=True)]
         u = np.column_stack(
@@ -112,7 +117,7 @@ class OpenLoop:
         return trial_of(model, len(rows), lambda k, y: rows[k], signals, {})
 
     def usual_signals(self, time: Array) -> Signals:
-        """One input after the other at half of what it may, forth and back."""
+        """Return a half-amplitude pulse of each input in turn, in both directions."""
         place = time / time[-1] * len(self.axes)
         return {
             a.name: 0.5
@@ -122,31 +127,31 @@ class OpenLoop:
         }
 
     def write(self, folder: Path, trial: Trial) -> None:
-        """Nothing beside the inputs."""
+        """Write nothing."""
 
     def components(self) -> Iterator[str]:
-        """None beside the inputs."""
+        """Yield no further components."""
         yield from ()
 
     def connections(self, model: Model, trial: Trial, variance: Mapping[str, float]) -> Iterator[str]:
-        """Every input is played."""
+        """Yield the connection of every input."""
         yield from played_lines(q.name for q in model.inputs)
 
 
 def within(values: Array, name: str, ranges: Ranges) -> Array:
-    """Commands of an input, cut at the ends of its range."""
+    """Return commands of an input clipped to its range."""
     return np.clip(values, *ranges.get(name, (-math.inf, math.inf)))
 
 
 def played_lines(names: Iterable[str]) -> Iterator[str]:
-    """Lines of the scenario: inputs played to the plant."""
+    """Yield scenario lines from the excitation to the plant."""
     yield from (f"  - {{from: excitation.{name}, to: plant.{name}}}" for name in names)
 
 
 def trial_of(
     model: Model, count: int, command: Callable[[int, Values], Values], signals: Signals, references: dict[str, Array]
 ) -> Trial:
-    """Step a model; `command` gives the inputs that act from row k, from the outputs there."""
+    """Simulate a model; `command` returns the inputs from row index and outputs."""
     stepper = Stepper(model)
     moment = stepper.start()
     u: Values = model.start_command()
@@ -156,7 +161,7 @@ def trial_of(
             u = command(k, stepper.output(moment.t, moment.state, u))
             inputs[k], outputs[k] = u, stepper.output(moment.t, moment.state, u)
             moment = stepper.step(moment, u, model.rate)
-    except (ArithmeticError, ValueError):  # math.sin of infinity: the rows from here on stay NaN
+    except (ArithmeticError, ValueError):  # math.sin of infinity fails; the remaining rows stay NaN
         pass
     return Trial(
         model.rate * np.arange(count, dtype=np.float64),

@@ -1,10 +1,13 @@
-"""How far apart an input drives rival hypotheses: T-optimality, by the filter that will judge the log.
+"""Separation of rival hypotheses by an input: T-optimality with the filter of the later refinement.
 
-After Atkinson and Fedorov (1975): an input is as good as what it leaves between two models when the parameters of the
-one are adapted to the other. What is compared are innovations, as `refine` will see them, so that a disturbance
-that is plainly seen hides here what it hides there. With e the innovations, s their variances and θ what may adapt:
+After Atkinson and Fedorov (1975): the value of an input is the remaining difference of two models after the parameters
+of
+one model are adapted to the other. Innovations are compared, as in `refine`, so that a visible disturbance hides the
+same differences. With e the innovations, s their variances and θ the adaptable parameters:
+
     D² = min over δ of Σ (e_a − e_b − ∂e_b/∂θ·δ)²/s + Σ (δ/σ)²,  σ the prior of a base parameter
-D counts standard deviations; the log-likelihood to be expected is ½·D².
+
+D counts standard deviations; the expected log-likelihood is ½·D².
 """
 
 from __future__ import annotations
@@ -29,13 +32,13 @@ from cosim.subject.base_parameters import base_parameters
 from cosim.subject.candidates import Candidate, Free
 from cosim.subject.interface import Subject
 
-WRONG_BY = 0.2  # of its value: a base parameter that is wrong; suspect ones by the size of their fits
+WRONG_BY = 0.2  # relative error of a wrong base parameter; suspect parameters use the size of their fits
 Pair = tuple[str, str]
 
 
 @dataclass(frozen=True)
 class Rival:
-    """A hypothesis: where its parameters stand if it is true, and what its fit may move."""
+    """A hypothesis: its true parameter values and its free parameters."""
 
     name: str
     values: Mapping[str, float]
@@ -43,7 +46,10 @@ class Rival:
 
 
 def at_typical(subject: Subject, candidate: Candidate) -> Rival:
-    """A candidate at a size that is plainly detected: `typical` away from neutral; a base parameter 20 % wrong."""
+    """Return a candidate at a clearly detectable size.
+
+    An effect is `typical` away from neutral, a base parameter 20 % wrong.
+    """
     if candidate.kind == "parameter":
         (free,) = candidate.free
         value = subject.values[free.name]
@@ -58,12 +64,18 @@ def _plainly_seen(p: Parameter) -> float:
 
 
 def all_pairs(names: Iterable[str]) -> list[Pair]:
-    """Every two of them."""
+    """Return all pairs."""
     return list(combinations(names, 2))
 
 
 class Separation:
-    """Measures inputs: `problem` has the kernel, `rivals` the hypotheses, `pairs` those that are to be separated."""
+    """Measure of inputs.
+
+    Args:
+        problem: Fitting problem with the kernel.
+        rivals: Hypotheses.
+        pairs: Pairs to separate.
+    """
 
     def __init__(self, subject: Subject, problem: Problem, rivals: Sequence[Rival], pairs: Sequence[Pair]) -> None:
         self.subject, self.problem, self.pairs = subject, problem, tuple(pairs)
@@ -72,7 +84,7 @@ class Separation:
         self.noise, self.substeps = problem.plain, coarsened(problem).logs[0].substeps
 
     def of(self, log: Log) -> dict[Pair, float]:
-        """Distance [standard deviations] of each pair on a log of the model without noise."""
+        """Return the distance of each pair on a noise-free log [standard deviations]."""
         layout = self.problem.layout
         data = replace(as_data(self.subject, log, layout, self.problem.settle), substeps=self.substeps)
         start = start_state(self.subject, data, layout.outputs, layout.states)
@@ -87,17 +99,20 @@ class Separation:
         }
 
     def _ways(self, pair: Pair) -> list[Pair]:
-        """(truth, adapted): the simpler hypothesis is adapted to the richer one, which could always mimic it."""
+        """Return (truth, adapted); only the simpler hypothesis is adapted.
+
+        A richer hypothesis could always imitate the simpler one.
+        """
         a, b = pair
         more = len(self.rivals[a].free) - len(self.rivals[b].free)
         return [*([(a, b)] if more >= 0 else []), *([(b, a)] if more <= 0 else [])]
 
     def _adapted(self, apart: Array, own: Array, base: Array, adapted: Rival) -> float:
-        """What is left between two hypotheses after one has moved its parameters and the base's."""
+        """Return the remaining distance after adaptation of one hypothesis and the base."""
         loose = {f.name for f in adapted.free}
         kept = [k for k, f in enumerate(self.base) if f.name not in loose]
         slopes = np.vstack([own, base[kept]]).T
-        # one row a prior: δ in units of the parameter's size
+        # one row per prior, δ in units of the parameter's size
         priors = np.zeros((len(kept), slopes.shape[1]))
         for row, k in enumerate(kept):
             if prior := self.base[k].prior:
@@ -107,7 +122,7 @@ class Separation:
 
 
 class _Innovations:
-    """Innovations [standard deviations] against those of the base values."""
+    """Innovations relative to those at base values [standard deviations]."""
 
     def __init__(self, problem: Problem, noise: Noise) -> None:
         self.problem, self.noise = problem, noise
@@ -116,12 +131,16 @@ class _Innovations:
         self.count = len(self.errors)
 
     def at(self, values: Mapping[str, float]) -> Array:
-        """By how much they differ at other values; not at all where the filter diverges."""
+        """Return the change at other values, 0 for a diverged filter."""
         errors = self.problem.scored({**self.problem.values, **values}, self.noise).errors
         return np.asarray(np.nan_to_num((errors - self.errors) / self.sigma, nan=0.0, posinf=0.0, neginf=0.0))
 
     def slopes(self, free: Sequence[Free], values: Mapping[str, float], there: Array) -> Array:
-        """Their derivatives by parameters, per size, shape (parameters, measurements); `there` they are at `values`."""
+        """Return the derivatives by scaled parameters, shape (parameters, measurements).
+
+        Args:
+            there: Innovations at `values`.
+        """
         rows = np.empty((len(free), self.count))
         for row, f in zip(rows, free, strict=True):
             here = values.get(f.name, self.problem.values[f.name])

@@ -1,1 +1,1 @@
-"""What runs the filter over a log: arrays in, arrays out, whatever it is made of."""
+"""Filter kernels over logs, with arrays as interface."""

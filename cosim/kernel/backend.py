@@ -1,4 +1,4 @@
-"""The kernel of a model and the outputs of a log, compiled once."""
+"""Cache of compiled kernels by model and measured outputs."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ _made: dict[tuple[Any, ...], CompiledKernel] = {}
 def kernel(
     model: Model, measured: Sequence[str], unnamed: bool = False, constant: Sequence[str] = ()
 ) -> CompiledKernel:
-    """Return the kernel of a model and the outputs of a log, made once; only flags are compiled in.
+    """Return the cached kernel of a model and measured outputs; only flags are compiled in.
 
-    Raises InputError if there is no C compiler that works, and if the model decides by == on a symbol.
+    Raises:
+        InputError: No working C compiler exists, or the model compares symbols with ==.
     """
     flags = tuple(getattr(model, p.name) for p in model.parameters if isinstance(p.default, bool))
     key = (type(model), flags, tuple(measured), unnamed, tuple(constant), model.integrator)
@@ -39,6 +40,6 @@ def kernel(
 
 
 def _decided(error: OfNumbersOnly) -> Fault:
-    """Return a fault at the line of the model that called the guard."""
+    """Return a fault at the model's line of the operation."""
     line = traceback.extract_tb(error.__traceback__)[-2]
     return Fault(Path(line.filename), line.lineno or 0, (line.colno or 0) + 1, f"cannot be made of symbols: {error}")

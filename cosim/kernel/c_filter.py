@@ -1,4 +1,4 @@
-"""The filter in C: compiled once for a model and the outputs of a log, cached by content."""
+"""Filter in C, compiled once per model and measured outputs, cached by content."""
 
 from __future__ import annotations
 
@@ -26,7 +26,12 @@ class _Log(ctypes.Structure):
 
 
 class CompiledKernel:
-    """The filter in C. Raises NoCompiler and CompilerFailed. An array without rows stands for no array."""
+    """Filter in C; an array without rows stands for no array.
+
+    Raises:
+        NoCompiler: No C compiler exists.
+        CompilerFailed: The compiler reports an error.
+    """
 
     def __init__(self, generated: Generated) -> None:
         self.layout = generated.layout
@@ -35,7 +40,7 @@ class CompiledKernel:
         self._library.simulate.argtypes = [ctypes.POINTER(_Log), ctypes.c_int, *[ctypes.c_void_p] * 7]
 
     def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
-        """Filter one log, as `Kernel` says."""
+        """Filter one log, as `Kernel.run`."""
         rows, ny = data.y.shape
         kept = rows if states else 0
         errors, variances = np.empty((rows, ny)), np.empty((rows, ny))
@@ -53,7 +58,7 @@ class CompiledKernel:
     def simulate(
         self, data: Data, p: Array, x0: Array, memory: Array, kicks: Array | None = None, *, first: int = 0
     ) -> Simulated:
-        """Run on the commands of a log, as `Kernel` says."""
+        """Simulate with the commands of a log, as `Kernel.simulate`."""
         rows, nx = len(data.u), len(self.layout.states)
         outputs, states = np.full((rows, len(self.layout.outputs)), np.nan), np.full((rows, nx), np.nan)
         memories = np.zeros((rows, self.layout.memory))
@@ -64,7 +69,7 @@ class CompiledKernel:
         return Simulated(outputs, states, memories)
 
     def _ramps(self, data: Data) -> Array:
-        """Return which inputs are interpolated, as flags of C."""
+        """Return the flags of interpolated inputs for C."""
         return np.array([name in data.interpolated for name in self.layout.inputs], np.int32)
 
 
@@ -91,7 +96,7 @@ def _source(generated: Generated) -> str:
 
 
 def _sizes(layout: Layout) -> dict[str, str]:
-    """Return the constants that the text of a filter uses, by name."""
+    """Return the constants of the C text by name."""
     numbers = {
         "NX": len(layout.states),
         "NU": len(layout.inputs),

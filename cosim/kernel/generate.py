@@ -1,11 +1,12 @@
-"""A kernel's functions from the one body of equations: derivative, its Jacobian, outputs and the shaping of commands.
+"""Generation of kernel functions: derivative, Jacobian, outputs and shaping of commands.
 
-The model is evaluated with symbols, every effect of the catalogue and every sensor error awake, so that one compiled
-kernel serves every candidate; an effect is switched off by its neutral value. Each forced equation gets an unknown
-input that wanders about zero and is forgotten within a time T (Gauss and Markov's), for the filter to estimate:
+The model is evaluated symbolically with all effects and sensor errors active, so that one compiled kernel serves every
+candidate; the neutral value switches an effect off. Each forced equation has an unknown input, a zero-mean
+Gauss-Markov process with correlation time T, for the filter to estimate:
+
     ẋ = f(x, u) + d      ḋ = −d/T + w
-A parameter that differs from log to log may be a state too, one that never changes: θ̇ = 0. The filter knows it, or
-learns it.
+
+A parameter per log may also be a constant state, θ̇ = 0, known or estimated by the filter.
 """
 
 from __future__ import annotations
@@ -27,11 +28,12 @@ from cosim.storage.cache import fingerprint, kept
 
 @dataclass(frozen=True)
 class Generated:
-    """Functions in C, and what their arguments are.
+    """Generated C functions and their layout.
 
-    source: `deriv(t, x, u, p, dx)`, `jacobian(t, x, u, p, A)`, `measure(t, x, u, p, y)`,
-            `measure_jacobian(t, x, u, p, C)`, `shape_all(u, memory, p, out)`; A and C are of the stochastic states
-    stiff:  whether the model is integrated as a stiff one; then `state_jacobian(t, x, u, p, J)` of all states is there
+    Attributes:
+        source: `deriv(t, x, u, p, dx)`, `jacobian(t, x, u, p, A)`, `measure(t, x, u, p, y)`,
+            `measure_jacobian(t, x, u, p, C)`, `shape_all(u, memory, p, out)`; A and C refer to the stochastic states.
+        stiff: True for a stiff integrator, with `state_jacobian(t, x, u, p, J)` of all states.
     """
 
     layout: Layout
@@ -41,12 +43,13 @@ class Generated:
 
 @dataclass(frozen=True)
 class Reach:
-    """States that process noise reaches and that reach a measured output, by the base model.
+    """States between process noise and measured outputs in the base model.
 
-    forced:    those it enters; of other forced states no noise can be estimated
-    uncertain: those it reaches, the forced among them
-    drifting:  those it reaches and that reach no measured output
-    driven:    the others that reach a measured output
+    Attributes:
+        forced: States with process noise; other forced states are not observable.
+        uncertain: States reached by the noise, forced ones included.
+        drifting: States reached by noise without influence on a measured output.
+        driven: Remaining states with influence on a measured output.
     """
 
     forced: tuple[str, ...]
@@ -56,11 +59,13 @@ class Reach:
 
 
 def generate(model: Model, measured: Sequence[str], unnamed: bool = False, constant: Sequence[str] = ()) -> Generated:
-    """Return functions for a model and the outputs that a log holds.
+    """Return the C functions for a model and the outputs of a log.
 
-    With `unnamed`, each forced state's equation gets terms of no catalogue, `unnamed.state.basis`, each a coefficient
-    times a basis function of one signal, and local shapes: they say that something is missing where no effect fits.
-    constant: parameters that are states of derivative 0; what shapes commands takes them from `p` all the same
+    Args:
+        unnamed: Add terms outside the catalogue to each forced equation: `unnamed.state.basis`, a coefficient times a
+            basis
+            function of one signal, and local shapes. They detect missing terms that no effect explains.
+        constant: Parameters as states with derivative 0; shaping of commands still uses `p`.
     """
     import sympy
     from sympy import srepr
@@ -105,7 +110,12 @@ def _printed(
     shapes: Sequence[LocalShape],
     stiff: bool,
 ) -> str:
-    """The functions; expressions: derivatives and readings; random: places of the stochastic states, their symbols."""
+    """Return the printed functions.
+
+    Args:
+        expressions: Derivatives and readings.
+        random: Indices and symbols of the stochastic states.
+    """
     import sympy
 
     (f, g), (stochastic, x) = expressions, random
@@ -138,7 +148,7 @@ def _add_nameless(body: Body, reach: Reach) -> list[LocalShape]:
 
 
 def _slope(expression: Any, by: Any, shapes: Sequence[LocalShape]) -> Any:
-    """Derivative of an expression by a state, in the symbols of the local shapes too."""
+    """Return the derivative of an expression, including the symbols of local shapes."""
     import sympy
 
     slope = sympy.diff(expression, by)
@@ -150,7 +160,7 @@ def _slope(expression: Any, by: Any, shapes: Sequence[LocalShape]) -> Any:
 
 
 def _rates(body: Body) -> dict[str, str]:
-    """State → the state that is its derivative."""
+    """Return state → state that is its derivative."""
     names = {symbol: q.name for q, symbol in zip(body.symbols.model.states, body.symbols.state, strict=False)}
     return {name: names[e] for name, e in body.derivative.items() if e in names}
 
@@ -162,7 +172,7 @@ def _add_sensor_errors(body: Body, model: Model) -> None:
     for kind in model.sensors:
         symbol = body.parameter(f"{kind.name}.value")
         if kind.late:
-            continue  # it changes when readings were taken, not what they say
+            continue  # a latency changes the time of readings, not their values
         outputs = true | {name: body.outputs[name] for name in kind.affected()}
         with guarded(smooth=True):
             read = kind(value=symbol).readings(SymbolNamespace(), body.symbols.time, outputs)
@@ -170,7 +180,7 @@ def _add_sensor_errors(body: Body, model: Model) -> None:
 
 
 def _disturbed(body: Body, reach: Reach) -> Body:
-    """The body with an unknown input, a state more, in each forced equation."""
+    """Return the body with an unknown input as state in each forced equation."""
     import sympy
 
     if not reach.forced:
@@ -186,7 +196,7 @@ def _disturbed(body: Body, reach: Reach) -> Body:
 def _with_constants(
     body: Body, reach: Reach, measured: Sequence[str], constant: Sequence[str]
 ) -> tuple[Body, tuple[str, ...]]:
-    """Return the body with parameters as constant states, and the states that only these make uncertain, in order."""
+    """Return the body with constant states, and the states that become uncertain through them."""
     import sympy
 
     if not constant:
@@ -196,7 +206,7 @@ def _with_constants(
     body.outputs.update({n: sympy.sympify(e).xreplace(states) for n, e in body.outputs.items()})
     places = [k for k, e in enumerate(body.derivative.values()) if e.free_symbols & set(states.values())]
     between = _downstream(body, places) & _upstream(body, [body.outputs[n] for n in measured])
-    # what only an effect couples of the base model's own states is left out, as with noise
+    # base states coupled only by an effect are excluded, as for noise
     apart = {q.name for q in body.symbols.model.base_states} - {*reach.driven}
     carrying = tuple(
         n for k, n in enumerate(body.derivative) if k in between and not (n in apart or n.startswith(DISTURBANCE))
@@ -206,7 +216,7 @@ def _with_constants(
 
 
 def _reach(model: Model, measured: Sequence[str]) -> Reach:
-    """What noise reaches. What only an effect couples is left out of the covariance, not out of the mean."""
+    """Return the reach of noise; coupling by effects counts in the mean, not in the covariance."""
     body = Body.of(replace(model, effects=()), effects=False)
     names = list(body.derivative)
     forced = [names.index(n) for n in model.forced]
@@ -222,7 +232,7 @@ def _reach(model: Model, measured: Sequence[str]) -> Reach:
 
 
 def _downstream(body: Body, first: Sequence[int]) -> set[int]:
-    """Places of states that some states reach, themselves among them."""
+    """Return the indices of states influenced by some states, themselves included."""
     feeds, reached = _feeds(body), set(first)
     while grown := {i for i, parts in enumerate(feeds) if parts & reached} - reached:
         reached |= grown
@@ -230,7 +240,7 @@ def _downstream(body: Body, first: Sequence[int]) -> set[int]:
 
 
 def _upstream(body: Body, expressions: Sequence[Any]) -> set[int]:
-    """Places of states that reach some expressions."""
+    """Return the indices of states with influence on some expressions."""
     feeds, place = _feeds(body), {symbol: k for k, symbol in enumerate(body.symbols.state)}
     reaching = {place[v] for e in expressions for v in e.free_symbols if v in place}
     while grown := {j for i in reaching for j in feeds[i]} - reaching:
@@ -239,6 +249,6 @@ def _upstream(body: Body, expressions: Sequence[Any]) -> set[int]:
 
 
 def _feeds(body: Body) -> list[set[int]]:
-    """States in the equation of each."""
+    """Return the states in each equation."""
     place = {symbol: k for k, symbol in enumerate(body.symbols.state)}
     return [{place[v] for v in e.free_symbols if v in place} for e in body.derivative.values()]

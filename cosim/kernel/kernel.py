@@ -1,6 +1,6 @@
-"""What a kernel is: names, sizes and places; it filters a log and runs a model on a log's commands.
+"""Kernel interface: layout, filter and simulation of a log.
 
-A kernel need not have been generated: whoever has a `Layout` and the two calls is one, a foreign FMU as well.
+A kernel need not be generated: any object with a `Layout` and the two calls will do, also a foreign FMU.
 """
 
 from __future__ import annotations
@@ -12,27 +12,28 @@ from typing import Protocol
 
 from cosim.base.arrays import Array
 
-DISTURBANCE = "disturbance."  # before the name of a forced state: the unknown input of its equation, a state of its own
-CONSTANT = "constant."  # before the name of a parameter that is a state which never changes: the filter estimates it
-MEMORY = "disturbance.time"  # the parameter that says how long it lasts [s]
+DISTURBANCE = "disturbance."  # prefix of a forced state's unknown input, a state of its own
+CONSTANT = "constant."  # prefix of a parameter as constant state, for the filter to estimate
+MEMORY = "disturbance.time"  # parameter with the correlation time of unknown inputs [s]
 
 
 @dataclass(frozen=True)
 class Layout:
-    """What stands where in the arrays of a kernel.
+    """Layout of a kernel's arrays.
 
-    parameters: names, in the order of `p`
-    states:     names, in the order of `x`
-    inputs:     names, in the order of `u`
-    outputs:    names of the measured outputs, in the order of `y`
-    stochastic: places of the states that process noise reaches and that reach a measured output
-    noisy:      places, within `stochastic`, of the states that process noise enters: unknown inputs of equations
-                where the kernel has them, else the forced states themselves
-    memory:     number of remembered values
-    delay:      place of the delay among the parameters, -1 where the model has none
-    driven:     places of the states that process noise does not reach and that reach a measured output
-    carrying:   places of the stochastic states that nothing random reaches but a parameter that is a constant state
-    rates:      state → the state that is its derivative, where there is one
+    Attributes:
+        parameters: Names in the order of `p`.
+        states: Names in the order of `x`.
+        inputs: Names in the order of `u`.
+        outputs: Names of the measured outputs in the order of `y`.
+        stochastic: Indices of states between process noise and a measured output.
+        noisy: Indices within `stochastic` of states with process noise: unknown inputs if the kernel has them, else the
+            forced states themselves.
+        memory: Number of stored values.
+        delay: Index of the delay parameter, −1 without delay.
+        driven: Indices of noise-free states with influence on a measured output.
+        carrying: Indices of stochastic states whose only random source is a constant state.
+        rates: State → state that is its derivative, if any.
     """
 
     parameters: tuple[str, ...]
@@ -49,44 +50,45 @@ class Layout:
 
     @property
     def uncertain(self) -> tuple[str, ...]:
-        """Names of the stochastic states."""
+        """Return the names of the stochastic states."""
         return tuple(self.states[k] for k in self.stochastic)
 
     @property
     def noise_places(self) -> list[int]:
-        """Places, among all states, of those that process noise enters."""
+        """Return the state indices with process noise."""
         return [self.stochastic[k] for k in self.noisy]
 
     @property
     def forced_places(self) -> list[int]:
-        """Places, among all states, of those in whose equations something may be missing."""
+        """Return the state indices of possibly deficient equations."""
         return [self.states.index(name) for name in self.forced]
 
     @property
     def forced(self) -> tuple[str, ...]:
-        """Names of the states in whose equations something may be missing."""
+        """Return the state names of possibly deficient equations."""
         return tuple(self.states[k].removeprefix(DISTURBANCE) for k in self.noise_places)
 
     @cached_property
     def constants(self) -> Mapping[str, int]:
-        """Parameters that are constant states → their places among all states."""
+        """Return parameter → state index of constant states."""
         return {n.removeprefix(CONSTANT): k for k, n in enumerate(self.states) if n.startswith(CONSTANT)}
 
     @property
     def coloured(self) -> bool:
-        """Whether noise enters unknown inputs that last for a while."""
+        """Return True if noise enters through unknown inputs with memory."""
         return MEMORY in self.parameters
 
 
 @dataclass(frozen=True)
 class Data:
-    """What the filter sees of a log: u (rows, inputs), y (rows, outputs) with NaN where missing.
+    """A log as input of the filter: u (rows, inputs), y (rows, outputs) with NaN if missing.
 
-    substeps: RK4 steps from row to row
-    interpolated: names of inputs that run straight from row to row; the others are held
-    late:     (rows, outputs) part of a row, −½ … ½, by which a reading is older than its row; None: by none
-    settle:   rows after the first over which the covariance stays P0, for so long no state is known better
-    table:    rows stand each for itself: none follows from the one before
+    Attributes:
+        substeps: RK4 steps from row to row.
+        interpolated: Inputs interpolated between rows; others are held.
+        late: (rows, outputs) age of a reading in rows, −½ … ½; None for none.
+        settle: Rows after the first with constant covariance P0, while states settle.
+        table: True for independent rows.
     """
 
     step: float
@@ -100,7 +102,7 @@ class Data:
     table: bool = False
 
     def rows(self, first: int, end: int) -> Data:
-        """The rows from `first` up to `end`, everything that goes by row with them."""
+        """Return the rows from `first` to `end` with all row data."""
         kept = slice(first, end)
         late = None if self.late is None else self.late[kept]
         return replace(self, start=self.start + first * self.step, u=self.u[kept], y=self.y[kept], late=late)
@@ -108,7 +110,7 @@ class Data:
 
 @dataclass(frozen=True)
 class Filtered:
-    """errors and variances (rows, outputs) of each measurement before it is taken; states and memory after."""
+    """Innovations and variances (rows, outputs) before each measurement update; states and memory after."""
 
     errors: Array
     variances: Array
@@ -118,7 +120,7 @@ class Filtered:
 
 @dataclass(frozen=True)
 class Simulated:
-    """outputs (rows, outputs) free of noise, states and memory (rows, …); NaN before the first row."""
+    """Noise-free outputs (rows, outputs), states and memory (rows, …); NaN before the first row."""
 
     outputs: Array
     states: Array
@@ -126,19 +128,25 @@ class Simulated:
 
 
 class Kernel(Protocol):
-    """What runs the filter over a log."""
+    """Filter and simulation of a log."""
 
     @property
     def layout(self) -> Layout:
-        """Names, sizes and places."""
+        """Return the layout of the arrays."""
 
     def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
-        """Filter one log; q is per stochastic state, r per output, or per row and output.
+        """Filter one log; a diverging run gives infinite errors.
 
-        A run that diverges gives infinite errors.
+        Args:
+            q: Noise density of each stochastic state.
+            r: Variance of each output, or of each row and output.
         """
 
     def simulate(
         self, data: Data, p: Array, x0: Array, memory: Array, kicks: Array | None = None, *, first: int = 0
     ) -> Simulated:
-        """Run on the commands of a log from row `first`, `kicks` (rows, states) added to the state at each row."""
+        """Simulate with the commands of a log from row `first`.
+
+        Args:
+            kicks: Increments added to the state at each row, shape (rows, states).
+        """

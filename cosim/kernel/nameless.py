@@ -1,8 +1,10 @@
-"""Terms of no catalogue in the equation of a forced state: basis functions of one signal each, and local shapes.
+"""Terms outside the catalogue in forced equations: basis functions of one signal, and local shapes.
 
-A local shape is set by numbers, so that one kernel serves every place on every signal. With z the signals,
+Parameters define a local shape, so that one kernel serves every place on every signal. With signals z,
+
     to · (by.1 + f) · (Σ c_k·bump(ζ − k) + c·rise(ζ))      f = by·z, clipped to −1 … 1 where dry is 1      ζ = of·z
-bump falls from 1 to 0 within 2, rise climbs from 0 to 1 between −1 and 1. All numbers 0: there is none.
+
+bump falls from 1 to 0 within 2, rise climbs from 0 to 1 between −1 and 1. With all parameters 0, no shape exists.
 """
 
 from __future__ import annotations
@@ -13,20 +15,20 @@ from typing import Any
 
 from cosim.model.symbolic.symbols import SymbolicModel
 
-PREFIX = "unnamed"  # of their coefficients among the parameters: `unnamed.state.basis`
-LOCAL = "local"  # of the numbers of a local shape: `local.1.of.position`, and `local.1.of.1` of the constant
-SLOTS, KNOTS = 2, 8  # local shapes at a time, and bumps of each
+PREFIX = "unnamed"  # prefix of coefficients: `unnamed.state.basis`
+LOCAL = "local"  # prefix of a local shape's parameters: `local.1.of.position`, and `local.1.of.1` of the constant
+SLOTS, KNOTS = 2, 8  # simultaneous local shapes, and bumps of each
 ROLES = ("of", "by")
-REACH = 2.0  # of ζ, at which a bump has fallen to 0
+REACH = 2.0  # ζ at which a bump reaches 0
 
 
 def bases(s: SymbolicModel, unknown: Container[str] = ()) -> dict[str, Any]:
-    """Basis functions: 1, time, states, powers of velocities, their product with time, circles of angles, commands."""
+    """Return basis functions of constants, time, states, velocities, angles and commands by name."""
     import sympy
 
     found: dict[str, Any] = {"1": sympy.Integer(1), "time": s.time}
     for q, x in zip(s.model.base_states, s.state, strict=False):
-        if q.name in unknown:  # drifts unseen: nothing can be said to depend on it
+        if q.name in unknown:  # a state that drifts unobserved cannot be a regressor
             continue
         found[q.name] = x
         if q.unit in {"m/s", "rad/s"}:
@@ -46,7 +48,7 @@ def bases(s: SymbolicModel, unknown: Container[str] = ()) -> dict[str, Any]:
 
 
 def local_signals(s: SymbolicModel, unknown: Container[str] = ()) -> dict[str, Any]:
-    """Over what a shape may be local: time, states that do not drift unseen, circles of angles, commands."""
+    """Return the signals of local shapes: time, observed states, circles of angles, commands."""
     import sympy
 
     known = [(q, x) for q, x in zip(s.model.base_states, s.state, strict=False) if q.name not in unknown]
@@ -59,10 +61,11 @@ def local_signals(s: SymbolicModel, unknown: Container[str] = ()) -> dict[str, A
 
 @dataclass(frozen=True)
 class LocalShape:
-    """One local shape as symbols: factor · shape, each a symbol of its own that `stages` say how to compute.
+    """One local shape as symbols: the product of factor and shape, computed by `stages`.
 
-    terms:  what it adds to each equation
-    slopes: symbol of a signal → derivatives of factor and shape by it
+    Attributes:
+        terms: Contribution to each equation.
+        slopes: Symbol of a signal → derivatives of factor and shape.
     """
 
     factor: Any
@@ -75,7 +78,11 @@ class LocalShape:
 def local_shape(
     slot: int, signals: dict[str, Any], equations: Sequence[str], number: Callable[[str], Any]
 ) -> LocalShape:
-    """A local shape; `number` gives the symbol of a parameter by its name. It is differentiated once, not per state."""
+    """Return a local shape, differentiated once for all states.
+
+    Args:
+        number: Function from a parameter's name to its symbol.
+    """
     import sympy
 
     def symbol(name: str) -> Any:
@@ -105,17 +112,17 @@ def local_shape(
 
 
 def bump(x: Any) -> Any:
-    """(1 − x²/4)³ where that is positive: of an array or a symbol."""
+    """Return (1 − x²/4)³ where positive, for arrays or symbols."""
     below = 1 - x * x / REACH**2
     return ((below + abs(below)) / 2) ** 3
 
 
 def clipped(x: Any) -> Any:
-    """−1 … 1."""
+    """Return x limited to −1 … 1."""
     return (abs(x + 1) - abs(x - 1)) / 2
 
 
 def rise(x: Any) -> Any:
-    """0 below −1, 1 above 1, a cubic between."""
+    """Return 0 below −1, 1 above 1, a cubic between."""
     c = clipped(x)
     return (2 + 3 * c - c**3) / 4

@@ -1,4 +1,4 @@
-"""How long a filter waits until states that nothing measures have forgotten where they were thought to start."""
+"""Settling time of unmeasured states after a wrong start of the filter."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from cosim.base.linear_algebra import eigenvalues
 from cosim.model.model import Model
 from cosim.model.namespaces import SCALAR
 
-FORGOTTEN = 1e-4  # of a wrong start, from which it no longer counts
-STILL = 1e-9  # [1/s], slower is no decay
+FORGOTTEN = 1e-4  # remaining share of a wrong start that no longer counts
+STILL = 1e-9  # [1/s] slowest rate that counts as decay
 
 
 def settling(model: Model, names: Sequence[str]) -> float:
-    """[s] until these states, known from the commands alone, have forgotten all but FORGOTTEN of a wrong start.
+    """Return the settling time of states driven by commands alone [s].
 
-    ln(1/FORGOTTEN) times the slowest stable time constant of the base model about its start; 0 where it has none.
+    ln(1/FORGOTTEN) times the slowest stable time constant of the base model at its start; 0 without one.
     """
     base = replace(model, effects=())
     derivative, start, command = base.acting(SCALAR).derivative, base.start(), base.start_command()

@@ -1,1 +1,1 @@
-"""A model about a point: A, B, C and D, what they tell of it, and who takes them."""
+"""Linear models A, B, C and D at a point, their properties, and their files."""

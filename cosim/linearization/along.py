@@ -1,4 +1,4 @@
-"""A moment of a scenario: the scenario is run, and what the model was told there takes it to its state at that time."""
+"""Linearization points along a run of a scenario, with states from the inputs of the model's component."""
 
 from __future__ import annotations
 
@@ -23,13 +23,14 @@ from cosim.simulation.workflow import run
 from cosim.storage.results import Results
 
 SLACK = 1e-9  # [s]
-AGREE = 1e-6  # of an output's range, within which the model and the component are one
+AGREE = 1e-6  # share of an output's range within which model and component agree
 
 
 class Along:
-    """Points of a model along a run; an FMU is flown itself, in the place of the component.
+    """Points of a model along a run; an FMU replaces the component in the scenario.
 
-    component: in the scenario, where several would do
+    Args:
+        component: Name in the scenario if several components fit.
     """
 
     def __init__(self, source: Source, moment: Moment, component: str = "") -> None:
@@ -50,11 +51,11 @@ class Along:
 
     @property
     def given(self) -> dict[str, Any]:
-        """Start values and parameters that the scenario gives the component."""
+        """Return the scenario's start values and parameters of the component."""
         return dict(self._manifest["scenario"]["components"].get(self._name, {}).get("start") or {})
 
     def points(self, source: Source) -> list[Point]:
-        """One a time; the source knows the parameters that the scenario gives."""
+        """Return one point for each time, from a source with the scenario's parameters."""
         self._source = source
         inputs = self._columns(source.inputs)
         if isinstance(source, EquationSource):
@@ -65,10 +66,14 @@ class Along:
                 raise InputError([Fault(AT, 0, 0, f"{self._name} of {self._moment.scenario} records no {names}")])
         return [Point(float(self._results.time[k]), states[k], inputs[k]) for k in self._rows]
 
-    # -- within -------------------------------------------------------------------------------
+    # -- internals ----------------------------------------------------------------------------
 
     def _component(self, asked: str) -> str:
-        """The component whose inputs and outputs are the model's; InputError where there is none, or a choice."""
+        """Return the component with the model's inputs and outputs.
+
+        Raises:
+            InputError: No component fits, or several do.
+        """
         columns, wanted = set(self._results.columns), (*self._source.inputs, *self._source.outputs)
         owners = dict.fromkeys(column.partition(".")[0] for column in self._results.columns)
         missing = {owner: [n for n in wanted if f"{owner}.{n}" not in columns] for owner in owners}
@@ -95,7 +100,7 @@ class Along:
         return np.column_stack(found) if found else np.zeros((len(self._results.time), 0))
 
     def _rows_of(self, times: Array) -> list[int]:
-        """The communication point of each time, or the last before it."""
+        """Return the communication point at or before each time."""
         have, slack = self._results.time, SLACK
         _check_times(self._moment, float(have[0]), float(have[-1]))
         rows = np.searchsorted(have, times + slack * np.maximum(1.0, np.abs(times)), side="right") - 1
@@ -104,7 +109,7 @@ class Along:
         return [int(k) for k in rows]
 
     def _driven(self, source: EquationSource, inputs: Array) -> Array:
-        """States of the equations under the component's inputs, from its start values; noted where outputs differ."""
+        """Return the states of the equations under the component's inputs."""
         stepper, time = Stepper(source.model), self._results.time
         memories = {f"{e.name}.{q.name}": q.unit for e in source.model.awake for q in e.memory}
         units = {**memories, **{n: source.units[n] for n in source.states}}
@@ -127,7 +132,7 @@ class Along:
         return np.array(source._equations.output(float(t), state, tuple(inputs.tolist())), float)
 
     def _compare(self, source: EquationSource, shown: Array) -> None:
-        """Say where the model is not what the component is."""
+        """Note a difference between model and component."""
         there = self._columns(source.outputs)[: len(shown)]
         off = np.abs(there - shown).max(axis=0)
         size = np.maximum(np.ptp(there, axis=0), 1e-3)
@@ -141,7 +146,7 @@ class Along:
 
 
 def _check(moment: Moment, component: str) -> None:
-    """What the scenario itself tells, before it is run: its times and the names in it."""
+    """Check times and names against the scenario before its run."""
     if not moment.scenario.is_file():
         raise InputError([Fault(moment.scenario, 0, 0, "no such scenario")])
     if is_ssp(moment.scenario):
@@ -165,6 +170,6 @@ def _run(scenario: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[R
         outcome = run(scenario, folder, list(overrides), report=False)
     except (InputError, FmuError, SimulationError) as error:
         if isinstance(error, SimulationError):
-            error.left = None  # its folder goes with this command
+            error.left = None  # the temporary folder is deleted
         raise
     return outcome.results, outcome.manifest

@@ -1,4 +1,4 @@
-"""What a linear model comes to, in words and short tables: for the terminal and for the page."""
+"""Descriptions of a linear model in words and tables, for terminal and page."""
 
 from __future__ import annotations
 
@@ -13,30 +13,52 @@ from cosim.linearization.linear_model import Linear
 from cosim.linearization.system_structure import Pole, Structure
 
 SHOWN = 16  # columns of a matrix on a terminal
+STILL_POLE = 1e-9  # [1/s] real part of a pole, up to which it is on the imaginary axis
 
 
 def number(value: float) -> str:
-    """Five digits, no needless ones."""
+    """Return at most five significant digits."""
     return f"{value + 0.0:.5g}".replace("-", "\u2212") if math.isfinite(value) else MISSING
 
 
 def headline(found: Structure, linear: Linear) -> str:
-    """One sentence."""
+    """Return the stability of the operating point in a sentence, and what inputs reach and outputs show in another."""
     n = len(linear.states)
     if not n:
-        return "It has no states: D alone says how outputs follow inputs."
-    if linear.at_rest:
-        slowest = sum(p.count for p in found.poles if p.value.real >= -1e-9)
-        at = f" ({counted(slowest, 'pole')} not to the left of the imaginary axis)" if slowest else ""
-        told = ("Asymptotically stable" if found.stable else "Not asymptotically stable") + at
-    else:  # neighbours of a motion may part though the poles of each of its points lie to the left
-        told = f"No equilibrium; {'all' if found.stable else 'not all'} poles lie to the left of the imaginary axis"
-    reach = f"inputs reach {found.controllable} of {counted(n, 'state')}, outputs show {found.observable}"
-    return f"{told}; {reach}."
+        return "The model has no states: its outputs follow its inputs without delay."
+    if not linear.at_rest:  # neighbours of a motion may part though the poles of each of its points lie to the left
+        stability = f"No equilibrium: the model moves here; {_sides(found)}"
+    elif found.stable:
+        slowest = max(found.poles, key=lambda p: p.value.real)
+        stability = f"Stable equilibrium: the slowest deviation {meaning(slowest)}"
+    elif growing := [p for p in found.poles if p.value.real > STILL_POLE]:
+        fastest = max(growing, key=lambda p: p.value.real)
+        stability = f"Unstable equilibrium: the fastest deviation {meaning(fastest)}"
+    else:
+        still = counted(sum(p.count for p in found.poles if p.value.real >= -STILL_POLE), "pole")
+        stability = f"Not asymptotically stable: {still} on the imaginary axis; some deviations do not decay"
+    reach = f"The inputs reach {found.controllable} of {counted(n, 'state')}; the outputs show {found.observable}"
+    return f"{stability}. {reach}."
+
+
+def _sides(found: Structure) -> str:
+    return f"{'all' if found.stable else 'not all'} poles are to the left of the imaginary axis"
+
+
+def meaning(p: Pole) -> str:
+    """Return the behaviour of a deviation along a pole, as the predicate of a sentence."""
+    real, imag = p.value.real, abs(p.value.imag)
+    if not p.value:
+        return {1: "stays", 2: "grows linearly (double integrator)"}.get(max(p.blocks), "grows with a power of time")
+    swings = f"oscillates with a period of {number(2 * math.pi / imag)} s" if imag else ""
+    if abs(real) <= STILL_POLE:
+        return f"{swings} without damping"
+    time = f"{'grows' if real > 0 else 'decays'} with a time constant of {number(1.0 / abs(real))} s"
+    return f"{swings} and {time}" if swings else time
 
 
 def pole_rows(found: Structure) -> list[dict[str, str]]:
-    """The table of poles; of a pair the one above the real axis."""
+    """Return the table of poles; a pair has one row."""
     return [_row(p) for p in found.poles if p.value.imag >= 0.0]
 
 
@@ -49,21 +71,35 @@ def _row(p: Pole) -> dict[str, str]:
         "frequency": number(p.natural_frequency),
         "damping": number(p.damping_ratio),
         "time": "∞" if math.isinf(p.time_constant) else number(p.time_constant),
+        "meaning": meaning(p),
         "reached": "yes" if p.controllable else "no",
         "shown": "yes" if p.observable else "no",
     }
 
 
-HEAD = ("pole [1/s]", "times", "Jordan blocks", "ωₙ [rad/s]", "ζ", "−1/Re [s]", "controllable", "observable")
+HEAD = (
+    "pole [1/s]",
+    "times",
+    "Jordan blocks",
+    "ωₙ [rad/s]",
+    "ζ",
+    "−1/Re [s]",
+    "deviation",
+    "controllable",
+    "observable",
+)
 
 
 def pole_table(found: Structure) -> list[tuple[str, ...]]:
-    """Rows under HEAD."""
+    """Return the rows under HEAD."""
     return [tuple(row.values()) for row in pole_rows(found)]
 
 
 def matrix_lines(name: str, matrix: Array, rows: Sequence[str], columns: Sequence[str]) -> list[list[str]]:
-    """A matrix as rows of cells, the first its header; one of more than SHOWN columns its entries that are not 0."""
+    """Return a matrix as rows of cells with a header.
+
+    A matrix with more than SHOWN columns is a list of its nonzero entries.
+    """
     if not matrix.size:
         return []
     if len(columns) > SHOWN:

@@ -1,4 +1,4 @@
-"""An FMU for model exchange as a source of linear models, loaded into a process of its own."""
+"""Linear models of an FMU for model exchange in a worker process."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ from cosim.storage.yaml_file import did_you_mean
 
 MODULES = ("cosim.linearization.fmu_source", "fmpy.fmi2", "fmpy.logging")
 NAME = "fmu"
-DIFFERENCE = 1e-5  # of each state and input, or of 1
-APART = 1e-3  # by which an FMU's own slopes may differ from differences, of the largest in a row
+DIFFERENCE = 1e-5  # difference step relative to each state and input, or to 1
+APART = 1e-3  # allowed deviation of an FMU's derivatives from differences, relative to the largest in a row
 GIVEN = "directional derivatives of the FMU"
 Found = tuple[Array, Array, Array, list[str], list[Kink], bool]
 
-# -- in the worker ------------------------------------------------------------------------------
+# -- in the worker ----------------------------------------------------------------------------
 
 
 def state_references(path: Path, description: Any, start: Mapping[str, Any]) -> list[int]:
-    """Return the value references of the states of an FMU of FMI 1.0."""
+    """Return the value references of the states of an FMI 1.0 FMU."""
     block = _opened(path, description, start)
     try:
         return block.state_references()
@@ -53,7 +53,7 @@ def state_references(path: Path, description: Any, start: Mapping[str, Any]) -> 
 
 
 def begin(path: Path, description: Any, start: Mapping[str, Any]) -> tuple[Array, Array]:
-    """States and inputs that the FMU starts with."""
+    """Return the start values of states and inputs."""
     block = _opened(path, description, start)
     try:
         return block.here()
@@ -64,9 +64,13 @@ def begin(path: Path, description: Any, start: Mapping[str, Any]) -> tuple[Array
 def about(
     path: Path, description: Any, start: Mapping[str, Any], points: Sequence[Point], step: float, given: bool
 ) -> list[Found]:
-    """Slopes, rates and outputs, states after events, notes, kinks, whether the slopes are its own, of each point.
+    """Return the linearization of each point with notes and kinks.
 
-    An FMU whose directional derivatives fail is opened anew and moved in their place.
+    If directional derivatives fail, the FMU is reopened for differences.
+
+    Returns:
+        For each point: slopes, rates and outputs, states after events, notes, kinks, and True for directional
+        derivatives.
     """
     if not given:
         return _about(path, description, start, points, step, given=False)
@@ -108,7 +112,7 @@ def _opened(path: Path, description: Any, start: Mapping[str, Any]) -> Different
 
 
 def _notes(block: DifferentiableFmu, point: Point, after: Array) -> tuple[list[str], list[Kink]]:
-    """States that an event has moved, and kinks."""
+    """Return notes on states moved by an event, and kinks."""
     n, notes = len(after), []
     names = scalars(states_of(block.description))
     moved = np.abs(after - point.states) > 1e-9 * (1.0 + np.abs(point.states))
@@ -123,7 +127,7 @@ def _notes(block: DifferentiableFmu, point: Point, after: Array) -> tuple[list[s
 
 
 def _believed(block: DifferentiableFmu, point: Point, slopes: Array, step: float) -> tuple[Array, list[str]]:
-    """The FMU's own slopes, but for rows in which differences show others: those are taken, and noted."""
+    """Return the FMU's derivatives, with differences in deviating rows, and notes."""
     differences, _, _ = slopes_at(block, point.time, point.states, point.inputs, step, given=False)
     size = np.maximum(np.abs(differences).max(axis=1, initial=0.0), np.abs(slopes).max(axis=1, initial=0.0))
     off = np.abs(slopes - differences).max(axis=1, initial=0.0) > APART * np.maximum(size, 1e-9)
@@ -136,13 +140,14 @@ def _believed(block: DifferentiableFmu, point: Point, slopes: Array, step: float
     return np.where(off[:, None], differences, slopes), [note]
 
 
-# -- its caller -----------------------------------------------------------------------------------
+# -- in the caller ----------------------------------------------------------------------------
 
 
 class ExchangeSource(Source):
-    """An FMU by its derivatives.
+    """An FMU with access to its derivatives.
 
-    step: of central differences, asked for in place of the FMU's own directional derivatives
+    Args:
+        step: Step of central differences, which then replace the FMU's directional derivatives.
     """
 
     def __init__(
@@ -162,18 +167,18 @@ class ExchangeSource(Source):
         self.step = self.reach = DIFFERENCE if step is None else step
 
     def given(self, values: Mapping[str, Any], over: Sequence[str]) -> ExchangeSource:
-        """The same with the start values of a scenario's component, but for those that this FMU does not have."""
+        """Return the source with start values of a scenario's component."""
         known = {v.name for v in self._description.modelVariables}
         start = typed_values(self._path, self._description, {n: v for n, v in values.items() if n in known})
         return ExchangeSource(self._worker, self._path, self._description, {**start, **self._start}, self._asked)
 
     def start(self) -> Point:
-        """As the FMU initializes itself."""
+        """Return the start after the FMU's initialization."""
         states, inputs = self._call(begin)
         return Point(0.0, states, inputs)
 
     def linear(self, points: Sequence[Point]) -> list[Linear]:
-        """About each point."""
+        """Return the linear model at each point."""
         n, made, names = len(self.states), [], (self.states, self.inputs, self.outputs)
         found: list[Found] = self._call(about, list(points), self.step, self._own)
         differences = f"central differences of the FMU, step {self.step:g} of each value or of 1"
@@ -190,7 +195,11 @@ class ExchangeSource(Source):
 
 
 def check_differentiable(path: Path, description: Any) -> None:
-    """InputError where an FMU cannot be asked for its derivatives, with what can be."""
+    """Check that the derivatives of an FMU are accessible.
+
+    Raises:
+        InputError: They are not; the message names alternatives.
+    """
     if "model-exchange" not in ways(description):
         what = "is for co-simulation only, and hides its states and derivatives"
         cure = "give the model's own file (model.yaml, file.py:Class or base), or an FMU for model exchange"
@@ -200,7 +209,11 @@ def check_differentiable(path: Path, description: Any) -> None:
 
 
 def typed_values(path: Path, description: Any, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Start values in the type and unit of their variables; InputError with every one that does not fit."""
+    """Return start values in the type and unit of their variables.
+
+    Raises:
+        InputError: Every unsuitable value.
+    """
     variables, found, faults = {v.name: v for v in description.modelVariables}, {}, []
     for name, value in given.items():
         variable = variables.get(name)

@@ -1,4 +1,4 @@
-"""Frequency response: G(jω) = C·(jωI − A)⁻¹·B + D, over the frequencies where something happens."""
+"""Frequency response G(jω) = C·(jωI − A)⁻¹·B + D over the relevant frequencies."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from cosim.linearization.linear_model import Linear
 from cosim.linearization.system_structure import poles
 
 POINTS = 400
-DECADE = 10.0  # below the slowest and above the fastest pole that is not at 0
+DECADE = 10.0  # factor below the slowest and above the fastest nonzero pole
 Response = NDArray[np.complex128]  # (outputs, inputs, frequencies)
 
 
 def frequencies(linear: Linear) -> Array:
-    """From a decade below the slowest pole to one above the fastest [rad/s]; 0.01 … 100 where there is none."""
+    """Return frequencies around the poles [rad/s], 0.01 … 100 without poles."""
     sizes = [abs(p) for p in poles(linear.A)]
     moving = [s for s in sizes if s > 1e-6 * max(sizes)] if any(sizes) else []
     low, high = (min(moving) / DECADE, max(moving) * DECADE) if moving else (0.01, 100.0)
@@ -24,7 +24,7 @@ def frequencies(linear: Linear) -> Array:
 
 
 def response(linear: Linear, omega: Array) -> Response:
-    """G(jω), shape (outputs, inputs, frequencies)."""
+    """Return G(jω), shape (outputs, inputs, frequencies)."""
     n = len(linear.A)
     found = np.empty((len(linear.outputs), len(linear.inputs), omega.size), complex)
     for k, w in enumerate(omega):

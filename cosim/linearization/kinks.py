@@ -1,4 +1,4 @@
-"""Points at which a model has no derivative: slopes to either side differ, as at the edge of a dead band or a stop."""
+"""Points without a derivative: the one-sided slopes differ, as at the edge of a dead band or a stop."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import numpy as np
 
 from cosim.base.arrays import Array
 
-STEP = 1e-6  # of each state and input, or of 1, over which slopes to either side are compared
-BENT = 1e-3  # of the largest slope in a row, by which they may differ
-NEARER = 10.0  # so many times
-BESIDE = 3.0  # steps from the kink to where the slopes of a side are taken
+STEP = 1e-6  # step of one-sided slopes relative to each state and input, or to 1
+BENT = 1e-3  # allowed difference relative to the largest slope in a row
+NEARER = 10.0  # factor of the second, closer look
+BESIDE = 3.0  # steps from the kink to the one-sided slopes
 SIDES = {"below": -1.0, "above": 1.0}
 RATE, OUTPUT = "rate", "output"
 
 
 @dataclass(frozen=True)
 class Row:
-    """Slope of a rate or an output to either side; jump: of its value from below to above, 0 at a mere kink."""
+    """One-sided slopes of a rate or an output, and its jump; 0 at a mere kink."""
 
     of: str
     name: str
@@ -36,7 +36,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Kink:
-    """A state or input at whose value slopes in it differ from side to side; side: whose slopes were taken."""
+    """A state or input value with different one-sided slopes; `side` tells which were used."""
 
     variable: str
     value: float
@@ -45,19 +45,19 @@ class Kink:
 
     @property
     def told(self) -> str:
-        """Where it is, and what each side gives; three rows of many."""
+        """Return location and slopes in words, at most three rows."""
         rows = "; ".join(map(str, self.rows[:3]))
         more = f"; and {len(self.rows) - 3} rows more" if len(self.rows) > 3 else ""
         what = "jump" if any(r.jump for r in self.rows) else "kink"
         return f"{self.variable} = {self.value:.6g} is a {what}: {rows}{more}"
 
     def kept(self, states: Sequence[str], outputs: Sequence[str]) -> Kink:
-        """With the rows of these alone."""
+        """Return the kink with only these rows."""
         names = {RATE: states, OUTPUT: outputs}
         return replace(self, rows=tuple(r for r in self.rows if r.name in names[r.of]))
 
     def taken(self, slopes: Mapping[tuple[str, str], float]) -> Kink:
-        """With the side whose slopes, by kind and name, these are."""
+        """Return the kink with the side of these slopes."""
 
         def off(side: str) -> float:
             return sum(abs(slopes[r.of, r.name] - float(getattr(r, side))) for r in self.rows)
@@ -65,7 +65,7 @@ class Kink:
         return replace(self, side=min(SIDES, key=off))
 
     def as_json(self) -> dict[str, Any]:
-        """For a script."""
+        """Return plain data for scripts."""
         rows = [vars(r) for r in self.rows]
         return {"variable": self.variable, "value": self.value, "side": self.side, "rows": rows}
 
@@ -73,7 +73,7 @@ class Kink:
 def kinks_at(
     rates: Callable[[Array], Array], z: Array, states: Sequence[str], inputs: Sequence[str], outputs: Sequence[str]
 ) -> list[Kink]:
-    """Kinks of a function of states and inputs that gives rates and outputs, at z."""
+    """Return the kinks at z of a function from states and inputs to rates and outputs."""
     here, found = rates(z), []
     rows = [*((RATE, n) for n in states), *((OUTPUT, n) for n in outputs)]
     for k, name in enumerate((*states, *inputs)):
@@ -86,11 +86,11 @@ def kinks_at(
         bent = np.abs(ahead - behind) > BENT * size + 1e-8 * np.abs(here) / h + 1e-9 / h
         if not bent.any():
             continue
-        # nearer to the point a curve is straight, a kink is not
+        # Closer to the point, a curve becomes straight and a kink does not.
         near = h / NEARER
         up, further, down, back = (rates(z + m * near * along) for m in (1.0, 2.0, -1.0, -2.0))
         bent &= np.abs(up - 2.0 * here + down) / near > 0.5 * np.abs(ahead - behind)
-        # slopes beyond the first step of each side, so that a jump at the point is in neither
+        # Slopes start one step from the point, so that a jump at the point affects neither side.
         above, below = (further - up) / near, (down - back) / near
         jump = (2.0 * up - further) - (2.0 * down - back)
         jump = np.where(np.abs(jump) > 0.5 * np.abs(up - down), jump, 0.0)

@@ -1,4 +1,4 @@
-"""A linear model about a point, and smaller ones made of it."""
+"""Linear models at a point, and their reduction."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.linearization.kinks import Kink
 
-HELD = 1e-9  # of a matrix's largest entry, below which an entry couples nothing
+HELD = 1e-9  # share of a matrix's largest entry below which an entry couples nothing
 
-STILL = 1e-6  # a second, in the units of the states: rates below are taken as none
+STILL = 1e-6  # [state unit/s] rates below count as zero
 
 
 @dataclass(frozen=True)
 class Point:
-    """Where a model is linearised: time [s], states and inputs in the order of the model."""
+    """A linearization point: time [s], states and inputs in the order of the model."""
 
     time: float
     states: Array
@@ -27,14 +27,15 @@ class Point:
 
 @dataclass(frozen=True)
 class Linear:
-    """d(x − x₀)/dt = A·(x − x₀) + B·(u − u₀) + f₀, y − y₀ = C·(x − x₀) + D·(u − u₀).
+    """Linear model d(x − x₀)/dt = A·(x − x₀) + B·(u − u₀) + f₀, y − y₀ = C·(x − x₀) + D·(u − u₀).
 
-    rates:   f₀, zero where the point is an equilibrium
-    values:  y₀
-    units:   of states, inputs and outputs by name; "" where none is known
-    method:  how the slopes were found
-    notes:   what is to be known of them
-    kinks:   states and inputs at whose value there is no derivative, with the slopes to either side
+    Attributes:
+        rates: f₀, zero at an equilibrium.
+        values: y₀.
+        units: Units of states, inputs and outputs by name; "" if unknown.
+        method: Origin of the derivatives.
+        notes: Remarks on the derivatives.
+        kinks: States and inputs without a derivative at the point, with one-sided slopes.
     """
 
     A: Array
@@ -54,25 +55,28 @@ class Linear:
 
     @property
     def at_rest(self) -> bool:
-        """No state moves at the point: it is an equilibrium, whose stability the poles tell."""
+        """Return True at an equilibrium, whose stability follows from the poles."""
         return not self.rates.size or float(np.abs(self.rates).max()) < STILL
 
     def ss(self) -> Any:
-        """The same as a `control.StateSpace`, with its names."""
+        """Return the model as a named `control.StateSpace`."""
         import control
 
         names = {name: list(getattr(self, name)) for name in ("states", "inputs", "outputs")}
         return control.ss(self.A, self.B, self.C, self.D, **names, remove_useless_states=False)
 
     def unit(self, name: str) -> str:
-        """Unit of a state, input or output."""
+        """Return the unit of a state, input or output."""
         return self.units.get(name, "")
 
 
 def residualised(linear: Linear, fast: Sequence[str]) -> Linear:
-    """Without states that settle at once: 0 = A₂₁·x + A₂₂·x₂ + B₂·u solved for x₂.
+    """Return the model with fast states eliminated at their steady state.
 
-    Raises ValueError where they do not settle by themselves (A₂₂ singular).
+    0 = A₂₁·x + A₂₂·x₂ + B₂·u is solved for x₂.
+
+    Raises:
+        ValueError: The states do not settle by themselves (A₂₂ singular).
     """
     if not fast:
         return linear
@@ -97,7 +101,7 @@ def residualised(linear: Linear, fast: Sequence[str]) -> Linear:
 
 
 def missing_states(linear: Linear, states: Sequence[str]) -> list[str]:
-    """States that others of a choice depend on and that are not in it."""
+    """Return states outside a selection with influence on selected states."""
     kept = [linear.states.index(n) for n in states]
     others = [k for k in range(len(linear.states)) if k not in kept]
     if not others or not kept:
@@ -107,7 +111,7 @@ def missing_states(linear: Linear, states: Sequence[str]) -> list[str]:
 
 
 def chosen(linear: Linear, states: Sequence[str], inputs: Sequence[str], outputs: Sequence[str]) -> Linear:
-    """Some states, inputs and outputs in an order of one's own; outputs that show other states lose that part."""
+    """Return a selection of states, inputs and outputs; contributions of other states are lost."""
     x = [linear.states.index(n) for n in states]
     u = [linear.inputs.index(n) for n in inputs]
     y = [linear.outputs.index(n) for n in outputs]

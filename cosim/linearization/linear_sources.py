@@ -1,4 +1,4 @@
-"""Where linear models come from: a model's equations, differentiated exactly; an FMU, asked or moved a little."""
+"""Sources of linear models: equations with exact derivatives, and FMUs."""
 
 from __future__ import annotations
 
@@ -20,15 +20,16 @@ from cosim.model.model import Effect, overrides
 from cosim.model.namespaces import SCALAR
 
 EXACT = "the equations, differentiated exactly"
-SETTLED = 1e-12  # of the rates, where states that are to settle have done so
+SETTLED = 1e-12  # share of the rates below which fast states are at steady state
 PASSES = 50
 
 
 class Source(ABC):
-    """What can be linearised.
+    """A system that can be linearized.
 
-    title:  what it is; starts: states and inputs where nothing else is said
-    reach:  steps of its differences, of each state and input or of 1
+    Attributes:
+        title: Name of the system.
+        reach: Step of its differences relative to each state and input, or to 1.
     """
 
     title: str
@@ -41,19 +42,23 @@ class Source(ABC):
 
     @abstractmethod
     def given(self, values: Mapping[str, Any], over: Sequence[str]) -> Source:
-        """The same with start values and parameters as a scenario gives them, but for those of NAME=VALUE in `over`."""
+        """Return the source with a scenario's values, except those set in `over`."""
 
     @abstractmethod
     def start(self) -> Point:
-        """Where it starts."""
+        """Return the start point."""
 
     @abstractmethod
     def linear(self, points: Sequence[Point]) -> list[Linear]:
-        """The linear model about each point; SimulationError where there is none."""
+        """Return the linear model at each point.
+
+        Raises:
+            SimulationError: The model has no finite derivatives.
+        """
 
 
 class EquationSource(Source):
-    """A model by its equations, with what acts in it now."""
+    """A model with its equations and active effects."""
 
     def __init__(self, loaded: LoadedModel, name: str) -> None:
         from cosim.model.symbolic.linearize import Linearizer
@@ -70,7 +75,7 @@ class EquationSource(Source):
         self._linearizer = Linearizer(model)
 
     def given(self, values: Mapping[str, Any], over: Sequence[str]) -> EquationSource:
-        """The same with parameters as a scenario gives them to its component, but for those named `over`."""
+        """Return the source with a scenario's parameters, except those set in `over`."""
         model = self.model
         named = {text.partition("=")[0].strip() for text in over}
         texts = [f"{n}={str(v).lower() if isinstance(v, bool) else v}" for n, v in values.items()]
@@ -80,11 +85,11 @@ class EquationSource(Source):
         return EquationSource(replace(self._loaded, model=with_parameters(model, wanted)), self.name)
 
     def start(self) -> Point:
-        """The start of the model."""
+        """Return the model's start."""
         return Point(0.0, np.array(self.model.start(), float), np.array(self.model.start_command(), float))
 
     def linear(self, points: Sequence[Point]) -> list[Linear]:
-        """About each point."""
+        """Return the linear model at each point."""
         return [self._about(point) for point in points]
 
     def _about(self, point: Point) -> Linear:
@@ -106,12 +111,12 @@ class EquationSource(Source):
         return np.array(derivative(t, state, command), float), np.array(output(t, state, command), float)
 
     def _memories(self) -> list[str]:
-        """What acts on commands before they reach the equations."""
+        """Return notes on effects that shape commands before the equations."""
         shaping = overrides(self.model.awake, "shape", Effect)
         return [f"{e.name} ({e.equation}) acts on the inputs before they get here and is left out" for e in shaping]
 
     def _kinks(self, point: Point) -> tuple[list[Kink], list[str]]:
-        """Where the equations bend: slopes to either side are not the same; and what is to be known besides."""
+        """Return kinks of the equations and notes."""
 
         def rates(z: Array) -> Array:
             n = len(self.states)
@@ -120,14 +125,17 @@ class EquationSource(Source):
         z = np.concatenate([point.states, point.inputs])
         try:
             return kinks_at(rates, z, self.states, self.inputs, self.outputs), []
-        except (ArithmeticError, ValueError):  # there is nothing to one side
+        except (ArithmeticError, ValueError):  # the equations are undefined on one side
             return [], ["the equations end at this point: to one side of it they have no value"]
 
 
 def settled(source: Source, point: Point, fast: Sequence[str]) -> Point:
-    """The point with these states where they come to rest, the others and inputs held: f₂(x₂) = 0 by Newton's steps.
+    """Return the point with fast states at rest, by Newton steps.
 
-    Raises ValueError where they do not.
+    The other states and the inputs are held: f₂(x₂) = 0.
+
+    Raises:
+        ValueError: The states do not come to rest.
     """
     rows = [source.states.index(n) for n in fast]
     for _ in range(PASSES if rows else 0):

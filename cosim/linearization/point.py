@@ -1,4 +1,4 @@
-"""`--at`: values of states and inputs, or a moment of a scenario."""
+"""Option `--at`: values of states and inputs, or times of a scenario."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ AT = Path("--at")
 
 @dataclass(frozen=True)
 class Moment:
-    """A scenario and the times in it [s]."""
+    """A scenario and times [s]."""
 
     scenario: Path
     times: Array
@@ -31,14 +31,20 @@ class Moment:
 
 @dataclass(frozen=True)
 class Where:
-    """What `--at` says: values by name, as written, over those of a moment or of the start."""
+    """Content of `--at`: values by name, which override those of the moment or the start."""
 
     values: Mapping[str, str]
     moment: Moment | None
 
 
 def read_at(given: Sequence[str]) -> Where:
-    """`NAME=VALUE[,NAME=VALUE …]` and at most one `SCENARIO@TIME` or `SCENARIO@START:STOP:STEP`; InputError."""
+    """Return the values and the moment of `--at` texts.
+
+    Forms: `NAME=VALUE[,NAME=VALUE …]` and at most one `SCENARIO@TIME` or `SCENARIO@START:STOP:STEP`.
+
+    Raises:
+        InputError: Every invalid text.
+    """
     values: dict[str, str] = {}
     moments: list[Moment] = []
     faults: list[Fault] = []
@@ -84,7 +90,11 @@ def _times(text: str) -> Array:
 
 
 def moved(source: Source, point: Point, values: Mapping[str, str]) -> Point:
-    """The point with states and inputs as `--at` says; InputError with every name and value that does not fit."""
+    """Return the point with states and inputs of `--at`.
+
+    Raises:
+        InputError: Every unknown name and unsuitable value.
+    """
     states, inputs, faults = point.states.copy(), point.inputs.copy(), []
     known = (*source.states, *source.inputs)
     for name, text in values.items():

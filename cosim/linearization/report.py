@@ -1,4 +1,4 @@
-"""The page of a linearisation: the point, poles, what inputs reach and outputs show, Bode plots, the matrices."""
+"""The page of a linearisation: poles and their meaning, the operating point, Bode plots, the matrices."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def page(outcome: Outcome) -> str:
     """One self-contained page, of the first where there are several times."""
     linear, found = outcome.first, outcome.structure
     times = [m.point.time for m in outcome.linear]
-    description = f"{outcome.title}: {linear.method}."
+    description = f"{outcome.title}, linearised at t = {plain(linear.point.time)} s: {linear.method}."
     if len(times) > 1:
         description += (
             f" {len(times)} times from {plain(times[0])} to {plain(times[-1])} s; this page shows the first, "
@@ -45,7 +45,7 @@ def page(outcome: Outcome) -> str:
         )
     charts = Charts()
     bode = _bode(linear)
-    shown = _drawn(bode[:MOST], frequencies(linear), charts)
+    shown = _drawn([(size, phase) for _, size, phase in bode[:MOST]], frequencies(linear), charts)
     return render(
         TEMPLATE,
         {
@@ -61,7 +61,7 @@ def page(outcome: Outcome) -> str:
             "poles": pole_rows(found),
             "rank": (found.controllable, found.observable, len(linear.states)),
             "condition": number(found.condition) if math.isfinite(found.condition) else "",
-            "bode": shown,
+            "bode": [(output, plots) for (output, *_), plots in zip(bode, shown, strict=False)],
             "left_out": max(0, len(bode) - MOST),
             "along": _along(outcome, charts),
             "data": charts.data(),  # after all that is drawn
@@ -84,7 +84,7 @@ def _badges(linear: Linear, found: Structure) -> list[Badge]:
     sizes = [Badge(counted(len(group), noun)) for group, noun in groups]
     stable = "asymptotically stable" if linear.at_rest else "all poles to the left"
     stability = Badge(stable, "good") if found.stable else Badge(f"not {stable}", "plain")
-    rest = Badge("equilibrium", "good") if linear.at_rest else Badge("no equilibrium: f₀ is not zero")
+    rest = Badge("equilibrium", "good") if linear.at_rest else Badge("no equilibrium: derivatives are not zero")
     return [*sizes, stability, rest]
 
 
@@ -128,26 +128,28 @@ def pole_map(found: Sequence[Pole], charts: Charts) -> Plot:
     return replace(drawn, uprights=(0.0,), limit_label="imaginary axis", summary=f"Poles at {told}.")
 
 
-def _bode(linear: Linear) -> list[tuple[Panel, Panel]]:
-    """Magnitude and phase from each input to the outputs that answer it."""
+def _bode(linear: Linear) -> list[tuple[str, Panel, Panel]]:
+    """Return each output with the magnitude and phase of its responses to the inputs that act on it."""
     g = response(linear, frequencies(linear))
-    pairs = []
-    for k, name in enumerate(linear.inputs):
-        sizes = np.abs(g[:, k, :]).max(axis=1, initial=0.0)
-        answering = [i for i, size in enumerate(sizes) if size > NOTHING * max(float(sizes.max(initial=0.0)), 1e-300)]
-        for first in range(0, len(answering), TOGETHER):
-            pairs.append(_pair(linear, g, k, name, answering[first : first + TOGETHER]))
-    return pairs
+    sizes = np.abs(g).max(axis=2, initial=0.0)
+    acting = sizes > NOTHING * np.maximum(sizes.max(axis=0, initial=0.0), 1e-300)
+    figures = []
+    for i, name in enumerate(linear.outputs):
+        inputs = np.flatnonzero(acting[i]).tolist()
+        for first in range(0, len(inputs), TOGETHER):
+            figures.append((name, *_pair(linear, g, i, inputs[first : first + TOGETHER])))
+    return figures
 
 
-def _pair(linear: Linear, g: Response, k: int, name: str, rows: Sequence[int]) -> tuple[Panel, Panel]:
+def _pair(linear: Linear, g: Response, i: int, inputs: Sequence[int]) -> tuple[Panel, Panel]:
     sizes, phases = [], []
-    for j, i in enumerate(rows):
+    for j, k in enumerate(inputs):
         with np.errstate(divide="ignore", invalid="ignore"):
             decibels = 20.0 * np.log10(np.abs(g[i, k]))
             phase = np.degrees(np.unwrap(np.angle(g[i, k])))
-        sizes.append(Trace(linear.outputs[i], np.where(np.isfinite(decibels), decibels, np.nan), f"s{j}"))
-        phases.append(Trace(linear.outputs[i], phase, f"s{j}"))
+        sizes.append(Trace(linear.inputs[k], np.where(np.isfinite(decibels), decibels, np.nan), f"s{j}"))
+        phases.append(Trace(linear.inputs[k], phase, f"s{j}"))
+    name = linear.outputs[i]
     return Panel(f"{name}: magnitude", "dB", sizes), Panel(f"{name}: phase", "°", phases)
 
 

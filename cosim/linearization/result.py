@@ -1,4 +1,4 @@
-"""What comes of a linearisation."""
+"""Result of a linearization."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cosim.linearization.system_structure import Structure
 
 @dataclass(frozen=True)
 class Outcome:
-    """Linear models, one a time, and what the first tells."""
+    """Linear models for one or more times, and the structure of the first."""
 
     name: str
     title: str
@@ -22,5 +22,5 @@ class Outcome:
 
     @property
     def first(self) -> Linear:
-        """The linear model, or the first of several."""
+        """Return the first linear model."""
         return self.linear[0]

@@ -1,4 +1,4 @@
-"""Numbers with a unit behind them, and `--set`: parameters of a model."""
+"""Option `--set`: parameters of a model with units."""
 
 from __future__ import annotations
 
@@ -15,7 +15,11 @@ SET = Path("--set")
 
 
 def with_parameters(model: Model, given: Sequence[str]) -> Model:
-    """The model with `--set NAME=VALUE`, switches true or false; InputError with every fault."""
+    """Return the model with parameters from `--set NAME=VALUE`.
+
+    Raises:
+        InputError: Every fault.
+    """
     faults, values = [], dict[str, Any]()
     for text in given:
         name, sign, value = (part.strip() for part in text.partition("="))

@@ -1,7 +1,7 @@
-"""What A, B and C say: poles, Jordan blocks, what inputs reach and outputs show.
+"""Structure of a linear model: poles, Jordan blocks, controllability and observability.
 
-States that feed back into one another form a block; A is triangular in them, so that its poles are those of the
-blocks. A pole met in several blocks is then the same number to rounding, and not one spread by ε^(1/k).
+States with mutual feedback form a block, and A is block triangular, so that its poles are those of the blocks. A pole
+of several blocks is then equal to rounding in each, without the spread ε^(1/k) of a defective eigenvalue.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from cosim.base.arrays import Array
 from cosim.linearization.linear_model import Linear
 
-SAME = 1e-6  # of the fastest pole, within which two poles are one
-RANK = 1e-9  # of the largest singular value, below which one is zero
+SAME = 1e-6  # distance within which two poles are equal, relative to the fastest pole
+RANK = 1e-9  # share of the largest singular value below which one is zero
 Poles = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
 class Pole:
-    """A pole, how often it is met, the sizes of its Jordan blocks; whether inputs reach it and outputs show it."""
+    """A pole with multiplicity and sizes of its Jordan blocks, its controllability and observability."""
 
     value: complex
     count: int
@@ -32,25 +32,26 @@ class Pole:
 
     @property
     def natural_frequency(self) -> float:
-        """|λ| [rad/s]."""
+        """Return |λ| [rad/s]."""
         return abs(self.value)
 
     @property
     def damping_ratio(self) -> float:
-        """−Re λ/|λ|; not a number at 0."""
+        """Return −Re λ/|λ|, NaN at 0."""
         return -self.value.real / abs(self.value) if self.value else float("nan")
 
     @property
     def time_constant(self) -> float:
-        """−1/Re λ [s]; infinite on the imaginary axis."""
+        """Return −1/Re λ [s], infinite on the imaginary axis."""
         return -1.0 / self.value.real if self.value.real else float("inf")
 
 
 @dataclass(frozen=True)
 class Structure:
-    """Poles, slowest first; ranks of controllability and observability; poles that no input reaches or output shows.
+    """Poles, slowest first, and ranks of controllability and observability.
 
-    condition: of (B, AB, … Aⁿ⁻¹B); infinite where its rank is not full
+    Attributes:
+        condition: Condition of (B, AB, … Aⁿ⁻¹B); infinite without full rank.
     """
 
     poles: tuple[Pole, ...]
@@ -61,7 +62,7 @@ class Structure:
 
 
 def structure(linear: Linear) -> Structure:
-    """What there is to say of a linear model."""
+    """Return the structure of a linear model."""
     A, B, C = linear.A, linear.B, linear.C
     n = len(A)
     values, size = poles(A), _scale(A)
@@ -73,13 +74,13 @@ def structure(linear: Linear) -> Structure:
 
 
 def poles(A: Array) -> Poles:
-    """Eigenvalues of A, block by block of states that feed back into one another; slowest first."""
+    """Return the eigenvalues of A by blocks, slowest first."""
     values = [complex(v) for block in _blocks(A) for v in np.linalg.eigvals(A[np.ix_(block, block)])]
     return np.array(sorted(values, key=lambda v: (round(abs(v), 12), v.real, -v.imag)), dtype=complex)
 
 
 def _blocks(A: Array) -> list[list[int]]:
-    """States that feed back into one another, in an order in which A is block upper triangular."""
+    """Return blocks of states with mutual feedback, in block triangular order."""
     from scipy.sparse.csgraph import connected_components
 
     if not len(A):
@@ -93,7 +94,7 @@ def _blocks(A: Array) -> list[list[int]]:
 
 
 def controllability(A: Array, B: Array, powers: int | None = None) -> Array:
-    """(B, AB, A²B, …, Aᵖ⁻¹B), p = n without; eq 5.35 has one more."""
+    """Return (B, AB, A²B, …, Aᵖ⁻¹B), by default p = n; eq 5.35 has one more."""
     parts = [B]
     for _ in range((len(A) if powers is None else powers) - 1):
         parts.append(A @ parts[-1])
@@ -101,12 +102,12 @@ def controllability(A: Array, B: Array, powers: int | None = None) -> Array:
 
 
 def condition(A: Array, B: Array) -> float:
-    """Condition number of the controllability matrix, in the units of the model."""
+    """Return the condition number of the controllability matrix in model units."""
     return float(np.linalg.cond(controllability(A, B)))
 
 
 def reachable(A: Array, B: Array) -> int:
-    """Dimension of what inputs reach, found step by step on orthonormal directions of the balanced model."""
+    """Return the dimension of the controllable subspace of the balanced model."""
     from scipy.linalg import matrix_balance
 
     if not len(A) or not B.size:
@@ -126,9 +127,9 @@ def reachable(A: Array, B: Array) -> int:
 
 
 def jordan_blocks(A: Array, value: complex, count: int) -> tuple[int, ...]:
-    """Sizes of the Jordan blocks of an eigenvalue met `count` times, largest first.
+    """Return the sizes of an eigenvalue's Jordan blocks, largest first.
 
-    On its invariant subspace, found by Schur's form, A − λI is nilpotent; the ranks of its powers are the sizes.
+    On the invariant subspace from Schur's form, A − λI is nilpotent, and the ranks of its powers give the sizes.
     """
     from scipy.linalg import matrix_balance, schur
 
@@ -146,7 +147,7 @@ def jordan_blocks(A: Array, value: complex, count: int) -> tuple[int, ...]:
         power = power @ nilpotent
         singular = np.linalg.svd(power, compute_uv=False)
         nullities.append(int(np.sum(singular <= RANK ** min(len(nullities), 1.5))))
-    at_least = [*np.diff(nullities).tolist(), 0]  # blocks of size 1 or larger, 2 or larger, …
+    at_least = [*np.diff(nullities).tolist(), 0]  # number of blocks of size 1 or larger, 2 or larger, …
     sizes = [k + 1 for k, more in enumerate(at_least[:-1]) for _ in range(max(0, more - at_least[k + 1]))]
     return tuple(sorted(sizes, reverse=True)) or (count,)
 
@@ -159,7 +160,10 @@ def _pole(A: Array, B: Array, C: Array, values: Poles, size: float) -> Pole:
 
 
 def _full(A: Array, B: Array, value: complex) -> bool:
-    """Rank of (A − λI, B) is n (Popov, Belevitch, Hautus); columns of B count by their direction."""
+    """Return True if (A − λI, B) has rank n (Popov, Belevitch, Hautus).
+
+    Columns of B are normalised.
+    """
     n = len(A)
     shifted = A - value * np.eye(n)
     size = max(float(np.linalg.norm(shifted, 2)), 1e-300)

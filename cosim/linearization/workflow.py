@@ -1,4 +1,4 @@
-"""A linearisation, in order: model or FMU → point → slopes → what is left of them → linear.json, .mat, .py, page."""
+"""Workflow of a linearization: model or FMU → point → derivatives → reduction → linear.json, .mat, .py, page."""
 
 from __future__ import annotations
 
@@ -42,9 +42,10 @@ IDLE = "moves nothing at this point: a dead band or a stop, perhaps"
 
 @dataclass(frozen=True)
 class Asked:
-    """What is to be kept of a linear model; all without.
+    """Selection of a linear model's signals; empty for all.
 
-    fast: states that settle at once and are solved for
+    Attributes:
+        fast: States to eliminate at their steady state.
     """
 
     states: Sequence[str] = ()
@@ -72,19 +73,32 @@ def linearize(
     keep: bool = False,
     compile: bool = False,
 ) -> Outcome:
-    """A model's A, B, C and D about a point; linear.json, linear.mat, linear.py and report.html are left in `out`.
+    """Linearize a model or an FMU about an operating point.
 
-    model:       base or another known name, a model.yaml, file.py:Class, a refine's folder, an FMU for model exchange
-    at:          NAME=VALUE of states and inputs, SCENARIO@TIME or SCENARIO@START:STOP:STEP; the start without
-    set:         NAME=VALUE of parameters; both may be mappings
-    residualize: states that settle at once
-    component:   of the scenario, where several would do
-    step:        of central differences, for an FMU in place of its directional derivatives
-    side:        below or above: whose slopes are taken where there is no derivative; without, such a point is refused
-    force:       also over what another model's, or another command, left in `out`
-    keep:        files of an earlier one move to `runs` in `out`
-    compile:     the sources of an FMU that has no library for this machine are compiled and run
-    Raises InputError, FmuError, SimulationError.
+    Args:
+        model: Registered model, model.yaml, file.py:Class, folder of a refine, or an FMU for model exchange.
+        out: Folder for linear.json, linear.mat, linear.py and report.html; None writes nothing.
+        at: State or input → value, or texts NAME=VALUE, SCENARIO@TIME, SCENARIO@START:STOP:STEP. By default the start.
+        set: Parameter → value, or texts NAME=VALUE.
+        states: States of the linear model, in this order.
+        inputs: Inputs of the linear model.
+        outputs: Outputs of the linear model.
+        residualize: Fast states that are replaced by their equilibrium.
+        component: Component of the scenario, if several match.
+        step: Step of central differences, which replace the directional derivatives of an FMU.
+        side: Side of a kink whose derivative is used, "below" or "above". Without it a kink is refused.
+        report: Write report.html.
+        force: Overwrite results of another model or command in `out`.
+        keep: Move the files of an earlier call to `runs`.
+        compile: Compile and execute the sources of an FMU that has no library for this machine.
+
+    Returns:
+        The linear models, their structure and notes.
+
+    Raises:
+        InputError: Every fault of the input.
+        FmuError: An FMU cannot be read or loaded.
+        SimulationError: The simulation failed.
     """
     if side is not None and side not in SIDES:
         raise InputError([Fault(SIDE, 0, 0, f"is below or above{did_you_mean(side, tuple(SIDES))}")])
@@ -123,7 +137,7 @@ def linearize(
 
 
 def _notes(found: Sequence[Linear], known: Sequence[str]) -> list[str]:
-    """What is to be known beside what is known: inputs that do nothing, slopes at kinks, notes of the models."""
+    """Return further notes: idle inputs, slopes at kinks, notes of the models."""
     idle = [f"{name} {IDLE}" for name in _idle(found)]
     beside = [f"{k.told}; the slopes here are those {k.side}" for each in found for k in each.kinks]
     more = [f"{len(beside) - MOST_TOLD} kinks more; linear.json has all"] if len(beside) > MOST_TOLD else []
@@ -133,13 +147,13 @@ def _notes(found: Sequence[Linear], known: Sequence[str]) -> list[str]:
 
 
 def _idle(found: Sequence[Linear]) -> list[str]:
-    """Inputs that change neither rates nor outputs at any of the points."""
+    """Return inputs without any effect at all points."""
     sizes = [np.abs(np.vstack([m.B, m.D])).max(axis=0, initial=0.0) for m in found]
     return [n for n, size in zip(found[0].inputs, np.max(sizes, axis=0).tolist(), strict=True) if size == 0.0]
 
 
 def _source(stack: ExitStack, path: Path, given: Sequence[str], step: float | None) -> Source:
-    """The equations or the FMU that is named."""
+    """Return the source for a model name or file."""
     text = str(path)
     if not is_model(text) and text != BASE and ".py:" not in text and not names_refine(path):
         if path.exists():
@@ -169,7 +183,11 @@ def _fmu(stack: ExitStack, path: Path, given: Sequence[str], step: float | None)
 
 
 def _checked(source: Source, asked: Asked) -> Asked:
-    """Names as they are in the model, all where none are given; InputError with every one that is not."""
+    """Return the selected names, by default all.
+
+    Raises:
+        InputError: Every unknown name.
+    """
     faults: list[Fault] = []
     for option, names, known in (
         ("states", asked.states, source.states),
@@ -193,7 +211,7 @@ def _checked(source: Source, asked: Asked) -> Asked:
 
 
 def _linear(source: Source, points: Sequence[Point], asked: Asked, side: str | None) -> list[Linear]:
-    """Slopes at every point, without what is not asked for."""
+    """Return the reduced linear model at every point."""
     try:
         whole = source.linear([settled(source, point, asked.fast) for point in points])
         whole = _without_kinks(whole, asked) if side is None else _beside(source, whole, asked, SIDES[side])
@@ -209,7 +227,11 @@ def _linear(source: Source, points: Sequence[Point], asked: Asked, side: str | N
 
 
 def _without_kinks(found: Sequence[Linear], asked: Asked) -> list[Linear]:
-    """Return models without kinks; InputError where what is kept has one."""
+    """Return models without kinks.
+
+    Raises:
+        InputError: A selected signal has a kink.
+    """
     kinks = dict.fromkeys(kink for each in found for kink in _kinks(each, asked))
     if kinks:
         raise InputError([Fault(AT, 0, 0, kink.told + NO_DERIVATIVE) for kink in kinks])
@@ -217,10 +239,14 @@ def _without_kinks(found: Sequence[Linear], asked: Asked) -> list[Linear]:
 
 
 def _beside(source: Source, found: Sequence[Linear], asked: Asked, sign: float) -> list[Linear]:
-    """Those at a kink with the slopes of a side, whose sign is given.
+    """Return models with one-sided slopes at kinks.
 
-    One kink after the other is left by a little, those of inputs first, so that all slopes are of one and the same
-    branch: where a kink is between two of them, the other is then on its other side.
+    The point leaves one kink after another, inputs first, so that all slopes belong to the same branch. A kink between
+    two
+    variables is then passed by the first move.
+
+    Args:
+        sign: Sign of the side.
     """
     made = list(found)
     for _ in range(len(source.states) + len(source.inputs)):
@@ -237,14 +263,14 @@ def _beside(source: Source, found: Sequence[Linear], asked: Asked, sign: float) 
 
 
 def _put_back(at: Linear, beside: Linear) -> Linear:
-    """Slopes of a side at the point itself; where values jump, at the point beside it, whose values they go with."""
+    """Return one-sided slopes at the point itself, or beside the point after a jump."""
     if any(row.jump for kink in at.kinks for row in kink.rows):
         return beside
     return replace(beside, point=at.point, rates=at.rates, values=at.values)
 
 
 def _slopes(linear: Linear, kink: Kink) -> dict[tuple[str, str], float]:
-    """Those of every rate and output in a kink's variable."""
+    """Return the slopes of all rates and outputs by a kink's variable."""
     to_rates, to_outputs, names = (linear.A, linear.C, linear.states)
     if kink.variable in linear.inputs:
         to_rates, to_outputs, names = (linear.B, linear.D, linear.inputs)
@@ -254,14 +280,14 @@ def _slopes(linear: Linear, kink: Kink) -> dict[tuple[str, str], float]:
 
 
 def _kinks(linear: Linear, asked: Asked) -> list[Kink]:
-    """Those in what is kept."""
+    """Return the kinks of selected signals."""
     states = (*asked.states, *asked.fast)
     kept = [k.kept(states, asked.outputs) for k in linear.kinks if k.variable in (*states, *asked.inputs)]
     return [k for k in kept if k.rows]
 
 
 def _moved(source: Source, point: Point, name: str, sign: float) -> Point:
-    """A point a few steps of the source's differences to a side."""
+    """Return a point a few difference steps to one side."""
 
     def beside(names: Sequence[str], values: Array) -> Array:
         off = BESIDE * source.reach * np.maximum(1.0, np.abs(values))

@@ -1,4 +1,4 @@
-"""A linear model as files: linear.json, linear.mat for MATLAB and Octave, linear.py for python-control."""
+"""Files of a linear model: linear.json, linear.mat for MATLAB and Octave, linear.py for python-control."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from cosim.linearization.system_structure import Structure
 from cosim.storage.files import write_json, write_text
 
 FILES = ("linear.json", "linear.mat", "linear.py")
-HEADER = 116  # bytes of text at the beginning of a .mat, in which scipy writes the time of day
+HEADER = 116  # bytes of text at the start of a .mat file, in which scipy writes the time of day
 SCRIPT = '''"""The linear model of linear.json beside this file, for python-control: `from linear import system`."""
 
 import json
@@ -42,7 +42,7 @@ system = systems[0]
 def write(
     folder: Path, name: str, title: str, linear: Sequence[Linear], structure: Structure, notes: Sequence[str]
 ) -> None:
-    """All of them, each whole or not at all."""
+    """Write all files, each completely or not at all."""
     write_json(folder / "linear.json", content(name, title, linear, structure, notes), indent=1, allow_nan=False)
     with draft_of(folder / "linear.mat") as draft:
         draft.write_bytes(mat(linear))
@@ -52,7 +52,7 @@ def write(
 def content(
     name: str, title: str, linear: Sequence[Linear], structure: Structure, notes: Sequence[str]
 ) -> dict[str, Any]:
-    """linear.json: matrices as lists of rows, one model a time."""
+    """Return the content of linear.json, with matrices as lists of rows."""
     first = linear[0]
     models = [
         {
@@ -106,7 +106,10 @@ def _plain(structure: Structure) -> dict[str, Any]:
 
 
 def mat(linear: Sequence[Linear]) -> bytes:
-    """MATLAB's format 5: A, B, C, D, x0, u0, y0, f0 and names; of several times, the last axis is that of `time`."""
+    """Return a MATLAB 5 file: A, B, C, D, x0, u0, y0, f0 and names.
+
+    Several times form the last axis.
+    """
     from scipy.io import savemat
 
     def stacked(matrices: Sequence[Any]) -> Any:

@@ -23,15 +23,22 @@ def build(
     fmi: int = 2,
     platforms: Sequence[str] = (),
 ) -> list[Path]:
-    """Build the FMUs of a model in `folder`.
+    """Build the FMUs of a model.
 
     Args:
-        model: `base`, a model.yaml, file.py:Class or a refine; by default all registered FMUs.
-        nearest: Whether to use the nearest model of the refine.
-        native: Whether to compile, for `fmi` version and `platforms` (default: this machine's).
+        folder: Folder for the FMUs.
+        model: Registered model, model.yaml, file.py:Class, or the folder of a refine; None takes all FMUs of the base
+            model.
+        nearest: Use nearest.yaml instead of model.yaml of the refine folder.
+        native: Build compiled FMUs, which need no Python.
+        fmi: FMI version of native FMUs, 2 or 3.
+        platforms: Platforms of native FMUs; none means this machine.
+
+    Returns:
+        Paths of the FMUs.
 
     Raises:
-        InputError: The model is faulty or cannot be built.
+        InputError: Every fault of the input.
     """
     from cosim.fmi.fmu_build import build as build_fmu
 

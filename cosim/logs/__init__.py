@@ -1,1 +1,1 @@
-"""Measured logs: read, and held against themselves before they are believed."""
+"""Measured logs: reading and consistency checks."""

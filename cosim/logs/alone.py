@@ -1,4 +1,4 @@
-"""A log checked without a model: its clock, gaps, units and channels, every column as measured."""
+"""Checks of a log without a model: clock, gaps, units and channels, every column as measured."""
 
 from __future__ import annotations
 
@@ -20,7 +20,11 @@ WITHOUT_MODEL = "checked without a model: --model FILE:CLASS holds names, units 
 
 
 def findings_alone(path: Path, columns: Mapping[str, str] = MappingProxyType({})) -> list[str]:
-    """Return what there is to say of a log of which no model is known, a line each; InputError with its faults."""
+    """Return the findings on a log without a model, one line each.
+
+    Raises:
+        InputError: The log has faults.
+    """
     reader = _AloneReader(path, columns)
     log = reader.log()
     findings = gate(log)
@@ -29,10 +33,10 @@ def findings_alone(path: Path, columns: Mapping[str, str] = MappingProxyType({})
 
 
 class _AloneReader(LogReader):
-    """A table whose every column is an output, in SI where its header says a unit; a column of text is left out."""
+    """Reader of every column as an output, in SI for headers with a unit; text columns are skipped."""
 
     def __init__(self, path: Path, columns: Mapping[str, str]) -> None:
-        self.unknown: dict[str, str] = {}  # column → unit that is none known here
+        self.unknown: dict[str, str] = {}  # column → unit unknown to the framework
         self.text: list[str] = []
         super().__init__(path, {}, {}, True, columns)
 
@@ -49,7 +53,7 @@ class _AloneReader(LogReader):
         return super()._column(heading)
 
     def _check_header(self) -> None:
-        """Note a fault where nothing is measured; a model that says what is missing is not known."""
+        """Note a fault if nothing is measured."""
         if not self.outputs:
             self.faults.note(self.table.header, 1, "holds no column beside the time; a log holds what was measured")
 
@@ -61,7 +65,7 @@ class _AloneReader(LogReader):
         super()._check_values()
 
     def _leave_out(self, column: Column) -> None:
-        """Take a column of text for what it is, no fault."""
+        """Skip a text column without a fault."""
         self.text.append(column.name)
         del self.table.columns[column.name], self.table.values[column.name], self.outputs[column.name]
         for cell, kind in [key for key in self.faults.counts if key[0] == column.cell]:
@@ -70,7 +74,7 @@ class _AloneReader(LogReader):
         self.faults.found = [f for f in self.faults.found if f.column != column.cell or f.line <= header]
 
     def notes(self, log: Log) -> Iterator[Finding]:
-        """Yield notes on columns of text, on units that are not known here, and that no model was asked."""
+        """Yield notes on text columns, unknown units, and the missing model."""
         for name, unit in self.unknown.items():
             if name in log.outputs:
                 text = f'"{unit}" is no unit known here: its numbers are taken as they are'

@@ -1,4 +1,4 @@
-"""What the gate has to say about a log."""
+"""Findings of the gate on a log."""
 
 from __future__ import annotations
 
@@ -11,9 +11,12 @@ Severity = Literal["note", "warning", "fault"]
 
 @dataclass(frozen=True)
 class Finding:
-    """Something to know about a log; a fault makes it unusable.
+    """A finding on a log; a fault makes the log unusable.
 
-    kind: one word for programs; channel: "time", a column, or "" for the whole; numbers: what the sentence says
+    Attributes:
+        kind: One word for programs.
+        channel: "time", a column, or "" for the whole log.
+        numbers: Values in the sentence.
     """
 
     severity: Severity
@@ -24,10 +27,10 @@ class Finding:
 
     @property
     def whole(self) -> str:
-        """The sentence with its subject; what is said of the time names its own."""
+        """Return the sentence with its subject."""
         return self.sentence if self.channel in ("", "time") else f"{self.channel} {self.sentence}"
 
     @property
     def line(self) -> str:
-        """As the command line prints it."""
+        """Return the line of the command line output."""
         return f"{self.severity}: {self.whole}"

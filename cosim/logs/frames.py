@@ -1,4 +1,4 @@
-"""Units and signs of the channels against one another: what a mislabelled log shows."""
+"""Consistency of units and signs between channels."""
 
 from __future__ import annotations
 
@@ -15,16 +15,17 @@ from cosim.logs.log import TURN, Log
 from cosim.logs.planar_motion import mirrored
 from cosim.model.traits import Traits, rate_of
 
-STILL = 1e-9  # [unit of the signal], below which its changes are rounding
+STILL = 1e-9  # [unit of the signal] change below which only rounding is visible
 DEGREES = 180.0 / math.pi
 PAUSE = 0.2  # [s] without a reading
-BLOCK = 0.5  # [s] over which a signal's change is held against the integral of its rate
+BLOCK = 0.5  # [s] over which a signal's change is compared with the integral of its rate
 
 
 def frames(log: Log, traits: Traits | None = None) -> Iterator[Finding]:
-    """Yield findings on degrees for radians, jumps of a turn, rates of the wrong sign or scale, a mirrored frame.
+    """Yield findings on degrees, jumps of a turn, wrong rates and mirrored frames.
 
-    traits: what the model says of its signals. Without, names alone say what is a rate, and they are not relied on.
+    Args:
+        traits: Signal properties of the model; without a model, rates are guessed from names and give only warnings.
     """
     sure = traits is not None
     named = {name: rate for name in log.outputs if (rate := rate_of(name, log.outputs))}
@@ -43,7 +44,10 @@ def frames(log: Log, traits: Traits | None = None) -> Iterator[Finding]:
 
 
 def _against_rate(log: Log, name: str, rate: str, severity: Severity) -> Iterator[Finding]:
-    """Fit Δy = s·∫ẏ dt + b·T over blocks: s is 1 and b is 0 where units, signs and sensors agree."""
+    """Compare a signal with the integral of its rate, Δy = s·∫ẏ dt + b·T over blocks.
+
+    With consistent units, signs and sensors, s is 1 and b is 0.
+    """
     change, integral, length = _blocks(log, log.outputs[name], log.outputs[rate])
     if change.size < 8 or np.std(integral) == 0.0 or np.std(change) <= STILL:
         return
@@ -75,7 +79,7 @@ def _against_rate(log: Log, name: str, rate: str, severity: Severity) -> Iterato
 
 
 def _unit_of(log: Log, degrees: str, other: str, unit: str) -> str:
-    """Say what to do about one of two columns that is in degrees, for what their headers say."""
+    """Return the cure for a column in degrees, according to the headers."""
     said = " and ".join(f'"{name} [{log.written[name]}]"' for name in (degrees, other) if log.written.get(name))
     if log.written.get(degrees):
         return f"The header says {said}: one of the units is wrong"
@@ -83,7 +87,7 @@ def _unit_of(log: Log, degrees: str, other: str, unit: str) -> str:
 
 
 def _blocks(log: Log, values: Array, rates: Array) -> tuple[Array, Array, Array]:
-    """Change, integral of the rate and length of consecutive blocks, over the rows that have both."""
+    """Return change, integrated rate and length of consecutive blocks with both signals."""
     good = np.flatnonzero(np.isfinite(values) & np.isfinite(rates))
     time, y, rate = log.time[good], values[good], rates[good]
     if time.size < 2:
@@ -94,19 +98,23 @@ def _blocks(log: Log, values: Array, rates: Array) -> tuple[Array, Array, Array]
     if edges.size < 2:
         return change, integral, length
     longest = np.maximum.reduceat(np.diff(time)[: edges[-1]], edges[:-1])
-    whole = longest < PAUSE * log.slowness  # over it the integral is a guess
+    whole = longest < PAUSE * log.slowness  # over a pause, the integral is a guess
     return change[whole], integral[whole], length[whole]
 
 
 def degrees_or(log: Log, name: str) -> str:
-    """Say what may be wrong with an angle that is too large: its unit, where the header says none, or its header."""
+    """Return the cure for an angle that is too large."""
     if written := log.written.get(name):
         return f'its header says "{written}": is it so, and may the model not go there?'
     return f'if it is in degrees, call it "{name} [deg]"'
 
 
 def _magnitude(log: Log, name: str, values: Array, bounds: tuple[float, float] | None) -> Iterator[Finding]:
-    """Yield findings on angles too large to be radians, and on jumps of a turn; bounds: as the model declares them."""
+    """Yield findings on angles too large for radians and on jumps of a turn.
+
+    Args:
+        bounds: Limits declared by the model.
+    """
     good = values[np.isfinite(values)]
     size, numbers = float(np.abs(good).max()), {"largest": float(np.abs(good).max())}
     cure, stated = degrees_or(log, name), bool(log.written.get(name))

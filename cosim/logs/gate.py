@@ -1,4 +1,4 @@
-"""Before a log is believed: its clock, its channels, its units and frame, and what it excites."""
+"""Checks of a log before use: clock, channels, units, frame and excitation."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from cosim.logs.static_table import alike, table_findings
 from cosim.model.traits import Traits
 
 ORDER = ("fault", "warning", "note")
-SLOWER, FASTER = 1.5, 50.0  # times the model's step, from which a log's step is no longer its model's
-SHORT = 10.0  # [s]; the first 2 s and whole windows of 2 s must leave enough to count
+SLOWER, FASTER = 1.5, 50.0  # ratio of the log's step to the model's from which the steps disagree
+SHORT = 10.0  # [s]; the first 2 s and whole windows of 2 s must leave enough rows
 
 
 def gate(
@@ -32,10 +32,11 @@ def gate(
 ) -> list[Finding]:
     """Return all findings on a log, faults first.
 
-    rate:   step the model is made for [s], None where it has none
-    strict: a log slower than `rate` is a fault, not a warning
-    traits: what the model says of its signals, None where none is known
-    spikes: readings of a recorder that are known by a model; looked for without one where they are not given
+    Args:
+        rate: Step of the model [s], None if not declared.
+        strict: Report a log slower than `rate` as a fault instead of a warning.
+        traits: Signal properties of the model, None without a model.
+        spikes: Outliers confirmed by a model; default: search without a model.
     """
     if log.table:
         findings = list(table_findings(log, traits))
@@ -43,19 +44,19 @@ def gate(
         clock = [*_timing(log), *_rate(log, rate, strict)]
         wild = outliers(log, find_spikes(log) if spikes is None else spikes)
         findings = [*clock, *_inputs(log), *_outputs(log), *wild, *frames(log, traits)]
-        if any(f.severity == "fault" for f in clock):  # by a clock in other units every rate is off: no second fault
+        if any(f.severity == "fault" for f in clock):  # a wrong clock unit causes the scale error
             findings = [f for f in findings if f.kind != "scale"]
     return sorted((*findings, *_undeclared(log), *_unread(log)), key=lambda f: ORDER.index(f.severity))
 
 
 def refuse_faults(log: Log, findings: Sequence[Finding]) -> None:
-    """Raise InputError where a finding makes the log unusable."""
+    """Raise InputError if a finding makes the log unusable."""
     if faults := gate_faults(log, findings):
         raise InputError(faults)
 
 
 def gate_faults(log: Log, findings: Sequence[Finding]) -> list[Fault]:
-    """Return the findings that make a log unusable, as faults of its file."""
+    """Return the fatal findings as faults of the file."""
     faults = []
     for f in findings:
         if f.severity == "fault":
@@ -65,13 +66,13 @@ def gate_faults(log: Log, findings: Sequence[Finding]) -> list[Fault]:
 
 
 def _undeclared(log: Log) -> Iterator[Finding]:
-    """Warn of columns with a unit of signals without one: how their numbers were taken."""
+    """Warn of columns with a unit for signals without a unit."""
     for name, said in log.undeclared.items():
         yield Finding("warning", "undeclared", name, said)
 
 
 def _unread(log: Log) -> Iterator[Finding]:
-    """Note columns that the model does not have; warn of each whose name is close to one that it has."""
+    """Note unread columns; warn of each with a similar name in the model."""
     for name, hint in ((n, h) for n, h in log.unread.items() if h):
         yield Finding("warning", "unread", name, f"is not read: the model has none of this name{hint}")
     others = [name or "one without a name" for name, hint in log.unread.items() if not hint]
@@ -80,7 +81,7 @@ def _unread(log: Log) -> Iterator[Finding]:
         yield Finding("note", "unread", "", text, {"columns": len(others)})
 
 
-# -- the clock --------------------------------------------------------------------------------
+# -- clock --------------------------------------------------------------------------------------
 
 
 def _timing(log: Log) -> Iterator[Finding]:
@@ -119,9 +120,9 @@ def _timing(log: Log) -> Iterator[Finding]:
 
 
 def _unit_meant(log: Log, ratio: float) -> str | None:
-    """Return the unit that the time seems to be in; None where the header says it, or seconds can be meant.
+    """Return the probable unit of the time, None if stated or seconds.
 
-    A log in minutes seems to be over in seconds; one that is not has rows that far apart.
+    A log in minutes seems to last only seconds; otherwise rows really are minutes apart.
     """
     if log.written.get("time"):
         return None
@@ -152,7 +153,7 @@ def _rate(log: Log, rate: float | None, strict: bool) -> Iterator[Finding]:
         yield Finding("note", "rate", "time", f"{place}: {counted(round(1.0 / ratio), 'row')} a step", numbers)
 
 
-# -- the inputs -------------------------------------------------------------------------------
+# -- inputs -------------------------------------------------------------------------------------
 
 
 def _inputs(log: Log) -> Iterator[Finding]:
@@ -171,7 +172,7 @@ def _inputs(log: Log) -> Iterator[Finding]:
 
 
 def _excitation(log: Log, name: str, values: Array) -> Finding:
-    """Note RMS about the mean, the frequency below which 95 % of the power lies, share of rows at the extremes."""
+    """Return RMS, 95 % power bandwidth and saturation of an input as a finding."""
     power = np.abs(np.fft.rfft(values - values.mean())) ** 2
     power[0] = 0.0
     below = int(np.searchsorted(np.cumsum(power), 0.95 * power.sum()))
@@ -188,7 +189,7 @@ def _excitation(log: Log, name: str, values: Array) -> Finding:
     return Finding("note", "excitation", name, text, numbers)
 
 
-# -- the outputs ------------------------------------------------------------------------------
+# -- outputs ------------------------------------------------------------------------------------
 
 
 def _outputs(log: Log) -> Iterator[Finding]:
@@ -208,7 +209,7 @@ def _outputs(log: Log) -> Iterator[Finding]:
 
 
 def _repeats(log: Log, name: str, time: Array, values: Array) -> Iterator[Finding]:
-    """Warn of a slow sensor that is held, or one that froze for a while; either passes for a delay or an effect."""
+    """Warn of a held slow sensor or a frozen one, which look like a delay or an effect."""
     starts = np.concatenate(([0], 1 + np.flatnonzero(np.diff(values)), [values.size]))
     runs = np.diff(starts)
     usual = float(np.median(runs))
@@ -226,7 +227,7 @@ def _repeats(log: Log, name: str, time: Array, values: Array) -> Iterator[Findin
 
 
 def outliers(log: Log, spikes: Spikes) -> Iterator[Finding]:
-    """Warn of each channel that has spikes."""
+    """Warn of each channel with outliers."""
     for name, rows in spikes.items():
         off = out_of_line(log, log.outputs[name])[rows]
         first, worst = float(log.time[rows[0]]), float(off.max())

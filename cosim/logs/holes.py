@@ -1,4 +1,4 @@
-"""Rows that a recorder lost: what was commanded in them is not known, and is put in as the input is seen to move."""
+"""Reconstruction of commands in lost rows from the motion of the input."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 from cosim.base.arrays import Array, Rows
 from cosim.logs.log import Log
 
-SMOOTH = 0.5  # of what holding misses, up to which a straight line between neighbours is the better guess
+SMOOTH = 0.5  # share of the error of holding up to which interpolation is the better guess
 
 
 def filled(log: Log) -> Log:
-    """Return the log with its lost rows put in, where some input runs smoothly enough for a guess.
+    """Return the log with lost rows inserted if an input is smooth.
 
-    Each input is held or taken on the straight line, whichever misses less of the rows that are there.
+    Each input is held or interpolated, whichever predicts the existing rows better.
     """
     grid = log.grid
     lost = np.setdiff1d(np.arange(int(grid[-1]) + 1), grid)
@@ -41,7 +41,7 @@ def filled(log: Log) -> Log:
 
 
 def _is_smooth(values: Array, grid: Rows) -> bool:
-    """Whether the middle of three rows is nearer to the mean of the others than to the first."""
+    """Return True if interpolation predicts middle rows better than holding."""
     whole = (np.diff(grid)[:-1] == 1) & (np.diff(grid)[1:] == 1)
     first, middle, last = values[:-2][whole], values[1:-1][whole], values[2:][whole]
     held, line = float(np.sum((middle - first) ** 2)), float(np.sum((middle - 0.5 * (first + last)) ** 2))

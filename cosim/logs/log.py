@@ -1,6 +1,6 @@
-"""A measured log: CSV with `time` and the model's inputs and outputs by name; every fault has its place.
+"""Measured logs from CSV files with `time` and the model's inputs and outputs; faults have a place.
 
-Of a model without states it is a table: no `time`, and each row stands for itself.
+A model without states has a table instead: no `time`, independent rows.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from cosim.storage.table import read_table
 from cosim.storage.table_columns import Column, Faults, Heading
 from cosim.storage.yaml_file import closest, did_you_mean, short
 
-USUAL = 0.05  # [s] from row to row, up to which times in seconds hold as they are; see `slowness`
+USUAL = 0.05  # [s] row spacing up to which fixed times apply; see `slowness`
 GAP = 0.5  # [s] without a row; shorter holes are dropouts
-LOST = 10  # rows at least that are lost in a pause
-USUALLY = 3.0  # times what usually lies between rows that measure something, beyond which there is a pause
-BEYOND = 1e6  # times the usual size of a column, from which a value is none
-ORDINARY = 1e9  # in any SI unit, up to which a column that mostly rests may jump
-NEVER = 1e30  # in any SI unit
+LOST = 10  # least number of rows lost in a pause
+USUALLY = 3.0  # multiple of the usual measurement spacing beyond which a pause begins
+BEYOND = 1e6  # multiple of a column's usual size beyond which a value is invalid
+ORDINARY = 1e9  # size in any SI unit up to which a mostly resting column may jump
+NEVER = 1e30  # size in any SI unit beyond which every value is invalid
 TURN = 2.0 * math.pi
-ALIKE = 0.85  # of two names of which one may be meant by the other; what a logger adds resembles much
-HINTS, SHOWN = 50, 40  # columns, of which it is said what may have been meant, and names in a message
-MISSING = 1.5  # steps from row to row, from which one is missing in between
+ALIKE = 0.85  # similarity of two names for a suggestion; prefixes of loggers resemble much
+HINTS, SHOWN = 50, 40  # columns with a suggestion, and names in a message
+MISSING = 1.5  # steps between rows from which a row is missing
 OTHER_MODEL = (
     "a log of another model is checked with --model FILE:CLASS and replayed with --plant FMU; "
     "where columns have other names, --column COLUMN=VARIABLE, or `columns` of a study, says which is which"
@@ -45,30 +45,31 @@ class SignalLike(Protocol):
 
     @property
     def name(self) -> str:
-        """Its FMI name."""
+        """Return the FMI name."""
 
     @property
     def unit(self) -> str:
-        """Its unit, "" where it has none."""
+        """Return the unit, "" without one."""
 
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """What was commanded and measured, in the units of the model.
+    """Commands and measurements in the units of the model.
 
-    Row k holds, at `time[k]`, what is measured there and the command that acts until `time[k + 1]`.
+    Row k holds the measurements at `time[k]` and the command until `time[k + 1]`.
 
-    time:      [s], shape (rows,), increasing
-    inputs:    name → (rows,), every value known
-    outputs:   name → (rows,), NaN where nothing was measured
-    units:     name → unit of the model, where it has none that of the header in SI; `written`: name → unit of the
-               header, "" where it gave none
-    undeclared: signal without a unit in the model, whose column has one → what is to be said of that
-    step:      usual time between rows [s], see `usual_step`
-    unwrapped: angle → times [s] at which it jumped by a turn; the jumps are undone
-    header:    line of the file that names the columns
-    called:    name in the file → name in the model, where they differ
-    unread:    columns that the model does not have → what may have been meant, "" where nothing is close
+    Attributes:
+        time: Increasing times [s], shape (rows,).
+        inputs: Name → (rows,), complete.
+        outputs: Name → (rows,), NaN without a measurement.
+        units: Name → unit of the model, else the header's unit in SI.
+        written: Name → unit in the header, "" without one.
+        undeclared: Signal without a unit in the model, but with one in the header → message.
+        step: Usual time between rows [s], see `usual_step`.
+        unwrapped: Angle → times of removed jumps by a turn [s].
+        header: Line of the column names in the file.
+        called: Name in the file → name in the model, if different.
+        unread: Column unknown to the model → suggestion, or "".
     """
 
     path: Path
@@ -83,32 +84,32 @@ class Log:
     unread: Mapping[str, str] = field(default_factory=dict)
     called: Mapping[str, str] = field(default_factory=dict)
     undeclared: Mapping[str, str] = field(default_factory=dict)
-    cells: Mapping[str, int] = field(default_factory=dict)  # of the header, by signal, from 1
-    table: bool = False  # rows stand each for itself, in no order; `time` is their number
+    cells: Mapping[str, int] = field(default_factory=dict)  # column in the header by signal, from 1
+    table: bool = False  # rows are independent; `time` is their number
 
     @property
     def rows(self) -> int:
-        """Number of rows."""
+        """Return the number of rows."""
         return self.time.size
 
     @property
     def slowness(self) -> int:
-        """Of its step, see `slowness`."""
+        """Return the time scale of slow logs, see `slowness`."""
         return slowness(self.step)
 
     @property
     def pause(self) -> float:
-        """[s] without a row, from which on neither commands nor state are known."""
+        """Return the time without a row from which commands and state are unknown [s]."""
         return max(GAP, LOST * self.step)
 
     @cached_property
     def grid(self) -> Rows:
-        """Row of each in equal steps of `step` from the first; 0, 1, 2 … where no row is missing."""
+        """Return the index of each row in equal steps; 0, 1, 2 … without missing rows."""
         number = np.arange(self.rows)
         if not np.any(np.diff(self.time) > MISSING * self.step):
             return number
         missing = np.rint((self.time - self.time[0]) / self.step - number).astype(np.intp)
-        # a row that is late moves none of those after it
+        # a late row does not shift later rows
         return number + np.maximum(0, np.minimum.accumulate(missing[::-1])[::-1])
 
 
@@ -121,17 +122,21 @@ def read_log(
     columns: Mapping[str, str] = MappingProxyType({}),
     alone: bool = False,
 ) -> Log:
-    """Read a log of a model with these inputs and outputs, or a table without time; InputError with every fault.
+    """Return a log of a model with these signals, or a table without time.
 
-    columns: name in the file → name in the model, or `time`, where they differ
-    alone:   they are of this file alone, which must have each
+    Args:
+        columns: Name in the file → name in the model, or `time`, if different.
+        alone: True if `columns` applies to this file only, which must have each of them.
+
+    Raises:
+        InputError: Every fault of the file.
     """
     known = {s.name: s.unit for s in inputs}, {s.name: s.unit for s in outputs}
     return LogReader(path, *known, not table, columns, alone).log()
 
 
 class LogReader:
-    """What makes a table a log of a model: columns it knows, inputs at every row, values that a sensor read."""
+    """Reader that turns a table into a log: known columns, complete inputs, plausible values."""
 
     def __init__(
         self,
@@ -144,9 +149,9 @@ class LogReader:
     ) -> None:
         self.inputs, self.outputs, self.known, self.timed = inputs, outputs, inputs | outputs, timed
         self.called, self.alone = columns, alone
-        self.units = dict(self.known)  # in which values are once they are read
+        self.units = dict(self.known)  # units of the values after reading
         self.faults = Faults(path)
-        self.timeless: dict[str, str] = {}  # a time that a table does not need, without a unit
+        self.timeless: dict[str, str] = {}  # unneeded time of a table, without a unit
         self.unread: dict[str, str] = {}
         self.undeclared: dict[str, str] = {}
         self.seen: dict[str, int] = {}  # column → its cell
@@ -158,7 +163,11 @@ class LogReader:
         )
 
     def log(self) -> Log:
-        """Return the log; InputError with every fault."""
+        """Return the log.
+
+        Raises:
+            InputError: Every fault of the file.
+        """
         if "time" in self.table.columns or (not self.timed and self.table.whole):
             self._check_header()
         if self.table.whole:
@@ -178,7 +187,7 @@ class LogReader:
         return Log(*known, header, unread, called, self.undeclared, cells, table=not self.timed)
 
     def _unread(self) -> dict[str, str]:
-        """Return columns that are not read → one that may have been meant: of the model, and not in the file."""
+        """Return unread columns with suggestions from the model's missing names."""
         missing = [name for name in self.known if name not in self.table.columns]
         close = (
             closest(name, missing, ALIKE) or closest(name.rpartition(".")[2], missing, ALIKE)
@@ -190,7 +199,7 @@ class LogReader:
     # -- header -------------------------------------------------------------------------------
 
     def _column(self, heading: Heading) -> Column | None:
-        """Return how a column is read, in the unit of the model; None of one that is not."""
+        """Return the conversion of a column to the model's unit, None for unread columns."""
         self.seen.setdefault(heading.name, heading.cell)
         written, heading = heading.name, replace(heading, name=self.called.get(heading.name, heading.name))
         name, is_time = heading.name, self.timed and heading.cell == 1
@@ -217,7 +226,7 @@ class LogReader:
         return Column(heading, by.factor, known, offset=by.offset)
 
     def _check_header(self) -> None:
-        """Note faults unless every input of the model is there, and one output at least."""
+        """Note faults of missing inputs and outputs."""
         self._check_called()
         line, columns = self.table.header, self.table.columns
         missing = [name for name in self.inputs if name not in columns]
@@ -240,7 +249,7 @@ class LogReader:
             self.faults.note(line, 1, f"holds no output of the model{hints}; {one}")
 
     def _check_called(self) -> None:
-        """Note names that are given for no signal of the model, and to no column of the file."""
+        """Note faults of renamed columns without a signal or a column."""
         line, first = self.table.header, self.table.first
         for name, meant in self.called.items():
             if meant == "time" and self.timed:
@@ -254,7 +263,7 @@ class LogReader:
                 self.faults.note(line, 1, message)
 
     def _about_the_model(self) -> bool:
-        """Whether some column has, or nearly has, the name of an input or an output, or a name is given for one."""
+        """Return True if some column resembles a signal of the model."""
         if self.called or len(self.unread) > HINTS or any(name in self.table.columns for name in self.known):
             return True
         return any(closest(name, self.unread) for name in self.known)
@@ -262,7 +271,7 @@ class LogReader:
     # -- rows ---------------------------------------------------------------------------------
 
     def _check_values(self) -> None:
-        """Note faults that only whole columns show: too few rows, nothing measured, values that no sensor ever read."""
+        """Note faults of whole columns: too few rows, no measurement, absurd values."""
         table, counts = self.table, self.faults.counts
         if table.rows < 2 and not counts:
             seen = "no row" if table.rows == 0 else "one row"
@@ -288,7 +297,11 @@ class LogReader:
 
 
 def renamed(texts: Sequence[str], log: Path) -> dict[str, str]:
-    """Return names in the model by columns, of texts such as `measured_speed=motor.w`, `stamp=time`; InputError."""
+    """Return column → name in the model for texts such as `measured_speed=motor.w` or `stamp=time`.
+
+    Raises:
+        InputError: A text has another form.
+    """
     parts = [(text, *text.partition("=")) for text in texts]
     if wrong := [t for t, name, sign, meant in parts if not (name.strip() and sign and meant.strip())]:
         cure = "is not COLUMN=VARIABLE, as in measured_speed=motor.w"
@@ -297,13 +310,13 @@ def renamed(texts: Sequence[str], log: Path) -> dict[str, str]:
 
 
 def named(names: Collection[str]) -> str:
-    """Return names in a line, the first of very many."""
+    """Return names in a line, shortened if very many."""
     more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
     return ", ".join(islice(names, SHOWN)) + more
 
 
 def _absurd(values: Array) -> Rows:
-    """Return rows of values far beyond the column's usual size: a logger's mark, as 3.4e38 for `invalid`."""
+    """Return rows of absurd values, such as a logger's 3.4e38 for `invalid`."""
     size = np.abs(values)
     seen = size[~np.isnan(size)]
     if not seen.size:
@@ -313,7 +326,10 @@ def _absurd(values: Array) -> Rows:
 
 
 def _continuous(angle: Array) -> tuple[Array, Rows]:
-    """Return the angle without jumps of a turn, and their rows; one that spans more than a turn is left alone."""
+    """Return the angle without jumps of a turn, and their rows.
+
+    An angle that spans more than a turn is unchanged.
+    """
     rows = np.flatnonzero(np.isfinite(angle))
     values = angle[rows]
     jumps = rows[1:][np.abs(np.diff(values)) > math.pi]
@@ -327,7 +343,7 @@ def _continuous(angle: Array) -> tuple[Array, Rows]:
 def _unwrapped(
     outputs: Mapping[str, Array], units: Mapping[str, str], time: Array
 ) -> tuple[dict[str, Array], dict[str, tuple[float, ...]]]:
-    """Return the outputs with angles free of jumps of a turn, and the times of these jumps."""
+    """Return the outputs with continuous angles, and the times of removed jumps."""
     smooth, jumps = dict(outputs), dict[str, tuple[float, ...]]()
     for name in outputs:
         if units[name] == "rad":
@@ -337,9 +353,9 @@ def _unwrapped(
 
 
 def usual_step(time: Array) -> float:
-    """Return [s] from row to row: of the straight line through the times by their number, each hole so many steps long.
+    """Return the row spacing [s] of a line through the times, with whole steps over gaps.
 
-    The median alone, off by a thousandth where stamps jitter, would be off by whole rows at the end of a log.
+    With jittering stamps, a median off by a thousandth would be off by whole rows at the end of a log.
     """
     apart = np.diff(time)
     median = float(np.median(apart))
@@ -352,17 +368,17 @@ def usual_step(time: Array) -> float:
 
 
 def slowness(step: float) -> int:
-    """Return how many times longer all lasts in a log with rows slower than 50 ms, to span as many rows.
+    """Return the factor on fixed times for rows slower than 50 ms.
 
-    Who logs a tank every half second means a slow tank: a second, or a memory of 0.15 s, would be two rows or none.
+    A tank logged every half second is slow: a second, or a memory of 0.15 s, would be two rows or none.
     """
     return max(1, math.ceil(step / USUAL - 0.1))
 
 
 def _measuring(log: Log, first: int, end: int) -> list[tuple[int, int]]:
-    """Return where something is measured without a pause: (first, end) from `first`; all where nothing is.
+    """Return measured ranges (first, end) without pauses, relative to `first`; all rows without measurement.
 
-    A pause is longer than what is usual between measured rows too: a slow sensor is no pause.
+    A pause exceeds the usual spacing of measurements too, so a slow sensor is no pause.
     """
     seen = np.zeros(end - first, bool)
     for values in log.outputs.values():
@@ -375,16 +391,16 @@ def _measuring(log: Log, first: int, end: int) -> list[tuple[int, int]]:
     limit = max(log.pause, USUALLY * float(np.median(apart))) if apart.size else log.pause
     edges = np.flatnonzero(apart > limit)
     starts, ends = [rows[0], *rows[edges + 1]], [*rows[edges] + 1, rows[-1] + 1]
-    # what is commanded before the first and after the last measurement is kept, if that is no pause
+    # Commands before the first and after the last measurement belong to the range, except after a pause.
     starts[0] = 0 if time[rows[0]] - time[0] <= limit else rows[0]
     ends[-1] = end - first if time[-1] - time[rows[-1]] <= limit else rows[-1] + 1
     return [(int(a), int(b)) for a, b in zip(starts, ends, strict=True)]
 
 
 def stretches(log: Log) -> list[Log]:
-    """Return a log cut at its pauses; each stretch is a log of its own.
+    """Return a log cut at its pauses.
 
-    In a pause rows are missing, and neither commands nor state are known, or nothing is measured, and the state is not.
+    In a pause, rows are missing (unknown commands and state), or measurements are (unknown state).
     """
     pieces = [
         (first + a, first + b)

@@ -1,4 +1,4 @@
-"""`cosim check` of a log: against a model, or by itself."""
+"""Check of a log by `cosim check`, against a model or alone."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ from cosim.storage.table import read_header
 
 
 def check_log(path: Path, checking: Checking) -> list[str]:
-    """Return the findings on a log: of the named model, of base if the log has an input of base, else by itself."""
+    """Return the findings on a log.
+
+    The log is compared with the named model, else with the base model if an input matches, else with none.
+    """
     if checking.model is None and not is_model(BASE):
         return findings_alone(path, checking.columns)
     loaded = load_model(checking.model or BASE, Path())
@@ -34,7 +37,11 @@ def check_log(path: Path, checking: Checking) -> list[str]:
 
 
 def log_findings(path: Path, loaded: LoadedModel, columns: Mapping[str, str] = MappingProxyType({})) -> list[str]:
-    """Return the findings on a log, a line each; InputError with its faults."""
+    """Return the findings on a log, one line each.
+
+    Raises:
+        InputError: The log has faults.
+    """
     model = loaded.model
     log = read_log(path, model.inputs, model.outputs, table=model.static, columns=columns)
     stepping = with_substep(loaded)[0].model

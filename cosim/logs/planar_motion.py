@@ -1,4 +1,4 @@
-"""A motion in a plane against itself: a body goes mostly where it points."""
+"""Consistency of a planar motion: a body mostly moves where it points."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from cosim.logs.finding import Finding
 from cosim.logs.log import Log
 from cosim.model.planar import PlanarFrame
 
-TURNED = 9.0  # times as far sideways as its mirror image, from which an axis is turned round
-LEAST = 20  # places
-SPACING = 0.2  # [s] from place to place
+TURNED = 9.0  # ratio of sideways motion to that of the mirror image from which an axis is reversed
+LEAST = 20  # positions
+SPACING = 0.2  # [s] between positions
 
 
 def mirrored(log: Log, frame: PlanarFrame) -> Iterator[Finding]:
-    """Warn of an axis that is turned round: only the mirror image goes where it points."""
+    """Warn of a reversed axis: only the mirror image moves where it points."""
     if not {frame.x, frame.y, frame.heading} <= log.outputs.keys():
         return
     x, y, heading = (log.outputs[name] for name in (frame.x, frame.y, frame.heading))

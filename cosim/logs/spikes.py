@@ -1,8 +1,9 @@
-"""Single readings that neither their neighbours nor the model explain: a recorder's, not a sensor's.
+"""Outliers of the recorder: single readings unexplained by neighbours and model.
 
-One rule for `check`, `replay` and `refine`. A reading is suspect if its neighbours agree among themselves when it is
-left out, and it is far from them. A suspect is genuine if the model moves as sharply there: an inrush current is out of
-line with its neighbours too. Of a log without a model, a suspect is genuine where an input has just jumped.
+`check`, `replay` and `refine` share one rule. A reading is suspect if its neighbours agree without it and the reading
+is
+far away from them. A suspect is genuine if the model moves as sharply, for example with an inrush current. Without a
+model, a suspect is genuine directly after a jump of an input.
 """
 
 from __future__ import annotations
@@ -16,23 +17,24 @@ from cosim.base.arrays import Array, Flags, Rows
 from cosim.logs.channel_noise import noise_level, surprise
 from cosim.logs.log import Log
 
-JUMP = 0.05  # of the range of an input, and 8 times its usual change, that an output may answer by a kink
-ANSWER = 0.1  # [s] after the jump, and 5 rows, in which it does
-SCALE = (70 / 36) ** 0.5  # of what four equal neighbours do not say, to the noise
-WILD = 12.0  # times the noise, from which a value out of line is suspect
-MOST, ADJACENT = 3, 2  # of a few that stand close together, and one after the other: more are motion
-REACH, SIDE = 12, 3  # readings that these may lead astray; on each side, that say what there should be
-ASTRAY = 0.4  # of what is wild, from which a reading belongs to such a stretch: two in a row hide each other in part
-UNCERTAINTY, LATENESS = 2.0, 2  # of a prediction that moves sharply: factor of its size, and rows of its time
+JUMP = 0.05  # share of an input's range, and 8 times its usual change, that may cause a kink
+ANSWER = 0.1  # [s] after the jump, and 5 rows, for the response
+SCALE = (70 / 36) ** 0.5  # deviation from four equal neighbours relative to the noise
+WILD = 12.0  # multiple of the noise from which a reading is suspect
+MOST, ADJACENT = 3, 2  # outliers in a group, and in sequence; more are motion
+REACH, SIDE = 12, 3  # readings that a group may affect; reference readings on each side
+ASTRAY = 0.4  # share of WILD for members of a group: two in a row partly hide each other
+UNCERTAINTY, LATENESS = 2.0, 2  # uncertainty of a sharp prediction: factor of size, and rows of time
 
 Spikes = Mapping[str, Rows]
-Prediction = Callable[[Spikes], Mapping[str, Array]]  # outputs of a model by name, made without the suspect readings
+Prediction = Callable[[Spikes], Mapping[str, Array]]  # model outputs by name, computed without suspect readings
 
 
 def find_spikes(log: Log, predict: Prediction | None = None) -> dict[str, Rows]:
-    """Return the rows of each channel at which a recorder's reading stands.
+    """Return the outlier rows of each channel.
 
-    predict: outputs of the model in the rows of the log; called only if a reading is suspect
+    Args:
+        predict: Model outputs in the rows of the log; called only for suspect readings.
     """
     suspects = {name: rows for name, values in log.outputs.items() if (rows := _suspects(log, values)).size}
     if not suspects:
@@ -49,7 +51,7 @@ def find_spikes(log: Log, predict: Prediction | None = None) -> dict[str, Rows]:
 
 
 def without(log: Log, spikes: Spikes) -> Log:
-    """Return the log with empty cells in place of spikes."""
+    """Return the log without outliers."""
     outputs = dict(log.outputs)
     for name, rows in spikes.items():
         outputs[name] = outputs[name].copy()
@@ -58,17 +60,17 @@ def without(log: Log, spikes: Spikes) -> Log:
 
 
 def out_of_line(log: Log, values: Array) -> Array:
-    """Return how far each reading is from its neighbours; 0 where it has too few."""
+    """Return the deviation of each reading from its neighbours, 0 for too few."""
     place = np.concatenate(([0], np.cumsum(np.minimum(np.diff(log.grid), 5))))
     whole = np.full(place[-1] + 1, np.nan)
-    whole[place] = values  # what stands on the far side of a pause is no neighbour
+    whole[place] = values  # readings beyond a pause are no neighbours
     seen = np.pad(np.isfinite(whole), 2)
     beside = np.lib.stride_tricks.sliding_window_view(seen, 5).all(axis=1)  # a slower sensor may miss motion
     return np.asarray(SCALE * np.abs(np.nan_to_num(np.where(beside, surprise(whole), 0.0)[place])))
 
 
 def _suspects(log: Log, values: Array) -> Rows:
-    """Return rows whose neighbours agree among themselves when the reading is left out, and that are far from them."""
+    """Return rows far from neighbours that agree among themselves."""
     level = noise_level(values) * SCALE
     if not level > 0.0:
         return np.zeros(0, np.intp)
@@ -82,7 +84,7 @@ def _suspects(log: Log, values: Array) -> Rows:
 
 
 def _moves_too(values: Array, model: Array | None, rows: Rows) -> Flags:
-    """Whether the model is as far out of line near each of these rows, by its uncertainty in size and in time."""
+    """Return True for each row near which the model moves as sharply."""
     if model is None:
         return np.zeros(rows.size, bool)
     there = np.isfinite(values)
@@ -92,15 +94,14 @@ def _moves_too(values: Array, model: Array | None, rows: Rows) -> Flags:
 
 
 def _off_neighbours(values: Array) -> Array:
-    """Return how far each reading is from what the four nearest readings say."""
+    """Return the deviation of each reading from the four nearest readings."""
     return SCALE * np.nan_to_num(np.abs(surprise(values)))
 
 
 def _close_together(values: Array, apart: float) -> list[int]:
-    """Return rows of wild readings beside a missing one or another that is wild, where those around agree without them.
+    """Return rows of outlier groups whose surroundings agree without the group.
 
-    Of a stretch whose readings are all out of line with their neighbours, the readings that are off the cubic through
-    three on each side of it.
+    In a stretch of deviating readings, the outliers are those off the cubic through three readings on each side.
     """
     rows = np.flatnonzero(np.isfinite(values))
     off_line = np.nan_to_num(np.abs(surprise(values[rows]))) * SCALE
@@ -113,7 +114,7 @@ def _close_together(values: Array, apart: float) -> list[int]:
         if off_line[first:last].max() < apart or last - first > REACH or not SIDE <= first < last <= rows.size - SIDE:
             continue
         stretch = rows[first - SIDE : last + SIDE]
-        if np.diff(stretch).max() > 3.0 * usual:  # what stands on the far side of a pause is no neighbour
+        if np.diff(stretch).max() > 3.0 * usual:  # readings beyond a pause are no neighbours
             continue
         wild = _off_the_others(values[stretch], stretch, apart)
         runs = np.split(wild, np.flatnonzero(np.diff(wild) > 1) + 1)
@@ -123,7 +124,7 @@ def _close_together(values: Array, apart: float) -> list[int]:
 
 
 def _off_the_others(y: Array, rows: Rows, apart: float) -> Rows:
-    """Return rows that are off the cubic through SIDE readings on each side; none where the sides disagree."""
+    """Return rows off the cubic through SIDE readings on each side, none for a step."""
     time = (rows - rows[0]).astype(np.float64)
     sides = [slice(None, SIDE), slice(-SIDE, None)]
     around = np.concatenate([np.arange(y.size)[s] for s in sides])
@@ -132,13 +133,13 @@ def _off_the_others(y: Array, rows: Rows, apart: float) -> Rows:
     off = np.abs(y[inside] - np.polyval(cubic, time[inside]))
     (t0, t1), (y0, y1) = ([float(v[s].mean()) for s in sides] for v in (time, y))
     slope = np.mean([np.polyfit(time[s], y[s], 1)[0] for s in sides])
-    if abs(y1 - y0 - slope * (t1 - t0)) > 0.5 * off.max():  # a step, not a reading
+    if abs(y1 - y0 - slope * (t1 - t0)) > 0.5 * off.max():  # a step, not an outlier
         return rows[:0]
     return np.asarray(rows[inside[(off > apart) & (off > 0.5 * off.max())]])
 
 
 def _neighbours_agree(values: Array, k: int, apart: float) -> bool:
-    """Whether the two readings on each side, without the one between, change evenly."""
+    """Return True if two readings on each side change evenly without the middle one."""
     if not 2 <= k < values.size - 2:
         return False
     left, right = values[k - 2 : k], values[k + 1 : k + 3]
@@ -149,7 +150,7 @@ def _neighbours_agree(values: Array, k: int, apart: float) -> bool:
 
 
 def _answering(log: Log) -> Flags:
-    """Return rows at which an input has just jumped, or that have such a row as a neighbour."""
+    """Return rows directly after a jump of an input."""
     jumps = np.zeros(log.rows)
     for values in log.inputs.values():
         change = np.abs(np.diff(values, prepend=values[0]))

@@ -1,4 +1,4 @@
-"""What there is to say of a table, whose rows stand each for itself: no clock, no neighbours, no sampling."""
+"""Findings on a table with independent rows: no clock, neighbours or sampling."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from cosim.logs.frames import degrees_or
 from cosim.logs.log import Log
 from cosim.model.traits import Traits
 
-LEAST = 2  # rows, so that one can be left out
-FEW = 8  # rows, below which a table says little
-ALIKE = 0.98  # correlation of two inputs that cannot be separated
-STILL = 1e-9  # of its largest value, within which a column is constant
+LEAST = 2  # rows, so that one can be held out
+FEW = 8  # rows below which a table says little
+ALIKE = 0.98  # correlation of two inseparable inputs
+STILL = 1e-9  # share of the largest value within which a column is constant
 
 
 def table_findings(log: Log, traits: Traits | None = None) -> Iterator[Finding]:
-    """Yield findings on a time column, few rows, constant columns, inputs that move together, angles in degrees."""
+    """Yield findings on time, few rows, constant columns, correlated inputs and degrees."""
     if "time" in log.written:
         yield Finding("note", "time", "time", "time is not read: the model has no states, each row stands for itself")
     measured = int(np.isfinite(np.column_stack(list(log.outputs.values()))).any(axis=1).sum())
@@ -37,7 +37,7 @@ def table_findings(log: Log, traits: Traits | None = None) -> Iterator[Finding]:
 
 
 def _angles(log: Log, bounds: Mapping[str, tuple[float, float]]) -> Iterator[Finding]:
-    """Yield faults of angles beyond what the model declares: in degrees, most likely."""
+    """Yield faults of angles beyond the model's limits, probably in degrees."""
     columns = {**log.inputs, **log.outputs}
     for name, (low, high) in bounds.items():
         if name not in columns or log.units[name] != "rad":
@@ -65,7 +65,7 @@ def _inputs(log: Log) -> Iterator[Finding]:
 
 
 def alike(inputs: Mapping[str, Array], verb: str) -> Iterator[Finding]:
-    """Yield a note on each two inputs that cannot be separated."""
+    """Yield a note on each pair of inseparable inputs."""
     for one, other in combinations(inputs, 2):
         rho = float(np.corrcoef(inputs[one], inputs[other])[0, 1])
         if abs(rho) > ALIKE:

@@ -1,8 +1,8 @@
-"""The modelling language: everything that a user's model file imports.
+"""Modelling language: everything that a user's model file imports.
 
     from cosim.model import Effect, Equations, Model, Namespace, Quantity, SensorError, parameter
 
-A model needs nothing but Python's standard library, so that its FMU runs in any host with a Python.
+A model needs only Python's standard library, so that its FMU runs in any host with Python.
 """
 
 from cosim.model.delay import Delay

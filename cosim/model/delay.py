@@ -1,4 +1,4 @@
-"""A delay of the whole command, which every model may lack."""
+"""Delay of the whole command, available to every model."""
 
 from __future__ import annotations
 
@@ -12,13 +12,15 @@ from cosim.model.quantities import parameter
 
 @dataclass(frozen=True, kw_only=True)
 class Delay(Effect):
-    """All commands arrive T later: u(t) → u(t − T).
+    """Delay of all commands by T: u(t) → u(t − T).
 
-    A model names it, gives it `memory`, one quantity an input, and has it first in its catalogue. One that may be
-    longer than `longest` sets this, and declares `time` with that bound.
+    A model's subclass has a name and `memory` with one quantity per input, and comes first in the catalogue. A delay
+    longer
+    than `longest` needs a larger `longest` and a `time` with that bound.
 
-    Over a substep the mean of the delayed command acts, so that its impulse is exact for any T. The
-    memory is the history of commands, (time from which it holds, command), oldest first.
+    Over a substep, the mean of the delayed command acts, so that its impulse is exact for any T. The memory is the
+    history
+    of commands (start time, command), oldest first.
     """
 
     equation = "u(t) → u(t − T), all commands"
@@ -28,11 +30,11 @@ class Delay(Effect):
     time: float = parameter(0.0, unit="s", bounds=(0, longest), neutral=0.0, typical=0.04, doc="delay T")
 
     def remember(self, t: Number, start: Values) -> Values:
-        """A command that has always been there."""
+        """Return a history with a constant past command."""
         return ((t - self.longest, start),)
 
     def shape(self, m: Namespace, t: Number, h: Number, command: Values, memory: Values) -> tuple[Values, Values]:
-        """Mean of the delayed command over the substep, and the history with this command."""
+        """Return the mean delayed command over the substep, and the updated history."""
         history = memory if memory[-1][1] is command else (*memory, (t, command))
         begin, end = t - self.time, t + h - self.time
         mean = [0.0] * len(command)
@@ -40,7 +42,7 @@ class Delay(Effect):
         first = next((k for k in range(len(history) - 1, 0, -1) if history[k][0] <= earliest), 0)
         for k, (since, value) in enumerate(history[first:], first):
             until = history[k + 1][0] if k + 1 < len(history) else t + h
-            since = since if k else begin  # the oldest command has always been there
+            since = since if k else begin  # the oldest command has no beginning
             overlap = m.maximum(0.0, m.minimum(until, end) - m.maximum(since, begin)) / h
             mean = [a + overlap * v for a, v in zip(mean, value, strict=True)]
         while len(history) > 1 and history[1][0] <= t + h - self.longest:

@@ -1,4 +1,4 @@
-"""What designs a controller for a model, and what may be said to it: general rooms ask, a controller answers."""
+"""Interface between a scenario and the design of its controller."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ from cosim.model.model import Model
 
 @dataclass(frozen=True)
 class Option:
-    """A key of `design:`, declared once.
+    """A key of `design:`.
 
-    default:  None where it may be left out
-    length:   of a list of numbers; None: one number
-    positive: numbers are above 0; else 0 too
-    choices:  names to choose from, in place of numbers
-    complex:  numbers may be complex and of any sign; `-4+1j` is text then
-    laws:     control laws that it is about, and that take its default; without one, all
+    Attributes:
+        default: None for an optional key.
+        length: Length of a list of numbers; None for a single number.
+        positive: True if 0 is not allowed.
+        choices: Allowed names instead of numbers.
+        complex: True for complex numbers of any sign, written as text such as `-4+1j`.
+        laws: Control laws that use the key; empty for all.
     """
 
     doc: str
@@ -31,9 +32,10 @@ class Option:
 
 
 class Objection(NamedTuple):
-    """What is wrong with a design: which option it is about, an entry of a list by its number, and the cure.
+    """A fault of a design: option (with list index) and cure.
 
-    values: start values that it is about; where a scenario gives one of them itself, it is that which is at fault
+    Attributes:
+        values: Start values concerned; if the scenario sets one, that entry is at fault.
     """
 
     about: tuple[str | int, ...]
@@ -42,7 +44,7 @@ class Objection(NamedTuple):
 
 
 class Undesigned(ValueError):
-    """There is no design with these options."""
+    """No design exists for these options."""
 
     def __init__(self, objection: Objection) -> None:
         super().__init__(objection.message)
@@ -50,38 +52,45 @@ class Undesigned(ValueError):
 
 
 class Judged(NamedTuple):
-    """What is to be said of designed start values: why they cannot be, and what is worth a warning."""
+    """Judgement of designed start values: objections and warnings."""
 
     objections: Sequence[Objection] = ()
     warnings: Sequence[str] = ()
 
 
 class Designer(Protocol):
-    """Designs start values of a controller FMU before a run."""
+    """Design of a controller FMU's start values before a run."""
 
     options: Mapping[str, Option]
-    version: int  # raised when the meaning of a design changes, for designs are cached
+    version: int  # version of the design method; a new version invalidates cached designs
 
     def depends_on(self, model: Model | None) -> Mapping[str, Any]:
-        """What a design depends on beside its options: numbers of a model, or without one the controller's own.
+        """Return the dependencies of a design besides its options: parameters of the model or the controller.
 
-        Raises ValueError where it designs for no such model.
+        Raises:
+            ValueError: No design exists for this kind of model.
         """
 
     def objections(self, options: Mapping[str, Any], law: str) -> list[Objection]:
-        """What is wrong with the options themselves, all of it."""
+        """Return all faults of the options."""
 
     def values(self, options: Mapping[str, Any], model: Model | None, law: str = "") -> dict[str, float]:
-        """Designed start values by variable, for an FMU with this control law ("": the designer's first).
+        """Return designed start values by variable.
 
-        The options have no objections. Raises Undesigned, or ValueError where it is no matter of an option.
+        Args:
+            options: Options without faults.
+            law: Control law of the FMU; "" for the first one.
+
+        Raises:
+            Undesigned: The options allow no design.
+            ValueError: The fault is not in an option.
         """
 
     def judged(self, values: Mapping[str, Any], own: Mapping[str, Any], options: Mapping[str, Any], law: str) -> Judged:
-        """Of designed values, and over them a scenario's `own`, each within its bounds: whether they go together."""
+        """Return the consistency of designed values, overridden by the scenario's `own` values."""
 
     def given(self, options: Mapping[str, Any], law: str) -> dict[str, Any]:
-        """Return start values that the options of this law say themselves; they win."""
+        """Return start values set directly by options, which take precedence."""
 
     def rests_on(self, designed: Mapping[str, Any], law: str) -> Mapping[str, float]:
-        """Numbers of the plant with which designed start values were made, those of them that are start values too."""
+        """Return plant parameters behind designed start values that are start values too."""

@@ -1,6 +1,6 @@
-"""Numbers that carry their slopes, so that the one body of equations gives its Jacobian without a symbol.
+"""Dual numbers, which give the Jacobian of the equations without symbols.
 
-A dual number is a value and its derivatives by each state. A branch takes the slopes of the side that is taken.
+A dual number is a value with its derivative by each state. A branch has the derivatives of the chosen side.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from cosim.model.namespaces import ScalarNamespace
 
 
 class Dual:
-    """A value and its slopes, one for each state."""
+    """A value and its derivative by each state."""
 
     __slots__ = ("slopes", "value")
 
@@ -90,12 +90,12 @@ def _value(number: Any) -> Any:
 
 
 def _along(x: Dual, value: float, slope: float) -> Dual:
-    """Return a function of a dual number from its value and its slope there."""
+    """Return a dual function value from value and slope."""
     return Dual(value, [slope * a for a in x.slopes])
 
 
 def _lifted(function: Callable[[float], float], slope: Callable[[float, float], float]) -> Callable[[Any], Any]:
-    """Return a function on dual numbers; slope: of (argument, value of the function)."""
+    """Return a function on dual numbers; `slope` takes argument and function value."""
 
     def of(x: Any) -> Any:
         value = function(_value(x))
@@ -105,24 +105,24 @@ def _lifted(function: Callable[[float], float], slope: Callable[[float, float], 
 
 
 class DualNamespace(ScalarNamespace):
-    """The functions of the equations on dual numbers."""
+    """Functions of the equations on dual numbers."""
 
     sin = staticmethod(_lifted(math.sin, lambda x, _: math.cos(x)))
     cos = staticmethod(_lifted(math.cos, lambda x, _: -math.sin(x)))
     tanh = staticmethod(_lifted(math.tanh, lambda _, y: 1.0 - y * y))
     exp = staticmethod(_lifted(math.exp, lambda _, y: y))
-    sqrt = staticmethod(_lifted(math.sqrt, lambda _, y: 0.5 / y if y else 0.0))  # no use has the slope at a kink
+    sqrt = staticmethod(_lifted(math.sqrt, lambda _, y: 0.5 / y if y else 0.0))  # slope at 0 is unused
 
     @staticmethod
     def rint(x: Any) -> Any:
-        """The nearest whole number, with the slope of what is rounded."""
+        """Return the nearest integer with the slope of the argument."""
         return x + (ScalarNamespace.rint(_value(x)) - _value(x))
 
 
 def jacobian(
     derivative: Callable[..., Sequence[Any]], t: float, state: Sequence[float], command: Sequence[float]
 ) -> list[list[float]]:
-    """Return ∂f/∂x, row by row, of a derivative that is bound to the namespace of dual numbers."""
+    """Return ∂f/∂x by rows for a derivative bound to dual numbers."""
     n = len(state)
     units = [[float(i == j) for j in range(n)] for i in range(n)]
     rates = derivative(t, tuple(map(Dual, state, units)), command)

@@ -1,4 +1,4 @@
-"""A gain of one input, which every model may lack."""
+"""Gain of one input, available to every model."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from cosim.model.quantities import parameter
 
 @dataclass(frozen=True, kw_only=True)
 class Gain(Effect):
-    """One input does k times what it is told: u → k·u.
+    """Gain of one input: u → k·u.
 
-    A model names it, and the input in `input`, and has it in its catalogue; nothing else. Whatever delays or shapes the
-    command comes before it.
+    A model's subclass has a name, the input's name in `input`, and a place in the catalogue. Delays and shaping of the
+    command act before.
     """
 
     equation = "k·u in place of u"
@@ -25,5 +25,5 @@ class Gain(Effect):
     gain: float = parameter(1.0, unit="1", bounds=(0.1, 10), neutral=1.0, typical=0.1, doc="gain k of the input")
 
     def transmit(self, m: Namespace, command: Mapping[str, Number]) -> Mapping[str, Number]:
-        """k·u of the one, the other commands as they are."""
+        """Return the commands with the input scaled by k."""
         return {**command, self.input: self.gain * command[self.input]}

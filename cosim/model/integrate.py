@@ -1,4 +1,4 @@
-"""Stepping a model: inputs held over a communication step, equal substeps inside it."""
+"""Integration of a model over a communication step with held inputs and equal substeps."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Derivative = Callable[[Number, Values, Values], Values]
 
 
 def substeps(step: float, longest: float) -> int:
-    """Number of equal substeps of a communication step; 1e-6 of slack absorbs a host's rounding."""
+    """Return the number of substeps, with tolerance for rounding."""
     return max(1, math.ceil(step / longest - 1e-6))
 
 
 def rk4(f: Derivative, t: Number, x: Values, u: Values, h: Number) -> Values:
-    """One step of the classical Runge-Kutta method: x(t + h), command u held."""
+    """Return x(t + h) by the classical Runge-Kutta method, command u held."""
     half = 0.5 * h
     k1 = f(t, x, u)
     k2 = f(t + half, tuple([a + half * k for a, k in zip(x, k1)]), u)  # noqa: B905 - hot loop
@@ -34,7 +34,7 @@ def rk4(f: Derivative, t: Number, x: Values, u: Values, h: Number) -> Values:
 
 @dataclass(frozen=True)
 class Moment:
-    """Everything that decides the future: time [s], continuous state, memory of each shaping effect."""
+    """Complete simulation state: time [s], continuous states, memory of each shaping effect."""
 
     t: Number
     state: Values
@@ -42,7 +42,7 @@ class Moment:
 
 
 class Stepper:
-    """A model bound to a namespace and ready to step: `moment = stepper.step(moment, command, h)`."""
+    """Integrator of a model in a namespace: `moment = stepper.step(moment, command, h)`."""
 
     def __init__(self, model: Model, m: Namespace = SCALAR) -> None:
         self.model = model
@@ -51,7 +51,7 @@ class Stepper:
         self.shaping: tuple[Any, ...] = overrides(model.awake, "shape", Effect)
 
     def start(self, t: Number = 0.0, values: Mapping[str, Number] | None = None) -> Moment:
-        """Moment at `t` from start values by name: states, and memory as `effect.memory`."""
+        """Return the moment at `t` for start values of states and `effect.memory`."""
         values = values or {}
         inputs = dict(zip((q.name for q in self.model.inputs), self.model.start_command(), strict=True))
         memory = tuple(
@@ -63,7 +63,7 @@ class Stepper:
     def shape(
         self, t: Number, h: Number, command: Values, memory: tuple[Values, ...]
     ) -> tuple[Values, tuple[Values, ...]]:
-        """Command that acts over one substep, after every effect that shapes it, and their memory."""
+        """Return the command after all shaping effects, and their memory."""
         after = []
         for effect, remembered in zip(self.shaping, memory, strict=True):
             command, remembered = effect.shape(self.namespace, t, h, command, remembered)
@@ -72,7 +72,7 @@ class Stepper:
 
     @cached_property
     def _slopes(self) -> Derivative:
-        """The derivative on dual numbers."""
+        """Return the derivative on dual numbers."""
         return self.model.acting(DualNamespace()).derivative
 
     def step(self, moment: Moment, command: Values, h: float) -> Moment:

@@ -1,8 +1,7 @@
-"""What a model is: states, inputs, outputs, parameters, effects and one body of equations.
+"""Models: states, inputs, outputs, parameters, effects and one body of equations.
 
-The integrator, the FMU, the linearisation and the fits ask a model for nothing more. An effect is a
-term the base model lacks: dormant at its neutral value, in which case it is left out of the
-equations altogether and costs nothing.
+Integrator, FMU, linearization and fits need nothing more. An effect is a term that the base model lacks. At its neutral
+value, an effect is dormant, left out of the equations and free of cost.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from cosim.model.namespaces import SCALAR, Namespace
 from cosim.model.planar import PlanarFrame
 from cosim.model.quantities import Parameter, Quantity, parameters_of
 
-# A number is a float, an array or a symbol, whichever the namespace handed in works on.
+# A number is a float, an array or a symbol, according to the namespace.
 Number = Any
 Values = tuple[Number, ...]
 AUTO, RK4, STIFF = "auto", "rk4", "stiff"
@@ -24,11 +23,11 @@ INTEGRATORS = (AUTO, RK4, STIFF)
 
 @dataclass(frozen=True, kw_only=True)
 class Parametric:
-    """A frozen dataclass of parameters that refuses values out of bounds, all of them at once."""
+    """A frozen dataclass of parameters with checked bounds; one error names all faults."""
 
     @property
     def prefix(self) -> str:
-        """What stands before a parameter's name where there are parameters of others beside it."""
+        """Return the prefix of parameter names in messages."""
         return ""
 
     def __post_init__(self) -> None:
@@ -39,16 +38,17 @@ class Parametric:
 
 @dataclass(frozen=True, kw_only=True)
 class Effect(Parametric):
-    """A term that may carry continuous states, and memory updated once a substep.
+    """A term with optional continuous states, and memory updated once per substep.
 
-    name:   how the catalogue and the FMU (`name.parameter`) call it
-    states: continuous states the effect adds to the model's
-    memory: what it remembers between substeps; each has a start value `name.memory_start`
-    delay:  a parameter [s]: the whole command acts so much later. Such an effect comes before all others and remembers
-            a history of commands, with one quantity in `memory` for each input; where the whole log is at hand,
-            the late command is looked up there instead
-    starts: parameter values from which a fit starts as well, where its likelihood has more than one hill
-    at_least: parameter → another of the effect that it is never below: what makes it physical, which no fit leaves
+    Attributes:
+        name: Name in the catalogue and the FMU (`name.parameter`).
+        states: Additional continuous states.
+        memory: Quantities stored between substeps; each has a start value `name.memory_start`.
+        delay: Parameter that delays the whole command [s]. The effect comes first in the catalogue and stores a history
+            of
+            commands, with one quantity in `memory` per input; with a whole log, the late command is looked up there.
+        starts: Additional start values of fits, for likelihoods with several maxima.
+        at_least: Parameter → lower-bound parameter of the same effect, a physical constraint of every fit.
     """
 
     name: ClassVar[str]
@@ -61,30 +61,30 @@ class Effect(Parametric):
 
     @property
     def prefix(self) -> str:
-        """The effect's name and a dot."""
+        """Return the effect's name and a dot."""
         return f"{self.name}."
 
     @property
     def dormant(self) -> bool:
-        """Every parameter that has a neutral value is at it. (Arrays and symbols count as awake.)"""
+        """Return True if all parameters with a neutral value have it; arrays and symbols are active."""
         awake = (p for p in parameters_of(self) if p.neutral is not None)
         return all(isinstance(v := getattr(self, p.name), (int, float)) and v == p.neutral for p in awake)
 
     def remember(self, t: Number, start: Values) -> Values:
-        """Memory at time `t` [s] from the start values of `memory`."""
+        """Return the memory at time `t` [s] from its start values."""
         return start
 
     def shape(self, m: Namespace, t: Number, h: Number, command: Values, memory: Values) -> tuple[Values, Values]:
-        """Command that acts over the substep from `t` to `t + h` [s], and the memory after it."""
+        """Return the command over a substep from `t` to `t + h` [s], and the new memory."""
         return command, memory
 
     def transmit(self, m: Namespace, command: Mapping[str, Number]) -> Mapping[str, Number]:
-        """Commands that act, by input, of those that have arrived: in derivative and output alike, of any model."""
+        """Return the commands that act in derivative and output, by input name."""
         return command
 
 
 def overrides(effects: tuple[Any, ...], hook: str, base: type) -> tuple[Any, ...]:
-    """The effects whose class gives `hook` a body of its own, in order."""
+    """Return the effects whose class overrides `hook`, in order."""
     return tuple(e for e in effects if getattr(type(e), hook) is not getattr(base, hook))
 
 
@@ -93,7 +93,7 @@ def _prefixed(kinds: tuple[type[Any], ...]) -> dict[str, Parameter]:
 
 
 class Validity(NamedTuple):
-    """Within what inputs of one quantity stay, and what happens to the model beyond, in words."""
+    """Valid range of some inputs of one quantity, and the consequence outside, in words."""
 
     quantity: str
     inputs: tuple[str, ...]
@@ -103,10 +103,11 @@ class Validity(NamedTuple):
 
 
 class Equations(NamedTuple):
-    """The body, bound to a namespace and to parameter values.
+    """The equations bound to a namespace and parameter values.
 
-    derivative: (t, state, command) → d state / d t; state and result are tuples, effect states last
-    output:     (t, state, command) → outputs
+    Attributes:
+        derivative: (t, state, command) → d state / d t, tuples with effect states last.
+        output: (t, state, command) → outputs.
     """
 
     derivative: Callable[[Number, Values, Values], Values]
@@ -115,43 +116,40 @@ class Equations(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Model(Parametric):
-    """Base of every model: declared quantities, parameters as fields, effects that add up."""
+    """Base class of models: declared quantities, parameters as fields, additive effects."""
 
     title: ClassVar[str]
     base_states: ClassVar[tuple[Quantity, ...]]
     inputs: ClassVar[tuple[Quantity, ...]]
     outputs: ClassVar[tuple[Quantity, ...]]
     catalogue: ClassVar[tuple[type[Effect], ...]] = ()
-    # What is known of a real one, in order: errors that its sensors may have; variance of each measured output; at the
-    # start of a log, variance of each state that nothing measures (without it: the range of the model's own run,
-    # squared); states whose equations may lack something; parameters that every fit recalibrates; further parameters
-    # that may be wrong.
+    # Knowledge about a real plant, in order: possible sensor errors; variance of each measured output; variance of each
+    # unmeasured state at the start of a log (default: squared range of the model's own run); states with possibly
+    # deficient equations; parameters recalibrated in every fit; further suspect parameters.
     sensors: ClassVar[tuple[type[Any], ...]] = ()
     sensor_variance: ClassVar[Mapping[str, float]] = {}
     start_variance: ClassVar[Mapping[str, float]] = {}
     forced: ClassVar[tuple[str, ...]] = ()
     calibrated: ClassVar[tuple[str, ...]] = ()
-    # parameter → inputs that must vary in the logs, or it is not identifiable
+    # parameter → inputs that must vary in the logs for identifiability
     suspect: ClassVar[Mapping[str, tuple[str, ...]]] = {}
-    told_apart_by: ClassVar[Mapping[frozenset[str], str]] = {}  # rivals → the experiment that separates them, in words
-    drawn_against: ClassVar[
-        Mapping[str, tuple[str, ...]]
-    ] = {}  # effect or parameter → signals its form says to look at
-    measured: ClassVar[tuple[str, ...]] = ()  # outputs that are usually logged; without, those of `sensor_variance`
-    excursion: ClassVar[Mapping[str, float]] = {}  # signal → how far from its start an experiment may take it
-    valid: ClassVar[tuple[Validity, ...]] = ()  # ranges that the model was made for; beyond one, it warns once
-    planar: ClassVar[PlanarFrame | None] = None  # names of a motion in a plane
+    told_apart_by: ClassVar[Mapping[frozenset[str], str]] = {}  # rivals → experiment that separates them, in words
+    drawn_against: ClassVar[Mapping[str, tuple[str, ...]]] = {}  # effect or parameter → signals for plots
+    measured: ClassVar[tuple[str, ...]] = ()  # usually logged outputs; default: those of `sensor_variance`
+    excursion: ClassVar[Mapping[str, float]] = {}  # signal → allowed deviation from its start in an experiment
+    valid: ClassVar[tuple[Validity, ...]] = ()  # ranges of validity; the model warns once outside of each
+    planar: ClassVar[PlanarFrame | None] = None  # signal names of a planar motion
     substep: ClassVar[float] = 0.005  # longest integration substep [s]
-    integrator: ClassVar[str] = AUTO  # of INTEGRATORS; "auto" is RK4, or the implicit method for a stiff model
-    rate: ClassVar[float] = 0.02  # communication step the model is made for [s]
-    horizon: ClassVar[float] = 2.0  # [s] over which replays are judged; infinite: one free run over the whole log
+    integrator: ClassVar[str] = AUTO  # one of INTEGRATORS; "auto" is RK4, or the implicit method for a stiff model
+    rate: ClassVar[float] = 0.02  # communication step of the model's design [s]
+    horizon: ClassVar[float] = 2.0  # [s] duration of replays for judgement; infinite: one free run over the whole log
 
     effects: tuple[Any, ...] = field(default=())
-    chosen_substep: float | None = field(default=None)  # [s]; replaces `substep` where the class states none
+    chosen_substep: float | None = field(default=None)  # [s]; replaces `substep` if the class states none
     chosen_integrator: str | None = field(default=None)  # replaces `integrator`
 
     def __init_subclass__(cls, **keywords: Any) -> None:
-        """A model without a title goes by the name of its class."""
+        """Set the class name as default title."""
         super().__init_subclass__(**keywords)
         if not hasattr(cls, "title"):
             cls.title = cls.__name__
@@ -169,15 +167,15 @@ class Model(Parametric):
             object.__setattr__(self, "integrator", self.chosen_integrator)
 
     def equations(self, m: Namespace) -> Equations:
-        """Bind the one body of equations to a namespace."""
+        """Return the equations bound to a namespace."""
         raise NotImplementedError
 
     def start_state(self, m: Namespace = SCALAR) -> dict[str, Number]:
-        """Start value of each base state that is not simply its quantity's."""
+        """Return start values of base states that differ from their quantities."""
         return {}
 
     def warning(self, command: Values) -> str | None:
-        """What to warn of where a command leaves the range the model was made for, by `valid`."""
+        """Return a warning for a command outside the valid ranges, or None."""
         acting = {q.name: (value, q.unit) for q, value in zip(self.inputs, command, strict=True)}
         for quantity, inputs, low, high, beyond in self.valid:
             values = [acting[name] for name in inputs]
@@ -186,13 +184,13 @@ class Model(Parametric):
         return None
 
     def start_input(self) -> dict[str, Number]:
-        """Start value of each input that is not simply its quantity's."""
+        """Return start values of inputs that differ from their quantities."""
         return {}
 
-    # -- the same for every model -------------------------------------------------------------
+    # -- common to all models ----------------------------------------------------------------
 
     def acting(self, m: Namespace) -> Equations:
-        """The equations bound to a namespace, under the commands that the effects transmit."""
+        """Return the equations with the transmission of commands by effects."""
         bound = self.equations(m)
         names = [q.name for q in self.inputs]
         terms = overrides(self.awake, "transmit", Effect)
@@ -212,43 +210,47 @@ class Model(Parametric):
 
     @property
     def static(self) -> bool:
-        """Without states: outputs follow the inputs at once, and what is measured is a table without time."""
+        """Return True for a model without states, whose measurements are a table without time."""
         return not self.base_states
 
     @property
     def awake(self) -> tuple[Any, ...]:
-        """The effects that act, in catalogue order."""
+        """Return the active effects in catalogue order."""
         return tuple(e for e in self.effects if not e.dormant)
 
     @property
     def states(self) -> tuple[Quantity, ...]:
-        """Base states, then those of the effects that act, named `effect.state`."""
+        """Return base states, then states of active effects as `effect.state`."""
         return self.base_states + tuple(
             Quantity(f"{e.name}.{s.name}", s.unit, s.doc, s.start) for e in self.awake for s in e.states
         )
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters of the base model."""
+        """Return the parameters of the base model."""
         return parameters_of(self)
 
     @property
     def declared(self) -> dict[str, Parameter]:
-        """Every parameter that `with_values` knows: of the base model by name, of the catalogue `effect.parameter`."""
+        """Return all parameters by name, those of the catalogue as `effect.parameter`."""
         return {p.name: p for p in self.parameters} | _prefixed(self.catalogue)
 
     @property
     def sensor_parameters(self) -> dict[str, Parameter]:
-        """The parameters of the errors that the sensors may have, by `sensor.parameter`."""
+        """Return the parameters of possible sensor errors by `sensor.parameter`."""
         return _prefixed(self.sensors)
 
     def with_effect(self, effect: Any) -> Self:
-        """Another model with the effect added, or put in place of one of the same kind."""
+        """Return the model with an effect added or replaced."""
         others = tuple(e for e in self.effects if type(e) is not type(effect))
         return replace(self, effects=(*others, effect))
 
     def with_values(self, values: Mapping[str, Number]) -> Self:
-        """Another model with `parameter` and `effect.parameter` values; raises KeyError on an unknown name."""
+        """Return the model with values of `parameter` and `effect.parameter`.
+
+        Raises:
+            KeyError: A name is unknown.
+        """
         known = {p.name for p in self.parameters}
         base = {name: v for name, v in values.items() if name in known}
         grouped: dict[str, dict[str, Number]] = {}
@@ -266,16 +268,16 @@ class Model(Parametric):
         return model
 
     def with_substep(self, substep: float | None, integrator: str | None = None) -> Self:
-        """Return the model with another longest substep [s] and integrator; None is that of its class."""
+        """Return the model with another longest substep [s] and integrator; None restores the default."""
         return replace(self, chosen_substep=substep, chosen_integrator=integrator)
 
     def start(self, values: Mapping[str, Number] | None = None, m: Namespace = SCALAR) -> Values:
-        """Initial state from start values by state name (`position`, `effect.state`)."""
+        """Return the initial state from start values by name (`position`, `effect.state`)."""
         values = values or {}
         own = self.start_state(m)
         return tuple(values.get(s.name, own.get(s.name, s.start)) for s in self.states)
 
     def start_command(self) -> Values:
-        """Inputs at their start values."""
+        """Return the start values of the inputs."""
         own = self.start_input()
         return tuple(own.get(q.name, q.start) for q in self.inputs)

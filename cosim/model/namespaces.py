@@ -1,4 +1,4 @@
-"""Function namespaces handed to the equations, so that one body serves a float, an array and a symbol."""
+"""Function namespaces of the equations, for floats, arrays and symbols."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 
 class Namespace(Protocol):
-    """What an equation may call. Numbers are floats, arrays of any one shape, or symbols."""
+    """Functions available to equations; numbers are floats, arrays of one shape, or symbols."""
 
     def sin(self, x: Any) -> Any: ...
     def cos(self, x: Any) -> Any: ...
@@ -22,7 +22,7 @@ class Namespace(Protocol):
 
 
 class ScalarNamespace:
-    """Python floats by `math`: what the FMU runs on."""
+    """Python floats with `math`, as used by the FMU."""
 
     sin = staticmethod(math.sin)
     cos = staticmethod(math.cos)
@@ -49,21 +49,21 @@ SCALAR: Namespace = ScalarNamespace()
 
 
 def arrays() -> Namespace:
-    """NumPy arrays: a thousand runs at once."""
+    """Return the namespace of NumPy arrays, for many runs at once."""
     import numpy
 
     return numpy
 
 
 class SymbolNamespace:
-    """SymPy expressions: Jacobians, generated code, which output depends on what."""
+    """SymPy expressions, for Jacobians, generated code and dependencies."""
 
     def __init__(self) -> None:
         import sympy
 
         from cosim.model.symbolic.printed import Clip, Rint
 
-        self.clip, self.rint = Clip, Rint  # of anything, branches too: a condition that holds branches takes minutes
+        self.clip, self.rint = Clip, Rint  # a branch within a condition would take sympy minutes
         self.sin, self.cos, self.tanh = sympy.sin, sympy.cos, sympy.tanh
         self.exp, self.sqrt = sympy.exp, sympy.sqrt
         self._piecewise = sympy.Piecewise
@@ -71,10 +71,10 @@ class SymbolNamespace:
     def where(self, condition: Any, then: Any, otherwise: Any) -> Any:
         if condition in (True, False):
             return then if condition else otherwise
-        # as it stands: sympy's simplification of nested branches takes seconds and finds nothing
+        # Unevaluated, because simplification of nested branches takes seconds without effect.
         return self._piecewise((then, condition), (otherwise, True), evaluate=False)
 
-    # branches rather than sympy's Max and Min, whose derivatives are Heaviside functions
+    # Branches instead of sympy's Max and Min, whose derivatives are Heaviside functions.
     def maximum(self, a: Any, b: Any) -> Any:
         return self.where(a >= b, a, b)
 

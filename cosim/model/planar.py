@@ -1,6 +1,6 @@
-"""Motion in a plane: a body that points somewhere, in axes of its own and of the world.
+"""Planar motion of a body with heading, in local and world axes.
 
-Local axes: forward and to the right; heading positive to the left seen from above. World axes: X forward and Y left at
+Local axes: forward and to the right; heading positive to the left, seen from above. World axes: X forward and Y left at
 heading 0.
 """
 
@@ -13,18 +13,21 @@ from cosim.model.namespaces import Namespace
 
 
 def world_velocity(m: Namespace, heading: Any, forward: Any, right: Any) -> tuple[Any, Any]:
-    """Velocity in world axes, v forward, w rightward, ψ the heading: Ẋ = v·cos ψ + w·sin ψ, Ẏ = v·sin ψ − w·cos ψ."""
+    """Return the velocity in world axes from local components.
+
+    With v forward, w rightward and heading ψ: Ẋ = v·cos ψ + w·sin ψ, Ẏ = v·sin ψ − w·cos ψ.
+    """
     s, c = m.sin(heading), m.cos(heading)
     return forward * c + right * s, forward * s - right * c
 
 
-# The map is its own inverse (a rotation and a mirror), so a world vector reaches local axes by it too.
+# The map is its own inverse (a rotation and a mirror), so the same function transforms world vectors to local axes.
 local_vector = world_velocity
 
 
 @dataclass(frozen=True)
 class PlanarFrame:
-    """Which signals of a model are a motion in a plane: world position, heading, and local velocities."""
+    """Signal names of a planar motion: world position, heading and local velocities."""
 
     x: str
     y: str
@@ -34,10 +37,10 @@ class PlanarFrame:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All of them."""
+        """Return all signal names."""
         return self.x, self.y, self.heading, self.forward, self.right
 
     @property
     def local(self) -> set[str]:
-        """The local velocities, and the heading by which they turn into the world's."""
+        """Return the names of local velocities and heading."""
         return {self.heading, self.forward, self.right}

@@ -1,4 +1,4 @@
-"""What the equations speak of: quantities with a unit, and parameters declared once."""
+"""Quantities with units, and parameter declarations."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ INFINITY = math.inf
 
 @dataclass(frozen=True)
 class Quantity:
-    """A state, input, output or remembered value: name, SI unit, meaning, start value, and what values it can have."""
+    """A state, input, output or stored value: name, SI unit, meaning, start value and bounds."""
 
     name: str
     unit: str
@@ -22,17 +22,18 @@ class Quantity:
 
     @property
     def bounded(self) -> bool:
-        """Whether it has a limit on one side at least."""
+        """Return True if at least one bound is finite."""
         return any(map(math.isfinite, self.bounds))
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A declared parameter: everything there is to know of it but its value.
+    """Declaration of a parameter.
 
-    `neutral` is the value at which an effect is dormant (None: the parameter only shapes the effect); `typical` a
-    size at which it is plainly seen, from which a fit starts and by which it measures its steps. `tolerance` is how far
-    the true value may be from the stated one, as a share of it: the half-width that holds 95 %.
+    Attributes:
+        neutral: Value at which an effect is dormant; None for a parameter that only shapes the effect.
+        typical: Clearly visible size, the start and step scale of a fit.
+        tolerance: Relative uncertainty of the stated value, the half-width of 95 %.
     """
 
     name: str
@@ -45,7 +46,7 @@ class Parameter:
     tolerance: float | None = None
 
     def fault(self, value: object) -> str | None:
-        """Say what is wrong with `value`, or None. Arrays and symbols are taken as they are."""
+        """Return the fault of a value, or None; arrays and symbols are not checked."""
         if isinstance(self.default, bool):
             return None if isinstance(value, bool) else f"{self.name} is {value!r}; it is true or false"
         if isinstance(value, (bool, str)) or value is None:
@@ -74,7 +75,7 @@ def parameter(
 
 
 def parameters_of(owner: Any) -> tuple[Parameter, ...]:
-    """Parameters declared by a dataclass or an instance of one, in order."""
+    """Return the declared parameters of a dataclass or instance, in order."""
     kind = owner if isinstance(owner, type) else type(owner)
     found = _declared.get(kind)
     if found is None:
@@ -82,7 +83,7 @@ def parameters_of(owner: Any) -> tuple[Parameter, ...]:
     return found
 
 
-_declared: WeakKeyDictionary[type, tuple[Parameter, ...]] = WeakKeyDictionary()  # asked for thousands of times a fit
+_declared: WeakKeyDictionary[type, tuple[Parameter, ...]] = WeakKeyDictionary()  # read thousands of times in a fit
 
 
 def _named(declared: Field[Any]) -> Parameter:

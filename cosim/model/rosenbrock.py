@@ -1,11 +1,11 @@
-"""A linearly implicit Runge-Kutta method for stiff equations: RODAS, of order 4, L-stable.
+"""Linearly implicit Runge-Kutta method for stiff equations: RODAS, order 4, L-stable.
 
-With J = ∂f/∂x at the start of a step of length h, γ = 1/4, and ḟ the slope of f in time alone:
+With J = ∂f/∂x at the start of a step of length h, γ = 1/4, and ḟ the partial derivative of f by time:
 
     (I/(h·γ) − J)·kᵢ = f(t + αᵢ·h, x + Σ aᵢⱼ·kⱼ) + Σ cᵢⱼ·kⱼ/h + γᵢ·h·ḟ        j < i ≤ 6
     x(t + h) = x + Σ a₆ⱼ·kⱼ + k₆
 
-Hairer, Wanner: Solving Ordinary Differential Equations II, section IV.7. `stiff.h` is the same in C.
+Hairer, Wanner: Solving Ordinary Differential Equations II, section IV.7. `stiff.h` contains the same method in C.
 """
 
 from __future__ import annotations
@@ -45,7 +45,11 @@ def step(
     u: Vector,
     h: float,
 ) -> tuple[float, ...]:
-    """Return x(t + h), command u held; ArithmeticError if the equations have no solution."""
+    """Return x(t + h) with command u held.
+
+    Raises:
+        ArithmeticError: The linear equations are singular.
+    """
     start = tuple(x)
     matrix = [[(i == j) / (h * GAMMA) - slope for j, slope in enumerate(row)] for i, row in enumerate(J)]
     rows = factor(matrix)
@@ -65,7 +69,7 @@ def step(
 
 
 def factor(a: list[list[float]]) -> list[int]:
-    """Factor a matrix in place into L and U by rows; return the order of the rows."""
+    """Factor a matrix in place into L and U; return the row order."""
     n = len(a)
     order = list(range(n))
     for c in range(n):

@@ -1,6 +1,6 @@
-"""What a model says of its signals beside names and units, for whoever holds a log against it.
+"""Signal properties of a model beyond names and units, for the checks of logs.
 
-An FMU of ours carries it in its description, so that it is known where the model is not.
+An own FMU stores the traits in its description, for use without the model.
 """
 
 from __future__ import annotations
@@ -16,12 +16,13 @@ from cosim.model.planar import PlanarFrame
 
 @dataclass(frozen=True)
 class Traits:
-    """What is declared of the signals of a model.
+    """Declared properties of a model's signals.
 
-    rates:  output → the output that is its time derivative
-    bounds: signal → least and largest value it can have
-    planar: names of a motion in a plane, None without one
-    static: it has no states; what is measured is a table without time
+    Attributes:
+        rates: Output → output that is its time derivative.
+        bounds: Signal → least and largest possible value.
+        planar: Signal names of a planar motion, or None.
+        static: True without states; measurements are a table without time.
     """
 
     rates: Mapping[str, str] = field(default_factory=dict)
@@ -31,21 +32,21 @@ class Traits:
 
     @classmethod
     def of(cls, model: Model) -> Traits:
-        """The traits of a model, the rates by its equations."""
+        """Return the traits of a model, with rates from its equations."""
         signals = {q.name: q for q in (*model.outputs, *model.inputs)}
         bounds = {n: q.bounds for n, q in signals.items() if q.bounded}
         return cls(rates_of(model), bounds, model.planar, model.static)
 
 
 def rate_of(name: str, known: Container[str]) -> str | None:
-    """The signal that is the time derivative of `name` by its name: `angle_dot` of `angle`, `vx` of `x`."""
+    """Return the time derivative of `name` by its name, such as `angle_dot` or `vx`."""
     usual = (f"{name}_dot", f"v{name}", f"d{name}", f"der({name})")
     words = (name.replace("position", "velocity"), name.replace("angle", "rate"))
     return next((other for other in (*usual, *words) if other != name and other in known), None)
 
 
 def rates_of(model: Model) -> dict[str, str]:
-    """Output → the output that is its derivative: by its name, and by the equations at states about the start."""
+    """Return output → derivative output, confirmed by the equations near the start."""
     import numpy as np
 
     names = [q.name for q in model.outputs]
@@ -56,7 +57,7 @@ def rates_of(model: Model) -> dict[str, str]:
     for _ in range(3):
         try:
             values, slopes = _moving(model, rng)
-        except (ArithmeticError, ValueError):  # no such state: a root, a logarithm
+        except (ArithmeticError, ValueError):  # an undefined state of a root or a logarithm
             continue
         drawn += 1
         off = np.array([abs(slopes[place[n]] - values[place[r]]) for n, r in pairs.items()])
@@ -66,7 +67,7 @@ def rates_of(model: Model) -> dict[str, str]:
 
 
 def _moving(model: Model, rng: Any) -> tuple[Any, Any]:
-    """Outputs at a state drawn about the start, and their slopes [1/s]."""
+    """Return outputs at a random state near the start, and their slopes [1/s]."""
     import numpy as np
 
     derivative, output = model.acting(SCALAR)
@@ -75,6 +76,6 @@ def _moving(model: Model, rng: Any) -> tuple[Any, Any]:
     command = tuple(u.tolist())
     with np.errstate(all="ignore"):
         f = np.array(derivative(0.0, tuple(x.tolist()), command))
-        h = 1e-6 / (1.0 + float(np.max(np.abs(f) / (1.0 + np.abs(x)), initial=0.0)))  # [s], a small part of any change
+        h = 1e-6 / (1.0 + float(np.max(np.abs(f) / (1.0 + np.abs(x)), initial=0.0)))  # [s] small relative to any change
         now, before, after = (np.array(output(0.0, tuple((x + s * h * f).tolist()), command)) for s in (0.0, -1.0, 1.0))
         return now, (after - before) / (2.0 * h)

@@ -1,1 +1,1 @@
-"""Measured logs, a model, and what the model lacks: fit, attribution, verdict, proof."""
+"""Refinement of a model from measured logs: fit, attribution, verdict and proof."""

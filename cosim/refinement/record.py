@@ -1,4 +1,4 @@
-"""refine.json: what a study came to, for other programs. The schema beside this file says the same in JSON's words."""
+"""Content of refine.json, the result of a study for other programs, with its JSON schema beside this file."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SCHEMA = Path(__file__).with_name("refine.schema.json")
 OTHER_HORIZONS: Mapping[Literal["0.5 s", "free run"], float] = {"0.5 s": 0.5, "free run": FREE_RUN}
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-Likelihood = Annotated[  # null where the filter diverged
+Likelihood = Annotated[  # null if the filter diverged
     Finite | None, BeforeValidator(lambda value: value if value is not None and math.isfinite(value) else None)
 ]
 Channels = Annotated[dict[str, Finite], Field(description="measured output → root mean square, in its SI unit")]
@@ -54,14 +54,14 @@ class Estimate(_Entry):
 
 
 class EffectEntry(_Entry):
-    """An effect, sensor error or base parameter that is claimed."""
+    """An effect, sensor error or base parameter in the claim."""
 
     name: str = Field(description="as in the catalogue; a base parameter by its own name")
     parameters: dict[str, Estimate] = Field(description="by name; base parameters and sensors have one, `value`")
 
 
 class Followed(_Entry):
-    """A parameter per log on a sealed log whose group is in no estimation log: the filter learns it, of past data."""
+    """A parameter per log on a sealed log without an estimation log in its group, filtered from past data."""
 
     value: Finite = Field(description="what the filter ended with; in replays, what it knew by then")
     expected: Finite = Field(description="where it starts: the mean over the groups")
@@ -72,7 +72,7 @@ class Followed(_Entry):
 
 
 class PerLog(_Entry):
-    """A parameter of which each group of logs has its own value, beside the model in `error.after`."""
+    """A parameter with a separate value for each group of logs, used with the model in `error.after`."""
 
     unit: str
     mean: Finite = Field(description="over the groups; what model.yaml has where something is claimed")
@@ -81,7 +81,7 @@ class PerLog(_Entry):
 
 
 class CandidateEntry(_Entry):
-    """A hypothesis that was tried."""
+    """A hypothesis on trial."""
 
     names: list[str] = Field(description="effects, sensor errors and base parameters it adds; none: the base model")
     log_likelihood_gain: Likelihood = Field(
@@ -97,7 +97,7 @@ class CandidateEntry(_Entry):
 
 
 class Inputs(_Entry):
-    """What inputs do between two rows."""
+    """Interpolation of inputs between two rows."""
 
     taken: dict[str, Way] = Field(description="input → `held`, or `interpolated`: straight to the next row")
     gain_otherwise: Likelihood = Field(
@@ -120,7 +120,7 @@ class ProcessNoise(_Entry):
 
 
 class LocalShape(_Entry):
-    """Where a term of no catalogue acts: coefficient · factor · shape of one signal."""
+    """Position of a term outside the catalogue: coefficient · factor · shape of one signal."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -138,7 +138,7 @@ class LocalShape(_Entry):
 
 
 class NamelessTerm(_Entry):
-    """A term of no catalogue that would explain more: coefficient · basis of one signal in one state's equation."""
+    """A term outside the catalogue with a further gain: coefficient · basis of one signal in one equation."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -156,7 +156,7 @@ class NamelessTerm(_Entry):
 
 
 class Residual(_Entry):
-    """Where the misfit sits and on what it depends, also when nothing in the catalogue fits."""
+    """Deficient equation and signals of the misfit, also if nothing in the catalogue fits."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -176,9 +176,9 @@ class Residual(_Entry):
 
 
 class LeftOut(_Entry):
-    """Root mean square of measured − model on the rows of tables, each predicted by a fit of the others.
+    """RMSE on the rows of tables, each row predicted by a fit to the others.
 
-    Rows are left out one by one, of many rows in parts that are spread evenly.
+    Few rows are held out one by one, many rows in evenly spread parts.
     """
 
     before: Channels = Field(description="the model named in the study: nothing is fitted")
@@ -188,10 +188,10 @@ class LeftOut(_Entry):
 
 
 class Errors(_Entry):
-    """Root mean square of measured − model over replays through the FMU, pooled over the logs of each set.
+    """RMSE of measured − model over FMU replays, pooled over the logs of each set.
 
-    Each replay starts from that model's own filtered state and effect memory, of past data only. A channel that is
-    not predicted at all (a log too short for one replay) is left out.
+    Each replay starts from the replayed model's own filtered state and effect memory, from past data only. A channel
+    without any prediction (a log too short for one replay) is omitted.
     """
 
     before: Parts = Field(description="the model named in the study")
@@ -202,7 +202,7 @@ class Errors(_Entry):
 
 
 class Replays(_Entry):
-    """Through which FMUs the logs were replayed."""
+    """FMUs used for the replays."""
 
     through: Literal["native", "python", "own"] = Field(
         description="`native`: the native FMU of the model's class, given each variant's values; `python`: FMUs "
@@ -221,7 +221,7 @@ IN_PYTHON = Replays(through="python")
 
 
 class Record(_Entry):
-    """The outcome of `cosim refine` on a study."""
+    """Result of `cosim refine` on a study."""
 
     model_config = ConfigDict(title="refine.json")
 
@@ -279,12 +279,14 @@ class Record(_Entry):
 
 @dataclass(frozen=True)
 class Measured:
-    """What the proof measured, when everything was decided.
+    """Measurements of the proof after all decisions.
 
-    played:  replays of every variant on every set of logs; floors: what noise alone leaves of their errors
-    way:     through what the logs were replayed
-    ends:    values of parameters per log with which the filter ends sealed logs
-    seconds: time the study took
+    Attributes:
+        played: Replays of every variant on every set of logs.
+        floors: Noise floor of the errors.
+        way: FMUs used for the replays.
+        ends: Final filtered values of parameters per log on sealed logs.
+        seconds: Duration of the study.
     """
 
     played: Replayed
@@ -333,25 +335,25 @@ def record(study: Study, a: Attribution, claims: Claims, problem: Problem, betwe
 
 
 class _Untitled(GenerateJsonSchema):
-    """Without a title for each key, which would only repeat it."""
+    """Schema generator without titles, which would only repeat the keys."""
 
     def field_title_should_be_set(self, schema: Any) -> bool:
         return False
 
 
 def schema() -> dict[str, Any]:
-    """Return the JSON schema, draft 2020-12; refine.schema.json holds it."""
+    """Return the JSON schema of refine.json."""
     body = Record.model_json_schema(mode="serialization", schema_generator=_Untitled)
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **body}
 
 
 def known(channels: Mapping[str, float]) -> dict[str, float]:
-    """Return figures of the channels that were predicted at all: a log too short for one replay gives none."""
+    """Return the finite channels."""
     return {name: value for name, value in channels.items() if math.isfinite(value)}
 
 
 def effects(subject: Subject, claimed: Hypothesis, tried: Iterable[Hypothesis]) -> list[EffectEntry]:
-    """Return what was added, most important first: the part whose loss alone would cost most."""
+    """Return the added effects, most important first."""
     declared = subject.declared
     alone = {h.names: h.score for h in tried if len(h.candidates) == 1}
     return [
@@ -366,7 +368,7 @@ def effects(subject: Subject, claimed: Hypothesis, tried: Iterable[Hypothesis]) 
 
 
 def per_log(study: Study, f: Fit, ends: Mapping[str, float]) -> dict[str, PerLog]:
-    """Return every parameter per log: what the fit has of each group, else what the filter ended with."""
+    """Return every parameter per log."""
     declared, found = study.subject.declared, {}
     for name in study.settings.per_log:
         unit, (mean, sd) = declared[name].unit, expected(f, name)
@@ -383,13 +385,13 @@ def _estimate(f: Fit, name: str, unit: str) -> Estimate:
 
 
 def unseen(a: Attribution, claims: Claims) -> list[str]:
-    """Return effects that would not have shown at their usual size; not those that are claimed, for they did."""
+    """Return effects that the logs cannot show."""
     claimed = claims.claimed.names if claims.claimed else ()
     return [name for name in a.hidden if name not in claimed]
 
 
 def ranking(a: Attribution, claims: Claims) -> list[CandidateEntry]:
-    """Return every hypothesis tried, best first, with its scores and why it lost."""
+    """Return every hypothesis with its scores."""
     return [
         CandidateEntry(
             names=list(h.names),
@@ -417,7 +419,7 @@ def _why(a: Attribution, h: Hypothesis, claims: Claims) -> str:
     return "nothing can be said: the logs excite too little"
 
 
-if __name__ == "__main__":  # python -m cosim.refinement.record > cosim/refinement/refine.schema.json
+if __name__ == "__main__":  # usage: python -m cosim.refinement.record > cosim/refinement/refine.schema.json
     import json
 
     print(json.dumps(schema(), indent=2, ensure_ascii=False))

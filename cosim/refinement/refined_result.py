@@ -19,9 +19,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class Refined:
-    """What a refine found: `record` is refine.json; model.yaml and plant.fmu are in `folder`.
+    """Result of a refine: `record` is refine.json; model.yaml and plant.fmu are in `folder`.
 
-    subject: the refined object itself; None where the result was read from a folder
+    Attributes:
+        subject: The refined object; None if the result was read from a folder.
     """
 
     record: Mapping[str, Any]
@@ -30,31 +31,31 @@ class Refined:
 
     @property
     def verdict(self) -> str:
-        """effect_found, parameter_error, sensor_error, no_effect, ambiguous or unexplained."""
+        """Verdict: effect_found, parameter_error, sensor_error, no_effect, ambiguous or unexplained."""
         return str(self.record.get("verdict", ""))
 
     @property
     def effects(self) -> list[dict[str, Any]]:
-        """What was added, most important first, with values and intervals."""
+        """Claimed effects, most important first, with values and intervals."""
         return list(self.record.get("effects") or ())
 
     @property
     def sentence(self) -> str:
-        """The finding in words."""
+        """The verdict in words."""
         return str(self.record.get("sentence", ""))
 
     @property
     def model(self) -> Path:
-        """The refined model."""
+        """Path of the refined model.yaml."""
         return self.folder / REFINED[0]
 
     @property
     def fmu(self) -> Path:
-        """Its FMU."""
+        """Path of the refined FMU."""
         return self.folder / REFINED[1]
 
     def to_pandas(self) -> pandas.DataFrame:
-        """Return errors before and after by part and channel; ImportError where pandas is not installed."""
+        """Return the errors before and after by part and channel; raise ImportError without pandas."""
         try:
             import pandas
         except ImportError:
@@ -70,9 +71,13 @@ class Refined:
         return pandas.DataFrame(rows, columns=["model", "part", "channel", "rmse"])
 
     def plot(self, part: str = "validation") -> Figure:
-        """Draw the errors of each channel before and after with matplotlib, of the `validation` or `estimation` logs.
+        """Plot the errors of each channel with matplotlib.
 
-        ValueError where the record holds none of that part.
+        Args:
+            part: `validation` or `estimation` logs.
+
+        Raises:
+            ValueError: The record holds no errors of this part.
         """
         from cosim.refinement.report.error_figure import errors_figure
 
@@ -88,7 +93,7 @@ class Refined:
 
 
 def read_refined(folder: Path) -> Refined | None:
-    """Return the answer of a refine in a folder, None if there is none."""
+    """Return the result in a folder, or None."""
     if not (folder / ANSWER).is_file():
         return None
     return Refined(json.loads((folder / ANSWER).read_text(encoding="utf-8")), folder)

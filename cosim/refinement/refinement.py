@@ -1,4 +1,4 @@
-"""What a study came to, with all that a report shows of it."""
+"""Result of a study with everything that a report shows."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from cosim.subject.interface import Subject
 
 @dataclass(frozen=True)
 class Refinement:
-    """What a study came to, with all that a report shows of it."""
+    """A study's result with everything that a report shows."""
 
     study: Study
     attribution: Attribution
@@ -32,5 +32,5 @@ class Refinement:
 
     @property
     def refined(self) -> Subject:
-        """The subject with what was claimed; itself where nothing was."""
+        """Return the subject with the claim; unchanged without a claim."""
         return self.variants["after"].subject

@@ -1,10 +1,10 @@
-"""How far a refine is: stage k of n, as a user is told."""
+"""Progress stages of a refinement, as stage k of n."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-ORDER: Sequence[tuple[str, ...]] = (  # what is told in each stage; one that is over does not come again
+ORDER: Sequence[tuple[str, ...]] = (  # messages of each stage; a finished stage does not return
     ("reading the logs",),
     ("recalibrating the base model",),
     (
@@ -30,5 +30,5 @@ _PLACE = {words: number for number, stage in enumerate(ORDER, 1) for words in st
 
 
 def numbered(words: str) -> tuple[int, int]:
-    """Return number of the stage in which this is told, 0 where it is told in none, and how many stages there are."""
+    """Return the stage number of a message, 0 if unknown, and the number of stages."""
     return _PLACE.get(words.partition(":")[0], 0), len(ORDER)

@@ -1,4 +1,4 @@
-"""A study: which model, which logs to learn from, which to be judged by."""
+"""Studies: the model, the logs for estimation and the sealed logs for validation."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ from cosim.subject.base_parameters import tolerances
 from cosim.subject.interface import Subject
 from cosim.subject.model_subject import ModelSubject
 
-SCORED = 1.0  # [s] at least, beside what is skipped and one horizon
-SPARE = 3  # rows of tables beyond the numbers that are estimated, to see the noise
-FINEST, COARSEST = 1e-12, 1e3  # of the largest reading, beyond which a standard deviation is no sensor's
+SCORED = 1.0  # [s] least scored time, beside the skipped start and one horizon
+SPARE = 3  # rows of tables beyond the estimated parameters, to estimate the noise
+FINEST, COARSEST = 1e-12, 1e3  # share of the largest reading outside which a standard deviation is implausible
 Between = Literal["held", "interpolated"]
-NARROWEST, WIDEST = 1e-6, 2.0  # of a parameter: a tolerance closer than any data sheet; one that says nothing of it
+NARROWEST, WIDEST = 1e-6, 2.0  # share of a parameter: stricter than any data sheet; without information
 
 
 def _share(value: Any) -> Any:
-    """Return a tolerance: one message, with its cure, whatever is wrong with it."""
+    """Return a tolerance or raise ValueError with the cure."""
     if isinstance(value, str) and has_unit(value):
         with suppress(ValueError):
             value = read_quantity(value, "1")
@@ -56,7 +56,7 @@ def _share(value: Any) -> Any:
 
 
 def _by_name(value: Any) -> str:
-    """Whether a setting is one for all, or by name."""
+    """Return the tag of a setting."""
     return "«by name»" if isinstance(value, dict) else "«all»"
 
 
@@ -73,10 +73,10 @@ FileName = Annotated[str, AfterValidator(_file_name)]
 
 
 class LogLists(BaseModel):
-    """Files, relative to the study.
+    """Log files, relative to the study.
 
-    estimation: logs that are learnt from
-    validation: logs that are sealed until all is decided
+    estimation: Logs for estimation.
+    validation: Logs sealed until all decisions are made.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -86,18 +86,18 @@ class LogLists(BaseModel):
 
 
 class StudyFile(BaseModel):
-    """A study: which model, and the logs that it is held against.
+    """A study: the model and its logs.
 
-    model:      a name that is known, a model.yaml, or `file.py:Class`
-    logs:       files, relative to the study
-    noise:      output → standard deviation of its sensor, where it is not the model's own; in its unit, or `2 deg`
-    tolerance:  share by which base parameters may be off: of all, or by name
-    inputs:     held from row to row, or interpolated: all, or by name
-    candidates: effects, sensor errors and parameters that are tried; all without
-    columns:    name in the logs → name in the model, where they differ
-    per_log:    parameters of which each log has its own value
-    groups:     name → logs that share the values of per_log
-    limits:     of each call of an FMU in its replays
+    model:      A registered name, a model.yaml, or `file.py:Class`.
+    logs:       Files, relative to the study.
+    noise:      Output → standard deviation of its sensor, if different from the model's, in its unit or `2 deg`.
+    tolerance:  Relative tolerance of base parameters, for all or by name.
+    inputs:     Held from row to row, or interpolated, for all or by name.
+    candidates: Effects, sensor errors and parameters on trial; default: all.
+    columns:    Name in the logs → name in the model, if different.
+    per_log:    Parameters with a separate value for each log.
+    groups:     Name → logs with common values of per_log.
+    limits:     Limits of each FMU call in replays.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -118,12 +118,12 @@ class StudyFile(BaseModel):
     limits: Limits | None = None
 
     def interpolated(self, subject: Subject) -> frozenset[str]:
-        """Return the inputs that run straight from row to row."""
+        """Return the interpolated inputs."""
         ways = self.inputs if isinstance(self.inputs, dict) else {q.name: self.inputs for q in subject.inputs}
         return frozenset(name for name, way in ways.items() if way == "interpolated")
 
     def tolerance_of(self, subject: Subject) -> dict[str, float]:
-        """Return base parameter → share by which it may be off: a number is of all that are recalibrated."""
+        """Return base parameter → relative tolerance."""
         if isinstance(self.tolerance, dict):
             return dict(self.tolerance)
         base = [p.name for p in subject.parameters]
@@ -132,10 +132,12 @@ class StudyFile(BaseModel):
 
 @dataclass(frozen=True)
 class Study:
-    """A study that is read: the subject, the estimation logs cut at their pauses, what the gate warns of in any log.
+    """A study with its subject, its estimation logs cut at pauses, and warnings about all logs.
 
-    Validation logs stay sealed until `unseal`: that they can be used is known, nothing of what they hold.
-    path: of its file; None of a study that is written in Python, whose files have whole paths
+    Validation logs stay sealed until `unseal`; before, only their usability is checked.
+
+    Attributes:
+        path: Study file; None for a study written in Python with absolute paths.
     """
 
     path: Path | None
@@ -146,7 +148,7 @@ class Study:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """What it reads: itself, its model and its logs."""
+        """Return the study, model and log files."""
         logs = tuple(self.folder / name for _, name in _entries(self.content.logs))
         if self.path is None:
             return logs
@@ -155,17 +157,17 @@ class Study:
 
     @property
     def folder(self) -> Path:
-        """Where the names of its files start."""
+        """Return the folder of relative file names."""
         return Path() if self.path is None else self.path.parent
 
     @property
     def name(self) -> str:
-        """What it is called."""
+        """Return the name of the study."""
         return self.subject.title if self.path is None else self.path.resolve().parent.name
 
     @property
     def settings(self) -> Settings:
-        """What it says of its logs, for the fits."""
+        """Return the settings of the logs for the fits."""
         subject, content = self.subject, self.content
         per_log = tuple(full_name(subject, n) for n in content.per_log or ())
         files = [name for _, name in _entries(content.logs)]
@@ -173,7 +175,7 @@ class Study:
         return Settings(content.interpolated(subject), content.tolerance_of(subject), per_log, groups)
 
     def unseal(self) -> tuple[Log, ...]:
-        """Read the validation logs; called once, when everything is decided."""
+        """Read the validation logs; called once, after all decisions."""
         subject = self.subject
         paths = (self.folder / name for name in self.content.logs.validation)
         logs = (
@@ -184,12 +186,20 @@ class Study:
 
 
 def check_study(path: Path, checking: Checking) -> list[str]:
-    """Return the warnings of a study; InputError with its faults."""
+    """Return the warnings of a study.
+
+    Raises:
+        InputError: The study has faults.
+    """
     return [f"warning: {text}" for text in read_study(path).warnings]
 
 
 def read_study(path: Path) -> Study:
-    """Read a study and its logs; InputError with every fault of all of them."""
+    """Read a study and its logs.
+
+    Raises:
+        InputError: Every fault of the study, its model and its logs.
+    """
     check_form(path, STUDY)
     yaml = YamlFile(path)
     refuse_other(path, kind_by_keys(yaml.root), STUDY)
@@ -226,7 +236,7 @@ def read_study(path: Path) -> Study:
 
 @dataclass(frozen=True)
 class _Arguments:
-    """The place of faults in a study that is written in Python: `path` names the subject."""
+    """Location of faults in a study written in Python; `path` names the subject."""
 
     path: Path
 
@@ -241,9 +251,13 @@ def study_of(
     validation: FilePath | Sequence[FilePath] = (),
     **settings: Any,
 ) -> Study:
-    """Return a study of any subject, its logs read and checked as those of a file; InputError with every fault.
+    """Return a study of any subject with checked logs.
 
-    settings: keys of a study file, such as noise={"position": 1e-3} or candidates=["coulomb_friction"]
+    Args:
+        settings: Keys of a study file, such as noise={"position": 1e-3} or candidates=["coulomb_friction"].
+
+    Raises:
+        InputError: Every fault of the study and its logs.
     """
     places = _Arguments(Path(subject.title))
     lists = {name: [str(Path(f).absolute()) for f in files] for name, files in _lists(logs, validation)}
@@ -262,13 +276,17 @@ def study_of(
 def _lists(
     logs: FilePath | Sequence[FilePath], validation: FilePath | Sequence[FilePath]
 ) -> Iterator[tuple[str, Sequence[FilePath]]]:
-    """Yield the lists of logs; one file may stand alone."""
+    """Yield the lists of logs."""
     for name, files in (("estimation", logs), ("validation", validation)):
         yield name, [files] if isinstance(files, (str, os.PathLike)) else files
 
 
 def _faults_of_keys(places: Places, content: StudyFile, subject: Subject, *, unlisted: bool) -> list[Fault]:
-    """Return all faults of a study before its logs are read; unlisted: no log to learn from is listed."""
+    """Return all faults of the study's keys.
+
+    Args:
+        unlisted: True if no estimation log is listed.
+    """
     faults, logs = _unknown_names(places, content, subject), content.logs.model_dump()
     faults += per_log_faults(places, subject, content.per_log, content.groups, logs, content.candidates or ())
     if unlisted:
@@ -281,7 +299,7 @@ def _faults_of_keys(places: Places, content: StudyFile, subject: Subject, *, unl
 def _faults_beside_logs(
     places: Places, content: StudyFile, subject: Subject, logs: Sequence[Log], digests: Mapping[str, str]
 ) -> Iterator[Fault]:
-    """Yield all faults between a study and the logs it learns from."""
+    """Yield faults between study and logs."""
     yield from _noise_of_no_sensor(places, content.noise, logs)
     yield from _listed_twice(places, content.logs, digests)
     yield from _too_few(places, content, subject, logs)
@@ -290,7 +308,7 @@ def _faults_beside_logs(
 def _read_logs(
     yaml: Places, content: StudyFile, subject: Subject
 ) -> tuple[dict[str, list[Log]], dict[str, str], list[str], list[Fault]]:
-    """Return each list's stretches that can be used, the digest of each file, warnings, and every fault."""
+    """Return usable stretches, file digests, warnings and faults."""
     folder, traits = yaml.path.parent, subject.traits
     logs: dict[str, list[Log]] = {"estimation": [], "validation": []}
     digests: dict[str, str] = {}
@@ -325,12 +343,12 @@ def _read_logs(
 
 
 def _entries(logs: LogLists) -> list[tuple[str, str]]:
-    """Return each log with the list in which it stands."""
+    """Return each log with the name of its list."""
     return [*(("estimation", name) for name in logs.estimation), *(("validation", name) for name in logs.validation)]
 
 
 def _listed_twice(yaml: Places, logs: LogLists, digests: Mapping[str, str]) -> Iterator[Fault]:
-    """Yield faults of a file, or a content (name → digest), that is listed twice, in whatever list."""
+    """Yield faults of files listed twice, by name or by content."""
     listed: dict[str, tuple[str, str]] = {}
     for n, (part, name) in enumerate(_entries(logs)):
         path = os.path.realpath(yaml.path.parent / name)
@@ -348,7 +366,7 @@ def _listed_twice(yaml: Places, logs: LogLists, digests: Mapping[str, str]) -> I
 
 
 def _digest(log: Log) -> str:
-    """Return a digest of the numbers, however they are written: two files of one run are one log."""
+    """Return a digest of the numbers, equal for copies."""
     content = hashlib.sha256(log.time.tobytes())
     for name, values in sorted({**log.inputs, **log.outputs}.items()):
         content.update(name.encode() + b"\0" + np.where(np.isnan(values), np.nan, values).tobytes())
@@ -356,17 +374,20 @@ def _digest(log: Log) -> str:
 
 
 def _spikes(log: Log, subject: Subject) -> dict[str, Rows]:
-    """Return readings of a recorder; a table has none."""
+    """Return outliers of a log; a table has none."""
     return {} if log.table else find_spikes(log, subject.prediction(log))
 
 
 def least_duration(log: Log, horizon: float) -> float:
-    """Return the time a log must last [s]: what is skipped, one replay, and a second scored; a slow log longer."""
+    """Return the least useful duration of a log [s].
+
+    A slow log needs proportionally more.
+    """
     return (SKIPPED + SCORED) * log.slowness + (horizon if math.isfinite(horizon) else 0.0)
 
 
 def judged(log: Log, horizon: float) -> list[Log]:
-    """Return the stretches of a log that measure something and last long enough; a table is whole."""
+    """Return the measured stretches of sufficient duration."""
     if log.table:
         return [log]
     least = least_duration(log, horizon) - 0.5 * log.step
@@ -387,7 +408,7 @@ def _too_short(log: Log, horizon: float) -> Fault:
 
 
 def _too_few(yaml: Places, content: StudyFile, subject: Subject, logs: Sequence[Log]) -> Iterator[Fault]:
-    """Yield faults of tables with too few rows to recalibrate the model, add one parameter, and see the noise."""
+    """Yield faults of tables with too few rows."""
     if not logs or not subject.static:
         return
     numbers = len(tolerances(subject, content.tolerance_of(subject)))
@@ -399,7 +420,7 @@ def _too_few(yaml: Places, content: StudyFile, subject: Subject, logs: Sequence[
 
 
 def _too_late(model_file: Path, loaded: LoadedModel, logs: Sequence[Log]) -> Iterator[Fault]:
-    """Yield faults of latencies in the model.yaml, by which too little of a log is left to be judged."""
+    """Yield faults of latencies too long for the logs."""
     for name in (f"{kind.name}.value" for kind in loaded.model.sensors if kind.late):
         seconds = loaded.sensors.get(name, 0.0)
         lasts: dict[Path, float] = {}
@@ -414,7 +435,7 @@ def _too_late(model_file: Path, loaded: LoadedModel, logs: Sequence[Log]) -> Ite
 
 
 def _noise_of_no_sensor(yaml: Places, noise: Mapping[str, float], logs: Sequence[Log]) -> Iterator[Fault]:
-    """Yield faults of noise out of all proportion to what was measured: a unit mistaken, or a slip of the keyboard."""
+    """Yield faults of implausible sensor noise."""
     for name, level in noise.items():
         read = np.concatenate([np.zeros(0), *(log.outputs[name] for log in logs if name in log.outputs)])
         read = read[np.isfinite(read)]
@@ -442,7 +463,7 @@ def _unknown_names(yaml: Places, content: StudyFile, subject: Subject) -> list[F
 
 
 def _unknown_settings(yaml: Places, content: StudyFile, subject: Subject) -> Iterator[Fault]:
-    """Yield faults of tolerances of no base parameter, and of ways of no input."""
+    """Yield faults of tolerances and interpolations of unknown names."""
     numbers = [p.name for p in subject.parameters if not isinstance(p.default, bool)]
     for name in content.tolerance if isinstance(content.tolerance, dict) else ():
         if name not in numbers:
@@ -454,5 +475,5 @@ def _unknown_settings(yaml: Places, content: StudyFile, subject: Subject) -> Ite
 
 
 def candidate_names(subject: Subject) -> Sequence[str]:
-    """Return everything a study may put on trial."""
+    """Return the names of all possible candidates."""
     return [c.name for c in subject.candidates([q.name for q in subject.inputs])]

@@ -1,7 +1,7 @@
-"""Refine, in order: study → gate → recalibrate → try every candidate → verdict → refined model → FMU → replay again.
+"""Workflow of a refinement: study, gate, recalibration, candidates, verdict, refined model, FMU, replays.
 
-Functions explore, the FMU proves: the error before and after is measured on replays through the FMUs, and the
-validation logs are opened when everything is decided.
+Functions explore, the FMU proves: errors before and after are measured by FMU replays, and the validation logs are
+opened after all decisions.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ from cosim.storage.folders import check_left, keep_earlier
 from cosim.subject.candidates import Candidate
 from cosim.subject.interface import Subject, Workplace
 
-RESULTS = (*REFINED, *NEAREST, ANSWER)  # in the order in which they are moved to their place
+RESULTS = (*REFINED, *NEAREST, ANSWER)  # in the order of their publication
 Progress = Callable[[str, float], None]
 
 
@@ -73,15 +73,21 @@ def refine(
     keep: bool = False,
     in_process: bool = False,
 ) -> Refinement:
-    """Run a study; leaves refine.json in `folder`, and the files of the refined subject: all or none of them.
+    """Refine the model of a study; write refine.json and the refined files to `folder`, all or none.
 
-    Those of a model are model.yaml and plant.fmu.
-    study:  its file, or a study of any subject (`cosim.refinement.study.study_of`)
-    report: write report.html too
-    force:  also over what another study or command left there
-    keep:   the files of an earlier refine move to `runs` in the folder
-    in_process: FMUs are loaded into this process, for a debugger
-    Raises InputError, FmuError; SimulationError where an FMU fails.
+    A model gives model.yaml and plant.fmu.
+
+    Args:
+        study: Study file, or a study of any subject (`cosim.refinement.study.study_of`).
+        report: Write report.html too.
+        force: Overwrite results of another study or command.
+        keep: Move the files of an earlier refinement to `runs` in the folder.
+        in_process: Load FMUs into this process, for a debugger.
+
+    Raises:
+        InputError: The study or a log has faults.
+        FmuError: An FMU cannot be loaded.
+        SimulationError: An FMU fails in a replay.
     """
     began = time.perf_counter()
     progress = progress or (lambda stage, share: None)
@@ -114,7 +120,7 @@ def refine(
         floors = _floors(of_noise(variants["after"], attribution, claims.claimed, found.heard), problem, sets)
         claims = replace(claims, risen=_rises(claims, played, subject), written=bool(files))
         ends = followed(variants["after"], problem, sets.get("validation", ()))
-        hold_stops()  # there is an answer to be kept
+        hold_stops()  # From here, a result exists that must not be lost.
         warnings += [*warnings_of(way), *_too_calm(floors, played, subject)]
         study = replace(study, warnings=(*study.warnings, *warnings))
         measured = Measured(played, floors, way, ends, time.perf_counter() - began)
@@ -145,7 +151,7 @@ def _posed(study: Study) -> Problem:
 
 
 def _refuse_runaway(study: Study, problem: Problem) -> None:
-    """Raise InputError if the filter diverges on a log before anything is fitted: no estimate can follow."""
+    """Raise InputError if the filter of the unfitted model diverges, since no estimate could follow."""
     faults = []
     for index, (log, data) in enumerate(zip(study.logs, problem.logs, strict=False)):
         by_log = problem.scored(problem.values, problem.plain, [index]).by_log
@@ -163,14 +169,14 @@ def _refuse_runaway(study: Study, problem: Problem) -> None:
 
 
 def _on_trial(study: Study) -> list[Candidate]:
-    """Return the candidates that the study names; all of them where it names none."""
+    """Return the candidates named by the study, or all."""
     subject, named = study.subject, study.content.candidates
     every = list(not_per_log(subject.candidates(varied_inputs(subject, study.logs)), study.settings.per_log))
     return every if named is None else [c for c in every if c.name in named]
 
 
 def _judged(study: Study, a: Attribution, found: Found, progress: Progress) -> Claims:
-    """Return the answer: by what is left beside the best hypothesis, then by replays."""
+    """Return the answer from the residual beside the best hypothesis and from replays."""
     subject, search = study.subject, found.search
     progress("looking for what has no name", 0.0)
     bare = build_problem(subject, study.logs, True, study.content.noise, study.settings)
@@ -191,14 +197,14 @@ def _judged(study: Study, a: Attribution, found: Found, progress: Progress) -> C
 
 
 def _follows(problem: Problem, left: Leftover, beside: Fit, alone: Fit, horizon: float) -> bool:
-    """Whether the residual follows a signal from block to block, or from log to log, more than by chance."""
+    """Return True if unnamed terms improve the fit over blocks or logs beyond chance."""
     if problem.trusted:
         return predicts(problem, horizon, beside, alone) >= best_of(BETTER, left.among)
     return steadiness(problem, beside, alone) >= beyond_chance(problem, beside, left.among)
 
 
 def _with_nearest(study: Study, claims: Claims, found: Found, a: Attribution) -> Claims:
-    """Return the answer with the nearest model where not all is claimed, and of a table the errors on rows left out."""
+    """Return the claims with the nearest model, if incomplete, and held-out errors of a table."""
     if claims.grade != "claimed":
         close = {h.names: h for h in (a.best, found.best) if h.candidates}
         claims = replace(claims, nearest=Nearest(nearest(found.search, a, list(close.values()))))
@@ -207,7 +213,7 @@ def _with_nearest(study: Study, claims: Claims, found: Found, a: Attribution) ->
 
 
 def _variants(study: Study, a: Attribution, claims: Claims) -> dict[str, Variant]:
-    """Return before, recalibrated and after, and the nearest where not all is claimed: what is replayed."""
+    """Return the variants to replay: before, recalibrated, after, and the nearest if incomplete."""
     subject, settings, claimed, near = study.subject, study.settings, claims.claimed, claims.near
     refined = refined_subject(subject, settings, claimed)
     variants = variants_of(subject, settings, a, claimed, refined)
@@ -219,19 +225,19 @@ def _variants(study: Study, a: Attribution, claims: Claims) -> dict[str, Variant
 
 
 def _unsealed(study: Study) -> LogSets:
-    """Return the logs of the study; those of validation, where there are any, are opened here."""
+    """Return the study's logs; validation logs are opened here."""
     sealed = study.unseal()
     return {"estimation": study.logs, "validation": sealed} if sealed else {"estimation": study.logs}
 
 
 def _floors(quiet: Variant, problem: Problem, sets: LogSets) -> Floors:
-    """Return the errors by noise alone of each set, from one seed, so that a study gives the same again."""
+    """Return the noise floor of each set of logs, from a fixed seed for reproducible results."""
     rng = np.random.default_rng(FLOOR_SEED)
     return {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
 
 
 def _rises(claims: Claims, replayed: Replayed, subject: Subject) -> Mapping[str, Rise]:
-    """Return errors that rise on the sealed logs, with the claim or without one with the nearest model."""
+    """Return the errors that rise on sealed logs with the claim, or with the nearest model."""
     variant = "after" if claims.claimed is not None else "nearest"
     if "validation" not in replayed["before"] or variant not in replayed:
         return {}
@@ -240,7 +246,7 @@ def _rises(claims: Claims, replayed: Replayed, subject: Subject) -> Mapping[str,
 
 
 def _too_calm(floors: Floors, replayed: Replayed, subject: Subject) -> Iterator[str]:
-    """Warn where a floor is above the error."""
+    """Warn of a noise floor above the error."""
     units = {q.name: q.unit for q in subject.outputs}
     for part, floor in floors.items():
         if found := floor.above(known(rmse(replayed["after"][part][subject.horizon]))):
@@ -255,8 +261,8 @@ def _write(path: Path, written: Record) -> None:
 
 
 def _publish(files: Sequence[Path], answer: Path, folder: Path) -> None:
-    """Move the results to where they stay, refine.json last; an earlier report goes: it is of other results."""
+    """Move the results to the folder, refine.json last; delete an outdated report."""
     for name in {"report.html", *RESULTS} - {path.name for path in (*files, answer)}:
-        (folder / name).unlink(missing_ok=True)  # an earlier study's
+        (folder / name).unlink(missing_ok=True)  # from an earlier study
     for path in (*files, answer):
         path.replace(folder / path.name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -10,6 +11,9 @@ import numpy as np
 from cosim.base.arrays import Array
 
 OTHERS_PER_PANEL = 6
+WIDEST_RANGES = 20.0  # of an axis to a signal without a unit on it: below a twentieth no change of a signal is seen
+CONSTANT = 1e-9  # of its size, the range of a signal that does not change
+NO_UNIT = ("", "1")
 LINE, HELD, DOTS, STEMS, BARS, CROSSES = range(6)
 
 
@@ -77,13 +81,48 @@ class Panel:
     symbol: str = ""
 
 
-def by_unit(names: Iterable[str], unit: Callable[[str], str]) -> list[tuple[str, list[str]]]:
-    """Each unit, in the order the units come, with names that share a panel; many of one unit take several."""
-    groups: dict[str, list[str]] = {}
+def by_unit(
+    names: Iterable[str], unit: Callable[[str], str], values: Callable[[str], Array]
+) -> list[tuple[str, list[str]]]:
+    """Return each unit with the names that share a panel, in the order of the names.
+
+    Signals without a unit may be of any kind: they share a panel only if each is visible on its axis.
+    """
+    groups: list[tuple[str, list[str], _Range]] = []
     for name in names:
-        groups.setdefault(unit(name), []).append(name)
-    return [
-        (shared, chosen[first : first + OTHERS_PER_PANEL])
-        for shared, chosen in groups.items()
-        for first in range(0, len(chosen), OTHERS_PER_PANEL)
-    ]
+        shared, extent = unit(name), _Range.of(values(name))
+        for k, (other, chosen, whole) in enumerate(groups):
+            both = whole.merged(extent)
+            if shared == other and len(chosen) < OTHERS_PER_PANEL and (shared not in NO_UNIT or both.shows_all):
+                groups[k] = (other, [*chosen, name], both)
+                break
+        else:
+            groups.append((shared, [name], extent))
+    return [(shared, chosen) for shared, chosen, _ in groups]
+
+
+@dataclass(frozen=True)
+class _Range:
+    """Range of the signals on an axis, and the smallest range of a signal on it that is not constant."""
+
+    low: float
+    high: float
+    smallest: float
+
+    @classmethod
+    def of(cls, values: Array) -> _Range:
+        finite = values[np.isfinite(values)]
+        if not finite.size:
+            return cls(math.inf, -math.inf, math.inf)
+        low, high = float(finite.min()), float(finite.max())
+        constant = high - low <= CONSTANT * max(abs(low), abs(high))
+        return cls(low, high, math.inf if constant else high - low)
+
+    def merged(self, other: _Range) -> _Range:
+        """Return the range of both."""
+        return _Range(min(self.low, other.low), max(self.high, other.high), min(self.smallest, other.smallest))
+
+    @property
+    def shows_all(self) -> bool:
+        """Whether every signal on the axis is large enough to be seen."""
+        return self.high - self.low <= WIDEST_RANGES * self.smallest

@@ -1,1 +1,1 @@
-"""A log replayed through an FMU: what it misses, and whether that is more than noise."""
+"""Replays of a log through an FMU, and the comparison of their errors with noise."""

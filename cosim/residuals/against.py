@@ -1,4 +1,4 @@
-"""A log against a replay of the model: clocks, units and signs that only the model can tell."""
+"""Comparison of a log with a replay, to find errors of clocks, units and signs."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from cosim.logs.finding import Finding
 from cosim.logs.log import Log
 from cosim.residuals.residual_statistics import correlation_at_lags
 
-SLOW = 1.0  # [s], slower changes say nothing about a delay
+SLOW = 1.0  # [s] slower changes carry no information about a delay
 LONGEST_DELAY = 0.5  # [s]
-LIKE = 0.85  # correlation of a signal with its model that is no chance
-TELLING = 0.6  # correlation with the model from which a delay can be read
-FASTER = 1.15  # times the mean frequency, from which a part of the signal is a second witness
+LIKE = 0.85  # correlation of a signal with its model beyond chance
+TELLING = 0.6  # least correlation with the model for a delay estimate
+FASTER = 1.15  # ratio of mean frequencies from which fast changes are independent evidence
 
 
 def delays(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
-    """Channels that trail or lead a replay of the model by half a row or more; only the fastest are sharp enough."""
+    """Yield findings on channels with a delay of half a row or more; slow channels are too uncertain."""
     found = {n: d for n, y in log.outputs.items() if n in model and (d := delay(log, y, model[n])) is not None}
     fastest = max((d.frequency for d in found.values()), default=0.0)
     for name, (time, error, rho, frequency) in found.items():
@@ -42,7 +42,7 @@ def delays(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
 
 
 def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
-    """Channels that move as a replay of the model does, but in another unit or the other way round."""
+    """Yield findings on channels in another unit or with the opposite sign."""
     for name, measured in log.outputs.items():
         if name not in model:
             continue
@@ -70,13 +70,13 @@ def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
 
 
 def _other_unit(unit: str, slope: float) -> str | None:
-    """The unit in which values are `slope` times those in `unit`, if that is far from 1."""
+    """Return the unit that explains a slope far from 1, or None."""
     sizes = {other: factor(other, unit) for other in alternatives(unit)} if unit else {}
     return next((u for u, f in sizes.items() if f and 0.7 < slope * f < 1.4 and not 0.2 < slope < 5.0), None)
 
 
 def _unconverted(log: Log, name: str, slope: float) -> bool:
-    """Whether a column that was converted for want of a declared unit fits a model in the unit of its header."""
+    """Return True if an undeclared unit was converted, but the model uses the header's unit."""
     by = factor(log.written[name], log.units[name]) if name in log.undeclared else None
     return by is not None and not 0.2 < by < 5.0 and 0.7 < slope / by < 1.4
 
@@ -84,8 +84,9 @@ def _unconverted(log: Log, name: str, slope: float) -> bool:
 class Delay(NamedTuple):
     """Time delay of a measured signal relative to the model [s], with its standard error.
 
-    correlation: of the two, the delay taken off
-    frequency:   mean of the signal's [rad/s]
+    Attributes:
+        correlation: Correlation after removal of the delay.
+        frequency: Mean frequency of the signal [rad/s].
     """
 
     time: float
@@ -95,10 +96,9 @@ class Delay(NamedTuple):
 
 
 def delay(log: Log, measured: Array, model: Array) -> Delay | None:
-    """Delay of the measured signal against the model's.
+    """Return the delay of a measured signal relative to the model, or None for dissimilar signals.
 
-    Slow parts are taken off, so that drift says nothing; the peak of the cross-correlation is found to
-    a part of a row by a parabola. None where the two have too little in common.
+    Slow parts are removed, so that drift has no influence. A parabola refines the peak of the cross-correlation.
     """
     fast, fast_model = _fast(log, measured), _fast(log, model)
     lags = min(round(LONGEST_DELAY * log.slowness / log.step), log.rows // 4)
@@ -110,18 +110,18 @@ def delay(log: Log, measured: Array, model: Array) -> Delay | None:
         return None
     bend = rho[k - 1] - 2.0 * rho[k] + rho[k + 1]
     top = 0.5 * (rho[k - 1] - rho[k + 1]) / bend if bend < 0.0 else 0.0
-    # Gauss-Newton: the error of a shift is the error of the residual's part along the slope of the signal
+    # Gauss-Newton: the error of a shift is that of the residual's part along the signal's slope.
     size, slope = float(np.nanstd(fast_model)), float(np.nanstd(np.diff(fast_model))) / log.step
     independent = max(2.0, np.isfinite(fast).sum() * log.step / (SLOW * log.slowness) * 2.0)
     error = size / slope * math.sqrt(max(0.0, 1.0 / float(rho[k]) ** 2 - 1.0) / independent)
-    error = max(error, 0.02 * log.step)  # the parabola is no better
+    error = max(error, 0.02 * log.step)  # limit of the parabola's accuracy
     return Delay((k - lags + float(top)) * log.step, error, float(rho[k]), slope / size)
 
 
 def _same_when_faster(log: Log, measured: Array, model: Array, slow: Delay) -> bool | None:
-    """A delay is the same in the faster part of the signal; the phase of a wrong friction or inertia is not.
+    """Return True if fast changes show the same delay; None without fast changes.
 
-    None where the signal has no part that is faster.
+    A wrong friction or inertia has a frequency-dependent delay.
     """
     rows = max(1, round(0.1 * SLOW * log.slowness / log.step))
     changes = (np.concatenate((np.full(rows, np.nan), y[rows:] - y[:-rows])) for y in (measured, model))
@@ -132,7 +132,7 @@ def _same_when_faster(log: Log, measured: Array, model: Array, slow: Delay) -> b
 
 
 def _fast(log: Log, values: Array) -> Array:
-    """Deviation from the mean over SLOW seconds about each row, NaN where that is not whole."""
+    """Return the deviation from the moving mean over SLOW seconds, NaN at the ends."""
     half = max(1, round(0.5 * SLOW * log.slowness / log.step))
     out = np.full(values.size, np.nan)
     if values.size > 2 * half:

@@ -1,4 +1,4 @@
-"""Kinds of files of this room."""
+"""File kinds of this room."""
 
 from __future__ import annotations
 

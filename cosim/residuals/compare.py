@@ -1,4 +1,4 @@
-"""A log against an FMU: free run, windows, what noise alone would leave, and the answer in words."""
+"""Comparison of a log with an FMU: free run, windows, noise floor and statistics."""
 
 from __future__ import annotations
 
@@ -27,17 +27,19 @@ from cosim.residuals.residual_statistics import (
 from cosim.residuals.starts import start_parameters
 from cosim.residuals.windows import HORIZONS, Replay, horizons, self_started
 
-FOLLOWS = 2.5  # times the 95 % band, five standard errors: no chance, though errors of the start are slow
+FOLLOWS = 2.5  # multiple of the 95 % band, five standard errors: beyond chance despite slow start errors
 
 
 @dataclass(frozen=True, eq=False)
 class ChannelSummary:
-    """One measured channel against the model.
+    """Comparison of one measured channel with the model.
 
-    horizon: of the windows that measure [s]
-    noise:   standard deviation of its measurement noise
-    floor:   what noise alone explains over that, or over the free run where there are no windows
-    scores:  horizon → score; whiteness and inputs are of the residual over the shortest horizon
+    Attributes:
+        horizon: Horizon of the windows [s].
+        noise: Standard deviation of the measurement noise.
+        floor: Noise floor over the horizon, or over the free run without windows.
+        scores: Horizon → score.
+        whiteness, inputs: Statistics of the residual over the shortest horizon.
     """
 
     name: str
@@ -51,40 +53,40 @@ class ChannelSummary:
 
     @property
     def measure(self) -> float:
-        """The horizon that counts: the windows' where there are any, else the free run."""
+        """Return the decisive horizon: of windows if available, else the free run."""
         return self.horizon if self.horizon in self.scores else FREE_RUN
 
     @property
     def lost(self) -> bool:
-        """Windows are no measure: the model loses itself in them by more than noise explains."""
+        """Return True if windows drift by more than noise explains."""
         return self.floor.astray > self.floor.rmse
 
     @property
     def excess(self) -> float:
-        """RMSE over what noise explains; NaN where neither windows nor noise are a measure."""
+        """Return the RMSE relative to the noise floor, NaN if undefined."""
         floor = self.floor.rmse
         return self.scores[self.measure].rmse / floor if not self.lost and floor > 0.0 else math.nan
 
     @property
     def exact(self) -> bool:
-        """No larger than rounding, or there is nothing to compare."""
+        """Return True for an error at rounding level, or nothing to compare."""
         found = self.scores[self.measure]
         return found.rows == 0 or found.rmse == 0.0 or found.fit > 100.0 * (1.0 - EXACT)
 
     @property
     def matched(self) -> bool:
-        """No larger than noise explains, or than rounding."""
+        """Return True for an error at noise or rounding level."""
         return not self.lost and (self.exact or self.excess < self.floor.limit)
 
     @property
     def explained(self) -> bool:
-        """Matched, and what is left follows no command, however small it is."""
+        """Return True if matched and the residual follows no input."""
         return self.matched and (self.exact or not any(u.strength > FOLLOWS for u in self.inputs[:1]))
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Everything a replay found out; `replays` by horizon, FREE_RUN always among them."""
+    """Result of a replay; `replays` by horizon always includes FREE_RUN."""
 
     log: Log
     drive: Drive
@@ -94,17 +96,21 @@ class Comparison:
 
     @property
     def measure(self) -> float:
-        """The horizon that counts, where there are windows of it."""
+        """Return the decisive horizon."""
         return horizons(self.log)[-1]
 
     @property
     def basis(self) -> float:
-        """The horizon whose residual is tested: the shortest."""
+        """Return the shortest horizon, whose residual is tested."""
         return min(self.replays)
 
 
 def compare(drive: Drive, free: Replay, findings: Sequence[Finding] = ()) -> Comparison:
-    """Windows, noise floor and residual statistics around a free run; InputError where it shows a wrong unit."""
+    """Return windows, noise floor and residual statistics for a free run.
+
+    Raises:
+        InputError: The comparison shows a wrong unit.
+    """
     log, replays, parameters = drive.log, {FREE_RUN: free}, start_parameters(drive)
     *_, measure = spans = horizons(log)
     against = [*scales(log, free.outputs), *delays(log, free.outputs)]
@@ -119,7 +125,7 @@ def compare(drive: Drive, free: Replay, findings: Sequence[Finding] = ()) -> Com
 
 
 def steps_of(log: Log) -> int:
-    """Steps a comparison makes, about."""
+    """Return the approximate number of steps of a comparison."""
     return log.rows * (1 + len(HORIZONS) + 1 + draws(log, horizons(log)[-1]))
 
 

@@ -1,4 +1,4 @@
-"""The numbers of a comparison as plain data, for scripts."""
+"""Results of a comparison as plain data."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from cosim.residuals.residual_statistics import FREE_RUN, Score
 
 
 def as_json(comparison: Comparison) -> list[dict[str, Any]]:
-    """Each measured channel: RMSE in its unit, fit [%] and rows over every horizon, and what noise explains.
+    """Return RMSE, fit [%], rows and noise floor of each channel and horizon.
 
-    What is not finite is None; `horizon` [s] is that which counts, None the free run.
+    Infinite values are None; `horizon` [s] is the decisive one, None for the free run.
     """
     return [_channel(c) for c in comparison.channels]
 

@@ -1,4 +1,4 @@
-"""One FMU instance, driven along stretches of a log by the recorded commands."""
+"""Simulation of one FMU instance along a log with the recorded commands."""
 
 from __future__ import annotations
 
@@ -28,19 +28,20 @@ from cosim.model.planar import PlanarFrame
 from cosim.storage.kinds import FMU, LOG, check_given
 from cosim.storage.yaml_file import did_you_mean
 
-PLANT = "plant"  # the component's name in results and messages
+PLANT = "plant"  # component name in results and messages
 PROGRESS_EVERY = 500
-PER_ROW = 8  # steps from row to row where inputs run straight between them, each held in its middle
+PER_ROW = 8  # steps between rows for interpolated inputs, each held at its midpoint
 
 
 @dataclass(frozen=True)
 class Steps:
     """Steps of an FMU along a stretch of a log.
 
-    times, lengths: of each step [s]
-    rows:    row of the log whose command acts, of each step
-    reads:   whether the outputs are read after each step
-    reached: times at which outputs are read, the start first [s]
+    Attributes:
+        times, lengths: Start and length of each step [s].
+        rows: Row of the command of each step.
+        reads: True for steps followed by reading of the outputs.
+        reached: Times of output readings, start included [s].
     """
 
     times: list[float]
@@ -51,13 +52,17 @@ class Steps:
 
 
 def model_signals(fmu: Path) -> tuple[Sequence[Signal], Sequence[Signal]]:
-    """Real inputs and outputs of an FMU: what a log of it holds."""
+    """Return the real inputs and outputs of an FMU, the signals of its logs."""
     block = FmuBlock(PLANT, fmu, read_description(fmu), {}, frozenset())
     return block.inputs, block.outputs
 
 
 def check_files(log: Path, fmu: Path | None) -> None:
-    """InputError with what each is where it is no log or FMU; beside a faulty log also why an FMU is not read."""
+    """Check that the files are a log and an FMU.
+
+    Raises:
+        InputError: A file is of another kind, or both files have faults.
+    """
     faults: list[Fault] = []
     for given, kind in ((log, LOG), (fmu, FMU)):
         try:
@@ -73,9 +78,14 @@ def check_files(log: Path, fmu: Path | None) -> None:
 
 
 def log_of_fmu(path: Path, fmu: Path, columns: Mapping[str, str] = MappingProxyType({})) -> Log:
-    """Read a log of an FMU. InputError with every fault; FmuError where only the FMU is at fault.
+    """Return a log of an FMU.
 
-    columns: name in the log → name in the FMU, where they differ
+    Args:
+        columns: Name in the log → name in the FMU, if different.
+
+    Raises:
+        InputError: Every fault of the log.
+        FmuError: Only the FMU has faults.
     """
     check_files(path, fmu)
     signals = model_signals(fmu)
@@ -86,7 +96,7 @@ def log_of_fmu(path: Path, fmu: Path, columns: Mapping[str, str] = MappingProxyT
 
 
 class StoppedReplay(SimulationError):
-    """The FMU failed: why, and its outputs at the rows before, shape (rows done, outputs)."""
+    """Failure of the FMU, with the outputs before, shape (rows done, outputs)."""
 
     def __init__(self, error: SimulationError, done: Array) -> None:
         Exception.__init__(self, str(error))
@@ -98,9 +108,10 @@ class StoppedReplay(SimulationError):
 
 
 class Drive:
-    """Context: the FMU is loaded at the first run and freed at the end.
+    """Context of a replay: the FMU is loaded at the first run and freed at the end.
 
-    left: outputs at the rows before, where a run to the last row is stopped by a signal
+    Attributes:
+        left: Outputs before a signal stopped a run to the last row.
     """
 
     left: Array | None = None
@@ -113,10 +124,10 @@ class Drive:
         interpolated: Container[str] = (),
         given: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
-        self.given = given  # start values of every run, under those that a run brings
+        self.given = given  # start values of every run, overridden by those of the run
         self.log, self.fmu, self.progress = log, fmu, progress
         self.description = read_description(fmu)
-        self.traits = traits_of(fmu)  # None of an FMU that is not ours
+        self.traits = traits_of(fmu)  # None for an FMU of another tool
         self.block = RestartableFmu(PLANT, fmu, self.description, {}, frozenset(log.inputs))
         self._check_signals()
         self.inputs = tuple(s.name for s in self.block.inputs if s.name in log.inputs)
@@ -140,35 +151,35 @@ class Drive:
 
     @property
     def rate(self) -> float | None:
-        """The step the FMU says it is made for [s]."""
+        """Return the default step size of the FMU [s]."""
         experiment = self.description.defaultExperiment
         step = None if experiment is None else experiment.stepSize
         return float(step) if step else None
 
     @property
     def frame(self) -> PlanarFrame | None:
-        """Names of a motion in a plane, where the FMU says so."""
+        """Return the signal names of a planar motion declared by the FMU."""
         return self.traits.planar if self.traits else None
 
     @property
     def has_readable_state(self) -> bool:
-        """Whether the FMU is one of ours whose state can be read and put back."""
-        about = self.description.coSimulation  # None of one for model exchange alone
+        """Return True if the state of an own FMU can be read and restored."""
+        about = self.description.coSimulation  # None for an FMU of model exchange only
         flags = about and about.canGetAndSetFMUstate and about.canSerializeFMUstate
         return bool(self.traits and flags and self.variable_step)
 
     @property
     def units(self) -> dict[str, str]:
-        """Unit of every output."""
+        """Return the unit of every output."""
         return {s.name: s.unit for s in self.block.outputs}
 
     def on(self, log: Log) -> Drive:
-        """The same loaded FMU and commands beside other measurements at the same times."""
+        """Return a copy with other measurements at the same times."""
         other = copy.copy(self)
         other.log = log
         return other
 
-    def initial(self, start: Mapping[str, Any], row: int = 0) -> dict[str, float]:
+    def initial(self, start: Mapping[str, Any], row: int) -> dict[str, float]:
         """Return the outputs after initialization at a row of the log."""
         self._begin(start, row, float(self.log.time[-1]))
         self.block.start()
@@ -176,20 +187,20 @@ class Drive:
         return dict(zip(self.outputs, self._row[len(self.block.inputs) :], strict=True))
 
     def own(self, start: Mapping[str, Any]) -> Own:
-        """State of an FMU of ours at the first row, from `start`; put back at once: one that refuses that is known."""
+        """Return the initial state of an own FMU, restored once to test support."""
         self._begin(start, 0, float(self.log.time[-1]))
         self.block.start()
         self.block.remember({})
         return self.block.own()
 
     def state(self) -> Own:
-        """State of an FMU of ours where the last run ended."""
+        """Return the state of an own FMU after the last run."""
         return self.block.own()
 
     def run_and_keep(
         self, first: int, last: int, start: Mapping[str, Any], rows: Container[int]
     ) -> tuple[Array, dict[int, Own]]:
-        """`run`, and the state of an FMU of ours at some rows on the way."""
+        """Run and return the outputs and the states of an own FMU at some rows."""
         states: dict[int, Own] = {}
 
         def keep(k: int) -> None:
@@ -206,11 +217,16 @@ class Drive:
         memory: Memory | None = None,
         visit: Callable[[int], None] | None = None,
     ) -> Array:
-        """Outputs at rows `first` … `last`, shape (rows, outputs), started at the first from `start`.
+        """Run from row `first` to `last` and return the outputs, shape (rows, outputs).
 
-        The command of row k is held from t_k to t_k+1. Raises StoppedReplay where the FMU fails.
-        memory: what an FMU of ours keeps at the first row, in place of what follows from `start`
-        visit:  called at each row between, where the FMU takes steps of any length
+        The command of row k is held from t_k to t_k+1.
+
+        Args:
+            memory: State of an own FMU at the first row, instead of the state after initialization.
+            visit: Callback at each row between, for an FMU with variable step.
+
+        Raises:
+            StoppedReplay: The FMU fails.
         """
         steps = self._steps(first, last)
         written = self._new_rows(len(steps.reached), len(self.outputs))
@@ -222,7 +238,7 @@ class Drive:
             doing[0] = OTHER
             self._begin(start, first, max(float(self.log.time[last]), steps.reached[-1]))
             block.start()
-            block.get()  # of FMI 1.0 for the first time, and some FMUs are right only from now on
+            block.get()  # First call for FMI 1.0; some FMUs return correct outputs only from here.
             if memory:
                 block.remember(memory)
             ctypes.memmove(there, here, size)
@@ -250,7 +266,11 @@ class Drive:
         return self._at_rows(table, steps.reached, first, last)
 
     def rows(self, start: Mapping[str, Any]) -> Array:
-        """Outputs at the inputs of each row of a table, shape (rows, outputs), of an FMU without states."""
+        """Return the outputs for each row of a table, shape (rows, outputs).
+
+        Raises:
+            StoppedReplay: The FMU fails.
+        """
         log, written = self.log, self._new_rows(self.log.rows, len(self.outputs))
         table, done = written.table, 0
         try:
@@ -269,7 +289,7 @@ class Drive:
             raise StoppedReplay(error, table[:done]) from None
         return table
 
-    # -- within -------------------------------------------------------------------------------
+    # -- internals ----------------------------------------------------------------------------
 
     def _begin(self, start: Mapping[str, Any], row: int, stop: float) -> None:
         self._check_start(start)
@@ -280,7 +300,7 @@ class Drive:
         self.block.get()
 
     def _count(self, steps: Steps) -> None:
-        """Add steps to those that are done, and tell the observer."""
+        """Add finished steps and report progress."""
         self._driven[0] += len(steps.times)
         if self.progress is not None:
             self.progress(self._driven[0])
@@ -288,8 +308,9 @@ class Drive:
     def _steps(self, first: int, last: int) -> Steps:
         """Return the steps between two rows of the log.
 
-        As logged where the FMU takes steps of any length (over a hole: several, about as long as the
-        others; outputs are read at rows); else equal steps of the log's median.
+        An FMU with variable step follows the logged times, with several steps over a gap. Another FMU takes equal steps
+        of the
+        log's median.
         """
         time, step = self.log.time[first : last + 1], self.log.step
         if self.variable_step:
@@ -297,7 +318,7 @@ class Drive:
             count = np.maximum(1, np.rint(dt / step)).astype(np.intp) * (PER_ROW if self._ramps.any() else 1)
             length = dt / count
             usual = step / PER_ROW if self._ramps.any() else step
-            length[np.abs(length - usual) < 1e-6 * usual] = usual  # rounding of printed times is no jitter
+            length[np.abs(length - usual) < 1e-6 * usual] = usual  # rounding of printed times, no jitter
             number = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
             times = np.repeat(time[:-1], count) + number * np.repeat(length, count)
             lengths, rows = np.repeat(length, count), np.repeat(np.arange(first, last), count)
@@ -310,9 +331,9 @@ class Drive:
         return Steps(times.tolist(), lengths.tolist(), rows.tolist(), reads.tolist(), reached)
 
     def _puts(self, steps: Steps, first: int) -> list[Any]:
-        """Return the command to put before each step, None where it acts already.
+        """Return the command before each step, None if unchanged.
 
-        Midway of the step: on the way to the next row where an input is interpolated, else as held.
+        An interpolated input takes its value at the midpoint of the step.
         """
         if not self._commands:
             return [None] * len(steps.rows)
@@ -329,7 +350,7 @@ class Drive:
         return moved
 
     def _at_rows(self, table: Array, times: Sequence[float], first: int, last: int) -> Array:
-        """The rows of the log among the steps that were made; between two steps by interpolation."""
+        """Return the outputs at the finished rows of the log, interpolated between steps."""
         times, wanted = times[: len(table)], self.log.time[first : last + 1]
         reached = wanted[wanted <= (times[-1] if times else -math.inf) + 1e-6 * self.log.step]
         if len(times) == reached.size and np.allclose(times, reached, rtol=0.0, atol=1e-6 * self.log.step):
@@ -337,7 +358,7 @@ class Drive:
         return np.column_stack([np.interp(reached, times, column) for column in table.T])
 
     def _check_signals(self) -> None:
-        """The FMU has what the log holds, in the same unit."""
+        """Check that the FMU has the log's signals in equal units."""
         faults = []
         sides = (("input", self.log.inputs, self.block.inputs), ("output", self.log.outputs, self.block.outputs))
         for kind, names, signals in sides:
@@ -358,10 +379,10 @@ class Drive:
 
 
 def rows_of(log: Log, first: int, seconds: float) -> int:
-    """The last row at most `seconds` after row `first`."""
+    """Return the last row at most `seconds` after row `first`."""
     return int(np.searchsorted(log.time, log.time[first] + seconds + 1e-6 * log.step, side="right")) - 1
 
 
 def as_columns(table: Array, names: Sequence[str]) -> dict[str, Array]:
-    """Name → column."""
+    """Return name → column."""
     return dict(zip(names, np.ascontiguousarray(table.T), strict=True))

@@ -1,4 +1,4 @@
-"""What noise alone explains of a replay: the model against itself, measured as the log measures."""
+"""Noise floor of a replay: the model against itself, sampled and disturbed like the log."""
 
 from __future__ import annotations
 
@@ -19,18 +19,19 @@ from cosim.residuals.residual_statistics import FREE_RUN, pooled, rmse
 from cosim.residuals.starts import StartParameter, first_start
 from cosim.residuals.windows import Replay, chains, self_started
 
-WINDOWS, FEWEST_DRAWS, SEED = 40, 2, 1  # windows drawn at least
-BY_CHANCE = 1e-4  # of a right model, a channel
-AT_LEAST = 1.5  # times the floor, be it ever so sure: the levels of the noise are estimates
-ROUNDING = 1e-9  # of a channel's size
-STEP = 1e-6  # of a start value, by which it is moved where no noise says how far
-EXACT = 1e-4  # of a channel's spread; a log without noise is matched to rounding, not to noise
+WINDOWS, FEWEST_DRAWS, SEED = 40, 2, 1  # least number of windows drawn
+BY_CHANCE = 1e-4  # false alarm probability of a correct model for each channel
+AT_LEAST = 1.5  # least limit relative to the floor, since noise levels are estimates
+ROUNDING = 1e-9  # share of a channel's size
+STEP = 1e-6  # change of a start value without known noise
+EXACT = 1e-4  # share of a channel's spread; a log without noise is matched to rounding
 
 
 class Floor(NamedTuple):
-    """Of one channel: the RMSE that noise alone explains, and how many times that a right model exceeds by chance.
+    """RMSE of one channel explained by noise, and the limit of a correct model relative to the RMSE.
 
-    astray: RMSE of the model against itself, restarted from its own outputs without noise; 0 if by rounding only
+    Attributes:
+        astray: RMSE of the model restarted from its own noise-free outputs; 0 at rounding level.
     """
 
     rmse: float
@@ -39,17 +40,17 @@ class Floor(NamedTuple):
 
 
 def draws(log: Log, horizon: float) -> int:
-    """How often the log is drawn: few windows scatter."""
+    """Return the number of draws of the log; few windows need more."""
     runs = [] if horizon == FREE_RUN else chains(log, horizon)
     count = sum(sum(row >= c.begin for row in c.rows[:-1]) for c in runs)
     return max(FEWEST_DRAWS, math.ceil(WINDOWS / max(1, count)))
 
 
 def floors(drive: Drive, parameters: Mapping[str, StartParameter], free: Replay, measured: Replay) -> dict[str, Floor]:
-    """Channel → floor over the horizon of `measured`, the windows or the free run that are to be judged.
+    """Return channel → noise floor over the horizon of `measured`.
 
-    The model is replayed against its free run, seen through the noise and the holes of the log, and through the
-    holes only. What it misses even so is not the noise's: it keeps something that no output shows.
+    The model is replayed against its free run, with the noise and gaps of the log, and with gaps only. An error without
+    noise comes from a state that no output shows.
     """
     log, horizon = drive.log, measured.horizon
     alike = {n: np.where(np.isfinite(v), free.outputs[n], np.nan) for n, v in log.outputs.items()}
@@ -58,7 +59,7 @@ def floors(drive: Drive, parameters: Mapping[str, StartParameter], free: Replay,
     freely = _linear_in_starts(drive, parameters, free, levels) if horizon == FREE_RUN else drive
 
     def predicted(seen: Mapping[str, Array]) -> Mapping[str, Array]:
-        if horizon == FREE_RUN:  # where no start is measured, it is what it was
+        if horizon == FREE_RUN:  # A start without measurement is unchanged.
             if not parameters.keys() & seen.keys():
                 return free.outputs
             other = freely.on(replace(log, outputs=seen))
@@ -79,10 +80,12 @@ def floors(drive: Drive, parameters: Mapping[str, StartParameter], free: Replay,
 
 
 class _LinearDrive(Drive):
-    """A drive whose FMU is linear in its start values about one run: it is not called again.
+    """A drive whose FMU is replaced by its linearization in the start values of one run.
 
-    about:  start values of that run, `table` its outputs, shape (rows, outputs)
-    slopes: start value → derivative of the table by it
+    Args:
+        about: Start values of that run.
+        table: Outputs of that run, shape (rows, outputs).
+        slopes: Start value → derivative of the table.
     """
 
     def __init__(self, drive: Drive, about: Mapping[str, float], table: Array, slopes: Mapping[str, Array]) -> None:
@@ -97,7 +100,7 @@ class _LinearDrive(Drive):
         memory: Memory | None = None,
         visit: Callable[[int], None] | None = None,
     ) -> Array:
-        """As of a drive, from the first row on."""
+        """Return the linearized outputs from the first row on."""
         assert first == 0, "only the run from the first row is known"
         away = {name: start[name] - value for name, value in self._about.items() if name in start}
         table = self._run + sum(change * self._slopes[name] for name, change in away.items())
@@ -107,9 +110,9 @@ class _LinearDrive(Drive):
 def _linear_in_starts(
     drive: Drive, parameters: Mapping[str, StartParameter], free: Replay, levels: Mapping[str, float]
 ) -> Drive:
-    """The drive, linear in its start values about its free run: one run of the FMU for each, not five a draw.
+    """Return the drive linearized in its start values.
 
-    The drive itself where one of these runs fails.
+    Each start value needs one FMU run, instead of five runs per draw. If a run fails, the drive itself is returned.
     """
     table = np.column_stack([free.outputs[name] for name in drive.outputs])
     given = free.starts[0]
@@ -128,7 +131,7 @@ def _linear_in_starts(
 
 
 def _mean_squares(error: Array, starts: Sequence[int]) -> Array:
-    """Mean square of the error in each window where it is known, from the first rows of all."""
+    """Return the mean squared error of each window."""
     seen = np.isfinite(error)
     window = np.searchsorted(starts, np.flatnonzero(seen), side="left")
     counts = np.bincount(window, minlength=len(starts) + 1)
@@ -137,10 +140,10 @@ def _mean_squares(error: Array, starts: Sequence[int]) -> Array:
 
 
 def _limit(squares: Array, count: int) -> float:
-    """How many times the floor a right model misses by, BY_CHANCE: mean squares over windows, drawn `count` times.
+    """Return the largest error of a correct model relative to the floor, at probability BY_CHANCE.
 
-    Each sum of squares is as a χ² whose degrees of freedom are 2·mean²/variance a window (Satterthwaite 1946), so
-    that their ratio follows Fisher's F.
+    A sum of squares follows χ² with 2·mean²/variance degrees of freedom per window (Satterthwaite 1946), and the ratio
+    follows Fisher's F. `count` is the number of draws.
     """
     from scipy.special import fdtri
 

@@ -1,4 +1,4 @@
-"""Correlations over the lag, drawn and worded alike for what a replay leaves and for what a filter does not expect."""
+"""Correlation plots over the lag, for residuals of replays and innovations of filters."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ LAG = ("lag", "s")
 
 
 def every_lag(count: int, most: int) -> Rows:
-    """The lags, in rows, of about `most` stems out of `count`; zero is left out."""
+    """Return at most about `most` of `count` lags [rows], without zero."""
     return np.arange(1, count + 1)[:: max(1, (count + 1) // most)]
 
 
 def lag_drawing(charts: Charts, rows: Rows, step: float, curves: int) -> Drawing:
-    """Draws panels over the lag [s] at these rows; half a lag is left free at each end."""
+    """Return panels over the lag [s], with half a lag free at both ends."""
     half = 0.5 * (rows[1] - rows[0] if rows.size > 1 else 1)
     ends = float(step * (rows[0] - half)), float(step * (rows[-1] + half))
     return charts.over(step * rows.astype(np.float64), curves, Abscissa(LAG, ends))
 
 
 def neighbours(test: Whiteness) -> str:
-    """The correlation from one row to the next, as text."""
+    """Return the autocorrelation at one row as text."""
     return plain(float(test.rho[1]), 2) if test.rho.size > 1 else MISSING

@@ -1,4 +1,4 @@
-"""A drive whose FMU runs in a worker process: what is asked of it there, and what its caller makes of it."""
+"""Drive with its FMU in a worker process: the worker's side and the caller's side."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from cosim.residuals.drive import PLANT, Drive, StoppedReplay
 
 MODULES = ("cosim.residuals.remote_drive", "fmpy.fmi2", "fmpy.logging")
 
-# -- in the worker ------------------------------------------------------------------------------
+# -- in the worker ----------------------------------------------------------------------------
 
 _drives: dict[int, Drive] = {}
 
 
 @dataclass(frozen=True)
 class Loaded:
-    """A drive that a worker is to have: its number there, what it is made of, the file for the rows it is making."""
+    """Description of a drive for a worker: number, contents, and the file of its rows."""
 
     number: int
     log: Log
@@ -43,7 +43,7 @@ class Loaded:
 
 
 def load(asked: Loaded) -> None:
-    """Have a drive ready; its FMU is loaded at the first run."""
+    """Prepare a drive; its FMU is loaded at the first run."""
     drive = Drive(asked.log, asked.fmu, interpolated=asked.interpolated, given=asked.given)
     here.overheard(drive.block)
     drive._new_rows = partial(_mapped, asked.table)
@@ -66,11 +66,11 @@ def unload(number: int) -> None:
     _drives.pop(number).block.close()
 
 
-# -- its caller -----------------------------------------------------------------------------------
+# -- in the caller ----------------------------------------------------------------------------
 
 
 class DriveApart(Drive):
-    """Context: a drive in a worker, loaded there again where that has crashed."""
+    """Context of a drive in a worker process, reloaded after a crash."""
 
     _numbers = itertools.count()
 
@@ -88,8 +88,8 @@ class DriveApart(Drive):
         super().__init__(log, fmu, progress, interpolated, given)
         self._worker, self._limits, self._interpolated = worker, limits or Limits(), interpolated
         self._number, self._process = next(self._numbers), 0
-        self._full = log  # of which others are made
-        self._most = max(len(self._steps(0, log.rows - 1).times), log.rows) + 2  # rows of a run
+        self._full = log  # base of copies with other measurements
+        self._most = max(len(self._steps(0, log.rows - 1).times), log.rows) + 2  # largest number of rows of a run
         self._held: Held | None = None
 
     def __enter__(self) -> Self:
@@ -104,26 +104,26 @@ class DriveApart(Drive):
             if self._held is not None:
                 self._held.remove()
 
-    def initial(self, start: Mapping[str, Any], row: int = 0) -> dict[str, float]:
-        """As of a drive."""
+    def initial(self, start: Mapping[str, Any], row: int) -> dict[str, float]:
+        """Return the initial outputs, as `Drive.initial`."""
         self._check_start(start)
         answer: dict[str, float] = self._ask("initial", start, row)
         return answer
 
     def own(self, start: Mapping[str, Any]) -> Own:
-        """As of a drive."""
+        """Return the initial state, as `Drive.own`."""
         answer: Own = self._ask("own", start)
         return answer
 
     def state(self) -> Own:
-        """As of a drive."""
+        """Return the final state, as `Drive.state`."""
         answer: Own = self._ask("state")
         return answer
 
     def run_and_keep(
         self, first: int, last: int, start: Mapping[str, Any], rows: Container[int]
     ) -> tuple[Array, dict[int, Own]]:
-        """As of a drive."""
+        """Run and return outputs and states, as `Drive.run_and_keep`."""
         answer: tuple[Array, dict[int, Own]] = self._run("run_and_keep", first, last, start, rows)
         return answer
 
@@ -135,13 +135,13 @@ class DriveApart(Drive):
         memory: Memory | None = None,
         visit: Callable[[int], None] | None = None,
     ) -> Array:
-        """As of a drive; `visit` cannot be called from a worker."""
+        """Run and return outputs, as `Drive.run`, without `visit`."""
         assert visit is None
         answer: Array = self._run("run", first, last, start, memory)
         return answer
 
     def rows(self, start: Mapping[str, Any]) -> Array:
-        """As of a drive."""
+        """Return the outputs of a table, as `Drive.rows`."""
         try:
             answer: Array = self._ask("rows", start, times=self.log.time.tolist())
         except StoppedReplay:
@@ -150,7 +150,7 @@ class DriveApart(Drive):
             raise StoppedReplay(error, self._made()) from None
         return answer
 
-    # -- within -------------------------------------------------------------------------------
+    # -- internals ----------------------------------------------------------------------------
 
     def _run(self, method: str, first: int, last: int, *arguments: Any) -> Any:
         steps = self._steps(first, last)
@@ -171,7 +171,7 @@ class DriveApart(Drive):
         return answer
 
     def _ask(self, method: str, *arguments: Any, times: Any = ()) -> Any:
-        """Call a method of the drive in the worker; `times` are those of the rows it makes."""
+        """Call a method in the worker; `times` belong to the resulting rows."""
         self._worker.start()
         if self._process != self._worker.starts:
             self._load()
@@ -204,5 +204,5 @@ class DriveApart(Drive):
         )
 
     def _made(self) -> Array:
-        """The rows that the worker made before it ended."""
+        """Return the rows finished before the worker ended."""
         return read_table(self._file, self._worker.progress.made[0], len(self.outputs))

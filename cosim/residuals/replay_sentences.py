@@ -1,4 +1,4 @@
-"""A comparison in words; each sentence follows from the numbers."""
+"""Sentences about a comparison, each derived from the numbers."""
 
 from __future__ import annotations
 
@@ -6,22 +6,24 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from cosim.base.text import amount, counted, plain, size
+from cosim.base.text import amount, counted, listed, plain, size
 from cosim.logs.finding import Finding
 from cosim.residuals.compare import ChannelSummary, Comparison
 from cosim.residuals.residual_statistics import FREE_RUN
 
 
 def horizon_name(horizon: float) -> str:
-    """`2 s`, `free run`."""
+    """Return the name of a horizon, such as `2 s` or `free run`."""
     return "free run" if horizon == FREE_RUN else f"{horizon:g}\u00a0s"
 
 
 @dataclass(frozen=True)
 class _Outcome:
-    """What a verdict is made of: channels, those that windows do not measure, those that miss more than noise makes.
+    """Facts of a verdict: all channels, unmeasurable ones, and ones with errors above noise.
 
-    measure: the horizon that counts [s]; lead: how far the model is off
+    Attributes:
+        measure: Decisive horizon [s].
+        lead: Size of the error in words.
     """
 
     comparison: Comparison
@@ -33,7 +35,7 @@ class _Outcome:
 
 
 def verdict(comparison: Comparison) -> str:
-    """How far the model is off, whether noise explains that, and what the rest follows: the first rule that applies."""
+    """Return the verdict of the first matching rule."""
     outcome = _outcome(comparison)
     rules = (_not_measured, _not_in_kind, _explained, _beyond_in_free_run, _beyond_in_windows)
     return next(sentence for rule in rules if (sentence := rule(outcome)))
@@ -57,13 +59,14 @@ def _not_in_kind(o: _Outcome) -> str:
     following = [c for c in o.channels if c.matched and not c.explained]
     if o.beyond or not following:
         return ""
-    return f"{o.lead}, which noise could explain in size, but not in kind. {_cause(o.comparison, following)}"
+    cause = _cause(o.comparison, following)
+    return f"{o.lead}. Noise could explain that in size, but not in kind. {cause}"
 
 
 def _explained(o: _Outcome) -> str:
     if o.beyond:
         return ""
-    return f"{o.lead}, no more than the noise of the sensors explains: this log shows nothing that the model lacks."
+    return f"{o.lead}. The noise of the sensors explains that: this log shows nothing that the model lacks."
 
 
 def _beyond_in_free_run(o: _Outcome) -> str:
@@ -71,36 +74,32 @@ def _beyond_in_free_run(o: _Outcome) -> str:
         return ""
     worst = min(o.beyond, key=lambda c: c.scores[FREE_RUN].fit)
     fit = amount(worst.scores[FREE_RUN].fit, "%", 2)
-    return f"{o.lead}; {worst.name} fits to {fit}. {_cause(o.comparison, o.beyond)}"
+    return f"{o.lead}. The fit of {worst.name} is {fit}. {_cause(o.comparison, o.beyond)}"
 
 
 def _beyond_in_windows(o: _Outcome) -> str:
-    first, *others = (f"{plain(c.excess, 2)} times" for c in o.beyond)
-    names = [c.name for c in o.beyond]
-    times = [
-        f"{first} what the noise of the sensors explains for {names[0]}",
-        *(f"{times} for {name}" for times, name in zip(others, names[1:], strict=True)),
-    ]
+    times = listed([f"{plain(c.excess, 2)} times for {c.name}" for c in o.beyond])
     rest = f" {_no_measure(o.lost)}" if o.lost else ""
-    return f"{o.lead}. That is {_and(times)}. {_cause(o.comparison, o.beyond)}{rest}"
+    cause = _cause(o.comparison, o.beyond)
+    return f"{o.lead}. That is more than the noise of the sensors explains: {times}. {cause}{rest}"
 
 
 def _no_measure(lost: Sequence[ChannelSummary]) -> str:
     """Which channels windows do not measure, how that shows, and what the free run says of them."""
-    names = _and([c.name for c in lost])
-    own = _and([f"{c.name} by {size(c.floor.astray, c.unit)}" for c in lost])
+    names = listed([c.name for c in lost])
+    own = listed([f"{c.name} by {size(c.floor.astray, c.unit)}" for c in lost])
     return (
-        f"The windows do not measure {names}: restarted from its own outputs this FMU misses {own}, "
-        f"for it keeps a state that no output shows. Its free run misses {_sizes(lost, FREE_RUN)}."
+        f"The windows do not measure {names}: this FMU keeps a state that no output shows. "
+        f"Restarted from its own outputs it misses {own}. Its free run misses {_sizes(lost, FREE_RUN)}."
     )
 
 
 def _sizes(channels: Sequence[ChannelSummary], horizon: float) -> str:
-    return _and([f"{c.name} by {size(c.scores[horizon].rmse, c.unit)}" for c in channels])
+    return listed([f"{c.name} by {size(c.scores[horizon].rmse, c.unit)}" for c in channels])
 
 
 def _cause(comparison: Comparison, channels: Sequence[ChannelSummary]) -> str:
-    """A delay, or which command the misfit follows."""
+    """Return a delay, or the command that correlates with the residual."""
     names = {c.name for c in channels}
     late = [f for f in comparison.findings if f.kind == "delay" and f.channel in names]
     if late := [f for f in late if abs(f.numbers["delay"]) > comparison.log.step]:
@@ -109,8 +108,8 @@ def _cause(comparison: Comparison, channels: Sequence[ChannelSummary]) -> str:
     pairs = [(c, u) for c in channels for u in c.inputs[:1] if u.stands_out]
     if not pairs:
         return (
-            "No command stands out in the residual: an effect that depends on the motion, a disturbance or a sensor; "
-            "`cosim refine` tells them apart."
+            "No command stands out in the residual: the cause may be an effect that depends on the motion, "
+            "a disturbance or a sensor. `cosim refine` distinguishes them."
         )
     channel, found = max(pairs, key=lambda pair: pair[1].strength)
     rho = plain(float(found.rho[found.peak]), 2)
@@ -122,17 +121,17 @@ def _cause(comparison: Comparison, channels: Sequence[ChannelSummary]) -> str:
 
 
 def whiteness_words(channel: ChannelSummary) -> str:
-    """White or not."""
+    """Say whether the residual is only noise."""
     test = channel.whiteness
     if math.isnan(test.p_value):
         return "too few rows to tell"
     if test.white:
-        return "white"
-    return "not white, yet no larger than noise and start explain" if channel.matched else "not white"
+        return "yes"
+    return "no, but no larger than noise and start explain" if channel.matched else "no"
 
 
 def input_words(channel: ChannelSummary) -> str:
-    """The command that stands out, or that none does."""
+    """Return the dominant command in words, if any."""
     if not channel.inputs:
         return "no command moves"
     found = channel.inputs[0]
@@ -142,12 +141,8 @@ def input_words(channel: ChannelSummary) -> str:
 
 
 def quality(findings: Sequence[Finding]) -> str:
-    """How sound the log is."""
+    """Return the quality of the log in words."""
     warnings = sum(f.severity == "warning" for f in findings)
     if not warnings:
         return "Clock, units, signs and channels of the log are in order."
     return f"{counted(warnings, 'warning')} about the log, to be known before the numbers are believed."
-
-
-def _and(words: Sequence[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}" if words else ""

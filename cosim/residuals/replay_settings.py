@@ -1,4 +1,4 @@
-"""Start values and parameters that a replay is given as NAME=VALUE, in the type and unit of their FMU variable."""
+"""Start values and parameters of a replay, written as NAME=VALUE, in type and unit of the FMU variable."""
 
 from __future__ import annotations
 
@@ -17,7 +17,11 @@ SWITCHES = {"true": True, "on": True, "1": True, "false": False, "off": False, "
 
 
 def start_values(fmu: Path, texts: Sequence[str]) -> dict[str, float | int | bool | str]:
-    """Return values by variable of texts such as `gain=0.9`, `angle=12 deg`; InputError with every fault."""
+    """Return variable → value for texts such as `gain=0.9` or `angle=12 deg`.
+
+    Raises:
+        InputError: Every invalid text.
+    """
     if not texts:
         return {}
     description = read_description(fmu)
@@ -44,7 +48,7 @@ def start_values(fmu: Path, texts: Sequence[str]) -> dict[str, float | int | boo
 
 
 def _read(text: str, kind: str) -> float | int | bool | str:
-    """Return the value of a variable of this kind; text that is no number, such as `12 deg`, as it is written."""
+    """Return a value of this kind, or the text if not numeric."""
     if kind == "Boolean":
         return SWITCHES.get(text.lower(), text)
     for number in (int, float) if kind not in NOT_NUMBERS else ():

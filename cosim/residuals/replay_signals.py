@@ -12,7 +12,7 @@ from cosim.storage.results import read_results, rows_in
 
 @dataclass(frozen=True, repr=False)
 class Replay(Signals):
-    """A replay: what the FMU and the log show, and what the model misses of it, by horizon, in `residual`."""
+    """Signals of an FMU and a log, and `residual` for each horizon."""
 
     residual: Signals | None = None
     sentence: str = ""
@@ -22,7 +22,11 @@ class Replay(Signals):
 
 
 def read_replay(folder: Path, *, kept: bool = True) -> Replay | None:
-    """Return the replay in a folder, None if it came to no residual; kept: the folder stays."""
+    """Return the replay in a folder, None without a residual.
+
+    Args:
+        kept: True if the folder is permanent.
+    """
     files = rows_in(folder), rows_in(folder, "residual")
     if files[1] is None:
         return None

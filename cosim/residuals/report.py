@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.text import MISSING, amount, counted, display, percent, plain, size
+from cosim.base.text import MISSING, amount, counted, display, parted, percent, plain, size
 from cosim.base.version import __version__
 from cosim.logs.finding import Finding
 from cosim.logs.log import Log
@@ -67,11 +67,13 @@ def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, An
     skipped = SKIPPED * log.slowness
     horizons = sorted(comparison.replays)
     found = comparison.findings
+    headline, details = parted(words.verdict(comparison))
     return {
         "name": log.path.name,
         "description": f"Replayed through {drive.description.modelName} ({drive.fmu.name}): the recorded commands "
-        "drive the model, what it says stands beside what was measured.",
-        "outcome": words.verdict(comparison),
+        "drive the model; its outputs are compared with the measurements.",
+        "headline": headline,
+        "details": details,
         "tone": "good" if all(c.explained for c in comparison.channels) else "plain",
         "badges": _badges(comparison),
         "tiles": [_tile(c) for c in comparison.channels[:6]],
@@ -147,7 +149,7 @@ def _residual_panels(comparison: Comparison) -> list[Panel]:
 
 def _command_panels(log: Log) -> list[Panel]:
     panels = []
-    for unit, names in by_unit(log.inputs, log.units.__getitem__):
+    for unit, names in by_unit(log.inputs, log.units.__getitem__, log.inputs.__getitem__):
         shown, factor = display(unit)
         traces = [Trace(n, log.inputs[n] * factor, f"s{i}", held=True) for i, n in enumerate(names)]
         panels.append(Panel(", ".join(names), shown or "1", traces))

@@ -1,6 +1,6 @@
-"""The residual, measured minus model: how large, whether white, and which input it follows.
+"""Statistics of the residual, measured − model: size, whiteness and correlation with inputs.
 
-NaN marks what was not measured or not predicted; every statistic is over the rows that are there.
+NaN marks a missing measurement or prediction; every statistic uses the available rows.
 """
 
 from __future__ import annotations
@@ -17,17 +17,18 @@ from cosim.logs.log import slowness
 
 FREE_RUN = math.inf  # as a horizon [s]
 LJUNG_BOX_LAGS = 20
-COUNTS_FROM = 2.0  # times the noise floor, from which an error before has an excess that can fall
-STANDS_OUT = 2.0  # times the 95 % band: four standard errors, by chance once in 10⁴ lags
+COUNTS_FROM = 2.0  # multiple of the noise floor from which an error has an excess to reduce
+STANDS_OUT = 2.0  # multiple of the 95 % band: four standard errors, by chance once in 10⁴ lags
 
 
 @dataclass(frozen=True)
 class Score:
-    """How well a model predicts a channel.
+    """Accuracy of a channel's prediction.
 
-    rmse: root mean square of measured − model, in the channel's unit
-    fit:  100·(1 − ‖y − ŷ‖ / ‖y − mean(y)‖) [%], NaN where y is constant
-    rows: number of rows compared
+    Attributes:
+        rmse: Root mean square of measured − model, in the channel's unit.
+        fit: 100·(1 − ‖y − ŷ‖ / ‖y − mean(y)‖) [%], NaN for a constant y.
+        rows: Number of compared rows.
     """
 
     rmse: float
@@ -37,7 +38,7 @@ class Score:
 
 @dataclass(frozen=True, eq=False)
 class Whiteness:
-    """Autocorrelation ρ(k), k = 0 … L, its 95 % band if white, and the Ljung–Box test of the first lags."""
+    """Autocorrelation ρ(k), k = 0 … L, its 95 % band for white noise, and the p-value of the Ljung–Box test."""
 
     rho: Array
     band: float
@@ -45,13 +46,13 @@ class Whiteness:
 
     @property
     def white(self) -> bool:
-        """Not refused at 1 %."""
+        """Return True if the test does not reject whiteness at 1 %."""
         return self.p_value > 0.01
 
 
 @dataclass(frozen=True, eq=False)
 class InputCorrelation:
-    """Correlation of the residual with an input `lags` rows earlier; negative lags are the loop's feedback."""
+    """Correlation of the residual with an input `lags` rows earlier; negative lags show feedback."""
 
     name: str
     lags: Rows
@@ -60,43 +61,43 @@ class InputCorrelation:
 
     @property
     def peak(self) -> int:
-        """Place of the largest |ρ| among the lags at which the input can be a cause."""
+        """Return the index of the largest causal |ρ|."""
         causal = np.where((self.lags > 0) & np.isfinite(self.rho), np.abs(self.rho), -1.0)
         return int(np.argmax(causal))
 
     @property
     def strength(self) -> float:
-        """Largest causal |ρ| in units of the band."""
+        """Return the largest causal |ρ| in units of the band."""
         return abs(float(self.rho[self.peak])) / self.band
 
     @property
     def ahead(self) -> bool:
-        """The input leads: it is clearly more like what comes after it than like what came before."""
+        """Return True if causal correlation clearly exceeds the rest."""
         before = np.abs(self.rho[(self.lags <= 0) & np.isfinite(self.rho)])
         return abs(float(self.rho[self.peak])) > 1.2 * float(before.max(initial=0.0))
 
     @property
     def stands_out(self) -> bool:
-        """More than chance can do."""
+        """Return True for a correlation beyond chance."""
         return self.strength > STANDS_OUT
 
 
 def rmse(*errors: Array) -> float:
-    """Root mean square of everything finite, pooled; NaN where nothing is."""
+    """Return the pooled RMSE of finite values, NaN without any."""
     kept = np.concatenate([e[np.isfinite(e)] for e in errors]) if errors else np.zeros(0)
-    with np.errstate(over="ignore"):  # of a model that runs away
+    with np.errstate(over="ignore"):  # A diverging model overflows.
         return math.sqrt(float(np.mean(kept * kept))) if kept.size else math.nan
 
 
 def excess_left(before: float, after: float, floor: float) -> float:
-    """(after² − floor²)/(before² − floor²) of root mean squares; NaN where before is not well above the floor."""
+    """Return (after² − floor²)/(before² − floor²), NaN without clear excess before."""
     if not before > COUNTS_FROM * floor:
         return math.nan
     return (after * after - floor * floor) / (before * before - floor * floor)
 
 
 def fit_percent(measured: Array, model: Array) -> float:
-    """NRMSE fit as MATLAB's `compare` gives it: 100·(1 − ‖y − ŷ‖ / ‖y − mean(y)‖) [%]."""
+    """Return the NRMSE fit of MATLAB's `compare`: 100·(1 − ‖y − ŷ‖ / ‖y − mean(y)‖) [%]."""
     both = np.isfinite(measured) & np.isfinite(model)
     y = measured[both]
     spread = float(np.linalg.norm(y - y.mean())) if y.size else 0.0
@@ -104,13 +105,16 @@ def fit_percent(measured: Array, model: Array) -> float:
 
 
 def score(measured: Array, model: Array) -> Score:
-    """RMSE and fit over the rows both have."""
+    """Return RMSE and fit over common rows."""
     error = measured - model
     return Score(rmse(error), fit_percent(measured, model), int(np.isfinite(error).sum()))
 
 
 def whiteness(residual: Array, lags: int) -> Whiteness:
-    """Autocorrelation over `lags` rows, and Q = n·(n + 2)·Σ ρ(k)²/(n − k) of Ljung and Box (1978)."""
+    """Return the autocorrelation and the Ljung–Box test (1978).
+
+    Statistic: Q = n·(n + 2)·Σ ρ(k)²/(n − k) over the first lags.
+    """
     from scipy.special import gammaincc
 
     z, seen = _centred(residual)
@@ -120,16 +124,16 @@ def whiteness(residual: Array, lags: int) -> Whiteness:
     used = [k for k in range(1, min(LJUNG_BOX_LAGS, lags) + 1) if pairs[k] > 0 and math.isfinite(rho[k])]
     if not used:
         return Whiteness(rho, math.nan, math.nan)
-    # with gaps each lag weighs by its pairs; without, this is the formula above
+    # With gaps, the number of pairs weights each lag; without gaps, this equals the formula above.
     q = (count + 2) / count * sum(pairs[k] * rho[k] ** 2 for k in used)
-    chance = float(gammaincc(0.5 * len(used), 0.5 * q))  # that χ² of so many degrees of freedom exceeds Q
+    chance = float(gammaincc(0.5 * len(used), 0.5 * q))  # probability of a larger χ²
     return Whiteness(rho, NORMAL_95 / math.sqrt(count), chance)
 
 
 def input_correlations(residual: Array, inputs: Mapping[str, Array], lags: int) -> tuple[InputCorrelation, ...]:
-    """Correlation with each input that moves, the one that stands out most first.
+    """Return the correlation with each moving input, strongest first.
 
-    The band is Bartlett's, 1.96·√(Σ_k ρ_r(k)·ρ_u(k) / n): slow residuals and slow inputs are alike by chance.
+    The band is Bartlett's, 1.96·√(Σ_k ρ_r(k)·ρ_u(k) / n), because slow signals correlate by chance.
     """
     z, seen = _centred(residual)
     count, reach = int(seen.sum()), min(residual.size - 1, max(lags, residual.size // 4))
@@ -148,19 +152,19 @@ def input_correlations(residual: Array, inputs: Mapping[str, Array], lags: int) 
 
 
 def correlation_at_lags(before: Array, after: Array, lags: int) -> Array:
-    """Correlation of `after` with `before` −lags … lags rows earlier."""
+    """Return the correlation of `after` with `before` −lags … lags rows earlier."""
     a, seen_a = _centred(before)
     b, seen_b = _centred(after)
     return _correlation(a, seen_a, b, seen_b, lags)[0]
 
 
 def lags_of(rows: int, step: float, seconds: float = 1.0) -> int:
-    """Rows in `seconds`, more in a slow log, no more than a quarter of what there is."""
+    """Return the rows in `seconds`, more in a slow log, at most a quarter."""
     return max(1, min(round(seconds * slowness(step) / step), rows // 4))
 
 
 def pooled(errors: Iterable[Mapping[str, Array]]) -> dict[str, float]:
-    """Channel → RMSE over several logs."""
+    """Return channel → RMSE over several logs."""
     channels: dict[str, list[Array]] = {}
     for log in errors:
         for name, error in log.items():
@@ -169,19 +173,17 @@ def pooled(errors: Iterable[Mapping[str, Array]]) -> dict[str, float]:
 
 
 def _centred(values: Array) -> tuple[Array, Array]:
-    """Values about their mean, 0 where missing, and 1 where they are there."""
+    """Return centred values, 0 if missing, and a mask of 1 and 0."""
     seen = np.isfinite(values)
     mean = float(values[seen].mean()) if seen.any() else 0.0
     return np.where(seen, values - mean, 0.0), seen.astype(np.float64)
 
 
 def _correlation(a: Array, seen_a: Array, b: Array, seen_b: Array, lags: int) -> tuple[Array, Array]:
-    """ρ(k) of b(t + k) with a(t) for k = −lags … lags, and in how many pairs of rows it was seen."""
+    """Return ρ(k) of b(t + k) with a(t), k = −lags … lags, and the number of pairs."""
     products, pairs = _lagged(a, b, lags), np.rint(_lagged(seen_a, seen_b, lags))
     counts = float(seen_a.sum()), float(seen_b.sum())
-    if min(counts) == 0.0:
-        return np.full(2 * lags + 1, np.nan), pairs
-    scale = math.sqrt(float(a @ a) / counts[0] * float(b @ b) / counts[1])
+    scale = math.sqrt(float(a @ a) / counts[0] * float(b @ b) / counts[1]) if min(counts) > 0.0 else 0.0
     usable = pairs > 0 if scale > 0.0 else np.zeros(pairs.size, dtype=bool)
     rho = np.full(2 * lags + 1, np.nan)
     rho[usable] = products[usable] / pairs[usable] / scale
@@ -189,7 +191,7 @@ def _correlation(a: Array, seen_a: Array, b: Array, seen_b: Array, lags: int) ->
 
 
 def _lagged(a: Array, b: Array, lags: int) -> Array:
-    """Σ_t a(t)·b(t + k) for k = −lags … lags, by FFT."""
+    """Return Σ_t a(t)·b(t + k) for k = −lags … lags, by FFT."""
     size = 1 << (a.size + lags).bit_length()
     whole = np.fft.irfft(np.conj(np.fft.rfft(a, size)) * np.fft.rfft(b, size), size)
     return np.concatenate((whole[-lags:], whole[: lags + 1]))

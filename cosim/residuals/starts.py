@@ -1,10 +1,10 @@
-"""Where a replay starts: a simple estimate of the state out of the measurements, for any FMU with start parameters.
+"""Start state of a replay, estimated from measurements for any FMU with start parameters.
 
-The FMU carries what is fast, the measurements what is slow: over the last PAST seconds the difference
-measured − carrier is fitted by a parabola in time, and its end corrects the carrier's state there. The carrier
-is the window before: over a whole log even a right model drifts. Angle and rate share one parabola, weighted by
-their noise. States that are not measured are the carrier's, those that no output shows too, where the FMU is one
-of ours: its state can be read and put back.
+The FMU provides fast motion, the measurements the slow part: over the last PAST seconds the difference
+measured − carrier is fitted by a parabola in time, whose end corrects the carrier's state. The carrier is the previous
+window, because even a correct model drifts over a whole log. Angle and rate share one parabola, weighted by their
+noise. Unmeasured states come from the carrier, including states without an output if the FMU is an own one with
+readable state.
 """
 
 from __future__ import annotations
@@ -28,21 +28,23 @@ from cosim.model.traits import rate_of
 from cosim.residuals.drive import Drive, as_columns, rows_of
 
 PAST = 0.5  # [s] before a window
-FIRST = 1.0  # [s] after the start of the log, where there is no past
-REACHES = (1.0, 0.5, 0.25, 0.12)  # parts of that, the longest that fits
-FITS = 2.5  # times the noise's variance; noise alone makes more of half a second at 50 Hz once in 10⁴
+FIRST = 1.0  # [s] after the start of the log, without a past
+REACHES = (1.0, 0.5, 0.25, 0.12)  # shares of that time; the longest valid one is used
+FITS = 2.5  # multiple of the noise variance; exceeded by noise once in 10⁴ for half a second at 50 Hz
 FEWEST = 6  # samples of a parabola
-LEAST = 4  # samples of a channel; slow sensors look further away
-PASSES = 4  # over the first second
-OLDEST = 2.0  # [s] from which even a slow sensor's samples say nothing
-Error = tuple[Array, float, bool]  # measured − carrier, its noise, whether it is the rate's
+LEAST = 4  # samples of a channel; slow sensors use a longer time
+PASSES = 4  # passes over the first second
+OLDEST = 2.0  # [s] oldest useful sample, even of a slow sensor
+Error = tuple[Array, float, bool]  # measured − carrier, its noise, True for the rate
 
 
 @dataclass(frozen=True)
 class StartParameter:
-    """A start parameter that an output shows: output = gain·parameter when initialized, as `tried` with two values.
+    """A start parameter shown by an output: output = gain·parameter after initialization.
 
-    places: where it stands in the state of an FMU of ours; empty for another, whose state cannot be read
+    Attributes:
+        tried: The two parameter values of the test.
+        places: Indices in the state of an own FMU; empty if the state cannot be read.
     """
 
     name: str
@@ -53,14 +55,14 @@ class StartParameter:
     places: tuple[int, ...] = ()
 
     def value(self, output: float) -> float:
-        """The parameter that makes the output this value."""
+        """Return the parameter value for an output value."""
         return min(max(output / self.gain, self.low), self.high)
 
 
 def start_parameters(drive: Drive) -> dict[str, StartParameter]:
-    """Output → the start parameter it shows, found by trying: `angle_start` of `angle` or of `angle_actual`.
+    """Return output → start parameter, determined by trial initializations.
 
-    One that its output does not follow in proportion is of something else and left alone.
+    `angle` and `angle_actual` may be set by `angle_start`. Parameters without proportional output are ignored.
     """
     variables = {v.name: v for v in drive.description.modelVariables if v.type == "Real" and v.causality == "parameter"}
     found = {}
@@ -73,7 +75,7 @@ def start_parameters(drive: Drive) -> dict[str, StartParameter]:
 
 
 def _with_places(drive: Drive, found: dict[str, StartParameter]) -> dict[str, StartParameter]:
-    """Return start parameters with their places in the state, if it is readable: what moves with each."""
+    """Return start parameters with the state indices that each one moves, if readable."""
     if not found or not drive.has_readable_state:
         return found
     tried = {p.name: p.tried[0] for p in found.values()}
@@ -95,7 +97,7 @@ def _tried(drive: Drive, output: str, variable: Any) -> StartParameter | None:
     if len(tries) < 2:
         return None
     try:
-        shown = [drive.initial({variable.name: v})[output] for v in tries[:2]]
+        shown = [drive.initial({variable.name: v}, 0)[output] for v in tries[:2]]
     except SimulationError:
         return None
     gain = (shown[1] - shown[0]) / (tries[1] - tries[0])
@@ -111,7 +113,10 @@ def _limits(variable: Any) -> tuple[float, float]:
 
 
 def first_start(drive: Drive, parameters: Mapping[str, StartParameter]) -> dict[str, float]:
-    """Start of the free run: what fits the first second best; states nobody measured start where the FMU does."""
+    """Return the start of the free run, the best fit to the first second.
+
+    Unmeasured states keep the FMU's start values.
+    """
     log = drive.log
     seen = {name: values[np.isfinite(values)] for name, values in log.outputs.items() if name in parameters}
     given = {p.name: drive.given[p.name] for p in parameters.values() if p.name in drive.given}
@@ -134,9 +139,9 @@ def window_start(
     since: int,
     k: int,
 ) -> dict[str, float]:
-    """Start of a window at row k, from what carries to there from row `since` on and the measurements up to it.
+    """Return the start of a window at row k from the carrier and past measurements.
 
-    Of an FMU of ours only what the measurements correct: the rest of its state is kept, see `kept`.
+    For an own FMU, only corrected states are returned; `kept` provides the rest. The carrier is valid from row `since`.
     """
     log = drive.log
     state = {name: float(carrier[name][k]) for name in parameters}
@@ -147,17 +152,17 @@ def window_start(
 
 
 def noise_levels(log: Log, model: Mapping[str, Array] | None = None) -> dict[str, float]:
-    """Channel → its noise, by which it is weighted; estimated better beside a run of the model."""
+    """Return channel → noise level, more accurate with a run of the model."""
     return {name: sigma_of(values, (model or {}).get(name)) for name, values in log.outputs.items()}
 
 
 def readable(parameters: Mapping[str, StartParameter]) -> bool:
-    """Whether the FMU's state can be read and put back: it is one of ours."""
+    """Return True if the FMU's state can be read and restored."""
     return any(p.places for p in parameters.values())
 
 
 def kept(own: Own, parameters: Mapping[str, StartParameter], start: Mapping[str, float]) -> Memory:
-    """All of an FMU's state but what these start values set."""
+    """Return the FMU's state except the part set by start values."""
     given = {(STATE, k) for p in parameters.values() if p.name in start for k in p.places}
     whole = {(part, k): value for part in (STATE, MEMORY) for k, value in enumerate(own[part])}
     return {place: value for place, value in whole.items() if place not in given}
@@ -171,7 +176,7 @@ def _corrected(
     at: int,
     rows: Rows,
 ) -> dict[str, float]:
-    """Return what the measurements at `rows` correct of the state at row `at`."""
+    """Return corrected states at row `at` from the measurements at `rows`."""
     log, changes, slopes = drive.log, dict[str, float](), dict[str, float]()
     rates = {rate_of(name, log.outputs) for name in log.outputs}
     for name in log.outputs:
@@ -194,7 +199,7 @@ def _corrected(
 def _velocity(
     drive: Drive, state: Mapping[str, float], corrected: Mapping[str, float], slopes: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return the local velocity at the corrected heading; nothing if it is measured or the position is not."""
+    """Return the local velocity at the corrected heading, if the position is measured and the velocity is not."""
     frame = drive.frame
     if frame is None or frame.forward in drive.log.outputs:
         return {}
@@ -207,9 +212,9 @@ def _velocity(
 
 
 def _parabola(log: Log, errors: Sequence[Error], at: int, rows: Rows) -> tuple[float | None, float | None]:
-    """Value and slope at row `at` of the parabola through measured − carrier, and its slope through the rate's.
+    """Return value and slope at row `at` of the parabola through measured − carrier.
 
-    Over the longest stretch on which it fits to within the noise: a model that lacks much is carried less far.
+    The longest stretch that fits within the noise counts, so a poor model is extrapolated less.
     """
     ahead = bool(rows.size and rows[-1] > at)
     found: tuple[float | None, float | None] = None, None
@@ -228,7 +233,7 @@ def _parabola(log: Log, errors: Sequence[Error], at: int, rows: Rows) -> tuple[f
 
 
 def _equations(log: Log, errors: Sequence[Error], at: int, rows: Rows, reach: float) -> tuple[Array, Array]:
-    """Weighted equations of (value, slope, curvature) at row `at`, from the errors within `reach` seconds of it."""
+    """Return weighted equations of (value, slope, curvature) at row `at` from errors within `reach` seconds."""
     designs, sides = [], []
     for error, sigma, derived in errors:
         good = np.isfinite(error)
@@ -241,7 +246,7 @@ def _equations(log: Log, errors: Sequence[Error], at: int, rows: Rows, reach: fl
 
 
 def _near(log: Log, rows: Rows, at: int, reach: float) -> Rows:
-    """Places of the rows within `reach` seconds of row `at`, or of the nearest few."""
+    """Return the rows within `reach` seconds of row `at`, or the nearest few."""
     away = np.abs(log.time[rows] - log.time[at])
     near: Rows = np.flatnonzero(away <= reach + 1e-9)
     if near.size < LEAST:
@@ -251,7 +256,7 @@ def _near(log: Log, rows: Rows, at: int, reach: float) -> Rows:
 
 
 def sigma_of(values: Array, model: Array | None = None) -> float:
-    """Noise of a channel; of one without noise, its rounding."""
+    """Return the noise of a channel, at least its rounding."""
     level = noise_level(values) if model is None else noise_beside(values, model)
     floor = 1e-6 * float(np.nanmax(np.abs(values)))
     return max(floor, 1e-12) if math.isnan(level) else max(level, floor, 1e-12)

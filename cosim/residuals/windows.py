@@ -1,7 +1,7 @@
-"""Replay: the recorded commands drive an FMU, freely from the first row or in windows; its outputs beside the log's.
+"""Replays of recorded commands through an FMU, as a free run or in windows.
 
-A free run over a long log is no measure for a model whose states integrate; the windows
-are: each starts at row k, at time t_k, from a state known by then, and runs for a horizon.
+A long free run is no useful measure for a model with integrating states. A window starts at row k, at time t_k, from a
+state estimated from past data, and lasts one horizon.
 """
 
 from __future__ import annotations
@@ -31,18 +31,19 @@ from cosim.residuals.starts import (
     window_start,
 )
 
-SKIPPED = 2.0  # [s] at the start of a log, while a filter settles
-HORIZONS = (0.5, 2.0)  # [s], the second is the measure
+SKIPPED = 2.0  # [s] at the start of a log, in which a filter settles
+HORIZONS = (0.5, 2.0)  # [s], the second one is decisive
 
 
 @dataclass(frozen=True, eq=False)
 class Replay:
     """Outputs of an FMU at the rows of a log.
 
-    horizon: [s], FREE_RUN where it is one run over the whole log
-    starts:  first row of each run → start values it was given
-    outputs: name → (rows,), NaN where nothing was predicted
-    states:  row where a chain of windows may start → the state of an FMU of ours there; nothing of another
+    Attributes:
+        horizon: Length of each run [s], FREE_RUN for one run over the whole log.
+        starts: First row of each run → start values.
+        outputs: Name → (rows,), NaN without a prediction.
+        states: Possible first row of a chain of windows → state of an own FMU.
     """
 
     time: Array
@@ -53,20 +54,24 @@ class Replay:
     states: Mapping[int, Own] = field(default_factory=dict)
 
     def errors(self, log: Log) -> dict[str, Array]:
-        """Channel → measured − model, NaN where one of them is missing."""
+        """Return channel → measured − model, NaN if incomplete."""
         return {name: values - self.outputs[name] for name, values in log.outputs.items()}
 
 
 @dataclass(frozen=True)
 class Chain:
-    """Windows one after the other: each begins at a row where the one before it ends, `begin` the first that counts."""
+    """Consecutive windows, each from the end of the previous one; `begin` is the first counted row."""
 
     rows: tuple[int, ...]
     begin: int
 
 
 def free_run(drive: Drive, start: Mapping[str, Any] | None = None) -> Replay:
-    """Return the whole log as one run, from `start` (FMU parameters by name) or else from its first measurements."""
+    """Return the whole log as one run.
+
+    Args:
+        start: Start values of FMU parameters; default: from the first measurements.
+    """
     log, parameters = drive.log, start_parameters(drive)
     chosen = first_start(drive, parameters) if start is None else start
     rows = {c.rows[0] for span in horizons(log) for c in chains(log, span)} if readable(parameters) else set()
@@ -75,7 +80,7 @@ def free_run(drive: Drive, start: Mapping[str, Any] | None = None) -> Replay:
 
 
 def row_by_row(drive: Drive, start: Mapping[str, Any]) -> Replay:
-    """The rows of a table, each predicted by the FMU from its own inputs."""
+    """Return the outputs of a table, each row from its own inputs."""
     table = drive.rows(start)
     return Replay(drive.log.time, FREE_RUN, {0: dict(start)}, as_columns(table, drive.outputs), drive.units)
 
@@ -86,10 +91,13 @@ def windows(
     horizon: float,
     memories: Mapping[int, Memory] = MappingProxyType({}),
 ) -> Replay:
-    """Return runs of `horizon` seconds, each from row k at time t_k with the start values `starts[k]`.
+    """Return runs of `horizon` seconds from the given starts.
 
-    A row belongs to the run that ends there; the row of a start is not predicted by it.
-    memories: row → what an FMU of ours keeps there
+    A row belongs to the run that ends there; a run does not predict its start row.
+
+    Args:
+        starts: First row → start values.
+        memories: Row → state of an own FMU.
     """
     table = np.full((drive.log.rows, len(drive.outputs)), np.nan)
     done = -1
@@ -104,10 +112,11 @@ def windows(
 
 
 def self_started(drive: Drive, parameters: Mapping[str, StartParameter], free: Replay, horizon: float) -> Replay | None:
-    """Consecutive windows that start from the measurements and, in what these do not show, from the window before.
+    """Return consecutive windows, started from measurements and the previous window.
 
-    The free run carries to the first of each chain. An output that is first measured later is predicted from then on:
-    before, nobody knew where it was. None where FMU or log do not allow windows.
+    The free run provides the start of each chain. An output first measured later is predicted from then on. The result
+    is
+    None if the FMU or the log allows no windows.
     """
     log, found = drive.log, chains(drive.log, horizon)
     if not found or not parameters.keys() & log.outputs.keys():
@@ -131,21 +140,21 @@ def self_started(drive: Drive, parameters: Mapping[str, StartParameter], free: R
 
 
 def _known_from(log: Log, name: str, starts: Sequence[int]) -> int:
-    """First window that an output had been measured before, for as long as is left out at the start of the log."""
+    """Return the first window with sufficient past measurements of an output."""
     seen = log.time[np.isfinite(log.outputs[name])]
     begins = [k for k in starts if seen.size and log.time[k] >= seen[0] + SKIPPED * log.slowness - 1e-6 * log.step]
     return min(begins, default=log.rows)
 
 
 def horizons(log: Log) -> tuple[float, ...]:
-    """HORIZONS [s], the measure last; longer where rows are slower than 50 ms, so that they span as many."""
+    """Return HORIZONS [s], decisive one last, longer for rows slower than 50 ms."""
     return tuple(horizon * log.slowness for horizon in HORIZONS)
 
 
 def chains(log: Log, horizon: float) -> list[Chain]:
-    """Windows that start from the measurements; over a pause nothing is known, there a chain ends and another begins.
+    """Return chains of windows, separated by pauses.
 
-    After a pause the state settles in short windows, for as long as is left out at the start of the log.
+    After a pause, the state settles in short windows.
     """
     found, skipped = [], SKIPPED * log.slowness
     for part in stretches(log):
@@ -160,7 +169,7 @@ def chains(log: Log, horizon: float) -> list[Chain]:
 
 
 def window_rows(log: Log, horizon: float, skipped: float = SKIPPED) -> list[int]:
-    """First rows of consecutive windows, the first `skipped` seconds left out, the last window whole."""
+    """Return first rows of consecutive whole windows after `skipped` seconds."""
     rows: list[int] = []
     k = int(np.searchsorted(log.time, log.time[0] + skipped - 1e-6 * log.step))
     while k < log.rows - 1 and log.time[k] + horizon <= log.time[-1] + 0.5 * log.step:

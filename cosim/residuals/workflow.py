@@ -1,4 +1,4 @@
-"""A replay, in order: log → gate → drive → free run → comparison → results → page."""
+"""Workflow of a replay: log → gate → drive → free run → comparison → results → page."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ from cosim.storage.folders import REPLAY, check_left, keep_earlier
 from cosim.storage.results import Results, remove_rows, rows_name
 
 SCHEMA_VERSION = 1
-MEASURED = "log"  # the component's name of what was measured, beside PLANT
+MEASURED = "log"  # component name of measurements, beside PLANT
 
 
 @one_stop()
@@ -68,25 +68,32 @@ def replay(
     format_: str = "csv",
     progress: Callable[[int, int], None] | None = None,
 ) -> Comparison:
-    """Replay a log file through an FMU, or without one through the plant of this package, built for this replay only.
+    """Replay a log file through an FMU, by default through the base model's FMU.
 
-    start:   start values and parameters of the FMU as NAME=VALUE, `gain=0.9`, `angle=12 deg`
-    columns: of the log under other names than the FMU's, `measured_speed=motor.w`
-    Leaves results.csv, residual.csv, replay.json and report.html in `folder`.
-    Raises InputError, FmuError, SimulationError.
-    force: also over what another command left there. keep: files of an earlier replay move to `runs`.
-    in_process: the FMU is loaded into this process, for a debugger.
-    limits: of what the FMU may take, such as `step: 10 s, memory: 2 GB`; none without.
+    Writes results.csv, residual.csv, replay.json and report.html to `folder`.
+
+    Args:
+        start: Start values and parameters of the FMU as NAME=VALUE, `gain=0.9`, `angle=12 deg`.
+        columns: Log columns with other names than in the FMU, `measured_speed=motor.w`.
+        force: Overwrite results of another command.
+        keep: Move files of an earlier replay to `runs`.
+        in_process: Load the FMU into this process, for a debugger.
+        limits: Limits of the FMU, such as `step: 10 s, memory: 2 GB`; default: none.
+
+    Raises:
+        InputError: The log or an argument has faults.
+        FmuError: The FMU cannot be used.
+        SimulationError: The FMU fails.
     """
     most = read_limits(limits)
-    rows_name("results", format_)  # or why it cannot be written
+    rows_name("results", format_)  # An unavailable format must fail before the replay.
     check_files(Path(log), None if fmu is None else Path(fmu))
     place = named_path(folder)
     check_left(place, "cosim replay", str(log), str(fmu or ""), force=force, keep=keep)
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         if worker is not None:
-            worker.start()  # it gets ready while files are read
+            worker.start()  # The worker starts while files are read.
         scratch = stack.enter_context(temporary_folder("replay"))
         driven = Path(fmu) if fmu else build_fmu(load_model(BASE, Path()).recipe(), scratch / "plant.fmu")
         read = log_of_fmu(Path(log), driven, renamed(columns, Path(log)))
@@ -122,15 +129,20 @@ def write_replay(
     keep: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> Comparison:
-    """Replay a log through an FMU and leave results.csv, residual.csv, replay.json and report.html in `folder`.
+    """Replay a log through an FMU and write results and report to `folder`.
 
-    start:   of the free run, in place of what its first rows show
-    given:   start values and parameters of every run
-    passing: the FMU is that of this package, built for this replay only.
-    rate: step the log must have [s]; without, the FMU's own step is a warning only.
-    worker: where the FMU runs, within limits; in this process without.
-    keep: the files of an earlier replay move to `runs` in the folder.
-    Raises InputError (the gate's faults too), FmuError; StoppedReplay after the rows so far are written.
+    Args:
+        start: Start of the free run, instead of an estimate from its first rows.
+        given: Start values and parameters of every run.
+        passing: True if the FMU was built for this replay only.
+        rate: Required step of the log [s]; by default the FMU's own step only causes a warning.
+        worker: Process of the FMU, within limits; default: this process.
+        keep: Move the files of an earlier replay to `runs` in the folder.
+
+    Raises:
+        InputError: The log has faults, gate included.
+        FmuError: The FMU cannot be used.
+        StoppedReplay: The FMU fails; finished rows are written before.
     """
     total = steps_of(log)
     rows_file, residual_file = (folder / rows_name(stem, format_) for stem in ("results", "residual"))
@@ -148,7 +160,7 @@ def write_replay(
         check_writable(folder, (rows_file.name, residual_file.name, REPLAY, "report.html"), (log.path, fmu))
         if keep:
             keep_earlier(folder, "cosim replay")
-        for name in ("report.html", REPLAY):  # they would be of other results
+        for name in ("report.html", REPLAY):  # outdated results
             (folder / name).unlink(missing_ok=True)
         remove_rows(folder, "residual")
         remove_rows(folder, "results", besides=rows_file.name)
@@ -176,10 +188,10 @@ def write_replay(
 
 
 def _free_run(drive: Drive, start: Mapping[str, Any] | None, file: Path) -> Replay:
-    """The whole log in one run, its rows in a file; those so far where it stops, and the error."""
+    """Run the whole log and write its rows, finished ones after a failure too."""
     try:
         free = free_run(drive, start)
-        hold_stops()  # there are rows to be kept
+        hold_stops()  # From here, rows exist that must not be lost.
     except StoppedReplay as failed:
         _write_rows(results(drive, as_columns(failed.done, drive.outputs)), file)
         failed.left = file.parent
@@ -197,14 +209,14 @@ def _free_run(drive: Drive, start: Mapping[str, Any] | None, file: Path) -> Repl
 
 
 def _full(file: Path, residual: Path, log: Log) -> DiskFull:
-    """What there is no room for beside the rows."""
+    """Return an error for a disk full after the rows."""
     missing = "no report" if residual.exists() else f"no {residual.name} and no report"
     reason = f"the disk is full: all {log.rows} rows are in {file.name}, there is {missing}"
     return DiskFull("the replay", float(log.time[-1]), reason)
 
 
 def _write_rows(made: Results, file: Path) -> None:
-    """The rows, their units in replay.json; DiskFull where only some of them fit."""
+    """Write the rows, with units in replay.json; raise DiskFull after a partial write."""
     try:
         _record(file.parent, {"units": dict(made.units)})
         made.write(file)
@@ -212,7 +224,7 @@ def _write_rows(made: Results, file: Path) -> None:
         if not is_full(error):
             raise
         try:
-            file.unlink(missing_ok=True)  # an earlier one's, whose room is needed
+            file.unlink(missing_ok=True)  # an earlier file, whose space is needed
             count = made.write_what_fits(file)
         except OSError:
             count = 0
@@ -221,12 +233,12 @@ def _write_rows(made: Results, file: Path) -> None:
 
 
 def _record(folder: Path, content: Mapping[str, Any]) -> None:
-    """replay.json: what rows do not say of themselves."""
+    """Write replay.json with data beside the rows."""
     write_json(folder / REPLAY, {"schema_version": SCHEMA_VERSION, **content}, indent=1)
 
 
 def _older(drive: Drive) -> Iterator[Finding]:
-    """An FMU of ours that does not say so yet: it is taken for anybody's, and less is known of it."""
+    """Yield a warning for an own FMU of an earlier version, treated as a foreign one."""
     if drive.traits is None and drive.description.author == AUTHOR:
         older = f"{drive.fmu.name} was built by an earlier version, which says nothing of frame, limits and state"
         worse = "the log is checked less and windows start worse; build it again"
@@ -234,17 +246,17 @@ def _older(drive: Drive) -> Iterator[Finding]:
 
 
 def results(drive: Drive, outputs: Mapping[str, Array]) -> Results:
-    """Commands and outputs of the FMU as `plant.variable`, what was measured as `log.variable`."""
+    """Return commands and FMU outputs as `plant.variable`, measurements as `log.variable`."""
     log, rows = drive.log, len(next(iter(outputs.values())))
     columns = {f"{PLANT}.{n}": v[:rows] for n, v in (*log.inputs.items(), *outputs.items())}
     columns |= {f"{MEASURED}.{n}": v[:rows] for n, v in log.outputs.items()}
-    known = drive.units | dict(log.units)  # where the FMU declares none, as the log was read
+    known = drive.units | dict(log.units)  # the log's units where the FMU declares none
     units = {name: known.get(name.partition(".")[2], "") for name in columns}
     return Results(log.time[:rows], tuple(columns), np.column_stack(list(columns.values())), units)
 
 
 def residuals(comparison: Comparison) -> Results:
-    """Measured − model of every horizon: `free_run.angle`, `within_2s.angle`, `within_500ms.angle`."""
+    """Return measured − model by horizon: `free_run.angle`, `within_2s.angle`, `within_500ms.angle`."""
     columns: dict[str, Array] = {}
     units: dict[str, str] = {}
     for horizon, replayed in sorted(comparison.replays.items(), reverse=True):

@@ -22,11 +22,11 @@ SHOWN = 8  # signals in the short text; further signals are counted
 
 @dataclass(frozen=True, repr=False)
 class Signals:
-    """Rows of a run; `signals["plant.x"]` is a column.
+    """Rows of a run; `signals["plant.x"]` is one column.
 
     Attributes:
         title: Name of the run.
-        folder: Folder of its files; None if no files were written.
+        folder: Folder of its files; None if nothing was written.
     """
 
     title: str
@@ -40,12 +40,12 @@ class Signals:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the numeric signals as `component.variable`."""
+        """Names of the numeric signals, `component.variable`."""
         return self.results.columns
 
     @property
     def units(self) -> Mapping[str, str]:
-        """Return the units by signal, "" without unit."""
+        """Unit of each signal, "" for none."""
         return self.results.units
 
     def __len__(self) -> int:
@@ -62,7 +62,7 @@ class Signals:
         return self.results[name]
 
     def to_pandas(self) -> pandas.DataFrame:
-        """Return a pandas data frame of all signals. Its index is the time [s]. Raises ImportError without pandas."""
+        """Return a data frame of all signals with the time [s] as index; raise ImportError without pandas."""
         try:
             import pandas
         except ImportError:
@@ -75,7 +75,7 @@ class Signals:
         return frame
 
     def plot(self, *names: str) -> Figure:
-        """Return a matplotlib figure of signals, by default all. Signals of the same unit share axes."""
+        """Return a matplotlib figure of the signals; signals of one unit share an axis."""
         for name in names:
             self[name]
         from cosim.simulation.report.figures import figure_of
@@ -115,7 +115,7 @@ class Signals:
 
 @dataclass(frozen=True, repr=False)
 class Run(Signals):
-    """A run with its signals, manifest, criteria and warnings."""
+    """Signals of a run with its manifest, criteria and warnings."""
 
     manifest: Mapping[str, Any] = field(default_factory=dict)
 
@@ -131,12 +131,12 @@ class Run(Signals):
 
     @property
     def warnings(self) -> list[str]:
-        """Return the warnings of the run."""
+        """Warnings of the run."""
         return list(self.manifest.get("warnings") or ())
 
     @property
     def report(self) -> Path | None:
-        """Return the path of the report page, if written."""
+        """Path of report.html; None if it was not written."""
         page = None if self.folder is None else self.folder / "report.html"
         return page if page is not None and page.is_file() else None
 

@@ -1,1 +1,1 @@
-"""Objects that can be refined: the interface that fits and proofs ask, and the implementation by a model."""
+"""Objects that can be refined: the interface of fits and proofs, and its implementation by a model."""

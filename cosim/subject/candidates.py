@@ -1,4 +1,4 @@
-"""Hypotheses about a subject: an effect that is missing, an error of a sensor, a parameter that is wrong."""
+"""Hypotheses about a subject: a missing effect, a sensor error, or a wrong parameter."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ Kind = Literal["effect", "sensor", "parameter"]
 
 @dataclass(frozen=True)
 class Candidate:
-    """A hypothesis: its free parameters and the values from which its fit starts.
+    """A hypothesis: free parameters and start values of its fit.
 
-    gain: it multiplies an input, and so may stand for one number that is wrong
+    Attributes:
+        gain: True for a factor on an input, which may be a single wrong number.
     """
 
     name: str
@@ -26,7 +27,7 @@ class Candidate:
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """Names of its parameters."""
+        """Return the parameter names."""
         return tuple(f.name for f in self.free)
 
 
@@ -40,11 +41,13 @@ def effect(
     above: Mapping[str, str] | None = None,
     gain: bool = False,
 ) -> Candidate:
-    """Return an effect or an error of a sensor as a candidate; its parameters are called `name.parameter`.
+    """Return an effect or sensor error as a candidate with parameters `name.parameter`.
 
-    declared: its parameters, by their own names; values: those of the subject, by the whole names
-    starts:   further values, by their own names, from which a fit starts; the first are zero or the usual size
-    above:    parameter → another of the effect that it is never below
+    Args:
+        declared: Parameters by their short names.
+        values: Values of the subject by full names.
+        starts: Additional start values by short names; the first start is zero or the usual size.
+        above: Parameter → lower-bound parameter of the same effect.
     """
 
     def whole(own: str) -> str:
@@ -66,23 +69,24 @@ def effect(
 
 
 def _start(p: Parameter, value: float) -> float:
-    """One-sided parameters start at a size that is detected, two-sided ones at neutral, between the signs."""
+    """Return a detectable start for one-sided parameters, else the given value."""
     one_sided = p.neutral is not None and p.neutral == p.bounds[0]
     return p.typical if one_sided and p.typical else value
 
 
 def usual_size(p: Parameter) -> float:
-    """By which it is usually off, or met."""
+    """Return the usual size of a parameter's error or effect."""
     return p.typical or 0.3 * abs(float(p.default)) or 0.1
 
 
 @dataclass(frozen=True)
 class Free:
-    """A parameter that a fit may move: limits, the size by which it is measured, and a prior where there is one.
+    """A free parameter of a fit: limits, step size and optional prior.
 
-    neutral: where its effect does nothing; None of a base parameter
-    parameter, group: what it is the value of, and of which group of logs, where each has its own
-    above:   another parameter, below which it may not be
+    Attributes:
+        neutral: Value without effect; None for a base parameter.
+        parameter, group: Parameter and group of logs of a value per log.
+        above: Parameter that is a lower bound.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Replays of logs through the FMU of a model, each started from the filtered state and memory of its effects."""
+"""Replays of logs through a model's FMU, from filtered states and effect memories."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ from cosim.subject.interface import Replayer, Start, Workplace
 
 
 class FmuReplayer(Replayer):
-    """An FMU of a model, loaded into a worker process.
+    """A model's FMU in a worker process.
 
-    parameters: set on the FMU, where it does not have them as its defaults
+    Args:
+        parameters: Values to set on the FMU if different from its defaults.
     """
 
     def __init__(
@@ -34,12 +35,12 @@ class FmuReplayer(Replayer):
         parameters: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
         self.model, self.fmu, self.place = model, fmu, place
-        self.through, self.parameters = through, dict(parameters)  # a worker takes plain ones
+        self.through, self.parameters = through, dict(parameters)  # a worker needs a picklable dict
 
     def replays(
         self, log: Log, data: Data, values: Mapping[str, float], starts: Mapping[float, Mapping[int, Start]]
     ) -> Generator[Replay, None, None]:
-        """One for each horizon, through one load of the FMU."""
+        """Yield one replay for each horizon, with one load of the FMU."""
         worker, limits = self.place.worker, self.place.limits
         apart = worker and DriveApart(worker, log, self.fmu, interpolated=data.interpolated, limits=limits)
         with apart or Drive(log, self.fmu, interpolated=data.interpolated) as drive:
@@ -53,9 +54,9 @@ class FmuReplayer(Replayer):
 
 
 def start_values(model: Model, start: Start) -> dict[str, float]:
-    """Return FMU start parameters: states and the memory of the effects, a delay's apart; parameters per log.
+    """Return FMU start parameters: states, effect memory and parameters per log.
 
-    Errors of sensors are none of the plant's.
+    Delays are excluded, and so are sensor errors, which the plant lacks.
     """
     awake, plant = {e.name for e in model.awake}, model.declared
     found = {name: value for name, value in start.per_log.items() if name in plant}
@@ -75,12 +76,12 @@ def start_values(model: Model, start: Start) -> dict[str, float]:
 
 @functools.cache
 def _shaping(catalogue: tuple[type[Effect], ...]) -> tuple[Any, ...]:
-    """Effects of a catalogue that act on a command, as declared."""
+    """Return the shaping effects of a catalogue in order."""
     return tuple(overrides(tuple(kind() for kind in catalogue), "shape", Effect))
 
 
 def on_its_way(model: Model, values: Mapping[str, float], log: Log, data: Data, k: int) -> Memory:
-    """Return commands that a delay has not let through at row k: (time from which it holds, command), oldest first."""
+    """Return commands still in a delay at row k, (start time, command), oldest first."""
     shaping = overrides(model.awake, "shape", Effect)
     waiting: dict[tuple[int, int], Any] = {}
     for place, effect in enumerate(shaping):

@@ -1,11 +1,11 @@
-"""`Subject`: everything that estimation, refinement and experiments ask of an object that can be refined.
+"""`Subject`: the interface of objects for estimation, refinement and experiments.
 
-A `Model` is one (`ModelSubject`). An object written by hand is one if its class derives from `Subject` and gives values
-to the members without a default. Symbols, printed C and Jacobians are no part of the interface: a kernel may be Python,
-a C library, or a foreign FMU in a worker process that takes finite differences.
+`ModelSubject` implements it for a `Model`. Another class derives from `Subject` and defines the members without a
+default. Symbols, printed C and Jacobians are not required: a kernel may be Python, a C library, or a foreign FMU in a
+worker process with finite differences.
 
-Fits explore through `kernel`. Proofs replay logs through `replayer`, which holds what is delivered. Both are asked from
-several threads: a kernel that cannot run twice at a time takes a lock of its own.
+Fits explore through `kernel`. Proofs replay logs through `replayer`, which contains the delivered object. Several
+threads call both: a kernel without concurrency needs its own lock.
 """
 
 from __future__ import annotations
@@ -28,16 +28,17 @@ from cosim.residuals.remote_drive import MODULES
 from cosim.residuals.windows import Replay
 from cosim.subject.candidates import Candidate
 
-Predict = Callable[[Mapping[str, Rows]], Mapping[str, Array]]  # outputs one row ahead, without readings that are named
+Predict = Callable[[Mapping[str, Rows]], Mapping[str, Array]]  # one-step predictions of outputs without some readings
 
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Where a replay begins, as a filter knows it by then.
+    """Start of a replay from filtered past data.
 
-    states:  state of the kernel → value
-    memory:  remembered values of the kernel, in its order
-    per_log: parameter that differs from log to log → value
+    Attributes:
+        states: State of the kernel → value.
+        memory: Stored values of the kernel, in its order.
+        per_log: Parameter per log → value.
     """
 
     states: Mapping[str, float]
@@ -46,7 +47,7 @@ class Start:
 
 
 class Workplace:
-    """Context: a folder for files of a refine, limits of calls, and a worker process that starts when it is needed."""
+    """Context with a folder for files, limits of calls, and a worker process started on demand."""
 
     def __init__(self, folder: Path, limits: Limits | None = None, *, in_process: bool = False) -> None:
         self.folder, self.limits, self.in_process = folder, limits, in_process
@@ -60,14 +61,15 @@ class Workplace:
 
     @cached_property
     def worker(self) -> Worker | None:
-        """Return the process that holds FMUs; None where they are loaded into this one."""
+        """Return the process of the FMUs; None to load them into this process."""
         return None if self.in_process else self._open.enter_context(Worker(*MODULES))
 
 
 class Replayer(Protocol):
-    """Replays of logs through one object.
+    """Replayer of logs through one object.
 
-    through: how refine.json calls the way: `native` or `python` of an FMU, `own` of an object without one
+    Attributes:
+        through: Name of the object in refine.json: `native` or `python` for an FMU, `own` for an object without one.
     """
 
     through: str
@@ -77,37 +79,40 @@ class Replayer(Protocol):
     ) -> Generator[Replay, None, None]:
         """Yield a replay for each horizon [s], in the order of `starts`.
 
-        A run begins at each row of `starts[horizon]`, numbered as in `log`, and ends where the next one begins. The row
-        of a start is not predicted. A table (`log.table`) has one replay, each row from its own inputs.
-        data:   the log in equal steps, as the kernel takes it: commands before a start are in it
-        values: parameter → value, those of this log
-        Raises SimulationError if the object fails.
+        A run begins at each row of `starts[horizon]`, numbered as in `log`, and ends at the next start. Start rows are
+        not
+        predicted. A table (`log.table`) has one replay, each row from its own inputs.
+
+        Args:
+            data: Log in equal steps with the commands before a start.
+            values: Parameter → value for this log.
+
+        Raises:
+            SimulationError: The object fails.
         """
 
 
 class Subject(Protocol):
     """An object that can be refined.
 
-    title:       name in reports
-    inputs, outputs, states: signals with units; `states` without unknown inputs of equations
-    horizon:     length of the replays by which it is judged [s]; infinite: one free run over a log
-    rate:        step that it is made for [s]
-    parameters:  its own parameters, each with its tolerance where one is stated
-    candidate_parameters: parameters of its candidates, `candidate.parameter` → declaration; those of sensors are not
-                 among them
-    values:      every number that its kernel takes → value; candidates at neutral
-
-    The rest has a default.
-    calibrated:  own parameters that every fit recalibrates, those with a tolerance beside them
-    sensors:     errors that its sensors may have
-    sensor_variance, start_variance: variance of the noise of outputs, and of states at the start of a log
-    present:     names of candidates that it has already: more of one is a wrong parameter
-    excursion:   signal → how far from its start an experiment may take it
-    told_apart_by: rivals → the experiment that separates them, in words
-    drawn_against: candidate → signals to draw it against
-    only_known:  parameters that no filter can learn while it runs, as a delay of commands
-    static:      it has no states, and a log is a table without time
-    source:      where it comes from, for the provenance
+    Attributes:
+        title: Name in reports.
+        inputs, outputs, states: Signals with units; `states` without unknown inputs of equations.
+        horizon: Duration of replays for judgement [s]; infinite: one free run over a log.
+        rate: Communication step of the object's design [s].
+        parameters: Base parameters, each with an optional tolerance.
+        candidate_parameters: `candidate.parameter` → declaration, without sensors.
+        values: Every parameter of its kernel → value; candidates at neutral. (Members below have a default.)
+        calibrated: Base parameters that every fit recalibrates, in addition to those with a tolerance.
+        sensors: Possible sensor errors.
+        sensor_variance, start_variance: Variance of output noise, and of states at the start of a log.
+        present: Candidates already in the object; a further change counts as a wrong parameter.
+        excursion: Signal → allowed deviation from its start in an experiment.
+        told_apart_by: Rivals → experiment that separates them, in words.
+        drawn_against: Candidate → signals for plots.
+        only_known: Parameters that a filter cannot estimate, such as a delay of commands.
+        static: True without states; a log is a table without time.
+        source: Origin, for the provenance.
     """
 
     title: str
@@ -132,20 +137,25 @@ class Subject(Protocol):
     static: bool = False
     source: str = "an object of Python"
 
-    # -- to be written ------------------------------------------------------------------------
+    # -- required members ------------------------------------------------------------------------
 
     def candidates(self, varied: Sequence[str]) -> Sequence[Candidate]:
-        """Return every hypothesis about what is missing or wrong.
+        """Return every hypothesis about missing or wrong parts.
 
-        varied: inputs that are not constant in some log; a parameter that needs others is no candidate
+        Args:
+            varied: Inputs that vary in some log; parameters that need other inputs are excluded.
         """
         ...
 
     def kernel(self, measured: Sequence[str], *, unnamed: bool = False, constant: Sequence[str] = ()) -> Kernel:
-        """Return the filter over a log that measures these outputs; it is asked for more than once.
+        """Return the filter for logs with these outputs; called repeatedly.
 
-        unnamed:  with terms of no catalogue (`cosim.kernel.nameless`), if the subject has any
-        constant: parameters that are states without change, to be learnt in the filter; InputError if it cannot
+        Args:
+            unnamed: Include unnamed terms (`cosim.kernel.nameless`), if available.
+            constant: Parameters as constant states, estimated in the filter.
+
+        Raises:
+            InputError: A parameter cannot be a constant state.
         """
         ...
 
@@ -154,14 +164,14 @@ class Subject(Protocol):
         ...
 
     def replayer(self, place: Workplace) -> Replayer:
-        """Return what replays logs through this object as it is delivered."""
+        """Return a replayer of the delivered object."""
         ...
 
     def refined(self, claims: Mapping[str, float]) -> Subject:
-        """Return the subject with other values of parameters: those of claimed candidates are claims too."""
+        """Return the subject with other parameter values, including those of claimed candidates."""
         ...
 
-    # -- with a default -----------------------------------------------------------------------
+    # -- members with a default ------------------------------------------------------------------
 
     @property
     def declared(self) -> Mapping[str, Parameter]:
@@ -170,54 +180,58 @@ class Subject(Protocol):
 
     @property
     def sensor_parameters(self) -> Mapping[str, Parameter]:
-        """Return the parameters of errors of the sensors, by `sensor.value`."""
+        """Return the parameters of sensor errors by `sensor.value`."""
         return {f"{kind.name}.{p.name}": p for kind in self.sensors for p in parameters_of(kind)}
 
     @property
     def late(self) -> Mapping[str, tuple[str, ...]]:
-        """Return each parameter that is a time by which readings are late → the outputs that are."""
+        """Return latency parameter → delayed outputs."""
         return {f"{kind.name}.value": kind.affected() for kind in self.sensors if kind.late}
 
     @property
     def traits(self) -> Traits:
-        """Return further declarations about its signals, for the checks of logs."""
+        """Return further signal properties for the checks of logs."""
         return Traits(static=self.static)
 
     @property
     def shown(self) -> frozenset[str]:
-        """Return the states that an output of the same name shows as they are."""
+        """Return states shown unchanged by an output of the same name."""
         return frozenset(q.name for q in self.states) & {q.name for q in self.outputs}
 
     def substeps(self, step: float) -> int:
-        """Return the number of integration steps in a step [s]; fits take fewer where that makes no difference."""
+        """Return the integration steps in a step [s]; fits may use fewer."""
         return 1
 
     def settling(self, states: Sequence[str]) -> float:
-        """Return the time [s] after which states that no noise reaches have forgotten a wrong start."""
+        """Return the time after which noise-free states have forgotten a wrong start [s]."""
         return 0.0
 
     def prediction(self, log: Log) -> Predict | None:
-        """Return what predicts a log one row ahead, to tell spikes of a recorder from motion; None: neighbours do."""
+        """Return a one-step predictor for the detection of outliers; None to use neighbours."""
         return None
 
     def nameless(self, signal: str) -> tuple[Callable[..., Any], Sequence[str]] | None:
-        """Return a term of no catalogue as a function, and the signals that it depends on; None without such terms.
+        """Return an unnamed term as a function, and its signals; None without such terms.
 
-        The function takes time, states and inputs, all of them, in their order.
+        The function takes all times, states and inputs in order.
         """
         return None
 
     def quick_replayer(self, place: Workplace) -> Replayer | None:
-        """Return a faster `replayer`, which counts as long as it equals it; None: there is none.
+        """Return a faster replayer with equal results, or None.
 
-        Raises InputError with the reason where there should be one.
+        Raises:
+            InputError: The reason why an expected replayer is unavailable.
         """
         return None
 
     def write(self, scratch: Path, folder: Path, name: str) -> Sequence[Path]:
-        """Write the files that hold the subject to `scratch`, from where they move to `folder`; return them.
+        """Write the subject's files to `scratch`, for `folder`, and return their paths.
 
-        name: `refined` or `nearest`. Nothing is written of a subject that only lives in Python.
+        A subject that exists only in Python writes nothing.
+
+        Args:
+            name: `refined` or `nearest`.
         """
         return ()
 

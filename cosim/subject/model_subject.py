@@ -1,4 +1,4 @@
-"""A `Model` as a subject: its kernel is printed from its equations, and its FMU is what is delivered and replayed."""
+"""Models as subjects: the kernel is generated from the equations, and the FMU is delivered and replayed."""
 
 from __future__ import annotations
 
@@ -38,8 +38,9 @@ FILES = {"refined": REFINED, "nearest": NEAREST}
 class ModelSubject(Subject):
     """A model with the values of a model.yaml.
 
-    loaded: the model, where it comes from, values of its parameters, known errors of its sensors
-    fmu:    its FMU, once it is built
+    Attributes:
+        loaded: Model with origin, parameter values and known sensor errors.
+        fmu: FMU, once built.
     """
 
     def __init__(self, loaded: LoadedModel) -> None:
@@ -69,21 +70,21 @@ class ModelSubject(Subject):
 
     @property
     def declared(self) -> Mapping[str, Parameter]:
-        """Every parameter by name, kept: fits ask for them all the time."""
+        """Return every parameter by name, cached for fits."""
         return self._declared
 
     @property
     def traits(self) -> Traits:
-        """Declarations about the signals, rates by the equations."""
+        """Return the signal properties, with rates from the equations."""
         return Traits.of(self.model)
 
     @property
     def shown(self) -> frozenset[str]:
-        """States that outputs of their name show, tried at one state."""
+        """Return states shown by outputs of the same name, tested at one state."""
         return frozenset(shown_states(self.model))
 
     def candidates(self, varied: Sequence[str]) -> list[Candidate]:
-        """Effects of the catalogue, errors of the sensors, base parameters."""
+        """Return effects, sensor errors and base parameters as candidates."""
         return [*self._effects(), *self._suspects(varied)]
 
     def _effects(self) -> Iterator[Candidate]:
@@ -99,39 +100,39 @@ class ModelSubject(Subject):
                 above=kind.at_least,
                 gain=issubclass(kind, Gain),
             )
-            if any(type(e) is kind for e in model.awake):  # the model has this effect already: it is recalibrated
+            if any(type(e) is kind for e in model.awake):  # an effect of the model is recalibrated from its values
                 c = replace(c, starts=({name: values[name] for name in c.parameters},))
             yield c
 
     def _suspects(self, varied: Sequence[str]) -> Iterator[Candidate]:
-        """Base parameters; one that is only suspect where the inputs it needs are varied."""
+        """Yield base parameters, suspect ones only if a required input varies."""
         suspects = [name for name, inputs in self.model.suspect.items() if any(i in varied for i in inputs)]
         for name in (*self.model.calibrated, *suspects):
             free = base_parameter(self, name, self.values, None)
             yield Candidate(name, "parameter", (free,), ({name: self.values[name]},))
 
     def kernel(self, measured: Sequence[str], *, unnamed: bool = False, constant: Sequence[str] = ()) -> Kernel:
-        """The filter printed from the equations, in C where there is a compiler."""
+        """Return the compiled filter generated from the equations."""
         return kernel(self.model, measured, unnamed, constant)
 
     def start(self) -> dict[str, float]:
-        """Start value of each state."""
+        """Return the start value of each state."""
         return dict(zip((q.name for q in self.states), self.model.start(), strict=True))
 
     def substeps(self, step: float) -> int:
-        """Substeps no longer than the model's own."""
+        """Return the number of substeps within the model's limit."""
         return substeps(step, self.model.substep)
 
     def settling(self, states: Sequence[str]) -> float:
-        """By the slowest stable mode of these states."""
+        """Return the settling time of the slowest stable mode [s]."""
         return settling(self.model, states)
 
     def prediction(self, log: Log) -> Predict | None:
-        """The model run from row to row."""
+        """Return the model's prediction from row to row."""
         return partial(predicted_outputs, self.model, log)
 
     def nameless(self, signal: str) -> tuple[Callable[..., Any], Sequence[str]] | None:
-        """A basis function of the kernel with terms of no catalogue."""
+        """Return a basis function of the kernel's unnamed terms."""
         import sympy
 
         s = symbolic(self.model)
@@ -145,7 +146,7 @@ class ModelSubject(Subject):
         return sympy.lambdify(symbols, basis, "numpy"), free
 
     def refined(self, claims: Mapping[str, float]) -> ModelSubject:
-        """The model with other values; those of sensors stand beside it."""
+        """Return the model with other values; sensor values are stored separately."""
         loaded = self.loaded
         parameters = {**loaded.parameters, **{n: v for n, v in claims.items() if n not in self.sensor_parameters}}
         sensors = {**loaded.sensors, **{n: v for n, v in claims.items() if n in self.sensor_parameters}}
@@ -153,21 +154,21 @@ class ModelSubject(Subject):
         return ModelSubject(LoadedModel(model, loaded.source, parameters, sensors))
 
     def replayer(self, place: Workplace) -> FmuReplayer:
-        """Its FMU in Python."""
+        """Return a replayer of the Python FMU."""
         if self.fmu is None or not self.fmu.is_file():
             taken = sum(1 for _ in place.folder.glob("replayed*.fmu"))
             self.fmu = build(self.loaded.recipe(), place.folder / f"replayed{taken}.fmu")
         return FmuReplayer(self.model, self.fmu, place, "python")
 
     def quick_replayer(self, place: Workplace) -> FmuReplayer:
-        """The native FMU of its class, one library for every value."""
+        """Return a replayer of the class's native FMU, for all parameter values."""
         fmu = place.folder / "class.fmu"
         if not fmu.is_file():
             class_fmu(self.loaded, fmu)
         return FmuReplayer(self.model, fmu, place, "native", self.loaded.parameters)
 
     def write(self, scratch: Path, folder: Path, name: str) -> Sequence[Path]:
-        """model.yaml and plant.fmu, or nearest.yaml and nearest.fmu."""
+        """Write model.yaml and plant.fmu, or nearest.yaml and nearest.fmu."""
         yaml, fmu = (scratch / file for file in FILES[name])
         write_model(yaml, self.loaded, folder)
         if self.fmu is not None and self.fmu.is_file():
@@ -177,9 +178,11 @@ class ModelSubject(Subject):
         return yaml, fmu
 
     def use(self, folder: Path) -> list[str]:
-        """Run a scenario with its FMU, and with a controller made for it where one is designed.
+        """Return the command that runs a scenario with the FMU.
 
-        Paths are whole: those in a scenario start at the scenario.
+        A controller is designed for the FMU if the model has a designer. Paths are absolute, since relative paths refer
+        to the
+        scenario.
         """
         model, fmu = ((folder / name).resolve() for name in REFINED)
         command = ["cosim", "run", "scenario.yaml", "--set", f"components.plant.fmu={fmu}"]
@@ -188,7 +191,7 @@ class ModelSubject(Subject):
 
 
 def neutral_values(model: Model) -> dict[str, float]:
-    """Return every number the kernel takes: base parameters, effects as the model has them, sensors without error."""
+    """Return every kernel parameter: base parameters, effects of the model, error-free sensors."""
     own = {p.name: getattr(model, p.name) for p in model.parameters}
     own |= {f"{e.name}.{p.name}": getattr(e, p.name) for e in model.effects for p in parameters_of(e)}
     declared = model.declared | model.sensor_parameters

@@ -1,8 +1,8 @@
-"""The page of a sweep: criteria met, bands over time, what the outcomes are sensitive to, the runs that failed."""
+"""The page of a sweep: criteria met, sensitivities, scatter plots, bands over time, runs to look at."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +14,19 @@ from cosim.base.version import __version__
 from cosim.report.drawing import Charts
 from cosim.report.html_tables import Badge
 from cosim.report.panels import Band, Panel, Trace
+from cosim.report.svg import TICKS_UP, Plot, make_axis
 from cosim.report.template import render
-from cosim.sweeps.run_statistics import Sensitivity, quantiles, sensitivity
+from cosim.sweeps.run_statistics import FEWEST, Sensitivity, are_numbers, quantiles, sensitivity
 from cosim.sweeps.store import TABLE, read_table, signal_of
-from cosim.sweeps.sweep_result import Swept, way_of
+from cosim.sweeps.sweep_result import Swept, hardest, headline, repeated, way_of
 
 TEMPLATE = Path(__file__).with_name("templates") / "sweep.html.j2"
 MOST_BANDS = 16
 MOST_RUNS = 20_000  # of which a band is made
+MOST_POINTS = 2000  # runs in a scatter plot
+MOST_SCATTERED = 4  # criteria with scatter plots, each over two factors
+MOST_LISTED = 10  # runs farthest from meeting a criterion
+WIDE = 0.2  # half of an interval of a sensitivity, from which the page asks for more runs
 
 
 def page(swept: Swept) -> str:
@@ -31,7 +36,7 @@ def page(swept: Swept) -> str:
     names = swept.sweep.job.signals[:MOST_BANDS]
     drawing = charts.over(np.array(record["times"], float), 5 * len(names))
     failed, runs = record["failed"], record["runs"]
-    agree = "DO NOT" not in record["check"]["sentence"]
+    indices = _sensitivities(swept, table)
     failures = Badge(f"{failed} failed", "bad") if failed else Badge("none failed", "good")
     badges = [Badge(counted(runs, "run")), Badge(way_of(record)), failures]
     return render(
@@ -39,22 +44,47 @@ def page(swept: Swept) -> str:
         {
             "name": record["name"],
             "description": swept.sweep.file.description,
+            "outcome": headline(record),
             "badges": badges,
-            "criteria": [_criterion(c) for c in record["criteria"]],
-            "values": [_spread(c, np.array(table.column(c["name"]).to_pylist(), float)) for c in record["criteria"]],
+            "warnings": _warnings(swept, indices),
+            **_judged(swept, table),
+            "scatters": _scatters(swept, table, indices, charts),
             "factors": _factors(swept),
             "plots": drawing.plots([_band(name, signal_of(table, name, MOST_RUNS), record) for name in names]),
-            "data": charts.data(),
-            "sensitivities": [_table(s) for s in _sensitivities(swept, table)],
+            "data": charts.data(),  # after all that is drawn
+            **_sensitivity_tables(record, indices),
             "failures": record["failures"],
             "more_failures": max(0, failed - len(record["failures"])),
             "check": record["check"]["sentence"],
-            "agree": agree,
             "sampling": swept.sweep.file.sampling,
             "repeat": f"cosim sweep {swept.sweep.yaml.path}",
             "version": __version__,
         },
     )
+
+
+def _judged(swept: Swept, table: Any) -> Mapping[str, Any]:
+    """Return how many runs meet each criterion, the values, and the runs that fail most."""
+    record = swept.record
+    if not record["criteria"]:
+        return {"tone": "plain", "worst": [], "hardest_name": "", "criteria": [], "values": []}
+    return {
+        "tone": "good" if record.get("met_all") == record["runs"] else "bad",
+        "worst": _worst(swept, table),
+        "hardest_name": hardest(record)["name"],
+        "criteria": [_criterion(c) for c in record["criteria"]],
+        "values": [_spread(c, _values_of(table, c["name"])) for c in record["criteria"]],
+    }
+
+
+def _sensitivity_tables(record: Mapping[str, Any], indices: Sequence[Sensitivity]) -> Mapping[str, Any]:
+    """Return the tables of the criteria, and those of the signals; without criteria those of the signals first."""
+    names = {c["name"] for c in record["criteria"]}
+    first = [s for s in indices if s.outcome in names] or indices
+    return {
+        "sensitivities": [_table(s) for s in first],
+        "more_sensitivities": [_table(s) for s in indices if s not in first],
+    }
 
 
 def _criterion(c: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -66,7 +96,88 @@ def _criterion(c: Mapping[str, Any]) -> Mapping[str, Any]:
         "met": f"{c['met']} of {c['of']}",
         "share": percent(c["met"] / c["of"]) if c["of"] else "–",
         "interval": f"{percent(low)} … {percent(high)}",
+        "bar": _bar(c["met"] / c["of"] if c["of"] else 0.0, low, high),
     }
+
+
+def _bar(value: float, low: float, high: float) -> Mapping[str, float]:
+    """Return the bar of a share 0 … 1 and its interval, in percent."""
+    value, low, high = (round(100 * min(1.0, max(0.0, v)), 2) for v in (value, low, high))
+    return {"value": value, "low": low, "width": round(high - low, 2)}
+
+
+def _warnings(swept: Swept, indices: Sequence[Sensitivity]) -> list[str]:
+    """Return what limits the conclusions from these runs."""
+    completed = swept.record["runs"] - swept.record["failed"]
+    texts = list(swept.record["warnings"])
+    if completed < FEWEST:
+        texts.append(f"Too few runs for sensitivities: {completed} completed, {FEWEST} are needed.")
+    widest = max((half for s in indices for _, half in (*s.first, *s.total)), default=0.0)
+    if widest > WIDE:
+        texts.append(
+            f"Too few runs for exact sensitivities: their intervals reach ±{plain(widest, 2)}. Take more runs."
+        )
+    if "DO NOT" in swept.record["check"]["sentence"]:
+        texts.append(swept.record["check"]["sentence"])
+    return texts
+
+
+def _values_of(table: Any, name: str) -> Array:
+    return np.array(table.column(name).to_pylist(), float)
+
+
+def _worst(swept: Swept, table: Any) -> list[Mapping[str, Any]]:
+    """Return runs that fail the hardest criterion, farthest from its limit first, with their values and command."""
+    criterion = hardest(swept.record)
+    values, runs = _values_of(table, criterion["name"]), np.array(table.column("run").to_pylist(), int)
+    completed = np.array([status == "ok" for status in table.column("status").to_pylist()])
+    far = np.where(np.isfinite(values), values, np.inf)
+    failing = np.flatnonzero(completed & (far > criterion["max"]))
+    unit, factor = display(criterion["unit"])
+    names = [f.name for f in swept.sweep.factors]
+    return [
+        {
+            "run": int(runs[k]),
+            "value": joined(plain(float(values[k]) * factor, 3), unit) if np.isfinite(values[k]) else "never",
+            "factors": ", ".join(f"{n} = {_short(swept.sweep.columns[n][runs[k]])}" for n in names),
+            "command": repeated(swept.sweep, int(runs[k])),
+        }
+        for k in failing[np.argsort(-far[failing], kind="stable")][:MOST_LISTED]
+    ]
+
+
+def _short(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _scatters(swept: Swept, table: Any, indices: Sequence[Sensitivity], charts: Charts) -> list[tuple[Plot, str]]:
+    """Return each criterion over its two most important factors, a point a run; the hardest criteria first."""
+    ranked = {s.outcome: s.factors for s in indices}
+    numbers = [f.name for f in swept.sweep.factors if f.name != "seed" and are_numbers(swept.sweep.columns[f.name])]
+    first = sorted(swept.record["criteria"], key=lambda c: c["met"])[:MOST_SCATTERED]
+    pairs = [(c, name) for c in first for name in ranked.get(c["name"], tuple(numbers))[:2]]
+    drawn = (_scatter(swept, table, c, name, charts) for c, name in pairs)
+    return [plot for plot in drawn if plot is not None]
+
+
+def _scatter(swept: Swept, table: Any, c: Mapping[str, Any], name: str, charts: Charts) -> tuple[Plot, str] | None:
+    """Return a criterion over a factor, and the label of its axis; None where there is nothing to be seen."""
+    values, runs = _values_of(table, c["name"]), np.array(table.column("run").to_pylist(), int)
+    good = np.flatnonzero(np.isfinite(values))
+    good = good[:: max(1, -(-good.size // MOST_POINTS))]
+    unit, factor = display(c["unit"])
+    x_unit, scale = display(next(f.unit for f in swept.sweep.factors if f.name == name))
+    x = np.array([swept.sweep.columns[name][run] for run in runs[good]], float) * scale
+    if x.size < 2 or np.ptp(x) == 0.0:
+        return None
+    order, y, limit = np.argsort(x, kind="stable"), values[good] * factor, c["max"] * factor
+    low, high = min(float(y.min()), limit), max(float(y.max()), limit)
+    room, edge = 0.06 * (high - low) or 1.0, 0.04 * float(np.ptp(x))
+    axes = make_axis(float(x.min()) - edge, float(x.max()) + edge, 6), make_axis(low - room, high + room, TICKS_UP)
+    trace = Trace(c["name"], y[order], "s0 dots", x=x[order])
+    panel = Panel(f"{c['name']} over {name}", unit or "1", [trace], None, (limit,), "limit")
+    also = {"run": runs[good][order].astype(float)}
+    return charts.points(panel, axes, (name, x_unit or "1"), also), f"{name} [{x_unit or '1'}]"
 
 
 def _spread(c: Mapping[str, Any], values: Array) -> Mapping[str, Any]:
@@ -110,9 +221,7 @@ def _band(name: str, values: Array, record: Mapping[str, Any]) -> Panel:
 def _sensitivities(swept: Swept, table: Any) -> list[Sensitivity]:
     """Of the criteria, and of each signal at its end."""
     factors = {n: v for n, v in swept.sweep.columns.items() if n != "seed"}
-    outcomes: dict[str, Array] = {
-        c["name"]: np.array(table.column(c["name"]).to_pylist(), float) for c in swept.record["criteria"]
-    }
+    outcomes: dict[str, Array] = {c["name"]: _values_of(table, c["name"]) for c in swept.record["criteria"]}
     for name in swept.sweep.job.signals[:MOST_BANDS]:
         last = [np.nan if row is None else row[-1] for row in table.column(name).to_pylist()]
         outcomes[f"{name} at the end"] = np.array(last)
@@ -124,7 +233,7 @@ def _sensitivities(swept: Swept, table: Any) -> list[Sensitivity]:
 def _table(s: Sensitivity) -> Mapping[str, Any]:
     others = [_pair(p) for p in s.total] or [plain(v, 2) for v in s.pawn]
     rows = [
-        {"name": name, "first": _pair(first), "other": other}
+        {"name": name, "first": _pair(first), "other": other, "bar": _bar(first[0], first[0] - first[1], sum(first))}
         for name, first, other in zip(s.factors, s.first, others, strict=True)
     ]
     return {"outcome": s.outcome, "rows": rows, "total": bool(s.total), "chance": plain(s.chance, 2)}

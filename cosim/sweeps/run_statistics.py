@@ -72,7 +72,7 @@ def sensitivity(
     Args:
         values: Outcome by run, shape (runs,), NaN if undefined.
     """
-    varied = {n: np.array(v, float) for n, v in factors.items() if _numbers(v) and len(set(v)) > 1}
+    varied = {n: np.array(v, float) for n, v in factors.items() if are_numbers(v) and len(set(v)) > 1}
     good = np.isfinite(values)
     spread = np.ptp(values[good]) if good.any() else 0.0
     if not varied or good.sum() < FEWEST or spread <= 1e-12 * np.max(np.abs(values[good])):
@@ -114,5 +114,6 @@ def _problem(names: Sequence[str], X: Array) -> dict[str, Any]:
     return {"num_vars": len(names), "names": list(names), "bounds": [[c.min(), c.max()] for c in X.T]}
 
 
-def _numbers(values: Sequence[Any]) -> bool:
+def are_numbers(values: Sequence[Any]) -> bool:
+    """Check that all values are numbers."""
     return all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in values)

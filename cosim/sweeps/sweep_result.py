@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,11 +19,11 @@ from cosim.sweeps.run_chunks import Made
 
 @dataclass(frozen=True)
 class Swept:
-    """Results of a sweep.
+    """Result of a sweep.
 
     Attributes:
         record: Content of sweep.json.
-        made: Number of runs made by this call.
+        made: Number of runs of this call.
     """
 
     sweep: Sweep
@@ -31,12 +33,46 @@ class Swept:
 
     @property
     def sentences(self) -> list[str]:
-        """Return the results as sentences."""
+        """Results in words, one line each."""
         r = self.record
-        lines = [f"{r['runs'] - r['failed']} of {counted(r['runs'], 'run')} came to their end{_how(r)}"]
+        lines = [headline(r), f"{r['runs'] - r['failed']} of {counted(r['runs'], 'run')} completed{_how(r)}"]
         lines += [f"{c['name']}: met by {c['met']} of {c['of']} ({_interval(c)})" for c in r["criteria"]]
         lines.append(r["check"]["sentence"])
         return lines
+
+
+def headline(record: Mapping[str, Any]) -> str:
+    """Return how many runs meet all criteria, and the criterion that most runs fail."""
+    criteria, runs, completed = record["criteria"], record["runs"], record["runs"] - record["failed"]
+    if not criteria:
+        return f"{completed} of {counted(runs, 'run')} completed; the scenario sets no criteria."
+    met, worst = record.get("met_all"), hardest(record)
+    if met is None:  # a sweep of an earlier version
+        met = min(c["met"] for c in criteria)
+    all_of = "the criterion" if len(criteria) == 1 else "all criteria"
+    if met == runs:
+        return f"All {counted(runs, 'run')} meet {all_of}."
+    most = f"; {worst['name']} fails most" if len(criteria) > 1 and worst["met"] < worst["of"] else ""
+    return f"{met} of {counted(runs, 'run')} {'meets' if met == 1 else 'meet'} {all_of}{most}."
+
+
+def hardest(record: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the criterion that the fewest runs meet."""
+    criterion: Mapping[str, Any] = min(record["criteria"], key=lambda c: c["met"])
+    return criterion
+
+
+def repeated(study: Sweep, run: int) -> str:
+    """Return the command that makes a run of a sweep by itself."""
+    asked = study.asked(run)
+    starts = [
+        f"components.{component}.start.{name}={json.dumps(value)}"
+        for component, values in asked.starts.items()
+        for name, value in values.items()
+    ]
+    words = ["cosim", "run", str(study.yaml.path.parent / study.file.scenario)]
+    words += [word for text in (*study.job.overrides, *asked.overrides, *starts) for word in ("--set", text)]
+    return shlex.join([*words, *(["--seed", str(asked.seed)] if asked.seed is not None else [])])
 
 
 def _how(record: Mapping[str, Any]) -> str:

@@ -22,10 +22,7 @@ class Runs:
     folder: Path
 
     def to_pandas(self) -> pandas.DataFrame:
-        """Return a data frame with a row per run.
-
-        Columns are factors, criteria and signals. Raises ImportError without pandas.
-        """
+        """Return one row per run: varied values, criteria, signals; raise ImportError without pandas."""
         try:
             import pandas  # noqa: F401
         except ImportError:

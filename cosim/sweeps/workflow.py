@@ -54,21 +54,28 @@ def sweep(
     in_process: bool = False,
     progress: Progress | None = None,
 ) -> Swept:
-    """Make the runs of a sweep and write table, record and report.
+    """Run a scenario many times with varied values.
 
-    The files are sweep.parquet, sweep.json and report.html. A stopped sweep is continued.
+    The same call resumes a sweep that was stopped.
 
     Args:
-        out: Output folder, by default results/NAME.
-        workers: Number of processes, by default one per core.
-        dask: Address of a scheduler; overrides the file's.
-        force: Start anew; in results/NAME earlier files move to `runs`.
+        path: Sweep file.
+        out: Folder for sweep.parquet, sweep.json and report.html; None means results/NAME.
+        workers: Number of worker processes; None means one per core.
+        dask: Address of a Dask scheduler; replaces that of the file.
+        report: Write report.html.
+        force: Start again. In results/NAME the files of the earlier sweep move to `runs`.
+        in_process: Load FMUs into this process, for a debugger.
+        progress: Function of (completed runs, all runs).
+
+    Returns:
+        Content of sweep.json, sentences and the folder.
 
     Raises:
-        InputError: A file is faulty; no run was made.
-        SweepStopped: The user stopped the sweep.
-        SweepFailed: All runs failed.
-        FmuError: An FMU does not load.
+        InputError: Every fault, before the first run.
+        FmuError: An FMU cannot be read or loaded.
+        SweepStopped: The sweep was stopped from the keyboard; the same call resumes it.
+        SweepFailed: No run was completed.
     """
     study = read_sweep(Path(path))
     folder = folder_named(study.name) if out is None else named_path(out)
@@ -204,13 +211,14 @@ class _Sweep:
 
     def _record(self, way: Way, why: str) -> dict[str, Any]:
         study, scenario = self.study, self.study.scenario
-        count = through = failed = 0
+        count = through = failed = met_all = 0
         failures: list[dict[str, Any]] = []
         met = np.zeros(len(scenario.goals), int)
         for m in self.base.runs():
             count, through = count + 1, through + (m.through == "fmus")
             if m.status == "ok":
                 met += np.array(m.met, int)
+                met_all += all(m.met)
             else:
                 failed += 1
                 failures += [{"run": m.run, "why": m.status}] if failed <= TOLD else []
@@ -225,6 +233,7 @@ class _Sweep:
             "scenario": study.resolved,
             "runs": count,
             "failed": failed,
+            "met_all": met_all,
             "failures": failures,
             "way": way,
             "why": why,

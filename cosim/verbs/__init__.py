@@ -1,6 +1,6 @@
-"""The verbs: a module `NAME_verb` each, with the command `cosim NAME` and the function `cosim.NAME` of Python.
+"""Verbs: each has a module `NAME_verb` with the command `cosim NAME` and the Python function `cosim.NAME`.
 
-A verb is registered by its line in `VERBS`, or by the entry point of an installed package.
+A verb is registered by its entry in `VERBS`, or by the entry point of an installed package.
 """
 
 from __future__ import annotations
@@ -26,34 +26,43 @@ if TYPE_CHECKING:  # signatures of the functions, for type checkers
     from cosim.verbs.run_verb import run as run
     from cosim.verbs.simulate_verb import simulate as simulate
 
-VERBS = {  # in the order of `cosim --help`
-    "run": Verb("cosim.verbs.run_verb:command", "cosim.verbs.run_verb:run"),
-    "build": Verb("cosim.verbs.build_verb:command", "cosim.loading.build:build"),
-    "export-ssp": Verb("cosim.verbs.export_ssp_verb:command", "cosim.authoring.export:export_ssp"),
-    "check": Verb("cosim.verbs.check_verb:command", "cosim.verbs.check_verb:check"),
-    "replay": Verb("cosim.verbs.replay_verb:command", "cosim.verbs.replay_verb:replay"),
-    "refine": Verb("cosim.verbs.refine_verb:command", "cosim.verbs.refine_verb:refine"),
-    "excite": Verb("cosim.verbs.excite_verb:command", "cosim.experiment.excite:excite"),
-    "info": Verb("cosim.verbs.info_verb:command"),
-    "init": Verb("cosim.verbs.init_verb:command"),
-    "simulate": Verb("cosim.verbs.simulate_verb:command", "cosim.verbs.simulate_verb:simulate"),
-    "compare": Verb("cosim.verbs.compare_verb:command", "cosim.verbs.compare_verb:compare"),
-    "report": Verb("cosim.verbs.report_verb:command"),
-    "graph": Verb("cosim.verbs.graph_verb:command"),
-    "schema": Verb("cosim.verbs.schema_verb:command"),
-    "linearize": Verb("cosim.verbs.linearize_verb:command", "cosim.linearization.workflow:linearize"),
-    "consistency": Verb("cosim.verbs.consistency_verb:command", "cosim.estimators.workflow:consistency"),
-    "sweep": Verb("cosim.verbs.sweep_verb:command", "cosim.sweeps.workflow:sweep"),
+SIMULATE, INSPECT = "Simulate", "Compare and inspect"  # groups of `cosim -h`, in this order
+MEASURED, BUILD = "Measured data", "Build and export"
+
+
+def _verb(room: str, group: str, function: str = "") -> Verb:
+    """Return the verb whose command is in cosim/verbs/ROOM_verb.py."""
+    return Verb(f"cosim.verbs.{room}_verb:command", function, group=group)
+
+
+VERBS = {  # in the order of `cosim -h`
+    "run": _verb("run", SIMULATE, "cosim.verbs.run_verb:run"),
+    "simulate": _verb("simulate", SIMULATE, "cosim.verbs.simulate_verb:simulate"),
+    "init": _verb("init", SIMULATE),
+    "sweep": _verb("sweep", SIMULATE, "cosim.sweeps.workflow:sweep"),
+    "compare": _verb("compare", INSPECT, "cosim.verbs.compare_verb:compare"),
+    "check": _verb("check", INSPECT, "cosim.verbs.check_verb:check"),
+    "info": _verb("info", INSPECT),
+    "graph": _verb("graph", INSPECT),
+    "report": _verb("report", INSPECT),
+    "linearize": _verb("linearize", INSPECT, "cosim.linearization.workflow:linearize"),
+    "consistency": _verb("consistency", INSPECT, "cosim.estimators.workflow:consistency"),
+    "replay": _verb("replay", MEASURED, "cosim.verbs.replay_verb:replay"),
+    "refine": _verb("refine", MEASURED, "cosim.verbs.refine_verb:refine"),
+    "excite": _verb("excite", MEASURED, "cosim.experiment.excite:excite"),
+    "build": _verb("build", BUILD, "cosim.loading.build:build"),
+    "export-ssp": _verb("export_ssp", BUILD, "cosim.authoring.export:export_ssp"),
+    "schema": _verb("schema", BUILD),
     "read": Verb(function="cosim.verbs.read_verb:read"),
 }
 
 
 def verbs() -> Iterator[tuple[str, Verb]]:
-    """Yield every verb by name, those of installed packages last; one that bears a name of ours is a warning."""
+    """Yield name and declaration of every verb; warn of a package whose verb has the name of one of cosim's."""
     yield from VERBS.items()
     for name, verb in added_verbs():
         if name in VERBS:
-            message = f"{name}: an installed package registers a verb that cosim has; it is left out"
+            message = f"{name}: an installed package registers a verb that cosim has; it is ignored"
             warnings.warn(message, ExtensionWarning, stacklevel=2)
         else:
             yield name, verb

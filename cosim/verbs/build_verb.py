@@ -8,10 +8,11 @@ from typing import Annotated
 import typer
 
 from cosim.base.errors import Fault, InputError
+from cosim.fmi.native.platforms import PLATFORMS
 from cosim.verbs.options import Json
 from cosim.verbs.terminal import say, say_json
 
-Out = Annotated[Path, typer.Option("--out", "-o", help="Folder for what the command leaves; made if missing.")]
+Out = Annotated[Path, typer.Option("--out", "-o", help="Folder for the FMUs.")]
 
 
 def command(
@@ -20,23 +21,33 @@ def command(
     model: Annotated[
         str | None,
         typer.Option(
-            "--model", help="A model.yaml, a refine's folder, or file.py:Class; builds the FMU of that model."
+            "--model", metavar="MODEL", help="Build this model: a model.yaml, the folder of a refine, or FILE.py:CLASS."
         ),
     ] = None,
     nearest: Annotated[
-        bool, typer.Option("--nearest", help="Of the refine that --model names, the model that came nearest.")
+        bool, typer.Option("--nearest", help="Use nearest.yaml instead of model.yaml of the refine folder.")
     ] = False,
     native: Annotated[
         bool,
-        typer.Option("--native", help="Compiled FMUs that need no Python: plant-native.fmu, controller-native.fmu."),
+        typer.Option("--native", help="Build compiled FMUs, which need no Python."),
     ] = False,
-    fmi: Annotated[int, typer.Option("--fmi", help="Version of FMI of native FMUs, 2 or 3.")] = 2,
+    fmi: Annotated[int, typer.Option("--fmi", help="FMI version of native FMUs, 2 or 3.")] = 2,
     platforms: Annotated[
-        str, typer.Option("--platforms", help="Of native FMUs: linux64,win64,darwin64,aarch64-linux,aarch64-darwin.")
+        str,
+        typer.Option(
+            "--platforms",
+            metavar="NAME,NAME",
+            help=f"Platforms of native FMUs, from {', '.join(PLATFORMS)} (default: this machine).",
+        ),
     ] = "",
     as_json: Json = False,
 ) -> None:
-    """Build plant.fmu and controller.fmu, and plant-heavy.fmu for scenarios/swap.yaml; or the plant of a model."""
+    """Build the FMUs of a model.
+
+    Without --model: all FMUs of the base model.
+
+    Example: cosim build --model results/refine/model.yaml --out build/refined
+    """
     from cosim.loading.build import build as build_fmus
 
     if native:

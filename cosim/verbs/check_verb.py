@@ -1,4 +1,4 @@
-"""`cosim check` and `cosim.check`: every fault of every file."""
+"""`cosim check` and `cosim.check`: find every fault of files."""
 
 from __future__ import annotations
 
@@ -34,14 +34,22 @@ def check(
     compile: bool = False,
     columns: Mapping[str, str] | None = None,
 ) -> list[str]:
-    """Check a file, or several: what is to be known, a line each; InputError with every fault of all of them.
+    """Find every fault of files.
 
-    model:   whose logs they are (base, a model.yaml, file.py:Class); without, a log that has an input of base is one
-             of base, another is checked by itself
-    load:    FMUs and scenarios are loaded and stepped once, and Python that a file names is executed, in a worker
-             process; without, nothing that a file names is executed
-    columns: of logs under other names than the model's, column → variable, or `time`
-    compile: the sources of FMUs that have no library for this machine are compiled and run
+    Args:
+        files: One file or several: scenarios, studies, sweeps, protocols, models, logs, SSPs, FMUs.
+        model: Model of the logs (base, a model.yaml, file.py:Class). By default a log with an input of the base model
+            belongs to that model, and another log is checked alone.
+        load: Load FMUs and make one step, and execute Python files that are named, in a worker process. False executes
+            nothing.
+        compile: Compile and execute the sources of FMUs that have no library for this machine.
+        columns: Column of the logs → variable, or "time".
+
+    Returns:
+        Notes and warnings, one line each.
+
+    Raises:
+        InputError: Every fault of all files.
     """
     from cosim.blocks.compiling import compiling, permission
     from cosim.isolation.process import Worker
@@ -66,7 +74,7 @@ def check(
 
 
 def _checked(path: Path, checking: Checking) -> list[str]:
-    """Check a file; Python that it names is executed in the worker, without one not at all."""
+    """Check a file; execute named Python in the worker, or not at all without a worker."""
     from cosim.loading.file import without_execution
     from cosim.scenario.controller_design import ended
 
@@ -88,7 +96,7 @@ def _checked(path: Path, checking: Checking) -> list[str]:
 
 
 def _check(path: Path, checking: Checking) -> list[str]:
-    """Return what is to be known of a file, a line each; InputError with its faults."""
+    """Return the notes of a file; raise InputError with its faults."""
     kind: str | None = kinds.CODE
     if not path.suffix.startswith(".py:"):  # FILE.py:Class
         kinds.refuse_unreadable(path, WANTED)
@@ -106,21 +114,28 @@ def _check(path: Path, checking: Checking) -> list[str]:
 
 
 def command(
-    files: Annotated[list[Path], typer.Argument(help="Scenarios, manifests, studies, models, logs (.csv), FMUs.")],
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="FILE", help="Scenario, study, sweep, protocol, model, log, SSP, FMU or manifest.json."),
+    ],
     model: Annotated[
-        str | None, typer.Option("--model", help="Whose logs they are: base, a model.yaml, or file.py:Class.")
+        str | None,
+        typer.Option("--model", metavar="MODEL", help="Model of the logs: base, a model.yaml, or FILE.py:CLASS."),
     ] = None,
     load: Annotated[
-        bool, typer.Option("--load/--no-load", help="Load FMUs and step them once, in a process of their own.")
+        bool, typer.Option("--load/--no-load", help="Load the FMUs and make one step in a separate process, or do not.")
     ] = True,
     column: Annotated[
         Texts,
-        typer.Option("--column", help="COLUMN=VARIABLE where logs have other names; measured_speed=w, stamp=time."),
+        typer.Option("--column", metavar="COLUMN=VARIABLE", help="Name of a log's column in the model, or time."),
     ] = None,
     compile_: Compile = False,
     as_json: Json = False,
 ) -> None:
-    """Say what is wrong with files, all faults at once."""
+    """Find every fault of scenarios, studies, models, logs and FMUs.
+
+    Example: cosim check scenario.yaml build/*.fmu
+    """
     from cosim.logs.log import renamed
 
     try:

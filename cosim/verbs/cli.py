@@ -1,4 +1,4 @@
-"""The command line: its commands are those of the verbs; errors become messages and exit codes here."""
+"""Command line of all verbs; errors become messages and exit codes."""
 
 from __future__ import annotations
 
@@ -21,14 +21,16 @@ from cosim.base.registry import ExtensionWarning, attempt
 from cosim.base.version import __version__
 from cosim.storage.files import check_text
 from cosim.verbs import verbs
+from cosim.verbs.help import WHOLE_WIDTH, GroupedHelp, VerbHelp
 from cosim.verbs.manner import with_manner
 from cosim.verbs.outcome import say_partial
 from cosim.verbs.streams import echo, open_streams
 from cosim.verbs.terminal import say, say_failure, say_usage
 
 app = typer.Typer(
-    context_settings={"help_option_names": ["-h", "--help"]},
-    help="Co-simulate FMUs, hold them against measured logs, and find what a model lacks.",
+    cls=GroupedHelp,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": WHOLE_WIDTH},
+    help="Simulate coupled FMUs, compare them with measured logs, and find missing effects of a model.",
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -44,10 +46,10 @@ def _version(asked: bool) -> None:
 @app.callback()
 def main(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
     ] = False,
 ) -> None:
-    """Options that stand before the command."""
+    """Define the options before the verb."""
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *place: Any, **options: Any) -> None:
@@ -62,11 +64,11 @@ _python_shows = warnings.showwarning
 warnings.showwarning = _show_warning
 for _name, _verb in verbs():
     if _verb.command and (_command := attempt(_name, _verb.command)) is not None:
-        app.command(_name)(with_manner(_command))
+        app.command(_name, cls=VerbHelp, rich_help_panel=_verb.group)(with_manner(_command))
 
 
 def entry() -> None:
-    """Console entry: an error of ours is a message and its exit code, never a traceback."""
+    """Run the command line; an error of cosim is a message and an exit code, not a traceback."""
     open_streams()
     collecting = collect_seldom()
     try:
@@ -77,7 +79,7 @@ def entry() -> None:
 
 
 def _run() -> None:
-    """Run the command of this process; SystemExit with its exit code."""
+    """Run the command of this process; exit with its code."""
     try:
         check_text([*sys.argv[1:], *_here(), os.environ.get("TMPDIR", "")])
         app(standalone_mode=True)
@@ -104,7 +106,7 @@ def _run() -> None:
 
 @contextmanager
 def _terminable() -> Iterator[None]:
-    """Have the first signal that asks to end raise Terminated, so that what is half done is removed on the way out."""
+    """Make the first signal that ends the process raise Terminated, so that unfinished files are removed."""
     numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
     before = {number: signal.getsignal(number) for number in numbers}
     asked: list[int] = []
@@ -125,7 +127,7 @@ def _terminable() -> Iterator[None]:
 
 
 def _here() -> list[str]:
-    """The folder of the process, where there still is one."""
+    """Return the current folder, or nothing if it was removed."""
     try:
         return [os.getcwd()]
     except OSError:

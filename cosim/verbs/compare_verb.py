@@ -1,4 +1,4 @@
-"""`cosim compare` and `cosim.compare`: hold one run against another."""
+"""`cosim compare` and `cosim.compare`: compare two runs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from cosim.comparison.differences import Compared
     from cosim.simulation.run_signals import Signals
 
-SHOWN = 12  # signals told on the terminal
+SHOWN = 12  # signals on the terminal
 
 
 def compare(
@@ -29,12 +29,23 @@ def compare(
     absolute: NotNegative = 0.0,
     force: bool = False,
 ) -> Compared:
-    """Hold run b against run a, each a folder, a CSV or what a verb returned.
+    """Compare two runs signal by signal.
 
-    out:       folder for comparison.json and report.html; nothing is left without
-    tolerance: a share of each signal's range in a; absolute: in its unit, added to that
-    force:     also over what another command, or the comparison of other runs, left in `out`
-    Differences beyond it are no error: look at `same`. Raises InputError where they share no signal or no time.
+    A difference beyond the tolerance is not an error: see `Compared.same`.
+
+    Args:
+        a: Baseline: folder of a run, CSV file whose first column is time, or result of a function.
+        b: Run that is compared with the baseline.
+        out: Folder for comparison.json and report.html; None writes nothing.
+        tolerance: Allowed difference as a share of each signal's range in `a`.
+        absolute: Allowed difference in each signal's unit, added to `tolerance`.
+        force: Overwrite results of other runs or of another command in `out`.
+
+    Returns:
+        The difference of each signal, and the verdict if there is a tolerance.
+
+    Raises:
+        InputError: The runs have no common signal or no common time.
     """
     from cosim.comparison.workflow import compare as compare_runs
 
@@ -55,21 +66,28 @@ def _ran(side: FilePath | Signals) -> Any:
 
 
 def command(
-    a: Annotated[Path, typer.Argument(help="The folder that a run left, or a CSV with time first.")],
-    b: Annotated[Path, typer.Argument(help="Another one, held against it.")],
+    a: Annotated[Path, typer.Argument(help="Baseline: the folder of a run, or a CSV file whose first column is time.")],
+    b: Annotated[Path, typer.Argument(help="Folder or CSV file that is compared with the baseline.")],
     *,
     tolerance: Annotated[
         float | None,
-        typer.Option("--tol", help="Share of each signal's range by which it may differ; beyond it exits 5."),
+        typer.Option("--tol", help="Allowed difference as a share of each signal's range; exit code 5 if exceeded."),
     ] = None,
-    absolute: Annotated[float, typer.Option("--abs", help="In each signal's unit, added to --tol.")] = 0.0,
+    absolute: Annotated[
+        float, typer.Option("--abs", help="Allowed difference in each signal's unit, added to --tol.")
+    ] = 0.0,
     out: Annotated[Path | None, out_option("results/A-and-B")] = None,
     report: Report = True,
     open_: Open = False,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Hold one run against another: differences of every signal, criteria side by side, both drawn over each other."""
+    """Compare two runs signal by signal.
+
+    Prints the largest differences. Writes comparison.json and a report that shows both runs in the same charts.
+
+    Example: cosim compare results/one results/two --tol 1e-3
+    """
     from cosim.comparison.workflow import compare as compare_runs
     from cosim.simulation.run_files import read_ran
 
@@ -92,7 +110,7 @@ def command(
 
 
 def _lines(made: Compared) -> list[str]:
-    """Return the signals with the largest differences, those of one run alone, and the verdict."""
+    """Return the verdict, the signals with the largest differences, and those of one run alone."""
     from cosim.comparison.differences import sentence
     from cosim.comparison.signals import shared, sized
 
@@ -106,4 +124,4 @@ def _lines(made: Compared) -> list[str]:
         lines.append(f"  … and {len(ranked) - SHOWN} more that differ")
     for name, only in (("a", made.only_a), ("b", made.only_b)):
         lines += [f"  only in {name}: {some(only, SHOWN)}"] if only else []
-    return [*lines, judged(made.same, sentence(made)) if made.judged else sentence(made)]
+    return [judged(made.same, sentence(made)) if made.judged else sentence(made), *lines]

@@ -1,4 +1,4 @@
-"""`cosim consistency`: are the estimators as good as they believe?"""
+"""`cosim consistency`: test estimators by Monte Carlo runs."""
 
 from __future__ import annotations
 
@@ -16,16 +16,23 @@ from cosim.verbs.terminal import judged, progress_bar, say, say_json, show, tabl
 @folder_locks()
 def command(
     *,
-    runs: Annotated[int, typer.Option("--runs", min=2, help="Monte Carlo runs of each case.")] = 50,
-    steps: Annotated[int, typer.Option("--steps", min=100, help="Samples of each run.")] = 500,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of the random numbers.")] = 1,
+    runs: Annotated[
+        int, typer.Option("--runs", min=2, help="Number of Monte Carlo runs of each case, at least 2.")
+    ] = 50,
+    steps: Annotated[int, typer.Option("--steps", min=100, help="Number of samples of each run, at least 100.")] = 500,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed for all random numbers.")] = 1,
     out: Annotated[Path | None, out_option("results/consistency")] = None,
     report: Report = True,
     open_: Open = False,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Hold the estimators of the craft against what they believe: NEES and NIS over Monte Carlo runs."""
+    """Test the estimators of the base model by Monte Carlo runs.
+
+    Compares the normalised errors (NEES) and innovations (NIS) with their 95 % regions.
+
+    Example: cosim consistency --runs 50 --seed 1
+    """
     from cosim.estimators.consistency import CONSISTENT, headline
     from cosim.estimators.workflow import check_folder, check_size, write
     from cosim.estimators.workflow import consistency as over_runs
@@ -40,6 +47,7 @@ def command(
     if as_json:
         say_json([row.as_json() for row in rows])
         return
+    say(headline(rows))
     for flight, motion in {row.flight: row.motion for row in rows}.items():
         say(f"{flight}: {motion}")
     header = ("case", "flight", "of", "dof", "mean", "its region", "times above", "below", "at most", "verdict")
@@ -53,5 +61,4 @@ def command(
     say(head)
     for row, line in zip(rows, body, strict=True):
         say(judged(row.result.verdict == CONSISTENT, line))
-    say(headline(rows))
     say(f"numbers: {out / 'consistency.json'}" + (f"; report: {out / 'report.html'}" if report else ""))

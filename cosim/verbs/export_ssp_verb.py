@@ -12,15 +12,20 @@ from cosim.verbs.terminal import say, say_json, say_note
 
 
 def command(
-    scenario: Annotated[Path, typer.Argument(help="A scenario.yaml, or the manifest.json of a run.")],
+    scenario: Annotated[Path, typer.Argument(help="A scenario, or the manifest.json of a run.")],
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="The file to write; without, NAME.ssp in this folder.")
+        Path | None, typer.Option("--out", "-o", help="SSP file (default: NAME.ssp in the current folder).")
     ] = None,
     set_: Overrides = None,
     nearest: Nearest = False,
     as_json: Json = False,
 ) -> None:
-    """Write a scenario as an SSP 1.0 that other simulators run: noise off, references as FMUs."""
+    """Write a scenario as an SSP 1.0 for other simulators.
+
+    Noise is off; references become FMUs.
+
+    Example: cosim export-ssp scenario.yaml --out system.ssp
+    """
     from cosim.authoring.export import export_ssp
 
     exported = export_ssp(scenario, out, tuple(set_ or ()), nearest=nearest)

@@ -14,21 +14,28 @@ from cosim.verbs.terminal import say, say_json, show
 
 
 def command(
-    scenario: Annotated[Path, typer.Argument(help="A scenario.yaml, an SSP, or the manifest.json of a run.")],
+    scenario: Annotated[Path, typer.Argument(help="A scenario, an SSP, or the manifest.json of a run.")],
     *,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="The SVG to write, or .mmd for mermaid; NAME.svg of the file without."),
+        typer.Option("--out", "-o", help="Picture: FILE.svg, or FILE.mmd for Mermaid (default: NAME.svg)."),
     ] = None,
     mermaid: Annotated[
-        bool, typer.Option("--mermaid", help="Print mermaid, for a document, and write no file.")
+        bool, typer.Option("--mermaid", help="Print the picture as Mermaid text and write no file.")
     ] = False,
     set_: Overrides = None,
     open_: Open = False,
-    force: Annotated[bool, typer.Option("--force", help="Also over a file that is no picture of it.")] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Overwrite a file that is not a picture of this scenario.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
-    """Draw a scenario: components in the order in which they step, signals, units, noise and faults."""
+    """Draw the components and connections of a scenario.
+
+    The picture shows the order of steps, signals, units, noise and faults.
+
+    Example: cosim graph scenario.yaml
+    """
     from cosim.authoring.graph import check_picture, graph_of
     from cosim.storage.files import write_text
 

@@ -1,4 +1,4 @@
-"""`cosim info`: list what FMUs have."""
+"""`cosim info`: list variables and capabilities of FMUs."""
 
 from __future__ import annotations
 
@@ -21,11 +21,14 @@ MOST = 60  # parameters in the table; --all shows every one
 
 
 def command(
-    fmus: Annotated[list[Path], typer.Argument(help="FMUs.")],
-    every: Annotated[bool, typer.Option("--all", help="Locals and every parameter, too.")] = False,
+    fmus: Annotated[list[Path], typer.Argument(metavar="FMU", help="FMU to describe.")],
+    every: Annotated[bool, typer.Option("--all", help="List local variables and every parameter too.")] = False,
     as_json: Json = False,
 ) -> None:
-    """List what FMUs have: variables with types, units and defaults, capabilities, platforms, states."""
+    """List variables, units, defaults and capabilities of FMUs.
+
+    Example: cosim info plant.fmu controller.fmu
+    """
     from cosim.blocks.summary import summaries
 
     found = summaries(fmus)
@@ -38,7 +41,7 @@ def command(
 
 
 def _overview(s: Summary) -> list[str]:
-    """Return the lines of an FMU before its variables."""
+    """Return the lines about an FMU before its variables."""
     experiment = [f"{key} {s.experiment[key]:g}{unit}" for key, unit in UNITS.items() if key in s.experiment]
     without = " without --compile" if C_CODE in s.platforms else ""
     here = "" if s.runs_here else f", so it does not run on this machine{without}"
@@ -54,7 +57,7 @@ def _overview(s: Summary) -> list[str]:
 
 
 def _variables(s: Summary, *, every: bool) -> list[str]:
-    """Return the tables of an FMU's variables; of locals their number, unless every variable is shown."""
+    """Return the tables of variables; local variables are counted unless all are shown."""
     lines = [line for title, causalities in SHOWN.items() for line in _section(title, s.of(*causalities), every)]
     named = {"independent"}.union(*SHOWN.values())
     others = [v for v in s.variables if v.causality not in named]

@@ -1,4 +1,4 @@
-"""`cosim init`: write a first scenario of FMUs."""
+"""`cosim init`: write a first scenario that connects FMUs."""
 
 from __future__ import annotations
 
@@ -13,13 +13,18 @@ from cosim.verbs.terminal import say, say_json, warn
 
 
 def command(
-    fmus: Annotated[list[Path], typer.Argument(help="FMUs of one system.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="The file to write; never over one.")] = Path(
-        "scenario.yaml"
-    ),
+    fmus: Annotated[list[Path], typer.Argument(metavar="FMU", help="FMU of the system.")],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Scenario file; an existing file is not overwritten.")
+    ] = Path("scenario.yaml"),
     as_json: Json = False,
 ) -> None:
-    """Write a first scenario of FMUs, connected by name and unit: guesses are marked, and it runs as it is."""
+    """Write a first scenario that connects FMUs by name and unit.
+
+    Guessed connections are marked in the file. The scenario runs without changes.
+
+    Example: cosim init plant.fmu controller.fmu --out scenario.yaml
+    """
     from cosim.authoring.draft import write_draft
     from cosim.authoring.matching import text
     from cosim.base.text import counted

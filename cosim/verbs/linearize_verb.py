@@ -1,4 +1,4 @@
-"""`cosim linearize`: a model about a point."""
+"""`cosim linearize`: linearize a model about an operating point."""
 
 from __future__ import annotations
 
@@ -14,31 +14,46 @@ from cosim.verbs.terminal import say, say_json, show, table, warn
 if TYPE_CHECKING:
     from cosim.linearization.result import Outcome
 
-NAMES = "comma between them, repeatable"
-
 
 def command(
     model: Annotated[
-        str, typer.Argument(help="base, bench, a model.yaml, file.py:Class, a refine's folder, or an FMU.")
+        str,
+        typer.Argument(
+            help="A registered model such as base, a model.yaml, FILE.py:CLASS, the folder of a refine, or an FMU."
+        ),
     ],
     *,
     at: Annotated[
         Texts,
-        typer.Option("--at", help="NAME=VALUE,… of states and inputs, SCENARIO@TIME, or SCENARIO@START:STOP:STEP."),
+        typer.Option(
+            "--at",
+            metavar="POINT",
+            help="Operating point: NAME=VALUE,NAME=VALUE of states and inputs, SCENARIO@TIME, or "
+            "SCENARIO@START:STOP:STEP for a trajectory.",
+        ),
     ] = None,
-    set_: Annotated[Texts, typer.Option("--set", help="NAME=VALUE of a parameter; repeatable.")] = None,
-    states: Annotated[Texts, typer.Option("--states", help=f"States that are kept, in order; {NAMES}.")] = None,
-    inputs: Annotated[Texts, typer.Option("--inputs", help=f"Inputs that are kept; {NAMES}.")] = None,
-    outputs: Annotated[Texts, typer.Option("--outputs", help=f"Outputs that are kept; {NAMES}.")] = None,
+    set_: Annotated[Texts, typer.Option("--set", metavar="NAME=VALUE", help="Value of a parameter.")] = None,
+    states: Annotated[
+        Texts, typer.Option("--states", metavar="NAME,NAME", help="States of the linear model, in this order.")
+    ] = None,
+    inputs: Annotated[Texts, typer.Option("--inputs", metavar="NAME,NAME", help="Inputs of the linear model.")] = None,
+    outputs: Annotated[
+        Texts, typer.Option("--outputs", metavar="NAME,NAME", help="Outputs of the linear model.")
+    ] = None,
     residualize: Annotated[
-        Texts, typer.Option("--residualize", help=f"States that settle at once and are solved for; {NAMES}.")
+        Texts,
+        typer.Option("--residualize", metavar="NAME,NAME", help="Fast states that are set to their equilibrium."),
     ] = None,
-    component: Annotated[str, typer.Option("--component", help="Of the scenario, where several would do.")] = "",
+    component: Annotated[
+        str, typer.Option("--component", metavar="NAME", help="Component of the scenario, if several match.")
+    ] = "",
     step: Annotated[
-        float | None, typer.Option("--step", help="Of central differences, in place of an FMU's own slopes; 1e-5.")
+        float | None,
+        typer.Option("--step", help="Step of central differences, for example 1e-5; replaces the FMU's derivatives."),
     ] = None,
     side: Annotated[
-        str | None, typer.Option("--side", help="below or above: whose slopes are taken where there is no derivative.")
+        str | None,
+        typer.Option("--side", metavar="SIDE", help="Side of a kink whose derivative is used: below or above."),
     ] = None,
     out: Annotated[Path | None, out_option("results/MODEL-linear")] = None,
     report: Report = True,
@@ -47,7 +62,12 @@ def command(
     compile_: Compile = False,
     as_json: Json = False,
 ) -> None:
-    """Linearise a model about a point: A, B, C, D, poles, rank; linear.json, linear.mat, linear.py and report.html."""
+    """Linearize a model or an FMU about an operating point.
+
+    Prints A, B, C, D, poles and ranks. Writes linear.json, linear.mat, linear.py and report.html.
+
+    Example: cosim linearize motor.fmu --at speed=100
+    """
     from cosim.linearization.workflow import linearize as linearize_model
 
     place = folder_named(name_of(model), "linear") if out is None else out
@@ -87,14 +107,14 @@ def _tell(outcome: Outcome, out: Path, *, report: bool) -> None:
     from cosim.linearization.descriptions import HEAD, headline, matrix_lines, pole_table
 
     m = outcome.first
+    say(headline(outcome.structure, m))
+    for line in table(HEAD, pole_table(outcome.structure)):
+        say(line)
     for name in "ABCD":
         rows = m.states if name in "AB" else m.outputs
         header, *cells = matrix_lines(name, getattr(m, name), rows, m.states if name in "AC" else m.inputs) or [[name]]
         for line in table(header, cells) if cells else []:
             say(line)
-    for line in table(HEAD, pole_table(outcome.structure)):
-        say(line)
-    say(headline(outcome.structure, m))
     count = len(outcome.linear)
     several = f", {count} times from {m.point.time:g} s on; above is the first" if count > 1 else ""
     say(f"by {m.method}{several}")

@@ -1,9 +1,9 @@
-"""Options that every command has: how much it says."""
+"""Options that every command has, and placeholders of option values by their type."""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_type_hints
@@ -14,17 +14,25 @@ from typer.models import OptionInfo
 from cosim.storage.files import NOT_BLANK
 from cosim.verbs.terminal import MANNER
 
-Quiet = Annotated[
-    bool, typer.Option("--quiet", "-q", help="Say nothing but warnings, errors and JSON that is asked for.")
-]
-Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Say more, such as the order of steps and times.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only warnings, errors and JSON.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print more, such as the order of steps and timings.")]
+PLACEHOLDERS = {int: "INTEGER", float: "NUMBER", Path: "PATH", str: "TEXT", list[str]: "TEXT"}
 
 
 def _refuse_blank(hint: Any) -> None:
-    """Have the option --out refuse a blank, which as a path would be the current folder."""
+    """Make the option --out refuse a blank, which as a path would be the current folder."""
     for option in get_args(hint):
         if isinstance(option, OptionInfo):
             option.parser, option.metavar = _out_path, "PATH"
+
+
+def _set_placeholders(hints: Iterable[Any]) -> None:
+    """Give every option without a placeholder that of its type."""
+    for hint in hints:
+        for option in get_args(hint):
+            if isinstance(option, OptionInfo) and option.metavar is None:
+                types = {get_args(hint)[0], *get_args(get_args(hint)[0])}
+                option.metavar = next((word for kind, word in PLACEHOLDERS.items() if kind in types), None)
 
 
 def _out_path(value: Any) -> Path:
@@ -34,22 +42,23 @@ def _out_path(value: Any) -> Path:
 
 
 def with_manner(command: Callable[..., Any]) -> Callable[..., Any]:
-    """A command with -q and -v beside its own options."""
+    """Return a command that also has the options -q and -v."""
 
     @wraps(command)
-    def told(*given: Any, quiet: bool = False, verbose: bool = False, **options: Any) -> Any:
+    def run(*arguments: Any, quiet: bool = False, verbose: bool = False, **options: Any) -> Any:
         MANNER.quiet, MANNER.verbose = quiet, verbose
         MANNER.as_json, MANNER.told = bool(options.get("as_json")), False
-        return command(*given, **options)
+        return command(*arguments, **options)
 
     kind = inspect.Parameter.KEYWORD_ONLY
     more = {"quiet": Quiet, "verbose": Verbose}
     added = [inspect.Parameter(name, kind, default=False, annotation=option) for name, option in more.items()]
     hints = {**get_type_hints(command, include_extras=True), **more}
     _refuse_blank(hints.get("out"))
+    _set_placeholders(hints.values())
     own = [
         p.replace(annotation=hints.get(p.name, p.annotation)) for p in inspect.signature(command).parameters.values()
     ]
-    told.__signature__ = inspect.Signature([*own, *added])  # type: ignore[attr-defined]
-    told.__annotations__ = hints
-    return told
+    run.__signature__ = inspect.Signature([*own, *added])  # type: ignore[attr-defined]
+    run.__annotations__ = hints
+    return run

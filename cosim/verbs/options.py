@@ -10,12 +10,12 @@ from cosim.base.units import read_quantity
 
 
 def out_option(default: str) -> Any:
-    """Return the option --out of a command that leaves files in a folder."""
-    return typer.Option("--out", "-o", help=f"Folder for what it leaves; {default} without.")
+    """Return the option --out of a command that writes files into a folder."""
+    return typer.Option("--out", "-o", help=f"Folder for the results (default: {default}).")
 
 
 def seconds(text: str) -> float:
-    """Return the time of an option in seconds: a number, or one with its unit, 4min."""
+    """Return the time of an option in seconds: a number, or a number with a unit such as 4min."""
     try:
         return float(text)  # whether nan or inf will do is for the command to say
     except ValueError:
@@ -27,25 +27,39 @@ def seconds(text: str) -> float:
 
 
 def time_option(help_: str) -> Any:
-    """Return an option that takes seconds, or a time with its unit."""
+    """Return an option that takes seconds, or a time with a unit."""
     return typer.Option(help=help_, parser=seconds, metavar="TIME")
 
 
 Texts = list[str] | None
-Json = Annotated[bool, typer.Option("--json", help="Print JSON, for a script.")]
-Open = Annotated[bool, typer.Option("--open", help="Open the report in the browser.")]
-Report = Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")]
-Force = Annotated[bool, typer.Option("--force", help="Also into a folder that another run or command left.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
+Open = Annotated[bool, typer.Option("--open", help="Open the report in a browser.")]
+Report = Annotated[bool, typer.Option("--report/--no-report", help="Write report.html, or do not.")]
+Force = Annotated[
+    bool, typer.Option("--force", help="Write even if the folder holds results of another run or command.")
+]
 InProcess = Annotated[
-    bool, typer.Option("--in-process", help="Load the FMUs into this process, for a debugger; without limits.")
+    bool,
+    typer.Option(
+        "--in-process", help="Load FMUs into the process of the command, for a debugger; limits do not apply."
+    ),
 ]
 Compile = Annotated[
-    bool, typer.Option("--compile", help="Compile and run the sources of FMUs that have no library for this machine.")
+    bool,
+    typer.Option("--compile", help="Compile and execute the sources of FMUs that have no library for this machine."),
 ]
 Format = Annotated[
-    str, typer.Option("--format", help="Of the rows: csv, or parquet (extra parquet), or one of a package.")
+    str,
+    typer.Option(
+        "--format", help="File format of the rows: csv, parquet (needs pyarrow), or a format of an installed package."
+    ),
 ]
 Nearest = Annotated[
-    bool, typer.Option("--nearest", help="Of each refine that the scenario names, what came nearest in it.")
+    bool,
+    typer.Option(
+        "--nearest", help="Use nearest.yaml instead of model.yaml of every refine folder that the scenario names."
+    ),
 ]
-Overrides = Annotated[Texts, typer.Option("--set", help="path=value, over the scenario's own; e.g. noise=off.")]
+Overrides = Annotated[
+    Texts, typer.Option("--set", metavar="PATH=VALUE", help="Replace a value of the scenario, for example noise=off.")
+]

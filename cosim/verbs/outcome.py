@@ -1,4 +1,4 @@
-"""What a run came to, as said on the terminal."""
+"""Result of a run on the terminal."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ if TYPE_CHECKING:
     from cosim.simulation.workflow import Outcome
     from cosim.storage.results import Results
 
-SHOWN = 12  # signals whose values are told
+SHOWN = 12  # signals whose values are printed
 
 
 def say_outcome(
     outcome: Outcome, *, report: bool, open_: bool = False, as_json: bool = False, lines: Sequence[str] = ()
 ) -> None:
-    """Say warnings, these lines, criteria and where the files are; CriterionMissed if a criterion is."""
+    """Print warnings, `lines`, criteria and files of a run; raise CriterionMissed if a criterion is not met."""
     from cosim.simulation.criteria import sentence
 
     criteria: list[dict[str, Any]] = outcome.manifest["criteria"]
@@ -47,14 +47,14 @@ def say_outcome(
 
 
 def say_partial(folder: Path) -> None:
-    """Say where the rows and the page of a run are that stopped before its end."""
+    """Print the files of a run that stopped early."""
     for what, path in (("rows so far:", rows_in(folder)), ("report:     ", folder / "report.html")):
         if path is not None and path.is_file():
             say(f"{what} {path}")
 
 
 def _content(outcome: Outcome) -> dict[str, Any]:
-    """What a script asks of a run."""
+    """Return the JSON object of a run."""
     folder, results = outcome.folder, outcome.results
     page = folder / "report.html"
     criteria, missed = outcome.manifest["criteria"], bool(outcome.missed)
@@ -73,7 +73,7 @@ def _content(outcome: Outcome) -> dict[str, Any]:
 
 
 def value_lines(results: Results) -> list[str]:
-    """Return the first and last, least and largest value of signals, a line each."""
+    """Return first, last, smallest and largest value of signals, one line each."""
     if not len(results.time):
         return []
     rows = []

@@ -1,4 +1,4 @@
-"""`cosim.read`: what a verb left in a folder."""
+"""`cosim.read`: read the results of a verb."""
 
 from __future__ import annotations
 
@@ -17,9 +17,16 @@ if TYPE_CHECKING:
 
 
 def read(folder: FilePath) -> Run | Replay | Refined | Runs | Signals:
-    """What `run`, `simulate`, `replay`, `refine` or `sweep` left in a folder, or the signals of a CSV with time first.
+    """Read the results of a verb from a folder, or the signals of a CSV file.
 
-    InputError where there is none of it.
+    Args:
+        folder: Folder of `run`, `simulate`, `replay`, `refine` or `sweep`, or a CSV file whose first column is time.
+
+    Returns:
+        The object that the verb's function returns; `Runs` of a sweep; `Signals` of a CSV file.
+
+    Raises:
+        InputError: There are no such results.
     """
     from cosim.simulation.run_signals import read_run
 

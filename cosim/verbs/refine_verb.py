@@ -1,4 +1,4 @@
-"""`cosim refine` and `cosim.refine`: find what a model lacks in measured logs."""
+"""`cosim refine` and `cosim.refine`: find the effect that a model lacks."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ from cosim.base.settings import Files
 from cosim.storage.files import FilePath
 from cosim.storage.folders import folder_of_file
 from cosim.verbs.options import Force, InProcess, Json, Open, Report, out_option
-from cosim.verbs.terminal import files_in, say, say_json, show, stages, warn
+from cosim.verbs.terminal import files_in, say, say_json, show, stages, table, warn
 
 if TYPE_CHECKING:
     from cosim.refinement.refined_result import Refined
+    from cosim.refinement.refinement import Refinement
     from cosim.subject.interface import Subject
 
 
@@ -36,12 +37,26 @@ def refine(
     in_process: bool = False,
     progress: Callable[[str, float], None] | None = None,
 ) -> Refined:
-    """Find what a model lacks in measured logs; refine.json, model.yaml, plant.fmu and report.html are left in `out`.
+    """Find the effect that a model lacks, from measured logs.
 
-    study: a study file, or any object that can be refined (`cosim.subject.interface.Subject`) with its logs beside it
-    logs, validation: logs of such an object, to learn from and sealed; settings: further keys of a study file
-    force: also over what another study or command left there
-    Raises InputError, FmuError, SimulationError.
+    Args:
+        study: Study file, or an object that derives from `cosim.subject.interface.Subject`.
+        out: Folder for refine.json, model.yaml, plant.fmu and report.html.
+        logs: Estimation logs of an object.
+        validation: Sealed logs of an object.
+        settings: Further keys of a study file, for an object.
+        report: Write report.html.
+        force: Overwrite results of another study or command in `out`.
+        in_process: Load FMUs into this process, for a debugger; limits do not apply.
+        progress: Function of (stage, completed share).
+
+    Returns:
+        The verdict, the effects, the refined model and its FMU.
+
+    Raises:
+        InputError: Every fault of the input.
+        FmuError: An FMU cannot be read or loaded.
+        SimulationError: The simulation failed; the rows so far are in `out`.
     """
     from cosim.refinement.refined_result import Refined
     from cosim.refinement.study import study_of
@@ -59,7 +74,7 @@ def refine(
 
 
 def command(
-    study: Annotated[Path, typer.Argument(help="A study.yaml: model, estimation and validation logs.")],
+    study: Annotated[Path, typer.Argument(help="A study: model, estimation logs and validation logs.")],
     *,
     out: Annotated[Path | None, out_option("results/NAME of the study")] = None,
     report: Report = True,
@@ -68,10 +83,14 @@ def command(
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Find what the model lacks in measured logs: refine.json, model.yaml, plant.fmu and report.html."""
+    """Find the effect that a model lacks, from measured logs.
+
+    Writes refine.json, the refined model.yaml and plant.fmu, and report.html.
+
+    Example: cosim refine study.yaml --out results/refine
+    """
     # fits run side by side; more threads within each only wait for one another (read when numpy is first imported)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from cosim.refinement.report.error_tables import second_sentence
     from cosim.refinement.stages import numbered
     from cosim.refinement.workflow import refine as refine_study
 
@@ -82,10 +101,7 @@ def command(
         )
     for warning in result.study.warnings:
         warn(warning)
-    say(" ".join(s for s in (str(result.record["sentence"]), second_sentence(result)) if s))
-    say(f"verdict: {result.record['verdict']}, model: {place / 'model.yaml'}, FMU: {place / 'plant.fmu'}")
-    if report:
-        say(f"report: {place / 'report.html'}")
+    _say_verdict(result, place, report=report)
     if as_json:
         told_of = ("verdict", "sentence", "effects", "rivals", "error")
         answer = {key: result.record[key] for key in told_of if key in result.record}
@@ -96,3 +112,33 @@ def command(
 
         limits = [f"--limit {name}=VALUE" for name in inputs_to_limit(result.study.subject)]
         say(f"an experiment that would decide: {' '.join(['cosim excite', shlex.quote(str(place)), *limits])}")
+
+
+def _say_verdict(result: Refinement, place: Path, *, report: bool) -> None:
+    """Say the verdict, the errors of the logs that count as a table, and the files."""
+    from cosim.refinement.report.error_tables import error_tables, second_sentence
+
+    say(f"verdict: {result.record['verdict']}")
+    say(" ".join(s for s in (str(result.record["sentence"]), second_sentence(result)) if s))
+    for errors in error_tables(result)[-1:]:
+        claimed = result.verdict.claimed is not None
+        header = ("channel", "before", "recalibrated", "refined" if claimed else "", "nearest", "noise floor")
+        rows = [
+            (
+                r.channel,
+                r.before,
+                r.recalibrated,
+                r.after if claimed else "",
+                r.nearest if errors.nearest else "",
+                r.floor,
+            )
+            for r in errors.rows
+        ]
+        say(f"\n{errors.title}, root mean square error:")
+        for line in table(header, rows):
+            say(line)
+        say("")
+    files = {"model": "model.yaml", "FMU": "plant.fmu", "nearest": "nearest.yaml", "report": "report.html"}
+    for name, file in files.items():
+        if (place / file).is_file() and (report or name != "report"):
+            say(f"{name + ':':9}{place / file}")

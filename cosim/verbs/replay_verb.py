@@ -1,4 +1,4 @@
-"""`cosim replay` and `cosim.replay`: drive an FMU with the recorded inputs of a log."""
+"""`cosim replay` and `cosim.replay`: simulate an FMU with the inputs of a log."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from cosim.storage.results import rows_in
 from cosim.verbs.options import Compile, Force, Format, InProcess, Json, Open, Report, Texts, out_option
 from cosim.verbs.scratch_results import results_in
 from cosim.verbs.streams import echo
-from cosim.verbs.terminal import files_in, progress_bar, say, say_json, show
+from cosim.verbs.terminal import files_in, progress_bar, say, say_json, show, table
 
 if TYPE_CHECKING:
+    from cosim.residuals.compare import Comparison
     from cosim.residuals.replay_signals import Replay
 
 
@@ -37,15 +38,29 @@ def replay(
     format: str = "csv",
     progress: Callable[[int, int], None] | None = None,
 ) -> Replay:
-    """Drive an FMU, or the plant of this package, with a log's recorded inputs and compare.
+    """Simulate an FMU with the recorded inputs of a log, and compare the outputs.
 
-    out:     folder for results.csv, residual.csv, replay.json and report.html; nothing is left without
-    start:   start values and parameters of the FMU
-    columns: of the log under other names, column → variable, or `time`
-    force:   also over what another command, or the replay of another log or FMU, left in `out`
-    compile: the sources of the FMU are compiled and run where it has no library for this machine
-    format: of the rows in `out`: "csv", or "parquet" (results.parquet in place of results.csv)
-    Raises InputError, FmuError, SimulationError.
+    Args:
+        log: Measured log.
+        out: Folder for results.csv, residual.csv, replay.json and report.html; None writes nothing.
+        fmu: FMU to simulate; None takes the plant of the base model.
+        start: Start value or parameter of the FMU → value.
+        columns: Column of the log → variable, or "time".
+        report: Write report.html.
+        force: Overwrite results of another log, FMU or command in `out`.
+        in_process: Load the FMU into this process, for a debugger; limits do not apply.
+        compile: Compile and execute the sources of an FMU that has no library for this machine.
+        limits: Limits of time and memory, for example "step: 10 s, total: 1 h, memory: 2 GB".
+        format: File format of the rows: "csv", "parquet", or a format of an installed package.
+        progress: Function of (completed steps, all steps).
+
+    Returns:
+        Signals of FMU and log, and the residual of each horizon.
+
+    Raises:
+        InputError: Every fault of the input.
+        FmuError: An FMU cannot be read or loaded.
+        SimulationError: The simulation failed; the rows so far are in `out`.
     """
     from cosim.blocks.compiling import compiling
     from cosim.residuals.replay_signals import read_replay
@@ -66,32 +81,43 @@ def _pairs(columns: Given | None) -> Sequence[str]:
 
 
 def command(
-    log: Annotated[Path, typer.Argument(help="A measured log: CSV with time, inputs and measured outputs.")],
+    log: Annotated[Path, typer.Argument(help="Measured log: CSV file with time, inputs and measured outputs.")],
     *,
     plant: Annotated[
-        Path | None, typer.Option("--plant", help="The FMU to drive; without, the plant of this package.")
+        Path | None,
+        typer.Option("--plant", metavar="FMU", help="FMU to simulate (default: the plant of the base model)."),
     ] = None,
     out: Annotated[Path | None, out_option("results/NAME of the log")] = None,
     start: Annotated[
         Texts,
-        typer.Option("--start", help="NAME=VALUE of a start value or parameter of the FMU; gain=0.9, angle=12deg."),
+        typer.Option(
+            "--start", metavar="NAME=VALUE", help="Start value or parameter of the FMU, for example angle=12deg."
+        ),
     ] = None,
     column: Annotated[
         Texts,
-        typer.Option("--column", help="COLUMN=VARIABLE where the log has another name; speed=motor.w, stamp=time."),
+        typer.Option(
+            "--column", metavar="COLUMN=VARIABLE", help="Variable that a column holds, for example stamp=time."
+        ),
     ] = None,
     report: Report = True,
     in_process: InProcess = False,
     format_: Format = "csv",
     compile_: Compile = False,
     limits: Annotated[
-        str, typer.Option("--limits", help="Of what the FMU may take, such as 'step: 10 s, total: 1 h, memory: 2 GB'.")
+        str,
+        typer.Option("--limits", help="Limits of time and memory, for example 'step: 10 s, total: 1 h, memory: 2 GB'."),
     ] = "",
     open_: Open = False,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Drive a plant FMU with a log's recorded inputs and compare: results.csv, residual.csv and report.html."""
+    """Simulate an FMU with the recorded inputs of a log, and compare.
+
+    Writes results.csv, residual.csv and report.html.
+
+    Example: cosim replay log.csv --plant motor.fmu --column speed=w
+    """
     from cosim.blocks.compiling import compiling
     from cosim.residuals.comparison_data import as_json as numbers
     from cosim.residuals.replay_sentences import verdict
@@ -106,6 +132,8 @@ def command(
         if finding.severity == "warning":
             echo(finding.line, err=True)
     say(verdict(comparison))
+    for line in _error_table(comparison):
+        say(line)
     say(f"residual: {rows_in(place, 'residual')}" + (f", report: {place / 'report.html'}" if report else ""))
     if as_json:
         findings = [finding.line for finding in comparison.findings]
@@ -113,3 +141,22 @@ def command(
         rows = [path.name for stem in ("results", "residual") if (path := rows_in(place, stem))]
         say_json({**content, **files_in(place, *rows)})
     show(place / "report.html", asked=report and open_)
+
+
+def _error_table(comparison: Comparison) -> list[str]:
+    """Return the error of each channel as a table, beside the noise of its sensor."""
+    from cosim.base.text import plain, size
+    from cosim.residuals.replay_sentences import horizon_name
+
+    header = ("channel", "error (rms)", "over", "noise σ", "error / noise floor")
+    rows = [
+        (
+            c.name,
+            size(c.scores[c.measure].rmse, c.unit),
+            horizon_name(c.measure),
+            size(c.noise, c.unit),
+            plain(c.excess, 2),
+        )
+        for c in comparison.channels
+    ]
+    return table(header, rows)

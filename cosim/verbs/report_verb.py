@@ -1,4 +1,4 @@
-"""`cosim report`: make the page of a run again."""
+"""`cosim report`: write the report of a run again."""
 
 from __future__ import annotations
 
@@ -12,12 +12,15 @@ from cosim.verbs.terminal import say, say_json, show
 
 
 def command(
-    folder: Annotated[Path, typer.Argument(help="The folder that a run left.")],
+    folder: Annotated[Path, typer.Argument(help="Folder of a run.")],
     figures: Annotated[bool, typer.Option("--figures", help="Write figures/*.png too.")] = False,
     open_: Open = False,
     as_json: Json = False,
 ) -> None:
-    """Make the page of a run again, from its results.csv and manifest.json."""
+    """Write the report of a run again from its results.
+
+    Example: cosim report results/one --open
+    """
     from cosim.comparison.report_again import report_of
 
     page = report_of(folder, figures=figures)

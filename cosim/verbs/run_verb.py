@@ -1,4 +1,4 @@
-"""`cosim run` and `cosim.run`: co-simulate a scenario or an SSP."""
+"""`cosim run` and `cosim.run`: simulate a scenario or an SSP."""
 
 from __future__ import annotations
 
@@ -43,17 +43,32 @@ def run(
     progress: Callable[[int, int], None] | None = None,
     observers: Observers = (),
 ) -> Run:
-    """Run a scenario, its file or its content; names of files in a mapping are relative to the current folder.
+    """Simulate a scenario or an SSP.
 
-    out:    folder for results.csv, manifest.json and report.html; nothing is left without
-    set:    path → value, over the scenario's own: {"noise": False, "components.plant.start.mass": 2};
-            or "path=value" each
-    force:  also over what the run of another scenario left in `out`
-    compile: the sources of FMUs that have no library for this machine are compiled and run
-    format: of the rows in `out`: "csv", or "parquet" (results.parquet in place of results.csv)
-    observers: get the rows while they are made (`cosim.master.observer.Observer`)
-    nearest, figures, in_process, progress: as `cosim run` has them
-    A criterion that is missed is no error: look at `missed`. Raises InputError, FmuError, SimulationError.
+    A criterion that is not met is not an error: see `Run.missed`.
+
+    Args:
+        scenario: File, manifest.json, or the content as a mapping with paths relative to the current folder.
+        out: Folder for results.csv, manifest.json and report.html; None writes nothing.
+        set: Path → value, for example {"noise": False, "components.plant.start.mass": 2}, or texts "path=value".
+        seed: Seed for all random numbers.
+        nearest: Use nearest.yaml instead of model.yaml of every refine folder that the scenario names.
+        report: Write report.html.
+        figures: Write figures/*.png.
+        force: Overwrite results of another scenario or command in `out`.
+        in_process: Load FMUs into this process, for a debugger; limits do not apply.
+        compile: Compile and execute the sources of FMUs that have no library for this machine.
+        format: File format of the rows: "csv", "parquet", or a format of an installed package.
+        progress: Function of (completed steps, all steps).
+        observers: Objects that receive the rows during the run (`cosim.master.observer.Observer`).
+
+    Returns:
+        The signals, the manifest and the criteria.
+
+    Raises:
+        InputError: Every fault of the input.
+        FmuError: An FMU cannot be read or loaded.
+        SimulationError: The simulation failed; the rows so far are in `out`.
     """
     from cosim.blocks.compiling import compiling
     from cosim.simulation.run_signals import run_of
@@ -70,7 +85,7 @@ def run(
 
 @contextmanager
 def _scenario_file(scenario: FilePath | Mapping[str, Any], out: Path) -> Iterator[Path]:
-    """A scenario's file; of a mapping one that is gone at the end, with names of files from the current folder."""
+    """Yield the file of a scenario; the content of a mapping goes to a temporary file."""
     if not isinstance(scenario, Mapping):
         yield Path(scenario)
         return
@@ -91,12 +106,12 @@ def _scenario_file(scenario: FilePath | Mapping[str, Any], out: Path) -> Iterato
 
 
 def command(
-    scenario: Annotated[Path, typer.Argument(help="A scenario.yaml, an SSP, or a manifest.json to repeat that run.")],
+    scenario: Annotated[Path, typer.Argument(help="A scenario, an SSP, or the manifest.json of a run to repeat.")],
     *,
     out: Annotated[Path | None, out_option("results/NAME of the scenario")] = None,
     set_: Overrides = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Seed of every random stream, over the scenario's own.")
+        int | None, typer.Option(min=0, help="Seed for all random numbers (default: the seed of the scenario).")
     ] = None,
     nearest: Nearest = False,
     report: Report = True,
@@ -108,10 +123,18 @@ def command(
     format_: Format = "csv",
     compile_: Compile = False,
     coupling: Annotated[
-        bool, typer.Option("--coupling-error", help="Run again with half the step, and say what that changes.")
+        bool,
+        typer.Option(
+            "--coupling-error", help="Run again with half the step and print the largest change of each output."
+        ),
     ] = False,
 ) -> None:
-    """Co-simulate a scenario or an SSP: results.csv, manifest.json and report.html."""
+    """Simulate a scenario or an SSP.
+
+    Writes results.csv, manifest.json and report.html. Exit code 5 if a criterion is not met.
+
+    Example: cosim run scenario.yaml --set noise=off --seed 7
+    """
     from cosim.blocks.compiling import compiling
     from cosim.simulation.workflow import run as run_scenario
 

@@ -1,4 +1,4 @@
-"""`cosim schema`: JSON schemas of the files that people write, for an editor."""
+"""`cosim schema`: JSON schemas of hand-written files, for editors."""
 
 from __future__ import annotations
 
@@ -21,14 +21,17 @@ KEY = re.compile(r"^\s*`?(\w+)`?:\s+(\S.*)$")
 
 
 def command(
-    kind: Annotated[str, typer.Argument(help="scenario, study, model, sweep, or what an installed package adds.")],
+    kind: Annotated[str, typer.Argument(help="Kind of file: scenario, study, model, sweep, or one of a package.")],
 ) -> None:
-    """Print the JSON schema of a file, for the completion of an editor."""
+    """Print the JSON schema of a kind of file, for editors.
+
+    Example: cosim schema scenario
+    """
     say_json(schema_of(kind))
 
 
 def schema_of(name: str) -> dict[str, Any]:
-    """Return the JSON schema of a kind of file, each key with its meaning; InputError where there is no such kind."""
+    """Return the JSON schema of a kind of file, each key with its meaning; raise InputError for an unknown kind."""
     known = {a.schema_name: a for a in artefacts() if a.schema}
     if name not in known:
         allowed = ", ".join(sorted(known))
@@ -44,7 +47,7 @@ def schema_of(name: str) -> dict[str, Any]:
 
 
 def _described(part: dict[str, Any]) -> None:
-    """Move what a docstring says of each key, `key: meaning`, to the key."""
+    """Move the meaning of each key from the docstring (`key: meaning`) to the key."""
     keys: dict[str, Any] = part.get("properties", {})
     kept, last = [], ""
     for line in str(part.get("description", "")).splitlines():
@@ -61,7 +64,7 @@ def _described(part: dict[str, Any]) -> None:
 
 
 def _switched(node: Any) -> Any:
-    """With `on` and `off`, as in YAML 1.1, wherever true and false may stand."""
+    """Allow `on` and `off`, as in YAML 1.1, in place of true and false."""
     if isinstance(node, list):
         return [_switched(value) for value in node]
     if not isinstance(node, dict):

@@ -1,4 +1,4 @@
-"""A folder for results: the one that is asked for, or one that is gone at the end."""
+"""Folder for the results of a function: permanent or temporary."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cosim.storage.files import FilePath, named_path
 
 @contextmanager
 def results_in(out: FilePath | None) -> Iterator[Path]:
-    """The folder that was asked for, or one that is gone at the end."""
+    """Yield the folder `out`, or a temporary folder."""
     if out is not None:
         yield named_path(out)
         return

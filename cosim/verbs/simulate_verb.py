@@ -1,4 +1,4 @@
-"""`cosim simulate` and `cosim.simulate`: run one FMU without a file of one's own."""
+"""`cosim simulate` and `cosim.simulate`: simulate one FMU without a scenario."""
 
 from __future__ import annotations
 
@@ -36,16 +36,30 @@ def simulate(
     format: str = "csv",
     progress: Callable[[int, int], None] | None = None,
 ) -> Run:
-    """Run one FMU over its default experiment.
+    """Simulate one FMU over its default experiment.
 
-    out:        folder for scenario.yaml, results.csv, manifest.json and report.html; nothing is left without
-    set:        parameters and inputs → value; or "name=value" each
-    input:      a CSV with time and columns named as inputs, played to them
-    stop, step: [s], or text such as "4 min", in place of those of the FMU
-    record:     locals and parameters to record beside inputs and outputs
-    compile:    its sources are compiled and run where it has no library for this machine
-    format: of the rows in `out`: "csv", or "parquet" (results.parquet in place of results.csv)
-    Raises InputError, FmuError, SimulationError.
+    Args:
+        fmu: The FMU.
+        out: Folder for scenario.yaml, results.csv, manifest.json and report.html; None writes nothing.
+        set: Parameter or input → value, or texts "name=value".
+        input: CSV file with time and columns named as inputs; each row holds until the next.
+        stop: End of the simulation, in seconds or with a unit ("4 min"); by default that of the FMU or of `input`.
+        step: Communication step, in seconds or with a unit; by default that of the FMU.
+        record: Names or patterns of local variables and parameters to record too.
+        report: Write report.html.
+        force: Overwrite results of another command in `out`.
+        in_process: Load the FMU into this process, for a debugger.
+        compile: Compile and execute the sources of an FMU that has no library for this machine.
+        format: File format of the rows: "csv", "parquet", or a format of an installed package.
+        progress: Function of (completed steps, all steps).
+
+    Returns:
+        The signals, the manifest and the warnings.
+
+    Raises:
+        InputError: Every fault of the input.
+        FmuError: An FMU cannot be read or loaded.
+        SimulationError: The simulation failed; the rows so far are in `out`.
     """
     from cosim.authoring.single import simulate as simulate_fmu
     from cosim.blocks.compiling import compiling
@@ -60,20 +74,26 @@ def simulate(
 
 
 def command(
-    fmu: Annotated[Path, typer.Argument(help="An FMU.")],
+    fmu: Annotated[Path, typer.Argument(help="FMU to simulate.")],
     *,
     set_: Annotated[
-        Texts, typer.Option("--set", help="NAME=VALUE of a parameter or input; repeatable. mass=2, angle=12deg.")
+        Texts,
+        typer.Option("--set", metavar="NAME=VALUE", help="Value of a parameter or input, for example angle=12deg."),
     ] = None,
     recorded: Annotated[
-        Path | None, typer.Option("--input", help="A CSV with time and columns named as inputs, played to them.")
+        Path | None,
+        typer.Option("--input", help="CSV file with time and columns named as inputs; each row holds until the next."),
     ] = None,
     stop: Annotated[
-        float | None, time_option("When it ends [s], or 4min; without, as the FMU says, or the input.")
+        float | None,
+        time_option("End of the simulation, for example 10 or 4min (default: that of the FMU or of --input)."),
     ] = None,
-    step: Annotated[float | None, time_option("Communication step [s], or 20ms; without, as the FMU says.")] = None,
+    step: Annotated[
+        float | None, time_option("Communication step, for example 0.02 or 20ms (default: that of the FMU).")
+    ] = None,
     record: Annotated[
-        Texts, typer.Option("--record", help="A local or parameter to record, too, or a pattern; repeatable.")
+        Texts,
+        typer.Option("--record", metavar="PATTERN", help="Local variables or parameters to record too."),
     ] = None,
     out: Annotated[Path | None, out_option("results/NAME of the FMU")] = None,
     report: Report = True,
@@ -81,12 +101,17 @@ def command(
     force: Force = False,
     as_json: Json = False,
     in_process: Annotated[
-        bool, typer.Option("--in-process", help="Load the FMU into this process, for a debugger.")
+        bool, typer.Option("--in-process", help="Load the FMU into the process of the command, for a debugger.")
     ] = False,
     format_: Format = "csv",
     compile_: Compile = False,
 ) -> None:
-    """Run one FMU, without a file: results.csv, report.html, and the scenario.yaml that repeats it."""
+    """Simulate one FMU without a scenario.
+
+    Writes results.csv, report.html, and scenario.yaml, which repeats the run.
+
+    Example: cosim simulate plant.fmu --set mass=2 --stop 10
+    """
     from cosim.authoring.single import simulate as simulate_fmu
     from cosim.blocks.compiling import compiling
 

@@ -1,4 +1,4 @@
-"""The streams of a command, any of which may be closed: before it begins, or by who reads it while it works."""
+"""Streams of a command, which may be closed before the start or by their reader."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import typer
 
 
 def open_streams() -> None:
-    """Have something stand for streams that are closed, or files opened later would be written to as these."""
+    """Open a substitute for each closed stream; otherwise later files would take its number."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(number)
@@ -25,7 +25,7 @@ def open_streams() -> None:
 
 
 def echo(text: str, *, err: bool = False, nl: bool = True) -> None:
-    """Write to stdout or stderr; nothing where nobody reads any more: what is left to do is done all the same."""
+    """Write to stdout or stderr; do nothing if the reader has closed the stream."""
     try:
         typer.echo(text, err=err, nl=nl)
     except BrokenPipeError:

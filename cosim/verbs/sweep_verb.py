@@ -17,19 +17,27 @@ EVERY = 10.0  # [s] between lines of those who asked for more
 
 
 def command(
-    study: Annotated[Path, typer.Argument(help="A sweep.yaml: a scenario, and what varies in it.")],
+    study: Annotated[Path, typer.Argument(metavar="SWEEP", help="A sweep file: a scenario and the values that vary.")],
     *,
     out: Annotated[Path | None, out_option("results/NAME of the sweep")] = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes; one a core without.")] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Number of worker processes (default: one per core).")
+    ] = None,
     dask: Annotated[
-        str | None, typer.Option("--dask", help="Address of a dask scheduler, such as tcp://host:8786.")
+        str | None,
+        typer.Option("--dask", metavar="ADDRESS", help="Address of a Dask scheduler, for example tcp://host:8786."),
     ] = None,
     report: Report = True,
     open_: Open = False,
-    force: Annotated[bool, typer.Option("--force", help="Begin anew, whatever an earlier sweep left there.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Start again instead of resuming an earlier sweep.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Run a scenario many times: sweep.parquet, sweep.json and report.html; one that was stopped is gone on with."""
+    """Run a scenario many times with varied values.
+
+    Writes sweep.parquet, sweep.json and report.html. The same command resumes a sweep that was stopped.
+
+    Example: cosim sweep sweep.yaml --workers 4
+    """
     from cosim.sweeps.workflow import sweep as run_sweep
 
     with _progress() as progress:
@@ -53,7 +61,7 @@ def command(
 
 @contextmanager
 def _progress() -> Iterator[Callable[[int, int], None]]:
-    """A bar with the time left on a terminal; lines for those who asked for more."""
+    """Show a progress bar on a terminal; with -v, lines elsewhere."""
     with progress_bar("sweeping") as bar:
         begun = told = time.monotonic()
         first: int | None = None
@@ -72,7 +80,7 @@ def _progress() -> Iterator[Callable[[int, int], None]]:
 
 
 def left_in_words(made: int, left: int, elapsed: float) -> str:
-    """The time that is left at the rate so far; nothing before there is one."""
+    """Return the remaining time at the rate so far; "" before there is a rate."""
     if made <= 0 or left <= 0:
         return ""
     seconds = elapsed * left / made

@@ -1,4 +1,4 @@
-"""What commands say on a terminal, and what they show while they work."""
+"""Output of the commands on a terminal: lines, JSON, tables, progress."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Numbered = Callable[[str], tuple[int, int]]
 
 @dataclass
 class Manner:
-    """How much is said: quiet says what is wrong alone, verbose what else is known; told: JSON has been printed."""
+    """Amount of output: `quiet` prints problems only, `verbose` more; `told` is true after JSON has been printed."""
 
     quiet: bool = False
     verbose: bool = False
@@ -38,25 +38,25 @@ MANNER = Manner()  # of this process, set by the options -q and -v of any comman
 
 
 def say(text: str) -> None:
-    """A line for the user."""
+    """Print a line."""
     if not MANNER.quiet and not MANNER.as_json:
         echo(text)
 
 
 def say_more(text: str) -> None:
-    """A line for a user who asked for more."""
+    """Print a line with -v."""
     if MANNER.verbose:
         echo(text, err=True)
 
 
 def say_json(value: Any) -> None:
-    """JSON for a script, said also where all else is quiet."""
+    """Print JSON, also with -q."""
     echo(json.dumps(value, indent=2, ensure_ascii=False))
     MANNER.told = True
 
 
 def say_failure(error: CosimError) -> None:
-    """What is wrong as JSON too, where a script asked for it and has got none."""
+    """Print an error as JSON if --json is set and no JSON was printed."""
     if MANNER.as_json and not MANNER.told:
         faults = getattr(error, "faults", ())
         about = _stopped(error) if isinstance(error, SimulationError) else {}
@@ -65,7 +65,7 @@ def say_failure(error: CosimError) -> None:
 
 
 def _stopped(error: SimulationError) -> dict[str, Any]:
-    """Where a run stopped, and the files that it left, null where there are none."""
+    """Return time and files of a stopped run; null for missing ones."""
     names = {"manifest": "manifest.json", "report": "report.html"}
     paths = {key: None if error.left is None else error.left / name for key, name in names.items()}
     paths["results"] = None if error.left is None else rows_in(error.left)
@@ -75,30 +75,30 @@ def _stopped(error: SimulationError) -> dict[str, Any]:
 
 
 def say_usage(error: BaseException | None) -> None:
-    """What is wrong with the words of a command as JSON too, where --json is among them; click has told the usage."""
+    """Print wrong options as JSON if --json is among them; click prints the usage."""
     message = getattr(error, "format_message", None)
     if message is not None and "--json" in sys.argv[1:]:
         say_json({"error": message(), "exit_code": getattr(error, "exit_code", 2), "faults": []})
 
 
 def say_note(text: str) -> None:
-    """What is good to know, on stderr."""
+    """Print a note on stderr."""
     if not MANNER.quiet:
         echo(f"note: {text}", err=True)
 
 
 def warn(text: str) -> None:
-    """A warning, on stderr."""
+    """Print a warning on stderr."""
     echo(f"warning: {text}", err=True)
 
 
 def judged(met: bool, text: str) -> str:
-    """A line in green or red; plain where NO_COLOR is set, or nobody looks."""
+    """Return a line in green or red; without colour for NO_COLOR or without a terminal."""
     return text if os.environ.get("NO_COLOR") else typer.style(text, fg="green" if met else "red")
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of a table, each column as wide as its widest cell, columns that are all empty left out."""
+    """Return the lines of a table; each column is as wide as its widest cell, empty columns are omitted."""
     kept = [k for k in range(len(header)) if any(row[k] for row in rows)]
     cells = [[line[k] for k in kept] for line in (header, *rows)]
     widths = [max(len(line[k]) for line in cells) for k in range(len(kept))]
@@ -107,24 +107,24 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def some(names: Sequence[str], most: int) -> str:
-    """Return the first names, and a sign where there are more."""
+    """Return the first names, and a sign if there are more."""
     return ", ".join(names[:most]) + (", …" if len(names) > most else "")
 
 
 def show(report: Path, *, asked: bool) -> None:
-    """Open a report in the browser, if it is asked for."""
+    """Open a report in the browser on request."""
     if asked and not webbrowser.open(report.resolve().as_uri()):
         warn(f"no browser is found here; open {report}")
 
 
 def files_in(folder: Path, *names: str) -> dict[str, str]:
-    """Return what is in a folder, by name without its ending."""
+    """Return the existing files of a folder by name without suffix."""
     return {name.partition(".")[0]: str(folder / name) for name in (*names, "report.html") if (folder / name).is_file()}
 
 
 @contextmanager
 def progress_bar(what: str = "simulating") -> Iterator[Callable[[int, int], None] | None]:
-    """A bar for long runs on a terminal; nothing where nobody watches."""
+    """Show a bar for long runs on a terminal."""
     if MANNER.quiet or not sys.stderr.isatty():
         yield None
         return
@@ -152,9 +152,9 @@ def progress_bar(what: str = "simulating") -> Iterator[Callable[[int, int], None
 
 @contextmanager
 def stages(numbered: Numbered | None = None) -> Iterator[Callable[[str, float], None] | None]:
-    """The stage in words, with its share done and a clock, on a terminal; a line a stage where -v asks elsewhere.
+    """Show the current stage with its completed share and a clock on a terminal; with -v, one line per stage elsewhere.
 
-    numbered: number of a stage, and of how many; a stage that has none counts to the one before
+    numbered: number of a stage and of all stages; a stage without a number belongs to the previous one
     """
     if MANNER.quiet or not (sys.stderr.isatty() or MANNER.verbose):
         yield None
@@ -179,7 +179,7 @@ def stages(numbered: Numbered | None = None) -> Iterator[Callable[[str, float], 
 
 
 def _headings(numbered: Numbered | None) -> Callable[[str], str]:
-    """`stage 3 of 10: words`; work that comes back to a stage belongs to the one that it has reached."""
+    """Return a function that formats `stage 3 of 10: words`; a repeated stage keeps the highest number so far."""
     reached = 0
 
     def heading(stage: str) -> str:
@@ -194,7 +194,7 @@ def _headings(numbered: Numbered | None) -> Callable[[str], str]:
 
 
 def _lines(heading: Callable[[str], str]) -> Callable[[str, float], None]:
-    """Tells each stage once, with the seconds since the beginning."""
+    """Return a function that prints each stage once, with the seconds since the start."""
     began, last = time.monotonic(), ""
 
     def tell(stage: str, share: float) -> None:

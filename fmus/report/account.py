@@ -25,13 +25,13 @@ def belief_sentence(craft: Craft) -> str | None:
     ]
     if craft.estimate("x") is None:
         sentences.append(
-            "Heading, yaw rate and acceleration carry no information about position: x is unobservable, so this error"
-            " is neither seen nor corrected."
+            "Heading, yaw rate and acceleration carry no information about the position: x is unobservable, and its"
+            " error is not corrected."
         )
     if seen.sigma > 0:
         outside = seen.apart > 2 * seen.sigma
-        verdict = "beyond even" if outside else "within"
-        sentences.append(f"That is {verdict} the ±2σ the estimator itself admits, ±{length(2 * seen.sigma)} by then.")
+        verdict = "outside" if outside else "within"
+        sentences.append(f"That is {verdict} the ±2σ band of the estimator, ±{length(2 * seen.sigma)} by then.")
     return " ".join(sentences)
 
 
@@ -43,24 +43,25 @@ def integral_sentence(craft: Craft) -> str | None:
     if x is None or target is None or not (good := np.isfinite(x) & np.isfinite(target)).any():
         return None
     last = good & (craft.run.time >= craft.run.time[-1] - 1.0)
-    left = f"over the last second the craft was {length(abs(float(np.mean((x - target)[last]))))} off its target"
+    off = length(abs(float(np.mean((x - target)[last]))))
+    error = f"Over the last second the craft was on average {off} off its target."
     if craft.run.source(f"{craft.estimator}.fix") is not None:
-        return f"The controller integrates the error of the measured position, so none stays; {left} on average."
+        return f"The controller integrates the error of the measured position, so that none remains. {error}"
     return (
-        "The controller integrates the error of x, yet nothing measures x: it integrates that of its own estimate."
-        " A push that the accelerometer does not feel, such as a tilt of the table (gravity acts on sensor and craft"
-        f" alike), is in no measurement and its error stays; {left} on average. Fixes on x_meas and fix cure that."
+        "The controller integrates the error of x, but nothing measures x: it integrates the error of its own estimate."
+        " An accelerometer does not feel gravity on a tilted table, so the error of such a push remains."
+        f" {error} Fixes on x_meas and fix cure that."
     )
 
 
 def band_sentence(craft: Craft) -> str | None:
-    """How honest the estimator's standard deviations were."""
+    """Return the share of rows within the ±2σ band of the estimator."""
     parts = []
     for variable in ("x", "psi"):
         share = inside_band(craft, variable)
         if math.isfinite(share):
             parts.append(f"{SYMBOLS[variable]} lay within ±2σ of its estimate for {percent(share)} of the rows")
-    return f"{', '.join(parts)}; an honest filter gives about 95 %." if parts else None
+    return f"{', '.join(parts)}; of a consistent filter about 95 % are." if parts else None
 
 
 def motion_sentence(craft: Craft, called: str) -> str:

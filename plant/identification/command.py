@@ -7,28 +7,33 @@ from typing import Annotated
 
 import typer
 
-from cosim.verbs.options import Force, Json, Open, Report
+from cosim.verbs.options import Force, Json, Open, Report, out_option
 from cosim.verbs.terminal import files_in, say, say_json, show, stages, warn
 
 
 def command(
     protocol: Annotated[
         Path,
-        typer.Argument(help="A protocol.yaml: cells, tests, and the bench to play or recordings; or logs of a craft."),
+        typer.Argument(help="A protocol: tests on a bench or recordings of them, or logs of a craft."),
     ],
     *,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Folder for what it leaves; results/NAME of the file without.")
-    ] = None,
+    out: Annotated[Path | None, out_option("results/NAME of the protocol")] = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Of the bench that is played, over the protocol's own.")
+        int | None,
+        typer.Option(min=0, help="Seed for the noise of a simulated bench (default: the seed of the protocol)."),
     ] = None,
     report: Report = True,
     open_: Open = False,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Identify a power-train on a testing bench, or noise and friction from logs: a model, numbers, a page."""
+    """Identify a power-train, or noise and friction of a craft.
+
+    The protocol names a bench or its recordings, or logs of a craft.
+    Writes identify.json, powertrain.yaml or model.yaml, and report.html.
+
+    Example: cosim identify examples/bench/protocol.yaml
+    """
     from plant.identification.input_kind import results_of
     from plant.identification.workflow import identify as identify_bench
 

@@ -1,4 +1,4 @@
-"""The page of what logs of a craft tell."""
+"""The page of numbers identified from logs of a craft."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ TITLES = {"rest": "Noise at rest, eqs 5.44\u20135.46", "distance": "Distance cov
 def page(outcome: CraftOutcome) -> str:
     """One self-contained page."""
     craft, charts = outcome.craft, Charts()
+    logs = len(craft.rest) + len(craft.runs)
     rows = []
     for e in outcome.estimates.values():
         value, low, high, thesis = (number(v, e.unit, e.half_width) for v in (e.value, e.low, e.high, e.thesis))
@@ -28,9 +29,10 @@ def page(outcome: CraftOutcome) -> str:
         TEMPLATE,
         {
             "name": craft.file.name,
+            "headline": f"{counted(len(rows), 'number')} identified from {counted(logs, 'log')} of the craft.",
             "rows": rows,
             "version": __version__,
-            "badges": [Badge(craft.loaded.model.title), Badge(counted(len(craft.rest) + len(craft.runs), "log"))],
+            "badges": [Badge(craft.loaded.model.title), Badge(counted(logs, "log"))],
             "parts": [
                 {
                     "name": r.test,

@@ -225,7 +225,7 @@ def _figures(
         ]
         averaged = [("thesis' estimator, mean", w, thesis[k].mean(axis=0), "s1"), line]
         bars = [(w, mean - half, mean + half)]
-        found.append(Figure(f"Bode {title}: single tests", *axes, single, counterpart="Fig 4.17", log=True))
-        title = f"Bode {title}: means with 95 % intervals"
+        found.append(Figure(f"Tilt response, {title}: single tests", *axes, single, counterpart="Fig 4.17", log=True))
+        title = f"Tilt response, {title}: means with 95 % intervals"
         found.append(Figure(title, *axes, averaged, bars=bars, counterpart="Fig 4.18", log=True))
     return found

@@ -169,10 +169,10 @@ def _figures(result: Result, ratios: Array, forces: Array) -> list[Figure]:
         (f"k = {estimate.value:.3f}", grid, curve(estimate.value), "true"),
         ("Cheeseman and Bennett, k = 2", grid, curve(CHEESEMAN_BENNETT), "reference"),
     ]
-    axes, title = ("height / radius", "Γ"), "Ground effect with 95 % intervals"
+    axes, title = ("height / radius", "Γ"), "Ground effect over height: means with 95 % intervals"
     bars = [(ratios, mean - half, mean + half)]
     return [
-        Figure("Γ for several k", *axes, several, counterpart="Fig 4.6"),
-        Figure("Ground effect: single ratios and models", *axes, [readings, *models], counterpart="Fig 4.12"),
+        Figure("Ground effect Γ over height, for several exponents k", *axes, several, counterpart="Fig 4.6"),
+        Figure("Ground effect over height: readings and models", *axes, [readings, *models], counterpart="Fig 4.12"),
         Figure(title, *axes, models, band=band, bars=bars, counterpart="Fig 4.13"),
     ]

@@ -127,7 +127,7 @@ def _figure(m: Measured, tau: float, *, thrust: bool) -> Figure:
     slope, offset = np.polyfit(shape, np.mean(forces, axis=0), 1)
     tests = (f"{len(m.recordings)} tests", np.array(x), np.array(y), "s0")
     fit = (f"fit, τ = {1000 * tau:.1f} ms", r.time[rows] - m.test.at, offset + slope * shape, "true")
-    what, like = ("thrust after a step of the duty", "no counterpart")
+    what, like = ("Thrust after a step of the duty", "")
     if not thrust:
-        what, like = "horizontal force after a step of the tilt", "Fig 4.16"
-    return Figure(f"Answer of the {what}", "time after the step [s]", "gf", [tests, fit], counterpart=like)
+        what, like = "Horizontal force after a step of the tilt", "Fig 4.16"
+    return Figure(f"{what}: tests and fit", "time after the step [s]", "gf", [tests, fit], counterpart=like)

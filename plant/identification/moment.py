@@ -116,6 +116,6 @@ def _figures(result: Result, m: Measured) -> list[Figure]:
     ends = [(angle[bars], (model - spread)[bars], (model + spread)[bars])]
     axes = ("tilt [°]", "mN·m")
     return [
-        Figure("Moment over the tilt", *axes, [readings, line], counterpart="Fig 4.19"),
-        Figure("Moment: 95 % of single readings", *axes, [line], bars=ends, counterpart="Fig 4.20"),
+        Figure("Moment over the tilt: readings and model", *axes, [readings, line], counterpart="Fig 4.19"),
+        Figure("Moment over the tilt: range of 95 % of the readings", *axes, [line], bars=ends, counterpart="Fig 4.20"),
     ]

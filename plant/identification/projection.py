@@ -95,6 +95,16 @@ def _figures(m: Measured, alpha: Array) -> list[Figure]:
         line = (f"T·{f.__name__} α", angle[order], model[order], "true")
         ends = [(angle[bars], (model - spread)[bars], (model + spread)[bars])]
         title, axes = f"{name} force", ("tilt [°]", "gf")
-        found.append(Figure(f"{title} over the tilt", *axes, [readings, line], counterpart="Fig 4.14"))
-        found.append(Figure(f"{title}: 95 % of single readings", *axes, [line], bars=ends, counterpart="Fig 4.15"))
+        found.append(
+            Figure(f"{title} over the tilt: readings and model", *axes, [readings, line], counterpart="Fig 4.14")
+        )
+        found.append(
+            Figure(
+                f"{title} over the tilt: range of 95 % of the readings",
+                *axes,
+                [line],
+                bars=ends,
+                counterpart="Fig 4.15",
+            )
+        )
     return found

@@ -1,8 +1,8 @@
-"""The page of an identification: numbers with both estimators, and the counterparts of the thesis' figures."""
+"""The page of an identification: numbers with their intervals, and figures of each test."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -41,15 +41,14 @@ def page(outcome: Outcome) -> str:
     known = [e for e in outcome.estimates.values() if not np.isnan(e.truth)]
     charts = Charts()
     badges = [Badge(counted(len(outcome.results), "test")), Badge(counted(runs, "recording"))]
-    if known:
-        held, tone = sum(e.holds for e in known), "good" if all(e.holds for e in known) else "plain"
-        badges.append(Badge(f"{held} of {len(known)} intervals hold the true value", tone))
     return render(
         TEMPLATE,
         {
             "name": protocol.file.name,
-            "description": "The five tests of a power-train on a testing bench. Beside each number of the thesis' "
-            "estimator stands one without its bias; intervals come from scatter between repetitions and calibration.",
+            "headline": _headline(outcome, known),
+            "tone": "good" if known and all(e.holds for e in known) else "plain",
+            "description": "Tests of a power-train on a testing bench. Each number has an unbiased estimate with a "
+            "95 % interval, from the scatter of repetitions and the calibration, beside the thesis' estimate.",
             "badges": badges,
             "rows": [_row(key, e) for key, e in outcome.estimates.items()],
             "known": bool(known),
@@ -71,6 +70,19 @@ def page(outcome: Outcome) -> str:
     )
 
 
+def _headline(outcome: Outcome, known: Sequence[Estimate]) -> str:
+    """Return how many intervals contain the true value; where that is unknown, the least certain number."""
+    every = list(outcome.estimates.values())
+    if known:
+        return f"{sum(e.holds for e in known)} of {len(known)} intervals of 95 % contain the true value."
+    widths = {e.name: e.half_width / abs(e.value) for e in every if e.value and np.isfinite(e.half_width)}
+    opening = f"{counted(len(every), 'number')} identified from {counted(len(outcome.results), 'test')}"
+    if not widths:
+        return f"{opening}."
+    least = max(widths, key=lambda name: widths[name])
+    return f"{opening}; least certain is {least}, known to ±{plain(100 * widths[least], 2)}\u00a0%."
+
+
 def number(value: float, unit: str, like: float) -> str:
     """To as many digits as an interval of this half-width has a use for."""
     if not np.isfinite(value):
@@ -90,10 +102,21 @@ def _row(key: str, e: Estimate) -> Mapping[str, Any]:
         "test": TITLES[key.partition(".")[0]],
         "interval": f"{shown['low']} … {shown['high']}",
         "holds": e.holds,
+        "places": _places(e),
         "scatter": number(e.scatter, e.unit, e.scatter),
         "calibration": number(e.calibration, e.unit, e.calibration),
         "origin": f"{e.origin}; {counted(e.repetitions, 'repetition')}",
     }
+
+
+def _places(e: Estimate) -> Mapping[str, float]:
+    """Return the places in percent of interval, estimates and true value on a ruler about them."""
+    values = {"low": e.low, "high": e.high, "value": e.value, "thesis": e.thesis, "truth": e.truth}
+    finite = [v for v in values.values() if np.isfinite(v)]
+    if len(finite) < 3 or max(finite) == min(finite):
+        return {}
+    low, span = min(finite), max(finite) - min(finite)
+    return {name: round(4.0 + 92.0 * (v - low) / span, 1) for name, v in values.items() if np.isfinite(v)}
 
 
 def _calibration(outcome: Outcome, channel: str) -> Figure:

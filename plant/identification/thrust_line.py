@@ -291,6 +291,8 @@ def _figures(result: Result, duty: Array, raw: Array, each: Array, shifts: Array
     bars = [(middle, a + b * middle - spread, a + b * middle + spread)]
     lines = [readings, unbiased, estimator]
     return [
-        Figure("Thrust over duty: data and lines", *axes, lines, counterpart="Fig 4.10"),
-        Figure("Thrust line with 95 % band", *axes, banded, band=band, bars=bars, counterpart="Fig 4.11"),
+        Figure("Thrust over duty: readings and fitted lines", *axes, lines, counterpart="Fig 4.10"),
+        Figure(
+            "Thrust over duty: line with its 95 % band", *axes, banded, band=band, bars=bars, counterpart="Fig 4.11"
+        ),
     ]

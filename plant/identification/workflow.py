@@ -59,10 +59,22 @@ def identify(
     force: bool = True,
     keep: bool = False,
 ) -> Outcome | CraftOutcome:
-    """Play or read a protocol and leave powertrain.yaml, identify.json and report.html in `out`; raises InputError.
+    """Identify a power-train, or noise and friction of a craft.
 
-    Of logs of a craft (`rest`, `distance`) it is model.yaml in place of the power-train. force: also over what another
-    command left in `out`. keep: the files of an earlier one move to `runs` in `out`.
+    Args:
+        path: Protocol: tests on a bench or recordings of them, or logs of a craft (`rest`, `distance`).
+        out: Folder for identify.json, report.html, and powertrain.yaml or model.yaml.
+        progress: Function of (stage, completed share).
+        report: Write report.html.
+        seed: Seed for the noise of a simulated bench; None takes that of the protocol.
+        force: Overwrite results of another command in `out`.
+        keep: Move the files of an earlier call to `runs`.
+
+    Returns:
+        Results of the tests with their intervals, or estimates of noise and friction.
+
+    Raises:
+        InputError: Every fault of the protocol and its recordings.
     """
     path, out = Path(path), named_path(out)
     check_given(path, PROTOCOL)

@@ -1,1 +1,1 @@
-"""The body as symbols: linear models, dependencies, and code in several languages."""
+"""Symbolic equations: linear models, dependencies and generated code."""

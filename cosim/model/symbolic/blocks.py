@@ -1,7 +1,7 @@
-"""A traced body printed as functions of arrays, each effect's block skipped at run time while it is dormant.
+"""Printing of traced equations as functions that skip each dormant effect's block at run time.
 
-Beside the body itself: where it has kinks, and its derivative in a direction, block by block by the chain rule, so
-that no Jacobian is ever written out.
+Also: indicators of kinks, and directional derivatives block by block with the chain rule, which avoids an explicit
+Jacobian.
 """
 
 from __future__ import annotations
@@ -18,10 +18,12 @@ AWAKE, DORMANT = 0, 1  # branches of a block
 
 
 def kinks(blocks: Sequence[Block], expressions: Sequence[Any], moving: set[Any]) -> tuple[list[Block], list[Any]]:
-    """What passes through zero where an expression has a kink or a jump, once each, and the blocks that compute it.
+    """Return blocks and symbols of kink indicators, each zero at a kink or jump.
 
-    moving: symbols that change while a solver steps; a comparison of others stays as it is. One that stands in an
-    effect's block is 1 while that effect is dormant.
+    The indicator of an effect's block is 1 while the effect is dormant.
+
+    Args:
+        moving: Symbols that change while a solver steps; comparisons of other symbols are constant.
     """
     import sympy
 
@@ -45,7 +47,11 @@ def kinks(blocks: Sequence[Block], expressions: Sequence[Any], moving: set[Any])
 def tangent(
     blocks: Sequence[Block], expressions: Sequence[Any], direction: Mapping[Any, Any]
 ) -> tuple[list[Block], list[Any]]:
-    """Blocks and expressions of the derivative in a direction, symbol → symbol of how fast it changes."""
+    """Return the blocks and expressions of a directional derivative.
+
+    Args:
+        direction: Symbol → symbol of its rate of change.
+    """
     import sympy
 
     slopes = dict(direction)
@@ -70,9 +76,10 @@ def tangent(
 
 @dataclass(frozen=True)
 class Nearby:
-    """A call that evaluates sine and cosine of an angle, or a power of base and exponent, near a known point.
+    """A call that evaluates sine and cosine of an angle, or a power, near a known point.
 
-    place: of the known point; each call of a function has one of its own
+    Attributes:
+        place: Index of the known point, one per call of a function.
     """
 
     place: int
@@ -81,9 +88,9 @@ class Nearby:
 
 
 def nearby(blocks: Sequence[Block], results: Sequence[Any]) -> tuple[list[Block], list[Any], list[Nearby]]:
-    """Return what the results need with a symbol for each sin, cos and power, and the calls that evaluate these.
+    """Return blocks and results with symbols for sin, cos and powers, and the calls that evaluate these.
 
-    Powers by a number are left as they are: squares, roots and reciprocals cost little.
+    Powers with a constant exponent remain: squares, roots and reciprocals are cheap.
     """
     import sympy
 
@@ -112,13 +119,13 @@ def nearby(blocks: Sequence[Block], results: Sequence[Any]) -> tuple[list[Block]
 
 @dataclass
 class _Node:
-    """What is printed at one place: symbols, and what they are made of, branch by branch of an effect's block."""
+    """A printed unit: symbols with their expressions for each branch of an effect's block."""
 
     branches: tuple[dict[Any, Any], ...]
     effect: int | None
     title: str
     call: Nearby | None = None
-    within: tuple[list[_Node], list[_Node]] = field(default_factory=lambda: ([], []))  # needed by one branch alone
+    within: tuple[list[_Node], list[_Node]] = field(default_factory=lambda: ([], []))  # needed by one branch only
 
 
 def function(
@@ -131,9 +138,10 @@ def function(
     *,
     calls: Sequence[Nearby] = (),
 ) -> str:
-    """`name(arguments, awake, out)`, printed: what of the blocks the results need, each effect's in a branch.
+    """Return the text of `name(arguments, awake, out)`, with a branch for each effect.
 
-    calls: evaluations that `nearby` has taken out of the blocks and results
+    Args:
+        calls: Evaluations extracted by `nearby`.
     """
     import sympy
 
@@ -154,7 +162,7 @@ def function(
 
 
 def _needed(blocks: Sequence[Block], results: Sequence[Any]) -> list[Block]:
-    """The blocks without which there are no results, with only those of their symbols that are used."""
+    """Return the blocks required for the results, reduced to the used symbols."""
     import sympy
 
     wanted = {s for e in results for s in sympy.sympify(e).free_symbols}
@@ -169,7 +177,7 @@ def _needed(blocks: Sequence[Block], results: Sequence[Any]) -> list[Block]:
 
 
 def _ordered(nodes: Sequence[_Node], results: Sequence[Any]) -> list[_Node]:
-    """The nodes, each after what it is made of."""
+    """Return the nodes in order of dependence."""
     maker = {s: node for node in nodes for s in node.branches[0]}
     done: dict[int, _Node] = {}
 
@@ -185,7 +193,7 @@ def _ordered(nodes: Sequence[_Node], results: Sequence[Any]) -> list[_Node]:
 
 
 def _sunk(nodes: list[_Node], results: Sequence[Any]) -> list[_Node]:
-    """The nodes, those that one branch of an effect's block alone needs moved into it."""
+    """Return the nodes with those of a single branch moved inside."""
     homes: dict[Any, set[tuple[int, int] | None]] = {}
 
     def use(expressions: Sequence[Any], home: tuple[int, int] | None) -> None:
@@ -211,7 +219,7 @@ def _sunk(nodes: list[_Node], results: Sequence[Any]) -> list[_Node]:
 
 
 def _printed(node: _Node, language: Language, places: Mapping[Any, str], indent: str) -> Iterator[str]:
-    """The lines of a node."""
+    """Yield the lines of a node."""
     import sympy
 
     printer = language.printer(places)
@@ -242,7 +250,7 @@ def _printed(node: _Node, language: Language, places: Mapping[Any, str], indent:
 
 
 def places_of(trace: Trace, values: Mapping[str, str]) -> dict[Any, str]:
-    """Where the symbols of a trace stand: `x[0]`, `u[1]`, `memory[0]`, and parameters as `values` says by name."""
+    """Return the places of symbols, such as `x[0]` or `u[1]`, with parameters from `values`."""
     s = trace.s
     groups = {"x": s.state, "u": s.command, "memory": trace.memory}
     places = {symbol: f"{array}[{k}]" for array, group in groups.items() for k, symbol in enumerate(group)}

@@ -1,4 +1,4 @@
-"""Which output depends on what, read off the equations themselves by evaluating them with symbols."""
+"""Dependencies of outputs, from a symbolic evaluation of the equations."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cosim.model.symbolic.symbols import SymbolicModel, symbolic
 
 
 def direct_dependencies(model: Model) -> dict[str, tuple[str, ...]]:
-    """Inputs each output depends on directly (through no state), in the order of the inputs."""
+    """Return the inputs with direct feedthrough to each output, in input order."""
     s = symbolic(model)
     return {
         q.name: tuple(i.name for i, u in zip(model.inputs, s.command, strict=True) if u in e.free_symbols)
@@ -20,7 +20,7 @@ def direct_dependencies(model: Model) -> dict[str, tuple[str, ...]]:
 
 
 def initial_dependencies(model: Model) -> dict[str, tuple[str, ...]]:
-    """Parameters, start values among them, and inputs that each output depends on in initialization mode."""
+    """Return the parameters, start values and inputs that affect each initial output."""
     found: dict[str, set[str]] = defaultdict(set)
     flags = [p.name for p in model.parameters if isinstance(p.default, bool)]
     variants = []
@@ -48,7 +48,7 @@ def _outputs(s: SymbolicModel) -> list[Any]:
 
 
 def _derived_starts(s: SymbolicModel) -> dict[str, set[Any]]:
-    """Start parameters that follow from other parameters until the host sets them."""
+    """Return start parameters that depend on other parameters unless set by the host."""
     import sympy
 
     own = s.model.start_state(SymbolNamespace())

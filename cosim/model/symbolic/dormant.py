@@ -1,7 +1,8 @@
-"""Which sines, exponentials and powers of printed code count for nothing while terms are dormant, and may be skipped.
+"""Detection of costly functions without effect while terms are dormant.
 
-A term is dormant at its neutral values. A function that is then only multiplied by 0 need not be computed: 0 stands in
-its place, and no bit of any result differs.
+A term is dormant at its neutral values. A function that is then multiplied by 0 can be replaced by 0 without a change
+of
+any bit of the results.
 """
 
 from __future__ import annotations
@@ -9,21 +10,21 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-Line = tuple[Any, Any]  # symbol that a common subexpression goes by, None of a result; expression
-Term = Mapping[Any, float]  # symbols of the parameters of a term → neutral values
+Line = tuple[Any, Any]  # symbol of a common subexpression, None for a result; expression
+Term = Mapping[Any, float]  # parameter symbols of a term → neutral values
 
 COSTLY = ("sin", "cos", "tan", "exp", "log", "sinh", "cosh", "tanh", "asin", "acos", "atan", "atan2")
 
-CHEAP = (-2, -1, 2, 0.5, -0.5)  # exponents, which compilers know: products, quotients, roots
+CHEAP = (-2, -1, 2, 0.5, -0.5)  # exponents that compilers turn into products, quotients and roots
 
 
 def _costly(f: Any) -> bool:
-    """Whether a function, or a power, takes as long as a branch several times over."""
+    """Return True for a function or power much slower than a branch."""
     return type(f).__name__ in COSTLY or (f.is_Pow and f.exp not in CHEAP)
 
 
 def skippable(lines: Sequence[Line], terms: Sequence[Term]) -> dict[Any, Term]:
-    """Costly function → parameters of the terms without which it counts for nothing, and their neutral values."""
+    """Return costly function → parameters of the terms that need it, with neutral values."""
     return _Lines(lines, terms).skippable() if terms else {}
 
 
@@ -58,7 +59,7 @@ class _Lines:
         }
 
     def _needed_by(self, symbol: Any) -> set[int] | None:
-        """Terms for which a common subexpression is needed; None where it always is."""
+        """Return the terms that need a subexpression; None if always needed."""
         if symbol is None:
             return None
         if symbol not in self.asked:
@@ -67,11 +68,11 @@ class _Lines:
         return self.asked[symbol]
 
     def _needed(self, line: Line, symbol: Any) -> set[int] | None:
-        """Terms for which a symbol is needed in a line."""
+        """Return the terms that need a symbol in a line."""
         import sympy
 
         target, e = line
-        if not isinstance(e, sympy.Expr) or not e.is_polynomial(symbol):  # what 0 makes of the line is not plain
+        if not isinstance(e, sympy.Expr) or not e.is_polynomial(symbol):  # the effect of 0 on the line is unclear
             return None
         every = frozenset(range(len(self.terms)))
         if not self._vanishes(symbol, e, every):
@@ -85,7 +86,7 @@ class _Lines:
         return set(every)
 
     def _vanishes(self, symbol: Any, e: Any, dormant: frozenset[int]) -> bool:
-        """Whether an expression is without a symbol while some terms are dormant."""
+        """Return True if an expression loses a symbol while some terms are dormant."""
         if dormant not in self.known:
             known = {p: value for k in dormant for p, value in self.terms[k].items()}
             for name, line in self.lines:

@@ -1,7 +1,7 @@
-"""The body as symbols, printed as functions of arrays: the one generator of code.
+"""Symbolic equations printed as functions of arrays, the only code generator.
 
-Whoever needs the equations in another language (the filter of a refinement, an FMU without Python, a sweep) takes the
-`Body`, adds expressions of its own, and has it print what it needs, in C or in Python.
+Users of the equations in another language (refinement filter, native FMU, sweep) take the `Body`, add expressions, and
+print C or Python.
 """
 
 from __future__ import annotations
@@ -21,12 +21,14 @@ from cosim.model.symbolic.tracing_guard import guarded
 
 @dataclass(frozen=True)
 class Shaping:
-    """What the effects on a command make of it, stage by stage, a delay left out.
+    """Shaping of the command by effects, stage by stage, without delays.
 
-    stages:     symbol → expression, an effect each: it sees plain symbols, not the branches of those before it, for
-                sympy takes seconds over branches in branches
-    results:    the command that acts, then the memory after it
-    remembered: symbols of the memory before it
+    Attributes:
+        stages: Symbol → expression for each effect. Later effects refer to plain symbols, because sympy is slow with
+            nested
+            branches.
+        results: Resulting command, then the memory after.
+        remembered: Symbols of the memory before.
     """
 
     stages: tuple[dict[Any, Any], ...]
@@ -36,11 +38,12 @@ class Shaping:
 
 @dataclass(frozen=True)
 class Body:
-    """The equations of a model as expressions: every effect of the catalogue awake, some, or none.
+    """The equations of a model as expressions with all, some or no effects of the catalogue.
 
-    derivative: state → expression of its derivative
-    outputs:    output → expression
-    parameters: name → symbol, in the order in which printed code takes them
+    Attributes:
+        derivative: State → expression of its derivative.
+        outputs: Output → expression.
+        parameters: Name → symbol, in the order of printed code.
     """
 
     symbols: SymbolicModel
@@ -52,7 +55,11 @@ class Body:
     def of(
         cls, model: Model, *, effects: bool | Collection[str] = True, flags: Mapping[str, bool] | None = None
     ) -> Body:
-        """The body of a model, its Booleans as they are or as `flags` says. Raises guard.OfNumbersOnly."""
+        """Return the body of a model, with Booleans of the model or of `flags`.
+
+        Raises:
+            OfNumbersOnly: The equations use an operation that symbols lack.
+        """
         import sympy
 
         s = symbolic(model, flags, effects)
@@ -64,7 +71,7 @@ class Body:
         return cls(s, of_states, of_outputs, dict(s.parameters))
 
     def parameter(self, name: str) -> Any:
-        """The symbol of a parameter more, that no model has."""
+        """Add a parameter and return its symbol."""
         import sympy
 
         symbol = self.parameters[name] = sympy.Symbol(name, real=True)
@@ -72,13 +79,13 @@ class Body:
 
     @property
     def delay(self) -> int:
-        """Place of the parameter by which the command is late; -1 where the model has none."""
+        """Return the index of the delay parameter, −1 without one."""
         name = next((f"{e.name}.{e.delay}" for e in self.symbols.model.awake if e.delay), None)
         return list(self.parameters).index(name) if name else -1
 
     @cached_property
     def shaping(self) -> Shaping:
-        """What acts of a command. A delay's memory is a history: who has the whole log looks the command up there."""
+        """Return the shaping of commands; a delay is excluded, since its users look up the command in the log."""
         import sympy
 
         command: tuple[Any, ...] = self.symbols.command
@@ -100,12 +107,12 @@ class Body:
     def function(
         self, language: Language, name: str, expressions: Sequence[Any], before: Sequence[dict[Any, Any]] = ()
     ) -> str:
-        """`name(t, x, u, p, out)`, printed: expressions of time, state, command, parameters and what comes `before`."""
+        """Return the text of `name(t, x, u, p, out)` with the values of some expressions."""
         return language.function(name, "t x u p", expressions, self._places, before, self.terms)
 
     @property
     def terms(self) -> list[dict[Any, float]]:
-        """Of each effect, the parameters that make it dormant, and at which values."""
+        """Return the dormancy condition of each effect: parameters and neutral values."""
         every = (
             {self.parameters[f"{e.name}.{p.name}"]: p.neutral for p in parameters_of(e) if p.neutral is not None}
             for e in self.symbols.model.effects
@@ -113,7 +120,7 @@ class Body:
         return [term for term in every if term]
 
     def shaping_function(self, language: Language, name: str) -> str:
-        """`name(u, memory, p, out)`, printed: the command that acts, then the memory after it."""
+        """Return the text of `name(u, memory, p, out)`: shaped command, then memory."""
         memory = {symbol: f"memory[{k}]" for k, symbol in enumerate(self.shaping.remembered)}
         return language.function(
             name, "u memory p", self.shaping.results, {**self._places, **memory}, self.shaping.stages
@@ -121,7 +128,7 @@ class Body:
 
     @property
     def _places(self) -> dict[Any, str]:
-        """Where each symbol stands in the arguments."""
+        """Return the place of each symbol in the arguments."""
         groups = {"x": self.symbols.state, "u": self.symbols.command, "p": tuple(self.parameters.values())}
         places = {symbol: f"{array}[{k}]" for array, group in groups.items() for k, symbol in enumerate(group)}
         return {self.symbols.time: "t", **places}

@@ -1,4 +1,4 @@
-"""Jacobians of a model's equations, exact and for any parameters: differentiated as symbols, printed as Python."""
+"""Exact Jacobians of a model for any parameters, printed as Python."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from cosim.model.symbolic.languages import Arrays
 
 
 def printed_jacobians(model: Model, outputs: Sequence[str], effects: Collection[str] = ()) -> str:
-    """Print a Python module with ∂f/∂x and ∂f/∂u of the base model, and ∂h/∂x of these outputs, on arrays of points.
+    """Return a Python module with ∂f/∂x, ∂f/∂u and ∂h/∂x on arrays of points.
 
-    effects: of the catalogue, which the equations have besides; none of them with states
-    PARAMETERS: names, in the order in which `p` takes them; Booleans are as the model has them
-    STATE, COMMAND, OUTPUT: (row, column) of each entry that is not zero everywhere
-    state_jacobian, command_jacobian, output_jacobian: (t, x, u, p, out) write these entries to the list `out`; numbers
-        are floats or arrays
+    The module defines PARAMETERS (names in the order of `p`), STATE, COMMAND and OUTPUT ((row, column) of each nonzero
+    entry), and state_jacobian, command_jacobian and output_jacobian: (t, x, u, p, out) with entries written to the list
+    `out`. Numbers are floats or arrays. Booleans keep the model's values.
+
+    Args:
+        effects: Effects of the catalogue to include, without states.
     """
     import sympy
 
@@ -48,7 +49,7 @@ def printed_jacobians(model: Model, outputs: Sequence[str], effects: Collection[
 
 
 def loaded(source: str) -> Mapping[str, Any]:
-    """What a printed module defines, by name."""
+    """Return the names defined by a printed module."""
     names: dict[str, Any] = {}
     exec(compile(source, "<jacobians>", "exec"), names)
     return names

@@ -1,4 +1,4 @@
-"""Printing expressions as functions, in C and in Python."""
+"""Printers of expressions as functions in C and Python."""
 
 from __future__ import annotations
 
@@ -10,18 +10,19 @@ from cosim.model.symbolic.dormant import Term, skippable
 
 
 class Unprintable(ValueError):
-    """An expression that a language has no words for."""
+    """An expression that a language cannot express."""
 
 
 class Language:
-    """A function that writes its expressions to `out`, common subexpressions computed once.
+    """A language for functions that write expressions to `out`, with common subexpressions computed once.
 
-    skipped, either: how an expression is written that counts for nothing, and is 0, but under one of some conditions
-    local, store:    how a common subexpression and a result are written
-    assign:          how a symbol that is declared before gets its value
-    when, otherwise: how the branch of an effect (place, title) that is awake begins, and that of one that is dormant
-    end:             how the branches end
-    angle, power:    how sine and cosine of an angle, and a power, are evaluated near a point: place, symbols, arguments
+    Attributes:
+        skipped, either: Format of an expression that is 0 unless one of some conditions is true.
+        local, store: Format of a common subexpression and of a result.
+        assign: Format of an assignment to a declared symbol.
+        when, otherwise: Start of the branches of an active effect (place, title) and of a dormant one.
+        end: End of the branches.
+        angle, power: Evaluation of sine and cosine, and of a power, near a point (place, symbols, arguments).
     """
 
     skipped: str
@@ -36,7 +37,7 @@ class Language:
     power: str
 
     def declared(self, names: Sequence[str]) -> list[str]:
-        """Lines that declare symbols before they get a value."""
+        """Return the lines that declare symbols without values."""
         raise NotImplementedError
 
     def function(
@@ -48,15 +49,17 @@ class Language:
         before: Sequence[Mapping[Any, Any]] = (),
         terms: Sequence[Term] = (),
     ) -> str:
-        """Print one function; `places` says where a symbol stands in the arguments (`x[3]`).
+        """Return the text of one function.
 
-        before: what is computed first, stage by stage, symbol → expression of arguments and earlier symbols
-        terms:  while these are dormant, what counts for nothing is skipped
+        Args:
+            places: Symbol → place in the arguments, such as `x[3]`.
+            before: Stages computed first, symbol → expression of arguments and earlier symbols.
+            terms: Terms whose dormancy allows costly functions to be skipped.
         """
         import sympy
 
         names = sympy.numbered_symbols("c")
-        parts: list[tuple[Any, Any]] = []  # symbol, or place of a result, and expression
+        parts: list[tuple[Any, Any]] = []  # symbol or result index, and expression
         for stage in (*before, dict(enumerate(expressions))):
             replaced, reduced = sympy.cse(list(stage.values()), symbols=names, optimizations=[])
             parts += [*replaced, *zip(stage, reduced, strict=True)]
@@ -72,16 +75,20 @@ class Language:
         return self.frame(name, [*arguments.split(), "out"], "\n    ".join(lines))
 
     def printer(self, places: Mapping[Any, str], conditions: Mapping[Any, str] | None = None) -> Any:
-        """Sympy's printer, with symbols in their places; conditions: function → what it is computed under, 0 else."""
+        """Return sympy's printer with symbols in their places.
+
+        Args:
+            conditions: Function → condition for its evaluation; otherwise the value is 0.
+        """
         raise NotImplementedError
 
     def frame(self, name: str, arguments: Sequence[str], body: str) -> str:
-        """A function of the time and of arrays around its lines."""
+        """Return the text of a function around its lines."""
         raise NotImplementedError
 
 
 class C(Language):
-    """C99."""
+    """C99 printer."""
 
     skipped, either = "(({}) ? {} : 0.0)", " || "
     local, store, assign = "const double {} = {};", "out[{}] = {};", "{} = {};"
@@ -102,7 +109,7 @@ class C(Language):
             def doprint(self, expression: Any, assign_to: Any = None) -> str:
                 try:
                     text = " ".join(super().doprint(expression, assign_to).split())
-                except NotImplementedError:  # of sympy before 1.13 a comment in the code
+                except NotImplementedError:  # sympy before 1.13 writes a comment instead
                     text = "Not supported in C"
                 if "Not supported in C" in text:
                     used = {type(f).__name__ for f in expression.atoms(Function)}
@@ -158,12 +165,12 @@ def _of_both_sides(printer: Any, choose: str) -> Any:
 
 
 class Lanes(C):
-    """C99 for many at once: every number but time is a row, one for each lane `i` of W; branches compute both sides."""
+    """C99 printer for W lanes: every number but time has an index `i`; branches compute both sides."""
 
     store = "out[{}][i] = {};"
 
     def printer(self, places: Mapping[Any, str], conditions: Mapping[Any, str] | None = None) -> Any:
-        """As above; nothing is skipped, for lanes differ in what is dormant."""
+        """Return the C printer without skipping, since lanes differ in their dormant terms."""
         rows = {s: f"{place}[i]" if place.endswith("]") else place for s, place in places.items()}
         return _of_both_sides(super().printer(rows), "chosen")
 
@@ -174,7 +181,7 @@ class Lanes(C):
 
 
 class Python(Language):
-    """Python with the functions of `math`."""
+    """Python printer with the functions of `math`."""
 
     skipped, either = "({1} if {0} else 0.0)", " or "
     local, store, assign = "{} = {}", "out[{}] = {}", "{} = {}"
@@ -196,7 +203,7 @@ class Python(Language):
             def _print_Symbol(self, symbol: Any) -> str:
                 return places.get(symbol) or str(super()._print_Symbol(symbol))
 
-            def _print_sign(self, e: Any) -> str:  # sympy's own is ±1 at 0
+            def _print_sign(self, e: Any) -> str:  # sympy's own gives ±1 at 0
                 x = self._print(e.args[0])
                 return f"(1.0 if {x} > 0.0 else -1.0 if {x} < 0.0 else 0.0)"
 
@@ -207,8 +214,8 @@ class Python(Language):
 
 
 class Arrays(Python):
-    """Python with the functions of numpy, under the name `math`: numbers are arrays; branches compute both sides."""
+    """NumPy printer, with the module named `math`: numbers are arrays; branches compute both sides."""
 
     def printer(self, places: Mapping[Any, str], conditions: Mapping[Any, str] | None = None) -> Any:
-        """Return the printer of Python; nothing is skipped, for points differ in the values of their terms."""
+        """Return the Python printer without skipping, since points differ in their terms."""
         return _of_both_sides(super().printer(places), "math.where")

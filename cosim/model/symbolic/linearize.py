@@ -1,4 +1,4 @@
-"""Linear model of the smooth part: the one body evaluated with symbols, differentiated, and put at a point."""
+"""Linear models by symbolic differentiation of the equations."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Matrix = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LinearModel:
-    """ẋ = A·x + B·u, y = C·x + D·u about an operating point; names give the order of rows and columns."""
+    """Linear model ẋ = A·x + B·u, y = C·x + D·u at an operating point; names order rows and columns."""
 
     A: Matrix
     B: Matrix
@@ -53,11 +53,15 @@ class Linearizer:
         places = {s: f"x[{k}]" for k, s in enumerate(x)} | {s: f"u[{k}]" for k, s in enumerate(u)}
         text = Python().function("jacobian", "t x u", list(slopes.values()), {**places, t: "t"})
         scope: dict[str, Any] = {"math": math}
-        exec(text, scope)  # what the one generator has printed of these equations
+        exec(text, scope)  # text from the code generator of this package
         self._jacobian = scope["jacobian"]
 
     def __call__(self, state: Values, command: Values, t: float = 0.0) -> LinearModel:
-        """The linear model at a state and a command; ArithmeticError or ValueError where the slopes are not finite."""
+        """Return the linear model at a state and a command.
+
+        Raises:
+            ArithmeticError, ValueError: A derivative is not finite.
+        """
         values = [0.0] * len(self._places)
         self._jacobian(t, tuple(map(float, state)), tuple(map(float, command)), values)
         whole = np.zeros(self._shape)
@@ -69,7 +73,7 @@ class Linearizer:
 
 
 def linearize(model: Model, state: Values | None = None, command: Values | None = None, t: float = 0.0) -> LinearModel:
-    """Jacobians of the equations at a state and command (default: the start of the model, which hovers)."""
+    """Return the linear model at a state and command, by default at the model's start."""
     point_x = model.start() if state is None else state
     point_u = model.start_command() if command is None else command
     return Linearizer(model)(point_x, point_u, t)

@@ -1,4 +1,4 @@
-"""Functions that sympy would differentiate or unfold into something of no use: printed as they are."""
+"""Functions printed as they are, without sympy's differentiation or expansion."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import sympy
 
 
 class _Printed(sympy.Function):  # type: ignore[misc]  # sympy is untyped
-    """A function of numbers, and how C and Python write it."""
+    """A function of numbers with its C and Python text."""
 
     is_real = True
     c = python = ""
@@ -21,32 +21,32 @@ class _Printed(sympy.Function):  # type: ignore[misc]  # sympy is untyped
 
 
 class Rint(_Printed):
-    """The nearest whole number, halves to even. Steps have no useful slope: that of what is rounded."""
+    """Nearest integer, halves to even, with the slope of the argument instead of zero."""
 
     c, python = "rint({})", "float(round({}))"
 
     def fdiff(self, argindex: int = 1) -> Any:
-        """1."""
+        """Return the slope 1."""
         return sympy.Integer(1)
 
 
 class Below(_Printed):
-    """1 where a < b, else 0."""
+    """Indicator of a < b: 1 or 0."""
 
     c, python = "(({}) < ({}) ? 1.0 : 0.0)", "(1.0 if ({}) < ({}) else 0.0)"
 
     def fdiff(self, argindex: int = 1) -> Any:
-        """0."""
+        """Return the slope 0."""
         return sympy.Integer(0)
 
 
 class Clip(_Printed):
-    """x, no lower than `low` and no higher than `high`."""
+    """The argument x limited to the range from `low` to `high`."""
 
     c, python = "fmin(fmax({}, {}), {})", "min(max({}, {}), {})"
 
     def fdiff(self, argindex: int = 1) -> Any:
-        """1 with respect to the one that it is, else 0."""
+        """Return 1 for the active argument, else 0."""
         x, low, high = self.args
         under, over = Below(x, low), Below(high, x)
         return (1 - under - over, under, over)[argindex - 1]

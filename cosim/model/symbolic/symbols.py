@@ -1,4 +1,4 @@
-"""A model with every number a symbol: what its equations depend on, their Jacobian, generated code."""
+"""Models with symbols as numbers, for dependencies, Jacobians and generated code."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from cosim.model.quantities import parameters_of
 
 @dataclass(frozen=True)
 class SymbolicModel:
-    """The model with its whole catalogue awake, and its symbols by FMI name.
+    """A model with all effects active, and its symbols by FMI name.
 
-    model:      parameters are symbols (a Boolean is fixed by `flags`)
-    parameters: `mass`, `coulomb_friction.force`, … → symbol
+    Attributes:
+        model: Model with symbols as parameters; Booleans are fixed by `flags`.
+        parameters: `mass`, `coulomb_friction.force`, … → symbol.
     """
 
     model: Model
@@ -28,9 +29,10 @@ class SymbolicModel:
 def symbolic(
     model: Model, flags: bool | Mapping[str, bool] | None = None, effects: bool | Collection[str] = True
 ) -> SymbolicModel:
-    """Replace every number of the model by a symbol, with the whole catalogue awake, none of it or some by name.
+    """Return the model with symbols as numbers and all, some or no effects.
 
-    Booleans keep their value, or take that of `flags`, which may say it by FMI name.
+    Args:
+        flags: Value of all Booleans, or values by FMI name; default: those of the model.
     """
     import sympy
 
@@ -49,7 +51,7 @@ def symbolic(
     names = [kind.name for kind in model.catalogue] if effects is True else effects or ()
     terms = tuple(as_symbols(kind(), f"{kind.name}.") for kind in model.catalogue if kind.name in names)
     awake = replace(as_symbols(model, ""), effects=terms)
-    # prefixed, for an input and a state may bear one name
+    # prefixed, since an input and a state may have the same name
     state = tuple(sympy.Symbol(f"state:{q.name}", real=True) for q in awake.states)
     command = tuple(sympy.Symbol(f"input:{q.name}", real=True) for q in awake.inputs)
     return SymbolicModel(awake, sympy.Symbol("time", real=True), symbols, state, command)

@@ -1,8 +1,9 @@
-"""The body evaluated with symbols, effect by effect: what each adds is a block that is skipped while it is dormant.
+"""Symbolic evaluation of the equations effect by effect, with a block for each effect that can be skipped.
 
-A model calls its effects through hooks of its own naming. Each call of a hook that an effect overrides is recorded as
-a block: what it computes awake, and what the same lines give at the effect's neutral value. One set of expressions
-serves every combination of effects, and a dormant one costs a jump.
+A model calls its effects through hooks with names of its own. Each call of an overridden hook is recorded as a block:
+its
+values with the active effect, and the values of the same code at the neutral values. One set of expressions then serves
+every combination of effects, and a dormant effect costs one jump.
 """
 
 from __future__ import annotations
@@ -18,13 +19,15 @@ from cosim.model.quantities import parameters_of
 from cosim.model.symbolic.symbols import SymbolicModel, symbolic
 from cosim.model.symbolic.tracing_guard import guarded
 
-APART = ("shape", "remember")  # hooks that the integrator calls, not the equations
+APART = ("shape", "remember")  # hooks called by the integrator instead of the equations
 
 
 class Untraceable(ValueError):
-    """Of a model what symbols cannot say: an effect without a value at its neutral value, a delay by a rule of its own.
+    """A model without a symbolic form: an effect undefined at its neutral value, or a delay with its own rule.
 
-    owner, hook: its class and the hook, where it is one effect's fault; cure: what to do about it
+    Attributes:
+        owner, hook: Class and hook of the effect at fault, if any.
+        cure: Advice for the user.
     """
 
     def __init__(self, text: str, owner: type | None = None, hook: str = "", cure: str = "") -> None:
@@ -36,9 +39,10 @@ class Untraceable(ValueError):
 class Block:
     """Symbols computed together.
 
-    values:  symbol → expression
-    effect:  place in the catalogue of the effect that must be awake, None of what is always computed
-    dormant: symbol → expression while that effect sleeps
+    Attributes:
+        values: Symbol → expression.
+        effect: Catalogue index of the required effect, None for unconditional blocks.
+        dormant: Symbol → expression while the effect is dormant.
     """
 
     values: dict[Any, Any]
@@ -51,15 +55,16 @@ class Block:
 class Trace:
     """A model as blocks, and expressions of their symbols.
 
-    derivative, outputs: an expression each state, each output
-    shaped, remembered:  commands that act, and the memory after a substep; `memory` are the symbols before it. A delay
-                         is left out: it is a history, not an expression
-    started:             memory at the start time from its start values, which are `memory`
+    Attributes:
+        derivative, outputs: Expression of each state's derivative and of each output.
+        shaped, remembered: Acting commands, and the memory after a substep from the symbols in `memory`; delays are
+            excluded, since a history is no expression.
+        started: Memory at the start time from the start values in `memory`.
     """
 
     s: SymbolicModel
     blocks: list[Block] = field(default_factory=list)
-    shaping: list[Block] = field(default_factory=list)  # of the command
+    shaping: list[Block] = field(default_factory=list)  # blocks of the command
     derivative: list[Any] = field(default_factory=list)
     outputs: list[Any] = field(default_factory=list)
     shaped: list[Any] = field(default_factory=list)
@@ -73,7 +78,12 @@ class Trace:
 
     @classmethod
     def of(cls, model: Model, flags: Mapping[str, bool] | None = None) -> Trace:
-        """Trace a model with its whole catalogue, its switches as `flags` say; Untraceable, guard.OfNumbersOnly."""
+        """Return the trace of a model with its whole catalogue and switches from `flags`.
+
+        Raises:
+            Untraceable: An effect has no symbolic form.
+            OfNumbersOnly: The equations use an operation that symbols lack.
+        """
         import sympy
 
         trace = cls.__new__(cls)
@@ -93,12 +103,12 @@ class Trace:
 
     @property
     def effects(self) -> tuple[Any, ...]:
-        """The catalogue, awake, in order."""
+        """Return the active effects of the catalogue in order."""
         effects: tuple[Any, ...] = self.s.model.effects
         return effects
 
     def name(self, expression: Any) -> Any:
-        """A symbol for an expression; the same expression has one symbol."""
+        """Return a symbol for an expression, the same one for equal expressions."""
         import sympy
 
         if expression.is_Atom:
@@ -109,7 +119,7 @@ class Trace:
         return self._named[expression]
 
     def _still(self) -> None:
-        """States of an effect do not move while it sleeps."""
+        """Set the derivatives of a dormant effect's states to zero."""
         import sympy
 
         place = len(self.s.model.base_states)
@@ -123,7 +133,7 @@ class Trace:
                 place += 1
 
     def _shape(self, m: SymbolNamespace) -> None:
-        """The effects on a command, in order; each sees plain symbols."""
+        """Trace the shaping of the command, effect by effect, with plain symbols."""
         import sympy
 
         self.step = sympy.Symbol("h", real=True)
@@ -154,7 +164,7 @@ class Trace:
         self.shaped = list(command)
 
     def _watched(self, kind: type[Any], place: int) -> type[Any]:
-        """The effect's class with a record of what the equations call."""
+        """Return the effect's class with recorded hooks."""
         hooks = {name: self._hook(getattr(kind, name), name, place) for name in _overridden(kind)}
         return type(kind.__name__, (kind,), {**hooks, "__module__": kind.__module__})
 
@@ -198,7 +208,11 @@ class Trace:
 
 
 def _check_delays(effects: Sequence[Any], shaping: Sequence[Any]) -> None:
-    """One effect at most delays the command, before the others that shape it, as `Delay` does; else Untraceable."""
+    """Check that at most one effect delays the command, comes first, and acts like `Delay`.
+
+    Raises:
+        Untraceable: A delay differs.
+    """
     if any(e.delay for e in shaping[1:]):
         raise Untraceable("a delay comes first in the catalogue, and there is one at most")
     for late in (e for e in effects if e.delay):
@@ -209,7 +223,7 @@ def _check_delays(effects: Sequence[Any], shaping: Sequence[Any]) -> None:
 
 
 def _overridden(kind: type[Any]) -> Iterator[str]:
-    """Hooks that the class or a base of it overrides: those that a base of its kind of effects has a body for too."""
+    """Yield the hooks that the class overrides and a base effect class defines."""
     names = {n for c in kind.__mro__ for n, v in vars(c).items() if callable(v) and not n.startswith("_")}
     for name in sorted(names - set(APART)):
         defined = [c for c in kind.__mro__ if name in vars(c) and issubclass(c, Effect)]
@@ -218,7 +232,7 @@ def _overridden(kind: type[Any]) -> Iterator[str]:
 
 
 def _neutral(effect: Any) -> dict[Any, Any]:
-    """Symbol → the value at which the effect sleeps."""
+    """Return symbol → neutral value of an effect."""
     import sympy
 
     values = ((getattr(effect, p.name), p.neutral) for p in parameters_of(effect) if p.neutral is not None)
@@ -226,12 +240,12 @@ def _neutral(effect: Any) -> dict[Any, Any]:
 
 
 def _at(effect: Any) -> str:
-    """Its neutral values in words."""
+    """Return the neutral values of an effect in words."""
     return ", ".join(f"{p.name} is {p.neutral:g}" for p in parameters_of(effect) if p.neutral is not None)
 
 
 def _numbers(value: Any) -> Iterator[Any]:
-    """Numbers and expressions at any depth."""
+    """Yield numbers and expressions at any depth."""
     if isinstance(value, Mapping):
         value = tuple(value.values())
     if isinstance(value, (tuple, list)):
@@ -242,7 +256,7 @@ def _numbers(value: Any) -> Iterator[Any]:
 
 
 def _key(value: Any) -> Any:
-    """What tells the arguments of one call from those of another, texts and Booleans too."""
+    """Return a key of a call's arguments, texts and Booleans included."""
     if isinstance(value, Mapping):
         return ("mapping", *((key, _key(part)) for key, part in value.items()))
     if isinstance(value, (tuple, list)):
@@ -263,7 +277,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _mapped(value: Any, change: Callable[[Any], Any]) -> Any:
-    """The same structure of tuples and mappings with every number changed."""
+    """Return the same structure with every number changed."""
     if isinstance(value, Mapping):
         return {key: _mapped(part, change) for key, part in value.items()}
     if isinstance(value, tuple) and hasattr(value, "_fields"):
@@ -274,5 +288,5 @@ def _mapped(value: Any, change: Callable[[Any], Any]) -> Any:
 
 
 def switches(model: Model) -> tuple[str, ...]:
-    """The parameters that are true or false, of the model and its catalogue, by FMI name."""
+    """Return the Boolean parameters of model and catalogue by FMI name."""
     return tuple(name for name, p in model.declared.items() if isinstance(p.default, bool))

@@ -1,4 +1,4 @@
-"""What a model may write of numbers and not of symbols: while tracing it is an error at its line, not another value."""
+"""Guard against operations on numbers that symbols lack: an error at the model's line instead of a wrong value."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ EQUALITY = "is decided before the numbers are known; compare with <, <=, > or >=
 REMAINDER = "jumps where no solver sees it; let m.where choose: m.where(angle > limit, angle - 2 * limit, angle)"
 EQUALITIES = {"__eq__": "==", "__ne__": "!="}
 SIGNS = {**EQUALITIES, "__mod__": "%", "__rmod__": "%", "__floordiv__": "//", "__rfloordiv__": "//"}
-VARYING = ("state:", "input:")  # before the names of symbols
+VARYING = ("state:", "input:")  # prefixes of symbol names
 
 
 class OfNumbersOnly(TypeError):
-    """A model does with a symbol what only a number bears."""
+    """An operation in a model that needs a number instead of a symbol."""
 
 
 @contextmanager
 def guarded(*, smooth: bool = False) -> Iterator[None]:
-    """While it lasts, `==`, `!=`, `%` and `//` of a symbolic expression in a model's lines raise OfNumbersOnly.
+    """Raise OfNumbersOnly for `==`, `!=`, `%` and `//` of symbols in a model's lines.
 
-    Sympy itself compares expressions all the time, and so does what traces: the file that the operator stands in tells
-    them apart.
+    Sympy and the tracer compare expressions too; the file of the operator distinguishes the cases.
 
-    smooth: `%` and `//` only of what states or inputs are in, for who takes derivatives by these
+    Args:
+        smooth: Refuse `%` and `//` only for states and inputs, whose derivatives are taken.
     """
     import sympy
 

@@ -1,1 +1,1 @@
-"""Evidence, verdict and sentence of a refine."""
+"""Evidence, verdict and sentence of a refinement."""

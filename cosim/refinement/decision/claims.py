@@ -1,6 +1,6 @@
-"""`Claims`: every fact that a verdict rests on, gathered stage by stage; and the first stage, what the fits bear out.
+"""`Claims`, the facts behind a verdict, and the first stage that fills them: the judgement of the fits.
 
-No stage writes text: `cosim.refinement.decision.sentences.sentence` turns the facts into words when all are known.
+No stage writes text: `cosim.refinement.decision.sentences.sentence` turns the complete facts into words.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
+from cosim.base.text import MOST_NAMED
 from cosim.refinement.decision.judgement import SIGNIFICANT, loss_without
 from cosim.refinement.search.hypotheses import TOGETHER, Attribution, Hypothesis
 from cosim.refinement.search.unnamed import Leftover, Unnamed
@@ -18,16 +19,16 @@ from cosim.subject.interface import Subject
 
 Name = Literal["effect_found", "parameter_error", "sensor_error", "no_effect", "ambiguous", "unexplained"]
 Grade = Literal["claimed", "part", "nearest"]
-MUCH = 0.3  # of what a claim gains, from which a term without a name beside it disputes it
-MOVED = 0.5  # of its size, by which a part that stands may change beside terms without a name
-LARGE = 0.02  # of what moves an equation, from which an unknown input is no small disturbance
+MUCH = 0.3  # share of a claim's gain from which an unnamed term beside the claim disputes it
+MOVED = 0.5  # relative change of a claimed part beside unnamed terms from which the part is disputed
+LARGE = 0.02  # share of the derivative from which an unknown input is no longer a small disturbance
 DEFAULT_EXPERIMENT = "larger and broader commands on all inputs, one at a time and together"
 MORE_ROWS = "more rows, over a wider range of every input, each with each"
 
 
 @dataclass(frozen=True)
 class Moved:
-    """A base parameter that a fit has plainly moved: its stated value, and the fitted one."""
+    """A base parameter that a fit moved clearly: stated and fitted value."""
 
     name: str
     stated: float
@@ -36,12 +37,13 @@ class Moved:
 
 @dataclass(frozen=True)
 class Doubt:
-    """The reason why a claim was withdrawn after replays.
+    """The reason why replays withdraw a claim.
 
-    kind:    `missed`: replays with it still miss `channel` by `size` times what noise makes
-             `no_nearer`: replays with it are nearer on no channel than those of the model recalibrated
-             `kept`: replays with it keep a share `size` of the excess error
-             `unsteady`: much is left, and predictions of held-out logs are not plainly better for `names`
+    Attributes:
+        kind: `missed`: replays with the claim still miss `channel` by `size` times the noise floor;
+            `no_nearer`: no channel is closer than with the recalibrated model;
+            `kept`: a share `size` of the excess error remains;
+            `unsteady`: much error remains, and `names` do not clearly improve predictions of held-out logs.
     """
 
     kind: Literal["missed", "no_nearer", "kept", "unsteady"]
@@ -52,7 +54,7 @@ class Doubt:
 
 @dataclass(frozen=True)
 class Part:
-    """The share of the excess error of a channel that replays with a claim leave."""
+    """The share of a channel's excess error that remains in replays with a claim."""
 
     channel: str
     share: float
@@ -60,45 +62,45 @@ class Part:
 
 @dataclass(frozen=True)
 class Nearest:
-    """The model that predicts held-out logs best, where not all is claimed; None: the model as it was given."""
+    """The model that predicts held-out logs best if the claim is incomplete; None stands for the given model."""
 
     hypothesis: Hypothesis | None
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of its candidates."""
+        """Return the names of the candidates."""
         return self.hypothesis.names if self.hypothesis else ()
 
 
 @dataclass(frozen=True)
 class Claims:
-    """Facts of an answer.
+    """Facts of a verdict, filled stage by stage.
 
-    By the fits:
-    name, grade, claimed: the verdict, how much of what is missing is claimed, and the hypothesis that is
-    rivals:     names that the logs cannot tell apart, or that come nearest; experiment: the input that separates them
-    misfit:     where something is missing and on what it depends, by the fits
-    apart, certain: rivals without what they share, and candidates that they share
-    unshown:    effects that these logs would not show; still: nothing moves in the logs
-    moves:      forced state → size of its unknown input, as a share of what moves the state
-    small:      names that gain too little to be told from chance
-    beside, gained: a term without a name beside a claim, and the log-likelihood that the claim gains
-    disturbed:  state whose unknown input is no small disturbance beside the claim
-
-    By replays of the estimation logs, and of tables by what is left of their rows:
-    further:    other base parameters that come out beyond their tolerances beside a claim
-    missed:     channel → how many times what noise makes the unchanged model misses it; recalibrated: what was moved
-    doubt:      why a claim was withdrawn
-    part:       what replays with a claim leave, where it is one of a part
-    left_of:    output of a table of which something is left, and the input with which it goes
-    left_share: of its mean square, where that makes the claim one of a part
-
-    By the logs left out and the sealed ones:
-    nearest:    the nearest model; None where all is claimed
-    restricted: only candidates that the study names were tried
-    left_out:   errors on held-out rows of a table, by model and output
-    risen:      channel → error before and after, where it rises on sealed logs
-    written:    files are written that hold the refined and the nearest subject
+    Attributes:
+        name, grade, claimed: Verdict, completeness of the claim, and the claimed hypothesis (from the fits, as up to
+            `disturbed`).
+        rivals: Names that the logs cannot distinguish, or the closest names.
+        experiment: Input that separates the rivals.
+        misfit: Deficient equation and the signals on which the misfit depends, from the fits.
+        apart, certain: Rivals without their common candidates, and the common candidates.
+        unshown: Effects that these logs cannot show.
+        still: True if nothing moves in the logs.
+        moves: Forced state → size of its unknown input relative to the state's derivative.
+        small: Names with a gain too small to distinguish from chance.
+        beside, gained: Unnamed term beside a claim, and the log-likelihood gain of the claim.
+        disturbed: State whose unknown input is no small disturbance beside the claim.
+        further: Other base parameters outside their tolerances beside a claim (from replays, as up to `left_share`).
+        missed: Channel and its error with the unchanged model, as a multiple of the noise floor.
+        recalibrated: Base parameters moved beyond their tolerances.
+        doubt: Reason for a withdrawn claim.
+        part: Remaining error if the claim explains only a part.
+        left_of: Output of a table with a systematic residual, and the input on which the residual depends.
+        left_share: Remaining share of the mean square if the claim explains only a part.
+        nearest: Nearest model; None if the claim is complete (from held-out and sealed logs, as the rest).
+        restricted: True if the study limits the candidates.
+        left_out: Errors on held-out rows of a table, by model and output.
+        risen: Channel → error before and after, if the error rises on sealed logs.
+        written: True if files of the refined and the nearest subject are written.
     """
 
     name: Name
@@ -133,7 +135,7 @@ class Claims:
 
     @property
     def residual(self) -> Mapping[str, Any]:
-        """Where the misfit is and on what it depends, as refine.json has it."""
+        """Return the misfit's location and signals."""
         if self.left_of is None:
             return self.misfit
         output, signal = self.left_of
@@ -141,11 +143,11 @@ class Claims:
 
     @property
     def near(self) -> Hypothesis | None:
-        """What the nearest model has; the claim where all is claimed."""
+        """Return the nearest hypothesis or a complete claim."""
         return self.claimed if self.nearest is None else self.nearest.hypothesis
 
     def withdrawn(self, doubt: Doubt) -> Claims:
-        """Return the answer without its claim, which comes nearest, and the reason."""
+        """Return an unexplained answer with a reason."""
         names = self.claimed.names if self.claimed else ()
         return Claims("unexplained", rivals=names, misfit=self.misfit, doubt=doubt)
 
@@ -153,14 +155,15 @@ class Claims:
 def judge(
     a: Attribution, left: Leftover, subject: Subject, forced: Sequence[str], moves: Mapping[str, float], *, still: bool
 ) -> Claims:
-    """Claim what is borne out and stands beside what has no name. Of these rules the first that applies decides.
+    """Return the claim of the first matching rule.
 
-    moves: forced state → size of its unknown input over that of its derivative on the logs
-    still: nothing moves in the logs
+    Args:
+        moves: Forced state → size of its unknown input relative to the state's derivative on the logs.
+        still: True if nothing moves in the logs.
     """
     residual, large = _misfit(a, left, forced), _large(moves)
     if not a.best.candidates:
-        if still or (a.blind and not large):  # nothing is claimed of logs in which nothing would show
+        if still or (a.blind and not large):  # Logs in which no effect would show support no claim.
             rivals = a.hidden if len(a.hidden) > 1 else (*a.hidden, "no_effect")
             experiment = usual_experiment(subject)
             return Claims("ambiguous", None, rivals, experiment, residual, unshown=a.hidden, still=still)
@@ -181,41 +184,42 @@ def judge(
 
 
 def _large(moves: Mapping[str, float]) -> str:
-    """Return the state with the largest unknown input that is no small disturbance; empty where none is."""
+    """Return the state with the largest disturbance, or ""."""
     return max((name for name in moves if moves[name] > LARGE), key=lambda name: moves[name], default="")
 
 
 def _ambiguous(a: Attribution, subject: Subject, residual: Mapping[str, Any]) -> Claims:
-    """Claim the best until an experiment separates it from its rivals; what they share is certain."""
+    """Claim the best hypothesis, and its shared candidates for certain."""
     every = (a.best, *a.rivals, *([a.fuller] if a.fuller and a.fuller.score < a.best.score else []))
     common = set(a.best.names).intersection(*(h.names for h in a.rivals))
     apart = [[n for n in h.names if n not in common] for h in every]
     experiment = experiment_for(subject, [n for names in apart for n in names])
     rivals = tuple(TOGETHER.join(h.names) for h in every)
-    claims = Claims("ambiguous", a.best, rivals, experiment, residual, apart=tuple(map(" and ".join, apart)))
+    short = tuple(TOGETHER.join(names) if len(names) <= MOST_NAMED else f"{len(names)} candidates" for names in apart)
+    claims = Claims("ambiguous", a.best, rivals, experiment, residual, apart=short)
     return replace(claims, certain=tuple(c for c in a.best.candidates if c.name in common))
 
 
 def usual_experiment(subject: Subject) -> str:
-    """Return what tells more of any subject of this kind."""
+    """Return the generic experiment for this kind of subject."""
     return MORE_ROWS if subject.static else DEFAULT_EXPERIMENT
 
 
 def experiment_for(subject: Subject, names: Sequence[str]) -> str:
-    """Return the input that would separate these rivals, as the subject says."""
+    """Return the input that separates these rivals."""
     known = [(len(row & set(names)), text) for row, text in subject.told_apart_by.items()]
     shared, text = max(known, default=(0, ""))
     return text if shared > 1 else usual_experiment(subject)
 
 
 def name_of(candidates: Sequence[Candidate], subject: Subject) -> Name:
-    """Return the verdict that claims these candidates, by their kind."""
+    """Return the verdict for the candidates' kinds."""
     kinds = {kind_within(c, subject) for c in candidates}
     return "parameter_error" if kinds == {"parameter"} else "sensor_error" if kinds == {"sensor"} else "effect_found"
 
 
 def _disputed(a: Attribution, left: Leftover) -> bool:
-    """Whether terms without a name gain much beside the claim, or take the place of a part that only stood for them."""
+    """Return True if unnamed terms gain much beside the claim or replace a claimed part."""
     if left.fit is None:
         return False
     if left.gain > MUCH * (a.base.score - a.best.score):
@@ -236,13 +240,13 @@ def _disputed(a: Attribution, left: Leftover) -> bool:
 
 
 def _misfit(a: Attribution, left: Leftover, forced: Sequence[str]) -> dict[str, Any]:
-    """Return where the misfit is and on what it depends."""
+    """Return the misfit's location and signals from the fits."""
     q0, q1 = a.base.fit.noise.density, a.best.fit.noise.density
     noise = {
         equation: {"before": float(q0[k]), "after": float(q1[k]), "inflated": a.noisy[k], "gain": a.noise_gain[k]}
         for k, equation in enumerate(forced)
     }
-    # densities of states in different units do not compare; what they are worth does
+    # Noise densities of states with different units are not comparable; likelihood gains are.
     inflated = {name: entry["gain"] for name, entry in noise.items() if entry["inflated"]}
     where = left.first.equation if left.first else max(inflated, key=lambda k: inflated[k], default=None)
     return {

@@ -1,10 +1,12 @@
-"""What speaks for each part of a hypothesis: likelihood and its scatter, logs left out, open-loop predictions.
+"""Evidence for each part of a hypothesis: likelihood and its scatter, held-out logs, open-loop predictions.
 
-A likelihood takes what is left for white. What is left of a real system is not: so the scatter of a gain, and of an
-estimate, is taken from blocks of time longer than an unknown input lasts,
+A likelihood assumes white residuals; residuals of a real system are correlated. The scatter of a gain and of an
+estimate is therefore computed from blocks of time longer than the correlation of an unknown input,
+
     z = Σ g_b / √(Σ (g_b − ḡ)²)      cov θ̂ = F⁻¹ (Σ s_b s_b') F⁻¹      g_b, s_b: gain and score of block b
-(Vuong 1989; White 1982). On a log left out, parameters are as the other logs have them, and every hypothesis predicts
-from its own filtered state without looking at what is measured.
+
+(Vuong 1989; White 1982). On a held-out log, parameters keep the values fitted to the other logs. Each hypothesis
+predicts in open loop from its own filtered state.
 """
 
 from __future__ import annotations
@@ -26,17 +28,20 @@ from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.search.fits import SCREEN_ITERATIONS, Search
 from cosim.refinement.search.hypotheses import Hypothesis
 
-BLOCK = 100  # rows at least
-LASTING = 3.0  # times as long as an unknown input lasts
-FEWEST = 12  # blocks, over all logs
-DIVERGED = 1e6  # of NLL, that a measurement counts where a filter has diverged
-BACK = 200  # rows before a replay, for a delay to look into
-BY_CHANCE = 0.01  # probability, below which chance is unlikely
-PREDICTED = 8  # replays of a log at least, where the model is judged by a free run
+BLOCK = 100  # least rows of a block
+LASTING = 3.0  # length of a block, as a multiple of the correlation time of an unknown input
+FEWEST = 12  # least number of blocks over all logs
+DIVERGED = 1e6  # NLL of a measurement for which a filter has diverged
+BACK = 200  # rows before a replay that a delay may reach back to
+BY_CHANCE = 0.01  # probability below which chance is unlikely
+PREDICTED = 8  # least number of replays of a log for a model judged by a free run
 
 
 def blocks_of(problem: Problem, scored: Scored, memory: float) -> Rows:
-    """Return the block of time of each scored measurement: longer than what is left is like itself."""
+    """Return the block index of each scored measurement.
+
+    Blocks are longer than the correlation of the residual.
+    """
     data = problem.logs[0]
     lasting = correlated(scored) if problem.trusted else memory / data.step
     rows = max(BLOCK, round(LASTING * lasting))
@@ -51,12 +56,12 @@ def blocks_of(problem: Problem, scored: Scored, memory: float) -> Rows:
 
 
 def number_of_blocks(problem: Problem, f: Fit) -> int:
-    """Return how many blocks of time the scored measurements of a fit fall into."""
+    """Return the number of scored blocks of a fit."""
     return int(np.unique(blocks_of(problem, problem.scored(f.values, f.noise), math.exp(f.noise.memory))).size)
 
 
 def correlated(scored: Scored) -> float:
-    """Return the rows within which normalised errors forget each other: the sum of their autocorrelation."""
+    """Return the autocorrelation length of normalised errors [rows]."""
     parts, rows = scored.of_each_log(scored.errors / np.sqrt(scored.variances)), scored.of_each_log(scored.rows)
     longest = 0.0
     for part, at in zip(parts, rows, strict=True):
@@ -69,9 +74,10 @@ def correlated(scored: Scored) -> float:
 
 
 def steadiness(problem: Problem, better: Fit, worse: Fit, costs: float = 0.0) -> float:
-    """Return a gain, priors included, over the scatter of that in log-likelihood from block to block of time.
+    """Return a gain divided by its scatter over blocks.
 
-    costs: by how much more the worse costs than the better (Vuong 1989, eq. 5.9)
+    Args:
+        costs: Additional cost of `worse` relative to `better` (Vuong 1989, eq. 5.9).
     """
     scored = [problem.scored(f.values, f.noise) for f in (better, worse)]
     if scored[0].errors.size != scored[1].errors.size:
@@ -81,24 +87,26 @@ def steadiness(problem: Problem, better: Fit, worse: Fit, costs: float = 0.0) ->
 
 
 def by_block(block: Rows, worse: Scored, better: Scored, known: float) -> float:
-    """Return a gain, and what is known beside it, over its scatter from block to block of time."""
+    """Return a gain divided by its scatter over blocks."""
     terms, others = (np.nan_to_num(s.terms, nan=DIVERGED, posinf=DIVERGED) for s in (worse, better))
     gains = np.bincount(block, terms - others).astype(np.float64)
     return in_scatter(gains[np.bincount(block) > 0], known)
 
 
 def in_scatter(gains: Array, known: float = 0.0) -> float:
-    """Return a sum, and what is known beside it, over the standard deviation of the sum as its terms scatter."""
+    """Return a sum divided by its standard deviation."""
     total, spread = known + float(np.sum(gains)), float(np.std(gains)) * math.sqrt(gains.size)
     return total / spread if spread > 0.0 else math.copysign(math.inf, total) if total else 0.0
 
 
 def held_out(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[float, float]:
-    """Return the gain of `better` on logs left out, by likelihood, and by open-loop predictions over their scatter.
+    """Return the held-out gains in likelihood and open loop.
 
-    What one claims and the other does not is as the other logs have it, or as the model has it. For the likelihood the
-    rest, what both claim, base parameters and noise, settles on the log itself, for both alike: logs that excite little
-    leave it open. Predictions have nothing of the log. Of a single log, halves.
+    Parameters claimed by only one hypothesis keep the values from the other logs, or of the model. For the likelihood,
+    the
+    remaining parameters and the noise are refitted on the held-out log for both hypotheses, because a log with little
+    excitation leaves these parameters open. Open-loop predictions use nothing of the held-out log. A single log is
+    halved.
     """
     problem = search.problem if len(search.problem.logs) > 1 else halved(search.problem)
     count = len(problem.logs)
@@ -112,7 +120,7 @@ def held_out(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[flo
         for h in (worse, better):
             learnt = learnt_without(search, problem, h, left_out)
             missed.append(open_loop(problem, search.subject.horizon, learnt.values, learnt, left_out))
-            if problem.table:  # on a row or a few, nothing can settle
+            if problem.table:  # A few rows of a table cannot determine parameters.
                 objectives.append(problem.scored(learnt.values, learnt.noise, [left_out]).nll)
                 continue
             own = {f.name for c in h.candidates for f in c.free}
@@ -127,7 +135,7 @@ def held_out(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[flo
 
 
 def predicts(problem: Problem, horizon: float, better: Fit, worse: Fit) -> float:
-    """Return how much better logs left out are predicted, over its scatter; of one log, halves."""
+    """Return the open-loop gain per scatter on held-out logs."""
     problem = problem if len(problem.logs) > 1 else halved(problem)
     logs = range(len(problem.logs))
 
@@ -141,9 +149,9 @@ def predicts(problem: Problem, horizon: float, better: Fit, worse: Fit) -> float
 
 
 def best_of(scatters: float, tried: int) -> float:
-    """Return how many times its scatter the best of several must gain to be as unlikely by chance as one.
+    """Return the required gain per scatter of several candidates.
 
-    Of n that gain nothing the best passes z with a probability of at most n·(1 − Φ(z)) (Bonferroni).
+    The probability that the best of n ineffective candidates passes z is at most n·(1 − Φ(z)) (Bonferroni).
     """
     from scipy.special import ndtr, ndtri
 
@@ -151,10 +159,10 @@ def best_of(scatters: float, tried: int) -> float:
 
 
 def beyond_chance(problem: Problem, f: Fit, tried: int) -> float:
-    """Return how many times its scatter the gain of the best of several must be, for chance to be unlikely.
+    """Return the gain per scatter that excludes chance.
 
-    What gains ½·t² by an estimate t times its scatter is ½·|t| times the scatter of its gain; t is Student's, of the
-    blocks of time, and any of those tried could have come by it (Bonferroni).
+    An estimate of t standard deviations gains ½·t², which is ½·|t| times the scatter of the gain. t follows Student's
+    distribution over the blocks of time, with Bonferroni's correction for `tried` candidates.
     """
     from scipy.special import stdtrit
 
@@ -163,7 +171,7 @@ def beyond_chance(problem: Problem, f: Fit, tried: int) -> float:
 
 
 def learnt_without(search: Search, problem: Problem, h: Hypothesis, left_out: int) -> Fit:
-    """Return a hypothesis as all logs but one have it."""
+    """Return a cached fit to all logs but one."""
     key = (h.names, left_out)
     if key not in search.learnt:
         others = [k for k in range(len(problem.logs)) if k != left_out]
@@ -174,8 +182,8 @@ def learnt_without(search: Search, problem: Problem, h: Hypothesis, left_out: in
 
 
 def _nearer(found: Sequence[Sequence[Array]]) -> Array:
-    """Return by how much square errors are less in each replay of each log, every output in units of its own."""
-    longest = max(missed[0].shape[1] for missed in found)  # rows of a replay, where logs are of unlike length
+    """Return the scaled decrease of squared errors per replay."""
+    longest = max(missed[0].shape[1] for missed in found)  # Rows of the longest replay: logs may differ in length.
     worse, better = (np.concatenate([_padded(missed[k], longest) for missed in found]) for k in (0, 1))
     both = np.isfinite(worse) & np.isfinite(better)
     counts = np.maximum(1, both.sum(axis=1))
@@ -187,16 +195,21 @@ def _nearer(found: Sequence[Sequence[Array]]) -> Array:
 
 
 def _padded(missed: Array, rows: int) -> Array:
-    """Return replays with NaN behind their end, so that all have as many rows."""
+    """Return replays padded with NaN to equal length."""
     return np.pad(missed, ((0, 0), (0, rows - missed.shape[1]), (0, 0)), constant_values=np.nan)
 
 
 def open_loop(problem: Problem, horizon: float, values: Mapping[str, float], f: Fit, index: int) -> Array:
-    """Return measured − predicted, shape (replays, rows, outputs), NaN for nothing; each from the filtered state.
+    """Return the open-loop residual of each replay.
 
-    Replays of the model's horizon follow each other; where that is a free run, an eighth of the log.
+    Each replay starts from the filtered state. Consecutive replays last one horizon of the model, or an eighth of the
+    log
+    for a free run.
+
+    Returns:
+        Residuals, shape (replays, rows, outputs).
     """
-    if problem.table:  # each row by its own inputs
+    if problem.table:  # Each row is predicted from its own inputs.
         return problem.innovations(values, f.noise, index)[0][:, None, :]
     data, first = problem.data(values, index), unscored(problem.logs[index])
     rows = len(data.u)
@@ -214,9 +227,11 @@ def open_loop(problem: Problem, horizon: float, values: Mapping[str, float], f: 
 
 
 def as_given(problem: Problem, base: Fit, left_out: int | None = None) -> Fit:
-    """Fit unknown inputs of the model as it was given; its parameters per log are those of all logs, or all but one.
+    """Fit the unknown inputs of the given model, and its parameters per log.
 
-    A filter that takes the given model for as good as the recalibrated one would not follow what is measured.
+    Parameters per log come from all logs, or from all but `left_out`. The noise must be refitted: a filter that trusts
+    the
+    given model as much as the recalibrated model would not follow the measurements.
     """
     given = fit(problem, (), problem.values, base.noise, None, SCREEN_ITERATIONS, sensing=False)
     if not problem.own:
@@ -228,7 +243,7 @@ def as_given(problem: Problem, base: Fit, left_out: int | None = None) -> Fit:
 
 
 def scatter(problem: Problem, f: Fit) -> float:
-    """Return how many times larger variances of estimates are as they scatter over time than for a white residual."""
+    """Return the ratio of scattered to white estimate variances."""
     spread, white = scattered(problem, f).scattered, inverse(f.information)
     assert spread is not None
     ratios = [spread[k, k] / white[k, k] for k in range(len(f.free)) if white[k, k] > 0.0]
@@ -236,7 +251,10 @@ def scatter(problem: Problem, f: Fit) -> float:
 
 
 def _of_few(covariance: Array, rows: int, free: int) -> Array:
-    """Widen a covariance for few rows: residuals are less than the noise, normal intervals too narrow (Student)."""
+    """Widen a covariance for few rows.
+
+    With few rows, residuals underestimate the noise and normal intervals are too narrow (Student).
+    """
     from scipy.special import stdtrit
 
     left = max(1, rows - free)
@@ -244,7 +262,7 @@ def _of_few(covariance: Array, rows: int, free: int) -> Array:
 
 
 def scattered(problem: Problem, f: Fit) -> Fit:
-    """Return the fit with the covariance of what was free as it scatters over blocks of time, by White's sandwich."""
+    """Return the fit with White's sandwich covariance."""
     each, information = scores(problem, f)
     scored = problem.scored(f.values, f.noise)
     block = blocks_of(problem, scored, math.exp(f.noise.memory))

@@ -1,4 +1,4 @@
-"""By what a hypothesis is judged: what its parts gain, limits, noise that it leaves, rivals, and why others lost."""
+"""Judgement of a hypothesis: gain of each part, limits, remaining noise, rivals, and reasons against the others."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from cosim.base.text import listed
 from cosim.estimation.fit import Fit, inverse
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
@@ -17,21 +18,21 @@ from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
 from cosim.subject.base_parameters import WIDTHS
 from cosim.subject.candidates import Candidate, Free
 
-RIVAL = 3.0  # score within which another hypothesis explains as well
-UNSURE = 2.0  # times its scatter, below which a difference in log-likelihood is none
-SMALL = 3.0  # a part gains little, below so many times its cost: then chance must be less likely
-NEAR = 8.0  # of score, beyond which none is a rival however it scatters
-SIGNIFICANT = 3.0  # standard deviations from neutral
+RIVAL = 3.0  # score difference within which another hypothesis explains the logs equally well
+UNSURE = 2.0  # gain per scatter below which a difference in log-likelihood is not significant
+SMALL = 3.0  # gain, as a multiple of the cost, below which chance must be excluded by the scatter
+NEAR = 8.0  # score difference beyond which no hypothesis is a rival, whatever the scatter
+SIGNIFICANT = 3.0  # standard deviations from the neutral value
 LITTLE = "gains little"
-HELD = 0.7  # of what a part gains, that it gains on logs left out too
-PLAIN, PLAINLY = 100.0, 4.0  # gain, and how steady, of a part that need not be tried on logs left out
-NO_WORSE = 1.0  # of NLL, by which a fit that ended may be above what a hypothesis within it has reached
-WORSE, BETTER = -3.0, 3.0  # times its scatter, by which predictions on logs left out refuse a part, or bear it out
-TOLERANCES = (0.5, 2.0)  # times which the tolerances are taken, to see whether a claim hangs on them
+HELD = 0.7  # share of a part's gain that must also appear on held-out logs
+PLAIN, PLAINLY = 100.0, 4.0  # gain, and gain per scatter, from which a part needs no test on held-out logs
+NO_WORSE = 1.0  # NLL by which a final fit may exceed the objective of a hypothesis contained in it
+WORSE, BETTER = -3.0, 3.0  # gain per scatter of held-out predictions that rejects or supports a part
+TOLERANCES = (0.5, 2.0)  # factors on the tolerances that test whether a claim depends on them
 
 
 def decided(found: Found) -> Attribution:
-    """Return the best hypothesis of which every part is borne out, its rivals, and why the others lost."""
+    """Return the best supported hypothesis and its rivals."""
     search, base = found.search, found.search.tried[()]
     kept = _borne_out(search, found.best)
     best = kept.best
@@ -49,10 +50,12 @@ def decided(found: Found) -> Attribution:
 
 @dataclass
 class _Kept:
-    """What is left of a hypothesis without the parts that are not borne out.
+    """The supported remainder of a hypothesis.
 
-    support: of each part that is left; dropped: part → why it is not borne out
-    fuller:  the hypothesis before the first of parts that are merely small, where these were dropped
+    Attributes:
+        support: Evidence for each remaining part.
+        dropped: Name of a dropped part → reason.
+        fuller: Hypothesis before the first part was dropped only for its small gain.
     """
 
     best: Hypothesis
@@ -62,12 +65,15 @@ class _Kept:
 
 
 def _borne_out(search: Search, best: Hypothesis) -> _Kept:
-    """Drop the weakest part that is not borne out, until every part is; small ones stay where together they gain."""
+    """Drop the weakest unsupported part until none remains.
+
+    Parts with small gains stay if their joint gain is sufficient.
+    """
     kept, of_fuller = _Kept(best), dict[str, Hypothesis]()
     while kept.best.candidates:
         best, without = kept.best, _without_each(search, kept.best)
         kept.support = {}
-        for c in sorted(best.candidates, key=lambda c: without[c.name].fit.objective):  # the weakest first
+        for c in sorted(best.candidates, key=lambda c: without[c.name].fit.objective):  # weakest first
             kept.support[c.name] = _support(search, best, without[c.name])
             if doubt := _doubt(search, best, c, kept.support[c.name]):
                 break
@@ -86,7 +92,7 @@ def _borne_out(search: Search, best: Hypothesis) -> _Kept:
 
 
 def _stand_together(search: Search, every: Hypothesis, left: Hypothesis) -> bool:
-    """Whether several parts that are merely small gain enough together."""
+    """Return True if small parts gain enough together."""
     small = [c for c in every.candidates if c.name not in left.names]
     if len(small) < 2 or left.fit.objective - every.fit.objective < search.cost(small):
         return False
@@ -94,12 +100,12 @@ def _stand_together(search: Search, every: Hypothesis, left: Hypothesis) -> bool
 
 
 def surely(search: Search, f: Fit) -> float:
-    """Return how many times its scatter a gain must be for chance to be unlikely, with so many candidates."""
+    """Return the gain per scatter that excludes chance."""
     return beyond_chance(search.problem, f, search.on_trial)
 
 
 def _without_each(search: Search, h: Hypothesis) -> dict[str, Hypothesis]:
-    """Fit the hypothesis without each of its parts to the end."""
+    """Fit the hypothesis without each of its parts."""
 
     def one(c: Candidate) -> Hypothesis:
         left = tuple(other for other in h.candidates if other.name != c.name)
@@ -109,7 +115,7 @@ def _without_each(search: Search, h: Hypothesis) -> dict[str, Hypothesis]:
         made = search.hypothesis(left, h.fit, loosen=False, patient=False)
         if made.fit.objective <= search.reached_within(left) + NO_WORSE:
             return made
-        return search.hypothesis(left, h.fit)  # the noise of `h` explains too little without the part
+        return search.hypothesis(left, h.fit)  # With the noise of `h`, the fit without the part stays too high.
 
     fitted = dict(zip((c.name for c in h.candidates), in_parallel(one, list(h.candidates)), strict=True))
     search.tried |= {f.names: f for f in fitted.values()}
@@ -125,16 +131,16 @@ def _support(search: Search, better: Hypothesis, worse: Hypothesis) -> Support:
 
 
 def _doubt(search: Search, h: Hypothesis, c: Candidate, s: Support) -> str:
-    """Return the reason why a part is not borne out; empty where it is."""
+    """Return the reason against a part, or ""."""
     if s.gain < search.cost([c]):
         return f"gains {s.gain:.1f}, less than the {search.cost([c]):.0f} that it costs"
     if limits := _limits(h, [c], search.problem.values):
         return f"{limits[0]} is at its limit"
-    if c.kind == "parameter":  # what logs left out say of it, they say to the base model too
+    if c.kind == "parameter":  # Held-out logs say the same about the base model.
         return "" if outside(search, h, c) else "is within its tolerance"
     if s.gain < SMALL * search.cost([c]) and s.steady < surely(search, h.fit):
         return f"{LITTLE}, and that is {s.steady:.1f} times its own scatter over time"
-    if s.steady < UNSURE and not s.held_out > HELD * s.gain:  # what acts seldom gains in few blocks, but in each log
+    if s.steady < UNSURE and not s.held_out > HELD * s.gain:  # A rare effect gains in few blocks, but in each log.
         return f"what it gains is {s.steady:.1f} times its own scatter over time"
     if s.held_out <= 0.0 and not s.predicted > BETTER:
         return "gains nothing on logs left out"
@@ -144,7 +150,7 @@ def _doubt(search: Search, h: Hypothesis, c: Candidate, s: Support) -> str:
 
 
 def outside(search: Search, h: Hypothesis, c: Candidate) -> bool:
-    """Whether the interval of a base parameter is wholly beyond its tolerance."""
+    """Return True if the confidence interval of a base parameter is outside its tolerance."""
     (name,) = c.parameters
     held = {f.name: f.prior for f in search.free(()) if f.prior}
     if name not in held:
@@ -153,19 +159,22 @@ def outside(search: Search, h: Hypothesis, c: Candidate) -> bool:
 
 
 def beyond(f: Fit, name: str, prior: tuple[float, float]) -> bool:
-    """Whether the 95 % interval of a base parameter is wholly further from its stated value than its tolerance."""
+    """Return True if the 95 % interval of a base parameter is completely outside its tolerance."""
     mean, sigma = prior
     return abs(f.values[name] - mean) - NORMAL_95 * f.sigma(name) > WIDTHS * sigma
 
 
 def _rivals(search: Search, best: Hypothesis) -> tuple[Hypothesis, ...]:
-    """Return hypotheses that explain as well; of no more candidates, those too that would with other tolerances."""
+    """Return hypotheses that explain the logs equally well.
+
+    Hypotheses without more candidates than the best also count if other tolerances would make them equal.
+    """
     if not best.candidates:
         return ()
     near = [h for h in search.tried.values() if h.ended and h.score - best.score < NEAR and h.is_apart(best)]
     near = [h for h in near if len(h.candidates) <= len(best.candidates) or h.score - best.score < RIVAL]
     rivals = [h for h in sorted(near, key=lambda h: h.score) if _is_rival(search, best, h)]
-    # one with more than another, and no better for it, is no rival of its own
+    # A superset of a rival with no better score is not a separate rival.
     return tuple(h for k, h in enumerate(rivals) if not any(set(r.names) < set(h.names) for r in rivals[:k]))
 
 
@@ -175,15 +184,19 @@ def _is_rival(search: Search, best: Hypothesis, h: Hypothesis) -> bool:
     weight, cost, least = search.problem.scatter, search.cost(h.candidates), search.cost(best.candidates)
     if any(_with_tolerance(h, t, weight) + cost < _with_tolerance(best, t, weight) + least for t in TOLERANCES):
         return True
-    # that a richer one costs more counts against it, or one that holds the best as a special case always were a rival
+    # The larger cost of a richer hypothesis counts against it; otherwise every extension of the best would be a rival.
     return steadiness(search.problem, best.fit, h.fit, max(0.0, cost - least)) < UNSURE
 
 
 def _with_tolerance(h: Hypothesis, times: float, weight: float) -> float:
-    """Return the objective where every tolerance is so many times as wide, by the fit's own quadratic.
+    """Return the objective with all tolerances scaled.
 
-    weight: of priors against likelihood. With F the information without priors and θ̂ where it alone would lead, the
-    minimum of ½(θ−θ̂)'F(θ−θ̂) + priors.
+    With F the information without priors and θ̂ the optimum of F alone, this is the minimum of ½(θ−θ̂)'F(θ−θ̂) +
+    priors.
+
+    Args:
+        times: Factor on every tolerance.
+        weight: Weight of the priors relative to the likelihood.
     """
     f = h.fit
     held = [(k, x.prior) for k, x in enumerate(f.free) if x.prior]
@@ -195,7 +208,7 @@ def _with_tolerance(h: Hypothesis, times: float, weight: float) -> float:
         now[k, k], then[k, k] = weight * sigma**-2, weight * (times * sigma) ** -2
         off[k] = f.values[f.free[k].name] - mean
     bare = f.information - now
-    pull = now @ off  # gradient of the priors here, which that of the likelihood balances
+    pull = now @ off  # gradient of the priors, balanced here by the likelihood
     # about θ: L(δ) = −pull·δ + ½ δ'F δ, prior(δ) = ½ (off + δ)'then(off + δ)
     delta = inverse(bare + then) @ (pull - then @ off)
     likelihood = float(-pull @ delta + 0.5 * delta @ bare @ delta)
@@ -204,32 +217,35 @@ def _with_tolerance(h: Hypothesis, times: float, weight: float) -> float:
 
 
 def loss_without(h: Hypothesis, c: Candidate, neutral: Mapping[str, float]) -> float:
-    """Return the log-likelihood that a hypothesis would lose without a part, by the information of its fit."""
+    """Return the estimated log-likelihood loss without a part."""
     away = np.array([h.fit.values[f.name] - neutral[f.name] for f in c.free])
     return 0.5 * float(away @ h.fit.marginal(c.parameters) @ away)
 
 
 def noise_gain(problem: Problem, f: Fit) -> tuple[float, ...]:
-    """Return the log-likelihood that the unknown input of each forced equation gains in a fit."""
+    """Return the log-likelihood gain of each unknown input."""
     without = np.diag(problem.noise.smallest - f.noise.power) + f.noise.power
     return tuple(problem.scored(f.values, replace(f.noise, power=power)).nll - f.nll for power in without)
 
 
 def at_limit(h: Hypothesis, f: Free, neutral: Mapping[str, float]) -> bool:
-    """Whether a parameter was moved as far as it may; neutral is where an effect belongs that there is too much of."""
+    """Return True if a parameter is at a limit other than its neutral value.
+
+    At the neutral value, an effect of the model is removed, which is no limit.
+    """
     value = h.fit.values[f.name]
     limits = f.low, f.high, h.fit.values.get(f.above)
     return value in limits and value not in (neutral[f.name], f.neutral)
 
 
 def _limits(h: Hypothesis, parts: Sequence[Candidate], neutral: Mapping[str, float]) -> list[str]:
-    """Return the parameters of some parts that are at a limit."""
+    """Return the parameters at a limit."""
     return [f.name for c in parts for f in c.free if at_limit(h, f, neutral)]
 
 
 @dataclass(frozen=True)
 class Reasons:
-    """Why each hypothesis but the best is not the answer, in words."""
+    """Reasons why each hypothesis but the best is rejected, in words."""
 
     base: Hypothesis
     best: Hypothesis
@@ -245,7 +261,7 @@ class Reasons:
     def _reason(self, h: Hypothesis) -> str:
         """Return the first reason that applies."""
         gained, behind = self.base.score - h.score, h.score - self.best.score
-        than = " and ".join(self.best.names) or "the base model"
+        than = listed(self.best.names) or "the base model"
         if any(h.names == r.names for r in self.rivals):
             return f"a rival: explains as well as {than}"
         if extra := [n for n in h.names if n in self.dropped]:

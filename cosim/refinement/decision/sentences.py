@@ -1,11 +1,15 @@
-"""The words of a verdict, from its facts alone: `sentence` is called once, when all facts are known."""
+"""The words of a verdict, from its facts alone: `sentence` is called once, when all facts are known.
+
+Each sentence has at most 25 words and names at most three things; refine.json and the report list all of them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 from typing import Any
 
-from cosim.base.text import amount, finer, joined, percent, plain, size, written
+from cosim.base.text import MOST_NAMED, amount, counted, finer, joined, listed, percent, plain, size, written
 from cosim.loading.refined import NEAREST, REFINED
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.decision.claims import Claims, Doubt, Moved
@@ -17,30 +21,25 @@ from cosim.subject.candidates import Candidate, Free
 from cosim.subject.interface import Subject
 
 LITTLE = 0.05  # of what is missing, below which a term is no account of it
+MOST_WORDS = 25  # of a sentence
 NOTHING = "Nothing is missing: the model, within its tolerances, explains these logs down to the sensors' noise."
+DISTURBED = "Nothing is missing: what the model does not explain is a disturbance that follows no signal."
 NO_HYPOTHESIS = "No hypothesis holds on logs it was not fitted on."
 NOT_AFTER_REPLAYS = "No hypothesis explains what the model misses."
+IN_PART = "This explains only a part of the error"
 
 
 def sentence(c: Claims, subject: Subject) -> str:
-    """Return the verdict in words: what rises on sealed logs, what is claimed of how much, what comes nearest."""
-    return " ".join((*_prefaces(c, subject), _answer(c, subject), *_remarks(c, subject)))
+    """Return the verdict in words: the rise on sealed logs, the claim and its share, the nearest model."""
+    return " ".join((*_prefaces(c, subject), _answer(c, subject), *_share(c), *_remarks(c, subject)))
 
 
 def _prefaces(c: Claims, subject: Subject) -> Iterator[str]:
-    """Yield sentences before the answer: a rise on sealed logs, and that a claim is of a part only."""
+    """Yield the rise of an error on sealed logs, of which a reader must know before the answer."""
     units = {q.name: q.unit for q in subject.outputs}
     files = (REFINED[0], NEAREST[0]) if c.written else ("the refined object", "the nearest object")
     if rise := rises(c.risen, units, files[c.claimed is None]):
         yield rise
-    if c.left_share is not None and c.left_of is not None:
-        of = f"the mean square error of {c.left_of[0]}, as the model recalibrated has it, is left"
-        yield part(c.residual, f"{percent(c.left_share)} of {of}")
-    if c.part is not None:
-        yield part(c.misfit, f"replays keep {percent(c.part.share)} of the excess error of {c.part.channel}")
-    if c.disturbed:
-        moved = f"an unknown input of {percent(c.moves[c.disturbed])} of what moves {c.disturbed}"
-        yield f"A part of what is missing: beside it {moved} is left."
 
 
 def _answer(c: Claims, subject: Subject) -> str:
@@ -53,27 +52,48 @@ def _answer(c: Claims, subject: Subject) -> str:
     if c.name == "no_effect":
         return nothing(c.unshown, c.moves) + perhaps(c.small)
     if c.claimed is not None:
-        left = left_over(c.beside, c.gained) + further(c.further)
-        return claim(c.claimed, c.claimed.candidates, subject) + perhaps(c.small) + left
+        return claim(c.claimed, c.claimed.candidates, subject) + perhaps(c.small)
     if c.missed is not None:
-        return misses(*c.missed, c.recalibrated)
+        return misses(*c.missed, c.recalibrated, _units(subject))
     if c.doubt is not None:
         return f"{unexplained(c.misfit, c.rivals, NOT_AFTER_REPLAYS)} {doubted(c.doubt)}"
     return unexplained(c.residual, c.rivals)
 
 
+def _share(c: Claims) -> Iterator[str]:
+    """Yield how much a claim leaves unexplained, and where that is."""
+    if c.left_share is not None and c.left_of is not None:
+        of = f"of the mean square error of {c.left_of[0]} after recalibration"
+        yield part(c.residual, f"{percent(c.left_share)} {of} remain")
+    if c.part is not None:
+        yield part(c.misfit, f"replays keep {percent(c.part.share)} of the excess error of {c.part.channel}")
+    if c.disturbed:
+        moved = f"an unknown input of {percent(c.moves[c.disturbed])} of what moves {c.disturbed}"
+        yield f"{IN_PART}: {moved} remains."
+
+
 def _remarks(c: Claims, subject: Subject) -> Iterator[str]:
-    """Yield sentences after the answer: what is left of a table, the nearest model, what was tried, rows left out."""
+    """Yield sentences after the answer: the rest, the nearest model, candidates, held-out rows."""
+    if c.claimed is not None and c.beside is not None:
+        yield left_over(c.beside, c.gained)
+    if c.claimed is not None and c.further:
+        yield further(c.further, _units(subject))
     if c.left_of is not None and c.claimed is not None and c.left_share is None:
         output, signal = c.left_of
-        yield f"Something is left of {output} that {follows(signal)}."
+        yield f"A part of {output} remains unexplained; it {follows(signal)}."
     if c.nearest is not None:
         file = NEAREST[0] if c.written else "The nearest object"
-        yield holds(c.nearest.names, fitted=c.nearest.hypothesis is not None, file=file)
+        same = c.claimed is None and c.nearest.names == c.rivals and c.name == "unexplained"
+        yield holds(c.nearest.names, fitted=c.nearest.hypothesis is not None, file=file, same=same)
     if c.restricted:
-        yield "(Tried: only what the study names as candidates.)"
+        yield "Only the candidates that the study names were tried."
     if c.left_out:
         yield on_rows_left_out(c, subject)
+
+
+def _units(subject: Subject) -> Mapping[str, str]:
+    """Return the unit of each parameter."""
+    return {name: p.unit for name, p in subject.declared.items()}
 
 
 def excites_too_little(effects: int, experiment: str, *, still: bool) -> str:
@@ -83,82 +103,85 @@ def excites_too_little(effects: int, experiment: str, *, still: bool) -> str:
     would = "would not" if effects == 1 else "would"
     return (
         f"{opening}: {which} {would} show in them, present or not. "
-        f"This would show {'it' if effects == 1 else 'them'}: {experiment}."
+        f"An experiment that shows {'it' if effects == 1 else 'them'}: {experiment}."
     )
 
 
 def nothing(hidden: Sequence[str], moves: Mapping[str, float]) -> str:
-    """Say that nothing is missing, how large a disturbance is left, and what would not have shown.
+    """Say that nothing is missing, how large a disturbance is, and which effects these logs would not show.
 
     moves: forced state → size of its unknown input over that of its derivative on the logs, where there is one
     """
-    left = [f"{percent(share)} of what moves {name}" for name, share in moves.items()]
-    text = NOTHING
-    if left:
-        text = f"Nothing is missing: what the model leaves is a disturbance ({', '.join(left)}) that follows no signal."
-    return f"{text} ({' and '.join(hidden)} would not have shown.)" if hidden else text
+    sizes = [f"{percent(share)} of what moves {name}" for name, share in moves.items()]
+    text = f"{DISTURBED} Its size: {listed(sizes)}." if sizes else NOTHING
+    return f"{text} These logs would not show {_counted(hidden, 'effect')}." if hidden else text
+
+
+def _counted(names: Sequence[str], noun: str) -> str:
+    """Return up to three names; more with their number before them."""
+    return listed(names) if len(names) <= MOST_NAMED else f"{counted(len(names), noun)}: {listed(names)}"
 
 
 def cannot_tell(names: Sequence[str], experiment: str, certain: str, subject: Subject) -> str:
     """Say what rivals leave open, beside what they have in common."""
     opening = f"{certain} Beside it, these logs" if certain else "These logs"
-    designed = "" if subject.static else "; `cosim excite` designs it, and says whether any would"
-    apart = f"{' from '.join(names)}" if len(names) < 3 else f"these apart: {', or '.join(names)}"
-    return f"{opening} cannot tell {apart}. This may: {experiment}{designed}."
+    designed = "" if subject.static else " `cosim excite` designs it, and says whether any would."
+    many = f"decide between {_counted(names, 'hypothesis')}"
+    apart = f"tell {names[0]} from {names[1]}" if len(names) == 2 else many
+    return f"{opening} cannot {apart}. An experiment that may decide: {experiment}.{designed}"
 
 
 def unexplained(residual: Mapping[str, Any], nearest: Sequence[str], otherwise: str = NO_HYPOTHESIS) -> str:
     """Say where something acts that has no name, on what it depends, and what comes nearest."""
     where = residual["equation"]
     if residual["signals"]:
+        text = f"Something outside the catalogue acts on {where}; it {_goes(residual)}."
         # a term may promise likelihood where noise, not its own share, fills what is missing
-        share = f", and that takes away {percent(residual['share'])} of what is missing" if residual["share"] else ""
-        if residual["share"] and residual["share"] < LITTLE:
-            share = f", but no single term for that takes away even {percent(LITTLE)} of what is missing"
-        text = f"Something outside the catalogue acts on {where}; it {_goes(residual)}{share}."
+        if share := residual["share"]:
+            little = f"No single term for that explains even {percent(LITTLE)} of what is missing."
+            text += f" {little if share < LITTLE else f'That explains {percent(share)} of what is missing.'}"
     elif where:
         text = f"A disturbance acts on {where}; it depends on none of the signals tried."
     else:
         text = otherwise
-    return text + (f" Nearest, but not it: {' and '.join(nearest)}." if nearest else "")
+    return text + (f" Best candidates, not confirmed: {listed(nearest)}." if nearest else "")
 
 
 def doubted(doubt: Doubt) -> str:
     """Say why a claim was withdrawn after replays."""
     if doubt.kind == "missed":
-        return f"With it, replays still miss {doubt.channel} by {plain(doubt.size, 2)} times what noise makes."
+        return f"With it, replays still miss {doubt.channel} by {plain(doubt.size, 2)} times the noise floor."
     if doubt.kind == "no_nearer":
         return "Replays with it are nearer on no channel than those of the model recalibrated without it."
     if doubt.kind == "kept":
         return f"With it, replays keep {plain(100 * doubt.size, 2)}\u00a0% of the excess error."
-    return f"Much is left, and predictions of logs left out are not plainly better for {' and '.join(doubt.names)}."
+    return f"Much remains, and predictions of held-out logs are not plainly better for {listed(doubt.names)}."
 
 
-def part(residual: Mapping[str, Any], left: str) -> str:
-    """Say that a claim is a part of what is missing: what is left, and where that acts."""
-    where = f" acts on {residual['equation']}" if residual["equation"] else " has no place in the equations"
+def part(residual: Mapping[str, Any], rest: str) -> str:
+    """Say that a claim is a part of what is missing: how much remains, and where that acts."""
+    where = f"acts on {residual['equation']}" if residual["equation"] else "has no place in the equations"
     on = f" and {_goes(residual)}" if residual["signals"] else ""
-    return f"A part of what is missing: {left}, and the rest{where}{on}."
+    return f"{IN_PART}: {rest}. The rest {where}{on}."
 
 
-def misses(channel: str, times: float, recalibrated: Sequence[Moved]) -> str:
+def misses(channel: str, times: float, recalibrated: Sequence[Moved], units: Mapping[str, str]) -> str:
     """Say by how much the unchanged model misses a channel, and how far recalibration had to go to mend that."""
-    moved = ", ".join(map(_moved, recalibrated))
-    further = f"; recalibrated further than a data sheet is off ({moved}) it does not" if moved else ""
-    return (
-        f"The model as it stands misses {channel} by {plain(times, 2)} times what noise makes{further}. "
-        "No candidate accounts for that."
-    )
+    text = f"The model as it stands misses {channel} by {plain(times, 2)} times the noise floor."
+    if recalibrated:
+        text += f" Recalibrated beyond its tolerances it does not: {_all_moved(recalibrated, units)}."
+    return f"{text} No candidate accounts for that."
 
 
-def further(moved: Sequence[Moved]) -> str:
+def further(moved: Sequence[Moved], units: Mapping[str, str]) -> str:
     """Say that other numbers come out beyond their tolerances beside a claim."""
-    verb = "is" if len(moved) == 1 else "are"
-    return f" Beside it, {' and '.join(map(_moved, moved))} {verb} further off than stated." if moved else ""
+    return f"Beside it, recalibrated beyond tolerance: {_all_moved(moved, units)}."
 
 
-def _moved(m: Moved) -> str:
-    return f"{m.name} {plain(m.stated)} → {plain(m.fitted)}"
+def _all_moved(moved: Sequence[Moved], units: Mapping[str, str]) -> str:
+    return listed(
+        [f"{m.name} {plain(m.stated)} → {plain(m.fitted)} {written(units.get(m.name, ''))}".rstrip() for m in moved]
+    )
 
 
 def rises(errors: Mapping[str, tuple[float, float]], units: Mapping[str, str], file: str) -> str:
@@ -166,43 +189,49 @@ def rises(errors: Mapping[str, tuple[float, float]], units: Mapping[str, str], f
 
     errors: channel → root mean square before and after; file: the model that is meant by after
     """
-    said = []
+    changes = {}
     for name, pair in errors.items():
         unit, factor = finer(units.get(name, ""), pair[1])
         before, after = (joined(plain(error * factor), unit) for error in pair)
         if before != after:
-            said.append(f"of {name} rises from {before} to {after}")
-    return f"On the sealed logs the error {' and '.join(said)} with {file}." if said else ""
+            changes[name] = f"of {name} rises from {before} to {after}"
+    if not changes:
+        return ""
+    first, *others = changes
+    also = f" So does the error of {listed(others)}." if others else ""
+    return f"On the sealed logs the error {changes[first]} with {file}.{also}"
 
 
-def calmer(part: str, found: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -> str:
-    """Say that a noise floor is above the error; found: channel → floor and error."""
+def calmer(part: str, above: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -> str:
+    """Say that a noise floor is above the error; above: channel → floor and error."""
     which = "sealed" if part == "validation" else "estimation"
-    said = []
-    for name, (floor, error) in found.items():
+    pairs = []
+    for name, (floor, error) in above.items():
         unit, factor = finer(units.get(name, ""), error)
-        said.append(f"{name} {joined(plain(error * factor), unit)} under {joined(plain(floor * factor), unit)}")
+        pairs.append(f"{name} {joined(plain(error * factor), unit)} under {joined(plain(floor * factor), unit)}")
     return (
-        f"on the {which} logs the error is below its noise floor ({', '.join(said)}): they hold less noise and "
-        "disturbance than was estimated, so that the floor is none for them"
+        f"on the {which} logs the error is below its noise floor ({', '.join(pairs)}). These logs hold less noise and "
+        "disturbance than was estimated, so the floor does not apply to them"
     )
 
 
-def holds(names: Sequence[str], *, fitted: bool, file: str = NEAREST[0]) -> str:
-    """Say what the nearest model holds: what was added, or nothing; fitted: base parameters are recalibrated."""
-    what = f"has {' and '.join(names)}" if names else f"is the model {'recalibrated' if fitted else 'as it was'}"
-    return f"{file}, which predicts logs left out best, {what}."
+def holds(names: Sequence[str], *, fitted: bool, file: str = NEAREST[0], same: bool = False) -> str:
+    """Say what the nearest model contains; fitted: base parameters are recalibrated; same: just those named before."""
+    what = f"contains {'them' if same else _counted(names, 'candidate')}"
+    if not names:
+        what = f"is the model {'recalibrated' if fitted else 'as it was'}"
+    return f"{file} predicts held-out logs best; it {what}."
 
 
 def on_rows_left_out(c: Claims, subject: Subject) -> str:
-    """Say the errors on rows left out: of what is claimed, or of the model recalibrated, and without it."""
+    """Say the errors on held-out rows: of the claim, or of the model recalibrated, and without it."""
     units, errors = {q.name: q.unit for q in subject.outputs}, c.left_out or {}
     effect = c.claimed is not None and any(part.kind != "parameter" for part in c.claimed.candidates)
     best, other = ("after", "recalibrated") if effect else ("recalibrated", "before")
-    who, without = ("the model", "without it") if effect else ("the model recalibrated", "as it is")
-    missed = " and ".join(f"{size(v, units[n])} in {n}" for n, v in errors[best].items())
-    before = " and ".join(size(v, units[n]) for n, v in errors[other].items())
-    return f"On rows left out, fitted to the others, {who} is off by {missed}; {without}, by {before}."
+    who, without = ("the model", "Without the claim") if effect else ("the model recalibrated", "As it is")
+    missed = listed([f"{size(v, units[n])} in {n}" for n, v in errors[best].items()])
+    before = listed([size(v, units[n]) for n, v in errors[other].items()])
+    return f"On held-out rows {who} is off by {missed}. {without} it is off by {before}."
 
 
 def follows(signal: str, shape: Shape | None = None) -> str:
@@ -224,18 +253,43 @@ def _goes(residual: Mapping[str, Any]) -> str:
     return follows(residual["signals"][0], shape)
 
 
+OPENINGS = {  # kind → before up to three names, and in place of more
+    "effect": ("the model lacks", "the model lacks {} effects"),
+    "parameter": ("the model has a wrong", "the model has {} wrong parameters"),
+    "sensor": ("the sensors have", "the sensors have {} errors"),
+}
+
+
 def claim(best: Hypothesis, candidates: Sequence[Candidate], subject: Subject) -> str:
     """Say what these candidates of the best hypothesis are, with their values and intervals."""
-    parts: dict[str, list[str]] = {"effect": [], "parameter": [], "sensor": []}
+    kinds = {c.name: kind_within(c, subject) for c in candidates}
+    values = {c.name: [_estimate(best, f, written(subject.declared[f.name].unit)) for f in c.free] for c in candidates}
     for c in candidates:
-        values = ", ".join(_estimate(best, f, written(subject.declared[f.name].unit)) for f in c.free)
-        kind = kind_within(c, subject)
-        note = "; the logs show none" if kind != c.kind and not best.is_away(c, NORMAL_95) else ""
-        parts[kind].append(f"{c.name} ({values}{note})")
-    openings = {"effect": "the model lacks", "parameter": "the model has a wrong", "sensor": "the sensors have"}
-    text = "; ".join(f"{openings[kind]} {' and '.join(names)}" for kind, names in parts.items() if names)
-    moving = " The fit was still moving when it was ended: these intervals are too narrow."
-    return f"{text[0].upper()}{text[1:]}.{'' if best.fit.converged else moving}"
+        if kinds[c.name] != c.kind and not best.is_away(c, NORMAL_95):
+            values[c.name][-1] += "; the logs show none"
+    text = _opened(kinds, {name: f"{name} ({', '.join(parts)})" for name, parts in values.items()})
+    if len(candidates) > MOST_NAMED or len(text.split()) > MOST_WORDS:
+        text = " ".join((_opened(kinds, {name: name for name in values}), *chain(*map(_values, values.items()))))
+    moving = " The fit was still moving when it ended: these intervals are too narrow."
+    return f"{text}{'' if best.fit.converged else moving}"
+
+
+def _opened(kinds: Mapping[str, str], texts: Mapping[str, str]) -> str:
+    """Return the claim of each kind of candidate; their number where there are more than three of a kind."""
+    parts = []
+    for kind, (opening, several) in OPENINGS.items():
+        names = [text for name, text in texts.items() if kinds[name] == kind]
+        if names:
+            parts.append(several.format(len(names)) if len(names) > MOST_NAMED else f"{opening} {listed(names)}")
+    text = "; ".join(parts)
+    return f"{text[:1].upper()}{text[1:]}."
+
+
+def _values(entry: tuple[str, Sequence[str]]) -> Iterator[str]:
+    """Yield the values of a candidate, at most three in a sentence."""
+    name, values = entry
+    for first in range(0, len(values), MOST_NAMED):
+        yield f"{name}: {', '.join(values[first : first + MOST_NAMED])}."
 
 
 def _estimate(best: Hypothesis, f: Free, unit: str) -> str:
@@ -248,12 +302,10 @@ def _estimate(best: Hypothesis, f: Free, unit: str) -> str:
 
 def perhaps(names: Sequence[str]) -> str:
     """Say that something would gain, but too little."""
-    return f" (Perhaps {' and '.join(names)}: what that gains may be chance.)" if names else ""
+    return f" Perhaps also {listed(names)}; that gain may be chance." if names else ""
 
 
-def left_over(term: Unnamed | None, gained: float) -> str:
-    """Say what a claim leaves, where that is plain: how much a term without a name adds to its gain."""
-    if term is None:
-        return ""
-    more = f"a term without a name promises {percent(term.gain / gained)} of the claim's gain on top"
-    return f" Something is left in {term.equation} that {follows(term.signal, term.shape)}: {more}."
+def left_over(term: Unnamed, gained: float) -> str:
+    """Say what a claim leaves: how much a term without a name adds to its gain."""
+    rest = f"Something remains in {term.equation} that {follows(term.signal, term.shape)}."
+    return f"{rest} A term without a name would add {percent(term.gain / gained)} to the claim's gain."

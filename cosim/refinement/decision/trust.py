@@ -1,10 +1,11 @@
-"""Whether a model predicts better with its equations trusted than with unknown inputs free to explain what it misses.
+"""Comparison of fits with free unknown inputs and fits with trusted equations.
 
-An unknown input that is free follows whatever a row ahead can show: an input that was not quite held between two rows,
-a fast mode that the model lacks. Then parameters are those that suit the next row, and slow effects, which show over
-the model's own horizon, weigh little. Where a fit without unknown inputs predicts clearly better in open loop, the
-search is made again without them. What is left is then far from white, and every candidate costs as many times more as
-estimates scatter more from block to block of time than a white residual would let them.
+A free unknown input absorbs every one-step prediction error, for example an input that was not held between two rows
+or an unmodelled fast mode. The parameters then fit the next row, and slow effects, visible over the model's own
+horizon, have little weight. If a fit without unknown inputs predicts clearly better in open loop, the search is
+repeated
+without them. The residual is then not white, and the cost of every candidate is scaled by the ratio of the estimates'
+scatter over blocks of time to the scatter for a white residual.
 """
 
 from __future__ import annotations
@@ -27,18 +28,21 @@ from cosim.refinement.search.hypotheses import NOISE
 from cosim.subject.candidates import Candidate
 from cosim.subject.interface import Subject
 
-CLEARLY = 0.05  # of the error of open-loop predictions, by which one way must be better
+CLEARLY = 0.05  # improvement of the log error of open-loop predictions from which one way is better
 
 
 def attributed(subject: Subject, problem: Problem, candidates: Sequence[Candidate], progress: Progress) -> Found:
-    """Return the best hypothesis with unknown inputs free, or with the equations trusted where that predicts better."""
+    """Return the best hypothesis, with or without unknown inputs.
+
+    Equations are trusted if open-loop predictions become clearly better.
+    """
     found = Attributor(subject, problem, candidates, progress).run()
     if not any(gain > NOISE for gain in noise_gain(found.search.problem, found.best.fit)):
         return found
     progress("predicting with the equations trusted", 0.0)
     trusted = with_equations_trusted(subject, problem)
     free = missed(found.search.problem, subject, found.best.fit)
-    if math.isfinite(subject.horizon):  # a model that is judged by a free run is tried so in any case
+    if math.isfinite(subject.horizon):  # A model judged by a free run skips this shortcut.
         search = Search(subject, coarsened(trusted), len(candidates), progress)
         likewise = search.hypothesis(found.best.candidates, found.best.fit)
         if missed(search.problem, subject, likewise.fit) > free - CLEARLY:
@@ -50,12 +54,12 @@ def attributed(subject: Subject, problem: Problem, candidates: Sequence[Candidat
 
 
 def missed(problem: Problem, subject: Subject, f: Fit) -> float:
-    """Return logarithm of the error of open-loop predictions over the model's horizon, a mean over the outputs."""
+    """Return the mean log error of open-loop predictions."""
     return size([open_loop(problem, subject.horizon, f.values, f, k) for k in range(len(problem.logs))])
 
 
 def size(errors: Sequence[Array]) -> float:
-    """Return mean over the outputs of the logarithm of the root mean square."""
+    """Return the mean log RMSE over the outputs."""
     rows = np.concatenate([e.reshape(-1, e.shape[-1]) for e in errors])
     with np.errstate(invalid="ignore", divide="ignore"):
         sizes = 0.5 * np.log(np.nanmean(rows**2, axis=0))

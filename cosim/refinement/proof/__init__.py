@@ -1,1 +1,1 @@
-"""Refined FMUs, replayed on the logs, sealed ones included."""
+"""Proof of refined FMUs by replays of the logs, sealed logs included."""

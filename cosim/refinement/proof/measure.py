@@ -1,7 +1,8 @@
-"""The error of a model on logs: replays through the FMU over the model's horizon (2 s, or a free run), and their floor.
+"""Replay errors of a model on logs, and the noise floor of these errors.
 
-Each replay starts from that model's own filtered state and effect memory, of past data only, at its first row's time.
-All horizons are measured through the FMU; the floor, which needs dozens of runs, through the kernel, which equals it.
+Each replay starts from the filtered state and effect memory of the replayed model, from past data only, at the time of
+its first row, and lasts the model's horizon (2 s, or a free run). Errors are measured through the FMU. The noise floor
+needs dozens of runs and is measured through the kernel, which gives the same results.
 """
 
 from __future__ import annotations
@@ -33,16 +34,16 @@ from cosim.subject.interface import Replayer, Start, Subject
 FLOOR_SEED = 20121
 
 DRAWS = 20
-CALMER, UNLIKE = 1.2, 3.0  # times the error, and times its scatter, from which a floor is plainly above it
+CALMER, UNLIKE = 1.2, 3.0  # ratio of floor to error, and its log per scatter, from which a floor is too high
 
 
 Evidence = list[tuple[Log, Replay]]
 
 
 def filtering(problem: Problem, subject: Subject, logs: Sequence[Log]) -> Problem:
-    """Return the filter of a problem for a variant of its subject on other logs; what these lack is missing.
+    """Return a variant's filter problem on other logs.
 
-    The kernel of the problem takes all numbers, those of the variant too.
+    The kernel of `problem` takes all parameters, including those of the variant.
     """
     layout = problem.layout
     data = [as_data(subject, log, layout, problem.settle, problem.settings.interpolated) for log in logs]
@@ -56,9 +57,9 @@ def filtering(problem: Problem, subject: Subject, logs: Sequence[Log]) -> Proble
 def replays(
     variant: Variant, replayer: Replayer, problem: Problem, logs: Sequence[Log], horizons: Sequence[float] = ()
 ) -> dict[float, Evidence]:
-    """Return horizon → each log, its readings corrected, and its consecutive replays through what is delivered.
+    """Return horizon → corrected logs and their replays.
 
-    The subject's own horizon comes first. Over another, a subject that runs away may end its FMU: that log is left out.
+    The subject's own horizon comes first. An unstable subject may stop its FMU on another horizon; that log is skipped.
     """
     problem = filtering(problem, variant.subject, logs)
     judged = variant.subject.horizon
@@ -75,7 +76,7 @@ def replays(
             except StoppedReplay:
                 if horizon == judged:
                     raise
-                break  # a failed FMU is not called again
+                break  # A stopped FMU must not be called again.
             played[horizon].append(
                 (without_sensor_errors(log, variant, acting.get(horizon, {}), replay.outputs), replay)
             )
@@ -88,7 +89,7 @@ def replays(
 def _starts(
     variant: Variant, problem: Problem, log: Log, index: int, horizon: float
 ) -> tuple[dict[int, Start], dict[str, Array]]:
-    """Return starts of the replays of a log, as the filter knew them by then, and parameters per log in every row."""
+    """Return replay starts and parameters per log."""
     rows, layout = first_rows(log, horizon), problem.layout
     data = problem.data(variant.values, index)
     filtered = problem.known(data, variant.values, variant.noise, index, log.grid[rows].tolist())
@@ -103,7 +104,7 @@ def _starts(
 
 
 def first_rows(log: Log, horizon: float) -> list[int]:
-    """Return the rows where replays start; a free run is one, from the first row."""
+    """Return the first rows of the replays."""
     return [0] if horizon == FREE_RUN else window_rows(log, horizon)
 
 
@@ -113,9 +114,11 @@ def rmse(evidence: Evidence) -> dict[str, float]:
 
 
 def without_sensor_errors(log: Log, variant: Variant, acting: Mapping[str, Array], said: Mapping[str, Array]) -> Log:
-    """Return the log with readings corrected for what the model knows of its sensors, and what is `acting`.
+    """Return the log without the modelled sensor errors.
 
-    said: output → what the model says is there; where a reading is late or goes by other outputs, these are the model's
+    Args:
+        acting: Parameters per log, one value for each row.
+        said: Output → simulated value, for sensors with latency or dependence on other outputs.
     """
     outputs = dict(log.outputs)
     for sensor in _sensors(variant, acting):
@@ -128,20 +131,20 @@ def without_sensor_errors(log: Log, variant: Variant, acting: Mapping[str, Array
 
 
 def _sensors(variant: Variant, acting: Mapping[str, Array]) -> Iterator[SensorError]:
-    """Yield the errors of the sensors, the last to act first."""
+    """Yield the sensor errors, last one first."""
     values = {**variant.values, **acting}
     for kind in reversed(variant.subject.sensors):
         yield kind(value=values[f"{kind.name}.value"])
 
 
 def _line(sensor: SensorError) -> tuple[Any, Any]:
-    """Return reading at zero, and gain, of one whose readings are a straight line."""
+    """Return zero reading and gain of a sensor."""
     at_zero = sensor.measure(0.0)
     return at_zero, sensor.measure(1.0) - at_zero
 
 
 def _added(sensor: Any, time: Array, said: Mapping[str, Array]) -> dict[str, Array]:
-    """Return output → what one that is no straight line adds to it, at what the model says is there."""
+    """Return output → error of a nonlinear sensor."""
     own = {n: said[n] for n in sensor.affected()}
     if sensor.late:
         return {n: np.interp(time - sensor.value, time, there, left=np.nan) - there for n, there in own.items()}
@@ -151,7 +154,7 @@ def _added(sensor: Any, time: Array, said: Mapping[str, Array]) -> dict[str, Arr
 
 
 def _acting(problem: Problem, filtered: Filtered, starts: Rows, rows: Rows) -> dict[str, Array]:
-    """Return parameter per log → its value in some rows: as the filter knew it where the replay of that row started."""
+    """Return the parameters per log at each replay's start."""
     constants = problem.layout.constants
     if not constants:
         return {}
@@ -162,7 +165,7 @@ def _acting(problem: Problem, filtered: Filtered, starts: Rows, rows: Rows) -> d
 
 
 def predicted_errors(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
-    """Return the root mean square of measured − model of each channel over the horizon, as the kernel replays."""
+    """Return the RMSE of each channel in kernel replays."""
     problem = filtering(problem, variant.subject, logs)
     missed = [
         _missed(variant, problem, log, index, problem.data(variant.values, index)) for index, log in enumerate(logs)
@@ -172,23 +175,25 @@ def predicted_errors(variant: Variant, problem: Problem, logs: Sequence[Log]) ->
 
 @dataclass(frozen=True)
 class Floor:
-    """Channel → error of a model against itself, and how much of it that scatters from draw to draw.
+    """Channel → noise floor of the replay error, and its scatter over draws.
 
-    scatter: standard deviation of its logarithm; without a channel where one draw is all there is
+    Attributes:
+        level: Root mean square error of the model against itself.
+        scatter: Standard deviation of the logarithm; no entry for a channel with a single draw.
     """
 
     level: Mapping[str, float]
     scatter: Mapping[str, float]
 
     def above(self, error: Mapping[str, float]) -> dict[str, tuple[float, float]]:
-        """Return channel → floor and error, where the floor is plainly above: the logs hold less noise than it."""
+        """Return channel → floor and error if the floor is too high."""
         there = {n: (f, error[n]) for n, f in self.level.items() if error.get(n, 0.0) > 0.0}
         limits = {n: max(math.log(CALMER), UNLIKE * self.scatter.get(n, 0.0)) for n in there}
         return {n: (f, e) for n, (f, e) in there.items() if f > 0.0 and math.log(f / e) > limits[n]}
 
 
 def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np.random.Generator) -> Floor:
-    """Return the same statistic for the model against itself, simulated with the estimated process and sensor noise."""
+    """Return the noise floor from simulations with random noise."""
     problem = filtering(problem, variant.subject, logs)
     draws: list[list[Array]] = [[] for _ in range(-(-DRAWS // len(logs)))]
     for index, log in enumerate(logs):
@@ -204,7 +209,7 @@ def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np
 
 
 def followed(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
-    """Return values of parameters per log with which the filter ends each log; of a log in pieces, the last."""
+    """Return the last filtered values of parameters per log."""
     if not logs or not problem.layout.constants:
         return {}
     problem = filtering(problem, variant.subject, logs)
@@ -213,7 +218,7 @@ def followed(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[st
 
 
 def _known_at_the_end(variant: Variant, problem: Problem, index: int) -> dict[str, float]:
-    """Return values of parameters per log, known as the filter has them when it has seen the whole log."""
+    """Return filtered parameters at the end of a log."""
     if not (constants := problem.layout.constants):
         return {}
     last = problem.undisturbed(problem.run(variant.values, variant.noise, index, states=True).states[-1])
@@ -223,9 +228,9 @@ def _known_at_the_end(variant: Variant, problem: Problem, index: int) -> dict[st
 
 
 def _drawn(problem: Problem, index: int, variant: Variant, first: Array, rng: np.random.Generator) -> Data:
-    """Return a log as the model would have made it from a first state, with unknown inputs and sensor noise drawn anew.
+    """Return a simulated log with new noise.
 
-    Late readings are where they belong, as of `Problem.data`.
+    Late readings are shifted to the rows of their measurement, as in `Problem.data`.
     """
     layout, data = problem.layout, problem.data(variant.values, index)
     rows, noisy = len(data.u), layout.noise_places
@@ -240,14 +245,14 @@ def _drawn(problem: Problem, index: int, variant: Variant, first: Array, rng: np
 
 
 def _older(outputs: Array, late: Array | None) -> Array:
-    """Return outputs by part of a row earlier, as the filter takes readings that are older than their row."""
+    """Return outputs shifted by fractions of a row."""
     return outputs if late is None else outputs - np.nan_to_num(late) * np.diff(outputs, axis=0, prepend=outputs[:1])
 
 
 def _missed(variant: Variant, problem: Problem, log: Log, index: int, data: Data) -> Array:
-    """Return measured, corrected for errors of the sensors, − model of replays over the model's horizon.
+    """Return corrected measurement − model in replays over the model's horizon.
 
-    Each starts from the state that the filter knew by then.
+    Each replay starts from the state filtered from past data.
     """
     gains = dict.fromkeys(problem.layout.outputs, np.ones(len(data.u)))
     horizon = variant.subject.horizon
@@ -275,7 +280,7 @@ def _root_mean_squares(problem: Problem, missed: Sequence[Array]) -> dict[str, f
 
 
 def _predicted(problem: Problem, data: Data, p: Array, filtered: Filtered, rows: Sequence[int], length: int) -> Array:
-    """Return outputs of replays as the kernel runs them; NaN where none predicts."""
+    """Return the outputs of kernel replays; NaN between replays."""
     predicted = np.full(data.y.shape, np.nan)
     for k in rows:
         end = min(k + length, len(data.u) - 1)

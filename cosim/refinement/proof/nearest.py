@@ -1,7 +1,7 @@
-"""The model that comes nearest, where not all is claimed: by predictions of each log, the others learnt from.
+"""Choice of the nearest model for an incomplete claim, by cross-validation over the estimation logs.
 
-It may be the best hypothesis, claimed or not, the model recalibrated, or the model as it was given; sealed logs have no
-say. Errors are those of replays over the model's own horizon, each from the filtered state, as the kernel runs them.
+The nearest model is a hypothesis close to a claim, the recalibrated model, or the given model. Sealed logs are not
+used. Errors are kernel replays over the model's own horizon from the filtered state.
 """
 
 from __future__ import annotations
@@ -15,13 +15,14 @@ from cosim.refinement.decision.trust import size
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis
 
-SIMPLER = 0.01  # of the error, within which the simpler model is taken
+SIMPLER = 0.01  # difference of log error within which the simpler model is chosen
 
 
 def nearest(search: Search, a: Attribution, best: Sequence[Hypothesis]) -> Hypothesis | None:
-    """Return the hypothesis that predicts logs left out best; None: the model as given.
+    """Return the best predictor of held-out logs, None for the given model.
 
-    best: hypotheses that were nearly claimed, simplest first
+    Args:
+        best: Hypotheses close to a claim, simplest first.
     """
     problem = search.problem if len(search.problem.logs) > 1 else halved(search.problem)
     logs = range(len(problem.logs))

@@ -1,7 +1,7 @@
-"""Replays of every variant on every set of logs: through the quick way where it equals what is delivered.
+"""Replays of every variant on every set of logs, through a fast replayer if equal to the delivered object.
 
-The delivered object replays one log too. Where the two are not equal, or there is no quick way, every replay is through
-the delivered one, and the record says so.
+The delivered object replays one log for comparison. If the results differ, or no fast replayer exists, the delivered
+object replays every log, and the record says so.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from cosim.refinement.record import OTHER_HORIZONS, Part, Replayed, Replays
 from cosim.residuals.windows import Replay
 from cosim.subject.interface import Replayer, Subject, Workplace
 
-EQUAL = 1e-9  # of max(1, largest value), within which quick replays are those of the delivered object
+EQUAL = 1e-9  # largest difference of fast replays from those of the delivered object, relative to max(1, largest value)
 LogSets = Mapping[Part, Sequence[Log]]
 Way = Callable[[Subject], Replayer]
 
 
 @dataclass(frozen=True)
 class Proof:
-    """Logs on which variants are replayed, the fitting problem, and where what replays them lives."""
+    """Logs for the replays of variants, the fitting problem, and the workplace of the replayers."""
 
     problem: Problem
     sets: LogSets
     place: Workplace
 
     def replayed(self, variants: Mapping[str, Variant]) -> tuple[Replayed, Replays]:
-        """Replay every variant, and say through what."""
+        """Replay every variant; return the replays and the FMU used."""
 
         def delivered(subject: Subject) -> Replayer:
             return subject.replayer(self.place)
@@ -66,7 +66,7 @@ class Proof:
         return self.every(variants, delivered), way
 
     def every(self, variants: Mapping[str, Variant], way: Way) -> Replayed:
-        """Replay every variant on every set; a variant that stands for two is replayed once."""
+        """Replay every distinct variant on every set."""
         horizons = [] if self.problem.table else list(OTHER_HORIZONS.values())
         done: dict[int, dict[Part, dict[float, Evidence]]] = {}
         for variant in variants.values():
@@ -79,7 +79,10 @@ class Proof:
 
 
 def difference(one: Replay, other: Replay) -> float:
-    """Return the largest difference of an output, of max(1, its largest value); infinite where only one predicts."""
+    """Return the largest relative difference of outputs.
+
+    The difference is infinite if only one replay predicts.
+    """
     return max((_apart(values, other.outputs[name]) for name, values in one.outputs.items()), default=0.0)
 
 
@@ -93,6 +96,6 @@ def _apart(one: Array, other: Array) -> float:
 
 
 def warnings_of(way: Replays) -> Iterator[str]:
-    """Warn of a native FMU that does not equal the one in Python; of none where there is none to be had."""
+    """Warn of an unequal native FMU."""
     if way.through == "python" and way.log:
         yield f"the native FMU of the model is not used: {way.why}; every error is that of FMUs in Python"

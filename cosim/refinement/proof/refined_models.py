@@ -1,4 +1,4 @@
-"""The subjects that are held against each other: before, recalibrated, refined."""
+"""Subjects in the comparison: before, recalibrated, refined."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from cosim.subject.interface import Subject
 
 @dataclass(frozen=True, eq=False)
 class Variant:
-    """A subject under judgement, and the filter that gives its starts.
+    """A subject under judgement with the filter for its replay starts.
 
-    values: every number that the kernel takes, parameters of sensors and per log among them
+    Attributes:
+        values: All parameters of the kernel, including those of sensors and those per log.
     """
 
     subject: Subject
@@ -27,10 +28,11 @@ class Variant:
 
 
 def refined_subject(subject: Subject, settings: Settings, claimed: Hypothesis | None) -> Subject:
-    """Return the subject with what was claimed put in, base parameters recalibrated with it; itself without a claim.
+    """Return the subject with the claim and recalibration.
 
-    Errors of sensors alone leave its parameters as they are, and so what is delivered, but for those of which it is
-    stated how far they may be off. Of a parameter per log it has the mean.
+    A claim of sensor errors alone changes only sensor parameters and parameters with a stated tolerance. A parameter
+    per
+    log takes its mean.
     """
     if claimed is None:
         return subject
@@ -43,7 +45,7 @@ def refined_subject(subject: Subject, settings: Settings, claimed: Hypothesis | 
 def variants_of(
     subject: Subject, settings: Settings, a: Attribution, claimed: Hypothesis | None, refined: Subject
 ) -> dict[str, Variant]:
-    """Return the subject before, recalibrated and after, each with the filter that starts its replays."""
+    """Return the variants before, recalibrated and after."""
     base = a.base.fit
     recalibrated = subject.refined({f.name: float(base.values[f.name]) for f in base.free if not f.group})
     before = after = variant_of(subject, settings, a.given)
@@ -53,14 +55,15 @@ def variants_of(
 
 
 def of_noise(after: Variant, a: Attribution, claimed: Hypothesis | None, heard: Array | None) -> Variant:
-    """Return the refined subject with the noise that is in the logs: what a model misses that is far off is none.
+    """Return the refined subject with sensor noise only.
 
-    heard: ln of the variances of sensor noise, where those of a fit hold what its model misses too
+    Args:
+        heard: ln of the sensor noise variances to use if the fitted variances include model errors.
     """
     noise = (claimed or a.base).fit.noise
     return replace(after, noise=noise if heard is None else replace(noise, sensors=heard))
 
 
 def variant_of(subject: Subject, settings: Settings, f: Fit) -> Variant:
-    """Return a subject with the noise of a fit, and its parameters per log."""
+    """Return a subject with the noise of a fit."""
     return Variant(subject, {**subject.values, **of_every_log(f, settings.groups.values())}, f.noise)

@@ -1,4 +1,4 @@
-"""A verdict held against replays of the estimation logs: they change what is claimed and its grade, never erase it."""
+"""Comparison of a verdict with replays of the estimation logs, which may change the claim or its grade."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from cosim.residuals.residual_statistics import COUNTS_FROM, excess_left
 from cosim.subject.base_parameters import WIDTHS
 from cosim.subject.interface import Subject
 
-PART = 0.1  # of the excess error, from which a claim that leaves it is of a part only
-HALF = 0.5  # the same, on the channel that is mended best: what leaves more is not claimed
+PART = 0.1  # remaining share of the excess error from which a claim explains only a part
+HALF = 0.5  # remaining share of the excess error on the best channel from which a claim is withdrawn
 
 Channels = Mapping[str, float]  # measured output → root mean square
-ErrorOf = Mapping[str, Channels]  # of replays before, recalibrated and after
+ErrorOf = Mapping[str, Channels]  # replays before, recalibrated and after → errors
 
 
 def held_against_replays(study: Study, a: Attribution, claims: Claims, found: Found, problem: Problem) -> Claims:
-    """Compare the answer, its claim or that nothing is missing, with replays of the estimation logs."""
+    """Compare the verdict with replays of the logs."""
     within, single = not _beyond(a.base.fit), False
     if claims.name == "no_effect":
         error, floor = _replay_errors(study, a, claims, problem, found.heard)
@@ -55,7 +55,7 @@ def held_against_replays(study: Study, a: Attribution, claims: Claims, found: Fo
 def _replay_errors(
     study: Study, a: Attribution, claims: Claims, problem: Problem, heard: Array | None
 ) -> tuple[ErrorOf, Channels]:
-    """Return errors of replays before, recalibrated and after, and the last's floor, by the kernel."""
+    """Return replay errors and their noise floor."""
     subject, settings = study.subject, study.settings
     refined = refined_subject(subject, settings, claims.claimed)
     variants = variants_of(subject, settings, a, claims.claimed, refined)
@@ -64,7 +64,7 @@ def _replay_errors(
     return error, noise_floor(quiet, problem, study.logs, np.random.default_rng(FLOOR_SEED)).level
 
 
-# -- a claim ----------------------------------------------------------------------------------
+# -- Check of a claim --------------------------------------------------------------------------
 
 
 def checked_claim(
@@ -75,10 +75,12 @@ def checked_claim(
     *,
     recalibrated: bool = True,
 ) -> Claims:
-    """Grade a claim as one of a part where replays still miss much; withdraw it where they are no better for it.
+    """Grade or withdraw a claim according to replays.
 
-    What takes away innovations a row ahead need not be what acts: the replay shows it.
-    recalibrated: the base model is, within its tolerances; else it is no alternative
+    A term that reduces innovations one row ahead may still be wrong; only replays show the difference.
+
+    Args:
+        recalibrated: True if the recalibrated base model is within its tolerances and so an alternative.
     """
     if claims.claimed is None:
         return claims
@@ -98,13 +100,13 @@ def checked_claim(
 
 
 def _still_missed(error: ErrorOf, floor: Channels) -> Doubt | None:
-    """Doubt a claim that leaves the equations as they are, a sensor's error or a number, if replays still miss much."""
+    """Doubt a sensor claim if replays miss much."""
     worst, times = max(_missed(error["after"], floor).items(), key=itemgetter(1), default=("", 0.0))
     return Doubt("missed", worst, times) if worst else None
 
 
 def _plant_doubt(error: ErrorOf, floor: Channels, *, effects: bool) -> Doubt | None:
-    """Doubt effects that are no nearer in replays than recalibration, and claims that mend no channel by half."""
+    """Doubt effects without improvement in replays."""
     recalibrated, after = error["recalibrated"], error["after"]
     if effects and floor and all(after[n] >= recalibrated[n] for n in floor):
         return Doubt("no_nearer")
@@ -113,20 +115,22 @@ def _plant_doubt(error: ErrorOf, floor: Channels, *, effects: bool) -> Doubt | N
 
 
 def _left(error: ErrorOf, floor: Channels) -> dict[str, float]:
-    """Return the share of the excess error that a claim leaves on each channel with an excess."""
+    """Return the remaining excess error of each channel."""
     shares = {n: excess_left(error["before"][n], error["after"][n], f) for n, f in floor.items()}
     return {n: x for n, x in shares.items() if not math.isnan(x)}
 
 
-# -- that nothing is missing ------------------------------------------------------------------
+# -- Check that nothing is missing ----------------------------------------------------------------
 
 
 def single_number(claims: Claims, a: Attribution, subject: Subject, found: Found, missed: Channels) -> Claims:
-    """Claim a single number where the model explains the logs only recalibrated beyond its tolerances.
+    """Claim a single parameter or input gain.
 
-    What is claimed, the one number that is off or the gain of an input, leaves all others within theirs. Where the logs
-    do not separate several of these, the best is claimed until an experiment does.
-    missed: channel → how many times what noise makes the model as it stands misses it
+    All other parameters must stay within their tolerances. If the logs do not separate several such claims, the best is
+    claimed until an experiment separates them.
+
+    Args:
+        missed: Channel → error of the given model as a multiple of the noise floor.
     """
     misfit, near = claims.misfit, _alone_off(found, a.base)
     if len(near) > 1:
@@ -141,10 +145,10 @@ def single_number(claims: Claims, a: Attribution, subject: Subject, found: Found
 
 
 def _alone_off(found: Found, base: Hypothesis) -> list[Hypothesis]:
-    """Return the hypotheses that one number, or one gain, is off, and no other, as near as the best of them."""
+    """Return hypotheses of a single wrong parameter."""
     search = found.search
     single = [c for c in found.candidates if c.kind == "parameter" or c.gain]
-    # from numbers as stated: from where they are recalibrated a fit would have to follow what they share
+    # Fits start from stated values: a fit from recalibrated values would have to follow a ridge of shared effects.
     stated = [search.hypothesis((c,), replace(base.fit, values=search.problem.values)) for c in single]
     known = [h for c in single if (h := search.tried.get((c.name,))) and h.ended]
     best = {h.names: h for h in sorted((*stated, *known), key=lambda h: -h.score)}
@@ -153,17 +157,17 @@ def _alone_off(found: Found, base: Hypothesis) -> list[Hypothesis]:
 
 
 def _is_far(value: float, prior: tuple[float, float]) -> bool:
-    """Whether a fitted value is further from the stated one than its tolerance."""
+    """Return True if a fitted value is outside its tolerance."""
     return abs(value - prior[0]) > WIDTHS * prior[1]
 
 
 def _moved(f: Fit, names: Sequence[str]) -> tuple[Moved, ...]:
-    """Return base parameters of a fit, stated and fitted."""
+    """Return base parameters with stated and fitted values."""
     return tuple(Moved(x.name, x.prior[0], f.values[x.name]) for x in f.free if x.prior and x.name in names)
 
 
 def _is_off(search: Search, h: Hypothesis) -> bool:
-    """Whether the one number of a hypothesis is off, or its gain is none of 1, and no other number is."""
+    """Return True if only the hypothesis' parameter is off."""
     (c,) = h.candidates
     if _beyond(h.fit):
         return False
@@ -171,10 +175,10 @@ def _is_off(search: Search, h: Hypothesis) -> bool:
 
 
 def _beyond(f: Fit) -> list[str]:
-    """Return base parameters that are plainly further from their stated values than their tolerances."""
+    """Return base parameters outside their tolerances."""
     return [x.name for x in f.free if x.prior and not x.group and beyond(f, x.name, x.prior)]
 
 
 def _missed(error: Channels, floor: Channels) -> dict[str, float]:
-    """Return channels on which replays miss clearly more than noise makes, and how many times that."""
+    """Return channel → error as a multiple of its floor."""
     return {n: error[n] / f for n, f in floor.items() if f > 0.0 and error.get(n, 0.0) > COUNTS_FROM * f}

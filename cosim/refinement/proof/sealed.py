@@ -1,4 +1,4 @@
-"""Whether the error rises on sealed logs, replay by replay, by more than it scatters from one to the next."""
+"""Test for an error that rises on sealed logs by more than its scatter from replay to replay."""
 
 from __future__ import annotations
 
@@ -13,17 +13,18 @@ from cosim.logs.log import Log
 from cosim.refinement.proof.measure import Evidence, rmse
 from cosim.residuals.windows import Replay
 
-CHANCE = 0.01  # that so large a rise on any channel comes of nothing
-PARTS = 8  # of a free run, each of which counts as a replay
+CHANCE = 0.01  # probability of a false alarm for a rise on any channel
+PARTS = 8  # parts of a free run, each counted as one replay
 
 Rise = tuple[float, float]  # root mean square before and after
 
 
 def risen(before: Evidence, after: Evidence) -> dict[str, Rise]:
-    """Return channel → error before and after, where that is larger after; the greatest rise first.
+    """Return channel → error before and after of rises.
 
-    With d = ln(Σe² after / Σe² before) of each replay, t = d̄·√n / s_d is held against Student's t of n − 1: replays in
-    which much moves, and much is missed, count no more than the others. The channels share the chance (Bonferroni).
+    With d = ln(Σe² after / Σe² before) of each replay, t = d̄·√n / s_d is compared with Student's t of n − 1 degrees of
+    freedom. Replays with large errors therefore weigh as much as the others. The channels share the false-alarm
+    probability (Bonferroni).
     """
     errors = rmse(before), rmse(after)
     chance = CHANCE / max(1, len(errors[0]))
@@ -36,7 +37,7 @@ def risen(before: Evidence, after: Evidence) -> dict[str, Rise]:
 
 
 def plain_rise(rises: Sequence[float], chance: float) -> bool:
-    """Whether the mean of these is above 0 by more than chance makes of their scatter; one alone tells nothing."""
+    """Return True for a significantly positive mean."""
     from scipy.special import stdtrit
 
     count = len(rises)
@@ -47,7 +48,7 @@ def plain_rise(rises: Sequence[float], chance: float) -> bool:
 
 
 def _rises(before: Evidence, after: Evidence, name: str) -> list[float]:
-    """Return logarithm of how many times larger the sum of squares of each replay is."""
+    """Return the log error ratio of each replay."""
     found: list[float] = []
     for (log, first), (corrected, second) in zip(before, after, strict=True):
         if name not in log.outputs:
@@ -62,12 +63,15 @@ def _rises(before: Evidence, after: Evidence, name: str) -> list[float]:
 
 
 def _squares(log: Log, replay: Replay, name: str) -> Array:
-    with np.errstate(over="ignore"):  # of a model that runs away
+    with np.errstate(over="ignore"):  # A diverging model overflows.
         return np.asarray((log.outputs[name] - replay.outputs[name]) ** 2)
 
 
 def _edges(replay: Replay) -> list[int]:
-    """Return the first row of each replay, and the end; a row that one starts belongs to the one before."""
+    """Return the first row of each replay and the end.
+
+    The start row of a replay belongs to the previous replay.
+    """
     rows, starts = replay.time.size, sorted(replay.starts)
     if math.isinf(replay.horizon):
         return [round(k * rows / PARTS) for k in range(PARTS + 1)]

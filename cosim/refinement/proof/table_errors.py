@@ -1,7 +1,7 @@
-"""What a table says beside a verdict: errors on rows left out, and whether what is left goes with an input.
+"""Errors of tables on held-out rows, and dependence of table residuals on an input.
 
-A table has no equation of a state in which something could act. What is left of an output is noise where neighbours
-over an input are no more alike than others; else something goes with that input that no hypothesis says.
+A table has no state equation and no unknown input. The residual of an output is noise if neighbours along each input
+are no more alike than other rows. Otherwise the residual depends on an input in a way that no hypothesis explains.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis
 from cosim.subject.interface import Subject
 
-FEWEST = 8  # rows, below which neighbours tell nothing
-PLAIN = 3.0  # standard deviations of their correlation, from which they are alike
+FEWEST = 8  # rows below which neighbours are not informative
+PLAIN = 3.0  # standard deviations of the neighbour correlation from which rows are alike
 Channels = dict[str, float]
 
 
 def errors_left_out(search: Search, a: Attribution, claims: Claims) -> dict[str, Channels]:
-    """Return the root mean square of each model and output on rows left out, fitted to the others."""
+    """Return the RMSE on held-out rows."""
     given = _missed(search, None)
     found = {"before": given, "recalibrated": _missed(search, a.base)}
     found["after"] = _missed(search, claims.claimed) if claims.claimed else given
@@ -34,7 +34,7 @@ def errors_left_out(search: Search, a: Attribution, claims: Claims) -> dict[str,
 
 
 def _missed(search: Search, h: Hypothesis | None) -> Channels:
-    """Return the errors of one hypothesis; None: the model as it was given, of which nothing is fitted."""
+    """Return a hypothesis' errors on held-out rows."""
     problem, rows = search.problem, []
     for k in range(len(problem.logs)):
         fit = search.tried[()].fit if h is None else learnt_without(search, problem, h, k)
@@ -46,7 +46,7 @@ def _missed(search: Search, h: Hypothesis | None) -> Channels:
 
 
 def with_leftover(claims: Claims, a: Attribution, problem: Problem, subject: Subject) -> Claims:
-    """Return the answer, and what of an output goes with an input beside the best hypothesis, where something does."""
+    """Return the claims with the remaining input dependence."""
     left = _leftover(problem, a.best, subject)
     if left is None:
         return claims
@@ -62,10 +62,10 @@ def with_leftover(claims: Claims, a: Attribution, problem: Problem, subject: Sub
 
 
 def _leftover(problem: Problem, h: Hypothesis, subject: Subject) -> tuple[str, str] | None:
-    """Return output and input over which what is left goes most, where neighbours are plainly alike.
+    """Return the output and input of the strongest dependence.
 
-    By Σ r_k·r_k+1 / Σ r² of the ranks r of what is left, about their mean, in the order of the input: of noise it is
-    0 ± 1/√n, be it larger here than there (Bartels 1982). A dozen rows are too few to tell.
+    Statistic: Σ r_k·r_k+1 / Σ r² of the centred residual ranks in the order of the input; for noise 0 ± 1/√n, also for
+    noise of varying level (Bartels 1982).
     """
     u, left = np.vstack([log.u for log in problem.logs]), _left(problem, h)
     most: float = PLAIN
@@ -83,10 +83,10 @@ def _leftover(problem: Problem, h: Hypothesis, subject: Subject) -> tuple[str, s
 
 
 def _left(problem: Problem, h: Hypothesis) -> Array:
-    """Return measured − model of every row: rows, outputs."""
+    """Return measured − model of every row, shape (rows, outputs)."""
     return np.vstack([open_loop(problem, 0.0, h.fit.values, h.fit, k)[:, 0] for k in range(len(problem.logs))])
 
 
 def _sizes(problem: Problem, h: Hypothesis) -> Array:
-    """Return root mean square of what is left of each output."""
+    """Return the root mean square residual of each output."""
     return np.asarray(np.sqrt(np.nanmean(_left(problem, h) ** 2, axis=0)))

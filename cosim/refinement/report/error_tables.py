@@ -13,7 +13,7 @@ from cosim.refinement.refinement import Refinement
 from cosim.residuals.replay_sentences import horizon_name
 from cosim.residuals.residual_statistics import excess_left
 
-PARTS = {"estimation": "Estimation logs", "validation": "Sealed validation logs"}
+PARTS = {"estimation": "Logs used for the fits", "validation": "Sealed logs"}
 NOISE = 1.2  # times the floor, up to which an error is noise
 
 
@@ -86,7 +86,7 @@ def error_tables(r: Refinement) -> list[ErrorTable]:
         if part not in error["before"]:
             continue
         rows = tuple(_error_row(r, part, name) for name in error["before"][part])
-        note = "What was learnt from." if part == "estimation" else "Opened once, when all was decided."
+        note = "Estimation logs." if part == "estimation" else "Used once, after the decision."
         tables.append(ErrorTable(title, note, rows, bool(error.get("nearest"))))
     return tables
 
@@ -131,7 +131,7 @@ def _error_row(r: Refinement, part: str, name: str) -> ErrorRow:
     left = excess_left(before, after, floor)
     said = percent(max(0.0, left))
     if math.isnan(left):
-        said = "within noise" if before < NOISE * floor else "under twice the floor" if floor else MISSING
+        said = "within noise" if before < NOISE * floor else "below twice the floor" if floor else MISSING
     return ErrorRow(name, texts[0], texts[1], texts[2], texts[3], said, _marks(before, after, floor), near)
 
 
@@ -150,36 +150,39 @@ def second_sentence(r: Refinement) -> str:
     """Tell the error of the channel that fell most, on sealed runs where there are any."""
     part = judged(r)
     what = "rows" if r.problem.table else "runs"
-    where = f"On sealed {what}" if part == "validation" else f"On the {what} that were learnt from (none are sealed)"
+    where = f"On sealed {what}" if part == "validation" else f"On the {what} used for the fits (none are sealed)"
+    name = leading_channel(r)
+    if not name:
+        return ""
+    if r.verdict.claimed is None:
+        return _unchanged(r, part, where)
+    before, _, after, floor, _ = _numbers(r, part, name)
+    said = [error_size(v, units(r).get(name, ""), after) for v in (before, after, floor)]
+    verb = "fell from" if after < before else "went from"
+    lead = f"{where} the error of {name}{_over(r)} {verb} {said[0]} to {said[1]}"
+    return f"{lead}{_against_floor(said[1], said[2], above=floor > after)}"
+
+
+def leading_channel(r: Refinement) -> str:
+    """Return the channel whose error fell most on the logs that count; empty where none has errors."""
+    part = judged(r)
     ratios = {}
     for name in r.record["error"]["before"][part]:
         before, _, after, *_ = _numbers(r, part, name)
         if before > 0 and after > 0 and math.isfinite(before + after):
             ratios[name] = after / before
-    if not ratios:
-        return ""
-    if r.verdict.claimed is None:
-        return _unchanged(r, part, where)
-    name = min(ratios, key=lambda n: ratios[n])
-    before, _, after, floor, _ = _numbers(r, part, name)
-    said = [error_size(v, units(r).get(name, ""), after) for v in (before, after, floor)]
-    verb = "fell from" if after < before else "went from"
-    lead = f"{where} the error of {name}{_over(r)} {verb} {said[0]} to {said[1]}"
-    return f"{lead}{_causes(r, said[1], said[2], above=floor > after)}"
+    return min(ratios, key=lambda n: ratios[n], default="")
 
 
 def _over(r: Refinement) -> str:
     return "" if r.problem.table else f" over {horizon(r)}"
 
 
-def _causes(r: Refinement, after: str, floor: str, *, above: bool) -> str:
-    """Say what the error would be without anything missing."""
-    causes = "noise and disturbance make"
-    if r.problem.table:
-        causes = "noise, and what is taken for it, make" if r.verdict.residual.get("equation") else "noise makes"
+def _against_floor(after: str, floor: str, *, above: bool) -> str:
+    """Compare an error with its noise floor."""
     if floor == after:
-        return f", as much as {causes}."
-    return f", less than the {floor} that {causes}." if above else f"; {causes} {floor}."
+        return ", which is the noise floor."
+    return f", below the noise floor of {floor}." if above else f"; the noise floor is {floor}."
 
 
 def _unchanged(r: Refinement, part: str, where: str) -> str:
@@ -193,6 +196,6 @@ def _unchanged(r: Refinement, part: str, where: str) -> str:
         return ""
     *_, after, floor, near = _numbers(r, part, worst)
     said = [error_size(v, units(r).get(worst, ""), after) for v in (after, floor, near)]
-    beside = f", and nearest.yaml by {said[2]}" if near < after else ""
-    lead = f"{where} the model, unchanged, misses {worst} by {said[0]}{_over(r)}{beside}"
-    return f"{lead}{_causes(r, said[0], said[1], above=floor > after)}"
+    beside = f", nearest.yaml by {said[2]}" if near < after else ""
+    lead = f"{where} the unchanged model misses {worst} by {said[0]}{_over(r)}{beside}"
+    return f"{lead}{_against_floor(said[0], said[1], above=floor > after)}"

@@ -48,6 +48,11 @@ class Run:
     channels: tuple[Pairs, ...]
     quiet: tuple[Pairs, ...]  # channels that the claim does not change and noise explains, folded away
 
+    def without(self, pair: Pairs) -> Run:
+        """Return the log without a channel."""
+        channels, quiet = (tuple(p for p in pairs if p is not pair) for pairs in (self.channels, self.quiet))
+        return replace(self, channels=channels, quiet=quiet)
+
 
 # -- measured and model -----------------------------------------------------------------------
 
@@ -55,7 +60,7 @@ class Run:
 def runs(r: Refinement, charts: Charts) -> list[Run]:
     """Return the first estimation and the first sealed log."""
     drawn = []
-    words: dict[Part, str] = {"estimation": "learnt from", "validation": "sealed"}
+    words: dict[Part, str] = {"estimation": "used for the fits", "validation": "sealed"}
     for part, word in words.items():
         before, after = (r.evidence[v].get(part) for v in ("before", "after"))
         if before and after:
@@ -120,7 +125,7 @@ def against_signal(s: Shown, charts: Charts) -> Plot:
     if s.term is not None:
         groups = bins(x, FINE, max(1, least // 5))
         places, term = (np.array([v[g].mean() for g in groups]) for v in (x, s.term))
-        traces.append(Trace(s.effect or "term without a name", term * factor, "true", x=places))
+        traces.append(Trace(s.effect or "unnamed term", term * factor, "true", x=places))
     title = f"{_what(s)} against {s.against.name}"
     return charts.alone(
         Panel(title, unit or "1", traces), make_axis(low, high, 6), (s.against.name, shown or s.against.unit)
@@ -138,7 +143,7 @@ def over_time(s: Shown, charts: Charts) -> Plot:
     estimated, width = s.estimated[rows] * factor, 2.0 * s.sigma[rows] * factor
     traces = [Trace("data", estimated, "estimate")]
     if s.term is not None:
-        traces.append(Trace(s.effect or "term without a name", s.term[rows] * factor, "true"))
+        traces.append(Trace(s.effect or "unnamed term", s.term[rows] * factor, "true"))
     panel = Panel(f"{_what(s)} over time", unit or "1", traces, Band("±2σ", estimated - width, estimated + width))
     return charts.over(s.time[rows], len(traces) + 2).plots([panel])[0]
 

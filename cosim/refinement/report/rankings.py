@@ -1,4 +1,4 @@
-"""What was tried, what came out, and which equation was deficient, as tables."""
+"""Hypotheses, parameters and process noise as tables."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def _ranked(r: Refinement, row: Mapping[str, Any], best: float, claimed: Sequenc
 def _why(r: Refinement, row: Mapping[str, Any]) -> str:
     """Return the reason why a hypothesis is, or is not, the answer."""
     if r.verdict.name == "ambiguous" and row["why"] == "claimed":
-        return "fits best, by a hair"
+        return "fits best, by little"
     return str(row["why"])
 
 
@@ -124,13 +124,13 @@ def parameter_tables(r: Refinement) -> list[ParameterTable]:
         if not free.group:
             rows = added if free.name in own else rest
             rows.append(_parameter_row(r, free, hypothesis))
-    title = "What was added" if r.verdict.name != "parameter_error" else "What was wrong"
-    note = "The bar is the 95 % interval, the dashed line the neutral value or the data sheet."
+    title = "Added parameters" if r.verdict.name != "parameter_error" else "Wrong parameters"
+    note = "Bar: 95 % interval; dashed line: neutral value or data sheet."
     tables = [ParameterTable(title, note, "Neutral", tuple(added))]
     if _stays(r, hypothesis):
-        title, note = "fitted beside it", "The model keeps its own: a sensor's error is none of the plant's."
+        title, note = "fitted beside it", "The model keeps its values: the error is in a sensor, not in the plant."
     else:
-        title, note = "recalibrated", "Held to the data sheet: within its tolerance is no discovery."
+        title, note = "recalibrated", "A change within the tolerance of the data sheet is not significant."
     tables.append(ParameterTable(f"Base parameters, {title}", note, "Data sheet", tuple(rest)))
     return [t for t in tables if t.rows]
 
@@ -208,8 +208,8 @@ def _width(q: float, smallest: float, largest: float) -> float:
 
 
 def _words(q: Mapping[str, Any], quiet: float) -> str:
-    """Whether an equation is complete; it was deficient where its process noise was more than quiet [ln q]."""
+    """Say whether an equation is complete; it was not if its process noise was above `quiet` [ln q]."""
     was = q["before"] > math.exp(quiet)
     if q["inflated"]:
-        return "deficient; the claim leaves some" if q["after"] < 0.5 * q["before"] else "deficient still"
-    return "was deficient, is complete" if was else "complete"
+        return "incomplete; the claim explains a part" if q["after"] < 0.5 * q["before"] else "incomplete"
+    return "was incomplete, now complete" if was else "complete"

@@ -6,21 +6,21 @@ import hashlib
 import math
 import platform
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cosim.base.text import MISSING, counted, percent, plain
+from cosim.base.text import MISSING, counted, listed, parted, percent, plain
 from cosim.base.version import __version__
 from cosim.logs.log import Log
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.effect_plots import Shown, shown
-from cosim.refinement.report.error_tables import error_tables, horizon, horizon_table, second_sentence
+from cosim.refinement.report.error_tables import error_tables, horizon, horizon_table, leading_channel, second_sentence
 from cosim.refinement.report.innovations import innovations, modes
 from cosim.refinement.report.log_parameters import per_log_rows
-from cosim.refinement.report.plots import against_signal, axis_label, over_time, rows_shown, runs
+from cosim.refinement.report.plots import Pairs, Run, against_signal, axis_label, over_time, rows_shown, runs
 from cosim.refinement.report.rankings import SHOWN_PAIRS, noise_rows, parameter_tables, ranked
 from cosim.refinement.report.table_plots import table_parts
 from cosim.report.drawing import Charts
@@ -49,15 +49,18 @@ def write_refine_report(path: Path, r: Refinement) -> None:
 def context(r: Refinement) -> Mapping[str, Any]:
     """Return everything the template names."""
     charts = Charts()
+    headline, details = parted(str(r.record["sentence"]))
     return {
         "name": f"Study {r.study.name}",
-        "description": f"{r.study.subject.title}: what measured logs say the model lacks.",
-        "sentence": r.record["sentence"],
+        "description": f"{r.study.subject.title}, refined from measured logs.",
+        "headline": headline,
+        "details": details,
         "tone": {"warn": "warn"}.get(TITLES.get(r.verdict.name, ("", ""))[1], "plain"),
         "second": second_sentence(r),
         "badges": _badges(r),
         "claimed": r.verdict.claimed is not None,
-        "rivals": _rivals(r),
+        "rivals": r.verdict.rivals,
+        "next_step": _next_step(r),
         "warnings": r.record["warnings"],
         "tables": error_tables(r),
         "error_lead": _error_lead(r),
@@ -67,7 +70,7 @@ def context(r: Refinement) -> Mapping[str, Any]:
         "parameters": parameter_tables(r),
         "per_log": per_log_rows(r),
         "noise": noise_rows(r),
-        "noise_note": "How far each state drifts in a second for reasons its equation does not know; logarithmic bars.",
+        "noise_note": "Drift of each state in a second that its equation does not explain; logarithmic bars.",
         "use": shlex.join(r.study.subject.use(r.folder)),
         "repeat": shlex.join(["cosim", "refine", str(r.study.path), "--out", str(r.folder)]) if r.study.path else "",
         "provenance": _provenance(r),
@@ -76,20 +79,33 @@ def context(r: Refinement) -> Mapping[str, Any]:
     }
 
 
-_NO_TIME: Mapping[str, Any] = {"horizons": None, "terms": [], "runs": [], "whiteness": []}  # of tables
+_NO_TIME: Mapping[str, Any] = {"horizons": None, "terms": [], "runs": [], "lead": None, "whiteness": []}  # of tables
 
 
 def _in_time(r: Refinement, charts: Charts) -> Mapping[str, Any]:
     """Return the drawings and texts over time."""
+    drawn = runs(r, charts)
+    lead = _lead(drawn, leading_channel(r))
     return {
+        "lead": lead and {"run": lead[0].title, "channel": lead[1].channel, "plots": lead[1].plots},
         "horizons": horizon_table(r),
         "horizon": horizon(r),
         "windowed": horizon(r) != "a whole run",
         "terms": [_term(s, charts) for s in shown(r)],
         "term_lead": _term_lead(r),
-        "runs": runs(r, charts),
+        "runs": [run for run in (lead[2] if lead else drawn) if run.channels or run.quiet],
         **_whiteness(r, charts),
     }
+
+
+def _lead(drawn: Sequence[Run], channel: str) -> tuple[Run, Pairs, list[Run]] | None:
+    """Return a channel on the last log, the sealed one where there is one, and all logs without it."""
+    if not drawn:
+        return None
+    *others, last = drawn
+    every = (*last.channels, *last.quiet)
+    pair = next((p for p in every if p.channel == channel), every[0])
+    return last, pair, [*others, last.without(pair)]
 
 
 def _whiteness(r: Refinement, charts: Charts) -> Mapping[str, Any]:
@@ -130,10 +146,10 @@ def _badges(r: Refinement) -> list[Badge]:
     return [
         Badge(text, tone),
         *([Badge("a part of it", "warn")] if r.verdict.grade == "part" else []),
-        Badge(f"{counted(len(r.study.logs), what)} learnt from, {much}"),
+        Badge(f"{counted(len(r.study.logs), what)} used for the fits, {much}"),
         Badge(f"{counted(sealed, what)} sealed" if sealed else f"no {what} sealed", "plain" if sealed else "warn"),
         Badge(_tried(r)),
-        Badge(f"{r.record['seconds']:.0f} s of work"),
+        Badge(f"{r.record['seconds']:.0f} s of computing"),
     ]
 
 
@@ -144,38 +160,34 @@ def _tried(r: Refinement) -> str:
     return f"{fitted} hypotheses fitted" + (f", {screened} screened" if screened else "")
 
 
-def _rivals(r: Refinement) -> str:
-    """Say what would settle an open question."""
+def _next_step(r: Refinement) -> str:
+    """Say what to do about an open question."""
     if r.verdict.name == "ambiguous" and r.verdict.claimed is None:
         return (
-            f"Would not have shown in these logs, present or not: {', '.join(r.verdict.rivals)}. "
-            f"What would show them: {r.verdict.experiment}. Nothing is claimed, and the model is left as it was."
+            f"Next step: record a log with {r.verdict.experiment}. Nothing is claimed: the model is left as it was. "
+            "Not visible in these logs, present or not:"
         )
     if r.verdict.name == "ambiguous":
         return (
-            f"Rivals: {', '.join(r.verdict.rivals)}. What would tell them apart: {r.verdict.experiment}. "
-            "Until then the refined model holds the one that fits best, and predicts these runs as well as any of them."
+            f"Next step: record a log with {r.verdict.experiment}. Until then the refined model contains the "
+            "hypothesis that fits best; it predicts these runs as well as any of its rivals:"
         )
     if r.verdict.name == "unexplained" and r.verdict.rivals:
-        verb = "comes closest and is" if len(r.verdict.rivals) == 1 else "come closest and are"
         return (
-            f"{' and '.join(r.verdict.rivals)} {verb} not claimed: something without a name does as much beside it, "
-            "or replays are not near enough. model.yaml is the model as it was."
+            "Next step: look at the figure of the remainder for what an effect of your own would have to do. "
+            "model.yaml is the model as it was. Best candidates, not confirmed:"
         )
     return ""
 
 
 def _term_lead(r: Refinement) -> str:
     if r.verdict.name == "sensor_error":
-        return "Each reading less what the refined model says is there, and over it what the sensor error makes of it."
-    way = (
-        "The data speak for themselves here: a smoother finds the input that an equation lacks, row by row, "
-        "knowing nothing of the claim. "
-    )
+        return "Each reading minus the output of the refined model, and over it the estimated sensor error."
+    way = "A smoother estimates, row by row, the input that an equation lacks; it does not know the claim. "
     if r.verdict.claimed:
-        return way + "Over it, what the claimed term adds: a step of the model with it less a step without."
-    beside = f" beside {' and '.join(r.verdict.rivals)}, the nearest" if r.verdict.rivals else ""
-    return f"{way}Over what is left{beside}: the term without a name that promises most, if one does."
+        return way + "Over it the claimed term: a step of the model with it minus a step without."
+    beside = f" beside {listed(r.verdict.rivals)}" if r.verdict.rivals else ""
+    return f"{way}Over the remainder{beside}: the unnamed term that would explain most of it, if there is one."
 
 
 def _term(s: Shown, charts: Charts) -> Mapping[str, Any]:
@@ -194,9 +206,9 @@ def _term_sentence(s: Shown) -> str:
     if s.term is None:
         return f"The {what} is drawn against {s.against.name}, which it follows most ({rows_shown(s)})."
     if not np.any(s.term):  # it acts where no unknown input does, behind a sensor say
-        return f"{s.effect} adds nothing to the {what}: it acts elsewhere ({rows_shown(s)})."
+        return f"{s.effect} adds nothing to the {what}: it acts on another equation ({rows_shown(s)})."
     who = s.effect if s.kind != "nameless" else "a constant" if s.effect == "1" else f"the term in {s.effect}"
-    text = f"Of the mean square {what}, {who} takes away {percent(min(1.0, max(0.0, s.share)))}"
+    text = f"Of the mean square {what}, {who} explains {percent(min(1.0, max(0.0, s.share)))}"
     if s.kind == "sensor":
         return f"{text}; the rest is the noise of the sensor ({rows_shown(s)})."
     if math.isfinite(s.correlation):
@@ -213,40 +225,37 @@ def _error_lead(r: Refinement) -> str:
         windowed, length = horizon(r) != "a whole run", horizon(r)
         over = f"over replays of {length}" if windowed else f"over {length}"
         each = "each started" if windowed else "started"
-        how = f"{over} through the FMU, {each} from the state that model's own filter knew by then"
-    made = "the noise that was" if r.problem.table else "the noise and the disturbance that were"
+        how = f"{over} through the FMU, {each} from the state that the model's own filter had estimated by then"
+    made = "noise" if r.problem.table else "noise and disturbance"
     text = (
-        f"Root mean square of measured − model {how}. The noise floor is the same number for the "
-        f"{'refined ' if claimed else ''}model against itself, with {made} estimated."
+        f"Root mean square of measured − model {how}. The noise floor is the error that the estimated {made} alone "
+        f"would cause in the {'refined ' if claimed else ''}model."
     )
     if claimed:
-        text += " Excess left is the share of the squared error above the floor that remains, where there was one."
+        text += " The remaining share is that of the squared error above the noise floor."
     return text
 
 
 def _innovation_lead(claimed: bool) -> str:
     way = (
-        "An innovation is what a reading tells that the filter did not expect one step before, over its expected "
-        "size; a complete model leaves white noise of size 1. "
+        "An innovation is a reading minus its prediction by a filter one step before, in units of the expected "
+        "standard deviation σ. A complete model leaves innovations of size 1 that are uncorrelated (white noise). "
     )
     if claimed:
         return way + "One filter, tuned to the refined model, ran on the model before and on the refined one."
-    return (
-        way
-        + "The model ran in a filter that trusts its equations, and in one that allows for the disturbance it found."
-    )
+    return way + "The model ran in a filter that trusts its equations, and in one that allows for a disturbance."
 
 
 def _ranking_lead(r: Refinement) -> str:
     gain = r.record.get("held_out_gain")
     lead = (
-        "Of every set of candidates a score test said what it promises; those that promised enough were fitted, base "
-        "parameters and noise free. The score is the log-likelihood gained on the base model and on the priors of its "
-        "parameters, less ½ ln N for each parameter added and, for each candidate, 3 and the logarithm of their number."
+        "A score test predicted the likelihood gain of every set of candidates. The promising sets were then fitted "
+        "together with the base parameters and the noise levels. The score is the gain in log-likelihood over the base "
+        "model, minus ½ ln N for each added parameter and, for each candidate, 3 and the logarithm of their number."
     )
     if r.verdict.claimed is not None and gain is not None:
         each = "each part of the table" if r.problem.table else "each log"
-        lead += f" On {each}, as the others have it, the claim still gains {plain(float(gain), 3)} in all."
+        lead += f" Predicted from the others, {each} gains: {plain(float(gain), 3)} in all (cross-validation)."
     return lead
 
 

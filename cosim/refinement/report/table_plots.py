@@ -25,7 +25,7 @@ from cosim.report.svg import Plot
 from cosim.residuals.residual_statistics import rmse
 
 INPUTS = 4  # at most, over which a residual is drawn
-WORDS: Mapping[Part, str] = {"estimation": "learnt from", "validation": "sealed"}
+WORDS: Mapping[Part, str] = {"estimation": "used for the fits", "validation": "sealed"}
 COLUMNS = {"before": "Before", "recalibrated": "Recalibrated", "after": "Refined", "nearest": "Nearest"}
 
 

@@ -1,9 +1,10 @@
-"""Which effects are missing: what any set of candidates promises, the most promising fitted, the best of all kept.
+"""Search for missing effects: score tests of all sets of candidates, fits of the most promising, choice of the best.
 
-The base fit first. About the best hypothesis so far, a score test says for one filter run a parameter what every set of
-candidates would gain: one more, two more, one in place of another, one less. The most promising sets are fitted; what a
-fit brings to neutral is left out, and the rest fitted again; about the best, all begins anew, until nothing promises
-more. So one of several missing effects that alone fits with a wrong sign, or in place of another, is put right.
+The base model is fitted first. Around the best hypothesis so far, a score test predicts the gain of every set of
+candidates for one filter run per parameter: one or two candidates more, one replaced by another, one less. The most
+promising sets are fitted. Parts that a fit moves to neutral are removed and the rest is refitted. The search continues
+around the new best hypothesis until no set promises more. This corrects a missing effect that alone fits with a wrong
+sign, or in place of another effect.
 """
 
 from __future__ import annotations
@@ -26,23 +27,23 @@ from cosim.refinement.search.hypotheses import Hypothesis, leading
 from cosim.subject.candidates import Candidate
 from cosim.subject.interface import Subject
 
-FITTED = 6  # sets a round
-AMONG = 10  # candidates, the most promising, of which pairs and more are put together
-TOGETHER = 4  # at most at once, about the base model
-NEAR = 12.0  # of score within which a set is worth a fit, and a hypothesis is fitted to the end
-DONE = 1.0  # of score, below which a round has found nothing better
+FITTED = 6  # sets fitted in each round
+AMONG = 10  # most promising candidates from which pairs and larger sets are formed
+TOGETHER = 4  # largest set around the base model
+NEAR = 12.0  # score difference within which a set is worth a fit, and a hypothesis is fitted to convergence
+DONE = 1.0  # score improvement below which a round has found nothing better
 ROUNDS = 10
-HOPE = 2.0  # times what a score test promises, that a fit may bring
+HOPE = 2.0  # factor by which a fit may exceed the gain that a score test predicts
 SETTLING = 15  # iterations
-MOST_REPLACED, REPLACING = 6, 2  # parts of a hypothesis that are replaced in turn, and candidates in place of each
-SILENT = 0.1  # of ln of a variance above the least that a sensor's can be
-USUAL_STAMP = 0.05  # of a row, by which stamps err where they do: from there a fit goes on
+MOST_REPLACED, REPLACING = 6, 2  # parts of a hypothesis replaced in turn, and candidates tried for each
+SILENT = 0.1  # distance of ln variance from the lower limit of a sensor
+USUAL_STAMP = 0.05  # usual time stamp error as a share of a row; start value of its fit
 MOST_ENLARGED = 2
-FINALISTS = 4  # hypotheses beside the best that are fitted to the end
+FINALISTS = 4  # hypotheses besides the best fitted to convergence
 
 
 class Attributor:
-    """The order of the steps: base, rounds of promising sets, the best to the end."""
+    """Search procedure: base fit, rounds of promising sets, convergence of the best."""
 
     def __init__(
         self,
@@ -57,7 +58,7 @@ class Attributor:
         self.identifiable: dict[str, float] = {}
 
     def run(self) -> Found:
-        """Fit the base, then rounds of sets, then the finalists."""
+        """Fit the base, rounds of promising sets, and the finalists."""
         search = self.search
         self.progress("recalibrating the base model", 0.0)
         base = self._with_stamp_errors(self._with_stated_noise(search.hypothesis((), None)))
@@ -83,7 +84,10 @@ class Attributor:
         return self._finish(base, best)
 
     def _with_own_noise(self, h: Hypothesis) -> Hypothesis:
-        """Fit the best with noise of its own; hypotheses fitted with that of the last are taken to gain as much."""
+        """Refit the best hypothesis with its own noise.
+
+        Hypotheses fitted with the previous noise are assumed to gain as much.
+        """
         search = self.search
         (settled,) = search.fit_again([h], SETTLING)
         settled = self._with_stamp_errors(settled)
@@ -93,7 +97,7 @@ class Attributor:
         return self._rescore(settled)
 
     def _rescore(self, h: Hypothesis) -> Hypothesis:
-        """Score anew what candidates cost where equations are trusted: what the hypothesis leaves is not white."""
+        """Rescore all hypotheses for the non-white residual of trusted equations."""
         search = self.search
         if not search.problem.trusted:
             return h
@@ -104,11 +108,14 @@ class Attributor:
         return replace(h, score=h.fit.objective + search.cost(h.candidates))
 
     def _leader(self, best: Hypothesis) -> Hypothesis:
-        """Return the best, or the hypothesis that leads now that candidates cost otherwise."""
+        """Return the best hypothesis at new costs."""
         return leading((best, *self.search.tried.values())) if self.search.problem.trusted else best
 
     def _with_stated_noise(self, base: Hypothesis) -> Hypothesis:
-        """Fit with the stated noise those sensors in which the logs show next to none: it may stand for more."""
+        """Fix silent sensors at their stated noise.
+
+        The unknown input of such a fit may have absorbed the sensor noise.
+        """
         search, problem = self.search, self.search.problem
         low = base.fit.noise.like(problem.limits.low).sensors
         silent = problem.stated & problem.adjusted & (base.fit.noise.sensors <= low + SILENT)
@@ -121,7 +128,7 @@ class Attributor:
         return search.hypothesis((), start)
 
     def _with_stamp_errors(self, h: Hypothesis) -> Hypothesis:
-        """Fit with time stamps that err where innovations are larger the faster readings change."""
+        """Refit with time stamp errors if indicated."""
         search = self.search
         problem, noise = search.problem, h.fit.noise
         late = stamps_err(problem, h.fit)
@@ -135,7 +142,7 @@ class Attributor:
         return timed if timed.fit.objective < h.fit.objective else h
 
     def _proposals(self, best: Hypothesis) -> list[Trial]:
-        """Return the sets that promise most about a hypothesis, not tried yet, each with where its fit should start."""
+        """Return promising untried sets with start values."""
         test = ScoreTest(self.search.problem, best.fit, best.candidates)
         self.progress("asking what every candidate promises", 0.0)
         terms: list[Terms] = in_parallel(test.terms, list(self.candidates))
@@ -148,7 +155,7 @@ class Attributor:
         return [*(trial for _, trial in ranking[:FITTED]), *(((*best.candidates, c), None) for c in switched.values())]
 
     def _ranking(self, choice: Choice, best: Hypothesis) -> list[tuple[float, Trial]]:
-        """Return the sets near a hypothesis that are worth a fit, with the scores that they promise, the best first."""
+        """Return sets worth a fit, best first."""
         search, parts, ranking = self.search, {c.name: c for c in self.candidates}, []
         for names in self._sets(choice, best):
             if tuple(sorted(names)) in search.tried:
@@ -161,7 +168,7 @@ class Attributor:
         return sorted(ranking, key=lambda entry: entry[0])
 
     def _sets(self, choice: Choice, best: Hypothesis) -> Iterator[tuple[str, ...]]:
-        """Yield sets near a hypothesis: with one or more beside it, with one or two in place of another, one less."""
+        """Yield sets around a hypothesis."""
         others = [name for name in choice.terms if name not in best.names]
         promises = choice.beside(best.names)
         ranked = list(promises)
@@ -175,7 +182,7 @@ class Attributor:
                 yield from ((*rest, *more) for more in chain([()], combinations(others, 1), likely))
 
     def _reductions(self, fitted: Sequence[Hypothesis]) -> list[Trial]:
-        """Return each fit without the parts that gain less than they cost."""
+        """Return each fit without its ineffective parts."""
         sets: dict[tuple[str, ...], Trial] = {}
         for h in fitted:
             neutral = self.search.problem.values
@@ -185,7 +192,7 @@ class Attributor:
         return list(sets.values())
 
     def _finish(self, base: Hypothesis, best: Hypothesis) -> Found:
-        """Fit base, best and what comes near it to the end, at the model's own substeps; return the best of these."""
+        """Fit the best hypotheses to convergence with full substeps."""
         search = self.search
         self.progress("fitting the best to the end", 0.0)
         search.problem = replace(self._fine_enough(best), sensing=best.fit.noise, scatter=search.problem.scatter)
@@ -198,7 +205,7 @@ class Attributor:
             best = leading((best, *search.fit_again([ahead])))
         best = self._with_replacement(self._with_addition(best))
         search.reached = again.fit.objective
-        for _ in range(2):  # one that comes out best has rivals of its own
+        for _ in range(2):  # A new best hypothesis has its own rivals.
             beside = [h for h in self._finalists(best) if h.names and not h.ended]
             before, best = best, leading((again, best, *search.fit_alike(beside, best)))
             if best is before:
@@ -208,29 +215,29 @@ class Attributor:
         return Found(search, best, hidden, tuple(self.candidates))
 
     def _with_addition(self, best: Hypothesis) -> Hypothesis:
-        """Return the best, or a larger hypothesis.
+        """Return the best hypothesis or a larger one.
 
-        Beside unknown inputs that last as those of the best do, another effect that lasts gains little.
+        Unknown inputs with the correlation time of the best hypothesis hide the gain of another slow effect.
         """
         tried = sorted(self.search.tried.values(), key=lambda h: h.score)
         larger = [h for h in tried if set(h.names) > set(best.names) and h.score - best.score < NEAR]
         return leading((best, *self.search.fit_again(larger[:MOST_ENLARGED])))
 
     def _fine_enough(self, best: Hypothesis) -> Problem:
-        """Return the problem with substeps that are fine enough for the base model and for the best."""
+        """Return the problem with enough substeps."""
         enough = zip(self.search.problem.logs, coarsened(self.fine, best.fit.values).logs, strict=True)
         substeps = [max(base.substeps, other.substeps) for base, other in enough]
         logs = [replace(log, substeps=n) for log, n in zip(self.fine.logs, substeps, strict=True)]
         return replace(self.fine, logs=logs)
 
     def _with_replacement(self, best: Hypothesis) -> Hypothesis:
-        """Return the best, or one with another candidate in place of one of its parts."""
+        """Return the best hypothesis or one with a part replaced."""
         search, ended = self.search, list[Hypothesis]()
         if len(best.candidates) > MOST_REPLACED:
             return best
         sets = {key_of(trial[0]): trial for trial in self._replacements(best)}
         if any(c.kind == "parameter" for c in best.candidates):
-            # along what it shares with a base parameter a fit is slow: one that was left halfway goes on
+            # A fit along a ridge shared with a base parameter is slow, so an interrupted fit continues.
             base = search.tried[()].score
             halfway = [search.tried[k] for k in sets if k in search.tried and not search.tried[k].ended]
             ended = search.fit_again([h for h in halfway if h.score - best.score < base - h.score])
@@ -240,9 +247,9 @@ class Attributor:
         return best if nearest is best else leading((best, *search.fit_again([nearest])))
 
     def _replacements(self, best: Hypothesis) -> Iterator[Trial]:
-        """Yield what promises most in place of each part, by a score test where that part is left out.
+        """Yield promising replacements of each part.
 
-        From far away a score test misjudges what a simpler candidate would do in place of a richer one.
+        A score test far from the optimum misjudges a simple candidate in place of a richer one.
         """
         search = self.search
         others = [c for c in self.candidates if c.name not in best.names and c.kind != "parameter"]
@@ -257,6 +264,6 @@ class Attributor:
                 yield (*rest, c), {**without.fit.values, **promises[c.name].values}
 
     def _finalists(self, best: Hypothesis) -> list[Hypothesis]:
-        """Return hypotheses close to the best that do not contain it and are not contained in it."""
+        """Return hypotheses close to the best that neither contain it nor are contained in it."""
         near = [h for h in self.search.tried.values() if h.score - best.score < NEAR and h.is_apart(best)]
         return sorted(near, key=lambda h: h.score)[:FINALISTS]

@@ -1,7 +1,8 @@
-"""Fits sets of candidates on one problem, side by side, and keeps every hypothesis that was tried.
+"""Parallel fits of candidate sets on one problem, with a record of every hypothesis.
 
-A set is scored by what its fit leaves, plus what its candidates cost: for each parameter ½·ln N (half of BIC), for each
-candidate ENTRY and the logarithm of how many are on trial, so that more candidates mean no more false ones.
+The score of a set is the objective of its fit plus the cost of its candidates: ½·ln N for each parameter (half of BIC),
+and for each candidate ENTRY plus the logarithm of the number of candidates on trial, so that more candidates do not
+give more false alarms.
 """
 
 from __future__ import annotations
@@ -24,24 +25,24 @@ from cosim.subject.candidates import Candidate, Free
 from cosim.subject.interface import Subject
 
 SCREEN_ITERATIONS = 12
-ENTRY = 3.0  # of score, beside what its parameters cost, for a candidate
-NEGLIGIBLE, NEEDED = 1.0, 30.0  # of ln of an unknown input's power above the least; of NLL, that its lack costs
-LEADING, DONE = 8, 0.5  # iterations of a fit without one, and what it must gain
-TO_THE_END = 60  # iterations, within which every fit met so far has converged
+ENTRY = 3.0  # score cost of a candidate in addition to its parameters
+NEGLIGIBLE, NEEDED = 1.0, 30.0  # distance of ln input power from the minimum; NLL loss that rules out removal
+LEADING, DONE = 8, 0.5  # iterations of a fit without an unknown input, and its least gain
+TO_THE_END = 60  # iterations within which all fits so far have converged
 
 Parts = tuple[Candidate, ...]
-Trial = tuple[Parts, Mapping[str, float] | None]  # and values from which a fit of them starts
+Trial = tuple[Parts, Mapping[str, float] | None]  # candidates and start values of their fit
 Progress = Callable[[str, float], None]
 Item = TypeVar("Item")
 
 
 def key_of(parts: Sequence[Candidate]) -> tuple[str, ...]:
-    """Return the key of a hypothesis: the names of its candidates, sorted."""
+    """Return the sorted names of candidates as key."""
     return tuple(sorted(c.name for c in parts))
 
 
 def starts_of(parts: Parts, moved: set[str]) -> list[dict[str, float]]:
-    """Return the starts of candidates that were not moved before: as many as the candidate has that has most."""
+    """Return the starts of new candidates."""
     starts = [c.starts for c in parts if not moved.issuperset(c.parameters)]
     most = max([1, *(len(c.starts) for c in parts)])
     return [dict(chain.from_iterable(s[min(k, len(s) - 1)].items() for s in starts)) for k in range(most)]
@@ -49,11 +50,12 @@ def starts_of(parts: Parts, moved: set[str]) -> list[dict[str, float]]:
 
 @dataclass(frozen=True)
 class Found:
-    """What a search came to: the best hypothesis, and effects that these logs could not show at their usual size.
+    """Result of a search: the best hypothesis, and effects that these logs cannot show at their usual size.
 
-    candidates: all that were on trial
-    heard:      where equations were trusted, ln of the variances of sensor noise beside unknown inputs that are free:
-                without these, what the model misses counts as noise too
+    Attributes:
+        candidates: All candidates on trial.
+        heard: With trusted equations, ln of the sensor noise variances of the fit with free unknown inputs; the trusted
+            fit would count model errors as noise.
     """
 
     search: Search
@@ -64,16 +66,19 @@ class Found:
 
     @property
     def effects(self) -> int:
-        """How many effects were on trial."""
+        """Return the number of effects on trial."""
         return sum(c.kind == "effect" for c in self.candidates)
 
 
 class Search:
     """Hypotheses on one problem.
 
-    price:   score that each parameter of a candidate costs: ½·ln N; entry: what each candidate does beside it
-    tried:   names → hypothesis
-    reached: objective of the base model, recalibrated; below it, every hypothesis comes when it is fitted
+    Attributes:
+        price: Score cost of each parameter of a candidate, ½·ln N.
+        entry: Additional score cost of each candidate.
+        tried: Names → hypothesis.
+        learnt: Names and held-out log → fit to the other logs.
+        reached: Objective of the recalibrated base model, an upper bound for every hypothesis.
     """
 
     def __init__(self, subject: Subject, problem: Problem, on_trial: int, progress: Progress) -> None:
@@ -82,7 +87,7 @@ class Search:
         self.on_trial = max(1, on_trial)
         self.entry = ENTRY + float(np.log(self.on_trial))
         self.tried: dict[tuple[str, ...], Hypothesis] = {}
-        self.learnt: dict[tuple[tuple[str, ...], int], Fit] = {}  # names, log left out → fit of the others
+        self.learnt: dict[tuple[tuple[str, ...], int], Fit] = {}  # (names, held-out log) → fit to the other logs
         self.reached = np.inf
 
     def hypothesis(
@@ -97,15 +102,16 @@ class Search:
         sensing: bool = True,
         patient: bool = True,
     ) -> Hypothesis:
-        """Fit some candidates together, from each of their starts; base parameters on trial lose their prior.
+        """Fit some candidates together from each of their starts; base parameters on trial lose their prior.
 
-        promised: values from which the fit starts too
-        With `loosen`, the unknown inputs start no lower than where they are plain enough to move.
-        `patient`: with more iterations while it is above what hypotheses within it have reached.
+        Args:
+            promised: Additional start values from a score test.
+            loosen: Start unknown inputs at a level from which they can move.
+            patient: Allow more iterations while the objective exceeds that of a contained hypothesis.
         """
         problem, free = self.problem, self.free(parts)
         start = start or unfitted(problem)
-        # of the start only what this fit may move: the parts of another hypothesis go back to neutral
+        # Only parameters free in this fit keep their start; parts of another hypothesis return to neutral.
         moved = {f.name for f in start.free} & {f.name for f in free}
         known = {**problem.values, **{name: start.values[name] for name in moved}}
         begins = [{**known, **values} for values in starts_of(parts, moved)]
@@ -121,20 +127,20 @@ class Search:
         return Hypothesis(parts, best, best.objective + self.cost(parts), ended=sensing and iterations == TO_THE_END)
 
     def _noise_at_start(self, noise: Noise, *, loosen: bool) -> Noise:
-        """Return the noise from which a fit starts; loosened, unknown inputs are plain enough to move."""
+        """Return the start noise of a fit."""
         if self.problem.trusted:
             return replace(self.problem.plain, sensors=noise.sensors, timing=noise.timing)
         return replace(noise, power=np.maximum(noise.power, self.problem.noise.quiet)) if loosen else noise
 
     def free(self, parts: Parts) -> list[Free]:
-        """Return the parameters that a fit of these candidates may move."""
+        """Return the free parameters of a fit of these candidates."""
         own = [*(f for c in parts for f in c.free), *self.problem.own]
         on_trial = {*(f.name for f in own), *self.problem.settings.per_log}
         base = base_parameters(self.subject, self.problem.values, self.problem.settings.tolerance)
         return [b for b in base if b.name not in on_trial] + own
 
     def fit_all(self, sets: Sequence[Trial], start: Hypothesis, stage: str, margin: float) -> list[Hypothesis]:
-        """Fit sets of candidates, each from what it was promised, until they cannot come within `margin` of `start`."""
+        """Fit sets of candidates until a score within `margin` of `start` is out of reach."""
         todo = [trial for trial in sets if key_of(trial[0]) not in self.tried]
 
         def one(which: Trial) -> Hypothesis:
@@ -147,7 +153,11 @@ class Search:
     def fit_again(
         self, hypotheses: Sequence[Hypothesis], iterations: int = TO_THE_END, *, only: bool = False
     ) -> list[Hypothesis]:
-        """Fit hypotheses further, from where they are, noise of the sensors and all; `only` from there."""
+        """Continue fits from their current values, sensor noise included.
+
+        Args:
+            only: Skip the restarts with larger or without unknown inputs.
+        """
 
         def one(h: Hypothesis) -> Hypothesis:
             fitted = self.hypothesis(h.candidates, h.fit, iterations, loosen=False)
@@ -158,7 +168,7 @@ class Search:
         return self._each("fitting the best further", one, hypotheses)
 
     def fit_alike(self, hypotheses: Sequence[Hypothesis], like: Hypothesis) -> list[Hypothesis]:
-        """Fit hypotheses to the end, from where they are and with the noise of another."""
+        """Fit hypotheses with the noise of another."""
 
         def one(h: Hypothesis) -> Hypothesis:
             return self.hypothesis(h.candidates, replace(h.fit, noise=like.fit.noise), loosen=False)
@@ -166,7 +176,7 @@ class Search:
         return self._each("fitting what comes near the best", one, hypotheses)
 
     def _each(self, stage: str, one: Callable[[Item], Hypothesis], todo: Sequence[Item]) -> list[Hypothesis]:
-        """Fit side by side, in the order of `todo`; keep every hypothesis, and tell of each that is done."""
+        """Fit items in parallel and report progress."""
         done = count()
         self.progress(stage, 0.0)
 
@@ -180,19 +190,19 @@ class Search:
         return fitted
 
     def _from_plain_inputs(self, h: Hypothesis) -> Hypothesis:
-        """Return the hypothesis, or it fitted from unknown inputs that are plain enough to move."""
+        """Refit a hypothesis from larger unknown inputs."""
         plain = self.problem.plain
         power = np.maximum(h.fit.noise.power, self.problem.noise.quiet)
         return self._further(h, replace(h.fit.noise, power=power, memory=plain.memory))
 
     def _further(self, h: Hypothesis, noise: Noise) -> Hypothesis:
-        """Return the hypothesis fitted from another noise where that leads further, else as it is."""
+        """Refit a hypothesis from another noise if better."""
         goal = h.fit.objective - DONE
         other = self.hypothesis(h.candidates, replace(h.fit, noise=noise), LEADING, goal, loosen=False)
         return replace(other, ended=h.ended) if other.fit.objective < goal else h
 
     def _without_noise(self, h: Hypothesis) -> Hypothesis:
-        """Return the hypothesis, or it fitted without some unknown input: near none of it a fit is slow."""
+        """Refit a hypothesis without unnecessary unknown inputs."""
         least = self.problem.noise.smallest
         for k in np.argsort(h.fit.noise.power - least)[::-1]:
             if h.fit.noise.power[k] < least[k] + NEGLIGIBLE:
@@ -205,11 +215,11 @@ class Search:
         return h
 
     def cost(self, parts: Sequence[Candidate]) -> float:
-        """Return the score that candidates cost a hypothesis."""
+        """Return the score cost of candidates."""
         return self.problem.scatter * float(sum(self.entry + self.price * len(c.free) for c in parts))
 
     def reached_within(self, parts: Parts) -> float:
-        """Return the objective that some of the parts reach without the others: all together can do no worse."""
+        """Return the best objective of a subset."""
         names = {c.name for c in parts}
         fitted = (h.fit.objective for h in self.tried.values() if h.fit.iterations and names.issuperset(h.names))
         return min(fitted, default=self.reached)

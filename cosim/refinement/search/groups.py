@@ -1,4 +1,4 @@
-"""Which parameters of a study are per log, and which logs form a group: their names, and what is wrong with them."""
+"""Parameters per log and groups of logs in a study: names and faults."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ Groups = Mapping[str, Sequence[str]]  # group → files
 
 
 class Places(Protocol):
-    """Where a key of a study stands: `YamlFile`, or the arguments of a call."""
+    """Location of a study's keys: a `YamlFile` or the arguments of a call."""
 
     @property
     def path(self) -> Path:
-        """The file of the study; relative names of logs start in its folder."""
+        """Return the file of the study."""
 
     def fault(self, location: Any, message: str, *, key: bool = False) -> Fault:
         """Return a fault at a key."""
 
 
 def full_name(subject: Subject, name: str) -> str:
-    """Return a parameter as the fits call it: an error of a sensor may go without its `.value`."""
+    """Return the full name of a parameter."""
     return f"{name}.value" if name in {kind.name for kind in subject.sensors} else name
 
 
 def numbers_of(subject: Subject) -> list[str]:
-    """Return the parameters that may be per log: of the base, of effects that act in it, errors of its sensors."""
+    """Return the parameters that may be per log."""
     base = [p.name for p in subject.parameters if not isinstance(p.default, bool)]
     of_effects = [n for n in subject.candidate_parameters if n.partition(".")[0] in subject.present]
     return [*base, *of_effects, *subject.sensor_parameters]
 
 
 def group_of(folder: Path, files: Sequence[str], groups: Groups) -> dict[Path, str]:
-    """Return file of each log → its group; one in no group is one of its own."""
+    """Return file → group of each log."""
     named = {os.path.realpath(folder / f): group for group, members in groups.items() for f in members}
     return {folder / f: named.get(os.path.realpath(folder / f), f) for f in files}
 
@@ -51,9 +51,11 @@ def per_log_faults(
     logs: Mapping[str, Sequence[str]],
     on_trial: Sequence[str],
 ) -> Iterator[Fault]:
-    """Yield everything wrong with `per_log` and `groups`.
+    """Yield all faults of `per_log` and `groups`.
 
-    logs: files by `estimation` and `validation`; on_trial: what the study names as candidates
+    Args:
+        logs: Files by `estimation` and `validation`.
+        on_trial: Candidates named by the study.
     """
     yield from _wrong_groups(places, groups, [*logs["estimation"], *logs["validation"]])
     if names is None:
@@ -87,14 +89,14 @@ def per_log_faults(
 
 
 def _unlearnt(folder: Path, groups: Groups, logs: Mapping[str, Sequence[str]]) -> list[str]:
-    """Return the sealed logs of whose group no log is learnt from."""
+    """Return the sealed logs whose group has no estimation log."""
     group = group_of(folder, [*logs["estimation"], *logs["validation"]], groups)
     known = {group[folder / f] for f in logs["estimation"]}
     return [f for f in logs["validation"] if group[folder / f] not in known]
 
 
 def _wrong_groups(places: Places, groups: Groups, listed: Sequence[str]) -> Iterator[Fault]:
-    """Yield faults of groups without logs, and of files that are no logs of the study or stand in two groups."""
+    """Yield faults of groups."""
     folder, owner = places.path.parent, dict[str, str]()
     files = {os.path.realpath(folder / f) for f in listed}
     for group, members in groups.items():
@@ -125,5 +127,5 @@ def _unknown(subject: Subject, name: str) -> str:
 
 
 def _whole(subject: Subject, name: str) -> set[str]:
-    """Return parameters of a candidate."""
+    """Return the parameters of a candidate."""
     return {n for n in subject.declared if n.startswith(f"{name}.")} or {name}

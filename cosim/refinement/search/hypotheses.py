@@ -1,4 +1,4 @@
-"""A hypothesis, and the outcome of trying them all."""
+"""Hypotheses and the outcome of their comparison."""
 
 from __future__ import annotations
 
@@ -9,13 +9,17 @@ from dataclasses import dataclass, field
 from cosim.estimation.fit import Fit
 from cosim.subject.candidates import Candidate
 
-TOGETHER = " + "  # between the names of one of several rivals
-NOISE = 4.0  # log-likelihood that the unknown input of an equation must gain, to be more than none
+TOGETHER = " + "  # separator between the names of a rival with several candidates
+NOISE = 4.0  # log-likelihood gain from which an equation has an unknown input
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """Some candidates together, fitted; `ended`: at the model's own substeps, with all noise free."""
+    """A fitted set of candidates.
+
+    Attributes:
+        ended: True if fitted with the model's own substeps and all noise free.
+    """
 
     candidates: tuple[Candidate, ...]
     fit: Fit
@@ -24,39 +28,39 @@ class Hypothesis:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Their names, sorted."""
+        """Return the sorted names of the candidates."""
         return tuple(sorted(c.name for c in self.candidates))
 
     @property
     def of_sensors(self) -> bool:
-        """It says something of sensors and nothing of the plant."""
+        """Return True if all candidates are sensor errors."""
         return {c.kind for c in self.candidates} == {"sensor"}
 
     def is_apart(self, other: Hypothesis) -> bool:
-        """Whether neither hypothesis contains the other."""
+        """Return True if neither hypothesis contains the other."""
         names, others = set(self.names), set(other.names)
         return not (names <= others or names >= others)
 
     def is_away(self, c: Candidate, times: float) -> bool:
-        """Whether a parameter of a candidate is more than so many standard deviations from neutral."""
+        """Return True if a parameter is more than `times` standard deviations from neutral."""
         away = {f.name: abs(self.fit.values[f.name] - f.neutral) for f in c.free if f.neutral is not None}
         return any(distance > times * self.fit.sigma(name) for name, distance in away.items())
 
 
 def leading(hypotheses: Iterable[Hypothesis]) -> Hypothesis:
-    """Return the hypothesis with the best score, of equal ones the first."""
+    """Return the hypothesis with the best score."""
     return min(hypotheses, key=lambda h: h.score)
 
 
 @dataclass(frozen=True)
 class Support:
-    """What speaks for a hypothesis against one that lacks something of it.
+    """Evidence for a hypothesis against one that lacks some of its parts.
 
-    gain:      log-likelihood, priors included
-    steady:    how many times its own scatter over blocks of time the gain is
-    held_out:  log-likelihood gained on each log, as the others have it; NaN: not asked for
-    predicted: by how many times its scatter the square error of open-loop predictions of logs left out is less; NaN:
-               as before
+    Attributes:
+        gain: Log-likelihood gain, priors included.
+        steady: Gain divided by its scatter over blocks of time.
+        held_out: Log-likelihood gain on held-out logs; NaN if not computed.
+        predicted: Decrease of squared open-loop errors on held-out logs divided by its scatter; NaN if not computed.
     """
 
     gain: float
@@ -67,9 +71,10 @@ class Support:
 
 @dataclass(frozen=True)
 class Attribution:
-    """The outcome: the base fit, every hypothesis tried (best first), the one that stands, and its rivals.
+    """Outcome of a search: the base fit, all hypotheses (best first), the supported one and its rivals.
 
-    given: the model as it was given, with the noise of the base fit; of it only parameters per log are fitted
+    Attributes:
+        given: Given model with the noise of the base fit; only parameters per log are fitted.
     """
 
     base: Hypothesis
@@ -77,25 +82,25 @@ class Attribution:
     tried: tuple[Hypothesis, ...]
     best: Hypothesis
     rivals: tuple[Hypothesis, ...]
-    total: Support  # of all of the best one together
-    support: Mapping[str, Support]  # of each of its parts
-    noise_gain: tuple[float, ...]  # log-likelihood that the unknown input of each forced equation gains in the best one
-    reasons: Mapping[tuple[str, ...], str] = field(default_factory=dict)  # why each hypothesis but the best lost
-    hidden: tuple[str, ...] = ()  # effects that these logs could not show at the size at which they are usually met
-    effects: int = 0  # how many were on trial
-    fuller: Hypothesis | None = None  # the best one with parts that gain too little to be told from chance
+    total: Support  # evidence for all parts of the best hypothesis together
+    support: Mapping[str, Support]  # evidence for each part
+    noise_gain: tuple[float, ...]  # log-likelihood gain of each forced equation's unknown input in the best fit
+    reasons: Mapping[tuple[str, ...], str] = field(default_factory=dict)  # reasons against each other hypothesis
+    hidden: tuple[str, ...] = ()  # effects that these logs cannot show at their usual size
+    effects: int = 0  # number of effects on trial
+    fuller: Hypothesis | None = None  # best hypothesis including parts with gains too small to distinguish from chance
 
     @property
     def noisy(self) -> tuple[bool, ...]:
-        """Whether an unknown input is left in each forced equation."""
+        """Return True for each forced equation with a remaining unknown input."""
         return tuple(gain > NOISE for gain in self.noise_gain)
 
     @property
     def small(self) -> tuple[str, ...]:
-        """Names of the parts that gain too little to be told from chance."""
+        """Return parts with gains explained by chance."""
         return tuple(n for n in self.fuller.names if n not in self.best.names) if self.fuller else ()
 
     @property
     def blind(self) -> bool:
-        """Whether the logs could show none of the effects on trial."""
+        """Return True if the logs could show none of the effects on trial."""
         return 0 < len(self.hidden) == self.effects

@@ -1,7 +1,7 @@
-"""What inputs do between two rows, held or straight to the next: how likely the logs are the other way.
+"""Comparison of held and interpolated inputs between rows by their likelihood.
 
-Only the model recalibrated is asked. Neither way holds the other, so the difference is held against its own scatter
-from block to block of time (Vuong 1989).
+Only the recalibrated base model is compared. The two alternatives are not nested, so their difference is compared with
+its scatter over blocks of time (Vuong 1989).
 """
 
 from __future__ import annotations
@@ -18,14 +18,15 @@ from cosim.refinement.decision.evidence import blocks_of, by_block
 from cosim.refinement.search.hypotheses import Hypothesis
 
 Way = Literal["held", "interpolated"]
-LIKELIER, STEADILY = 5.0, 3.0  # log-likelihood ("very strong", Kass and Raftery 1995), and times its scatter, to warn
+LIKELIER, STEADILY = 5.0, 3.0  # gain ("very strong", Kass and Raftery 1995) and gain per scatter to warn
 
 
 @dataclass(frozen=True)
 class Between:
-    """How each input was taken, and the log-likelihood that the other way of all of them gains.
+    """Interpolation of each input, and the log-likelihood gain of the opposite choice for all inputs.
 
-    steady: how many times its own scatter over blocks of time that is
+    Attributes:
+        steady: Gain divided by its scatter over blocks of time.
     """
 
     taken: Mapping[str, Way]
@@ -34,7 +35,7 @@ class Between:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Where the other way is plainly likelier: what the study would say then."""
+        """Return a warning if the opposite choice is clearly likelier."""
         if not (self.gain > LIKELIER and self.steady > STEADILY):
             return ()
         other = {name: _other(way) for name, way in self.taken.items()}
@@ -49,12 +50,12 @@ class Between:
 
 
 def between_rows(problem: Problem, base: Hypothesis) -> Between:
-    """Fit the model recalibrated again with every input taken the other way."""
+    """Refit the recalibrated model with the opposite interpolation of every input."""
     ramped, names = problem.settings.interpolated, problem.layout.inputs
     flipped = frozenset(names) - ramped
     logs = [replace(data, interpolated=flipped) for data in problem.logs]
     other = replace(problem, logs=logs, settings=replace(problem.settings, interpolated=flipped))
-    # from unknown inputs that are plain enough to move: those that made up for the wrong way find back slowly
+    # Unknown inputs start large enough to move, because inputs that compensated the wrong choice converge slowly.
     again = fit(other, base.fit.free, base.fit.values, other.plain)
     taken: dict[str, Way] = {name: "interpolated" if name in ramped else "held" for name in names}
     now, then = problem.scored(base.fit.values, base.fit.noise), other.scored(again.values, again.noise)

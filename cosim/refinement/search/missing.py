@@ -1,10 +1,12 @@
-"""The acceleration a model lacks, row by row, and what a hypothesis puts in its place.
+"""Missing acceleration of a model in each row, and the contribution of a hypothesis to it.
 
-Measured: along the filtered states of the base fit the equations are made linear by single steps of the kernel, in
-which each forced equation has an unknown input d, and a smoother of Rauch, Tung and Striebel (1965) estimates it:
+Estimate of the missing input: the equations are linearized along the filtered states of the base fit by single kernel
+steps. Each forced equation has an unknown input d, estimated by a Rauch-Tung-Striebel smoother (1965):
+
     δ⁺ = F·δ + (f(x̄) − x̄⁺) + w      y − g(x̄) = C·δ + v      d among the δ
-Its power is that of the base fit, or one that is plainly detected (`NoiseRange.plain`) where the fit has less.
-Claimed: a step of the model with the hypothesis less a step of the model without, over the step.
+
+The power of d is the fitted power, at least `NoiseRange.plain`. The contribution of a hypothesis is a model step with
+the hypothesis minus a step without, divided by the step.
 """
 
 from __future__ import annotations
@@ -23,52 +25,55 @@ from cosim.estimation.noise_model import Noise
 from cosim.estimation.problem import Problem
 from cosim.kernel.kernel import Data
 
-MOST_ROWS = 3000  # of a log, smoothed
-LOGS = 2  # the first of a study, that are smoothed
-NUDGE = 1e-4  # of a state's size, for differences; steps are smooth on this scale
-NONE = 1e-6  # of ln of the power of an unknown input above the least
+MOST_ROWS = 3000  # largest number of smoothed rows of a log
+LOGS = 2  # number of smoothed logs, from the first
+NUDGE = 1e-4  # difference step relative to the size of a state; kernel steps are smooth on this scale
+NONE = 1e-6  # distance of ln input power from the minimum that counts as zero
 
 
 @dataclass(frozen=True, eq=False)
 class Missing:
-    """Rows of one log: d and its standard deviation per forced equation, in the state's unit per second."""
+    """Missing input d in the rows of one log, with its standard deviation, for each forced equation.
+
+    Units are those of the state per second.
+    """
 
     time: Array
     equations: tuple[str, ...]
     value: Array
     sigma: Array
-    states: Array  # filtered by the base fit, all of the kernel's
+    states: Array  # all kernel states, filtered by the base fit
 
     def rows(self, data: Data) -> slice:
-        """Return its rows in its log."""
+        """Return the rows of the log that are smoothed."""
         first = round((self.time[0] - data.start) / data.step)
         return slice(first, first + len(self.time))
 
 
-Smoothed = Sequence[tuple[int, Missing]]  # index of a log in the problem, and what was smoothed of it
+Smoothed = Sequence[tuple[int, Missing]]  # index of a log in the problem, and its smoothed input
 
 
 @dataclass(frozen=True, eq=False)
 class Filter:
-    """A set of values and process noise with which the kernel filters a log."""
+    """Parameter values and process noise of a kernel filter."""
 
     values: Mapping[str, float]
     noise: Noise
 
 
 class Steps:
-    """Single steps of the kernel from any row of a log."""
+    """Single kernel steps from any row of a log."""
 
     def __init__(self, problem: Problem, index: int, values: Mapping[str, float]) -> None:
         self.kernel, self.data = problem.kernel, problem.logs[index]
         layout = problem.layout
-        # an unknown input lasts as long as usual
+        # Unknown inputs keep their usual correlation time.
         self.p = problem.numbers(problem.of_log({**problem.values, **values}, index))
         late = self.p[layout.delay] / self.data.step if layout.delay >= 0 else 0.0
-        self.back = 2 + math.ceil(late)  # rows of commands before a step, for a delay to look into
+        self.back = 2 + math.ceil(late)  # rows of commands before a step that a delay may reach back to
 
     def step(self, row: int, state: Array, memory: Array) -> tuple[Array, Array]:
-        """Return the state at the next row, and the outputs at this one."""
+        """Return the state at the next row and the outputs at this row."""
         d = self.data
         back = min(row, self.back)
         first = row - back
@@ -77,9 +82,10 @@ class Steps:
 
 
 def missing(problem: Problem, base: Filter, index: int, every: int = 1) -> Missing:
-    """Smooth the input that the base fit lacks on a log, in the state's unit per second.
+    """Return the smoothed missing input of a log.
 
-    every: rows over which slopes of the equations are taken to stay
+    Args:
+        every: Rows between two linearizations.
     """
     layout, data = problem.layout, problem.logs[index]
     equations = layout.forced
@@ -95,20 +101,21 @@ def missing(problem: Problem, base: Filter, index: int, every: int = 1) -> Missi
 
 
 def smoothed_logs(problem: Problem) -> range:
-    """Return the logs of a study that are smoothed."""
+    """Return the indices of the smoothed logs."""
     return range(min(LOGS, len(problem.logs)))
 
 
 def smoothed(problem: Problem, base: Filter, every: int = 1) -> tuple[Smoothed, Array, Array]:
-    """Smooth the first logs; return each, and their missing inputs and standard deviations one after the other."""
+    """Smooth the first logs; return single and stacked results."""
     parts = [(k, missing(problem, base, k, every)) for k in smoothed_logs(problem)]
     return parts, np.vstack([m.value for _, m in parts]), np.vstack([m.sigma for _, m in parts])
 
 
 def unknown_inputs(problem: Problem, at: Fit, noisy: Sequence[bool], units: Mapping[str, str]) -> dict[str, float]:
-    """Return the size of each unknown input over that of what moves states of its unit on the logs.
+    """Return the relative size of each unknown input.
 
-    units: of the states
+    Args:
+        units: Units of the states.
     """
     names, powers = problem.layout.forced, np.exp(0.5 * at.noise.power)
     moved: dict[str, float] = {}
@@ -121,9 +128,9 @@ def unknown_inputs(problem: Problem, at: Fit, noisy: Sequence[bool], units: Mapp
 
 
 def loosened(problem: Problem, noise: Noise) -> Noise:
-    """Return noise of a filter that follows what equations lack: at least what is plainly detected, short as usual.
+    """Return filter noise that follows model errors.
 
-    A fit without any unknown input takes for noise of sensors what equations lack: then sensors are as stated.
+    A fit without unknown inputs counts model errors as sensor noise; sensors then keep their stated noise.
     """
     bare = bool(np.all(noise.power <= problem.noise.smallest + NONE))
     sensors = np.minimum(noise.sensors, np.log(problem.r)) if bare else noise.sensors
@@ -131,9 +138,9 @@ def loosened(problem: Problem, noise: Noise) -> Noise:
 
 
 def claimed(problem: Problem, base: Filter, after: Filter, index: int) -> Array:
-    """Return the claim's addition to each forced equation at the rows of `missing`.
+    """Return the claim's contribution to each equation.
 
-    Both steps start from the refined estimate of what is measured, each from its own of the rest.
+    Both steps start from the refined estimate of the measured states and from their own estimate of the rest.
     """
     layout, data = problem.layout, problem.logs[index]
     runs = [problem.run({**problem.values, **f.values}, f.noise, index, states=True) for f in (base, after)]
@@ -152,10 +159,10 @@ def claimed(problem: Problem, base: Filter, after: Filter, index: int) -> Array:
 
 
 def at_best(problem: Problem, at: Fit, column: int, term: Array, lacking: Array) -> Array:
-    """Return a term in one equation at the size at which it takes away most of what is lacking on the first logs.
+    """Return a term scaled to the missing input.
 
-    What parameters that the fit moves without a prior can mend of it is left out: they have done what they can. A term
-    that points the other way takes away nothing.
+    The share that parameters without prior can compensate is projected out, because the fit has already moved these
+    parameters. A term with the wrong sign scales to zero.
     """
     here, rows = Filter(at.values, at.noise), []
     for f in at.free:
@@ -173,7 +180,7 @@ def at_best(problem: Problem, at: Fit, column: int, term: Array, lacking: Array)
 
 @dataclass(frozen=True, eq=False)
 class _Linear:
-    """δ⁺ = F·δ + b, y − g = C·δ about the filtered states; one row less than the log for F and b."""
+    """Linearization about the filtered states, δ⁺ = F·δ + b and y − g = C·δ; F and b lack the last row."""
 
     F: Array
     b: Array
@@ -182,10 +189,10 @@ class _Linear:
 
 
 def _linear(problem: Problem, steps: Steps, states: Array, memory: Array, rows: int, every: int) -> _Linear:
-    """Take differences of single steps, for the states that noise reaches."""
+    """Return the linearization by differences of steps."""
     reached = list(problem.layout.stochastic)
     size = NUDGE * np.maximum(np.abs(states[:rows, reached]).max(axis=0), np.sqrt(np.diag(problem.P0)))
-    size = np.where(size > 0.0, size, NUDGE)  # a parameter per log may be 0, and known
+    size = np.where(size > 0.0, size, NUDGE)  # A fixed parameter per log may be 0.
     n, ny = len(reached), problem.logs[0].y.shape[1]
     F, C = np.zeros((rows, n, n)), np.zeros((rows, ny, n))
     b, g = np.zeros((rows, n)), np.zeros((rows, ny))
@@ -230,7 +237,7 @@ def _smooth(problem: Problem, model: _Linear, states: Array, noise: Noise, index
 
 
 def _take(x: Array, P: Array, C: Array, e: Array, r: Array) -> tuple[Array, Array]:
-    """Condition on the measurements of a row that are there."""
+    """Return the state conditioned on a row's measurements."""
     wide = np.zeros((len(e), len(x)))
     wide[:, : C.shape[1]] = C
     measured = np.isfinite(e)

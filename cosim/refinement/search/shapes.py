@@ -1,8 +1,9 @@
-"""Local shapes without a name: where on a signal, or from when on, an equation lacks something.
+"""Local shapes without a name: position on a signal, or time, at which an equation lacks a term.
 
-A smoother says which input each equation lacks, row by row. Bumps at many places, of three widths, steps and rows of
-bumps (a spline), over time, each state, command and difference of two states of a unit, each also times a velocity, its
-sign or the distance from there, are held against it by regression. Only the most promising ones are worth a filter run.
+A smoother estimates the missing input of each equation in each row. Candidate shapes are bumps at many places with
+three widths, steps, and rows of bumps (splines) over time, each state, each command, and each difference of two states
+with equal units; each also multiplied by a velocity, its sign, or the distance from the place. Regression selects the
+most promising shapes for a filter run.
 """
 
 from __future__ import annotations
@@ -22,15 +23,15 @@ from cosim.kernel.kernel import CONSTANT, DISTURBANCE
 from cosim.kernel.nameless import KNOTS, LOCAL, bump, clipped, rise
 from cosim.refinement.search.missing import Filter, Smoothed, smoothed
 
-HALF = 2.0 * np.sqrt(1.0 - 0.5 ** (1.0 / 3.0))  # of ζ, at which a bump is half as high
-INSIDE = (2.0, 98.0)  # percent of the rows, between which places lie
-WIDTHS = (1 / 3, 1 / 6, 1 / 12)  # of that range: of a bump at half its height
+HALF = 2.0 * np.sqrt(1.0 - 0.5 ** (1.0 / 3.0))  # ζ at which a bump has half its height
+INSIDE = (2.0, 98.0)  # percentiles of the rows that bound the places
+WIDTHS = (1 / 3, 1 / 6, 1 / 12)  # width of a bump at half its height, as a share of that range
 STEPS = 8  # places of a step
-SLIP = 0.05  # of its range, within which the sign of a velocity turns
-FEWEST = 30  # rows within a width
-KEPT = 3  # of the bumps and steps of an equation, that are worth a filter run; of splines one
-TWICE = 0.9  # correlation, from which two of them are one
-EVERY = 4  # rows, of which one has its slopes taken: a regression needs no more
+SLIP = 0.05  # share of its range within which the sign of a velocity turns
+FEWEST = 30  # least number of rows within a width
+KEPT = 3  # bumps and steps of an equation that get a filter run; only one spline does
+TWICE = 0.9  # correlation from which two shapes count as one
+EVERY = 4  # rows between linearizations, sufficient for a regression
 TURN = 2.0 * np.pi
 DIFFERENCE = " − "
 
@@ -41,12 +42,17 @@ Signals = Mapping[str, Array]
 class Shape:
     """One local shape.
 
-    equation: the forced state; of: signal over which it is local, or two: the first less the second
-    kind:  `bump`, `step` or `spline`; place: of its middle, a spline's first bump; width: of a bump at half its
-           height, of a step from end to end, of a spline from bump to bump
-    times: signals as in `of` that it is multiplied by, or none; dry: by their sign alone, which turns within `slip`
-    unit:  of place and width
-    well:  it is multiplied by the distance from its place; turned: it is over an angle and comes back every turn
+    Attributes:
+        equation: Forced state.
+        of: Signal of the shape, or two signals whose difference counts.
+        kind: `bump`, `step` or `spline`.
+        place: Centre, for a spline of its first bump.
+        width: Width of a bump at half its height, of a step from end to end, of a spline from bump to bump.
+        times: Signals of the factor, as in `of`; may be empty.
+        dry: True if only the sign of the factor counts, which turns within `slip`.
+        well: True if multiplied by the distance from `place`.
+        turned: True for a shape over an angle, repeated every turn.
+        unit: Unit of place and width.
     """
 
     equation: str
@@ -63,24 +69,24 @@ class Shape:
 
     @classmethod
     def of_entry(cls, equation: str, entry: Mapping[str, Any]) -> Shape:
-        """Return the shape that an entry of refine.json tells."""
+        """Return the shape of an entry of refine.json."""
         lists = {name: tuple(entry[name]) for name in ("of", "times")}
         return cls(equation, **{n: v for n, v in entry.items() if n != "sizes"} | lists)
 
     @property
     def entry(self) -> dict[str, Any]:
-        """As refine.json tells it."""
+        """Return the entry for refine.json."""
         told = {n: list(v) if isinstance(v, tuple) else v for n, v in vars(self).items()}
         return {n: v for n, v in told.items() if n != "equation"}
 
     @property
     def signal(self) -> str:
-        """Over what it is local, as a reader knows it."""
+        """Return the signal's name for a reader."""
         return DIFFERENCE.join(self.of)
 
     @property
     def factor(self) -> str:
-        """What it is multiplied by, as a reader knows it; empty for nothing."""
+        """Return the factor's name for a reader; empty without a factor."""
         if self.well:
             return "distance from there"
         name = DIFFERENCE.join(self.times)
@@ -88,13 +94,13 @@ class Shape:
 
     @property
     def per(self) -> float:
-        """ζ per unit of the signal, of an angle that turns per unit of 1 − cosine."""
+        """Return ζ per unit of the signal, for a turning angle per unit of 1 − cosine."""
         if self.turned:
             return float(HALF / (1.0 - np.cos(0.5 * self.width)))
         return float({"bump": 2.0 * HALF, "step": 2.0, "spline": 1.0}[self.kind] / self.width)
 
     def settings(self, slot: int) -> dict[str, float]:
-        """Return the parameters that set a slot of the kernel to this shape, all but its coefficients."""
+        """Return the kernel parameters of this shape."""
 
         def mixed(role: str, names: Sequence[str], size: float) -> dict[str, float]:
             return {f"{LOCAL}.{slot}.{role}.{n}": s * size for n, s in zip(names, (1.0, -1.0), strict=False)}
@@ -113,12 +119,12 @@ class Shape:
         return found | (mixed("by", self.times, 1.0) or {f"{LOCAL}.{slot}.by.1": 1.0})
 
     def coefficients(self, slot: int) -> tuple[str, ...]:
-        """Return parameters of a slot that scale it."""
+        """Return the names of a slot's coefficients."""
         own = {"bump": ("0",), "step": ("rise",), "spline": tuple(map(str, range(KNOTS)))}[self.kind]
         return tuple(f"{LOCAL}.{slot}.{name}" for name in own)
 
     def over(self, signals: Signals) -> Array:
-        """Return the signal that it is over; an angle that turns within one turn about its place."""
+        """Return the signal, a turning angle near the place."""
         z = _mixed(signals, self.of)
         return np.mod(z - self.place + np.pi, TURN) + self.place - np.pi if self.turned else z
 
@@ -144,7 +150,7 @@ def _mixed(signals: Signals, names: Sequence[str]) -> Array:
 
 
 def signals_of(problem: Problem, parts: Smoothed) -> dict[str, Array]:
-    """Return the signals over which shapes may be local, at the rows of some logs."""
+    """Return the signals for local shapes."""
     layout, states = problem.layout, np.vstack([m.states for _, m in parts])
     commands = np.vstack([problem.logs[k].u[m.rows(problem.logs[k])] for k, m in parts])
     time, named = np.concatenate([m.time for _, m in parts]), zip(layout.states, states.T, strict=True)
@@ -153,10 +159,11 @@ def signals_of(problem: Problem, parts: Smoothed) -> dict[str, Array]:
 
 
 def promising(problem: Problem, at: Fit, units: Mapping[str, str], worth: float) -> tuple[list[Shape], int]:
-    """Return the shapes that take away most of what the equations lack, and how many coefficients were tried.
+    """Return promising shapes and the number tried.
 
-    units: of the signals; of two states of one unit the difference is a signal too
-    worth: log-likelihood that a shape must promise, were each row of its own
+    Args:
+        units: Units of the signals; two states with equal units also give a difference signal.
+        worth: Log-likelihood gain that a shape must promise, assuming independent rows.
     """
     prefix = f"{LOCAL}.1.of."
     known = {n.removeprefix(prefix) for n in problem.layout.parameters if n.startswith(prefix)}
@@ -182,7 +189,7 @@ def promising(problem: Problem, at: Fit, units: Mapping[str, str], worth: float)
 
 
 class _Best:
-    """The shapes that take away most of what one equation lacks, beside a constant and the state itself."""
+    """The best shapes for one equation, beside a constant and the state itself."""
 
     def __init__(self, lacking: Array, beside: Sequence[Array], worth: float) -> None:
         self.plain = orthonormal(np.column_stack([np.ones(len(lacking)), *beside]))
@@ -194,7 +201,7 @@ class _Best:
         return np.asarray(columns - self.plain @ (self.plain.T @ columns))
 
     def try_one(self, shape: Shape, columns: Array) -> None:
-        """Keep it where it promises enough."""
+        """Keep a shape if its predicted gain is sufficient."""
         left = self._beside(columns)
         products = left.T @ left
         taken = least_squares(products, left.T @ self.lacking, rcond=1e-9)
@@ -203,7 +210,7 @@ class _Best:
             (self.groups if len(taken) > 1 else self.single).append((gain, shape, left @ taken))
 
     def kept(self) -> list[Shape]:
-        """Return the most promising that are not alike."""
+        """Return the most promising distinct shapes."""
         chosen: list[tuple[Shape, Array]] = []
         for _, shape, row in sorted(self.single, key=lambda entry: -entry[0]):
             direction = row / np.linalg.norm(row)
@@ -217,11 +224,13 @@ class _Best:
 
 @dataclass(frozen=True, eq=False)
 class _Ground:
-    """What shapes in one equation are over.
+    """A signal for shapes in one equation.
 
-    flat:    the signal as a shape without place and width
-    z:       its values; low, high: range of the places
-    factors: signals by which a shape is multiplied → value within which the sign of each turns
+    Attributes:
+        flat: Shape of the signal without place and width.
+        z: Values of the signal.
+        low, high: Range of the places.
+        factors: Factor signals → value within which the sign of each turns.
     """
 
     flat: Shape
@@ -231,7 +240,7 @@ class _Ground:
     factors: Mapping[tuple[str, ...], float]
 
     def shapes(self) -> Iterator[Shape]:
-        """Yield every shape that is tried."""
+        """Yield every shape on trial."""
         if len(self.flat.of) == 1 and self.flat.unit == "rad" and self.high - self.low > TURN:
             yield from self._round()
             return
@@ -252,7 +261,7 @@ class _Ground:
                     yield from self._multiplied(shape)
 
     def _round(self) -> Iterator[Shape]:
-        """Yield the shapes over an angle that turns."""
+        """Yield the shapes over a turning angle."""
         for width in WIDTHS:
             for place in np.arange(round(2 / width)) * 0.5 * width * TURN:
                 shape = replace(self.flat, place=float(place), width=width * TURN, turned=True)
@@ -260,14 +269,14 @@ class _Ground:
                 yield from self._multiplied(shape)
 
     def _multiplied(self, shape: Shape) -> Iterator[Shape]:
-        """Yield a shape times each factor, and times its sign."""
+        """Yield a shape times each factor."""
         for times, slip in self.factors.items():
             yield replace(shape, times=times)
             yield replace(shape, times=times, dry=True, slip=slip)
 
 
 def _grounds(problem: Problem, equation: str, signals: Signals, units: Mapping[str, str]) -> Iterator[_Ground]:
-    """Yield what shapes in one equation may be over: signals that vary, and differences of two states of a unit."""
+    """Yield the signals for one equation."""
     states = [n for n in signals if n in problem.layout.states]
     pairs = [(a, b) for a, b in combinations(states, 2) if units.get(a, a) == units.get(b, b)]
     for of in (*((n,) for n in signals), *pairs):
@@ -279,7 +288,7 @@ def _grounds(problem: Problem, equation: str, signals: Signals, units: Mapping[s
 
 
 def _factors(problem: Problem, equation: str, signals: Signals, of: tuple[str, ...]) -> list[tuple[str, ...]]:
-    """Return what a shape may be multiplied by: how fast that moves which it is over, and the state of the equation."""
+    """Return the possible factors of a shape."""
     rates = [problem.layout.rates.get(n, "") for n in of]
     factors = [tuple(rates)] if all(rate in signals for rate in rates) else []
     return [*factors, *((t,) for t in (equation,) if t in signals and (t,) not in factors)]

@@ -1,9 +1,9 @@
-"""Is something left that no effect of the catalogue is? Terms without a name, of one signal each.
+"""Terms without a name for a residual that no effect of the catalogue explains.
 
 At the fit of a hypothesis, a term c·φ(signal) in the equation of a forced state promises a gain of ½·g²/F, with F the
-information of c after the other free parameters are accounted for. Those that promise most are fitted beside the
-hypothesis before anything is said of them: which equation they are of, on what they depend, and whether the
-hypothesis stands beside them. Of terms that these logs do not distinguish the simplest stands for all.
+information of c after projection on the other free parameters. The most promising terms are fitted beside the
+hypothesis before any conclusion about the equation, its signals, and the hypothesis itself. Among terms that these
+logs do not distinguish, the simplest is kept.
 """
 
 from __future__ import annotations
@@ -27,23 +27,28 @@ from cosim.refinement.search.missing import Filter, at_best, claimed, smoothed
 from cosim.refinement.search.shapes import Shape, promising
 from cosim.subject.candidates import Free
 
-SMALL = 0.1  # of a disturbance that is plainly detected within a second, for the difference of a term
-FITTED = 3  # terms, at most, fitted beside a hypothesis
-DETECTABLE = 3.0  # standard deviations, that the difference of a term makes
-STRAIGHT = 1e-4  # of that, from which a smaller difference says the same: the filter is run once
-ALIKE = 0.95  # correlation of what two terms change, from which one stands for both
+SMALL = 0.1  # share of a plainly detected disturbance within a second, for the difference step of a term
+FITTED = 3  # largest number of terms fitted beside a hypothesis
+DETECTABLE = 3.0  # standard deviations of a term's difference
+STRAIGHT = 1e-4  # share of that, from which a smaller difference is linear and one filter run suffices
+ALIKE = 0.95  # correlation of two terms' differences from which one represents both
 
 
 @dataclass(frozen=True)
 class Unnamed:
     """A term without a name.
 
-    equation:    the forced state; signal: the basis, such as `1` or `|velocity|`; of a local shape what it is over
-    gain:        log-likelihood it promises; coefficient: at which it does, the first step of a fit and no estimate
-    most:        the most that it or a term it stands for promises
-    share:       of the mean square of what is missing from the equation, what the term at its best size takes away;
-                 None: not asked for, or the filter diverged
-    shape:       of a local shape; sizes: coefficients of its bumps; slot: of the kernel, that holds it
+    Attributes:
+        equation: Forced state.
+        signal: Basis such as `1` or `|velocity|`; for a local shape its signal.
+        gain: Predicted log-likelihood gain.
+        coefficient: First step of a fit, no estimate.
+        most: Largest predicted gain among the terms that this term represents.
+        share: Share of the missing input's mean square that the scaled term removes; None if not computed or the filter
+            diverged.
+        shape: Local shape.
+        sizes: Coefficients of the shape's bumps.
+        slot: Kernel slot of the shape.
     """
 
     equation: str
@@ -58,22 +63,22 @@ class Unnamed:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of its coefficients among the parameters."""
+        """Return the names of the coefficients among the parameters."""
         return self.shape.coefficients(self.slot) if self.shape else (f"{PREFIX}.{self.equation}.{self.signal}",)
 
     @property
     def known(self) -> dict[str, float]:
-        """What sets the kernel to its shape."""
+        """Return the kernel parameters that set the shape."""
         return self.shape.settings(self.slot) if self.shape else {}
 
     @property
     def values(self) -> dict[str, float]:
-        """The parameters at which it is there."""
+        """Return the parameter values of the term."""
         return self.known | dict(zip(self.names, self.sizes or (self.coefficient,), strict=True))
 
     @property
     def entry(self) -> dict[str, Any]:
-        """As refine.json tells it."""
+        """Return the entry for refine.json."""
         told = {"equation": self.equation, "signal": self.signal, "gain": self.gain, "coefficient": self.coefficient}
         if self.shape is None:
             return told
@@ -83,13 +88,14 @@ class Unnamed:
 
 @dataclass(frozen=True)
 class Leftover:
-    """What is left beside a hypothesis.
+    """Terms beside a hypothesis.
 
-    terms: the most promising first; where they were fitted, those that gain more than they cost, as fitted
-    fit:   the hypothesis with these terms; None where none counts
-    gain:  of log-likelihood, by all of them together
-    cost:  what a term must gain to count
-    among: how many terms were tried
+    Attributes:
+        terms: Most promising first; after a fit, those that gain more than their cost, with fitted values.
+        fit: Hypothesis with these terms; None if no term counts.
+        gain: Log-likelihood gain of all terms together.
+        cost: Least gain of a term that counts.
+        among: Number of terms tried.
     """
 
     terms: tuple[Unnamed, ...]
@@ -100,15 +106,18 @@ class Leftover:
 
     @property
     def first(self) -> Unnamed | None:
-        """The most promising term."""
+        """Return the most promising term."""
         return self.terms[0] if self.terms else None
 
 
 def left_beside(problem: Problem, at: Fit, price: float, units: Mapping[str, str] = MappingProxyType({})) -> Leftover:
-    """Return the terms beside a fit; `problem` is built with them, `at` is a fit of the same logs without.
+    """Return the terms beside a fit.
 
-    price: score that a parameter costs where what is left is white
-    units: of time, states and commands; of two states of one unit shapes may be local over the difference
+    Args:
+        problem: Problem with unnamed terms in the kernel.
+        at: Fit of the same logs without these terms.
+        price: Score cost of a parameter for a white residual.
+        units: Units of time, states and commands; local shapes use differences of states with equal units.
     """
     looked = _Terms(problem, at, price)
     simple, local = looked.simple(), looked.local(units)
@@ -131,9 +140,9 @@ def left_beside(problem: Problem, at: Fit, price: float, units: Mapping[str, str
 
 
 class _Terms:
-    """What terms promise about a fit, and what each must gain to count.
+    """Predicted gain of terms at a fit, and the gain required of each.
 
-    Simple ones are tried first: local shapes, each of their coefficients counted, cost the logarithm of all together.
+    Simple terms come first. The cost of local shapes counts the logarithm of all coefficients on trial.
     """
 
     def __init__(self, problem: Problem, at: Fit, price: float) -> None:
@@ -145,22 +154,22 @@ class _Terms:
 
     @property
     def cost(self) -> float:
-        """What a simple term must gain to count."""
+        """Return the gain required of a simple term."""
         return self.problem.scatter * (self.price + ENTRY + math.log(max(1, len(self.names))))
 
     def costs(self, u: Unnamed) -> float:
-        """Return the gain from which a term counts."""
+        """Return the gain required of a term."""
         if u.shape is None:
             return self.cost
         count, tried = len(u.names), max(1, len(self.names) + self.tried)
         return self.problem.scatter * (self.price * count + ENTRY + math.log(tried))
 
     def number_tried(self, terms: Sequence[Unnamed]) -> int:
-        """Return how many terms were tried beside these; local ones count where one of these is local."""
+        """Return the number of terms tried."""
         return len(self.names) + (self.tried if any(u.shape for u in terms) else 0)
 
     def simple(self) -> list[Unnamed]:
-        """Return terms of one basis each, of those that change the same in an equation one."""
+        """Return the distinct simple terms of each equation."""
 
         def term(name: str) -> tuple[Unnamed, Array]:
             _, equation, signal = name.split(".", 2)
@@ -173,7 +182,7 @@ class _Terms:
         return [u for e in forced for u in _distinct([(u, row) for u, row in terms if u.equation == e])]
 
     def local(self, units: Mapping[str, str]) -> list[tuple[Unnamed, list[Array]]]:
-        """Return local shapes, and what each of their coefficients changes."""
+        """Return local shapes and their coefficients' effects."""
         shapes, self.tried = promising(self.problem, self.at, units, self.cost)
 
         def term(shape: Shape) -> tuple[Unnamed, list[Array]]:
@@ -187,9 +196,9 @@ class _Terms:
         return in_parallel(term, shapes)
 
     def beside(self, simple: Sequence[Unnamed], local: Sequence[tuple[Unnamed, list[Array]]]) -> list[Unnamed]:
-        """Return simple terms, and local ones that promise plainly more than any simple one of their equation.
+        """Return simple terms and clearly better local shapes.
 
-        Of local ones of an equation each must be worth its cost beside those that promise more.
+        Each local shape must be worth its cost beside the more promising ones of its equation.
         """
         most = {u.equation: 0.0 for u, _ in local}
         for s in simple:
@@ -206,23 +215,23 @@ class _Terms:
         return found
 
     def net(self, u: Unnamed) -> float:
-        """Return the promised gain of a term less its cost."""
+        """Return the predicted gain of a term minus its cost."""
         return u.most - self.costs(u)
 
     def _sized(self, equation: str, known: Mapping[str, float], name: str) -> tuple[float, Array]:
-        """Return a step of a coefficient that makes a plain difference, and the difference."""
+        """Return a coefficient step with a clear effect, and its effect."""
         first = self.steps[equation]
         row = self.test.row({**known, name: first})
-        with np.errstate(over="ignore"):  # of a term that runs away: then its step is none
+        with np.errstate(over="ignore"):  # A term that makes the model diverge has a zero step.
             size = float(np.sqrt(row @ row))
-        step = first * (DETECTABLE / size if size > 0.0 else 1.0)  # whatever the size of its basis
+        step = first * (DETECTABLE / size if size > 0.0 else 1.0)  # The step is independent of the size of the basis.
         if STRAIGHT * DETECTABLE < size < DETECTABLE:
             return step, row * (step / first)
         return step, self.test.row({**known, name: step})
 
 
 def _placed(terms: Sequence[Unnamed]) -> list[Unnamed]:
-    """Return terms, each local shape among them in a slot of its own."""
+    """Return terms with a separate slot for each local shape."""
     placed: list[Unnamed] = []
     for u in terms:
         slot = 1 + sum(p.shape is not None for p in placed)
@@ -232,34 +241,34 @@ def _placed(terms: Sequence[Unnamed]) -> list[Unnamed]:
 
 
 def _fitted(problem: Problem, at: Fit, terms: Sequence[Unnamed]) -> Fit:
-    """Return the fit with some terms free beside what is."""
+    """Return the fit with some additional free terms."""
     sizes = {name: abs(value) or 1.0 for u in terms for name, value in u.values.items() if name in u.names}
     known = {name: value for u in terms for name, value in u.known.items()}
     free = [*at.free, *(Free(name, -math.inf, math.inf, size) for name, size in sizes.items())]
-    # from none: it can only come nearer
+    # Terms start at zero, so the objective can only decrease.
     return fit(problem, free, {**at.values, **known}, at.noise, iterations=SCREEN_ITERATIONS)
 
 
 def _alone(fitted: Fit, u: Unnamed) -> float:
-    """Return the gain of one of the fitted terms beside the others."""
+    """Return the gain of one fitted term beside the others."""
     sizes = np.array([fitted.values[name] for name in u.names])
     return 0.5 * float(sizes @ fitted.marginal(u.names) @ sizes)
 
 
 def _as_fitted(u: Unnamed, fitted: Fit, gain: float) -> Unnamed:
-    """Return the term as a fit has it."""
+    """Return the term with fitted coefficients."""
     sizes = tuple(fitted.values[name] for name in u.names)
     return replace(u, gain=gain, most=gain, coefficient=max(sizes, key=abs), sizes=sizes if u.shape else ())
 
 
 def _distinct(promising: Sequence[tuple[Unnamed, Array]]) -> list[Unnamed]:
-    """Keep one of the terms of an equation that change the same: the simplest that promises about as much."""
+    """Keep the simplest of several equivalent terms."""
     left = [(u, row / np.linalg.norm(row)) for u, row in promising]
     kept = []
     while left:
         best, direction = max(left, key=lambda term: term[0].gain)
         alike = [(u, d) for u, d in left if abs(d @ direction) > ALIKE or u is best]
-        # what correlates by ρ with the truth promises ρ² of its gain
+        # A term with correlation ρ to the true term promises ρ² of its gain.
         first, other = next((u, d) for u, d in alike if u.gain >= ALIKE**2 * best.gain)
         kept.append(replace(first, most=best.gain))
         left = [(u, d) for u, d in left if max(abs(d @ direction), abs(d @ other)) <= ALIKE and u is not best]
@@ -267,9 +276,9 @@ def _distinct(promising: Sequence[tuple[Unnamed, Array]]) -> list[Unnamed]:
 
 
 def _share(problem: Problem, at: Fit, u: Unnamed) -> float | None:
-    """Return 1 − Σ(d − t)²/Σd²: d the smoothed input that the equation lacks, t the term at its best size.
+    """Return 1 − Σ(d − t)²/Σd² on the first logs; None if a filter diverges.
 
-    On the first logs. None where a filter has diverged.
+    d is the smoothed missing input of the equation, t the term at its best size.
     """
     without, with_it = Filter(at.values, at.noise), Filter({**at.values, **u.values}, at.noise)
     with np.errstate(invalid="ignore", over="ignore"):

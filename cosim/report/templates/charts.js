@@ -448,6 +448,11 @@ document.addEventListener("rows", (event) => {
       fingers.delete(event.pointerId);
       unmark();
     });
+    // a finger that has left still reads: its row stays until another place is touched
+    box.addEventListener("pointerleave", (event) => {
+      if (event.pointerType !== "touch") page.rest();
+    });
+    box.addEventListener("blur", page.rest);
     box.addEventListener("dblclick", home);
     box.addEventListener(
       "wheel",

@@ -220,8 +220,8 @@
       for (const tell of this.moved) tell();
     }
 
-    // tell: say at the foot of the page which row it is
-    to(row, tell = true) {
+    // tell: name the row at the foot of the page, while a chart is read
+    to(row, tell = false) {
       this.nearest = row;
       for (const [cell, series] of this.cells) cell.textContent = this.read(series, row);
       for (const tag of this.tags) tag.textContent = this.text(row) + this.unit;
@@ -252,7 +252,7 @@
     playing = false,
     stamp = 0;
 
-  function show(t, tell = true) {
+  function show(t, tell = false) {
     now = Math.min(last, Math.max(first, t));
     const nearest = main.near(now);
     main.to(nearest, tell);
@@ -294,9 +294,9 @@
     else requestAnimationFrame(advance);
   }
 
-  function jump(t) {
+  function jump(t, tell = false) {
     setPlaying(false);
-    show(t);
+    show(t, tell);
     remember();
   }
 
@@ -348,15 +348,18 @@
           read: (series, row) => axis.read(series, row),
           at: () => axis.nearest,
           seek: (row) => {
-            if (!ours || !play) axis.to(row);
-            else if (!playing) show(time[row]);
+            if (!ours || !play) axis.to(row, true);
+            else if (!playing) show(time[row], true);
           },
           settle: (row) => {
-            if (ours && play) jump(time[row]);
+            if (ours && play) jump(time[row], true);
             else {
-              axis.to(row);
+              axis.to(row, true);
               if (ours) remember();
             }
+          },
+          rest: () => {
+            if (shown) shown.hidden = true;
           },
           look: (from, to) => {
             axis.view = { from, to };
@@ -365,8 +368,8 @@
         },
       }),
     );
-    if (!ours) axis.to(axis.nearest, false);
+    if (!ours) axis.to(axis.nearest);
   }
-  show(asked == null ? time[main.nearest] : asked, axes.length < 2);
+  show(asked == null ? time[main.nearest] : asked, asked != null && axes.length < 2);
   document.documentElement.dataset.ready = "yes";
 })();

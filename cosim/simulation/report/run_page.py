@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import far_beyond
-from cosim.base.text import display, plain
+from cosim.base.text import display
 from cosim.report.chart_data import to_json
 from cosim.report.drawing import Drawing
 from cosim.report.html_tables import Row
@@ -20,7 +20,7 @@ from cosim.report.panels import Band, Panel, Trace, by_unit
 from cosim.report.svg import extent
 from cosim.report.template import render
 from cosim.simulation.report.component_page import ComponentPage, component_page
-from cosim.simulation.report.recorded import Run, mapping, mappings, number, texts
+from cosim.simulation.report.recorded import Run, mappings, number, texts
 from cosim.simulation.report.run_rows import (
     Connection,
     badges,
@@ -39,6 +39,8 @@ from cosim.storage.results import Results
 
 TEMPLATE = Path(__file__).with_name("templates") / "run.html.j2"
 MOST_TILES = 4
+LIMIT_LABEL = "allowed"
+WIDTHS = {"settling_time": "band", "peak": "max", "final_error": "max"}  # criterion → its distance from the target
 MOST_CONNECTIONS = 40  # with a chart of their own; the signals of further ones stand among the others
 MOST_WIRES = 200  # in the picture of the system; `cosim graph` draws all
 MOST_DRAWN = 1000  # signals that a page shows
@@ -65,22 +67,23 @@ def recorded(results: Results, manifest: Mapping[str, Any]) -> Run:
 
 def context(run: Run, drawing: Drawing, page: ComponentPage) -> Mapping[str, Any]:
     """Return everything the template names."""
-    judged = criteria(run)
-    connected = connections(run)
+    goals, connected = criteria(run), connections(run)
+    judged = judged_panels(run) if run.time.size and not page.shown else []
     links = connection_panels(run, connected, page.shown) if run.time.size else {}
-    others = signal_panels(run, page.shown.union(*links)) if run.time.size else []
+    others = signal_panels(run, page.shown.union(*links, {p.title for p in judged})) if run.time.size else []
     return {
         "name": str(run.scenario.get("name") or "Run"),
         "description": str(run.scenario.get("description") or ""),
-        "outcome": outcome(run, judged),
-        "tone": "bad" if failed(run) or not all(c.met for c in judged) else "good" if judged else "plain",
-        "badges": badges(run, judged),
-        "tiles": [*page.tiles, *_speed(run)],
+        "outcome": outcome(run, goals),
+        "tone": "bad" if failed(run) or not all(c.met for c in goals) else "good" if goals else "plain",
+        "badges": badges(run, goals),
+        "tiles": page.tiles,
+        "judged": drawing.plots(judged),
         "links": drawing.plots(list(links.values())),
         "others": drawing.plots(others),
         "spelled": spelled(run),
         "undrawn": _undrawn(len(_undisplayed(run, page.shown))),
-        "criteria": judged,
+        "criteria": goals,
         "rows": run.time.size,
         "end": run.time[-1] if run.time.size else 0.0,
         "data": to_json(drawing.series, page.data),
@@ -115,11 +118,30 @@ def _judgement(c: Criterion) -> list[str]:
     return ["met" if c.met else "missed", *([f"allowed {c.allowed}"] if c.allowed else [])]
 
 
-def _speed(run: Run) -> list[Row]:
-    factor = number(mapping(run.manifest.get("timings")).get("real_time_factor"))
-    if not math.isfinite(factor) or failed(run):
-        return []
-    return [Row("Simulation", f"{plain(factor, 2)}×", "faster than real time" if factor >= 1 else "of real time")]
+def judged_panels(run: Run) -> list[Panel]:
+    """Return signals that criteria judge, those of missed ones first, each with its target and what is allowed."""
+    entries = sorted(mappings(run.manifest.get("criteria")), key=lambda entry: bool(entry.get("met")))
+    panels: dict[str, Panel] = {}
+    for entry in entries:
+        name, target = str(entry.get("of")), entry.get("to", 0.0)
+        if name not in run.results or name in panels or len(panels) == MOST_TILES:
+            continue
+        unit, factor = display(run.unit(name))
+        traces = [Trace(name, run.results[name] * factor, "true", held=name in run.results.whole)]
+        if isinstance(target, str):
+            traces += [Trace(target, run.results[target] * factor, "reference")] if target in run.results else []
+            limits: tuple[float, ...] = ()
+        else:
+            limits = tuple(factor * (number(target) + side * _width(entry)) for side in (-1.0, 1.0))
+        drawn = tuple(limit for limit in limits if math.isfinite(limit))
+        shown = unit or run.unit(name) or "no unit"
+        panels[name] = Panel(name, shown, traces, _marked(run, [name], traces), drawn, LIMIT_LABEL)
+    return list(panels.values())
+
+
+def _width(entry: Mapping[str, Any]) -> float:
+    """Return how far from its target a signal may be by a criterion; NaN where that is no distance."""
+    return number(entry.get(WIDTHS.get(str(entry.get("kind")), "")))
 
 
 def connection_panels(
@@ -155,7 +177,7 @@ def _undrawn(signals: int) -> str:
 def signal_panels(run: Run, shown: frozenset[str] = frozenset()) -> list[Panel]:
     """The columns not `shown` elsewhere, grouped by unit in the order the units come; no more than a page shows."""
     panels, items, whole = [], items_of(run), run.results.whole
-    for unit, columns in by_unit(_undisplayed(run, shown)[:MOST_DRAWN], run.unit):
+    for unit, columns in by_unit(_undisplayed(run, shown)[:MOST_DRAWN], run.unit, run.results.__getitem__):
         shown_unit, factor = display(unit)
         traces = [
             Trace(column, run.results[column] * factor, f"s{i}", held=column in whole, items=items.get(column, {}))

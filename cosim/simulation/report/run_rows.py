@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.text import amount, counted
+from cosim.base.text import amount, counted, plain
 from cosim.coupling.algorithms import algorithms
 from cosim.report.html_tables import Badge, Row
 from cosim.simulation.report.recorded import Run, mapping, mappings, number, texts
@@ -160,7 +160,9 @@ def provenance(run: Run) -> list[Row]:
     manifest, scenario = run.manifest, run.scenario
     git, timings, seed = mapping(manifest.get("git")), mapping(manifest.get("timings")), manifest.get("seed")
     design = mapping(manifest.get("design")) or mapping(scenario.get("design"))
-    wall = (f"{key} {amount(number(timings[key]), 's')}" for key in ("load", "simulate") if key in timings)
+    wall = [f"{key} {amount(number(timings[key]), 's')}" for key in ("load", "simulate") if key in timings]
+    if math.isfinite(speed := number(timings.get("real_time_factor"))):
+        wall.append(f"{plain(speed, 2)} × real time")
     facts = (
         Row("cosim", str(manifest.get("cosim_version") or "")),
         Row("Versions", _pairs(mapping(manifest.get("versions")), " ")),

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from cosim.base.text import amount, counted
-from cosim.simulation.report.recorded import Run, mappings, number
+from cosim.base.text import amount, counted, listed
+from cosim.simulation.report.recorded import Run, mapping, mappings, number
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def outcome(run: Run, judged: list[Criterion]) -> str:
         reason = status.removeprefix("failed").lstrip(": ") or "no reason was recorded"
         return f"The simulation failed: {reason}. The rows before that are shown."
     if not judged:
-        return "The run completed; the scenario sets no criteria."
+        return _simulated(run)
     if not missed:
         return "The criterion was met." if len(judged) == 1 else f"All {counted(len(judged), 'criterion')} were met."
     verb = "was" if len(missed) == 1 else "were"
@@ -65,3 +65,13 @@ def outcome(run: Run, judged: list[Criterion]) -> str:
     detail = f"{first.what}: {first.value}" + (f", allowed {first.allowed}" if first.allowed else "")
     which = detail if len(missed) == 1 else f"first, {detail}"
     return f"{len(missed)} of {counted(len(judged), 'criterion')} {verb} missed ({which})."
+
+
+def _simulated(run: Run) -> str:
+    """Return what was simulated: components, duration and steps."""
+    names = list(mapping(run.scenario.get("components"))) or list(run.variables)
+    if not names or not run.time.size:
+        return "Nothing was recorded."
+    duration, steps = float(run.time[-1] - run.time[0]), counted(run.time.size - 1, "step")
+    over = f"{amount(duration, 's', None)} in {steps}"
+    return f"Simulated {listed(names)} over {over}. The scenario sets no criteria."

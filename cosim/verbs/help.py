@@ -1,0 +1,83 @@
+"""Help pages of the command line: verbs in groups, options with placeholders and defaults, whole sentences."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+WHOLE_WIDTH = 10_000  # columns: help is as wide as the terminal
+OTHERS = "Other packages"  # group of verbs that name none
+
+
+class VerbHelp(TyperCommand):
+    """Help of one verb."""
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """Return the words after the name of the verb."""
+        return ["[OPTIONS]", *(placeholder(p) for p in self.params if p.param_type_name == "argument")]
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write arguments and options."""
+        _write_parameters(self, ctx, formatter)
+
+
+class GroupedHelp(TyperGroup):
+    """Help of `cosim`: its options and its verbs, one section per group."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the options and the groups of verbs."""
+        _write_parameters(self, ctx, formatter)
+        groups: dict[str, list[tuple[str, str]]] = {}
+        width = max(map(len, self.commands), default=0)
+        for name, command in self.commands.items():
+            first_line = (command.help or "").split("\n", 1)[0]
+            groups.setdefault(_group(command), []).append((name.ljust(width), first_line))
+        for title, rows in groups.items():
+            with formatter.section(title):
+                formatter.write_dl(rows)
+
+
+def placeholder(parameter: Any) -> str:
+    """Return the word that stands for the value of an argument or option: FILE, INTEGER; "" for a switch."""
+    if getattr(parameter, "is_flag", False) or getattr(parameter, "count", False):
+        return ""
+    word = str(parameter.metavar or parameter.name.strip("_").upper())
+    return f"{word}..." if parameter.param_type_name == "argument" and parameter.nargs != 1 else word
+
+
+def description(parameter: Any) -> str:
+    """Return the help of an argument or option, with its default value and whether it can be repeated."""
+    text = (parameter.help or "").rstrip(".")
+    default = parameter.default
+    if isinstance(default, bool):
+        default = parameter.opts[0] if default else None
+    elif parameter.param_type_name == "argument" or callable(default):
+        default = None
+    text += f" (default: {default})" if default not in (None, "") else ""
+    return f"{text}." + (" Repeatable." if getattr(parameter, "multiple", False) else "")
+
+
+def names(parameter: Any) -> str:
+    """Return the spellings of an option, short ones first, and its placeholder."""
+    options = ", ".join(sorted(parameter.opts, key=len))
+    spellings = [" / ".join([options, *parameter.secondary_opts]), placeholder(parameter)]
+    return placeholder(parameter) if parameter.param_type_name == "argument" else " ".join(filter(None, spellings))
+
+
+def _group(command: Any) -> str:
+    group = getattr(command, "rich_help_panel", None)
+    return group if isinstance(group, str) and group else OTHERS
+
+
+def _write_parameters(command: Any, ctx: typer.Context, formatter: Any) -> None:
+    rows: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+    for parameter in command.get_params(ctx):
+        if not getattr(parameter, "hidden", False):
+            title = "Arguments" if parameter.param_type_name == "argument" else "Options"
+            rows[title].append((names(parameter), description(parameter)))
+    for title, records in rows.items():
+        if records:
+            with formatter.section(title):
+                formatter.write_dl(records)

@@ -1,0 +1,107 @@
+"""Markdown of the reference pages, generated from the code when the site is built."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import typer.main
+
+import cosim.model
+from cosim.base.registry import resolve
+from cosim.comparison.differences import Compared
+from cosim.refinement.refined_result import Refined
+from cosim.residuals.replay_signals import Replay
+from cosim.simulation.run_signals import Run, Signals
+from cosim.sweeps.sweep_result import Swept
+from cosim.sweeps.sweep_table import Runs
+from cosim.verbs import verbs
+from cosim.verbs.cli import app
+from cosim.verbs.help import OTHERS, description, names
+
+RESULTS = (Run, Signals, Replay, Refined, Compared, Swept, Runs)
+ALIASES = {"Number", "Values"}  # of types: they have no docstring
+SECTIONS = re.compile(r"^(Args|Attributes|Returns|Raises):$", re.MULTILINE)
+
+
+def command_line() -> str:
+    """Return the reference of all verbs, by group."""
+    parts, group = [], ""
+    for name, command in typer.main.get_command(app).commands.items():  # type: ignore[attr-defined]
+        if (command.rich_help_panel or OTHERS) != group:
+            group = command.rich_help_panel or OTHERS
+            parts.append(f"## {group}")
+        text, _, example = inspect.cleandoc(command.help).partition("Example: ")
+        parts += [f"### {name}", text.strip(), f"```sh\n{example}\n```"]
+        rows = [(f"`{names(p)}`", description(p)) for p in command.params]
+        parts.append(table(("argument or option", "meaning"), rows))
+    return "\n\n".join(parts)
+
+
+def python() -> str:
+    """Return the reference of the functions, their results and the classes of a model file."""
+    parts = ["## Functions"]
+    for name, verb in verbs():
+        if verb.function:
+            function = resolve(verb.function)
+            parts += [f"### cosim.{name.replace('-', '_')}", signature(name.replace("-", "_"), function)]
+            parts += sections(inspect.getdoc(function) or "")
+    parts.append("## Results")
+    for kind in RESULTS:
+        parts += [
+            f"### {kind.__name__}",
+            *sections(inspect.getdoc(kind) or ""),
+            table(("member", "meaning"), members(kind)),
+        ]
+    parts += ["## Model files", "`from cosim.model import …`; [own_model.md](own_model.md) is the tutorial."]
+    rows = [
+        (f"`{name}`", first_line(getattr(cosim.model, name)))
+        for name in sorted(cosim.model.__all__)
+        if name not in ALIASES
+    ]
+    parts.append(table(("name", "meaning"), rows))
+    return "\n\n".join(parts)
+
+
+def signature(name: str, function: Any) -> str:
+    """Return the call of a function with its default values, as a code block."""
+    arguments = [p.replace(annotation=p.empty) for p in inspect.signature(function).parameters.values()]
+    return f"```text\ncosim.{name}{inspect.Signature(arguments)}\n```"
+
+
+def sections(docstring: str) -> Iterator[str]:
+    """Yield the text of a docstring and a table or sentence for each of its sections."""
+    text, *titled = SECTIONS.split(docstring)
+    yield text.strip()
+    for title, content in zip(titled[::2], titled[1::2], strict=True):
+        if title == "Returns":
+            yield f"Returns: {' '.join(content.split())}"
+            continue
+        items = re.findall(r"^    (\w+): (.*?)(?=^    \w+: |\Z)", content, re.MULTILINE | re.DOTALL)
+        heading = {"Args": "argument", "Attributes": "attribute", "Raises": "error"}[title]
+        yield table((heading, "meaning"), [(f"`{name}`", " ".join(meaning.split())) for name, meaning in items])
+
+
+def members(kind: type) -> Iterator[tuple[str, str]]:
+    """Yield the public properties and methods of a class with the first line of their docstrings."""
+    fields = {field.name for field in dataclasses.fields(kind)} if dataclasses.is_dataclass(kind) else set()
+    for name, member in inspect.getmembers(kind):
+        if not name.startswith("_") and name not in fields and (callable(member) or isinstance(member, property)):
+            yield f"`{name}()`" if callable(member) else f"`{name}`", first_line(member)
+
+
+def first_line(thing: Any) -> str:
+    """Return the first line of a docstring."""
+    return (inspect.getdoc(thing) or "").split("\n", 1)[0]
+
+
+def table(header: tuple[str, str], rows: Any) -> str:
+    """Return a table of two columns."""
+    lines = [header, ("---", "---"), *rows]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
+
+
+PAGES = {"<!-- generated: command line -->": command_line, "<!-- generated: Python -->": python}
