@@ -116,7 +116,7 @@ class Fixes:
         pass
 
     def _begin(self) -> None:
-        """Release the fix of the start, or queue it."""
+        """Count the fix of the start, and queue a delayed one."""
         self._made = 1
         if self._late and self._errors is not None:
             self._coming.append((self._late, self._opening))
