@@ -36,7 +36,7 @@ class Sensor:
 
 
 class Fixes:
-    """Fix component, measuring at 1/rate and answering after the latency.
+    """Component that samples its inputs as fixes and outputs them late.
 
     Fix j is taken at the first communication point at or after j/rate and appears ⌈latency/step⌉ points later.
 
