@@ -25,7 +25,7 @@ from cosim.storage.results import Results
 from cosim.storage.yaml_file import MOST_FAULTS
 from cosim.sweeps.sampling import drawn_rows, saltelli_base
 from cosim.system import feasible
-from cosim.system.wiring import MOST_NAMED, Transfer, _some, lay_out
+from cosim.system.wiring import MOST_NAMED, Transfer, _some, lay_out, through
 from tests.own_blocks import Block, system_of
 from tests.test_schedule import Noted
 
@@ -307,6 +307,8 @@ def test_a_value_passes_unit_noise_and_faults_in_this_order() -> None:
     chain = Transfer(0, 1, "a.u", factor=2.0, offset=-1.0).through(1, 0.0, 0.1, 3)
     assert [one(0, 5.0) for one in chain] == [9.0]
     assert len(Transfer(0, 1, "a.u", offset=1.0).through(1, 0.0, 0.1, 3)) == 1
+    assert through(chain)(0, 5.0) == 9.0
+    assert through((*chain, *chain))(0, 5.0) == 17.0
 
 
 def test_a_value_that_is_no_item_is_told_with_the_time_at_which_it_came() -> None:

@@ -390,10 +390,10 @@ def _measuring(log: Log, first: int, end: int) -> list[tuple[int, int]]:
     apart = np.diff(time[rows])
     limit = max(log.pause, USUALLY * float(np.median(apart))) if apart.size else log.pause
     edges = np.flatnonzero(apart > limit)
-    starts, ends = [rows[0], *rows[edges + 1]], [*rows[edges] + 1, rows[-1] + 1]
     # Commands before the first and after the last measurement belong to the range, except after a pause.
-    starts[0] = 0 if time[rows[0]] - time[0] <= limit else rows[0]
-    ends[-1] = end - first if time[-1] - time[rows[-1]] <= limit else rows[-1] + 1
+    start = 0 if time[rows[0]] - time[0] <= limit else rows[0]
+    stop = end - first if time[-1] - time[rows[-1]] <= limit else rows[-1] + 1
+    starts, ends = (start, *rows[edges + 1]), (*rows[edges] + 1, stop)
     return [(int(a), int(b)) for a, b in zip(starts, ends, strict=True)]
 
 

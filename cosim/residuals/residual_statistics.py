@@ -136,7 +136,7 @@ def input_correlations(residual: Array, inputs: Mapping[str, Array], lags: int) 
     The band is Bartlett's, 1.96·√(Σ_k ρ_r(k)·ρ_u(k) / n), because slow signals correlate by chance.
     """
     z, seen = _centred(residual)
-    count, reach = int(seen.sum()), min(residual.size - 1, max(lags, residual.size // 4))
+    count, reach = int(seen.sum()), max(lags, residual.size // 4)
     everywhere = np.ones(residual.size)
     found = []
     for name, values in inputs.items():

@@ -260,7 +260,7 @@ def residuals(comparison: Comparison) -> Results:
     columns: dict[str, Array] = {}
     units: dict[str, str] = {}
     for horizon, replayed in sorted(comparison.replays.items(), reverse=True):
-        size = f"{horizon:g}s" if horizon == round(horizon, 0) else f"{1000 * horizon:g}ms"
+        size = f"{horizon:g}s" if float(horizon).is_integer() else f"{1000 * horizon:g}ms"
         label = "free_run" if horizon == FREE_RUN else f"within_{size}"
         columns |= {f"{label}.{n}": e for n, e in replayed.errors(comparison.log).items()}
         units |= {f"{label}.{n}": comparison.log.units[n] for n in comparison.log.outputs}
