@@ -1,1 +1,1 @@
-"""A first scenario, its picture, its SSP, and one FMU without a scenario."""
+"""Drafts, diagrams and SSP exports of scenarios, and runs of a single FMU."""

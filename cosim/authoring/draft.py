@@ -1,4 +1,4 @@
-"""A first scenario of FMUs: what they are run for by their default experiments, connected by name and unit."""
+"""A first scenario of FMUs: times from their default experiments, connections by name and unit."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from cosim.storage.kinds import LOG, check_given
 from cosim.storage.table import read_columns
 from cosim.system.system import System, build_system
 
-MOST_OF_ONE = 1_000_000  # steps of one FMU, which was asked for by its own times
+MOST_OF_ONE = 1_000_000  # steps of a single FMU's run, requested by its own times
 
 
 @dataclass(frozen=True)
 class Draft:
-    """A first scenario that is written: where, of which FMUs, how they are connected, what is to be known of it."""
+    """A written first scenario with its FMUs, connections, times and warnings."""
 
     path: Path
     parts: Sequence[Part]
@@ -56,12 +56,19 @@ def write_single(
     force: bool = False,
     keep: bool = False,
 ) -> tuple[Path, tuple[str, ...]]:
-    """Write scenario.yaml into a folder, a run of one FMU; its path, and warnings.
+    """Write scenario.yaml for a run of one FMU.
 
-    recorded: a CSV whose columns are played to the inputs of their names
-    stop, step: [s], in place of those of its default experiment
-    keep: the files of an earlier run move to `runs` in the folder
-    Raises InputError where the FMU cannot be read or set so, no column is of an input, or the folder is another's.
+    Args:
+        recorded: CSV whose columns drive the inputs of the same names.
+        stop: Stop time [s], like `step` in place of the default experiment's.
+        record: Further variables to record.
+        keep: Whether to move the files of an earlier run to `runs` in the folder.
+
+    Returns:
+        The path and warnings.
+
+    Raises:
+        InputError: The FMU or its settings are faulty, no column is an input, or the folder belongs to another command.
     """
     (part,) = parts_of([fmu], start)
     path = folder / "scenario.yaml"
@@ -86,7 +93,7 @@ def write_single(
 
 
 def _asked(part: Part, played: Played | None, stop: float | None, step: float | None) -> tuple[Asked, tuple[str, ...]]:
-    """Times of a run as they are asked for, of a recording from its first row to its last; what is to be known."""
+    """Return the requested times of a run and notes. A recording is played from its first row to its last."""
     declared = experiment_of(part.description).get("start")
     if played is None:
         _check_end(part.path, declared, stop)
@@ -114,7 +121,7 @@ def _check_end(source: Path, start: float | None, end: float | None) -> None:
 
 @dataclass(frozen=True)
 class Played:
-    """A recording played to the inputs of an FMU: its start, end and step [s], what goes where, what goes nowhere."""
+    """A recording for the inputs of an FMU: start, end and step [s], connections, and notes on unused columns."""
 
     path: Path
     start: float
@@ -146,14 +153,17 @@ def _played(path: Path, part: Part) -> Played:
 
 
 def _usual_step(time: Array) -> float:
-    """Return the median step of the rows of a recording [s]."""
+    """Return the median step of a recording [s]."""
     return float(f"{np.median(np.diff(time)) if time.size > 1 else STOP / STEPS:.6g}")
 
 
 def write_draft(path: Path, fmus: Sequence[Path]) -> Draft:
-    """Write a commented scenario of these FMUs, connected by name and unit, guesses marked; never over a file.
+    """Write a commented scenario of FMUs, with guesses marked.
 
-    Raises InputError where FMUs cannot be read, none of their outputs fits an input of another, or `path` is there.
+    Connections are by name and unit. An existing file is never overwritten.
+
+    Raises:
+        InputError: An FMU is faulty, no output fits an input, or `path` exists.
     """
     if path.is_dir():
         raise InputError([Fault(path, 0, 0, "is a folder; name the file to write as --out")])
@@ -178,7 +188,7 @@ def write_draft(path: Path, fmus: Sequence[Path]) -> Draft:
 
 
 def _write_sound(made: Path, lines: str, fmu: Path) -> System:
-    """Write a scenario and return its system; InputError, with the FMU as the place, if it cannot be put together."""
+    """Write a scenario and return its system; raise InputError, with the FMU as place, if faulty."""
     made.write_text(lines, encoding="utf-8")
     try:
         return build_system(ScenarioFile(made))
@@ -187,7 +197,7 @@ def _write_sound(made: Path, lines: str, fmu: Path) -> System:
 
 
 def _elsewhere(parts: Sequence[Part]) -> Iterator[str]:
-    """A warning for each FMU that has no library for this machine."""
+    """Yield a warning for each FMU without a library for this machine."""
     for part in parts:
         here, there = platform_of(part.description), platforms_of(part.path)
         if here not in there:
@@ -195,7 +205,7 @@ def _elsewhere(parts: Sequence[Part]) -> Iterator[str]:
 
 
 def _without_loops(parts: Sequence[Part], matches: Matches) -> Matches:
-    """Leave out guesses that close a loop in which each needs the other's value of the same time."""
+    """Remove guessed connections that close an algebraic loop."""
     sure = [m for m in matches.found if not m.guess]
     if _algorithm(parts, sure) is not DEFAULT:
         return matches
@@ -207,7 +217,7 @@ def _without_loops(parts: Sequence[Part], matches: Matches) -> Matches:
 
 
 def _algorithm(parts: Sequence[Part], matches: Sequence[Match]) -> Algorithm:
-    """Return the default algorithm, or the one without order if the connections close an algebraic loop."""
+    """Return the default algorithm, or for loops the one without order."""
     blocks = {part.name: part.block for part in parts}
     edges = [(m.source[0], m.target[0], m.target[1].name, m.source[1].name) for m in matches]
     try:

@@ -1,4 +1,4 @@
-"""The text of a first scenario: keys with a word on each, what was guessed, what may be uncommented."""
+"""Text of a first scenario: commented keys, marked guesses, and lines to uncomment."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from cosim.coupling.algorithms import DEFAULT, Algorithm
 from cosim.scenario.start_values import settable
 
 BY = "# Written by `cosim {}`."
-SEAL = "# SHA-256 of the lines above: "  # by which `cosim simulate` sees that a scenario of its own was edited
-PARAMETERS = 12  # shown of each FMU
+SEAL = "# SHA-256 of the lines above: "  # lets `cosim simulate` detect an edited scenario
+PARAMETERS = 12  # shown per FMU
 PLAIN = re.compile(r"[A-Za-z_][\w.]*")
-NOT_TEXT = {"true", "false", "yes", "no", "on", "off", "null", "y", "n"}  # words of YAML that are no text
+NOT_TEXT = {"true", "false", "yes", "no", "on", "off", "null", "y", "n"}  # YAML words that need quotes as text
 
 
 def scenario_text(
@@ -34,7 +34,12 @@ def scenario_text(
     played: Path | None = None,
     verb: str = "init",
 ) -> str:
-    """A scenario in `folder`; `played` is the recording behind its first connection, `verb` the command that writes."""
+    """Return the text of a scenario in `folder`.
+
+    Args:
+        played: Recording behind the first connection.
+        verb: Command that writes the scenario.
+    """
     lines = [
         BY.format(verb) + " It runs as it is: `cosim run`, `cosim check` and `cosim graph` take it.",
         "# Every key stands in docs/scenario.md and in `cosim schema scenario`.",
@@ -63,18 +68,18 @@ def scenario_text(
 
 
 def sealed(text: str) -> str:
-    """Return a scenario with the digest of its lines below them."""
+    """Return a scenario with a digest of its lines."""
     return f"{text}{SEAL}{sha256(text.encode()).hexdigest()}\n"
 
 
 def is_edited(text: str) -> bool:
-    """Return whether a scenario was changed since it was sealed; False of one that is not sealed."""
+    """Return whether a sealed scenario was edited."""
     lines, seal, _ = text.rpartition(SEAL)
     return bool(seal) and text != sealed(lines)
 
 
 def _whole(value: float) -> str:
-    """A number with as many digits as make it."""
+    """Return a number with enough digits to reproduce it."""
     return short if float(short := f"{value:.12g}") == value else repr(float(value))
 
 
@@ -108,7 +113,7 @@ def _component(folder: Path, part: Part, times: Times) -> Iterator[str]:
 
 
 def _parameter(v: Any) -> str:
-    """Return a parameter as a comment that may be uncommented: its start value, unit and description."""
+    """Return a commented parameter: start value, unit, description."""
     text, start = v.type == "String", "" if v.start is None else str(v.start)
     about = ", ".join(filter(None, (unit_of(v), _comment(v.description or "")[:80])))
     value = scalar(start if text else start.strip(), literal=not text)
@@ -151,13 +156,17 @@ def _more(parts: Sequence[Part]) -> list[str]:
 
 
 def relative(path: Path, folder: Path) -> str:
-    """A file as a scenario in `folder` names it: from there where it is near, else whole."""
+    """Return a file relative to a folder, absolute if far away."""
     named = os.path.relpath(path.resolve(), folder.resolve())
     return Path(named).as_posix() if named.count("..") < 4 else path.resolve().as_posix()
 
 
 def scalar(value: Any, literal: bool = False) -> str:
-    """A value as YAML in flow style; text in quotes where it needs them, but not what is `literal`."""
+    """Return a value in YAML flow style, text quoted if necessary.
+
+    Args:
+        literal: Whether to omit quotes.
+    """
     if not isinstance(value, str):
         return json.dumps(value)
     plain = PLAIN.fullmatch(value) and value.lower() not in NOT_TEXT

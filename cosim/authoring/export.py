@@ -1,4 +1,4 @@
-"""A scenario as an SSP that simulators of others run: what SSP has no word for is refused, with the cure."""
+"""Export of a scenario as an SSP for other importing tools; anything SSP cannot express is a fault with remedy."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from cosim.storage.table import read_columns
 from cosim.system.system import System, build_system
 from cosim.system.wiring import taken_for
 
-TYPES = ("Real", "Integer", "Boolean")  # that all importers connect
+TYPES = ("Real", "Integer", "Boolean")  # types connected by all importing tools
 BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
 
 @dataclass(frozen=True)
 class Exported:
-    """An SSP that was written, and what of the scenario it does not hold."""
+    """A written SSP, with notes on omitted parts of the scenario."""
 
     path: Path
     notes: tuple[str, ...]
@@ -83,7 +83,7 @@ def export_ssp(
 
 
 def _target(file: ScenarioFile, path: Path) -> Path:
-    """The file to write, in a folder under the scenario's name; InputError where it is one that is read."""
+    """Return the file to write, named after the scenario in a folder; raise InputError for an input."""
     if path.is_dir():
         path = path / f"{re.sub(r'[^A-Za-z0-9_.-]+', '_', file.scenario.name) or 'system'}.ssp"
     if path.suffix.lower() != ".ssp":
@@ -105,7 +105,7 @@ def _block(system: System, name: str) -> FmuBlock:
 
 
 def _notes(file: ScenarioFile) -> Iterator[str]:
-    """What is left out, and what importers do otherwise."""
+    """Yield notes on omissions and differences of importing tools."""
     scenario = file.scenario
     if any(connection.noise for connection in scenario.connections):
         yield "noise is left out: SSP has no word for it"
@@ -123,7 +123,7 @@ def _notes(file: ScenarioFile) -> Iterator[str]:
 
 
 def _refused(file: ScenarioFile, system: System) -> Iterator[Fault]:
-    """What an SSP cannot hold, or its importers do not run."""
+    """Yield faults of anything SSP or its importing tools lack."""
     scenario = file.scenario
     for key in ("faults", "events"):
         if getattr(scenario, key):
@@ -147,7 +147,7 @@ def _refused(file: ScenarioFile, system: System) -> Iterator[Fault]:
 
 
 def _unfit(file: ScenarioFile, system: System, k: int, connection: Connection) -> Iterator[Fault]:
-    """Why importers would not pass a connection on as it is."""
+    """Yield objections of importing tools to a connection."""
     signals = system.signals
     if connection.source not in signals or connection.target not in signals:
         yield file.fault(("connections", k), "arrays are not what SSP 1.0 can connect; connect their elements")
@@ -173,7 +173,7 @@ def _unfit(file: ScenarioFile, system: System, k: int, connection: Connection) -
 
 
 def _model(file: ScenarioFile, name: str, block: FmuBlock) -> Model:
-    """An FMU with its outputs, the inputs that are connected, and start values that are not its own."""
+    """Return an FMU's outputs, connected inputs, changed start values."""
     fed = {c.target for c in file.scenario.connections}
     ports = [Port(s.name, "input", s.kind, s.unit) for s in block.inputs if f"{name}.{s.name}" in fed]
     ports += [Port(s.name, "output", s.kind, s.unit) for s in block.outputs if s.kind in TYPES and not s.local]
@@ -186,7 +186,7 @@ def _model(file: ScenarioFile, name: str, block: FmuBlock) -> Model:
 
 
 def _own(variable: Any, value: Any) -> bool:
-    """Whether an FMU has this start value by itself, as its description says."""
+    """Return whether a start value equals the FMU's own."""
     if variable.start is None or variable.type == "Enumeration":
         return False
     if variable.type == "String":
@@ -197,7 +197,7 @@ def _own(variable: Any, value: Any) -> bool:
 
 
 def _typed(variable: Any, value: Any) -> tuple[str, Value]:
-    """Type and value as SSP has them; an enumeration by the name of its item."""
+    """Return SSP's type and value; an enumeration's item by name."""
     if variable.type == "Enumeration":
         items = {int(i.value): i.name for i in variable.declaredType.items or ()} if variable.declaredType else {}
         return "Enumeration", items.get(value, str(value))
@@ -205,7 +205,7 @@ def _typed(variable: Any, value: Any) -> tuple[str, Value]:
 
 
 def _source(file: ScenarioFile, name: str, component: ReferenceComponent | PlaybackComponent, folder: Path) -> Model:
-    """A reference or a recording as an FMU of C."""
+    """Return a reference or recording as a C FMU."""
     if isinstance(component, ReferenceComponent):
         signals = {signal: _profile(profile) for signal, profile in component.signals.items()}
     else:
@@ -220,7 +220,7 @@ def _source(file: ScenarioFile, name: str, component: ReferenceComponent | Playb
 
 
 def _profile(profile: Profile) -> TimeSignal:
-    """The changes of a profile, each from what was reached; degrees become radians."""
+    """Return a profile's changes, each from the value reached before. Degrees become radians."""
     unit, factor = computed_in(profile.unit)
     changes = []
     for k, change in enumerate(profile.changes):
@@ -230,7 +230,7 @@ def _profile(profile: Profile) -> TimeSignal:
 
 
 def _recorded(path: Path, names: set[str]) -> dict[str, TimeSignal]:
-    """Columns of a recording that are used, each value held until the next."""
+    """Return used columns of a recording, held between rows."""
     table = read_columns(path, names)
     times = table.values["time"]
     signals = {}
@@ -243,7 +243,7 @@ def _recorded(path: Path, names: set[str]) -> dict[str, TimeSignal]:
 
 
 def _units(system: System, models: list[Model]) -> Units:
-    """What the units of the connectors are in SI, as their FMUs say or as people write them."""
+    """Return SI definitions of the connectors' units."""
     found: dict[str, tuple[float, ...]] = {}
     for model in models:
         description = system.fmus[model.name][1] if model.name in system.fmus else None

@@ -1,4 +1,4 @@
-"""A scenario as a picture, before it is run."""
+"""Diagram of a scenario before a run."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cosim.simulation.packaged import is_ssp, lay_out
 from cosim.simulation.report.system_diagram import Graph, graph_from
 from cosim.system.system import build_system
 
-HEAD = 4096  # characters, which hold what a picture is of
+HEAD = 4096  # characters that contain the subject of a diagram
 MERMAID = "flowchart LR\n  n1["
 DRAWN = re.compile(
     r'<svg [^>]*class="diagram"[^>]* aria-label="\d+ components? of (.*?) in the order in which they step'
@@ -24,7 +24,12 @@ DRAWN = re.compile(
 
 
 def graph_of(path: Path, overrides: Sequence[str] = ()) -> Graph:
-    """The picture of a scenario, of a manifest's or an SSP's; InputError and FmuError as a run raises them."""
+    """Return the diagram of a scenario, a manifest or an SSP.
+
+    Raises:
+        InputError: The input is faulty.
+        FmuError: An FMU is invalid.
+    """
     if not is_ssp(path):
         return _graph(ScenarioFile(path, overrides))
     with temporary_folder("graph") as made:
@@ -32,7 +37,7 @@ def graph_of(path: Path, overrides: Sequence[str] = ()) -> Graph:
 
 
 def check_picture(path: Path, graph: Graph) -> None:
-    """InputError where a file is there that is no earlier picture of this scenario."""
+    """Raise InputError if the file is anything but an earlier diagram."""
     if not path.exists():
         return
     with path.open(encoding="utf-8", errors="replace") as stream:
@@ -51,7 +56,7 @@ def _graph(file: ScenarioFile) -> Graph:
     with without_execution():
         try:
             designed = designed_values(file)
-        except NotExecuted:  # the picture shows no values
+        except NotExecuted:  # Diagrams show no values.
             designed = {}
     system = build_system(file, designed)
     units = {name: signal.unit for name, signal in system.signals.items()}

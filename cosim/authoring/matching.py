@@ -1,4 +1,4 @@
-"""Which output of one FMU is meant for which input of another, by type, unit and name."""
+"""Matching of FMU outputs to inputs by type, unit and name."""
 
 from __future__ import annotations
 
@@ -14,19 +14,26 @@ from cosim.blocks.fmi_types import goes
 
 WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 SAY_NOTHING = {"in", "out", "input", "output", "signal", "value"}
-ENOUGH = 0.6  # of a score: names alike, or less alike and of one unit
-SAME_UNIT, ONE_UNIT, USED = 0.3, -0.15, -0.4  # of both; of one of them only; of an output that goes somewhere already
-REFERENCES = {"ref", "reference", "set", "setpoint", "sp", "target", "desired", "des"}  # which no measurement is
-PREFIX, OTHER = 0.8, 0.5  # of two words: one begins with the other; they share letters
-MOST = 5  # candidates that are named for an input
-CLOSE = 0.1  # of scores: so near to each other they do not tell which is meant
+ENOUGH = 0.6  # required score: similar names, or less similar ones of the same unit
+# score changes: equal units, a unit on one side only, an output already connected
+SAME_UNIT, ONE_UNIT, USED = 0.3, -0.15, -0.4
+# words of reference signals, never connected to measurements
+REFERENCES = {"ref", "reference", "set", "setpoint", "sp", "target", "desired", "des"}
+PREFIX, OTHER = 0.8, 0.5  # similarity of words: one begins with the other, or by common letters
+MOST = 5  # candidates listed per input
+CLOSE = 0.1  # difference of scores too small for a decision
 
 Port = tuple[str, Signal]  # component, signal
 
 
 @dataclass(frozen=True)
 class Match:
-    """A connection that was found; `guess`: on what it rests where names are not the same; `others`: what else fits."""
+    """A connection by matching.
+
+    Attributes:
+        guess: Basis of the match; "" for equal names.
+        others: Further fitting outputs.
+    """
 
     source: Port
     target: Port
@@ -35,15 +42,16 @@ class Match:
 
     @property
     def factor(self) -> tuple[float, float]:
-        """Factor and offset by which units are converted."""
+        """Return factor and offset of the unit conversion."""
         return self.source[1].conversion(self.target[1]) or (1.0, 0.0)
 
 
 @dataclass(frozen=True)
 class Matches:
-    """Connections by input, in the order of the inputs, and the inputs left, each with outputs that would fit.
+    """Connections in the order of inputs, and unconnected inputs with fitting outputs.
 
-    choices: of the inputs left, those for which several outputs are as likely, with these
+    Attributes:
+        choices: Unconnected inputs with several equally likely outputs.
     """
 
     found: tuple[Match, ...]
@@ -52,24 +60,25 @@ class Matches:
 
 
 def text(port: Port) -> str:
-    """`component.variable`, of an element the whole array's."""
+    """Return `component.variable`, for elements with the array's name."""
     return f"{port[0]}.{port[1].array or port[1].name}"
 
 
 def matched(
     outputs: Sequence[Port], inputs: Sequence[Port], sizes: Mapping[str, int] = MappingProxyType({})
 ) -> Matches:
-    """Connect outputs to inputs of other components: those of the same name, then by likeness, each once.
+    """Connect outputs to inputs of other components, each once.
 
-    Where several are as likely none is taken: that is a choice.
+    Equal names come first, then similar ones. Equally likely outputs are left to the user.
 
-    sizes: of arrays, `component.variable` → number of elements
+    Args:
+        sizes: Array `component.variable` → number of elements.
     """
     return _Matching(outputs, inputs, sizes).matches()
 
 
 class _Matching:
-    """Connections that are being found; `open` holds the inputs for which none is yet, nor a choice, by name."""
+    """Matching in progress; `open` holds undecided inputs by name."""
 
     def __init__(self, outputs: Sequence[Port], inputs: Sequence[Port], sizes: Mapping[str, int]) -> None:
         self.inputs = {text(i): i for i in inputs}
@@ -77,10 +86,10 @@ class _Matching:
         self.open = dict(self.inputs)
         self.found: dict[str, Match] = {}
         self.choices: dict[str, Sequence[Port]] = {}
-        self.used: set[str] = set()  # outputs that go somewhere
+        self.used: set[str] = set()  # connected outputs
 
     def matches(self) -> Matches:
-        """Connect by name, by likeness, then what is left alone on both sides."""
+        """Connect by name, by similarity, then remaining unique pairs."""
         self._by_name()
         while best := self._best():
             target, (likely, *others) = best
@@ -106,7 +115,7 @@ class _Matching:
         self.used.add(text(match.source))
 
     def _leave(self, name: str, sources: Sequence[Port]) -> None:
-        """Leave an input to be chosen for."""
+        """Leave an input to the user's choice."""
         del self.open[name]
         self.choices[name] = sources
 
@@ -119,18 +128,21 @@ class _Matching:
                 self._leave(name, same)
 
     def _likely(self, target: Port) -> list[tuple[float, Port]]:
-        """Outputs that are likely enough for an input, with their scores, the likeliest first."""
+        """Return likely outputs of an input with scores, best first."""
         scored = []
         for source in self.fits[text(target)]:
             score = alike(source[1].name, target[1].name) + _of_units(source[1], target[1])
             scored.append((score + USED * (text(source) in self.used), score, source))
-        scored.sort(key=lambda s: -s[0])  # stable: of equal ones the first of the file
+        scored.sort(key=lambda s: -s[0])  # stable: equal ones keep file order
         if not scored or scored[0][1] < ENOUGH or scored[0][0] < ENOUGH / 2:
             return []
         return [(net, source) for net, score, source in scored if score >= ENOUGH]
 
     def _best(self) -> tuple[Port, list[Port]] | None:
-        """The input of the likeliest pair, and what is likely for it; None where no pair stands out."""
+        """Return the input of the best pair with its likely outputs.
+
+        The result is None without a distinct best pair.
+        """
         best: tuple[float, Port, list[Port]] | None = None
         for target in self.open.values():
             likely = self._likely(target)
@@ -141,7 +153,7 @@ class _Matching:
         return None if best is None else best[1:]
 
     def _only_ones(self) -> None:
-        """Connect inputs for which one output alone is left, and which are alone in wanting it."""
+        """Connect unique remaining outputs with unique remaining inputs."""
         sources: dict[str, Port] = {}
         for name, target in self.open.items():
             is_reference = _is_reference(target[1].name)
@@ -156,14 +168,14 @@ class _Matching:
 
 
 def fit(source: Port, target: Port, sizes: Mapping[str, int] = MappingProxyType({})) -> bool:
-    """Types go, dimensions agree, and an array has as many elements."""
+    """Return whether types, dimensions and array sizes agree."""
     a, b = source[1], target[1]
     same_size = sizes.get(text(source), 1) == sizes.get(text(target), 1)
     return same_size and goes(a.kind, b.kind) and a.conversion(b) is not None
 
 
 def alike(a: str, b: str) -> float:
-    """How alike two names are, 0 … 1: their words in common, or beginnings of one another."""
+    """Return the similarity of two names, 0 … 1. It is based on common words and common beginnings."""
     first, second = sorted((_words(a), _words(b)), key=len)
     if not first or _is_reference(a) != _is_reference(b):
         return 0.0

@@ -1,4 +1,4 @@
-"""FMUs of a scenario that is not written yet: their names there, and when and how finely they run."""
+"""FMUs of a scenario draft: component names and times."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.summary import experiment_of, read_fmus
 from cosim.fmi.sampled import sampled_by
 
-STOP, STEPS = 1.0, 500  # [s] where no FMU says how long; steps where none says how fine
-LONGEST = 24  # characters of a component's name, which is read in every signal
+STOP, STEPS = 1.0, 500  # defaults without an FMU's declaration: duration [s], number of steps
+LONGEST = 24  # characters of a component's name, which precedes every signal
 SPELT = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss", "ø": "o", "Ø": "O"})
-MOST_STEPS = 20_000  # of a first run, which is to answer soon
-SLACK = 1e-9  # relative, by which a duration may miss a whole number of steps
+MOST_STEPS = 20_000  # steps of a first run, which must answer soon
+SLACK = 1e-9  # relative tolerance for a whole number of steps
 
 
 @dataclass(frozen=True)
 class Part:
-    """An FMU of a first scenario: its name there, how it is described, what it is given."""
+    """An FMU of a scenario draft: component name, description and start values."""
 
     name: str
     path: Path
@@ -37,12 +37,12 @@ class Part:
 
     @property
     def block(self) -> FmuBlock:
-        """It, unconnected and not loaded."""
+        """Return the FMU as an unconnected, unloaded block."""
         return FmuBlock(self.name, self.path, self.description, {}, frozenset())
 
     @property
     def ports(self) -> tuple[list[Port], list[Port]]:
-        """Its inputs and outputs, of an array the first element alone."""
+        """Return inputs and outputs, with only the first element of arrays."""
         block = self.block
         both = (*block.inputs, *block.exact_inputs), (*block.outputs, *block.exact_outputs)
         order = {v.name: k for k, v in enumerate(self.description.modelVariables)}
@@ -51,7 +51,7 @@ class Part:
 
     @property
     def sizes(self) -> dict[str, int]:
-        """Its arrays, `component.variable` → number of elements."""
+        """Return arrays `component.variable` with numbers of elements."""
         block = self.block
         every = (*block.inputs, *block.exact_inputs, *block.outputs, *block.exact_outputs)
         return dict(Counter(f"{self.name}.{s.array}" for s in every if s.array and not s.local))
@@ -67,9 +67,11 @@ def _whole(signals: Sequence[Signal]) -> list[Signal]:
 
 @dataclass(frozen=True)
 class Asked:
-    """Times [s] in place of those of the FMUs, None where theirs hold, and why; `because` says of whose end it is.
+    """Requested times [s], None for the FMUs' own, with reasons.
 
-    usual_step: where neither an FMU nor `step` says
+    Attributes:
+        usual_step: Step without a request or declaration.
+        because: Reason for the end.
     """
 
     start: float | None = None
@@ -82,9 +84,10 @@ class Asked:
 
 @dataclass(frozen=True)
 class Times:
-    """When a run begins, how long it lasts and its step [s]; steps of components that need others, and why all that.
+    """Start, duration and step of a run [s], own steps of components, and reasons.
 
-    notes: where that is not what was asked for
+    Attributes:
+        notes: Deviations from the request.
     """
 
     start: float
@@ -98,7 +101,7 @@ class Times:
 
 
 def component_name(stem: str, model: str = "") -> str:
-    """What an FMU is called: its file's name; where that is long, the last part of its model's name, shortened."""
+    """Return a component name from the file, or if long from the model."""
     name = _identifier(stem)
     if len(name) > LONGEST:
         name = _identifier(model.rpartition(".")[2]) or name
@@ -109,13 +112,13 @@ def component_name(stem: str, model: str = "") -> str:
 
 
 def _identifier(text: str) -> str:
-    """Letters of ASCII, digits and underscores: accents are left off, ä is ae."""
+    """Return ASCII letters, digits and underscores; ä becomes ae."""
     plain = unicodedata.normalize("NFKD", text.translate(SPELT))
     return re.sub(r"[\W_]+", "_", "".join(c for c in plain if not unicodedata.combining(c)), flags=re.ASCII).strip("_")
 
 
 def parts_of(paths: Sequence[Path], start: Mapping[str, Any] | None = None) -> list[Part]:
-    """FMUs with names that a scenario takes, each its own; InputError with what is wrong with every one."""
+    """Return FMUs with unique component names; raise InputError with all faults."""
     found: list[Part] = []
     for path, description in zip(paths, read_fmus(paths), strict=True):
         stem = component_name(path.stem, description.modelName or "")
@@ -126,10 +129,16 @@ def parts_of(paths: Sequence[Path], start: Mapping[str, Any] | None = None) -> l
 
 
 def times_of(parts: Sequence[Part], asked: Asked | None = None, *, most: int = MOST_STEPS) -> Times:
-    """Start, duration and step of a run, at most `most` steps where no stop is asked for; a guess where nothing says.
+    """Return start, duration and step of a run.
 
-    A step that is asked for, or that an FMU insists on, is kept, and the end moves to a whole number of them; else the
-    end is kept, and the step is the whole part of it at or below. Raises InputError where a step exceeds the run.
+    A step that is requested or required by an FMU stays, and the end moves to a whole number of steps. Otherwise the
+    end stays, and the step is shortened to fit.
+
+    Args:
+        most: Largest number of steps without a requested stop.
+
+    Raises:
+        InputError: A step exceeds the run.
     """
     asked = asked or Asked()
     experiments = {p.name: experiment_of(p.description) for p in parts}
@@ -150,7 +159,7 @@ def times_of(parts: Sequence[Part], asked: Asked | None = None, *, most: int = M
 
 
 def _span(asked: Asked, experiments: Mapping[str, Mapping[str, float]]) -> tuple[float, float, str]:
-    """When the run begins and how long it lasts [s], and why so long."""
+    """Return start and duration of the run [s] and a reason."""
     start = min((e.get("start", 0.0) for e in experiments.values()), default=0.0)
     start = start if asked.start is None else asked.start
     ends = {name: e["stop"] for name, e in experiments.items() if e.get("stop", start) > start}
@@ -164,7 +173,7 @@ def _span(asked: Asked, experiments: Mapping[str, Mapping[str, float]]) -> tuple
 
 
 def _in_whole_steps(t: Times, steps: int) -> Times:
-    """Move the end to a whole number of steps; components that need longer ones have their own."""
+    """Move the end to a whole number of steps. Components with longer steps keep their own."""
     t = replace(t, own={n: own for n, own in t.own.items() if own > t.step * (1 + SLACK)})
     duration = float(f"{steps * t.step:.12g}")
     if abs(duration - t.duration) <= SLACK * t.duration:
@@ -176,7 +185,7 @@ def _in_whole_steps(t: Times, steps: int) -> Times:
 
 
 def _to_the_end(t: Times, steps: int) -> Times:
-    """Shorten the step to a whole part of the run, whose end was asked for."""
+    """Shorten the step so that the run ends on time."""
     step = t.duration / steps
     if abs(step - t.step) <= SLACK * t.step:
         return replace(t, step=step)
@@ -188,7 +197,7 @@ def _to_the_end(t: Times, steps: int) -> Times:
 def _step(
     asked: Asked, experiments: Mapping[str, Mapping[str, float]], needed: Mapping[str, float], duration: float
 ) -> tuple[float, str]:
-    """The step that is wished for [s], and why; whether it goes into the run is not looked at."""
+    """Return the desired step [s] and its reason, unadjusted."""
     if asked.step is not None:
         return asked.step, "given"
     wished = {**{n: e["step"] for n, e in experiments.items() if e.get("step", 0.0) > 0}, **needed}
@@ -201,7 +210,7 @@ def _step(
 
 
 def _own_step(part: Part) -> float:
-    """The communication step that an FMU insists on [s], 0 where it takes any."""
+    """Return an FMU's required communication step [s], 0 for any."""
     parameter = sampled_by(part.path)
     if parameter is not None:
         declared = next((v.start for v in part.description.modelVariables if v.name == parameter), None)
@@ -210,6 +219,6 @@ def _own_step(part: Part) -> float:
 
 
 def _round(step: float) -> float:
-    """The round number at or below: 1, 2 or 5 × 10^n."""
+    """Return the next lower 1, 2 or 5 × 10^n."""
     power = 10.0 ** math.floor(math.log10(step) + 1e-9)
     return float(f"{max(m * power for m in (1, 2, 5) if m * power <= step * (1 + 1e-9)):.12g}")

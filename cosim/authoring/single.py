@@ -1,4 +1,4 @@
-"""One FMU run without a file of its own: scenario.yaml written for it, and run."""
+"""A run of a single FMU, with a scenario.yaml written for it."""
 
 from __future__ import annotations
 
@@ -35,13 +35,24 @@ def simulate(
     format_: str = "csv",
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Outcome, tuple[str, ...]]:
-    """Run one FMU over its default experiment; scenario.yaml, results.csv, manifest.json, report.html in `folder`.
+    """Run an FMU over its default experiment.
 
-    start:      start values of parameters and inputs, a mapping or NAME=VALUE each
-    recorded:   a CSV whose columns are played to the inputs of their names
-    stop, step: [s], in place of those of the FMU
-    record:     locals and parameters to record beside inputs and outputs
-    Raises InputError, FmuError; and SimulationError after the rows so far are written. What is to be known is told too.
+    Writes scenario.yaml, results.csv, manifest.json and report.html. After a failure the rows so far are written before
+    the error is raised.
+
+    Args:
+        start: Start values of parameters and inputs, as a mapping or NAME=VALUE texts.
+        recorded: CSV whose columns drive the inputs of the same names.
+        stop: Stop time [s], like `step` in place of the default experiment's.
+        record: Locals and parameters to record besides inputs and outputs.
+
+    Returns:
+        The outcome and notes.
+
+    Raises:
+        InputError: The input is faulty.
+        FmuError: The FMU does not load.
+        SimulationError: The simulation stopped early.
     """
     path = Path(fmu)
     _check_times(path, stop, step)
@@ -66,7 +77,7 @@ def _check_times(fmu: Path, stop: float | None, step: float | None) -> None:
 
 
 def start_pairs(fmu: Path, texts: Sequence[str], description: Any) -> dict[str, Any]:
-    """NAME=VALUE of start values; a value of text stays as it is written."""
+    """Return start values from NAME=VALUE texts; text stays as written."""
     words = {v.name for v in description.modelVariables if v.type in {"String", "Binary"}}
     found: dict[str, Any] = {}
     faults = []

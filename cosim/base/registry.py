@@ -96,11 +96,7 @@ def models() -> dict[str, ModelEntry]:
 
 
 def model_entry(name: str = BASE) -> ModelEntry:
-    """Return the model of a name.
-
-    Raises:
-        InputError: No model is registered under the name.
-    """
+    """Return the model of a name; raise InputError if unknown."""
     found = load(MODELS, name) if name in names(MODELS) else None
     if not isinstance(found, ModelEntry):
         raise InputError([Fault(Path("model"), 0, 0, f'no model "{name}" is installed; {cure_without_base()}')])

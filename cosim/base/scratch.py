@@ -124,11 +124,7 @@ def locked(path: Path, *, create: bool = False) -> int | None:
 
 
 def lock_descriptor(descriptor: int) -> None:
-    """Lock an open file for this process.
-
-    Raises:
-        OSError: Another process holds the lock, or locking fails.
-    """
+    """Lock an open file; raise OSError if locked elsewhere or not lockable."""
     if os.name == "nt":
         import msvcrt
 

@@ -40,11 +40,7 @@ SHOWN = 60  # characters of a value in a message
 
 
 def given(values: Given | None, name: str = "set") -> Given:
-    """Return settings as a mapping or a tuple of texts.
-
-    Raises:
-        InputError: `values` is neither a mapping nor texts.
-    """
+    """Return settings as a mapping or a tuple of texts; raise InputError for other types."""
     if values is None:
         return ()
     if isinstance(values, str):
@@ -68,11 +64,7 @@ def as_yaml(value: Any) -> str:
 
 
 def plain(value: Any, depth: int = 0) -> Any:
-    """Return a value as JSON types, without numpy types.
-
-    Raises:
-        ValueError: JSON cannot hold the value; the message says why.
-    """
+    """Return a value as JSON types; raise ValueError if impossible."""
     if depth > DEEPEST:
         raise ValueError(f"it is nested more than {DEEPEST} levels deep; write it flatter")
     value = _of_python(value)
@@ -127,11 +119,7 @@ def _alternatives(annotation: str) -> Iterator[str]:
 
 
 def _argument(kinds: Sequence[str], value: Any) -> Any:
-    """Return an argument converted by the first matching kind.
-
-    Raises:
-        ValueError: No kind matches; the message lists the allowed values.
-    """
+    """Return an argument converted by the first matching kind; raise ValueError if none matches."""
     value = _of_python(value)
     errors = []
     for kind in kinds:

@@ -60,7 +60,7 @@ def length(value: float) -> str:
 
 
 def size(value: float, unit: str) -> str:
-    """Return a size with two digits, lengths readable."""
+    """Return a size with two digits, lengths in mm, cm or m."""
     return length(value) if unit == "m" else amount(value, unit, 2)
 
 

@@ -170,11 +170,7 @@ def has_unit(text: str) -> bool:
 
 
 def read_quantity(text: str, unit: str, *, difference: bool = False) -> float:
-    """Return the number of text like `4 min` in `unit`.
-
-    Raises:
-        ValueError: The unit does not fit; the message lists the allowed units.
-    """
+    """Return the number of text like `4 min` in `unit`; raise ValueError with the allowed units."""
     found = split_quantity(text)
     by = None if found is None else conversion(found[1], unit, difference=difference)
     if found is None or by is None or (found[1] and not unit):
@@ -285,11 +281,7 @@ def alternatives(wanted: str) -> list[str]:
 
 
 def unit_definitions(names: set[str]) -> Element:
-    """Return the `UnitDefinitions` element of FMI.
-
-    Raises:
-        ValueError: A unit is unknown.
-    """
+    """Return FMI's `UnitDefinitions`; raise ValueError for unknown units."""
     root = Element("UnitDefinitions")
     for name in sorted(names):
         unit = parse(name)

@@ -84,8 +84,7 @@ class Component(Protocol):
     """A component, called in order: bind, open, (put, get)* during initialization, start, (put, advance, get)*, close.
 
     The master writes inputs to `row[first:]`; the component writes outputs directly behind them. Values beyond the
-    exact
-    range of doubles (text, 64-bit integers) use `beside[first_beside:]` in the same way.
+    exact range of doubles (text, 64-bit integers) use `beside[first_beside:]` in the same way.
     """
 
     name: str
@@ -121,11 +120,7 @@ class Component(Protocol):
         """Write the outputs to the row."""
 
     def advance(self, t: float, h: float) -> None:
-        """Step from `t` to `t + h` [s].
-
-        Raises:
-            EndedEarly: The component ends the simulation.
-        """
+        """Step from `t` to `t + h` [s]; raise EndedEarly if the component ends the simulation."""
 
     def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
         """Return a function of (t, h) for put, advance and get.

@@ -180,7 +180,7 @@ def slopes_at(
     The states are those after events.
 
     Args:
-        step: Relative step of the central differences, at least absolute for small values.
+        step: Step of the central differences, relative to max(1, |value|).
         given: Whether to use the FMU's directional derivatives.
 
     Raises:

@@ -36,7 +36,7 @@ class Sensor:
 
 
 class Fixes:
-    """Fix component, measuring at 1/rate and answering after the latency.
+    """Component that samples its inputs as fixes and outputs them late.
 
     Fix j is taken at the first communication point at or after j/rate and appears ⌈latency/step⌉ points later.
 
@@ -116,7 +116,7 @@ class Fixes:
         pass
 
     def _begin(self) -> None:
-        """Release the fix of the start, or queue it."""
+        """Count the fix of the start, and queue a delayed one."""
         self._made = 1
         if self._late and self._errors is not None:
             self._coming.append((self._late, self._opening))

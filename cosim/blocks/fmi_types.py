@@ -32,11 +32,7 @@ class Kind:
     largest: float = math.inf
 
     def encoded(self, value: Any) -> Any:
-        """Return a value for C.
-
-        Raises:
-            ValueError: The value is outside the type.
-        """
+        """Return a value for C; raise ValueError outside the type."""
         if self.function == "String":
             return value.encode() if isinstance(value, str) else value
         if self.low is None or self.high is None:
@@ -139,11 +135,7 @@ class Exchange:
         return values
 
     def encode(self, values: Sequence[Any]) -> None:
-        """Put values into the buffer.
-
-        Raises:
-            ValueError: A value is outside the type; the message names the variable.
-        """
+        """Put values into the buffer; raise ValueError, with the variable, outside the type."""
         for k, (name, value) in enumerate(zip(self.names, values, strict=True)):
             try:
                 self.buffer[k] = self.kind.encoded(value)

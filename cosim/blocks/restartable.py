@@ -23,11 +23,7 @@ class RestartableFmu(FmuBlock):
         self._begin(start, stop)
 
     def own(self) -> Own:
-        """Return the state that determines the future.
-
-        Raises:
-            ValueError: The FMU is not cosim's own; KeyError and TypeError likewise.
-        """
+        """Return the state that determines the future; raise ValueError, KeyError or TypeError for foreign FMUs."""
         return own_of(self._state())
 
     def remember(self, memory: Memory) -> None:

@@ -35,8 +35,7 @@ class Why(IntEnum):
     STATUS: a call returned a status other than OK; NOT_FINITE: an output is not finite; UNFIT: an input does not fit
         its
     type; NO_ITEM: a value is no item of the target enumeration; TERMINATED: an FMU ended the simulation; PAUSED: the
-    row of
-    a point is complete but not stored; LATER: a second has passed
+    row of a point is complete but not stored; LATER: a second has passed
     """
 
     FINISHED, STATUS, NOT_FINITE, UNFIT, NO_ITEM, TERMINATED, PAUSED, LATER = range(8)
@@ -181,11 +180,7 @@ class NotCompiled(Exception):
 
 @cache
 def library() -> Any:
-    """Return the compiled loop from the user's cache.
-
-    Raises:
-        NotCompiled: No working compiler exists.
-    """
+    """Return the compiled loop from the cache; raise NotCompiled without a working compiler."""
     try:
         run = loaded(SOURCE.read_text(encoding="utf-8")).run
     except NoCompiler:

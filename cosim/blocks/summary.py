@@ -84,11 +84,7 @@ class Summary:
 
 
 def read_fmus(paths: Sequence[Path]) -> list[Any]:
-    """Return the descriptions of FMUs.
-
-    Raises:
-        InputError: FMUs are faulty; it lists all faults.
-    """
+    """Return the descriptions of FMUs; raise InputError with all faults."""
     faults: list[Fault] = []
     found = []
     for path in paths:

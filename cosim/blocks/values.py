@@ -72,11 +72,7 @@ class Values:
             self._put_all()
 
     def get(self) -> None:
-        """Read outputs and recorded variables.
-
-        Raises:
-            SimulationError: An output is not finite.
-        """
+        """Read outputs and recorded variables; raise SimulationError if an output is not finite."""
         arguments = self._get_arguments
         if arguments is not None:
             status = self._get_real(self._component, *arguments)

@@ -1,1 +1,1 @@
-"""Two runs held against each other: how far every signal differs, criteria side by side, the page."""
+"""Comparison of two runs: differences of all signals, criteria side by side, and the page."""

@@ -1,4 +1,4 @@
-"""How far the signals of two runs lie apart."""
+"""Differences between the signals of two runs."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-DRAWN = 4  # signals in a picture, where nobody says which
-SHOWN = 12  # signals, where a comparison is told in a few lines
+DRAWN = 4  # signals in a figure by default
+SHOWN = 12  # signals in a short text
 
 
 @dataclass(frozen=True, repr=False)
@@ -64,22 +64,25 @@ class Compared:
 
     @property
     def beyond(self) -> list[Difference]:
-        """Signals beyond the tolerance, the largest share of their range first."""
+        """Return signals beyond the tolerance, largest share first."""
         return sorted((d for d in self.differences if d.beyond), key=lambda d: -d.share)
 
     @property
     def judged(self) -> bool:
-        """Whether there is a tolerance."""
+        """Return whether a tolerance was given."""
         return self.tolerance is not None
 
     @property
     def same(self) -> bool:
-        """Whether every signal of a is in b, within the tolerance (without one, equal), over the whole time."""
+        """Return whether b matches a.
+
+        Every signal of a must be in b within the tolerance (equal without one), over the whole time of both.
+        """
         return not self.reasons
 
     @property
     def reasons(self) -> list[str]:
-        """Reasons why the runs differ, in words."""
+        """Return the reasons against a match, in words."""
         apart = self.beyond if self.judged else [d for d in self.differences if d.largest]
         far = sum(d.alike for d in apart)
         verb = "beyond the tolerance" if self.judged else _differ(far)
@@ -137,13 +140,13 @@ class Compared:
         return f"{self.a.name} and {self.b.name}: {sentence(self)}"
 
     def _ranked(self) -> tuple[list[tuple[str, str, str, str]], str]:
-        """The signals that differ most, as text, and how many more there are."""
+        """Return the largest differences as text, and the omitted number."""
         ranked = sorted(self.differences, key=lambda d: -d.share)
         cells = [(d.name, sized(d, d.largest), f"{d.at:.6g} s", shared(d)) for d in ranked[:SHOWN]]
         return cells, f"… and {len(ranked) - SHOWN} more" if len(ranked) > SHOWN else ""
 
     def as_json(self) -> dict[str, Any]:
-        """Return the comparison as plain data; values that are not finite are null."""
+        """Return the comparison as plain data, non-finite values as None."""
         found = [
             {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in asdict(d).items()}
             for d in self.differences
@@ -165,11 +168,16 @@ class Compared:
 
 
 def compared(a: Ran, b: Ran, tolerance: float | None = None, absolute: float = 0.0) -> Compared:
-    """Hold b against a, at the times of a, and its rows between against what a spans there.
+    """Compare b with a at the times of a.
 
-    Raises InputError where they share no signal or no time.
+    Rows of b between rows of a are compared with the range that a spans there.
 
-    tolerance: a share of each signal's range in a; absolute: in its unit, added to that
+    Args:
+        tolerance: Share of each signal's range in a.
+        absolute: Size in the signal's unit, added to the share.
+
+    Raises:
+        InputError: The runs have no common signal or time.
     """
     in_both = {*_names(a)} & {*_names(b)}
     common = [name for name in _names(a) if name in in_both]
@@ -194,7 +202,7 @@ def _names(ran: Ran) -> tuple[str, ...]:
 
 
 class _Shared:
-    """The rows of a at whose times b has values; `values` holds the numbers of both there, of the signals compared."""
+    """Rows of a within the time of b; `values` holds both runs' numbers of compared signals."""
 
     def __init__(self, a: Ran, b: Ran, rows: slice, aligned: bool, allowed: Tolerance) -> None:
         self.a, self.b, self.rows, self.aligned, self.allowed = a, b, rows, aligned, allowed
@@ -204,7 +212,7 @@ class _Shared:
         self.values: dict[str, tuple[Array, Array]] = {}
 
     def difference(self, name: str) -> Difference:
-        """Compare one signal."""
+        """Return the comparison of a signal."""
         a, b = self.a.results, self.b.results
         if name in a.exact or name in b.exact:
             return of_text(self.a, self.b, name, self.rows, self.between, judged=self.allowed.judged)
@@ -223,7 +231,7 @@ class _Shared:
 
 
 def criteria_of(c: Compared) -> Sequence[tuple[str, Any, Any]]:
-    """Each criterion of either run: what it is, and how it came out in a and in b, None where it is not there."""
+    """Return all criteria with their outcomes in a and b."""
     found: dict[str, list[Any]] = {}
     for side, ran in enumerate((c.a, c.b)):
         for entry in ran.criteria:
@@ -246,7 +254,7 @@ def _differ(count: int) -> str:
 
 
 def sentence(c: Compared) -> str:
-    """What the comparison came to."""
+    """Return a sentence on the result."""
     count, different = len(c.differences), sum(d.largest > 0 for d in c.differences)
     of_both = " that both have" if c.only_a else ""
     every = f"All {counted(count, 'signal')}{of_both} are" if count > 1 else ""
@@ -275,7 +283,7 @@ def _most(d: Difference) -> str:
 
 
 def _shorter(a: Ran, b: Ran) -> str:
-    """Which begins late and which ends early, in words."""
+    """Return a phrase on late starts and early ends."""
     step = float(np.max(np.diff(a.results.time))) if a.results.time.size > 1 else 0.0
     told = []
     for verb, row in (("begins", 0), ("ends", -1)):

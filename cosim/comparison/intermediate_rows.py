@@ -1,7 +1,7 @@
-"""Rows of one run that lie between those of the other: a spike there is no less a difference.
+"""Rows of a run between rows of the other, where a spike counts as a difference too.
 
-Between two rows nothing is known of a signal but where it comes from and goes to, whether it is held or runs straight.
-So a row between them, or one of several at one time, is asked to lie within what the rows around it span.
+Between two rows a signal is unknown except for its ends, whether it is held or interpolated. A row in between, or one
+of several at the same time, must therefore lie within the range spanned by the surrounding rows.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from cosim.base.arrays import Array, Rows
 
 @dataclass(frozen=True)
 class Between:
-    """Rows of b that are no row of a by themselves, and of each the rows of a from `first` to `last` around it."""
+    """Rows of b without equivalent in a, and the surrounding rows of a from `first` to `last`."""
 
     rows: Rows
     time: Array
@@ -24,23 +24,26 @@ class Between:
     last: Rows
 
     def outside(self, a: Array, b: Array) -> tuple[float, float]:
-        """How far b lies outside at most, infinite where one alone has no number, and when [s]; 0 without such rows."""
+        """Return the largest distance of b outside the range, and its time [s].
+
+        It is infinite if only one run has a number, and 0 without such rows.
+        """
         if not self.rows.size:
             return 0.0, 0.0
         ends = np.column_stack((self.first, self.last + 1)).ravel()
-        known = np.append(a, np.nan)  # a span may end with the last row
+        known = np.append(a, np.nan)  # A range may end with the last row.
         low, high = (f.reduceat(known, ends)[::2] for f in (np.fmin, np.fmax))
         gaps = np.add.reduceat(np.isnan(np.append(a, 0.0)), ends)[::2] > 0
         values = b[self.rows]
         with np.errstate(invalid="ignore"):
             out = np.fmax(np.fmax(low - values, values - high), 0.0)
-        out = np.where((values == low) | (values == high), 0.0, out)  # infinite alike
+        out = np.where((values == low) | (values == high), 0.0, out)  # equal infinities
         out = np.where(np.isnan(values), np.where(gaps, 0.0, np.inf), np.where(np.isnan(low), np.inf, out))
         row = int(np.argmax(out))
         return float(out[row]), float(self.time[row])
 
     def other_text(self, a: Sequence[str], b: Sequence[str]) -> float | None:
-        """When b first says what none of the rows around it says; None where it never does."""
+        """Return the time of b's first text without equal in surrounding rows."""
         for row, time, first, last in zip(self.rows, self.time, self.first, self.last, strict=True):
             if b[int(row)] not in a[int(first) : int(last) + 1]:
                 return float(time)
@@ -48,7 +51,11 @@ class Between:
 
 
 def rows_between(a: Array, b: Array, near: float) -> Between:
-    """Of the times of two runs, a's and b's, which are the same where they are as near."""
+    """Return the rows of b between those of a.
+
+    Args:
+        near: Largest difference of equal times [s].
+    """
     after, upto = np.searchsorted(a, b - near, side="left"), np.searchsorted(a, b + near, side="right")
     alone = np.ones(b.size, dtype=bool)
     alone[1:] &= np.diff(b) > near

@@ -1,4 +1,4 @@
-"""One signal of two runs as panels: both over each other, and how far they are apart."""
+"""Panels of a signal in two runs: both curves, and their difference."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from cosim.report.panels import Panel, Trace
 
 
 def panels_of(name: str, unit: str, runs: tuple[str, str], values: tuple[Array, Array]) -> list[Panel]:
-    """Panels of a signal in its unit [unit], of two runs by name, with their values at the same times."""
+    """Return the panels of a signal in two named runs at the same times."""
     shown, factor = display(unit)
     first, second = (v * factor for v in values)
     both = [Trace(f"a: {runs[0]}", first, "s0"), Trace(f"b: {runs[1]}", second, "s1")]

@@ -1,4 +1,4 @@
-"""How far one signal of two runs lies apart: numbers, text, rows at other times."""
+"""Difference of a signal in two runs: numbers, text, and rows at other times."""
 
 from __future__ import annotations
 
@@ -13,24 +13,25 @@ from cosim.base.units import Conversion
 from cosim.comparison.intermediate_rows import Between
 from cosim.simulation.run_files import Ran
 
-SAME_TIME = 1e-9  # of a step
-ROUNDING = 8 * float(np.finfo(float).eps)  # of a value, by a change of unit there and back
+SAME_TIME = 1e-9  # fraction of a step
+ROUNDING = 8 * float(np.finfo(float).eps)  # fraction of a value, for a unit conversion there and back
 BETWEEN = "between rows of a"
 
 
 @dataclass(frozen=True)
 class Difference:
-    """One signal of both runs.
+    """Difference of a signal between two runs.
 
-    unit:    that of a, to which b is converted
-    largest: most that |b − a| comes to, in its unit, at a time [s]; infinite where one run alone has no number, or
-             where the dimensions of their units differ, so that numbers say nothing
-    rms:     of b − a
-    scale:   the range of a, its size where it is constant, or 1
-    share:   largest / scale
-    beyond:  the tolerance
-    note:    what is to be known of units or text
-    alike:   the dimensions of both units agree
+    Attributes:
+        unit: Unit of a, to which b is converted.
+        largest: Largest |b − a| in the unit, at time `at` [s]; infinite if only one run has a number or dimensions
+            differ.
+        rms: Root mean square of b − a.
+        scale: Range of a, for a constant its magnitude, or 1.
+        share: largest / scale.
+        beyond: Whether the tolerance is exceeded.
+        note: Note on units or text.
+        alike: Whether the dimensions agree.
     """
 
     name: str
@@ -47,9 +48,10 @@ class Difference:
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How far b may lie from a: a share of each signal's range in a (None: nothing is judged), and a size added to it.
+    """Allowed difference: a share of each signal's range in a (None: no verdict), plus a size.
 
-    absolute: in the unit of the signal
+    Attributes:
+        absolute: Size in the unit of the signal.
     """
 
     relative: float | None
@@ -57,16 +59,16 @@ class Tolerance:
 
     @property
     def judged(self) -> bool:
-        """A share is given."""
+        """Return whether a share is given."""
         return self.relative is not None
 
     def is_exceeded(self, gap: float, scale: float) -> bool:
-        """Return whether a gap, NaN included, is more than is allowed of a signal of this scale."""
+        """Return whether a gap, even NaN, exceeds the tolerance."""
         return self.relative is not None and not gap <= self.absolute + self.relative * scale
 
 
 def rows_of(a: Ran, b: Ran) -> tuple[slice, bool]:
-    """Rows of a at whose times b has values, and whether they are the rows of b."""
+    """Return a's rows within the time of b, and whether times agree."""
     first, second = a.results.time, b.results.time
     count = min(first.size, second.size)
     if not count:
@@ -79,23 +81,27 @@ def rows_of(a: Ran, b: Ran) -> tuple[slice, bool]:
 
 
 def near(time: Array) -> float:
-    """How far apart two times are that are meant to be one [s]: far less than a step, more than rounding."""
+    """Return the largest difference of equal times [s].
+
+    It is far less than a step and more than rounding.
+    """
     steps = np.diff(time)
     step = float(np.min(steps[steps > 0.0], initial=1.0))
     return max(SAME_TIME * step, ROUNDING * float(np.max(np.abs(time), initial=0.0)))
 
 
 def at_times(time: Array, times: Array, values: Array) -> Array:
-    """Values at other times, straight between rows."""
+    """Return linearly interpolated values."""
     return np.interp(time, times, values)
 
 
 def of_numbers(
     name: str, unit: str, time: Array, values: tuple[Array, Array], allowed: Tolerance, by: Conversion
 ) -> Difference:
-    """How far numbers of one unit lie apart.
+    """Return the difference of numbers in the same unit.
 
-    values: of a, and of b after its conversion to the unit of a: it rounds to the last bit or two, its offset too
+    Args:
+        values: Values of a, and of b converted to a's unit, with rounding of the last bits.
     """
     first, second = values
     same = (first == second) | (np.isnan(first) & np.isnan(second))
@@ -115,7 +121,7 @@ def of_numbers(
 
 
 def with_rows_between(d: Difference, outside: float, at: float, allowed: Tolerance) -> Difference:
-    """With what b does between the rows of a, where that is more."""
+    """Return a difference enlarged by rows between those of a."""
     if outside <= max(d.largest, ROUNDING * d.scale):
         return d
     beyond = d.beyond or allowed.is_exceeded(outside, d.scale)
@@ -124,20 +130,23 @@ def with_rows_between(d: Difference, outside: float, at: float, allowed: Toleran
 
 
 def of_other_units(name: str, unit: str, other: str, time: Array, *, judged: bool) -> Difference:
-    """Numbers in units between which there is no conversion."""
+    """Return the difference of incompatible units."""
     note = f"in {unit} in one, in {other} in the other"
     return Difference(name, unit, math.inf, float(time[0]), math.inf, 1.0, math.inf, judged, note, alike=False)
 
 
 def of_units(unit: str, other: str, d: Difference) -> str:
-    """What is to be known of the units of both sides."""
+    """Return a note on the units of both runs."""
     if unit and other:
         return f"{other} in b, converted" if unit != other else ""
     return f"no unit in {'b' if unit else 'a'}, taken as {d.unit}" if (unit or other) and d.largest else ""
 
 
 def of_text(a: Ran, b: Ran, name: str, rows: slice, between: Between | None, *, judged: bool) -> Difference:
-    """Text: 1 where a row differs, 0 where none does; at other times that of b holds until its next row."""
+    """Return the difference of text: 1 if any row differs, else 0.
+
+    At other times, b's text holds until its next row.
+    """
     aligned = between is None
     first, second = (list(r.results.exact.get(name) or [str(v) for v in r.results[name]]) for r in (a, b))
     time = a.results.time[rows]
@@ -153,12 +162,12 @@ def of_text(a: Ran, b: Ran, name: str, rows: slice, between: Between | None, *, 
 
 
 def sized(d: Difference, value: float) -> str:
-    """A difference in the unit of its signal, a dash where there is none."""
+    """Return a size in the signal's unit, a dash if not comparable."""
     return amount(value if d.alike else math.nan, d.unit)
 
 
 def shared(d: Difference) -> str:
-    """A difference as a share of the range of its signal."""
+    """Return a difference as a share of the signal's range."""
     if not d.alike:
         return "not comparable"
     return f"{plain(100 * d.share, 2)} %" if math.isfinite(d.share) else "no number in one run"

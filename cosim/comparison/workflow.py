@@ -1,4 +1,4 @@
-"""The page about two runs: how far apart each signal is, both drawn over each other, criteria side by side."""
+"""`cosim compare`: differences of all signals, curves of both runs, and criteria side by side."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from cosim.storage.folder_lock import folder_locks
 from cosim.storage.folders import check_left, folder_named, keep_earlier
 
 TEMPLATE = Path(__file__).with_name("templates") / "comparison.html.j2"
-DRAWN = 24  # signals, the most different first
+DRAWN = 24  # signals with the largest differences
 MADE = ("comparison.json", "report.html")
 
 
@@ -41,11 +41,19 @@ def compare(
     write: bool = True,
     force: bool = False,
 ) -> tuple[Compared, Path]:
-    """Hold run b against run a; leaves comparison.json and report.html in the folder returned.
+    """Compare run b with run a; write comparison.json and report.html.
 
-    tolerance: a share of each signal's range in a; absolute: in its unit, added to that
-    write:     without, nothing is left; force: also over what another command left there
-    Raises InputError where they share no signal or no time.
+    Args:
+        tolerance: Share of each signal's range in a.
+        absolute: Size in the signal's unit, added to the share.
+        write: Whether to write files.
+        force: Whether to overwrite the files of another command.
+
+    Returns:
+        The comparison and its folder.
+
+    Raises:
+        InputError: The runs have no common signal or time.
     """
     for name, value in (("--tol", tolerance), ("--abs", absolute)):
         if value is not None and not (math.isfinite(value) and value >= 0):
@@ -67,7 +75,7 @@ def compare(
 
 
 def context(c: Compared) -> Mapping[str, Any]:
-    """Everything the template names."""
+    """Return the variables of the template."""
     ranked = sorted(c.differences, key=lambda d: -d.share)
     drawn = [d for d in ranked if d.name in c.values][:DRAWN]
     drawing = Drawing(c.time, 3 * len(drawn))

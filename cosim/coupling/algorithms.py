@@ -55,7 +55,7 @@ class GaussSeidel(Algorithm):
     about = "steps one after the other"
 
     def plan(self, components: Mapping[str, Component], edges: Sequence[Edge], order: Sequence[str] | None) -> Plan:
-        """Return a plan in the user's order, else by dependencies."""
+        """Return a plan in user order, else by dependencies."""
         return order_by_dependencies(components, edges, order)
 
 
@@ -68,7 +68,7 @@ class Jacobi(Algorithm):
     sequential = False
 
     def plan(self, components: Mapping[str, Component], edges: Sequence[Edge], order: Sequence[str] | None) -> Plan:
-        """Return a plan in file order, with all copies at the end."""
+        """Return a plan in file order, copies at the end."""
         return Plan(tuple(components), (False,) * len(edges))
 
 

@@ -1,4 +1,4 @@
-"""What an FMU of ours says of itself beside FMI, in its vendor annotations: other hosts pass it over."""
+"""Vendor annotations of cosim's own FMUs; importing tools ignore them."""
 
 from __future__ import annotations
 
@@ -13,9 +13,13 @@ FRAME = ("x", "y", "heading", "forward", "right")
 
 
 def annotation(traits: Traits, state: str = "json") -> Element:
-    """`VendorAnnotations`: in what form the state is ours to read; rates, limits, a motion in a plane."""
+    """Return `VendorAnnotations` with rates, limits and planar motion.
+
+    Args:
+        state: Format of the serialized FMU state.
+    """
     root = Element("VendorAnnotations")
-    node = SubElement(SubElement(root, "Tool", name=TOOL), "Traits", state=state)  # FMI allows one element
+    node = SubElement(SubElement(root, "Tool", name=TOOL), "Traits", state=state)  # FMI allows a single element here.
     if traits.static:
         node.set("static", "true")
     for name, rate in traits.rates.items():
@@ -28,7 +32,7 @@ def annotation(traits: Traits, state: str = "json") -> Element:
 
 
 def traits_of(fmu: Path) -> Traits | None:
-    """What the FMU says of its signals; None where it is not one of ours."""
+    """Return the traits of an FMU's signals; None for foreign FMUs."""
     node = own_annotation(fmu, "Traits")
     if node is None:
         return None

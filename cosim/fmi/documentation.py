@@ -1,4 +1,4 @@
-"""The FMU's own documentation: one HTML page of what it is, its equations and its variables, and the licence."""
+"""Documentation inside an FMU: an HTML page with description, equations and variables, and the licence."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ start value an effect is dormant and costs nothing.</p>"""
 
 
 def documented(*owners: object) -> str:
-    """Docstrings as HTML: the words of each as a paragraph, its equations as they stand."""
+    """Return docstrings as HTML."""
     return "".join(f"<pre>{escape(inspect.getdoc(owner) or '')}</pre>" for owner in owners)
 
 
 def model_text(model: Model) -> str:
-    """What a model is, by its own docstrings: equations, effects, integration."""
+    """Return a model's documentation as HTML: equations, effects, integration."""
     effects = "".join(f"<li><code>{k.name}</code>: {escape(k.equation)}</li>" for k in model.catalogue)
     listed = f"{SWITCHES}<ul>{effects}</ul>" if effects else ""
     needs = NEEDS.format(method=METHOD[model.integrator], substep=1000 * model.substep)

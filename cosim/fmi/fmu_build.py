@@ -1,7 +1,7 @@
-"""Building the FMUs: sources under a name no other FMU has, packed by pythonfmu, completed, byte-reproducible.
+"""FMU builds: sources in a uniquely named package, packed by pythonfmu, completed, byte-reproducible.
 
-All Python FMUs of a process share `sys.modules`. Each of ours therefore carries its sources in one
-package named by their content: two FMUs never see each other's modules, nor the host's.
+All Python FMUs of a process share `sys.modules`. Each of cosim's FMUs therefore carries its sources in a package named
+by their content: FMUs never see the modules of each other or of the host.
 """
 
 from __future__ import annotations
@@ -26,25 +26,26 @@ from cosim.model.model import Model
 from cosim.model.traits import Traits
 
 FRAMEWORK = "cosim"
-CARRIED = ("cosim.model", "cosim.fmi")  # rooms of the framework that need nothing but the standard library
-NOT_CARRIED = "cosim.model.symbolic"  # imported by a model's namespace of symbols only, at build time
-START = ("cosim.fmi.lifetime", "cosim.fmi.ports")  # imported by the script that pythonfmu runs
-OWN = "own_model"  # what the file of a model of one's own is called within its FMU
+CARRIED = ("cosim.model", "cosim.fmi")  # rooms that need only the standard library
+NOT_CARRIED = "cosim.model.symbolic"  # imported at build time only
+START = ("cosim.fmi.lifetime", "cosim.fmi.ports")  # imported by the script of pythonfmu
+OWN = "own_model"  # module name of a user's model inside its FMU
 EPOCH = (1980, 1, 1, 0, 0, 0)
 ASSETS = Path(__file__).resolve().parent / "assets"
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """Everything that one FMU is made of.
+    """Everything needed to build an FMU.
 
-    slave:    module and class of the FMI slave
-    packages: top-level packages whose modules the FMU carries, as far as its slave imports them
-    about:    content of the model description
-    text:     documentation in HTML: what the FMU is and how to use it
-    values:   parameter defaults that differ from the declared ones
-    own:      file and class of a user's model
-    printed:  modules generated at build time: dotted name, source code
+    Attributes:
+        slave: Module and class of the FMI slave.
+        packages: Top-level packages whose modules the FMU carries, if its slave imports them.
+        about: Content of the model description.
+        text: Documentation in HTML.
+        values: Parameter defaults that differ from the declared ones.
+        own: File and class of a user's model.
+        printed: Modules generated at build time: dotted name, source code.
     """
 
     slave: tuple[str, str]
@@ -59,10 +60,14 @@ class Recipe:
 
 
 def model_recipe(model: Model, file: Path, values: Mapping[str, float | bool] | None = None) -> Recipe:
-    """Return the recipe of a user's model, whose class stands in `file`, with other defaults where `values` has them.
+    """Return the recipe of a user's model.
 
-    The FMU carries the file. Packages that the file imports besides `cosim.model` and the standard library must be
-    installed where the FMU runs.
+    The FMU carries `file`. Further packages imported by the file, apart from `cosim.model` and the standard library,
+    must be installed on the machine that runs the FMU.
+
+    Args:
+        file: Python file of the model class.
+        values: Parameter defaults that replace the declared ones.
     """
     own = (file, type(model).__name__)
     about = about_model(model.with_values(values or {}), model.title)
@@ -71,12 +76,12 @@ def model_recipe(model: Model, file: Path, values: Mapping[str, float | bool] | 
 
 
 def ordered(values: Mapping[str, float | bool] | None) -> tuple[tuple[str, float | bool], ...]:
-    """Parameter values in an order that does not hang on how they were written."""
+    """Return parameter values sorted by name."""
     return tuple(sorted((values or {}).items()))
 
 
 def about_model(model: Model, text: str) -> Description:
-    """What the description of a model's FMU says."""
+    """Return the content of a model's model description."""
     from cosim.fmi.ports import model_ports
     from cosim.model.symbolic.dependencies import direct_dependencies, initial_dependencies
 
@@ -85,12 +90,12 @@ def about_model(model: Model, text: str) -> Description:
 
 
 def build(recipe: Recipe, path: Path) -> Path:
-    """Write one FMU to `path`, whole or not at all; the same sources give the same bytes."""
+    """Write an FMU completely or not at all, byte-reproducible."""
     with temporary_folder("build") as folder:
         draft = _pack(recipe, folder)
         members = {name: data for name, data in _members(draft) if "__pycache__" not in name}
         xml = members.pop("modelDescription.xml")
-        # the page names the GUID, which is made of everything else: a placeholder stands there until it is known
+        # The page contains the GUID, which is a hash of everything else, so a placeholder comes first.
         guid = f"{{{digest(members, xml_of(recipe, xml, ''))[:32]}}}"
         page = "documentation/index.html"
         members[page] = members[page].replace(GUID_PLACEHOLDER.encode(), guid.encode())
@@ -101,12 +106,12 @@ def build(recipe: Recipe, path: Path) -> Path:
 
 
 def xml_of(recipe: Recipe, xml: bytes, guid: str) -> bytes:
-    """The completed model description."""
+    """Return the completed model description."""
     return complete(xml, recipe.about, __version__, guid)
 
 
 def _pack(recipe: Recipe, folder: Path) -> Path:
-    """Sources under their content's name, packed by pythonfmu."""
+    """Pack sources in a package named by their content."""
     from pythonfmu.builder import FmuBuilder
 
     sources = dict(_sources(recipe))
@@ -142,7 +147,7 @@ def _pack(recipe: Recipe, folder: Path) -> Path:
 
 
 def _renamed(source: str, carried: Sequence[str], package: str) -> str:
-    """Return a module's source with imports of carried packages directed into the FMU's own package."""
+    """Return a module's source with imports from the FMU's package."""
     names = "|".join(carried)
     whole, renamed = rf"^(\s*)import (({names})(?:\.\w+)*)$", rf"\1import {package}.\2; from {package} import \3"
     source = re.sub(whole, renamed, source, flags=re.MULTILINE)
@@ -150,7 +155,7 @@ def _renamed(source: str, carried: Sequence[str], package: str) -> str:
 
 
 def _script(recipe: Recipe, package: str, class_name: str) -> str:
-    """Return the file that pythonfmu loads: the slave class, with other defaults where the recipe has them."""
+    """Return pythonfmu's script: the slave class with changed defaults."""
     module, base = recipe.slave
     lines = [f"from {package}.cosim.fmi.lifetime import keep", f"from {package}.{module} import {base} as Base"]
     changes = recipe.substep is not None or recipe.integrator is not None
@@ -168,7 +173,7 @@ def _script(recipe: Recipe, package: str, class_name: str) -> str:
 
 
 def _sources(recipe: Recipe) -> Iterator[tuple[str, bytes]]:
-    """Yield path within the FMU's package and content of each module that the slave imports, directly or not."""
+    """Yield path and content of each imported module."""
     printed = dict(recipe.printed)
     if recipe.own:
         yield f"{OWN}.py", recipe.own[0].read_bytes()
@@ -182,7 +187,7 @@ def _sources(recipe: Recipe) -> Iterator[tuple[str, bytes]]:
             modules[name] = (f"{name.replace('.', '/')}.py", printed[name].encode())
         elif (spec := _spec(name)) is not None and spec.origin is not None:
             path = f"{name.replace('.', '/')}{'/__init__' if spec.submodule_search_locations is not None else ''}.py"
-            # the framework's own __init__ is the whole command line, of which an FMU needs nothing
+            # The framework's own __init__ is the whole command line, not needed in an FMU.
             modules[name] = (path, b"" if name == FRAMEWORK else Path(spec.origin).read_bytes())
             waiting += [*_imports(modules[name][1]), name.rpartition(".")[0]]
     yield "__init__.py", b""
@@ -190,7 +195,7 @@ def _sources(recipe: Recipe) -> Iterator[tuple[str, bytes]]:
 
 
 def _spec(name: str) -> ModuleSpec | None:
-    """Return where a module is, None for a name within a module."""
+    """Return a module's spec, None for a name inside a module."""
     try:
         return find_spec(name)
     except ModuleNotFoundError:
@@ -198,7 +203,7 @@ def _spec(name: str) -> ModuleSpec | None:
 
 
 def _is_carried(module: str, packages: Sequence[str]) -> bool:
-    """Return whether a module goes into the FMU: of the recipe's packages, or a part of the framework for run time."""
+    """Return whether a module belongs into the FMU."""
     if module == NOT_CARRIED or module.startswith(f"{NOT_CARRIED}."):
         return False
     inside = (*CARRIED, *packages)
@@ -206,7 +211,7 @@ def _is_carried(module: str, packages: Sequence[str]) -> bool:
 
 
 def _imports(source: bytes) -> Iterator[str]:
-    """Yield the names that a module imports, each as a module and as what stands in one."""
+    """Yield imported names, also as possible modules."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -224,7 +229,7 @@ def _members(archive: Path) -> Iterator[tuple[str, bytes]]:
 
 
 def write_zip(path: Path, members: dict[str, bytes]) -> None:
-    """An archive whose bytes hang on nothing but its members."""
+    """Write an archive determined by its members only."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as packed:
         for name in sorted(members):
             info = zipfile.ZipInfo(name, EPOCH)
@@ -233,7 +238,7 @@ def write_zip(path: Path, members: dict[str, bytes]) -> None:
 
 
 def digest(members: dict[str, bytes], more: bytes) -> str:
-    """SHA-256 over names and contents."""
+    """Return the SHA-256 of names and contents."""
     sha = hashlib.sha256()
     for name in sorted(members):
         sha.update(f"{name}\0{len(members[name])}\0".encode())

@@ -1,12 +1,10 @@
-"""What pythonfmu 0.7.0 releases once too often, put right from within the FMU.
+"""Workaround inside the FMU for double releases in pythonfmu 0.7.0.
 
-It runs the slave's script once when it imports it and once more at every instantiation, after which it
-releases the module's dictionary, which it does not own: the dictionary is freed while in use, and the
-host crashes at a later collection or at its end.
-
-Its Linux library releases the keeper of its interpreter twice as the process ends, the second time in
-memory that is free by then, which now and then aborts a host that has done its work. Where the keeper is
-let go of before, both do nothing. An FMU of ours sees to it in any Python host; `cosim` does for anybody's FMU.
+pythonfmu runs the slave's script at import and again at every instantiation. It then releases the module's dictionary
+without owning it: the dictionary is freed while in use, and the host crashes at a later collection or at its end. Its
+Linux library also releases the keeper of its interpreter twice at process end, the second time in freed memory, which
+sometimes aborts a finished host. Releasing the keeper earlier makes both releases harmless. cosim's FMUs do so in any
+Python host; `cosim` does so for any FMU.
 """
 
 from __future__ import annotations
@@ -23,17 +21,22 @@ _libraries: set[Path] = set()
 
 
 def keep(module: dict[str, Any], names: Mapping[str, Any]) -> None:
-    """Called by the slave's script, at each run of it, with its `globals()` and `locals()`."""
-    if names is not module:  # a run for an instantiation, not the import
+    """Protect the module's dictionary; called by the slave's script.
+
+    Args:
+        module: The script's `globals()`.
+        names: The script's `locals()`.
+    """
+    if names is not module:  # an instantiation, not the import
         ctypes.pythonapi.Py_IncRef(ctypes.py_object(module))
-        # an interpreter that the library itself started, which has no command line, is ended by the keeper
+        # An interpreter started by the library itself has no command line, and the keeper ends it.
         if sys.orig_argv:
-            # the library has just put its resources there; the module may be that of another extraction
+            # The library has just added its resources; the module may come from another extraction.
             let_go_at_exit(Path(sys.path[0]).parent)
 
 
 def let_go_at_exit(folder: Path) -> None:
-    """Let go of the keeper of every library of pythonfmu loaded from the FMU unpacked in `folder`, once each."""
+    """Release pythonfmu's keepers of an unpacked FMU, once each."""
     if not sys.platform.startswith("linux"):
         return
     for file in set(folder.glob("binaries/linux64/*.so")) - _libraries:
@@ -41,5 +44,5 @@ def let_go_at_exit(folder: Path) -> None:
         try:
             library = ctypes.CDLL(str(file), mode=os.RTLD_NOLOAD | os.RTLD_LAZY)
             atexit.register(library.finalizePythonInterpreter)
-        except (OSError, AttributeError):  # loaded from elsewhere, or by a pythonfmu that does without
+        except (OSError, AttributeError):  # loaded from elsewhere, or by a pythonfmu without keeper
             continue

@@ -1,4 +1,4 @@
-"""What pythonfmu leaves out of a model description: units, limits, dependencies, initial unknowns."""
+"""Completion of pythonfmu's model descriptions: units, limits, dependencies, initial unknowns."""
 
 from __future__ import annotations
 
@@ -19,10 +19,11 @@ LICENCE = "MIT"
 
 @dataclass(frozen=True)
 class Description:
-    """What a model description says beside the variables' names and start values.
+    """Content of a model description apart from names and start values of variables.
 
-    sampled: parameter that states the only communication step it takes [s], "" of one that takes any
-    law:     the control law that start values are designed for, "" for the designer's first; of what is sampled
+    Attributes:
+        sampled: Parameter with the only accepted communication step [s]; "" accepts any step.
+        law: Control law of a sampled FMU, for which start values are designed; "" for the designer's first.
     """
 
     description: str
@@ -38,24 +39,24 @@ class Description:
 
     @property
     def optional(self) -> tuple[str, ...]:
-        """Inputs that may stay unconnected."""
+        """Return the inputs that may stay unconnected."""
         return tuple(port.name for port in self.ports if port.optional)
 
 
-# FMI's structured names, those in quotes apart: names joined by dots, perhaps with indices, or the derivative of one
+# FMI's structured names without quotes: names joined by dots, perhaps with indices, or the derivative of such a name
 _PART = r"[A-Za-z_][A-Za-z0-9_]*(\[\d+(,\d+)*\])?"
 STRUCTURED = re.compile(rf"{_PART}(\.{_PART})*|der\({_PART}(\.{_PART})*\)", re.ASCII)
 
 
 def naming_convention(names: Iterable[str]) -> str:
-    """FMI's convention that every name keeps: `structured`, or `flat`, which takes any text."""
+    """Return FMI's naming convention: `structured`, or `flat` for any text."""
     return "structured" if all(STRUCTURED.fullmatch(name) for name in names) else "flat"
 
 
 def complete(xml: bytes, about: Description, version: str, guid: str) -> bytes:
-    """Model description with everything an engineer expects to find, from the one pythonfmu wrote."""
+    """Return pythonfmu's model description with all missing content."""
     root = fromstring(xml)
-    root.attrib.pop("generationDateAndTime", None)  # two builds of one source are the same bytes
+    root.attrib.pop("generationDateAndTime", None)  # Equal sources must give equal bytes.
     root.attrib |= {
         "guid": guid,
         "description": about.description,
@@ -89,7 +90,7 @@ def complete(xml: bytes, about: Description, version: str, guid: str) -> bytes:
 
 
 def _complete_variable(variable: Element, port: Port) -> None:
-    """Unit, display unit and limits; start values with every digit (pythonfmu prints 16 of 17)."""
+    """Set unit, display unit, limits and exact start value. pythonfmu prints only 16 of 17 digits."""
     node = variable[0]
     if port.kind != "Real":
         return
@@ -105,7 +106,7 @@ def _complete_variable(variable: Element, port: Port) -> None:
 
 
 def _structure(about: Description) -> Element:
-    """ModelStructure: outputs and initial unknowns, each with what it really depends on."""
+    """Return ModelStructure with real dependencies."""
     index = {port.name: str(k + 1) for k, port in enumerate(about.ports)}
     structure = Element("ModelStructure")
     for tag, dependencies in (("Outputs", about.dependencies), ("InitialUnknowns", about.initial_dependencies)):

@@ -1,4 +1,4 @@
-"""Any model as an FMI slave. Needs Python's standard library and pythonfmu's own module, nothing else."""
+"""A model as an FMI slave, using only the standard library and pythonfmu's module."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from cosim.model.model import Model
 
 
 class ModelSlave(Slave):
-    """Any `cosim.model.model.Model` as a slave. Dormant effects are left out when the parameters are fixed."""
+    """A `cosim.model.model.Model` as a slave. Dormant effects are omitted once parameters are fixed."""
 
     model: ClassVar[Model]
 
     def initialize(self, given: dict[str, Value]) -> None:
-        """Build the model from what was set; what was not set follows from it, or from its defaults."""
+        """Build the model from given values and defaults."""
         starts = {name.removesuffix("_start"): v for name, v in given.items() if name.endswith("_start")}
         signals = {q.name for q in self.model.inputs}
         model = self.model.with_values(
@@ -40,7 +40,7 @@ class ModelSlave(Slave):
         moment = Moment(t, self.moment.state, self.moment.memory)
         try:
             self.moment = self.stepper.step(moment, self.inputs, h)
-        except (ArithmeticError, ValueError) as error:  # math.sin of infinity, a float too large
+        except (ArithmeticError, ValueError) as error:  # e.g. math.sin of infinity, or an overflow
             model = self.stepper.model
             values = [*zip(model.inputs, self.inputs, strict=True), *zip(model.states, moment.state, strict=True)]
             largest, value = max(((q.name, v) for q, v in values), key=lambda pair: abs(pair[1]))
@@ -49,11 +49,11 @@ class ModelSlave(Slave):
         self._publish()
 
     def snapshot(self) -> Any:
-        """Time, continuous state, memory."""
+        """Return time, continuous state and memory."""
         return [self.moment.t, self.moment.state, self.moment.memory]
 
     def restore(self, snapshot: Any) -> None:
-        """Bit for bit."""
+        """Restore a snapshot bit for bit."""
         self.moment = Moment(*tuples(snapshot))
 
     def _publish(self) -> None:

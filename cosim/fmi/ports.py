@@ -1,4 +1,4 @@
-"""FMI variables as data: what a slave registers at run time and the model description prints."""
+"""FMI variables as data, for slaves at run time and for model descriptions."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ Causality = Literal["input", "output", "parameter"]
 
 @dataclass(frozen=True)
 class Port:
-    """One FMI variable. Its place in the tuple of ports is its value reference.
+    """An FMI variable; its index in the tuple of ports is its value reference.
 
-    optional: an input that may stay unconnected; where it does, it is neither recorded nor told
+    Attributes:
+        optional: Whether the input may stay unconnected without record or warning.
     """
 
     name: str
@@ -31,22 +32,25 @@ class Port:
 
     @property
     def kind(self) -> Kind:
-        """FMI type, by the type of the start value."""
+        """Return the FMI type of the start value."""
         return "Boolean" if isinstance(self.start, bool) else "String" if isinstance(self.start, str) else "Real"
 
 
 def parameter_port(p: Parameter, start: Value, prefix: str = "") -> Port:
-    """Port of a declared parameter."""
+    """Return the port of a declared parameter."""
     return Port(prefix + p.name, "parameter", start, p.unit, p.doc, p.bounds)
 
 
 def quantity_port(q: Quantity, causality: Causality, start: float | None = None, name: str | None = None) -> Port:
-    """Port of an input, an output or, as a parameter, of a start value."""
+    """Return the port of a signal or of a start value."""
     return Port(name or q.name, causality, q.start if start is None else start, q.unit, q.doc)
 
 
 def model_ports(model: Model) -> tuple[Port, ...]:
-    """All variables of a model: inputs first, then outputs, parameters, effects and start values."""
+    """Return all variables of a model.
+
+    Order: inputs, outputs, parameters, effects, start values.
+    """
     return (*_signals(model), *_parameters(model), *_starts(model))
 
 

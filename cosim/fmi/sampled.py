@@ -1,4 +1,4 @@
-"""What sampled FMUs of ours say in their vendor annotations: their only step, optional inputs, their control law."""
+"""Vendor annotations of sampled cosim FMUs: accepted step, optional inputs, control law."""
 
 from __future__ import annotations
 
@@ -12,10 +12,12 @@ TOOL, AUTHOR = "cosim", "The cosim authors"
 
 
 def sampled(parameter: str, optional: Iterable[str] = (), law: str = "") -> Element:
-    """`VendorAnnotations` of an FMU that takes no communication step but the one this parameter states [s].
+    """Return `VendorAnnotations` of an FMU with a single accepted step.
 
-    optional: inputs that may stay unconnected
-    law:      the control law its start values are designed for, where it is not the designer's first
+    Args:
+        parameter: Parameter with the accepted communication step [s].
+        optional: Inputs that may stay unconnected.
+        law: Control law of the start values; "" for the designer's first.
     """
     root = Element("VendorAnnotations")
     node = SubElement(SubElement(root, "Tool", name=TOOL), "Sampled", parameter=parameter)
@@ -27,25 +29,25 @@ def sampled(parameter: str, optional: Iterable[str] = (), law: str = "") -> Elem
 
 
 def law_of(fmu: Path) -> str:
-    """The control law that the start values of an FMU are designed for, "" where it says none."""
+    """Return the control law of an FMU's start values, or ""."""
     node = own_annotation(fmu, "Sampled")
     return "" if node is None else node.get("law", "")
 
 
 def sampled_by(fmu: Path) -> str | None:
-    """The parameter that states the only communication step an FMU of ours takes; None where there is none."""
+    """Return the parameter with an FMU's accepted step, if any."""
     node = own_annotation(fmu, "Sampled")
     return None if node is None else node.get("parameter")
 
 
 def optional_inputs(fmu: Path) -> frozenset[str]:
-    """Inputs that an FMU of ours lets stay unconnected."""
+    """Return the inputs of a cosim FMU that may stay unconnected."""
     node = own_annotation(fmu, "Sampled")
     return frozenset() if node is None else frozenset(node.get("optional", "").split())
 
 
 def own_annotation(fmu: Path, tag: str) -> Element | None:
-    """What stands under this tag in the vendor annotations of an FMU of ours."""
+    """Return an element of a cosim FMU's vendor annotations."""
     try:
         root = fromstring(description_of(fmu))
     except (OSError, BadArchive, ParseError):

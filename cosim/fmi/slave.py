@@ -1,7 +1,7 @@
-"""The part of an FMI slave that is the same for every FMU of ours: variables, phases, guards, state.
+"""Common part of FMI slaves: variables, phases, checks and state.
 
-pythonfmu turns an exception into fmi2Fatal with its text in the log, and anything softer into a
-Discard that most hosts swallow. A guard therefore raises.
+pythonfmu turns an exception into fmi2Fatal with its text in the log, and anything weaker into a Discard, which most
+hosts ignore. Checks therefore raise.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ TYPES = {"Real": Real, "Boolean": Boolean, "String": String}
 
 
 def tuples(value: Any) -> Any:
-    """Lists, at any depth, as tuples: JSON knows no tuples and the integrator no lists."""
+    """Return nested lists as tuples, which JSON lacks and integrators need."""
     return tuple(map(tuples, value)) if isinstance(value, (list, tuple)) else value
 
 
 def loggable(error: Exception) -> Exception:
-    """The error with its text fit for FMI's logger, which takes a message for a format of C's printf."""
+    """Return an error with text safe for FMI's printf-like logger."""
     return RuntimeError(f"{type(error).__name__}: {error}".replace("%", "%%"))
 
 
 class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
-    """Values by value reference. A subclass gives `ports`, `initialize`, `advance`, `snapshot`, `restore`."""
+    """Values by value reference. Subclasses provide `ports`, `initialize`, `advance`, `snapshot` and `restore`."""
 
     ports: ClassVar[tuple[Port, ...]]
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self.modelName = type(self).__name__
-        # the module bears the content's name, so a state of another build is recognised
+        # The module name contains the content's hash, so states of other builds are recognised.
         self.identity = f"{type(self).__module__}.{self.modelName}"
         self.values: list[Value] = [p.start for p in self.ports]
         self.given: set[int] = set()
@@ -49,31 +49,31 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
         for port in self.ports:
             self.register_variable(self._variable(port))
 
-    # -- what a subclass says -----------------------------------------------------------------
+    # -- methods of subclasses -----------------------------------------------------------------
 
     def initialize(self, given: dict[str, Value]) -> None:
-        """Set up from what the host has set, by name, and write `outputs`; called whenever a value changed."""
+        """Initialize from values set by the host, and write the outputs. Called after every change of a value."""
         raise NotImplementedError
 
     def advance(self, t: float, h: float) -> None:
-        """Step from `t` to `t + h` [s] with the inputs held, and write `outputs`."""
+        """Step from `t` to `t + h` [s] with held inputs, and write outputs."""
         raise NotImplementedError
 
     def snapshot(self) -> Any:
-        """What decides the future beside the variables' values, as JSON knows it."""
+        """Return the state beyond the variables' values as JSON types."""
         raise NotImplementedError
 
     def restore(self, snapshot: Any) -> None:
-        """Go back to a snapshot."""
+        """Restore a snapshot."""
         raise NotImplementedError
 
     @property
     def inputs(self) -> tuple[Any, ...]:
-        """Inputs in order."""
+        """Return the inputs in order."""
         return tuple(self.values[: self.input_count])
 
     def set_outputs(self, outputs: tuple[float, ...] | list[float]) -> None:
-        """Publish the outputs; a value that is not finite ends the run."""
+        """Publish the outputs; raise ArithmeticError for a non-finite value."""
         if not math.isfinite(sum(outputs)):
             for port, value in zip(self.ports[self.output_slice], outputs, strict=True):
                 if not math.isfinite(value):
@@ -100,7 +100,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
         try:
             self.advance(current_time, step_size)
         except Exception as error:
-            # pythonfmu loses the exception's text where messages still wait to be handed over
+            # pythonfmu drops the exception's text while messages are queued.
             self.log_queue.clear()
             raise loggable(error) from error
         return True
@@ -154,7 +154,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
     def _set_fmu_state(self, state: dict[str, Any]) -> None:
         if state.get("model") != self.identity:
             raise ValueError("this FMU state is of another FMU")
-        # the phase by identity, as the guards compare it
+        # Checks compare phases by identity.
         self.phase = next(p for p in (INSTANTIATED, INITIALIZATION, STEP) if p == state["phase"])
         self.start_time, self.given = state["start_time"], set(state["given"])
         self.current = state["current"] and self.phase is STEP
@@ -168,7 +168,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
     def _fmu_state_to_bytes(state: dict[str, Any]) -> bytes:
         return to_bytes(state)
 
-    # -- within -------------------------------------------------------------------------------
+    # -- internal -------------------------------------------------------------------------------
 
     def _given(self) -> dict[str, Value]:
         return {self.ports[vr].name: self.values[vr] for vr in self.given}

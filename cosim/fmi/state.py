@@ -1,9 +1,8 @@
-"""The state of an FMU of ours between two calls, as the bytes that FMI hands to a host.
+"""Serialized state of a cosim FMU, as bytes for the host.
 
-JSON of plain numbers. What decides the future stands under "own": time, continuous state, memory of each shaping
-effect. The slave writes and reads it; a replay takes it apart. A native FMU writes doubles in place of JSON, which
-`cosim/fmi/native/instance.c` lays out: the memory there is a delay's history of commands, then what other effects
-remember.
+Plain JSON. "own" holds everything that determines the future: time, continuous state, and the memory of each shaping
+effect. The slave writes and reads the state, and a replay analyses it. A native FMU writes doubles instead, as laid out
+in `cosim/fmi/native/instance.c`: its memory is a delay's command history, then the memory of further effects.
 """
 
 from __future__ import annotations
@@ -14,19 +13,20 @@ from collections.abc import Mapping
 from typing import Any
 
 Own = list[Any]  # time [s], state, memory
-STATE, MEMORY = 1, 2  # parts of that
+STATE, MEMORY = 1, 2  # indices of parts of Own
 JSON = b'{"'
-GUID, SIZES, FLAGS, TIME = 40, 6, 6, 2  # bytes of the GUID; doubles of sizes and flags, and the time's place in these
-Memory = Mapping[tuple[int, int], Any]  # part and place in that → what stands there
+# bytes of the GUID; doubles of sizes and flags, and the index of time among them
+GUID, SIZES, FLAGS, TIME = 40, 6, 6, 2
+Memory = Mapping[tuple[int, int], Any]  # (part, index) → value
 
 
 def to_bytes(state: Mapping[str, Any]) -> bytes:
-    """The state as bytes: repr of a float reads back bit for bit."""
+    """Return the state as bytes; floats are reproduced exactly."""
     return json.dumps(state).encode()
 
 
 def own_of(data: bytes) -> Own:
-    """What decides the future; ValueError, KeyError or TypeError where the bytes are not of an FMU of ours."""
+    """Return the part that determines the future; raise ValueError, KeyError or TypeError for foreign bytes."""
     if not data.startswith(JSON):
         return _Doubles(data).own
     t, state, memory = json.loads(data)["own"]
@@ -34,7 +34,7 @@ def own_of(data: bytes) -> Own:
 
 
 def with_memory(data: bytes, memory: Memory) -> bytes:
-    """The same state with other values at some places of what decides the future."""
+    """Return the state with changed values of its own part."""
     if not data.startswith(JSON):
         return _Doubles(data).bytes_with(memory)
     state = json.loads(data)
@@ -44,7 +44,7 @@ def with_memory(data: bytes, memory: Memory) -> bytes:
 
 
 class _Doubles:
-    """The state of a native FMU, taken apart; ValueError where the bytes are none."""
+    """Parsed state of a native FMU; invalid bytes raise ValueError."""
 
     def __init__(self, data: bytes) -> None:
         count = (len(data) - GUID) // 8
@@ -54,7 +54,7 @@ class _Doubles:
         if not all(0 <= n < 1e9 for n in numbers[:SIZES]):
             raise ValueError("not the state of an FMU of ours")
         self.inputs, variables, self.states, self.memories, own, texts = map(int, numbers[:SIZES])
-        self.first = SIZES + FLAGS + 2 * variables  # of what decides the future
+        self.first = SIZES + FLAGS + 2 * variables  # index of the part that determines the future
         fixed = self.first + own + 1
         if fixed > count or len(data) != GUID + 8 * (fixed + int(numbers[fixed - 1]) * (1 + self.inputs)) + texts:
             raise ValueError("not the state of an FMU of ours")
@@ -65,13 +65,13 @@ class _Doubles:
 
     @property
     def own(self) -> Own:
-        """Time, state, memory."""
+        """Return time, state and memory."""
         split = self.first + self.states
         memory = [self.history, *self.fixed[split : split + self.memories]]
         return [self.fixed[SIZES + TIME], self.fixed[self.first : split], memory]
 
     def bytes_with(self, memory: Memory) -> bytes:
-        """The bytes, with other values at some places."""
+        """Return the bytes with changed values."""
         numbers, history = list(self.fixed), self.history
         for (part, place), value in memory.items():
             if (part, place) == (MEMORY, 0):

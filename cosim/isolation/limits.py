@@ -44,9 +44,9 @@ Bytes = Annotated[float, _quantity(", ".join(filter(None, BYTES)), "2 GB", _byte
 class Limits(Part):
     """Limits of a run; by default none.
 
-    step:   longest communication step, or call of initialization or end [s]
-    total:  longest total time without loading [s]
-    load:   longest loading of an FMU [s]; 60 s if step or total is given
+    step:   longest wall time of a communication step, or of a call of initialization or end [s]
+    total:  longest wall time of the run without loading [s]
+    load:   longest wall time to load an FMU [s]; 60 s if step or total is given
     memory: largest process size without the rows of results [bytes]
     """
 
@@ -63,11 +63,7 @@ class Limits(Part):
 
 
 def read_limits(text: str) -> Limits:
-    """Return the limits of a command, e.g. `step: 10 s, memory: 2 GB`.
-
-    Raises:
-        InputError: A limit is unknown or invalid.
-    """
+    """Return limits from text like `step: 10 s, memory: 2 GB`; raise InputError if invalid."""
     pairs = (part.partition(":") for part in text.strip().strip("{}").split(",") if part.strip())
     try:
         return Limits.model_validate({key.strip(): value.strip() for key, _, value in pairs})

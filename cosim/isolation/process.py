@@ -96,8 +96,7 @@ class Worker:
         """Return a function's result from the worker.
 
         Errors of cosim are raised here. After a crash or an exceeded limit, shared rows and counters remain as they
-        were, and
-        the next call starts a new process.
+        were, and the next call starts a new process.
 
         Args:
             doing: Current call, for functions that do not report calls.

@@ -1,1 +1,1 @@
-"""Which model is meant, and whether it is sound."""
+"""Choice of a model and its checks."""

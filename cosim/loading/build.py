@@ -1,4 +1,4 @@
-"""The FMUs of a model: what `cosim build` makes."""
+"""FMUs of a model: the work of `cosim build`."""
 
 from __future__ import annotations
 

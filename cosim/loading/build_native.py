@@ -1,4 +1,4 @@
-"""The native FMUs of a model: what `cosim build --native` makes."""
+"""Native FMUs of a model: the work of `cosim build --native`."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ SUFFIX = {2: "-native.fmu", 3: "-native-fmi3.fmu"}
 
 @dataclass(frozen=True)
 class NativeFmu:
-    """An archive that was built, and by platform the oldest glibc it runs on, "" where there is none."""
+    """A built archive, with the oldest glibc by platform, "" if none."""
 
     path: Path
     floors: Mapping[str, str]
 
     @property
     def sentence(self) -> str:
-        """What was built, and where it runs."""
+        """Return a sentence on the archive and its platforms."""
         places = (f"{name} (glibc {floor} or later)" if floor else name for name, floor in self.floors.items())
         return f"built {self.path} for {', '.join(places)}"
 
@@ -44,9 +44,15 @@ class NativeFmu:
 def build_native(
     folder: FilePath, model: str | None = None, *, nearest: bool = False, fmi: int = 2, platforms: Sequence[str] = ()
 ) -> list[NativeFmu]:
-    """Build in `folder` the native FMUs of a model: base, a model.yaml, file.py:Class, a refine; without one, of base.
+    """Build the native FMUs of a model in `folder`.
 
-    fmi: 2 or 3; platforms: names, without one this machine's. Raises InputError, and then nothing is written.
+    Args:
+        model: `base` (default), a model.yaml, file.py:Class or a refine.
+        fmi: FMI version, 2 or 3.
+        platforms: Platform names; by default this machine's.
+
+    Raises:
+        InputError: The build is impossible; nothing is written.
     """
     from cosim.fmi.native.package import build_native as build_fmu
 
@@ -66,9 +72,12 @@ def build_native(
 
 
 def class_fmu(loaded: LoadedModel, path: Path) -> Path:
-    """The native FMU of the class of a model: its declared defaults and the substep, whatever the model's values are.
+    """Build the native FMU of a model's class.
 
-    So its library is the same for every value, and compiled once. InputError says why there is none.
+    The FMU has the declared defaults and the substep, so a single compilation serves all parameter values.
+
+    Raises:
+        InputError: The build is impossible.
     """
     from cosim.fmi.native.compiler import CompilerFailed
     from cosim.fmi.native.package import build_native as build_fmu
@@ -86,12 +95,12 @@ def class_fmu(loaded: LoadedModel, path: Path) -> Path:
         raise InputError([_failed(error)]) from None
 
 
-# printed and compared with its Python once in a process, by class, source, substep and integrator
+# checked native models of this process, by class, source, substep and integrator
 _of_class: WeakKeyDictionary[type[Model], dict[tuple[str, float | None, str | None], Native]] = WeakKeyDictionary()
 
 
 def _natives(loaded: LoadedModel) -> Iterator[tuple[str, Native]]:
-    """The plant, and what is built with any model of a known name."""
+    """Yield the plant and further native FMUs of a registered model."""
     from cosim.fmi.native.package import native_model
     from cosim.fmi.native.printing import Unprintable
 
@@ -105,7 +114,7 @@ def _natives(loaded: LoadedModel) -> Iterator[tuple[str, Native]]:
 
 
 def _unprintable(loaded: LoadedModel, error: Exception) -> Fault:
-    """What of the model C cannot say, at its line."""
+    """Return a fault at the line that C cannot express."""
     from cosim.fmi.native.printing import Unprintable
 
     file = loaded.source.rpartition(":")[0]
@@ -135,7 +144,7 @@ def _check_platforms(platforms: Sequence[str]) -> None:
 
 
 def _check_compiler(platforms: Sequence[str]) -> None:
-    """That there is one, before anything is printed."""
+    """Raise InputError without a compiler, before generating code."""
     from cosim.fmi.native.compiler import NoCompiler, commands
 
     try:
@@ -145,7 +154,7 @@ def _check_compiler(platforms: Sequence[str]) -> None:
 
 
 def _all_or_none(folder: Path, files: Mapping[str, str], make: Callable[[str, Path], Built]) -> list[NativeFmu]:
-    """Every archive, or none where one fails."""
+    """Build all archives, or none after a failure."""
     from cosim.fmi.native.compiler import CompilerFailed
 
     with temporary_folder("build") as drafts:

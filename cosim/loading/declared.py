@@ -1,6 +1,6 @@
-"""Whether a model of one's own declares what a refine needs of it: names, bounds, units, sensors, delays.
+"""Checks of a user's model class for a refine: names, bounds, units, sensors, delays.
 
-Everything wrong is reported at once, each with its line and its cure, before any log is read.
+All faults are reported at once with line and remedy, before any log is read.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from cosim.model.sensors import Drift, LeverArm, SensorError
 from cosim.storage.yaml_file import did_you_mean
 
 LARGEST = sys.float_info.max
-WIDEST = 2.0  # share of a value, beyond which a tolerance says nothing of it
+WIDEST = 2.0  # share of a value; larger tolerances say nothing
 DATACLASS = "put @dataclass(frozen=True, kw_only=True) above the class"
 
 
 def checked(kind: type[Model], source: Source) -> Model:
-    """The model with its default parameters; InputError with every fault of its class."""
+    """Return a model with default parameters; raise InputError with all faults of its class."""
     _refuse(source, _shape(kind))
     declared = [*_effects(kind), *_sensors(kind), *_delays(kind), *_gains(kind), *_timeless(kind)]
     names = [*unique(kind), *named(kind), *_numbers(kind), *_limits(kind), *_units(kind)]
@@ -51,7 +51,7 @@ def _refuse(source: Source, found: Found) -> None:
 
 
 def _shape(kind: type[Model]) -> Found:
-    """What is missing or of another kind than it must be, so that nothing else can be checked."""
+    """Yield missing or mistyped declarations, which prevent further checks."""
     if kind.equations is Model.equations:
         yield kind, "", f"{kind.__name__} has no equations; give it `def equations(self, m)` that returns Equations"
     for name in ("base_states", "inputs", "outputs"):
@@ -79,7 +79,7 @@ def _shape(kind: type[Model]) -> Found:
     yield from _undecorated((kind, *_classes(kind)))
 
 
-_MAPPINGS: tuple[tuple[str, type, Any, str], ...] = (  # name, kind of keys and of values, as it is written
+_MAPPINGS: tuple[tuple[str, type, Any, str], ...] = (  # name, types of keys and values, written form
     ("suspect", str, tuple, '{"parameter": ("input",)}'),
     ("drawn_against", str, tuple, '{"effect": ("signal",)}'),
     ("sensor_variance", str, (int, float), '{"output": variance}'),
@@ -98,13 +98,13 @@ def _are_subclasses(given: Any, base: type) -> bool:
 
 
 def _classes(kind: type[Model]) -> list[type]:
-    """Effects and sensor errors, those that are classes at all."""
+    """Return the declared effects and sensor errors that are classes."""
     given = [g for g in (kind.catalogue, kind.sensors) if isinstance(g, (tuple, list))]
     return [k for group in given for k in group if isinstance(k, type)]
 
 
 def _labelled(owners: Sequence[type]) -> Found:
-    """An effect has a name without a dot and an equation in words; its states and memory are quantities."""
+    """Yield faults of names, equations, states and memory of effects."""
     for owner in owners:
         for name in ("name", "equation"):
             if not isinstance(getattr(owner, name, None), str):
@@ -117,7 +117,7 @@ def _labelled(owners: Sequence[type]) -> Found:
 
 
 def _undecorated(owners: Sequence[type]) -> Found:
-    """A class whose parameters are no fields, for want of the decorator."""
+    """Yield parameters of classes without the dataclass decorator."""
     for owner in owners:
         left = [n for n, v in vars(owner).items() if isinstance(v, dataclasses.Field)]
         if left:
@@ -125,14 +125,14 @@ def _undecorated(owners: Sequence[type]) -> Found:
 
 
 def _values(owner: Any) -> Found:
-    """Defaults, neutral values and typical sizes out of bounds."""
+    """Yield defaults, neutral values and typical sizes outside bounds."""
     prefix = f"{owner.name}." if issubclass(owner, Effect) else ""
     for p in parameters_of(owner):
         if not isinstance(p.default, bool) and not p.bounds[0] < p.bounds[1]:
             yield owner, p.name, f"{prefix}{p.name} has bounds {p.bounds}; write the lower one first"
             continue
         within = {"default": p.default, "neutral": p.neutral}
-        if p.neutral == p.bounds[0]:  # its fit starts at the typical size; other fits only step by it
+        if p.neutral == p.bounds[0]:  # Its fit starts at the typical size; elsewhere the size is only a step.
             within["typical"] = p.typical
         for word, value in within.items():
             if (word == "default" or value is not None) and (fault := p.fault(value)):
@@ -145,12 +145,12 @@ def _values(owner: Any) -> Found:
 
 
 def _is_size(value: Any, most: float) -> bool:
-    """Return whether a value is a number above 0, up to the most."""
+    """Return whether a value is a positive number up to a limit."""
     return isinstance(value, (int, float)) and 0.0 < value <= most
 
 
 def _numbers(kind: type[Model]) -> Found:
-    """Times and variances that are positive."""
+    """Yield times and variances that are not positive."""
     for name, most in (("rate", LARGEST), ("substep", LARGEST), ("horizon", math.inf)):
         if not _is_size(value := getattr(kind, name), most):
             yield kind, name, f"{name} is {value!r}; it is a time above 0 s"
@@ -163,7 +163,7 @@ def _numbers(kind: type[Model]) -> Found:
 
 
 def _limits(kind: type[Model]) -> Found:
-    """Limits of inputs and outputs in order, about the start value."""
+    """Yield signal bounds that exclude the start value."""
     for name in ("base_states", "inputs", "outputs"):
         for q in getattr(kind, name):
             low, high = q.bounds
@@ -174,7 +174,7 @@ def _limits(kind: type[Model]) -> Found:
 
 
 def _effects(kind: type[Model]) -> Found:
-    """An effect is dormant at the neutral value of its parameters, which are their defaults."""
+    """Yield faults of neutral values, starts and names of effects. An effect must be dormant at its default values."""
     for owner in (*kind.catalogue, *kind.sensors):
         switches = [p for p in parameters_of(owner) if p.neutral is not None]
         if not switches:
@@ -192,7 +192,7 @@ def _effects(kind: type[Model]) -> Found:
 
 
 def _sensors(kind: type[Model]) -> Found:
-    """A sensor error has one parameter, `value`, and is of outputs of the model."""
+    """Yield faults of sensor errors' parameters and outputs."""
     outputs = [q.name for q in kind.outputs]
     for owner in kind.sensors:
         yield from _value_alone(owner)
@@ -205,7 +205,7 @@ def _sensors(kind: type[Model]) -> Found:
 
 
 def _not_outputs(owner: type[SensorError], attribute: str, outputs: Sequence[str]) -> Found:
-    """Names of a sensor error's attribute that are no outputs of the model."""
+    """Yield names of a sensor error that are no outputs."""
     given = getattr(owner, attribute, ())
     if attribute != "output" and isinstance(given, str):
         text = f'{attribute} is a tuple of names, with a comma even after a single one: ("{given}",)'
@@ -218,7 +218,7 @@ def _not_outputs(owner: type[SensorError], attribute: str, outputs: Sequence[str
 
 
 def _value_alone(owner: type[SensorError]) -> Found:
-    """A sensor error has one parameter, called `value`."""
+    """Yield a fault unless `value` is the only parameter."""
     names = [p.name for p in parameters_of(owner)]
     if names != ["value"]:
         has = " and ".join(names) or "none"
@@ -228,13 +228,16 @@ def _value_alone(owner: type[SensorError]) -> Found:
 
 
 def _unknown(what: str, name: str, known: Sequence[str], place: str = "") -> str:
-    """Say that an input or output of this name, or of none, is not in the model, which has others."""
+    """Return a message on an unknown or missing signal name."""
     told = f'no {what} "{name}"{did_you_mean(str(name), known)}{place}' if name else f"no {what} is named{place}"
     return f"{told} ({what}s: {', '.join(known)})"
 
 
 def _delays(kind: type[Model]) -> Found:
-    """One effect at most delays the command; it comes before all that shape it and remembers every input."""
+    """Yield faults of delays.
+
+    At most one effect delays the command. It comes before all shaping effects and stores every input.
+    """
     shaping = overrides(tuple(_bare(k) for k in kind.catalogue), "shape", Effect)
     order = [type(e) for e in shaping]
     late = [k for k in kind.catalogue if k.delay is not None]
@@ -252,7 +255,7 @@ def _delays(kind: type[Model]) -> Found:
 
 
 def _longest_delay(owner: Any) -> Found:
-    """A delay names the parameter by which the command is late, and remembers as long as that may be."""
+    """Yield faults of a delay's parameter and longest memory."""
     bounds = {p.name: p.bounds for p in parameters_of(owner)}
     if owner.delay not in bounds:
         text = f'{owner.name} has no parameter "{owner.delay}"{did_you_mean(str(owner.delay), bounds)}'
@@ -263,7 +266,7 @@ def _longest_delay(owner: Any) -> Found:
 
 
 def _gains(kind: type[Model]) -> Found:
-    """A gain is of an input of the model."""
+    """Yield gains on unknown inputs."""
     inputs = [q.name for q in kind.inputs]
     for owner in kind.catalogue:
         if issubclass(owner, Gain) and (name := getattr(owner, "input", "")) not in inputs:
@@ -271,7 +274,7 @@ def _gains(kind: type[Model]) -> Found:
 
 
 def _timeless(kind: type[Model]) -> Found:
-    """A model without states knows no time: nothing in its catalogue may keep or measure any."""
+    """Yield effects with time dependence in a model without states."""
     if kind.base_states:
         return
     why = f"{kind.__name__} has no states, so each row of its tables stands for itself"
@@ -288,12 +291,12 @@ def _timeless(kind: type[Model]) -> Found:
 
 
 def _bare(kind: type) -> Any:
-    """An instance without values, of which nothing but the class is asked."""
+    """Return an uninitialized instance, for access to its class."""
     return object.__new__(kind)
 
 
 def _units(kind: type[Model]) -> Found:
-    """Units that are none."""
+    """Yield unknown units."""
     for owner in (kind, *kind.catalogue, *kind.sensors):
         for attribute, declared in _declared_units(owner):
             if declared.unit and parse(declared.unit) is None:

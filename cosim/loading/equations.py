@@ -1,4 +1,4 @@
-"""Whether the equations of a model of one's own run: once on floats, as in the FMU, and once on symbols."""
+"""Trial of a user's equations: on floats, as in the FMU, and on symbols."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from cosim.storage.yaml_file import did_you_mean
 
 
 def equation_faults(kind: type[Model], source: Source) -> list[Fault]:
-    """What `equations` and the start values do wrong, with no effect awake on floats, with all of them on symbols."""
+    """Return the faults of `equations` and start values. No effect is active on floats, all are on symbols."""
     made = _tried(source, "cannot be made", kind)
     if isinstance(made, Fault):
         return [made]
@@ -28,22 +28,25 @@ def equation_faults(kind: type[Model], source: Source) -> list[Fault]:
 
 
 def effect_faults(kind: type[Model], source: Source) -> list[Fault]:
-    """What the effects and sensor errors do wrong: a substep of each alone, and the shaping of commands on symbols."""
+    """Return the faults of effects and sensor errors.
+
+    Each effect takes a substep alone, and commands are shaped as symbols.
+    """
     model = kind()
     faults = [fault for owner in kind.catalogue for fault in _alone(model, owner, source)]
     return [*faults, *_shaping_faults(model, source), *_sensor_faults(model, source)]
 
 
 def _tried(source: Source, doing: str, call: Callable[..., Any], *arguments: Any) -> Any:
-    """The result, or the fault for what was raised."""
+    """Return a call's result, or the fault of its exception."""
     try:
         return call(*arguments)
-    except Exception as error:  # whatever the user's file does
+    except Exception as error:  # A user's file may raise any error.
         return source.raised(error, doing)
 
 
 def _start_faults(model: Model, source: Source) -> list[Fault]:
-    """Start values of states and inputs that do not exist."""
+    """Return faults of unknown start values."""
     faults = []
     for hook, names in (("start_state", model.base_states), ("start_input", model.inputs)):
         given = _tried(source, f"`{hook}` raises", getattr(model, hook))
@@ -67,13 +70,13 @@ def _start_faults(model: Model, source: Source) -> list[Fault]:
 
 
 def _float_faults(model: Model, source: Source) -> list[Fault]:
-    """At the start state and start command, without effects."""
+    """Return faults at the start values, without effects."""
     state, command = model.start(), model.start_command()
     return _body_faults(model, source, SCALAR, (0.0, state, command), _finite)
 
 
 def _symbol_faults(model: Model, source: Source) -> list[Fault]:
-    """With the whole catalogue awake, and for both positions of a switch."""
+    """Return faults with all effects active, for both switch positions."""
     flags = any(isinstance(p.default, bool) for p in model.parameters)
     faults: list[Fault] = []
     for flag in (True, False) if flags else (None,):
@@ -89,7 +92,7 @@ def _symbol_faults(model: Model, source: Source) -> list[Fault]:
 
 
 def _timed_faults(s: SymbolicModel, source: Source) -> list[Fault]:
-    """Outputs of a model without states that go with time, of which its tables know nothing."""
+    """Return faults of time-dependent outputs without states."""
     import sympy
 
     if not s.model.static:
@@ -104,7 +107,7 @@ Judge = Callable[[Sequence[Any]], list[str]]
 
 
 def _body_faults(model: Model, source: Source, m: Namespace, arguments: tuple[Any, ...], judge: Judge) -> list[Fault]:
-    """What derivative and output raise, how many values they give, what is wrong with those."""
+    """Return faults of derivative and output: exceptions, number and values."""
     body = _tried(source, "`equations` raises", model.equations, m)
     if isinstance(body, Fault):
         return [body]
@@ -140,7 +143,7 @@ def _misshapen(values: Any, names: list[str], judge: Judge) -> Iterator[str]:
 
 
 def _finite(values: Sequence[Any]) -> list[str]:
-    """What is wrong with each of the numbers at the start, "" where it is finite."""
+    """Return an objection per number, "" if finite."""
     found = []
     for value in values:
         number = isinstance(value, (int, float)) or hasattr(value, "__float__")
@@ -150,7 +153,7 @@ def _finite(values: Sequence[Any]) -> list[str]:
 
 
 def _expressions(values: Sequence[Any]) -> list[str]:
-    """What is wrong with each of the expressions of symbols, "" where it is one."""
+    """Return an objection per expression, "" if valid."""
     import sympy
 
     def one(value: Any) -> str:
@@ -164,7 +167,7 @@ def _expressions(values: Sequence[Any]) -> list[str]:
 
 
 def _alone(model: Model, owner: type[Effect], source: Source) -> list[Fault]:
-    """A substep with one effect at its typical size, as the FMU takes it."""
+    """Return the fault of a substep with one effect at typical size."""
     typical = {
         p.name: min(max(p.neutral + p.typical, p.bounds[0]), p.bounds[1])
         for p in parameters_of(owner)
@@ -182,7 +185,7 @@ def _alone(model: Model, owner: type[Effect], source: Source) -> list[Fault]:
 
 
 def _shaping_faults(model: Model, source: Source) -> list[Fault]:
-    """What the effects make of a command of symbols; a delay is looked up in the log and needs none."""
+    """Return faults of command shaping on symbols. A delay is taken from the log and needs no check."""
     import sympy
 
     s = symbolic(model)
@@ -204,12 +207,12 @@ def _shaping_faults(model: Model, source: Source) -> list[Fault]:
 
 
 def _length(values: Any) -> int:
-    """How many values there are; -1 of what is no row of values."""
+    """Return the number of values, -1 for other types."""
     return len(values) if isinstance(values, (tuple, list)) else -1
 
 
 def _sensor_faults(model: Model, source: Source) -> list[Fault]:
-    """Readings of symbols, which time and every output of the model are."""
+    """Return faults of symbolic readings of sensor errors."""
     import sympy
 
     value, t = (sympy.Symbol(name, real=True) for name in ("value", "time"))

@@ -1,4 +1,4 @@
-"""Model files: which model, with which parameters and sensor errors. A refine writes one, a study names one."""
+"""Model files: a model with parameters and sensor errors, written by a refine and named by studies."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ GIVEN = f"a model is {BASE}, a model.yaml, or FILE.py:Class of a model of one's 
 
 
 def _number_or_switch(value: Any, inner: ValidatorFunctionWrapHandler) -> Any:
-    """Return a number or a switch; one message if a value is neither, in place of one for each."""
+    """Return a number or a switch, with a single message on failure."""
     try:
         return inner(value)
     except ValidationError:
@@ -55,11 +55,11 @@ Value = Annotated[
 
 
 class Identified(BaseModel):
-    """How well a parameter is known.
+    """Accuracy of an identified parameter.
 
-    ci95:   its 95 % interval
+    ci95:   its 95 % confidence interval
     unit:   of the interval
-    origin: the test that says so
+    origin: the test that identified it
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -70,16 +70,16 @@ class Identified(BaseModel):
 
 
 class ModelFile(BaseModel):
-    """The name of a model, its parameters by FMI name, sensor errors apart.
+    """Model name, parameters by FMI name, and sensor errors.
 
-    schema_version:  of this file
-    model:           a name that is known, or `file.py:Class` of one's own
-    parameters_from: another model file, or a refine's folder: what it says of parameters that this model has too
-    parameters:      name → value, in the unit of the parameter or text such as `400 g`; over those of another file
+    schema_version:  version of the file format
+    model:           a registered name, or `file.py:Class` of a user's model
+    parameters_from: another model file, or a refine's folder, with values for common parameters
+    parameters:      name → value, in the unit of the parameter or text such as `400 g`; overrides `parameters_from`
     sensors:         sensor error → value
-    substep:         longest substep of the integration [s], where the class of the model states none
-    integrator:      rk4, or stiff: the implicit method for stiff equations; of the class without
-    identified:      parameter → how well it is known, where `cosim identify` wrote the file
+    substep:         longest substep of the integration [s], unless the model's class states one
+    integrator:      rk4, or stiff: the implicit method for stiff equations; by default the class's
+    identified:      parameter → accuracy, as written by `cosim identify`
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -96,7 +96,7 @@ class ModelFile(BaseModel):
 
 @dataclass(frozen=True)
 class LoadedModel:
-    """A model with its effects, what its sensors are known to do wrong, and what the file said."""
+    """A model with its effects, sensor errors and source file."""
 
     model: Model
     source: str
@@ -105,12 +105,12 @@ class LoadedModel:
 
     @property
     def values(self) -> dict[str, float]:
-        """Sensor parameters by name, those without error included."""
+        """Return the sensor errors by name, including those at zero."""
         clean = {name: float(p.default) for name, p in self.model.sensor_parameters.items()}
         return {**clean, **self.sensors}
 
     def recipe(self) -> Recipe:
-        """What makes its FMU."""
+        """Return the recipe of the model's FMU."""
         from cosim.fmi.fmu_build import model_recipe
 
         if is_model(self.source):
@@ -120,21 +120,25 @@ class LoadedModel:
 
 
 def named_model(name: str) -> Model:
-    """A model of the registry, with its default parameters."""
+    """Return a registered model with default parameters."""
     model: Model = resolve(model_entry(name).model)()
     return model
 
 
 def _allowed() -> str:
-    """Return what may be named as a model."""
+    """Return a sentence on allowed model names."""
     registered = [name for name in registered_names(MODEL_GROUP) if name != BASE]
     return f"a model is {', '.join([*registered, 'or FILE.py:Class of a model of your own'])}"
 
 
 def load_model(text: str, folder: Path, named_in: YamlFile | None = None) -> LoadedModel:
-    """`base`, a model.yaml, or `file.py:Class`; InputError with every fault.
+    """Return `base`, a model.yaml or `file.py:Class`, loaded.
 
-    A file that is not there is a fault of the key `model` of the study that names it.
+    Args:
+        named_in: Study that names the model; a missing file is a fault of its key `model`.
+
+    Raises:
+        InputError: The model has faults; it lists all of them.
     """
     if text == BASE:
         try:
@@ -156,14 +160,15 @@ def load_model(text: str, folder: Path, named_in: YamlFile | None = None) -> Loa
 
 
 def _at_key(study: YamlFile, error: InputError) -> InputError:
-    """Return the faults of a named model at the key of the study that names it."""
+    """Return a model's faults at the study's key `model`."""
     return InputError([study.fault(("model",), fault.message) for fault in error.faults])
 
 
 def read_model(path: Path, read: tuple[Path, ...] = ()) -> LoadedModel:
-    """Read a model.yaml; unknown names and values out of bounds are faults with their place.
+    """Read a model.yaml; check names and bounds.
 
-    read: files on the way here, by `parameters_from`
+    Args:
+        read: Files already passed through `parameters_from`.
     """
     check_form(path, MODEL, CODE)
     yaml = YamlFile(path)
@@ -196,7 +201,10 @@ def read_model(path: Path, read: tuple[Path, ...] = ()) -> LoadedModel:
 
 
 def _taken(yaml: YamlFile, name: str, model: Model, read: tuple[Path, ...]) -> dict[str, float | bool]:
-    """Parameters that another model's file holds and this model has: what was refined on a rig goes into the whole."""
+    """Return common parameters of another model's file.
+
+    Parameters refined on a rig can thus be used in the whole model.
+    """
     path = yaml.path.parent / name
     path = refined_file(path) if names_refine(path) else path
     at = ("parameters_from",)
@@ -214,7 +222,7 @@ def _taken(yaml: YamlFile, name: str, model: Model, read: tuple[Path, ...]) -> d
 
 
 def _refuse_study(yaml: YamlFile) -> None:
-    """A study where a model is asked for: which model it names."""
+    """Raise InputError for a study instead of a model."""
     if "logs" in yaml.root:
         named = str(yaml.root.get("model", BASE))
         model = named if named == BASE else yaml.path.parent / named
@@ -223,7 +231,7 @@ def _refuse_study(yaml: YamlFile) -> None:
 
 
 def _named_model(yaml: YamlFile, content: ModelFile) -> Model:
-    """The model that a model.yaml names, with its default parameters."""
+    """Return a model.yaml's model with default parameters."""
     folder = yaml.path.parent
     if not is_model(content.model) and not re.fullmatch(r".+\.py:\w+", content.model):
         similar = did_you_mean(content.model, registered_names(MODEL_GROUP))
@@ -236,7 +244,7 @@ def _named_model(yaml: YamlFile, content: ModelFile) -> Model:
 
 
 def _in_units(yaml: YamlFile, content: ModelFile, model: Model) -> tuple[ModelFile, list[Fault]]:
-    """Return the file with numbers in the units of the model, and the faults; sensor errors are differences."""
+    """Return the file with numbers in the model's units, and faults. Sensor errors are differences."""
     units = {n: p.unit for n, p in model.declared.items()}
     parameters, faults = yaml.in_units(("parameters",), content.parameters, units)
     units = {n: p.unit for n, p in model.sensor_parameters.items()}
@@ -245,7 +253,7 @@ def _in_units(yaml: YamlFile, content: ModelFile, model: Model) -> tuple[ModelFi
 
 
 def _value_faults(yaml: YamlFile, content: ModelFile, model: Model) -> Iterator[Fault]:
-    """Unknown names, and values out of bounds."""
+    """Yield unknown names and values out of bounds."""
     sections = (
         ("parameters", model.declared, content.parameters),
         ("sensors", model.sensor_parameters, content.sensors),
@@ -260,13 +268,13 @@ def _value_faults(yaml: YamlFile, content: ModelFile, model: Model) -> Iterator[
 
 
 def _absolute(text: str, folder: Path) -> str:
-    """`file.py:Class` with the whole path of the file, so that a model file written elsewhere finds it."""
+    """Return `file.py:Class` with an absolute path. Model files in other folders can then find the file."""
     file, _, name = text.rpartition(":")
     return f"{(folder / file).resolve()}:{name}"
 
 
 def _relative(source: str, folder: Path) -> str:
-    """The same from a folder at or below that of the file: the two may move together."""
+    """Return a source relative to a folder at or below its file. Both can then move together."""
     file, _, name = source.rpartition(":")
     if not file or not folder.is_relative_to(Path(file).parent):
         return source
@@ -274,7 +282,7 @@ def _relative(source: str, folder: Path) -> str:
 
 
 def own_model(text: str, folder: Path) -> Model:
-    """The model `Class` of `file.py`, with its default parameters; InputError with every fault of its class."""
+    """Return the model `Class` of `file.py`; raise InputError with all faults."""
     file, _, name = text.rpartition(":")
     path = (folder / file).resolve()
     if not path.is_file():
@@ -291,14 +299,14 @@ def own_model(text: str, folder: Path) -> Model:
 
 
 def only_model(path: Path) -> Model:
-    """The one model that `file.py` defines; InputError with every fault, and where there is none or a choice."""
+    """Return the only model of `file.py`; raise InputError for faults, no model or several."""
     if not path.is_file():
         raise InputError([Fault(path, 0, 0, "no such model file")])
     source = Source(path.resolve())
     module = _module(source.path, source)
     names = vars(module)
-    own = [n for n in _models(names) if names[n].__module__ == module.__name__]  # the others are imported
-    own = list({names[n]: n for n in reversed(own)}.values())[::-1]  # a class under two names is one
+    own = [n for n in _models(names) if names[n].__module__ == module.__name__]  # without imported classes
+    own = list({names[n]: n for n in reversed(own)}.values())[::-1]  # a class with two names counts once
     if not own:
         raise InputError([Fault(path, 0, 0, f"has no model class; {SUBCLASS}")])
     if len(own) > 1:
@@ -308,7 +316,7 @@ def only_model(path: Path) -> Model:
 
 
 class _AsItIs(SourceFileLoader):
-    """Compiles a file each time: bytecode that is kept is taken for its own where it was changed within a second."""
+    """Loader without bytecode cache, because cached code may miss changes within a second."""
 
     def get_code(self, fullname: str) -> CodeType:
         return self.source_to_code(self.get_data(self.path), self.path)
@@ -319,7 +327,7 @@ _skipped: ContextVar[list[Path] | None] = ContextVar("files of Python that are n
 
 @contextmanager
 def without_execution() -> Iterator[list[Path]]:
-    """Execute no Python that a file names: a model in such a file raises NotExecuted. Yields the files so far."""
+    """Prevent the execution of model files; yield the skipped files. A model in such a file raises NotExecuted."""
     skipped: list[Path] = []
     before = _skipped.set(skipped)
     try:
@@ -329,9 +337,13 @@ def without_execution() -> Iterator[list[Path]]:
 
 
 def _module(path: Path, source: Source) -> ModuleType:
-    """Execute a file and return its module; InputError if it raises. The only place where a model's Python is executed.
+    """Execute a file and return its module.
 
-    Raises NotExecuted within `without_execution`, unless the file is no Python at all.
+    This is the only place that executes a model's Python.
+
+    Raises:
+        InputError: The file raises an exception or is not Python.
+        NotExecuted: Execution is disabled by `without_execution`.
     """
     if (skipped := _skipped.get()) is not None:
         try:
@@ -346,21 +358,25 @@ def _module(path: Path, source: Source) -> ModuleType:
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # where dataclasses look up what an annotation of theirs means
+    sys.modules[spec.name] = module  # dataclasses resolve annotations in sys.modules
     try:
         spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:  # whatever the user's file does
+    except (Exception, SystemExit) as error:  # A user's file may raise any error.
         raise InputError([source.raised(error, "does not load")]) from error
     return module
 
 
 def _models(names: Mapping[str, Any]) -> list[str]:
-    """Names of the models among the names of a module."""
+    """Return the names of model classes in a module."""
     return [n for n, v in names.items() if isinstance(v, type) and issubclass(v, Model) and v is not Model]
 
 
 def write_model(path: Path, loaded: LoadedModel, folder: Path | None = None) -> None:
-    """Write a model.yaml that `read_model` reads back, in `folder` if it is to move there."""
+    """Write a model.yaml for `read_model`.
+
+    Args:
+        folder: Final folder, if the file will be moved.
+    """
     lines = ["schema_version: 1", f"model: {_relative(loaded.source, (folder or path.parent).resolve())}"]
     if loaded.model.chosen_substep is not None:
         lines.append(f"substep: {loaded.model.chosen_substep!r}")
@@ -375,7 +391,10 @@ def write_model(path: Path, loaded: LoadedModel, folder: Path | None = None) -> 
 
 
 def meant_model(model: str | None, *, nearest: bool) -> LoadedModel:
-    """The model that is named, base without a name; of a refine the refined one, or the one that came nearest."""
+    """Return the named model, by default base.
+
+    A refine stands for its refined model, or with `nearest` for its nearest.
+    """
     if model is None and nearest:
         cure = "name the folder of a refine as --model, or leave it out"
         raise InputError([Fault(Path("--nearest"), 0, 0, f"says nothing without a model; {cure}")])

@@ -1,4 +1,4 @@
-"""`cosim check` of models: a model.yaml, a Python file, FILE.py:Class."""
+"""`cosim check` of models: a model.yaml, a Python file or FILE.py:Class."""
 
 from __future__ import annotations
 
@@ -12,12 +12,15 @@ from cosim.storage.artefact import Checking
 
 
 def check_model_file(path: Path, checking: Checking) -> list[str]:
-    """Return the notes on a model.yaml; InputError with its faults."""
+    """Return notes on a model.yaml; InputError lists its faults."""
     return substep_notes(read_model(path))
 
 
 def check_model_class(path: Path, checking: Checking) -> list[str]:
-    """Return the notes on the model `FILE.py:Class`, or the only one in FILE.py; InputError with its faults."""
+    """Return notes on a model class; InputError lists its faults.
+
+    The class is `FILE.py:Class`, or the only one in FILE.py.
+    """
     text = str(path)
     if text.endswith(".py:"):
         only_model(Path(text.removesuffix(":")))
@@ -28,5 +31,5 @@ def check_model_class(path: Path, checking: Checking) -> list[str]:
 
 
 def substep_notes(loaded: LoadedModel, logs: Sequence[Any] = ()) -> list[str]:
-    """Return the substep that is chosen for a model, where it is not its own; InputError where none suits it."""
+    """Return notes on a chosen substep; raise InputError if none is suitable."""
     return [f"note: {text}" for text in with_substep(loaded, logs)[1]]

@@ -1,4 +1,4 @@
-"""The names of a model of one's own: each stands for one thing, and each that is referred to is there."""
+"""Checks of the names in a user's model: unique, and defined if referred to."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from cosim.model.planar import PlanarFrame
 from cosim.model.quantities import parameters_of
 from cosim.storage.yaml_file import did_you_mean
 
-Found = Iterator[tuple[type, str, str]]  # class, what it declares, message
+Found = Iterator[tuple[type, str, str]]  # class, declaration, message
 
 
 def unique(kind: type[Model]) -> Found:
-    """Names that stand for two things."""
+    """Yield names with two meanings."""
     for name in ("base_states", "inputs", "outputs"):
         yield from _twice(kind, name, [q.name for q in getattr(kind, name)])
     if any(q.name == "time" for q in (*kind.inputs, *kind.outputs)):
@@ -38,7 +38,7 @@ def _twice(owner: type, attribute: str, names: Sequence[str]) -> Found:
 
 
 def variables(model: Model) -> Found:
-    """Two variables of the FMU with one name, an input and an output for instance."""
+    """Yield FMU variables with the same name."""
     for name, count in Counter(port.name for port in model_ports(model)).items():
         if count > 1:
             text = f'{count} of its inputs, outputs, parameters and start values ("state_start") are called "{name}"'
@@ -46,7 +46,7 @@ def variables(model: Model) -> Found:
 
 
 def named(kind: type[Model]) -> Found:
-    """Names that must be those of something else in the model."""
+    """Yield references to undefined names."""
     if kind.planar is not None and not isinstance(kind.planar, PlanarFrame):
         fields = ", ".join(f'{field.name}="…"' for field in dataclasses.fields(PlanarFrame))
         yield kind, "planar", f"planar is a PlanarFrame({fields}) of outputs, or None"
@@ -67,7 +67,7 @@ def named(kind: type[Model]) -> Found:
 
 
 def _references(kind: type[Model]) -> list[tuple[str, str, Iterable[str], list[str]]]:
-    """Attribute, what its names are of, these names, and the names that there are."""
+    """Return attributes with kind of reference, names and defined names."""
     states, inputs, outputs = ([q.name for q in group] for group in (kind.base_states, kind.inputs, kind.outputs))
     numbers = [p.name for p in parameters_of(kind) if not isinstance(p.default, bool)]
     candidates = [*(k.name for k in (*kind.catalogue, *kind.sensors)), *numbers]

@@ -1,4 +1,4 @@
-"""A model run along a log: commands as recorded, states as read where an output shows them."""
+"""A model run along a log: recorded commands, and measured states if an output shows them."""
 
 from __future__ import annotations
 
@@ -15,35 +15,35 @@ from cosim.model.integrate import Moment, Stepper
 from cosim.model.model import Model, Values
 from cosim.model.namespaces import SCALAR
 
-HOLE = 10.0  # rows: of a longer time between two rows only so much is integrated
+HOLE = 10.0  # rows; integration over longer gaps is limited to this length
 
 
 class Record(Protocol):
-    """A log, as far as a run along it needs: `cosim.logs.log.Log`."""
+    """The part of a log needed to run a model; see `cosim.logs.log.Log`."""
 
     @property
     def path(self) -> Path:
-        """Its file."""
+        """Return the file of the log."""
 
     @property
     def time(self) -> Array:
-        """Times of its rows [s]."""
+        """Return the times of the rows [s]."""
 
     @property
     def step(self) -> float:
-        """Usual time between rows [s]."""
+        """Return the usual time between rows [s]."""
 
     @property
     def inputs(self) -> Mapping[str, Array]:
-        """Commands by input."""
+        """Return the commands by input."""
 
     @property
     def outputs(self) -> Mapping[str, Array]:
-        """Readings by output, NaN where nothing was read."""
+        """Return the readings by output, NaN if missing."""
 
 
 def shown_states(model: Model) -> set[str]:
-    """Return the states that outputs of their name show unscaled and unturned, tried at one state."""
+    """Return states shown unchanged by outputs of the same name. One test state decides."""
     state = tuple(value + 0.01 * (k + 1) for k, value in enumerate(model.start()))
     values = dict(zip((s.name for s in model.states), state, strict=True))
     outputs = model.acting(SCALAR).output(0.0, state, model.start_command())
@@ -53,9 +53,12 @@ def shown_states(model: Model) -> set[str]:
 def moments(
     stepper: Stepper, log: Record, ignored: Mapping[str, Rows] | None = None
 ) -> Iterator[tuple[int, Moment, Moment]]:
-    """Yield row, moment predicted from the rows before, and moment with the readings of the row in its place.
+    """Yield row, predicted moment, and moment with the row's readings.
 
-    Ends where the model runs away. ignored: rows by output whose readings are not used
+    The iteration ends if the model diverges.
+
+    Args:
+        ignored: Rows by output whose readings are not used.
     """
     model, shown = stepper.model, shown_states(stepper.model)
     commands = command_rows(model, log)
@@ -81,15 +84,16 @@ def moments(
 
 
 def command_rows(model: Model, log: Record) -> list[Values]:
-    """Return the commands of each row, in the order of the model's inputs."""
+    """Return the commands by row, in the model's input order."""
     columns = [log.inputs[q.name].tolist() for q in model.inputs]
     return list(zip(*columns, strict=True)) if columns else [()] * len(log.time)
 
 
 def predicted_outputs(model: Model, log: Record, ignored: Mapping[str, Rows]) -> dict[str, Array]:
-    """Return what the model says of each output one row ahead; NaN from where it runs away.
+    """Return one-step-ahead predictions of outputs, NaN after divergence.
 
-    ignored: rows by output whose readings are not used
+    Args:
+        ignored: Rows by output whose readings are not used.
     """
     stepper, commands = Stepper(model), command_rows(model, log)
     table = np.full((len(log.time), len(model.outputs)), np.nan)
@@ -102,7 +106,7 @@ def predicted_outputs(model: Model, log: Record, ignored: Mapping[str, Rows]) ->
 
 
 def _as_read(state: Values, readings: Mapping[int, list[float]], k: int) -> Values:
-    """Return the state with what was read in row k in its place."""
+    """Return the state with the readings of row k."""
     if not readings:
         return state
     values = list(state)

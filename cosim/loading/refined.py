@@ -1,4 +1,4 @@
-"""What a refine left in a folder: the refined model and its FMU, and those that come nearest."""
+"""Files of a refine's folder: the refined model and FMU, and the nearest ones."""
 
 from __future__ import annotations
 
@@ -11,19 +11,24 @@ NEAREST = ("nearest.yaml", "nearest.fmu")
 
 
 class NoNearest(ValueError):
-    """There is no nearest model: why, and the cure."""
+    """A missing nearest model, with reason and remedy."""
 
 
 def folder_of(path: Path) -> Path | None:
-    """The folder that a refine left, if that is what is named: itself, or a file in it."""
+    """Return the folder of a refine for a path to it or its files."""
     folder = path if path.is_dir() else path.parent
     return folder if path.exists() and (folder / ANSWER).is_file() else None
 
 
 def refined_file(path: Path, *, nearest: bool = False) -> Path:
-    """The model.yaml or FMU that is meant where a refine is named by its folder, its refine.json or a file in it.
+    """Return the model.yaml or FMU meant by a path into a refine.
 
-    nearest: the one that comes nearest, which is the refined one where all is claimed; NoNearest where there is none
+    Args:
+        path: Its folder, its refine.json or another of its files.
+        nearest: Whether to return the nearest candidate, equal to the refined one if everything is claimed.
+
+    Raises:
+        NoNearest: No nearest candidate exists.
     """
     if not nearest:
         return (path if path.is_dir() else path.parent) / REFINED[0] if names_refine(path) else path
@@ -40,12 +45,12 @@ def refined_file(path: Path, *, nearest: bool = False) -> Path:
 
 
 def names_refine(path: Path) -> bool:
-    """A refine is named as a whole, by its folder or its refine.json."""
+    """Return whether a path names a whole refine."""
     return path.name == ANSWER if path.is_file() else (path / ANSWER).is_file()
 
 
 def _grade(answer: Path) -> object:
-    """`claimed`, `part` or `nearest`, as a refine.json has it; None of one that says nothing of it."""
+    """Return a refine's grade: `claimed`, `part`, `nearest` or None."""
     try:
         content = json.loads(answer.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):

@@ -1,4 +1,4 @@
-"""Where in the file of a model something stands: a class, what it declares, the line that raised an error."""
+"""Places in a model's file: of classes, declarations and exceptions."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from cosim.base.errors import Fault, InputError
 from cosim.model.namespaces import Namespace
 
 FUNCTIONS = ", ".join(f"m.{name}" for name in vars(Namespace) if not name.startswith("_"))
-TRUTH = "truth value of"  # sympy's words where a symbol is asked whether it is true
+TRUTH = "truth value of"  # sympy's words for the truth test of a symbol
 NO_BRANCH = "no `if`, `max`, `min` or `and` on a number: m.where(condition, then, otherwise) works on symbols too"
 FROM_NAMESPACE = f"functions come from m, which has {FUNCTIONS}"
-LANGUAGE = "cosim.model"  # what a model file imports from
+LANGUAGE = "cosim.model"  # package imported by model files
 FORMER = {"delay", "design", "gain", "integrate", "model", "namespaces", "planar", "quantities", "sensors", "traits"}
 NO_NUMBER = ("Cannot convert expression to float", "must be real number", "ufunc", "Namespace' object has no attribute")
 
@@ -28,7 +28,7 @@ class Source:
         self._former: list[ast.ImportFrom] = []
         try:
             tree = ast.parse(path.read_bytes())
-        except (OSError, SyntaxError, ValueError):  # reported where the file is loaded
+        except (OSError, SyntaxError, ValueError):  # Loading the file reports this error.
             return
         self._former = [n for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and _is_former(n.module or "")]
         for node in ast.walk(tree):
@@ -38,7 +38,7 @@ class Source:
                 self._places |= {(node.name, name): place for name, place in _declared(node).items()}
 
     def check_imports(self) -> None:
-        """Raise InputError where the file imports the modelling language from `plant`, where it was before."""
+        """Raise InputError for imports from `plant`, the former package."""
         if self._former:
             names = dict.fromkeys(alias.name for node in self._former for alias in node.names)
             cure = f"write `from {LANGUAGE} import {', '.join(names)}`"
@@ -46,14 +46,14 @@ class Source:
             raise InputError([Fault(self.path, *_start(self._former[0]), message)])
 
     def fault(self, owner: type, attribute: str, message: str) -> Fault:
-        """A fault of what a class declares, at the class itself where it inherits that or does not declare it."""
+        """Return a fault at a class's declaration, else at the class."""
         own = [c.__name__ for c in owner.__mro__ if c.__module__ == owner.__module__]
         places = [self._places[key] for key in ((c, attribute) for c in own) if key in self._places]
         place = (*places, self._places.get((owner.__name__, ""), (0, 0)))[0]
         return Fault(self.path, *place, message)
 
     def raised(self, error: BaseException, doing: str) -> Fault:
-        """A fault for an error, at the line of this file that raised it, with the cure where it is known."""
+        """Return the fault of an exception, with line and known remedy."""
         line, column = self._raised_at(error)
         text = " ".join((error.msg if isinstance(error, SyntaxError) else str(error)).split())
         message = f"{doing}: {type(error).__name__}: {text}".removesuffix(": ")
@@ -73,7 +73,7 @@ class Source:
 
 
 def _is_former(module: str) -> bool:
-    """Return whether the modelling language was imported from a module of this name in earlier releases."""
+    """Return whether a module is a former part of the modelling language."""
     package, _, name = module.partition(".")
     return package == "plant" and name in FORMER
 
@@ -83,7 +83,7 @@ def _start(node: ast.stmt) -> tuple[int, int]:
 
 
 def _declared(node: ast.ClassDef) -> dict[str, tuple[int, int]]:
-    """Attributes and methods in the body of a class, each with its line and column."""
+    """Return attributes and methods of a class with their places."""
     found: dict[str, tuple[int, int]] = {}
     for statement in node.body:
         if isinstance(statement, ast.FunctionDef):

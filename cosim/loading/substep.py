@@ -1,11 +1,11 @@
-"""The integrator and its substep: stable and accurate for the modes of the model, or refused.
+"""Choice of integrator and substep: stable and accurate for the model's modes.
 
-Kernel and FMU integrate by RK4 in equal substeps. A mode of eigenvalue λ decays by R(λh) in a substep of h,
-R(z) = 1 + z + z²/2 + z³/6 + z⁴/24, in place of exp(λh): it grows where |R| > 1, though the model decays.
-A class that states its `substep` keeps it, unless it is unstable. So does a class on which the default is accurate.
-Otherwise the longest whole part of `rate` that is accurate is chosen. A model that would need more than MOST_SUBSTEPS
-is stiff if every mode that is too fast for RK4 dies within a row: then the implicit method takes substeps that are
-accurate for the other modes.
+Kernel and FMU integrate by RK4 in equal substeps. In a substep of h, a mode of eigenvalue λ changes by R(λh),
+R(z) = 1 + z + z²/2 + z³/6 + z⁴/24, instead of exp(λh). If |R| > 1, the mode grows although the model decays.
+
+A class keeps its stated `substep` unless unstable, and the default if accurate. Otherwise the longest accurate fraction
+1/n of `rate` is chosen. A model with a need for more than MOST_SUBSTEPS is stiff if all modes too fast for RK4 decay
+within a row. The implicit method then takes substeps accurate for the remaining modes.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ from cosim.model.integrate import Stepper, substeps
 from cosim.model.model import AUTO, RK4, STIFF, Model, Values
 from cosim.model.symbolic.linearize import Linearizer
 
-MAX_DEFAULT = 1.0  # |λ|·h up to which the default substep is kept: R is within 2 % of exp(λh)
-MAX_CHOSEN = 0.5  # |λ|·h of a substep that is chosen: R is within 0.05 % of exp(λh), and fits may move λ
-MOST_SUBSTEPS = 100  # RK4 substeps of one `rate`; a model that needs more is stiff
-LEAST_STIFF = 8  # implicit substeps of a row
-FOLLOWED = 10.0  # |λ| times a row up to which the implicit method follows a mode: a faster one is over within a row
-DEAD = 5.0  # -Re(λ) times a row from which a mode has died within a row, to 0.7 %
-GROWTH = 1e-9  # of |R| above 1, up to which a mode is not growing
-POINTS = 500  # of a log, at which the eigenvalues are computed
-MAX_ROWS = 20_000  # of a log, along which the model is run
+MAX_DEFAULT = 1.0  # |λ|·h for keeping the default substep: R is within 2 % of exp(λh)
+MAX_CHOSEN = 0.5  # |λ|·h of a chosen substep: R is within 0.05 % of exp(λh), and fits may move λ
+MOST_SUBSTEPS = 100  # RK4 substeps per `rate`; a model with more is stiff
+LEAST_STIFF = 8  # implicit substeps per row
+FOLLOWED = 10.0  # |λ| times a row up to which the implicit method resolves a mode; faster modes decay within a row
+DEAD = 5.0  # -Re(λ) times a row after which a mode has decayed to 0.7 %
+GROWTH = 1e-9  # tolerance of |R| above 1
+POINTS = 500  # of a log for computing eigenvalues
+MAX_ROWS = 20_000  # of a log for running the model
 
 
 @dataclass(frozen=True)
 class Mode:
-    """An eigenvalue of the Jacobian [1/s], the state that takes most part in its mode, and where it was computed."""
+    """An eigenvalue of the Jacobian [1/s], the state with the largest participation, and its place."""
 
     eigenvalue: complex
     state: str
@@ -52,7 +52,7 @@ class Mode:
 
     @property
     def speed(self) -> float:
-        """Magnitude of the eigenvalue [1/s]."""
+        """Return the magnitude of the eigenvalue [1/s]."""
         return abs(self.eigenvalue)
 
     def __str__(self) -> str:
@@ -65,10 +65,12 @@ class Mode:
 
 
 def with_substep(loaded: LoadedModel, logs: Sequence[Record] = ()) -> tuple[LoadedModel, list[str]]:
-    """Return the model with an integrator and a substep that suit its modes, and a sentence if they were chosen.
+    """Return the model with suitable integrator and substep, and notes.
 
-    The modes are those at the start of the model and along its run on each log. Models of the registry keep theirs.
-    Raises InputError if the stated substep is unstable, or if a mode is too fast for RK4 and does not die within a row.
+    Modes are computed at the start and along the model's run on each log. Registered models keep their settings.
+
+    Raises:
+        InputError: The stated substep is unstable, or a mode too fast for RK4 does not decay within a row.
     """
     model = loaded.model
     if model.static or is_model(loaded.source):
@@ -87,14 +89,14 @@ def with_substep(loaded: LoadedModel, logs: Sequence[Record] = ()) -> tuple[Load
 
 
 def _refuse_growth(loaded: LoadedModel, modes: Sequence[tuple[Mode, float]]) -> None:
-    """Raise InputError if a mode that decays grows under RK4 in the stated substep; of several name the fastest."""
+    """Raise InputError if the stated substep makes a decaying mode grow. The message names the fastest such mode."""
     for mode, h in sorted(modes, key=lambda pair: -pair[0].speed * pair[1]):
         if _grows(mode.eigenvalue * h):
             raise InputError([_unstable(loaded, mode, h)])
 
 
 def _chosen(loaded: LoadedModel, fastest: _Fastest, mode: Mode) -> tuple[LoadedModel, list[str]]:
-    """Return the model with an integrator and a substep for its fastest mode, and what was chosen."""
+    """Return the model with integrator and substep for its fastest mode."""
     model = loaded.model
     count = math.ceil(model.rate * mode.speed / MAX_CHOSEN) if math.isfinite(mode.speed) else math.inf
     too_fast = model.integrator == AUTO and count > MOST_SUBSTEPS
@@ -110,36 +112,36 @@ def _chosen(loaded: LoadedModel, fastest: _Fastest, mode: Mode) -> tuple[LoadedM
 
 
 def _longest(model: Model, step: float) -> float:
-    """Length of the substeps of a step [s]."""
+    """Return the length of the substeps of a step [s]."""
     return step / substeps(step, model.substep)
 
 
 def _is_stated(model: Model) -> bool:
-    """Whether the class or the model file states a substep."""
+    """Return whether class or model file states a substep."""
     kinds = type(model).__mro__
     return model.chosen_substep is not None or any("substep" in vars(k) for k in kinds[: kinds.index(Model)])
 
 
 def _grows(z: complex) -> bool:
-    """Whether RK4 lets a mode that decays grow."""
+    """Return whether RK4 makes a decaying mode grow."""
     if not z.real < 0.0:
         return False
     return abs(1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))) > 1.0 + GROWTH
 
 
 class _Fastest:
-    """The fastest mode of a model at its start, and along its run on the commands of a log."""
+    """Fastest mode of a model at its start and along logs."""
 
     def __init__(self, model: Model, row: float) -> None:
         self.model, self.row = model, row
         self.eigenvalues: list[NDArray[np.complex128]] = []
         try:
             self.linearized: Linearizer | None = Linearizer(model)
-        except (NotImplementedError, ValueError):  # a function without a printed slope, such as `%`: the default stays
+        except (NotImplementedError, ValueError):  # A function without derivative, e.g. `%`: the default substep stays.
             self.linearized = None
 
     def at_start(self) -> Mode:
-        """Return the fastest mode at the start state and the start command."""
+        """Return the fastest mode at the start values."""
         return self._at(self.model.start(), self.model.start_command(), 0.0, "at the start")
 
     def along(self, log: Record) -> Mode:
@@ -159,17 +161,17 @@ class _Fastest:
             elif self.model.integrator != RK4 and self.die_within_a_row():
                 stepper.model = self.model.with_substep(self.stiff_substep(), STIFF)
             else:
-                break  # the run would take too many substeps
+                break  # The run would take too many substeps.
         return fastest
 
     def die_within_a_row(self) -> bool:
-        """Whether all modes that are too fast for RK4 have died after one row."""
+        """Return whether modes too fast for RK4 decay within a row."""
         values = np.concatenate(self.eigenvalues)
         fast = values[self.model.rate * np.abs(values) > MOST_SUBSTEPS * MAX_CHOSEN]
         return bool(np.all(-self.row * fast.real >= DEAD))
 
     def stiff_substep(self) -> float:
-        """Return the longest implicit substep that is accurate for the modes that a row shows [s]."""
+        """Return the longest accurate implicit substep [s]."""
         z = self.row * np.abs(np.concatenate([np.zeros(1), *self.eigenvalues]))
         return self.row / max(LEAST_STIFF, math.ceil(float(z[z <= FOLLOWED].max()) / MAX_CHOSEN))
 
@@ -178,7 +180,7 @@ class _Fastest:
             return Mode(0.0, "", place)
         try:
             A = self.linearized(state, command, t).A
-        except (ArithmeticError, ValueError):  # no slope here
+        except (ArithmeticError, ValueError):  # no derivative at this point
             return Mode(0.0, "", place)
         values = eigenvalues(A)
         if not values.size:
@@ -188,7 +190,10 @@ class _Fastest:
         return Mode(value, self._state(A, value), place)
 
     def _state(self, A: Array, value: complex) -> str:
-        """Name of the state that takes most part in a mode: of left times right eigenvector, which no unit changes."""
+        """Return the state with the largest participation in a mode.
+
+        Participation is left times right eigenvector, independent of units.
+        """
         from scipy.linalg import eig
 
         found, left, right = eig(A, left=True, right=True)
@@ -197,19 +202,19 @@ class _Fastest:
 
 
 def _accurate(model: Model, mode: Mode) -> float:
-    """Substep for a run that looks for modes: no longer than the model's own."""
+    """Return a substep for finding modes, at most the model's own."""
     return min(model.substep, MAX_CHOSEN / mode.speed) if mode.speed > 0.0 else model.substep
 
 
 def _unstable(loaded: LoadedModel, mode: Mode, h: float) -> Fault:
-    """A stated substep with which a mode that decays would grow."""
+    """Return the fault of an unstable stated substep."""
     text = f"substep is {_ms(loaded.model.substep)}, unstable for this model: {mode}, and RK4 in steps of {_ms(h)}"
     cure = f"state at most {_ms(MAX_DEFAULT / mode.speed)}, or leave substep out: then it follows the model"
     return _fault(loaded, "substep", f"{text} lets it grow; {cure}")
 
 
 def _stiff(loaded: LoadedModel, mode: Mode) -> Fault:
-    """A mode that is too fast for the rate of the model."""
+    """Return the fault of a mode too fast for the model's rate."""
     name = type(loaded.model).__name__
     if mode.eigenvalue.real > 0.0:
         text = f"{name} runs away: {mode} that grows"
@@ -223,7 +228,7 @@ def _stiff(loaded: LoadedModel, mode: Mode) -> Fault:
 
 
 def _ms(seconds: float) -> str:
-    """A time as people write it."""
+    """Return a time in readable form."""
     return amount(1000.0 * seconds, "ms") if seconds < 0.5 else amount(seconds, "s")
 
 

@@ -49,11 +49,7 @@ class Run:
 
 
 def compiled(run: Run) -> CompiledSteps:
-    """Return the steps in C.
-
-    Raises:
-        NotCompiled: C cannot step the system; the message says why.
-    """
+    """Return the steps in C; raise NotCompiled with the reason if impossible."""
     if run.system.beside:
         raise NotCompiled(f"{run.system.beside[0]} is no number that a double holds")
     slots = []
@@ -97,7 +93,7 @@ class CompiledSteps:
         self._values: list[Array] = []
 
     def steps(self) -> None:
-        """Make all steps; errors as in the Python loop. `Rows.made` holds the number of rows."""
+        """Make all steps, with errors as in the Python loop."""
         run, chunk = self.run, PREPARED if self.sources else self.run.steps
         for first in range(1, run.steps + 1, max(1, chunk)):
             last = min(first + chunk - 1, run.steps)

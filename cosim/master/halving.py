@@ -82,11 +82,7 @@ class Halved(Master):
             part.instance.take_back(state)
 
     def _check_back(self, parts: Sequence[FmuBlock], row: bytes, t: float) -> None:
-        """Check that restoring the FMU state restores the outputs.
-
-        Raises:
-            SimulationError: The outputs differ.
-        """
+        """Check that restoring the FMU state restores the outputs; raise SimulationError if it does not."""
         for part in parts:
             before = list(self.row)
             self.doing[0] = CALLS * self.components.index(part) + GET

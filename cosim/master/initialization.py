@@ -39,11 +39,7 @@ class Initialization:
     doing: MutableSequence[int]
 
     def run(self) -> None:
-        """Exchange values until they settle, then end initialization.
-
-        Raises:
-            SimulationError: The values do not settle, or a component fails.
-        """
+        """Exchange values until settled, then end initialization; raise SimulationError after a failure."""
         self._settle()
         before = self._values()
         for k, component in enumerate(self.components):

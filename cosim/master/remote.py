@@ -49,11 +49,7 @@ def said_of(system: System) -> list[str]:
 
 
 def simulate_here(system: System, steps: int, h: float, observers: Sequence[Observer] = ()) -> Stepped:
-    """Step a system in this process.
-
-    Raises:
-        FmuError: An FMU does not load.
-    """
+    """Step a system in this process; raise FmuError if an FMU does not load."""
     feed = _feed(observers, system, steps, h)
     rows = Rows.in_memory(steps + 1, len(system.columns))
     feed.table = rows.table

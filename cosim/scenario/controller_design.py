@@ -32,11 +32,7 @@ from cosim.storage.yaml_file import NotNegative, Positive, short
 
 
 def _complex(value: Any) -> Any:
-    """Return a number, or a complex number as text.
-
-    Raises:
-        ValueError: The value is neither a number nor finite.
-    """
+    """Return a number, or a complex number as text; raise ValueError for other values."""
     try:
         number = complex(value.replace(" ", "").replace("i", "j") if isinstance(value, str) else value)
     except (TypeError, ValueError):
@@ -152,7 +148,7 @@ def _contradictions(
 
 
 def _asked(file: ScenarioFile, design: Design) -> tuple[Model | None, Designer]:
-    """Return the model of the design, if named, and its designer."""
+    """Return the design's model, if named, and its designer."""
     if design.model is None and design.nearest:
         raise InputError([file.fault(("design", "nearest"), "nearest is of a refine; name its folder as model")])
     if design.model is None:
@@ -183,11 +179,7 @@ def _law(file: ScenarioFile, component: str) -> str:
 
 
 def _options(file: ScenarioFile, design: Design, designer: Designer, law: str) -> dict[str, Any]:
-    """Return the design's options, validated and completed.
-
-    Raises:
-        InputError: Options are invalid; it lists all faults.
-    """
+    """Return the design's valid options; raise InputError with all faults."""
     fields: dict[str, Any] = {n: (_kind(option), _default(option, law)) for n, option in designer.options.items()}
     declared = create_model("Design", __base__=_Declared, **fields)
     whole = file.yaml.validate(declared, design.model_dump(), ("design",))
@@ -254,11 +246,7 @@ class _Design:
     law: str
 
     def values(self) -> dict[str, float]:
-        """Return the designed values.
-
-        Raises:
-            InputError: No design exists for the model.
-        """
+        """Return the designed values; raise InputError if none exist."""
         try:
             content = {"model": self.designer.depends_on(self.model)}
             made = self._kept(content, lambda: self.designer.values(self.options, self.model, self.law))

@@ -19,11 +19,7 @@ class Diagnosis:
         self.warnings: list[str] = list(file.warnings)
 
     def note(self, where: Place, message: str, exit_code: int = 2) -> None:
-        """Note a fault at a place of the scenario.
-
-        Raises:
-            InputError: The number of faults reaches its limit.
-        """
+        """Note a fault at a place of the scenario; raise InputError at the limit of faults."""
         shown = message if len(message) <= LONGEST else f"{message[: LONGEST - 1]}…"
         self.found.append(self.file.fault(where, shown, exit_code=exit_code))
         if len(self.found) >= MOST_FAULTS:

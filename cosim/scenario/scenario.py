@@ -313,7 +313,7 @@ class Scenario(Part):
 
     @property
     def goals(self) -> list[tuple[str, int | None, Criterion]]:
-        """Return all criteria as (kind, index in a list, criterion)."""
+        """Return all criteria as (kind, list index, criterion)."""
         flat: list[tuple[str, int | None, Criterion]] = []
         for kind, one_or_many in self.criteria.items():
             if isinstance(one_or_many, Criterion):

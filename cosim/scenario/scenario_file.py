@@ -70,7 +70,7 @@ class ScenarioFile:
         self.faults += [*self._step_faults(), *self._criteria_faults()]
 
     def _validate(self, data: dict[str, Any]) -> Scenario:
-        """Return the scenario, if faulty without its faulty parts."""
+        """Return the scenario, without faulty parts if necessary."""
         try:
             return self.yaml.validate(Scenario, data)
         except InputError as error:
@@ -88,7 +88,7 @@ class ScenarioFile:
         raise InputError(self.faults)
 
     def resolve(self, name: str) -> Path:
-        """Return the path of a file relative to the scenario's folder."""
+        """Return a file's path relative to the scenario's folder."""
         path = self.path.parent / name
         try:
             return path.resolve()

@@ -196,7 +196,7 @@ def _entries(given: Any) -> Iterator[tuple[int, dict[str, Any]]]:
 
 
 def _part(data: Any, *location: str | int) -> Any:
-    """Return the part of plain data at a location, if any."""
+    """Return the data at a location, if any."""
     for step in location:
         if isinstance(data, dict):
             data = data.get(step)

@@ -25,7 +25,7 @@ class Misfit:
 
 
 def settable(variable: Any) -> bool:
-    """Return whether FMI lets a host set this variable's start value."""
+    """Return whether FMI allows setting a start value."""
     if variable.variability == "constant" or variable.causality in {"independent", "structuralParameter"}:
         return False
     given = variable.initial is None and variable.start is not None  # FMI 1.0 has no `initial`.
@@ -33,7 +33,7 @@ def settable(variable: Any) -> bool:
 
 
 def kind_of(variable: Any) -> str:
-    """Return a description of a variable without a start value."""
+    """Return a phrase for a variable without start value."""
     known = {
         "output": "an output",
         "calculatedParameter": "calculated",

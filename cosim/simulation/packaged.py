@@ -72,11 +72,7 @@ class Unpacked:
 
 @contextmanager
 def unpacked(path: Path, overrides: Sequence[str] = ()) -> Iterator[Unpacked]:
-    """Yield an SSP as a checked scenario for the time of the block.
-
-    Raises:
-        InputError: The SSP is faulty; it lists all faults.
-    """
+    """Yield an SSP as a checked scenario; raise InputError with all faults."""
     with opened(path) as package, temporary_folder("ssp") as made:
         reader = Reader(package)
         structure, flat = read(reader)

@@ -33,11 +33,7 @@ class Ran:
 
 
 def read_ran(path: Path) -> Ran:
-    """Return the results in a folder or a table.
-
-    Raises:
-        InputError: The path has no results.
-    """
+    """Return results of a path; raise InputError if none."""
     if not path.exists():
         raise InputError([Fault(path, 0, 0, f"no such folder or file; give {WANTED}")])
     if not path.is_dir():

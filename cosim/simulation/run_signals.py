@@ -164,11 +164,7 @@ def run_of(results: Results, manifest: Mapping[str, Any], folder: Path | None) -
 
 
 def read_run(path: Path) -> Run | Signals:
-    """Return the run in a folder, or the signals of a table.
-
-    Raises:
-        InputError: The path has no results.
-    """
+    """Return the run in a folder or the signals of a table; raise InputError if none."""
     from cosim.simulation.run_files import read_ran
 
     ran = read_ran(path)

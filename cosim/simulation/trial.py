@@ -38,11 +38,7 @@ STEP, STEPS = 0.01, 500  # step [s] without a default experiment, and steps in a
 
 
 def check_fmu_file(path: Path, checking: Checking) -> list[str]:
-    """Return violations of FMI rules as warnings.
-
-    Raises:
-        InputError: The FMU cannot be run.
-    """
+    """Return violations of FMI rules; raise InputError if the FMU cannot be run."""
     if faults := check_fmu(path, checking.worker):
         raise InputError(faults)
     return fmu_warnings(path)

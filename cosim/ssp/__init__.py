@@ -1,1 +1,1 @@
-"""SSP: systems of FMUs as the System Structure and Parameterization standard has them, read, flattened and written."""
+"""SSP (System Structure and Parameterization): reading, flattening and writing systems of FMUs."""

@@ -1,4 +1,4 @@
-"""XML as elements that know where they stand."""
+"""XML elements with their places."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NAMESPACES = {
 
 @dataclass
 class Element:
-    """An element: `tag` has the prefix by which the standard calls its namespace, whatever the file calls it."""
+    """An element; `tag` has the standard's prefix of its namespace, regardless of the file's prefix."""
 
     file: Path
     tag: str
@@ -32,29 +32,29 @@ class Element:
     children: list[Element] = field(default_factory=list)
 
     def all(self, tag: str) -> Iterator[Element]:
-        """Children of a tag."""
+        """Yield the children with a tag."""
         return (child for child in self.children if child.tag == tag)
 
     def first(self, *tags: str) -> Element | None:
-        """What stands at a path of tags, each the first of its kind."""
+        """Return the first element at a path of tags, if any."""
         found: Element | None = self
         for tag in tags:
             found = next(found.all(tag), None) if found is not None else None
         return found
 
     def get(self, name: str) -> str | None:
-        """An attribute."""
+        """Return an attribute, if present."""
         return self.attributes.get(name)
 
     def fault(self, message: str) -> Fault:
-        """A fault of this element."""
+        """Return a fault of this element."""
         name = self.get("name")
         called = f'{self.tag} "{name[:60]}"' if name else self.tag
         return Fault(self.file, self.line, self.column, f"{called}: {message}")
 
 
 def parse(file: Path, text: bytes) -> Element:
-    """The root of a document; BadArchive where it is none, or one that is not safe to read."""
+    """Return the root of a document; raise BadArchive if invalid or unsafe."""
     if len(text) > MOST_XML:
         raise BadArchive(f"it has more than the {MOST_XML / 1e6:.0f} MB that are read")
     check_xml(file.name, text, "SSP")
@@ -68,7 +68,8 @@ def parse(file: Path, text: bytes) -> Element:
         prefixes.append({**prefixes[-1], **own})
         prefix, _, local = name.rpartition(":")
         known = prefixes[-1].get(prefix)
-        prefix = prefix if known is None else NAMESPACES.get(known, prefix or "?")  # undeclared: as everybody calls it
+        # an undeclared prefix is taken as the standard's
+        prefix = prefix if known is None else NAMESPACES.get(known, prefix or "?")
         element = Element(
             file, f"{prefix}:{local}", attributes, parser.CurrentLineNumber, parser.CurrentColumnNumber + 1
         )

@@ -1,4 +1,4 @@
-"""Systems within systems become one list of FMUs, their start values, and connections from output to input."""
+"""Flattening of nested systems to a list of FMUs, start values and connections."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cosim.storage.yaml_file import did_you_mean, shown
 
 
 def flatten(structure: Structure, reader: Reader) -> Flat:
-    """The FMUs and connections of a description; faults and warnings go to its reader."""
+    """Return the FMUs and connections; the reader gets faults and warnings."""
     return _Flattener(structure, reader).flat()
 
 
@@ -45,7 +45,7 @@ class _Flattener:
         return level
 
     def _part(self, component: Component, path: tuple[str, ...]) -> Part | None:
-        if not component.fmu.name:  # its own fault is told already
+        if not component.fmu.name:  # This fault has already been noted.
             return None
         try:
             description = read_description(component.fmu)
@@ -62,7 +62,7 @@ class _Flattener:
         return part
 
     def _name(self, path: tuple[str, ...]) -> str:
-        """A name as scenarios have them, of its own."""
+        """Return a unique component name for scenarios."""
         name = re.sub(r"[^A-Za-z0-9_]", "_", "_".join(path))
         name = f"_{name}" if name[:1].isdigit() else name
         number = 2
@@ -75,7 +75,7 @@ class _Flattener:
     # -- connections ----------------------------------------------------------------------------
 
     def _check(self, root: Level) -> None:
-        """Connections lead from and to connectors that there are, one to each end."""
+        """Note connections with unknown ends or several sources."""
         for level in levels(root):
             for connection in level.system.connections:
                 for side, (name, connector) in (("start", connection.start), ("end", connection.end)):
@@ -96,12 +96,12 @@ class _Flattener:
             self.reader.note(element, f"{side}Connector: {what}")
 
     def _links(self, level: Level) -> Iterator[Link]:
-        """Connections that end at FMUs of a level, followed to the output from which they come."""
+        """Yield connections to a level's FMUs, followed back to outputs."""
         for connection in level.system.connections:
             part = level.parts.get(connection.end[0] or "")
             if part is None or connection.end[1] not in part.component.connectors:
                 continue
-            if level.into[connection.end] is not connection:  # of two sources, a fault told already, the first
+            if level.into[connection.end] is not connection:  # With two sources, a noted fault, the first counts.
                 continue
             hops = self._hops(level, connection)
             if hops is None:
@@ -113,7 +113,7 @@ class _Flattener:
             yield Link(*ends, linear, connection.element)
 
     def _hops(self, level: Level, last: Connection) -> list[tuple[Level, Connection]] | None:
-        """The connections from an FMU's output to the end of the last one; None where none drives it."""
+        """Return the chain of connections from an FMU's output, if any."""
         hops: list[tuple[Level, Connection]] = [(level, last)]
         while True:
             at, connection = hops[0]
@@ -129,7 +129,7 @@ class _Flattener:
             hops.insert(0, (outer, before))
 
     def _along(self, source: Part, hops: list[tuple[Level, Connection]], element: Element) -> Linear | None:
-        """What becomes of a value on its way; None where the units of the FMUs alone say it."""
+        """Return a chain's conversion; None if the FMUs' units suffice."""
         first = hops[0][1].start[1]
         now, factor, offset = self._signal(source, first, source.component.connectors.get(first)), 1.0, 0.0
         plain = source.component.connectors[first].unit is None if first in source.component.connectors else True
@@ -155,13 +155,13 @@ class _Flattener:
         return connector, Signal(variable, unit, self.structure.units.get(unit))
 
     def _outer(self, hop: tuple[Level, Connection]) -> Signal:
-        """The connector of a system from which a connection leads inside."""
+        """Return the connector from which a connection leads inside."""
         level, connection = hop
         connector = level.system.connectors[connection.start[1]]
         return Signal(connector.name, connector.unit or "", self.structure.units.get(connector.unit or ""))
 
     def _signal(self, part: Part, name: str, connector: Connector | None) -> Signal:
-        """An end at an FMU in its unit: as the connector says it, else as the FMU does."""
+        """Return an FMU's signal in the connector's unit, else its own."""
         variable = part.variables.get(name)
         own = "" if variable is None else unit_of(variable)
         unit = own if connector is None or connector.unit is None else connector.unit
@@ -169,7 +169,7 @@ class _Flattener:
         return Signal(name, unit, definition, relative=bool(getattr(variable, "relativeQuantity", False)))
 
     def _converted(self, now: Signal, wanted: Signal, linear: Linear, element: Element) -> tuple[float, float] | None:
-        """Factor and offset of one connection: units first, then its transformation."""
+        """Return factor and offset of a connection: unit, then transformation."""
         unit = (1.0, 0.0) if linear.exact else now.conversion(wanted)
         if unit is None:
             cure = 'where they are the same all the same, say so by suppressUnitConversion="true"'
@@ -180,7 +180,10 @@ class _Flattener:
     # -- parameters -----------------------------------------------------------------------------
 
     def _parameters(self, level: Level) -> None:
-        """Start values from inside out, so that what stands further out wins; at one place the last."""
+        """Apply start values from inner to outer systems.
+
+        Outer values override inner ones; in the same place the last wins.
+        """
         for part in level.parts.values():
             for parameter in part.component.parameters:
                 if parameter.name in part.variables:
@@ -199,7 +202,7 @@ class _Flattener:
     def _targets(
         self, level: Level, name: str, hops: tuple[tuple[Level, Connection], ...]
     ) -> Iterator[tuple[Part, str, tuple[tuple[Level, Connection], ...]]]:
-        """Every variable that a hierarchical name means within a system."""
+        """Yield all variables for a hierarchical name in a system."""
         if name in level.system.connectors:
             yield from self._forward(level, name, hops)
         for element, part in level.parts.items():
@@ -212,10 +215,11 @@ class _Flattener:
     def _forward(
         self, level: Level, connector: str, hops: tuple[tuple[Level, Connection], ...]
     ) -> Iterator[tuple[Part, str, tuple[tuple[Level, Connection], ...]]]:
-        """Where a connector of a system leads inside."""
+        """Yield the inner targets of a system's connector."""
         for connection in level.out_of.get((None, connector), ()):
             name, variable = connection.end
-            if name is None or level.into[connection.end] is not connection:  # of two sources, a fault, the first
+            if name is None or level.into[connection.end] is not connection:
+                # With two sources, a noted fault, the first counts.
                 continue
             further = (*hops, (level, connection))
             if name in level.parts and variable in level.parts[name].variables:
@@ -226,7 +230,7 @@ class _Flattener:
     def _give(
         self, part: Part, variable: str, parameter: Parameter, hops: tuple[tuple[Level, Connection], ...]
     ) -> None:
-        """A start value in the unit of its variable."""
+        """Set a start value in the unit of its variable."""
         value = parameter.value
         if isinstance(value, (bool, str)):
             part.start[variable] = value, parameter.element
@@ -246,7 +250,7 @@ class _Flattener:
     def _of(self, parameter: Parameter) -> Signal:
         unit = parameter.unit or ""
         units: Units = {**self.structure.units, **parameter.units}
-        if unit not in units and unit.startswith("[") and unit.endswith("]"):  # as some tools write it
+        if unit not in units and unit.startswith("[") and unit.endswith("]"):  # some tools write units in brackets
             unit = unit[1:-1]
         return Signal(parameter.name, unit, units.get(unit))
 
@@ -257,7 +261,7 @@ class _Flattener:
         self.reader.warn(parameter.element, f"parameter {shown(parameter.name)} {why}, and is left out{hint}")
 
     def _names(self, level: Level) -> Iterator[str]:
-        """Hierarchical names within a system."""
+        """Yield the hierarchical names in a system."""
         for element, part in level.parts.items():
             yield from (f"{element}.{variable}" for variable in part.variables)
         for element, inner in level.systems.items():
@@ -265,7 +269,7 @@ class _Flattener:
 
 
 def read(reader: Reader) -> tuple[Structure, Flat]:
-    """A package as one list of FMUs, without what is at fault: `reader.faults`. InputError where nothing is left."""
+    """Return a package flattened, without faulty parts; raise InputError if nothing remains."""
     structure = reader.structure()
     if structure is None:
         raise InputError(reader.faults)

@@ -1,4 +1,4 @@
-"""The levels of a system: what stands in which system, and how connections run through them."""
+"""Levels of nested systems, with their elements and connections."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cosim.ssp.structure import Component, Connection, Linear, System
 
 @dataclass
 class Part:
-    """An FMU of the system: `name` as a scenario has it, `path` as the SSP has it."""
+    """An FMU of the system; `name` is its scenario name, `path` its SSP path."""
 
     name: str
     path: str
@@ -25,7 +25,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Link:
-    """From an output to an input, `name.variable`; `linear` None where units alone say what becomes of a value."""
+    """A connection of output and input, `name.variable`; `linear` is None for pure unit conversion."""
 
     source: str
     target: str
@@ -35,7 +35,7 @@ class Link:
 
 @dataclass(frozen=True)
 class Flat:
-    """A system without systems in it."""
+    """A system without nested systems."""
 
     parts: tuple[Part, ...]
     links: tuple[Link, ...]
@@ -43,7 +43,7 @@ class Flat:
 
 @dataclass
 class Level:
-    """A system and where it is; `systems` and `parts` are its elements."""
+    """A system in its hierarchy; `systems` and `parts` are its elements."""
 
     system: System
     parent: Level | None
@@ -52,12 +52,12 @@ class Level:
 
     @cached_property
     def into(self) -> dict[tuple[str | None, str], Connection]:
-        """By where they end."""
+        """Return the connections by end."""
         return {connection.end: connection for connection in reversed(self.system.connections)}
 
     @cached_property
     def out_of(self) -> dict[tuple[str | None, str], list[Connection]]:
-        """By where they start."""
+        """Return the connections by start."""
         found: dict[tuple[str | None, str], list[Connection]] = {}
         for connection in self.system.connections:
             found.setdefault(connection.start, []).append(connection)
@@ -65,7 +65,7 @@ class Level:
 
 
 def directed(system: System) -> System:
-    """A system whose connections all begin where values come from; FMPy and OMSimulator take them either way."""
+    """Return a system with connections directed from source to target. FMPy and OMSimulator accept both directions."""
 
     def sends(end: tuple[str | None, str]) -> bool | None:
         name, connector = end
@@ -86,7 +86,7 @@ def directed(system: System) -> System:
 
 
 def levels(level: Level) -> Iterator[Level]:
-    """A level and all within it."""
+    """Yield a level and all nested levels."""
     yield level
     for inner in level.systems.values():
         yield from levels(inner)

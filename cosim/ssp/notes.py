@@ -1,4 +1,4 @@
-"""What every part of an SSP's documents is read by: numbers, units, transformations; faults and warnings are kept."""
+"""Common reading of SSP documents: numbers, units, transformations, faults and warnings."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ OTHER_TRANSFORMATIONS = (
 
 
 class Notes:
-    """`faults` and `warnings` are what was found while documents of a package were read."""
+    """Faults and warnings of a package's documents."""
 
     def __init__(self, package: Package) -> None:
         self.package = package
@@ -28,13 +28,13 @@ class Notes:
         self.warnings: list[str] = []
 
     def note(self, element: Element, message: str) -> None:
-        """Note a fault of an element; of very many the first are enough, and InputError ends the rest."""
+        """Note a fault of an element; raise InputError at the limit of faults."""
         self.faults.append(element.fault(message))
         if len(self.faults) >= MOST_FAULTS:
             raise InputError(self.faults)
 
     def warn(self, element: Element, message: str) -> None:
-        """Warn of an element."""
+        """Note a warning on an element."""
         self.warnings.append(str(Fault(element.file, element.line, element.column, message)))
 
     def _linear(self, element: Element, exact: bool) -> Linear:

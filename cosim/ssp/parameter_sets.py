@@ -1,4 +1,4 @@
-"""Parameter sets and the mappings that rename them."""
+"""Parameter sets and their mappings to other names."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ TRUTH = {"true": True, "1": True, "false": False, "0": False}
 
 
 class ParameterReader(Notes):
-    """Reads the bindings of an element."""
+    """Reader of parameter bindings."""
 
     def _parameters(self, element: Element) -> Iterator[Parameter]:
-        """Of the bindings of an element, in their order, under the names that mappings and prefixes give them."""
+        """Yield an element's bound parameters under mapped names."""
         listed = element.first("ssd:ParameterBindings")
         for binding in () if listed is None else listed.all("ssd:ParameterBinding"):
             if (kind := binding.get("type") or SET) != SET:
@@ -39,7 +39,7 @@ class ParameterReader(Notes):
             yield from values if mapping is None else self._mapped(mapping, values)
 
     def _referred(self, element: Element, inline: Element | None, tag: str) -> Element | None:
-        """What an element holds, or the root of the file that it names."""
+        """Return inline content, or the root of the referenced file."""
         source = element.get("source")
         if source is None:
             if inline is None:
@@ -77,7 +77,7 @@ class ParameterReader(Notes):
                 yield Parameter(name, value, typed.get("unit"), units, each)
 
     def _value(self, typed: Element) -> Any:
-        """A value in the type that its element says; None where it is none, which is noted."""
+        """Return a typed value; None after noting a fault."""
         kind, text = typed.tag.partition(":")[2], typed.get("value")
         if text is None and (entries := list(typed.all("ssv:Item")) or list(typed.all("ssv:Value"))):
             self.note(typed, f"{len(entries)} values; arrays are not read here, bind their elements by name")
@@ -99,7 +99,7 @@ class ParameterReader(Notes):
         return text
 
     def _whole_number(self, typed: Element) -> int | None:
-        """Return a whole number with all its digits; None where it is none, which is noted."""
+        """Return an exact whole number; None after noting a fault."""
         value, text = self._number(typed, "value", None, needed=True), typed.get("value") or ""
         if value is None:
             return None
@@ -109,7 +109,7 @@ class ParameterReader(Notes):
         return int(text) if text.strip().lstrip("+-").isdigit() else int(value)
 
     def _mapped(self, mapping: Element, values: list[Parameter]) -> Iterator[Parameter]:
-        """Parameters under the names that a mapping gives them; those that it does not name are not applied."""
+        """Yield parameters renamed by a mapping, without unmapped ones."""
         holder = self._referred(mapping, mapping.first("ssm:ParameterMapping"), "ssm:ParameterMapping")
         if holder is None:
             return
@@ -118,7 +118,7 @@ class ParameterReader(Notes):
             known.setdefault(value.name, []).append(value)
         for entry in holder.all("ssm:MappingEntry"):
             source, target = entry.get("source"), entry.get("target")
-            if source == "" and target:  # prepared, of nothing
+            if source == "" and target:  # a placeholder without source
                 continue
             if not source or not target:
                 self.note(entry, f"it has no {'target' if source else 'source'}; add it")

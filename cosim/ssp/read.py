@@ -1,4 +1,4 @@
-"""Reading an SSD with the parameter sets and mappings that it names; every fault is collected with its place."""
+"""Reading of an SSD with its parameter sets and mappings; all faults have places."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from cosim.storage.yaml_file import shown
 
 FMU = "application/x-fmu-sharedlibrary"
 WAYS = {"any": None, "CoSimulation": "co-simulation", "ModelExchange": "model-exchange"}
-STEPS = {"FixedStepAlgorithm": "baseStepSize", "FixedStepMaster": "stepSize"}  # of OSP, of OMSimulator
+STEPS = {"FixedStepAlgorithm": "baseStepSize", "FixedStepMaster": "stepSize"}  # annotations of OSP and of OMSimulator
 
 
 class Reader(ParameterReader):
-    """Reads one description."""
+    """Reader of a system description."""
 
     def structure(self) -> Structure | None:
-        """The description; None where it is none, which is noted."""
+        """Return the description; None after noting a fault."""
         root = self.package.element(self.package.structure)
         if root.tag != "ssd:SystemStructureDescription":
             self.note(root, "it should be ssd:SystemStructureDescription")
@@ -119,12 +119,12 @@ class Reader(ParameterReader):
             self.note(element, f"it has no {'startConnector' if not start else 'endConnector'}; add it")
             return None
         exact = element.get("suppressUnitConversion") in {"true", "1"}
-        # an empty name is what OMSimulator writes of the system itself
+        # OMSimulator writes an empty name for the system itself.
         ends = (element.get("startElement") or None, start), (element.get("endElement") or None, end)
         return Connection(*ends, self._linear(element, exact), element)
 
     def _step(self, root: Element, system: Element, experiment: Element | None) -> float | None:
-        """The communication step that an annotation of another tool names."""
+        """Return the communication step of another tool's annotation, if any."""
         for holder in (experiment, system, root):
             annotations = None if holder is None else holder.first("ssd:Annotations")
             for element in () if annotations is None else _within(annotations):
@@ -138,7 +138,7 @@ class Reader(ParameterReader):
         return None
 
     def _times(self, experiment: Element | None) -> tuple[float | None, float | None]:
-        """Start and stop time of the default experiment [s], where it names them."""
+        """Return start and stop time of the default experiment [s]."""
         if experiment is None:
             return None, None
         start, stop = (self._number(experiment, name, None) for name in ("startTime", "stopTime"))
@@ -149,7 +149,7 @@ class Reader(ParameterReader):
 
 
 def _within(element: Element) -> Iterator[Element]:
-    """All elements in one."""
+    """Yield all nested elements."""
     for child in element.children:
         yield child
         yield from _within(child)

@@ -1,4 +1,4 @@
-"""Where a document breaks the schema of SSP, which FMPy brings along: told, for other tools may refuse it."""
+"""Violations of the SSP schema shipped with FMPy, reported because other tools may reject them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SCHEMAS = {
     "ParameterSet": "SystemStructureParameterValues.xsd",
     "ParameterMapping": "SystemStructureParameterMapping.xsd",
 }
-SHOWN = 5  # of a file
+SHOWN = 5  # per file
 
 
 @cache
@@ -26,7 +26,7 @@ def _schema(name: str) -> Any:
 
 
 def slips(label: Path, text: bytes) -> list[Fault]:
-    """What breaks the schema of SSP 1.0 in a document that has been found safe, the first of many."""
+    """Return the first schema violations of a safe SSP 1.0 document."""
     from lxml import etree
 
     try:

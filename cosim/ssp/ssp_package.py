@@ -1,4 +1,4 @@
-"""The files of a system: an SSP archive, or an SSD that lies in a folder with what it names."""
+"""Files of a system: an SSP archive, or an SSD in a folder."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ from cosim.storage.kinds import check_form
 
 @dataclass(frozen=True)
 class Package:
-    """Where its files lie.
+    """Files of a package.
 
-    shown:  the file that the user named
-    folder: against which names in it are resolved; packed: they must not lead out of it
-    slips:  where what has been read breaks the schema
+    Attributes:
+        shown: File named by the user.
+        folder: Base folder of relative names; with `packed`, names must stay inside.
+        slips: Schema violations found while reading.
     """
 
     shown: Path
@@ -33,13 +34,13 @@ class Package:
     slips: list[Fault] = field(default_factory=list)
 
     def label(self, path: Path) -> Path:
-        """What a file within is called in messages."""
+        """Return the name of a file for messages."""
         if not self.packed:
             return path
         return self.shown if path == self.structure else self.shown / path.relative_to(self.folder)
 
     def resolve(self, source: str) -> Path | str:
-        """The file at a relative URI; why there is none."""
+        """Return the file at a relative URI, or the objection."""
         shown = f'"{source[:80]}"'
         try:
             uri = urlsplit(source)
@@ -50,11 +51,11 @@ class Package:
             if self.packed and not path.is_relative_to(within):
                 return f"{shown} leads out of the package; put the file into resources/ and name it so"
             return path if path.is_file() else f"no file {shown} in it{self._hint(path)}"
-        except (OSError, ValueError):  # a name that no file may have
+        except (OSError, ValueError):  # an impossible file name
             return f"{shown} is no name of a file"
 
     def _hint(self, path: Path) -> str:
-        """A file of this name but for its case, beside it or among the resources."""
+        """Return a suggestion with the same name in different case."""
         folders = dict.fromkeys((path.parent, self.folder / "resources"))
         beside = (p for folder in folders if folder.is_dir() for p in sorted(folder.iterdir()) if p.is_file())
         found = next((p for p in beside if p.name.lower() == path.name.lower()), None)
@@ -63,7 +64,7 @@ class Package:
         return f'; did you mean "{found.relative_to(self.folder).as_posix()}"?'
 
     def element(self, path: Path) -> Element:
-        """The root element of a file within; InputError."""
+        """Return the root element of a file; raise InputError."""
         label = self.label(path)
         try:
             text = path.read_bytes()
@@ -78,7 +79,7 @@ class Package:
 
 @contextmanager
 def opened(path: Path) -> Iterator[Package]:
-    """A package whose archive is unpacked as long as the block lasts; InputError where it is none that is safe."""
+    """Yield a package, unpacked during the block; raise InputError if invalid or unsafe."""
     check_form(path, SSP_FILE)
     if path.suffix.lower() == ".ssd":
         yield Package(path, path.parent, path, packed=False)

@@ -1,4 +1,4 @@
-"""What an SSD says: systems within systems, components, connectors, connections, parameters."""
+"""Content of an SSD: nested systems, components, connectors, connections, parameters."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Units = Mapping[str, Definition]
 
 @dataclass(frozen=True)
 class Linear:
-    """factor·value + offset; `exact`: in place of any conversion of units."""
+    """factor·value + offset; `exact` replaces any unit conversion."""
 
     factor: float = 1.0
     offset: float = 0.0
@@ -24,7 +24,7 @@ class Linear:
 
 @dataclass(frozen=True)
 class Connector:
-    """Where a connection may begin or end; `unit` None where it says none."""
+    """A possible end of a connection; `unit` is None if absent."""
 
     name: str
     kind: str
@@ -34,7 +34,7 @@ class Connector:
 
 @dataclass(frozen=True)
 class Parameter:
-    """A value by name: a number, true or false, or text."""
+    """A named value: a number, true or false, or text."""
 
     name: str
     value: Any
@@ -46,7 +46,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Component:
-    """An FMU: where it lies, and how it is to be run."""
+    """An FMU with its file and interface."""
 
     name: str
     fmu: Path
@@ -58,7 +58,7 @@ class Component:
 
 @dataclass(frozen=True)
 class Connection:
-    """From one end to another, each (element of the system or None for itself, connector)."""
+    """A connection; each end is (element, or None for the system itself; connector)."""
 
     start: tuple[str | None, str]
     end: tuple[str | None, str]
@@ -68,7 +68,7 @@ class Connection:
 
 @dataclass(frozen=True)
 class System:
-    """Elements by name, and the connections among them."""
+    """Elements by name, and their connections."""
 
     name: str
     connectors: Mapping[str, Connector]
@@ -80,7 +80,7 @@ class System:
 
 @dataclass(frozen=True)
 class Structure:
-    """A whole description; times [s], None where it does not say."""
+    """A complete description; times [s] are None if absent."""
 
     name: str
     description: str

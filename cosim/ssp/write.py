@@ -1,9 +1,9 @@
-"""Writing an SSP that importers of other makers read.
+"""Writing of SSPs for other importing tools.
 
-libcosim and ecos know elements by their prefix, take no system within another, and of parameters the set of a component
-that stands inline; FMPy wants a connection to each input that is a connector. So a system has no connectors of its own,
-components have those that are connected and their outputs, and start values stand in one set a component. What FMPy's
-`simulate_ssp` is to be given as `parameter_set` lies in `resources/start.ssv`, with the component's name before each.
+libcosim and ecos identify elements by prefix, accept no nested systems, and read only inline parameter sets of
+components; FMPy requires a connection to each input connector. The written system therefore has no connectors of its
+own, components have their outputs and connected inputs, and each component has an inline set of start values. The value
+for FMPy's `simulate_ssp` parameter `parameter_set` is `resources/start.ssv`, with names prefixed by the component.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from cosim.storage.archive import STRUCTURE
 EPOCH = (1980, 1, 1, 0, 0, 0)
 START, RESOURCES = "start", "resources"
 OSP = "http://opensimulationplatform.com/SSP/OSPAnnotations"
-OSP_TYPE = "com.opensimulationplatform"  # of the annotation in which libcosim looks for the communication step
+OSP_TYPE = "com.opensimulationplatform"  # annotation from which libcosim reads the communication step
 Value = float | int | bool | str
 
 
 @dataclass(frozen=True)
 class Port:
-    """A connector: its type by SSP's name."""
+    """A connector with its SSP type."""
 
     name: str
     kind: str
@@ -63,7 +63,7 @@ class Whole:
 
 
 def write_ssp(path: Path, whole: Whole) -> Path:
-    """Write an SSP, whole or not at all; the same system gives the same bytes."""
+    """Write an SSP completely or not at all, byte-reproducible."""
     files = {model.name: f"{RESOURCES}/{model.name}.fmu" for model in whole.models}
     members = {STRUCTURE: _xml(_description(whole, files))}
     if any(model.start for model in whole.models):
@@ -82,7 +82,7 @@ def _xml(root: Element) -> bytes:
 
 
 def _named(root: Element, *prefixes: str) -> Element:
-    """With the namespaces of these prefixes declared."""
+    """Return the root with declared namespaces."""
     for uri, prefix in NAMESPACES.items():
         if prefix in prefixes:
             root.set(f"xmlns:{prefix}", uri)

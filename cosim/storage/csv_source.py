@@ -56,11 +56,7 @@ class Csv(Source):
             return Table()
 
     def frame(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Frame:
-        """Read all columns, non-numeric ones as text.
-
-        Raises:
-            InputError: The text has faults; it lists all of them.
-        """
+        """Read all columns, non-numeric ones as text; raise InputError with all faults."""
         faults = Faults(path)
         frame = Frame()
         if _small_enough(faults, "leave out columns or rows"):

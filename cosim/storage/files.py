@@ -156,11 +156,7 @@ def scratch_folder(beside: Path, prefix: str) -> Iterator[Path]:
 
 
 def named_path(out: FilePath) -> Path:
-    """Return the path given as --out.
-
-    Raises:
-        InputError: The name is blank, which would mean the current folder.
-    """
+    """Return the path given as --out; raise InputError if blank, which would mean the current folder."""
     if not os.fspath(out).strip():
         raise InputError([Fault(Path("--out"), 0, 0, f"is blank; {NOT_BLANK}")])
     return Path(out)

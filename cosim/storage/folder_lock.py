@@ -1,9 +1,8 @@
 """Locks on results folders: two commands never write into the same folder at the same time.
 
 The lock is on a hidden file in the folder, removed at the end. A file of a killed process is taken over. Only users
-with
-write access to the folder can open the file, so that mere readers cannot hold the lock. A disk without locks is written
-unlocked.
+with write access to the folder can open the file, so that mere readers cannot hold the lock. A disk without locks is
+written unlocked.
 """
 
 from __future__ import annotations

@@ -82,11 +82,7 @@ def left_by_replay(folder: Path) -> dict[str, Any]:
 def check_ours(
     folder: Path, name: str = "", *, ssp: Path | None = None, force: bool = False, keep: bool = False
 ) -> None:
-    """Lock a folder for a run.
-
-    Raises:
-        InputError: The folder belongs to another scenario, SSP or command.
-    """
+    """Lock a folder; raise InputError if another scenario, SSP or command owns it."""
     prepare_folder(folder, keep=keep)
     if force or not folder.is_dir():
         return
@@ -136,11 +132,7 @@ def _same(one: str, other: str) -> bool:
 
 
 def prepare_folder(folder: Path, *, keep: bool) -> None:
-    """Lock a folder and finish an interrupted move to its `runs`.
-
-    Raises:
-        InputError: With `keep`, earlier runs cannot be moved.
-    """
+    """Lock a folder and finish an interrupted move; raise InputError if `keep` is impossible."""
     take_folder(folder)
     _finish_move(folder)
     earlier = folder / EARLIER
@@ -158,8 +150,7 @@ def keep_earlier(folder: Path, verb: str, also: Iterable[str] = ()) -> Path | No
     """Move an earlier run's files to the next of runs/0001, 0002.
 
     The files are those declared by the verb, `also`, and those of verbs whose marks are in the folder; user files stay.
-    The
-    next verb to lock the folder finishes an interrupted move.
+    The next verb to lock the folder finishes an interrupted move.
 
     Returns:
         The new folder; None without files to move.

@@ -71,11 +71,7 @@ PARQUET = Parquet()
 
 
 def _content(parquet: Any, path: Path) -> Any:
-    """Return a file as a pyarrow table.
-
-    Raises:
-        InputError: The file is incomplete, damaged or too large.
-    """
+    """Return a file as a pyarrow table; raise InputError if incomplete, damaged or too large."""
     again = "write it again"
     try:
         with path.open("rb") as stream:

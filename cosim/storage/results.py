@@ -87,11 +87,7 @@ class Results:
             write_table(path, header, self._rows())
 
     def write_what_fits(self, path: Path) -> int:
-        """Write as many rows as fit on the disk; return their number.
-
-        Raises:
-            OSError: Not even the header fits.
-        """
+        """Write the rows that fit on the disk and return their number; raise OSError if none fits."""
         if path.suffix != ".csv":
             return self._write_whole_that_fits(path)
         with draft_of(path) as draft, draft.open("wb", buffering=0) as stream:
@@ -204,11 +200,7 @@ def _time_of(frame: Frame, faults: Faults) -> Array:
 
 
 def rows_name(stem: str, format_: str) -> str:
-    """Return the name of a rows file in a format.
-
-    Raises:
-        InputError: The format cannot be written.
-    """
+    """Return the name of a rows file; raise InputError if the format cannot be written."""
     source = source_named(format_)
     source.check_writable()
     return f"{stem}{source.suffixes[0]}"

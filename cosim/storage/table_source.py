@@ -210,11 +210,7 @@ def source_of(path: Path) -> Source:
 
 
 def source_named(name: str) -> Source:
-    """Return the named format for writing results.
-
-    Raises:
-        InputError: The format is unknown or read-only.
-    """
+    """Return the named format for results; raise InputError if unknown or read-only."""
     wanted = name.lower().removeprefix(".")
     for source in sources():
         if wanted == source.name.lower() or f".{wanted}" in source.suffixes:

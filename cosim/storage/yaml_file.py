@@ -196,11 +196,7 @@ class YamlFile:
         return True
 
     def validate(self, model: type[M], data: Any = None, at: Location = ()) -> M:
-        """Return the document, or a part of it, as a pydantic model.
-
-        Raises:
-            InputError: The data are invalid; it lists all faults.
-        """
+        """Return the data at a location as a pydantic model; raise InputError with all faults."""
         data = self.root if data is None else data
         try:
             return model.model_validate(data)
@@ -211,8 +207,7 @@ class YamlFile:
         """Return the document without faulty parts, and their faults.
 
         The model is None if a faulty part is essential or a faulty key at the top may affect the rest. An unknown
-        top-level
-        key does not, unless it resembles `first`, on which the reading of the rest depends.
+        top-level key does not, unless it resembles `first`, on which the reading of the rest depends.
         """
         data = copy.deepcopy(self.root)
         try:

@@ -43,16 +43,12 @@ def nodes(text: str) -> Any:
 
 
 def whole_number(node: Any) -> Any:
-    """Return the number of an int node.
-
-    Raises:
-        ValueError: The text is not a number; IndexError likewise.
-    """
+    """Return the number of an int node; raise ValueError or IndexError if invalid."""
     return _constructor().construct_yaml_int(ScalarNode(node.tag, node.value))
 
 
 def number(node: Any) -> Any:
-    """Return the number of a float node; raises as `whole_number`."""
+    """Return the number of a float node; raise ValueError or IndexError if invalid."""
     return _constructor().construct_yaml_float(ScalarNode(node.tag, node.value))
 
 

@@ -181,11 +181,7 @@ class Factors:
         return factor
 
     def _number_at(self, name: str, given: str) -> float:
-        """Return the number of text such as `4 ms` at a scenario path.
-
-        Raises:
-            ValueError: The text is not a number.
-        """
+        """Return the number of text such as `4 ms` at a scenario path; raise ValueError if none."""
         text = f"{name}={json.dumps(given)}"
         try:
             file = ScenarioFile(self.scenario.path, (*self.overrides, text), option="")

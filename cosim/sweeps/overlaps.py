@@ -18,8 +18,7 @@ def overlap_faults(
     """Yield a fault for each overridden entry of `vary` and `set`.
 
     In a run, start values override paths, and `vary` overrides `set`. A path includes everything below it. Setting a
-    whole
-    and varying a part of it is allowed.
+    whole and varying a part of it is allowed.
 
     Args:
         designed: Component of `design:`, if any.

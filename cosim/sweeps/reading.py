@@ -80,11 +80,7 @@ def check_sweep(path: Path, checking: Checking) -> list[str]:
 
 
 def read_sweep(path: Path) -> Sweep:
-    """Read a sweep with its scenario.
-
-    Raises:
-        InputError: A file has faults; it lists all of them.
-    """
+    """Read a sweep with its scenario; raise InputError with all faults."""
     check_given(path, SWEEP)
     yaml = YamlFile(path)
     file, faults = yaml.partly(SweepFile, "vary")

@@ -41,11 +41,7 @@ class Factor:
 
 
 def distribution(way: str, numbers: Sequence[float], within: Sequence[float] | None = None) -> Callable[[Array], Array]:
-    """Return the inverse of a distribution function.
-
-    Raises:
-        ValueError: The numbers are invalid; the message says why.
-    """
+    """Return the inverse of a distribution function; raise ValueError for invalid numbers."""
     from scipy.stats import norm, triang, truncnorm  # This import is slower than all others.
 
     if way == "normal":

@@ -105,8 +105,7 @@ def write_table(
     """Write a table with a row per run.
 
     Columns are number, factors, status, values and outcomes of the criteria, and signals. A signal is a list of values;
-    its
-    times are in the metadata, as JSON under `cosim`.
+    its times are in the metadata, as JSON under `cosim`.
     """
     pa, pq = optional("pyarrow", TABLE_USE), optional("pyarrow.parquet", TABLE_USE)
     types: dict[str, Any] = {"run": pa.int64()}

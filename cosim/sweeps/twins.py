@@ -1,8 +1,7 @@
 """Components computed for many runs at once: sources, models with equations carried by their FMU, and controllers.
 
 A twin computes its FMU's results on arrays with a value per run. Without a twin, `kind_of` returns None and the runs
-use
-the FMU.
+use the FMU.
 """
 
 from __future__ import annotations
@@ -109,8 +108,7 @@ def model_of(path: Path, name: str) -> tuple[Any, Any, Any] | None:
     """Return an FMU's model, its stepper and array namespace.
 
     An FMU in Python carries its equations; a native FMU of a registered model uses the installed ones. The result is
-    None
-    for others.
+    None for others.
     """
     try:
         with zipfile.ZipFile(path) as archive:

@@ -180,11 +180,7 @@ class Dask:
         return ask_apart(function, *arguments)
 
     def runs(self, future: Any) -> list[Made]:
-        """Return the runs of a finished future.
-
-        Raises:
-            SweepFailed: The dask worker failed.
-        """
+        """Return the runs of a finished future; raise SweepFailed if its worker failed."""
         try:
             found: list[Made] = future.result()
         except CosimError:

@@ -110,11 +110,7 @@ def sweep(
 
 
 def _left(folder: Path, key: str) -> dict[str, Any] | None:
-    """Return the record of a completed equal sweep, if any.
-
-    Raises:
-        InputError: The folder belongs to a different sweep.
-    """
+    """Return the record of a completed equal sweep; raise InputError for a different sweep."""
     try:
         _, about = read_table(folder / TABLE)
         record: dict[str, Any] = json.loads((folder / RECORD).read_text(encoding="utf-8"))

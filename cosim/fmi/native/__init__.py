@@ -1,1 +1,1 @@
-"""Native code: the C that is the same for every model, the compiler, and the cache of what it made."""
+"""Native code: C common to all models, compiler and cache."""

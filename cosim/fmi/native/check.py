@@ -1,8 +1,7 @@
-"""Whether what is printed of a model says what its Python says, at seeded random points: asked before it is compiled.
+"""Check of generated C against a model's Python at seeded random points, before compilation.
 
-A model may decide something while its equations are written down that it would decide otherwise where the numbers are
-known (a look-up of a parameter in a dictionary, a question which effects are there). No rule finds all such lines; two
-evaluations do.
+A model may make a decision while its equations are traced that depends on numbers at run time (a dictionary look-up of
+a parameter, a test for effects). No rule detects all such lines, but comparing two evaluations does.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from cosim.model.symbolic.languages import Python
 from cosim.model.symbolic.trace import Trace
 
 TOLERANCE = 1e-9  # of max(1, |value|)
-POINTS, TRIES = 6, 18  # of each case; a point at which Python gives no number is drawn again
+POINTS, TRIES = 6, 18  # points per case, and draws if Python gives no number
 Values = dict[str, float]
 DECIDED = (
     "something is decided before the numbers are known (a look-up in a dictionary, int() or a Python branch on a "
@@ -39,7 +38,7 @@ NOT_NEUTRAL = (
 
 @dataclass(frozen=True)
 class Point:
-    """Where both are evaluated: every state, input and memory there can be, and parameters by FMI name."""
+    """A point of evaluation: all possible states, inputs and memory, and parameters by FMI name."""
 
     t: float
     h: float
@@ -50,7 +49,7 @@ class Point:
 
 
 class _Math:
-    """Functions of `math` that give nan or inf as C does, where Python's raise."""
+    """Functions of `math` that return NaN or infinity as in C, instead of raising."""
 
     def __getattr__(self, name: str) -> Any:
         import numpy as np
@@ -59,7 +58,7 @@ class _Math:
 
 
 class Printed:
-    """The blocks of one trace as functions of Python."""
+    """The blocks of a trace as Python functions."""
 
     def __init__(self, trace: Trace) -> None:
         self.names = list(trace.s.parameters)
@@ -78,7 +77,7 @@ class Printed:
             exec(function(Python(), name, arguments, blocks, results, places), self._functions)
 
     def values(self, name: str, at: Point, awake: set[str]) -> list[float]:
-        """What one of them gives with these effects awake."""
+        """Return a function's values with given active effects."""
         import numpy as np
 
         given: dict[str, Any] = {"t": at.t, "h": at.h, "x": at.state, "u": at.command, "memory": at.memory}
@@ -93,21 +92,21 @@ class Printed:
 
 @dataclass(frozen=True)
 class Case:
-    """Which effects are awake, and how the switches are."""
+    """Active effects and positions of switches."""
 
     awake: tuple[Any, ...]
     switches: Mapping[str, bool]
 
     @property
     def words(self) -> str:
-        """The case in words."""
+        """Return the case in words."""
         effects = f"{', '.join(e.name for e in self.awake)} awake" if self.awake else "every effect dormant"
         return ", ".join([effects, *(f"{name} {str(on).lower()}" for name, on in self.switches.items())])
 
 
 @dataclass(frozen=True)
 class Difference:
-    """Where the two part: what of the model, its value in Python and as printed."""
+    """A difference between Python and generated code for a quantity of the model."""
 
     case: Case
     what: str
@@ -117,7 +116,7 @@ class Difference:
 
 
 class Check:
-    """A model, and what is printed of it."""
+    """A model and its generated code."""
 
     def __init__(self, model: Model, printer: Printer) -> None:
         self.model, self.printer = model, printer
@@ -125,11 +124,11 @@ class Check:
 
     @cached_property
     def printed(self) -> list[Printed]:
-        """One for each position of the switches, in the order of the printer."""
+        """Return the code of each switch position, in the printer's order."""
         return [Printed(trace) for trace in self.printer.variants]
 
     def run(self) -> None:
-        """Compare in every case; Unprintable with the first difference and its likely cure."""
+        """Compare in every case; raise Unprintable with the first difference and its remedy."""
         kinds = self.model.catalogue
         flags = list(product((False, True), repeat=len(self.printer.switches)))
         awake = dict.fromkeys([(), *((kind,) for kind in kinds), kinds])
@@ -140,13 +139,13 @@ class Check:
                     raise self.refusal(found, self.printed[k])
 
     def first(self, case: Case, printed: Printed) -> Difference | None:
-        """The first difference in a case."""
+        """Return the first difference in a case."""
         done = 0
         for k in range(TRIES):
             at = self.point(case, k)
             try:
                 both = [(w, hook, float(a), b) for w, hook, a, b in self.compared(case, at, printed)]
-            except (ArithmeticError, ValueError, TypeError):  # no point of the model's: no number, or a complex one
+            except (ArithmeticError, ValueError, TypeError):  # The model has no real value at this point.
                 continue
             for what, hook, python, other in both:
                 if math.isfinite(python) and not abs(python - other) <= TOLERANCE * max(1.0, abs(python)):
@@ -157,7 +156,7 @@ class Check:
         return None
 
     def compared(self, case: Case, at: Point, printed: Printed) -> Iterator[tuple[str, str, float, float]]:
-        """What is compared, the hook it comes from, its value in Python and as printed."""
+        """Yield quantity, hook, and values by Python and generated code."""
         names = {e.name for e in case.awake}
         base = {n: v for n, v in at.values.items() if "." not in n or n.partition(".")[0] in names}
         stepper = Stepper(replace(self.model, effects=()).with_values(base))
@@ -178,7 +177,7 @@ class Check:
     def shaped(
         self, model: Model, at: Point, names: set[str], printed: Printed
     ) -> Iterator[tuple[str, str, float, float]]:
-        """The commands that act, what is remembered after that, and at the start; a delay is C of its own."""
+        """Yield shaped commands and memory, also at the start. A delay has C code of its own."""
         command, place = tuple(at.command), 0
         ours, begun = printed.values("shape", at, names), printed.values("remember", at, names)
         awake = {e.name: e for e in model.awake}
@@ -200,7 +199,7 @@ class Check:
     # -- points -------------------------------------------------------------------------------------
 
     def point(self, case: Case, k: int) -> Point:
-        """A random point, at first with the parameters as they are; later ones lie nearer to the start."""
+        """Return a random point, at first with unchanged parameters. Later points lie closer to the start."""
         size = 1.0 if k < POINTS else 10.0 ** -(k - POINTS + 1)
         around: Callable[[float], float] = lambda v: v + size * self.random.uniform(-1, 1) * max(1.0, abs(v))  # noqa: E731
         values = {name: self.drawn(p, getattr(self.model, name), k) for name, p in self.own.items()}
@@ -219,17 +218,17 @@ class Check:
 
     @cached_property
     def own(self) -> dict[str, Parameter]:
-        """Parameters of the model itself."""
+        """Return the model's own parameters."""
         return {p.name: p for p in self.model.parameters}
 
     @cached_property
     def starts(self) -> list[float]:
-        """Start value of every state there can be."""
+        """Return the start values of all possible states."""
         given = dict(zip((q.name for q in self.model.states), self.model.start(), strict=True))
         return [given.get(q.name, q.start) for q in self.printer.states]
 
     def drawn(self, p: Parameter, value: Any, k: int) -> Any:
-        """A value of a parameter of the model: as it is; within a tenth of that; a whole number within its bounds."""
+        """Return a parameter value: unchanged, within 10 %, or an integer in its bounds."""
         low, high = p.bounds
         if isinstance(value, bool) or k % POINTS == 0:
             return value
@@ -243,7 +242,7 @@ class Check:
         return min(high, max(low, value * self.random.uniform(0.9, 1.1)))
 
     def of_effect(self, p: Parameter, awake: bool, k: int) -> Any:
-        """A value of an effect's parameter."""
+        """Return a parameter value of an effect."""
         if isinstance(p.default, bool):
             return p.default
         if p.neutral is not None and not awake:
@@ -252,10 +251,10 @@ class Check:
         around = p.default if p.neutral is None else p.typical if p.typical is not None else _apart(p)
         return min(high, max(low, around * (1.0 if k == 0 else self.random.uniform(0.7, 1.3))))
 
-    # -- what to say --------------------------------------------------------------------------------
+    # -- messages --------------------------------------------------------------------------------
 
     def refusal(self, found: Difference, printed: Printed) -> Unprintable:
-        """The difference in words, at the class that it seems to come from, with the likely cure."""
+        """Return the error for a difference, with probable class and remedy."""
         kinds, case = self.model.catalogue, found.case
         text = f"{found.what} is {found.python:.9g} in Python and {found.printed:.9g} as printed, with {case.words}"
         owner: type = type(self.model)
@@ -270,18 +269,18 @@ class Check:
         return Unprintable(text, owner, hook, cure)
 
     def parts(self, kind: type[Any], case: Case, printed: Printed) -> bool:
-        """Whether they differ while this effect alone is dormant."""
+        """Return whether a difference remains with this effect dormant."""
         others = tuple(k for k in self.model.catalogue if k is not kind)
         return self.first(Case(others, case.switches), printed) is not None
 
 
 def _apart(p: Parameter) -> float:
-    """A value that is not the neutral one."""
+    """Return a value apart from the neutral one."""
     neutral = p.neutral or 0.0
     high = p.bounds[1] if math.isfinite(p.bounds[1]) else neutral + 1.0
     return neutral + 0.5 * (high - neutral) if high > neutral else neutral - 1.0
 
 
 def check(model: Model, printer: Printer) -> None:
-    """Compare what is printed of a model with its Python; Unprintable where they differ."""
+    """Compare a model's generated code with its Python; raise Unprintable."""
     Check(model, printer).run()

@@ -1,4 +1,4 @@
-"""C compilers: those of this machine, the one that pip installs, and the libraries that they make."""
+"""C compilers of this machine or from pip, and their libraries."""
 
 from __future__ import annotations
 
@@ -21,25 +21,27 @@ from cosim.base.scratch import temporary_folder
 from cosim.fmi.native.platforms import PLATFORMS, Platform, here
 from cosim.storage.cache import cache_environment, cached, discard_untrusted
 
-OPTIONS = ("-std=c99", "-O3", "-fno-math-errno", "-ffp-contract=off", "-shared")  # errno of sin and pow is not read
-LIMIT = 900.0  # [s] that a compiler may take
-ZIG = "ziglang"  # of PyPI: a C compiler for every platform
-PLAIN, PACKED = (b"\x7fELF", b"MZ"), (b"\xcf\xfa\xed\xfe", b"\xca\xfe\xba\xbe")  # Linux, Windows; macOS
+# The errno of sin and pow is never read.
+OPTIONS = ("-std=c99", "-O3", "-fno-math-errno", "-ffp-contract=off", "-shared")
+LIMIT = 900.0  # time limit of the compiler [s]
+ZIG = "ziglang"  # C compiler for every platform, on PyPI
+# library headers with plain names: Linux, Windows; with packed names: macOS
+PLAIN, PACKED = (b"\x7fELF", b"MZ"), (b"\xcf\xfa\xed\xfe", b"\xca\xfe\xba\xbe")
 
 
 class NoCompiler(LookupError):
-    """No compiler for a platform: which platform, and the cure."""
+    """A missing compiler for a platform, with the remedy."""
 
 
 def compiler() -> list[str] | None:
-    """Return the command of the C compiler for this machine; None if there is none."""
+    """Return the C compiler's command, if any."""
     return next(iter(compilers()), None)
 
 
 def compilers() -> list[list[str]]:
-    """Return the commands of the C compilers for this machine, the best first.
+    """Return the C compilers' commands, the best first.
 
-    `CC` in the environment names one; without it cc, gcc or clang is taken. The extra `refine` installs another.
+    `CC` in the environment names a compiler; by default cc, gcc or clang is used. The extra `refine` installs another.
     """
     named = os.environ.get("CC")
     commands = (_words(c) for c in (("cc", "gcc", "clang") if named is None else (named,)))
@@ -49,19 +51,21 @@ def compilers() -> list[list[str]]:
 
 
 def can_cross() -> bool:
-    """Whether the compiler that crosses to other platforms is installed (the extras `refine` and `native`)."""
+    """Return whether a cross compiler is installed (extras `refine`, `native`)."""
     return importlib.util.find_spec(ZIG) is not None
 
 
 def crossing(wanted: Platform) -> list[str]:
-    """Return the command of the compiler that crosses, for a platform."""
+    """Return the cross compiler's command for a platform."""
     return [sys.executable, "-m", ZIG, "cc", "-target", wanted.target, "-s"]
 
 
 def commands(asked: tuple[str, ...] = ()) -> dict[Platform, list[str]]:
-    """Return platform → the command that makes its library; this machine's own if none is asked for.
+    """Return platform → compiler command, by default for this machine.
 
-    Raises KeyError for an unknown name, and NoCompiler.
+    Raises:
+        KeyError: A platform is unknown.
+        NoCompiler: A compiler is missing.
     """
     own = here()
     if own is None and not asked:
@@ -71,14 +75,14 @@ def commands(asked: tuple[str, ...] = ()) -> dict[Platform, list[str]]:
 
 
 def fmi_headers() -> Path:
-    """Return the folder with the headers of the FMI standard, which FMPy brings."""
+    """Return FMPy's folder of FMI headers."""
     import fmpy
 
     return Path(fmpy.__file__).with_name("c-code")
 
 
 def library_command() -> list[str]:
-    """Return the command that makes a library of this machine, without a language or an optimization; NoCompiler."""
+    """Return the command for a plain library of this machine; raise NoCompiler if none exists."""
     command = compiler()
     if command is None:
         raise NoCompiler(f"no C compiler is found; {cure('native')}")
@@ -86,12 +90,12 @@ def library_command() -> list[str]:
 
 
 def cure(extra: str) -> str:
-    """Return how to get a C compiler, by an extra among others."""
+    """Return the remedy for a missing C compiler."""
     return f"install gcc or clang, say which in CC, or {install_command(extra)}"
 
 
 def _for(wanted: Platform, own: bool, asked: bool) -> list[str]:
-    """Return the compiler of this machine for itself, else the one that crosses: to others and to old glibc."""
+    """Return the local compiler, else the cross compiler. The cross compiler also targets old versions of glibc."""
     local = compiler() if own else None
     if can_cross() and (asked or local is None):
         return crossing(wanted)
@@ -109,7 +113,7 @@ def _position() -> list[str]:
 
 
 def _words(command: str) -> list[str]:
-    """A command as a shell splits it; none where a quote is left open."""
+    """Return a command split as by a shell; none for an open quote."""
     try:
         return shlex.split(command)
     except ValueError:
@@ -117,7 +121,7 @@ def _words(command: str) -> list[str]:
 
 
 class CompilerFailed(RuntimeError):
-    """What the compiler said, in a line; `output` holds all of it."""
+    """Failure of a compiler: its message in a line, all of it in `output`."""
 
     def __init__(self, reason: str, output: str = "") -> None:
         super().__init__(reason)
@@ -133,11 +137,15 @@ def library_of(
     libraries: Sequence[str] = ("-lm",),
     limit: float = LIMIT,
 ) -> bytes:
-    """Return the shared library of sources, from the cache or compiled now; CompilerFailed with the compiler's reason.
+    """Return a compiled shared library, possibly cached.
 
-    files:   by their path below the folder in which the compiler runs
-    exports: functions that it must name: some commands end without an error and make something else
-    limit:   of the compiler's time [s]
+    Args:
+        files: Contents by path below the compiler's folder.
+        exports: Required functions, because some commands succeed without making the right library.
+        limit: Time limit of the compiler [s].
+
+    Raises:
+        CompilerFailed: Compilation failed.
     """
     return _library(files, main, command, exports, libraries, limit).read_bytes()
 
@@ -150,7 +158,10 @@ def _library(
     libraries: Sequence[str] = ("-lm",),
     limit: float = LIMIT,
 ) -> Path:
-    """Return where the cache holds a library. Its name ends with the hash of its content: a damaged one may crash."""
+    """Return the cached path of a compiled library.
+
+    Its name ends with a hash of the content, because a damaged library could crash.
+    """
     content = hashlib.sha256(repr((sorted(files.items()), main, list(command), *libraries)).encode()).hexdigest()
     stem = cached(content, "")
     for kept in _kept(stem):
@@ -169,7 +180,7 @@ def _library(
 
 
 def _compile(command: Sequence[str], folder: Path, limit: float) -> Path:
-    """The `library` that a command makes in a folder, so that no path of this machine gets into it."""
+    """Compile a library in a folder, so that it contains no local path."""
     options: dict[str, Any] = {"capture_output": True, "text": True, "errors": "replace", "timeout": limit}
     options["env"] = {**os.environ, **cache_environment()}
     try:
@@ -190,16 +201,20 @@ def _compile(command: Sequence[str], folder: Path, limit: float) -> Path:
 
 
 def _missing(library: bytes, exports: Sequence[str]) -> list[str]:
-    """Functions that a library does not name; all of them where it is none."""
-    if library.startswith(PACKED):  # names in a tree of their parts
+    """Return required functions missing in a library."""
+    if library.startswith(PACKED):  # names are stored as a tree of parts
         return []
     return [name for name in exports if not library.startswith(PLAIN) or name.encode() + b"\0" not in library]
 
 
 def loaded(source: str, *headers: Path) -> ctypes.CDLL:
-    """Return the shared library of a source and its headers; one of another machine in the cache is compiled anew.
+    """Return a loaded library compiled from source and headers.
 
-    Raises NoCompiler, and CompilerFailed if none of the compilers does its work.
+    A cached library of another machine is compiled anew.
+
+    Raises:
+        NoCompiler: No compiler exists.
+        CompilerFailed: All compilers fail.
     """
     files = {"model.c": source.encode(), **{path.name: path.read_bytes() for path in headers}}
     reason: Exception | None = None
@@ -220,13 +235,13 @@ def loaded(source: str, *headers: Path) -> ctypes.CDLL:
 
 
 def _kept(stem: Path) -> list[Path]:
-    """Return the libraries of a source in the cache that this user alone can have written."""
+    """Return the trusted cached libraries of a source."""
     found = list(stem.parent.glob(f"{stem.name}-*.so"))
     return [path for path in found if discard_untrusted([path]) and path.exists()]
 
 
 def _keep(library: Path, stem: Path) -> Path:
-    """Copy a library into the cache, whole or not at all."""
+    """Copy a library into the cache, completely or not at all."""
     path = _named(stem, library)
     with draft_of(path) as draft:
         shutil.copyfile(library, draft)
@@ -234,5 +249,5 @@ def _keep(library: Path, stem: Path) -> Path:
 
 
 def _named(stem: Path, library: Path) -> Path:
-    """Where a library of this content is kept."""
+    """Return the cache path for a library's content."""
     return stem.with_name(f"{stem.name}-{hashlib.sha256(library.read_bytes()).hexdigest()[:32]}.so")

@@ -1,4 +1,4 @@
-"""The variables of a native FMU by value reference, and what depends on what: of it both descriptions are made."""
+"""Variables of a native FMU by value reference, and their dependencies, as the basis of its descriptions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Role = Literal["port", "state", "derivative", "memory", "indicator"]
 
 @dataclass(frozen=True)
 class Local:
-    """A variable that only a native FMU has; state: place of the state that a derivative is of."""
+    """A variable of native FMUs only; `state` is the index of a derivative's state."""
 
     name: str
     role: Role
@@ -27,9 +27,10 @@ class Local:
 
 @dataclass(frozen=True)
 class Layout:
-    """A port, and then a local variable, has its place as value reference.
+    """Variables in order of value reference: ports, then local variables.
 
-    dependencies: output or derivative → inputs and states it depends on, by name
+    Attributes:
+        dependencies: Output or derivative → names of inputs and states.
     """
 
     about: Description
@@ -39,21 +40,21 @@ class Layout:
 
     @property
     def ports(self) -> Sequence[Port]:
-        """The variables that the FMU in Python has too, with the same value references."""
+        """Return the variables common with the Python FMU."""
         return self.about.ports
 
     def of(self, role: Role) -> list[tuple[int, Local]]:
-        """Local variables of a role with their value references."""
+        """Return local variables of a role with value references."""
         return [(len(self.ports) + k, v) for k, v in enumerate(self.locals) if v.role == role]
 
 
 def per_second(unit: str) -> str:
-    """The unit of a derivative."""
+    """Return the unit of a derivative."""
     return f"{unit}2" if unit.endswith("/s") else f"{unit if unit != '1' else ''}/s" if unit not in ("", "1") else "1/s"
 
 
 def model_layout(printer: Printer, about: Description, indicators: int) -> Layout:
-    """Of a model of equations: states, derivatives, what effects remember, and after them the event indicators."""
+    """Return a model's layout: states, derivatives, memory and event indicators."""
     if list(about.ports) != list(model_ports(printer.model)):
         raise ValueError("the description is of another model")
     names = [q.name for q in printer.states]
@@ -73,7 +74,7 @@ def _rate(q: Quantity, k: int) -> Local:
 
 
 def _dependencies(printer: Printer, names: Sequence[str]) -> dict[str, list[str]]:
-    """Inputs and states that each output and derivative depends on, whatever is awake and however the switches are."""
+    """Return inputs and states behind each output and derivative. They cover all effects and switch positions."""
     found: dict[str, set[str]] = {}
     inputs, states = [q.name for q in printer.model.inputs], [f"{n}_state" for n in names]
     for trace in printer.variants:
@@ -86,12 +87,12 @@ def _dependencies(printer: Printer, names: Sequence[str]) -> dict[str, list[str]
             found.setdefault(q.name, set()).update(_reached(e, reach))
         acting = dict(zip(inputs, trace.shaped, strict=True))
         for name, e in zip(states, trace.derivative, strict=True):
-            direct = _reached(e, reach)  # the command that acts on them is shaped
+            direct = _reached(e, reach)  # The acting command is shaped.
             shaped = (_reached(acting[n], reach) for n in direct & acting.keys())
             found.setdefault(f"der({name})", set()).update(direct, *shaped)
     return {name: sorted(direct) for name, direct in found.items()}
 
 
 def _reached(expression: Any, reach: Mapping[Any, set[str]]) -> set[str]:
-    """Return the names that the symbols of an expression depend on."""
+    """Return the dependencies of an expression's symbols."""
     return set().union(*(reach.get(s, set()) for s in expression.free_symbols))

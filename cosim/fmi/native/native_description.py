@@ -1,4 +1,4 @@
-"""Model descriptions of native FMUs, for FMI 2.0 and 3.0."""
+"""Model descriptions of native FMUs for FMI 2.0 and 3.0."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LOG = {"logStatusWarning": "what the model was not made for", "logStatusError": 
 
 
 def description2(layout: Layout, name: str, identifier: str, version: str, guid: str) -> bytes:
-    """modelDescription.xml of FMI 2.0; the sources are in `all.c`."""
+    """Return modelDescription.xml of FMI 2.0; sources are in `all.c`."""
     about = layout.about
     root = Element("fmiModelDescription", fmiVersion="2.0", modelName=name, guid=guid)
     root.attrib |= _head(layout, version) | {"numberOfEventIndicators": str(layout.indicators)}
@@ -106,7 +106,7 @@ def _start(port: Port) -> str:
 
 
 def _roles(port: Port) -> dict[str, str]:
-    """Causality, variability and how the start value is meant."""
+    """Return causality, variability and initial."""
     if port.causality == "parameter":
         return {"causality": "parameter", "variability": "fixed", "initial": "exact"}
     variability = "continuous" if port.kind == "Real" else "discrete"
@@ -138,7 +138,7 @@ def _local2(k: int, v: Local, states: dict[int, int]) -> Element:
 
 
 def _structure2(layout: Layout) -> Element:
-    """Outputs, derivatives and initial unknowns, each with what it depends on."""
+    """Return ModelStructure with dependencies."""
     names = [*(p.name for p in layout.ports), *(v.name for v in layout.locals)]
     index = {name: k + 1 for k, name in enumerate(names)}
     structure = Element("ModelStructure")
@@ -172,7 +172,7 @@ def _text(root: Element) -> bytes:
 
 
 def description3(layout: Layout, name: str, identifier: str, version: str, guid: str) -> bytes:
-    """modelDescription.xml of FMI 3.0; `sources/buildDescription.xml` says what its sources are."""
+    """Return modelDescription.xml of FMI 3.0. `sources/buildDescription.xml` describes the sources."""
     about = layout.about
     root = Element("fmiModelDescription", fmiVersion="3.0", modelName=name, instantiationToken=guid)
     root.attrib |= _head(layout, version)
@@ -212,7 +212,7 @@ def description3(layout: Layout, name: str, identifier: str, version: str, guid:
 
 
 def _time(layout: Layout) -> int:
-    """FMI 3.0 wants a variable for the time; its value reference comes after all others."""
+    """Return the value reference of time, required by FMI 3.0."""
     return len(layout.ports) + len(layout.locals)
 
 

@@ -1,4 +1,4 @@
-"""Native FMUs: a model's C between machinery that is the same for all, compiled and packed, byte-reproducible."""
+"""Native FMUs: a model's C within common code, compiled and packed, byte-reproducible."""
 
 from __future__ import annotations
 
@@ -40,9 +40,10 @@ BUILD_DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 
 @dataclass(frozen=True)
 class Native:
-    """What makes one native FMU: its layout, what is printed of it, and the C that it needs beside.
+    """Everything needed for a native FMU: layout, generated code and further C.
 
-    parts: files of C after the printed `model.c`, which is the first
+    Attributes:
+        parts: C files to follow the generated `model.c`.
     """
 
     name: str
@@ -54,14 +55,14 @@ class Native:
 
 @dataclass(frozen=True)
 class Built:
-    """An archive, and of each library in it for Linux the oldest glibc it runs on, "" of others."""
+    """An archive, and the oldest glibc of each Linux library in it, "" for others."""
 
     path: Path
     floors: Mapping[str, str]
 
 
 def native_model(model: Model, recipe: Recipe, name: str) -> Native:
-    """A model of equations, described as the FMU of its recipe and compared with its Python; printing.Unprintable."""
+    """Return a model for a native FMU, checked against its Python; raise Unprintable on failure."""
     printer = Printer(model, recipe.about.ports)
     printed = printer.sources()
     check(model, printer)
@@ -70,14 +71,19 @@ def native_model(model: Model, recipe: Recipe, name: str) -> Native:
 
 
 def part(name: str) -> bytes:
-    """A file of the C that is the same for every model."""
+    """Return a C file common to all models."""
     return (HERE / name).read_bytes()
 
 
 def build_native(native: Native, path: Path, fmi: int = 2, platforms: Sequence[str] = ()) -> Built:
-    """Write one native FMU, whole or not at all; NoCompiler, CompilerFailed.
+    """Write a native FMU completely or not at all.
 
-    platforms: names of `PLATFORMS`; without, this machine's own
+    Args:
+        platforms: Names in `PLATFORMS`; by default this machine's.
+
+    Raises:
+        NoCompiler: A compiler is missing.
+        CompilerFailed: Compilation failed.
     """
     identifier = f"{native.name}Native"
     targets = commands(tuple(platforms))
@@ -107,7 +113,7 @@ def build_native(native: Native, path: Path, fmi: int = 2, platforms: Sequence[s
 
 
 def _sources(native: Native, fmi: int) -> dict[str, bytes]:
-    """All of the C but the GUID."""
+    """Return all C sources, without the GUID."""
     layer = f"fmi{fmi}.c"
     headers = sorted(fmi_headers().glob(f"fmi{fmi}*.h"))
     order = ["model.c", "instance.c", *native.parts, layer]

@@ -1,4 +1,4 @@
-"""Platforms that a native FMU may hold a library for: their folders, suffixes and compiler targets."""
+"""Platforms of native FMUs: folders, suffixes and compiler targets."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Platform:
-    """Folders of FMI 2.0 and 3.0 below `binaries`, how a library ends, and the target as zig calls it."""
+    """Folders of FMI 2.0 and 3.0 below `binaries`, library suffix, and zig's target name."""
 
     name: str
     fmi3: str
@@ -19,11 +19,11 @@ class Platform:
 
     @property
     def position(self) -> list[str]:
-        """Options for code that may lie anywhere in memory; on Windows all code may."""
+        """Return the option for position-independent code, not needed on Windows."""
         return [] if self.suffix == ".dll" else ["-fPIC"]
 
     def folder(self, fmi: int) -> str:
-        """Below `binaries`; FMI 2.0.4 takes the names of 3.0 for what it has no own name for."""
+        """Return the folder below `binaries`. FMI 2.0.4 uses 3.0's names for platforms without an own name."""
         return self.name if fmi == 2 else self.fmi3
 
 
@@ -40,13 +40,13 @@ PLATFORMS = {
 
 
 def here() -> Platform | None:
-    """The platform of this machine, None of one that is not in the list."""
+    """Return this machine's platform, None if not listed."""
     system = {"linux": "linux", "win32": "windows", "darwin": "darwin"}.get(sys.platform, sys.platform)
     machine = {"AMD64": "x86_64", "arm64": "aarch64"}.get(platform.machine(), platform.machine())
     return next((p for p in PLATFORMS.values() if p.fmi3 == f"{machine}-{system}"), None)
 
 
 def glibc_floor(library: bytes) -> str:
-    """The oldest glibc that a library of Linux runs on, by the versions of the symbols it binds; "" without any."""
+    """Return the oldest glibc for a Linux library, by its symbol versions."""
     found = {tuple(map(int, v.split(b"."))) for v in re.findall(rb"GLIBC_(\d+(?:\.\d+)+)", library)}
     return ".".join(map(str, max(found))) if found else ""

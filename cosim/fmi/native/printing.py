@@ -1,4 +1,4 @@
-"""A model as C: its body by the one generator, and the tables that equations.c goes by."""
+"""A model as C: generated body, and tables for equations.c."""
 
 from __future__ import annotations
 
@@ -18,15 +18,18 @@ from cosim.model.symbolic.trace import Block, Trace, Untraceable, switches
 from cosim.model.symbolic.tracing_guard import guarded
 from cosim.storage.cache import fingerprint, kept
 
-MOST_SWITCHES = 4  # each doubles what is printed
+MOST_SWITCHES = 4  # each doubles the generated code
 LANGUAGE = C()
 Printed = tuple[str, str, str]  # name, arguments, text
 
 
 class Unprintable(ValueError):
-    """A model that cannot be C, and why.
+    """A model without C equivalent.
 
-    owner, hook: the class at fault and what of it, where that is known; cure: what to do about it
+    Attributes:
+        owner: Class at fault, if known.
+        hook: Its method at fault.
+        cure: Remedy.
     """
 
     def __init__(self, text: str, owner: type | None = None, hook: str = "", cure: str = "") -> None:
@@ -36,14 +39,14 @@ class Unprintable(ValueError):
 
 @dataclass(frozen=True)
 class Sources:
-    """What is printed of a model: `model.c`, and the definitions of `config.h`."""
+    """Generated code of a model: `model.c` and the definitions of `config.h`."""
 
     body: str
     sizes: Mapping[str, object]
 
 
 def quoted(text: str) -> str:
-    """A string of C; what is not ASCII in octal."""
+    """Return a C string, with octal escapes outside ASCII."""
     escaped = "".join(c if c.isascii() and c.isprintable() and c not in '"\\?' else _octal(c) for c in text)
     return f'"{escaped}"'
 
@@ -53,20 +56,20 @@ def _octal(character: str) -> str:
 
 
 def number(value: float) -> str:
-    """A double of C, to the last bit."""
+    """Return an exact C double."""
     text = repr(float(value))
     return {"inf": "INFINITY", "-inf": "-INFINITY"}.get(text, text)
 
 
 def table(kind: str, name: str, rows: Iterable[str]) -> str:
-    """A constant table, never empty: C has no arrays of nothing."""
+    """Return a constant table, never empty as C requires."""
     listed = list(rows)
     inner = "".join(f"    {row},\n" for row in listed) or "    0,\n"
     return f"static const {kind} {name}[] = {{\n{inner}}};\n"
 
 
 def variable_tables(ports: Sequence[Port]) -> tuple[str, int]:
-    """The tables `variables` and `texts`, and how many texts there are."""
+    """Return the tables `variables` and `texts`, and the number of texts."""
     rows: list[str] = []
     texts: list[str] = []
     for port in ports:
@@ -85,7 +88,7 @@ def variable_tables(ports: Sequence[Port]) -> tuple[str, int]:
 
 
 class Printer:
-    """One model, printed: for each position of its switches a body of its own, chosen at run time."""
+    """Code generator of a model, with a body per switch position chosen at run time."""
 
     def __init__(self, model: Model, ports: Sequence[Port]) -> None:
         self.model, self.ports = model, ports
@@ -107,27 +110,27 @@ class Printer:
 
     @property
     def states(self) -> tuple[Any, ...]:
-        """Every state there can be: those of the model, then those of its whole catalogue."""
+        """Return all states of the model and its catalogue."""
         states: tuple[Any, ...] = self.trace.s.model.states
         return states
 
     @cached_property
     def delay(self) -> Any:
-        """The effect by which the command is late, or None."""
+        """Return the effect that delays the command, if any."""
         return next((e for e in overrides(self.trace.effects, "shape", Effect) if e.delay), None)
 
     @cached_property
     def remembering(self) -> list[tuple[Any, Any]]:
-        """(effect, quantity) of what effects remember, a delay apart."""
+        """Return (effect, quantity) for all memory except delays."""
         shaping = overrides(self.trace.effects, "shape", Effect)
         return [(e, q) for e in shaping if not e.delay for q in e.memory]
 
     def vr(self, name: str) -> int:
-        """Value reference of a variable."""
+        """Return the value reference of a variable."""
         return self.place[name]
 
     def sources(self) -> Sources:
-        """All that is printed."""
+        """Return all generated code."""
         tables, texts = variable_tables(self.ports)
         functions, body_kinks, kinks_in_all, calls = kept(self._said(), self._functions)
         parts = [tables, self._tables(), *functions, self._starts(), self._wake()]
@@ -159,7 +162,7 @@ class Printer:
     # -- functions ------------------------------------------------------------------------------
 
     def _said(self) -> str:
-        """All that the functions are made of, expressions to the last bit."""
+        """Return a text that determines all functions, for the cache."""
         from sympy import srepr
 
         def blocks(listed: Sequence[Block]) -> list[Any]:
@@ -176,7 +179,7 @@ class Printer:
         return repr((made, [self.vr(name) for name in self.switches]))
 
     def _functions(self) -> tuple[list[str], int, int, int]:
-        """Return the body, its kinks and slopes; the numbers of the body's kinks, of all kinks, and of calls nearby."""
+        """Return functions, and counts of body kinks, all kinks and calls."""
         gaps = [self._kinks(trace) for trace in self.variants]
         sizes = [max(len(found[k][1]) for found in gaps) for k in (0, 1)]
         calls = [nearby(trace.blocks, trace.derivative) for trace in self.variants]
@@ -186,7 +189,7 @@ class Printer:
 
     @staticmethod
     def _kinks(trace: Trace) -> tuple[tuple[list[Any], list[Any]], tuple[list[Any], list[Any]]]:
-        """Of the body, and of what acts on a command at once: what remembers moves at events alone."""
+        """Return kinks of the body and of immediate command shaping. Memory changes at events only."""
         moving = {*trace.s.state, *trace.s.command, trace.s.time}
         at_once = [b for b in trace.shaping if b.effect is None or not trace.effects[b.effect].memory]
         seen = {*moving, *(s for b in trace.shaping for s in b.values)}
@@ -224,20 +227,20 @@ class Printer:
             raise Unprintable(str(error)) from error
 
     def _merged(self, variants: Sequence[Printed]) -> str:
-        """One function, which takes the variant that the switches say."""
+        """Return a function that switches between variants."""
         name, arguments, text = variants[0]
         if all(other == text for _, _, other in variants):
             return text
         head, call = text.partition("\n")[0], ", ".join([*arguments.split(), "awake", "out"])
         own = [t.replace(f"static void {name}(", f"static void {name}_{k}(", 1) for k, (_, _, t) in enumerate(variants)]
-        # the order of `product`: the last switch counts least
+        # in the order of `product`: the last switch is the lowest bit
         places = [self.vr(switch) for switch in self.switches]
         bits = " | ".join(f"(p[{vr}] != 0.0) << {k}" for k, vr in enumerate(reversed(places)))
         cases = "".join(f"    case {k}: {name}_{k}({call}); break;\n" for k in range(len(variants)))
         return "\n".join(own) + f"\n{head}\n{{\n    switch ({bits}) {{\n{cases}    }}\n}}\n"
 
     def _starts(self) -> str:
-        """Start values that follow from parameters, unless the host has set them."""
+        """Return C code of start values calculated from parameters, unless set."""
         import sympy
 
         m, own = SymbolNamespace(), self.trace.s.model
@@ -267,7 +270,7 @@ class Printer:
         return f"{head}\n{{\n    {unused}\n{text}}}\n"
 
     def _wake(self) -> str:
-        """Which effects act: those with a parameter that is not neutral."""
+        """Return C code that activates effects with non-neutral parameters."""
         lines = []
         for k, effect in enumerate(self.trace.effects):
             known = [(self.vr(f"{effect.name}.{p.name}"), p.neutral) for p in parameters_of(effect)]
@@ -277,14 +280,14 @@ class Printer:
         return f"{head}\n{{\n    (void)p, (void)awake;\n{''.join(lines)}}}\n"
 
     def _remembers(self) -> str:
-        """Whether an effect that remembers is awake."""
+        """Return C code that tests for active effects with memory."""
         remembering = {e.name for e, _ in self.remembering}
         places = [k for k, e in enumerate(self.trace.effects) if e.name in remembering]
         head = "static int remembers(const unsigned char *awake)\n{\n    (void)awake;\n"
         return f"{head}    return {' || '.join(f'awake[{k}]' for k in places) or '0'};\n}}\n"
 
     def _counting(self) -> str:
-        """The name of an effect awake that goes by the length of substeps."""
+        """Return C code naming an active effect dependent on substep length."""
         remembering = {e.name for e, _ in self.remembering}
         clock = {self.trace.step, self.trace.s.time}
         lines = {}
@@ -325,6 +328,6 @@ class Printer:
 
 
 def _longest(delay: Any) -> float:
-    """The longest delay there can be [s]."""
+    """Return the longest possible delay [s]."""
     declared = next(p for p in parameters_of(delay) if p.name == delay.delay)
     return float(getattr(delay, "longest", declared.bounds[1]))

@@ -1,4 +1,4 @@
-"""A native FMU without inputs: signals that step and ramp in time, printed as tables above `source.c`."""
+"""Native FMU without inputs: steps and ramps in time, as tables above `source.c`."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from cosim.fmi.native.package import Native, build_native, part
 from cosim.fmi.native.printing import Sources, variable_tables
 from cosim.fmi.ports import Port
 
-ALWAYS = -1e300  # [s]
+ALWAYS = -1e300  # before any time [s]
 TEXT = "<p>Outputs that are functions of time: steps, ramps, recorded values.</p>"
 __all__ = ["Change", "CompilerFailed", "NoCompiler", "TimeSignal", "build_source"]
 
 
 @dataclass(frozen=True)
 class Change:
-    """From a time `at` [s] on: from one value to another at `rate` a second, at once where that is 0."""
+    """A change at time `at` [s] between two values, with `rate` per second, at once if 0."""
 
     at: float
     begin: float
@@ -32,7 +32,7 @@ class Change:
 
 @dataclass(frozen=True)
 class TimeSignal:
-    """An output as a function of time: what it is at first, and its changes in order of time."""
+    """An output as a function of time: first value, and changes in order of time."""
 
     unit: str
     begin: float
@@ -40,22 +40,28 @@ class TimeSignal:
 
     @property
     def pieces(self) -> tuple[Change, ...]:
-        """With what it is at first as the first of its changes."""
+        """Return the first value and the changes."""
         return (Change(ALWAYS, self.begin, self.begin), *self.changes)
 
 
 def build_source(
     name: str, signals: Mapping[str, TimeSignal], path: Path, step: float = 0.01, stop: float = 10.0
 ) -> Path:
-    """Write the FMU, whole or not at all. NoCompiler, CompilerFailed.
+    """Write the FMU completely or not at all.
 
-    step, stop: of its default experiment [s]
+    Args:
+        step: Step size of its default experiment [s].
+        stop: Stop time of its default experiment [s].
+
+    Raises:
+        NoCompiler: No compiler exists.
+        CompilerFailed: Compilation failed.
     """
     return build_native(native_source(name, signals, step, stop), path).path
 
 
 def native_source(name: str, signals: Mapping[str, TimeSignal], step: float, stop: float) -> Native:
-    """What makes the FMU of these signals."""
+    """Return the parts of the signals' native FMU."""
     units = {output: signal.unit if parse(signal.unit) else "" for output, signal in signals.items()}
     ports = tuple(Port(output, "output", 0.0, unit, "a function of time") for output, unit in units.items())
     none: dict[str, Sequence[str]] = {port.name: () for port in ports}
@@ -69,7 +75,7 @@ def native_source(name: str, signals: Mapping[str, TimeSignal], step: float, sto
 
 
 def tables(signals: Mapping[str, TimeSignal]) -> str:
-    """The changes of all signals, as C."""
+    """Return the changes of all signals as C."""
     changes = [change for signal in signals.values() for change in signal.pieces]
     columns = {
         "AT": [c.at for c in changes],

@@ -1,4 +1,4 @@
-"""What a run looked like: one self-contained HTML page, or a folder of PNG figures."""
+"""Report of a run: a self-contained HTML page, or a folder of PNG figures."""
 
 from cosim.simulation.report.figures import write_figures
 from cosim.simulation.report.run_page import write_report

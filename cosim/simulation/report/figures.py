@@ -1,4 +1,4 @@
-"""PNG figures of a run, for reports and slides; the same panels as on the page."""
+"""PNG figures of a run, for reports and slides, with the same panels as the page."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from matplotlib.ticker import Locator
 
 
-# Okabe and Ito's colours, told apart by all common kinds of sight; dashes carry the same message without colour.
-# What lies under the thin dark truth is wide and pale, so that neither hides the other.
+# Okabe and Ito's colours are distinct for all common kinds of colour vision; dashes work without colour. Curves below
+# the thin dark truth are wide and pale, so that both stay visible.
 LINES: dict[str, tuple[str, str, float]] = {
     "true": ("#1a1a1a", "-", 1.6),
     "estimate": ("#7fb8d8", "-", 3.2),
@@ -40,11 +40,11 @@ LINES: dict[str, tuple[str, str, float]] = {
     "s5": ("#1a1a1a", ":", 1.1),
 }
 PANELS_A_FIGURE = 8
-MOST_POINTS = 4000  # of a curve: some five for each pixel across
+MOST_POINTS = 4000  # points per curve, about five per pixel
 
 
 def write_figures(folder: Path, results: Results, manifest: Mapping[str, Any]) -> list[Path]:
-    """Write PNG figures of a run into `folder`, none of a run without rows, and return their paths."""
+    """Write PNG figures of a run; return their paths. A run without rows has none."""
     run = recorded(results, manifest)
     if run.time.size == 0:
         return []
@@ -53,7 +53,7 @@ def write_figures(folder: Path, results: Results, manifest: Mapping[str, Any]) -
 
 
 def _signals(folder: Path, run: Run) -> list[Path]:
-    """Every signal of a run that nobody has drawn figures for, by unit."""
+    """Draw all signals by unit, for runs without figures of their own."""
     panels = signal_panels(run)
     sheets = [panels[first : first + PANELS_A_FIGURE] for first in range(0, len(panels), PANELS_A_FIGURE)]
     names = ["signals.png"] if len(sheets) == 1 else [f"signals-{i + 1}.png" for i in range(len(sheets))]
@@ -61,18 +61,18 @@ def _signals(folder: Path, run: Run) -> list[Path]:
 
 
 def panels_figure(path: Path, run: Run, panels: Sequence[Panel]) -> Path:
-    """Panels over time in one file, two beside each other."""
+    """Draw panels over time into a file."""
     return save(sheet(run.time, panels), path)
 
 
 def figure_of(results: Results, names: Sequence[str]) -> Figure:
-    """Signals over time, those of one unit over each other."""
+    """Return a figure of signals; those of the same unit share a panel."""
     run = recorded(results, {})
     return sheet(run.time, signal_panels(run, frozenset(results.columns) - set(names)))
 
 
 def sheet(time: Array, panels: Sequence[Panel]) -> Figure:
-    """Panels over time [s] in one figure, two beside each other."""
+    """Return a figure of panels over time [s], in two columns."""
     columns = 1 if len(panels) == 1 else 2
     rows = -(-len(panels) // columns)
     figure = new_figure(5.6 * columns, 2.6 * rows + 0.3)
@@ -109,7 +109,7 @@ def _panel(ax: Axes, time: Array, panel: Panel) -> None:
 
 
 def _ticks(count: int, angle: bool = False) -> Locator:
-    """Return ticks by the rules of the page, for whatever part of an axis is shown."""
+    """Return ticks by the page's rules, for any visible range."""
     from matplotlib.ticker import Locator
 
     class Ticks(Locator):
@@ -124,19 +124,19 @@ def _ticks(count: int, angle: bool = False) -> Locator:
 
 
 def tidy(ax: Axes, label: str) -> None:
-    """Grid and label; no box."""
+    """Set grid and label, and remove the box."""
     ax.set_xlabel(label)
     ax.grid(color="#e4e4e4", linewidth=0.6)
     ax.spines[["top", "right"]].set_visible(False)
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write whole or not at all, as every file of a run."""
+    """Write a figure completely or not at all."""
     with draft_of(path) as draft:
         figure.savefig(draft, format="png", dpi=150)
     return path
 
 
 def literal(text: str) -> str:
-    """User's text, not mathematics: matplotlib reads `$…$` as TeX and hides labels that begin with `_`."""
+    """Return text safe from matplotlib's TeX and hidden labels."""
     return text.replace("$", r"\$").removeprefix("_")

@@ -1,4 +1,4 @@
-"""Rows of the page about any run: badges, connections, start values, where it came from."""
+"""Rows of the page of any run: badges, connections, start values and provenance."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from cosim.simulation.report.recorded import Run, mapping, mappings, number, tex
 from cosim.simulation.report.verdicts import Criterion, failed
 from cosim.storage.yaml_file import short
 
-MOST_SPELLED, MOST_CHANGES = 200, 8  # signals, and changes of each, that a page spells out
+MOST_SPELLED, MOST_CHANGES = 200, 8  # signals on a page, and changes of each
 
 
 @dataclass(frozen=True)
 class Connection:
-    """A connection, and the noise and the faults on it."""
+    """A connection with its noise and faults."""
 
     source: str
     target: str
@@ -30,7 +30,7 @@ class Connection:
 
 
 def badges(run: Run, judged: Sequence[Criterion]) -> list[Badge]:
-    """Return badges: status, criteria, algorithm, noise, seed, then what asks for attention."""
+    """Return badges: status, criteria, algorithm, noise, seed and warnings."""
     met = sum(criterion.met for criterion in judged)
     seed, warnings = run.manifest.get("seed"), texts(run.manifest.get("warnings"))
     badges = (
@@ -46,26 +46,29 @@ def badges(run: Run, judged: Sequence[Criterion]) -> list[Badge]:
 
 
 def _has_noise(scenario: Mapping[str, Any]) -> bool:
-    """Return whether a connection or a sensor of fixes adds noise."""
+    """Return whether any connection or fix sensor adds noise."""
     sensors = (mapping(mapping(c).get("signals")) for c in mapping(scenario.get("components")).values())
     sources = (*mappings(scenario.get("connections")), *(signal for signals in sensors for signal in signals.values()))
     return bool(scenario.get("noise", True)) and any(mapping(mapping(source).get("noise")) for source in sources)
 
 
 def _title(algorithm: str) -> str:
-    """Return the title of an algorithm, made from its name if it is not installed here."""
+    """Return an algorithm's title, derived from its name if not installed."""
     known = algorithms().get(algorithm)
     return known.title if known else algorithm.replace("_", "-").title()
 
 
 def items_of(run: Run) -> dict[str, dict[float, str]]:
-    """Names of an enumeration's items by their numbers, of each column that has them."""
+    """Return column → enumeration items by number."""
     found = mapping(run.manifest.get("items"))
     return {str(c): {number(v): str(name) for name, v in mapping(items).items()} for c, items in found.items()}
 
 
 def spelled(run: Run) -> list[Row]:
-    """What no curve shows, with the times of its changes: text, 64-bit integers, binary data, items by their names."""
+    """Return values without curves, with times of their changes.
+
+    These are text, 64-bit integers, binary data and enumeration items.
+    """
     found = []
     for column, items in islice(mapping(run.manifest.get("items")).items(), MOST_SPELLED):
         if column in run.results and run.time.size:
@@ -88,7 +91,7 @@ def _over_time(run: Run, values: Mapping[int, str], points: int) -> str:
 
 
 def connections(run: Run) -> list[Connection]:
-    """The connections of the scenario."""
+    """Return the connections of the scenario."""
     return [
         Connection(str(link.get("from", "?")), str(link.get("to", "?")), "; ".join(disturbances(run, link)))
         for link in mappings(run.scenario.get("connections"))
@@ -96,13 +99,13 @@ def connections(run: Run) -> list[Connection]:
 
 
 def disturbances(run: Run, link: Mapping[str, Any]) -> list[str]:
-    """Return what acts on a connection: its noise, then each injected fault."""
+    """Return a connection's noise and injected faults as text."""
     noise, target = _noise(run, link), str(link.get("to"))
     return [*([noise] if noise else []), *(fault_text(fault) for fault in faults_on(run, [target]))]
 
 
 def faults_on(run: Run, inputs: Sequence[str]) -> list[Mapping[str, Any]]:
-    """Faults injected into the connections to these inputs."""
+    """Return faults injected into connections to given inputs."""
     faults = mappings(run.scenario.get("faults"))
     if not faults:
         return []
@@ -111,7 +114,7 @@ def faults_on(run: Run, inputs: Sequence[str]) -> list[Mapping[str, Any]]:
 
 
 def fault_text(fault: Mapping[str, Any]) -> str:
-    """A fault as said in a line: `bias 0.1 from 2 s to 4 s`."""
+    """Return a fault as text: `bias 0.1 from 2 s to 4 s`."""
     sizes = [str(fault["value"])] if "value" in fault else []
     sizes += [f"of {fault['delay']} s"] if "delay" in fault else []
     sizes += [f"with probability {fault['probability']}"] if "probability" in fault else []
@@ -120,7 +123,7 @@ def fault_text(fault: Mapping[str, Any]) -> str:
 
 
 def _noise(run: Run, link: Mapping[str, Any]) -> str:
-    """Standard deviation and bias in the unit shown elsewhere; the manifest keeps the variance."""
+    """Return a connection's noise with its standard deviation. The manifest holds the variance."""
     noise = mapping(link.get("noise"))
     if not noise:
         return ""
@@ -133,7 +136,7 @@ def _noise(run: Run, link: Mapping[str, Any]) -> str:
 
 
 def starts(run: Run) -> list[Row]:
-    """Start values and settings the scenario gave its components."""
+    """Return start values and settings of the scenario's components."""
     found = []
     for name, component in mapping(run.scenario.get("components")).items():
         kind = mapping(component)
@@ -145,7 +148,7 @@ def starts(run: Run) -> list[Row]:
 
 
 def _said(value: object) -> str:
-    """A setting as one writes it in a scenario, on one line."""
+    """Return a setting in scenario notation on a single line."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, Mapping):
@@ -156,7 +159,7 @@ def _said(value: object) -> str:
 
 
 def provenance(run: Run) -> list[Row]:
-    """Return what is needed to get the same numbers again; facts that the manifest lacks are left out."""
+    """Return known facts for reproducing the run."""
     manifest, scenario = run.manifest, run.scenario
     git, timings, seed = mapping(manifest.get("git")), mapping(manifest.get("timings")), manifest.get("seed")
     design = mapping(manifest.get("design")) or mapping(scenario.get("design"))
@@ -184,7 +187,7 @@ def _pairs(facts: Mapping[str, Any], between: str) -> str:
 
 
 def _fmu_row(name: str, fmu: Mapping[str, Any]) -> Row:
-    """Return the identity of an FMU, a line a fact."""
+    """Return the identity of an FMU, a line per fact."""
     keys = ("model_name", "version", "guid", "sha256", "generation_tool")
     lines = [f"{key.replace('_', ' ')} {fmu[key]}" for key in keys if fmu.get(key)]
     return Row(f"FMU {name}", "\n".join(lines), str(fmu.get("path") or ""))

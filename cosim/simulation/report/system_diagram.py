@@ -1,4 +1,4 @@
-"""The system of a run as a picture: components in the order in which they step, signals, units, noise and faults."""
+"""Diagram of a system: components in stepping order, signals, units, noise and faults."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from cosim.simulation.report.run_rows import disturbances
 from cosim.storage.results import Results
 from cosim.storage.yaml_file import short
 
-LONGEST = 34  # characters of a name in the picture
+LONGEST = 34  # characters of a name in the diagram
 
 
 @dataclass(frozen=True)
 class Link:
-    """A connection: its ends, their units, what acts on it, and whether it passes on the value of the step's start."""
+    """A connection with its ends, units, noise and faults; `held` passes on the value from the step's start."""
 
     source: str
     target: str
@@ -30,13 +30,13 @@ class Link:
 
     @property
     def ends(self) -> tuple[str, str]:
-        """Components that it connects."""
+        """Return the connected components."""
         return self.source.partition(".")[0], self.target.partition(".")[0]
 
 
 @dataclass(frozen=True)
 class Graph:
-    """Components in the order in which they step, what each is, and the connections between them."""
+    """Components in stepping order with their kinds and connections."""
 
     name: str
     about: Mapping[str, str]
@@ -44,7 +44,11 @@ class Graph:
     algorithm: Algorithm
 
     def svg(self, *, alone: bool = True) -> str:
-        """The picture; `alone` in a file of its own."""
+        """Return the diagram as SVG.
+
+        Args:
+            alone: Whether for a file of its own.
+        """
         ports: dict[str, tuple[dict[str, Port], dict[str, Port]]] = {name: ({}, {}) for name in self.about}
         for link in self.links:
             for side, (end, unit) in enumerate(zip((link.target, link.source), link.units[::-1], strict=True)):
@@ -78,7 +82,7 @@ class Graph:
         return [f"{order} A dashed line passes on the value of the step's start, all others that of its end."]
 
     def mermaid(self) -> str:
-        """The picture as text that GitHub, GitLab and many editors draw."""
+        """Return the diagram as Mermaid text for GitHub, GitLab and editors."""
         place = {name: f"n{k}" for k, name in enumerate(self.about, 1)}
         lines = ["flowchart LR"]
         lines += [
@@ -95,7 +99,7 @@ class Graph:
 
 
 def graph_of_run(run: Run) -> Graph | None:
-    """The picture of a run, of its manifest; None where that does not say enough."""
+    """Return a run's diagram, None for an incomplete manifest."""
     order, held = run.manifest.get("order"), run.manifest.get("held")
     components = mapping(run.scenario.get("components"))
     if not isinstance(order, list) or not isinstance(held, list) or set(order) != set(components):
@@ -104,7 +108,12 @@ def graph_of_run(run: Run) -> Graph | None:
 
 
 def graph_from(scenario: Mapping[str, Any], order: Sequence[str], held: set[str], units: Mapping[str, str]) -> Graph:
-    """The picture of a scenario's mapping, with the order of its components and the inputs that are held."""
+    """Return the diagram of a scenario.
+
+    Args:
+        order: Components in stepping order.
+        held: Inputs that see the value from the step's start.
+    """
     components = mapping(scenario.get("components"))
     about = {name: _about(mapping(components.get(name))) for name in order}
     alone = Run(_no_rows(units), {"scenario": scenario})
@@ -159,5 +168,5 @@ def _label(link: Link) -> str:
 
 
 def _safe(text: str) -> str:
-    """Text within quotes of mermaid."""
+    """Return text escaped for Mermaid quotes."""
     return text.replace("&", "#amp;").replace('"', "#quot;").replace("<", "#lt;").replace(">", "#gt;")

@@ -1,4 +1,4 @@
-"""The run in words: each sentence is computed from the data and left out where it would not be true."""
+"""A run in words; each sentence is computed from the data and omitted if untrue."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cosim.simulation.report.recorded import Run, mapping, mappings, number
 
 @dataclass(frozen=True)
 class Criterion:
-    """A criterion of the scenario as the page tells it."""
+    """A criterion in the page's words."""
 
     what: str
     value: str
@@ -23,7 +23,7 @@ class Criterion:
 
 
 def criteria(run: Run) -> list[Criterion]:
-    """The criteria of the manifest, as text."""
+    """Return the manifest's criteria as text."""
     return [_criterion(entry, run.unit(str(entry.get("of")))) for entry in mappings(run.manifest.get("criteria"))]
 
 
@@ -45,12 +45,12 @@ def _criterion(entry: Mapping[str, Any], unit_of_signal: str) -> Criterion:
 
 
 def failed(run: Run) -> bool:
-    """Whether the simulation stopped before its end."""
+    """Return whether the simulation stopped early."""
     return str(run.manifest.get("status") or "ok") != "ok"
 
 
 def outcome(run: Run, judged: list[Criterion]) -> str:
-    """The run in one or two plain sentences."""
+    """Return the run's outcome in one or two sentences."""
     missed = [c for c in judged if not c.met]
     if failed(run):
         status = str(run.manifest["status"])
@@ -68,7 +68,7 @@ def outcome(run: Run, judged: list[Criterion]) -> str:
 
 
 def _simulated(run: Run) -> str:
-    """Return what was simulated: components, duration and steps."""
+    """Return a sentence on components, duration and steps."""
     names = list(mapping(run.scenario.get("components"))) or list(run.variables)
     if not names or not run.time.size:
         return "Nothing was recorded."
