@@ -44,7 +44,7 @@ def fill(app: Any, page: str, source: list[str]) -> None:
         source[0] = source[0].replace(link, link + image)
 
 
-def changed_pages(app: Any, env: Any, added: set[str], changed: set[str], removed: set[str]) -> list[str]:
+def list_changed_pages(app: Any, env: Any, added: set[str], changed: set[str], removed: set[str]) -> list[str]:
     """Return the pages that `fill` changes: Sphinx reads them again in every build."""
     return ["api", "cli", "gallery"]
 
@@ -52,4 +52,4 @@ def changed_pages(app: Any, env: Any, added: set[str], changed: set[str], remove
 def setup(app: Any) -> None:
     """Register the functions above."""
     app.connect("source-read", fill)
-    app.connect("env-get-outdated", changed_pages)
+    app.connect("env-get-outdated", list_changed_pages)

@@ -20,14 +20,14 @@ from cosim.sweeps.sweep_result import Swept
 from cosim.sweeps.sweep_table import Runs
 from cosim.verbs import verbs
 from cosim.verbs.cli import app
-from cosim.verbs.help import OTHERS, description, names
+from cosim.verbs.help import OTHERS, format_description, format_names
 
 RESULTS = (Run, Signals, Replay, Refined, Compared, Swept, Runs)
 ALIASES = {"Number", "Values"}  # of types: they have no docstring
 SECTIONS = re.compile(r"^(Args|Attributes|Returns|Raises):$", re.MULTILINE)
 
 
-def command_line() -> str:
+def format_command_line() -> str:
     """Return the reference of all verbs, by group."""
     parts, group = [], ""
     for name, command in typer.main.get_command(app).commands.items():  # type: ignore[attr-defined]
@@ -36,43 +36,43 @@ def command_line() -> str:
             parts.append(f"## {group}")
         text, _, example = inspect.cleandoc(command.help).partition("Example: ")
         parts += [f"### {name}", text.strip(), f"```sh\n{example}\n```"]
-        rows = [(f"`{names(p)}`", description(p)) for p in command.params]
-        parts.append(table(("argument or option", "meaning"), rows))
+        rows = [(f"`{format_names(p)}`", format_description(p)) for p in command.params]
+        parts.append(format_table(("argument or option", "meaning"), rows))
     return "\n\n".join(parts)
 
 
-def python() -> str:
+def format_python() -> str:
     """Return the reference of the functions, their results and the classes of a model file."""
     parts = ["## Functions"]
     for name, verb in verbs():
         if verb.function:
             function = resolve(verb.function)
-            parts += [f"### cosim.{name.replace('-', '_')}", signature(name.replace("-", "_"), function)]
-            parts += sections(inspect.getdoc(function) or "")
+            parts += [f"### cosim.{name.replace('-', '_')}", format_signature(name.replace("-", "_"), function)]
+            parts += format_sections(inspect.getdoc(function) or "")
     parts.append("## Results")
     for kind in RESULTS:
         parts += [
             f"### {kind.__name__}",
-            *sections(inspect.getdoc(kind) or ""),
-            table(("member", "meaning"), members(kind)),
+            *format_sections(inspect.getdoc(kind) or ""),
+            format_table(("member", "meaning"), list_members(kind)),
         ]
     parts += ["## Model files", "`from cosim.model import …`; [own_model.md](own_model.md) is the tutorial."]
     rows = [
-        (f"`{name}`", first_line(getattr(cosim.model, name)))
+        (f"`{name}`", read_first_line(getattr(cosim.model, name)))
         for name in sorted(cosim.model.__all__)
         if name not in ALIASES
     ]
-    parts.append(table(("name", "meaning"), rows))
+    parts.append(format_table(("name", "meaning"), rows))
     return "\n\n".join(parts)
 
 
-def signature(name: str, function: Any) -> str:
+def format_signature(name: str, function: Any) -> str:
     """Return the call of a function with its default values, as a code block."""
     arguments = [p.replace(annotation=p.empty) for p in inspect.signature(function).parameters.values()]
     return f"```text\ncosim.{name}{inspect.Signature(arguments)}\n```"
 
 
-def sections(docstring: str) -> Iterator[str]:
+def format_sections(docstring: str) -> Iterator[str]:
     """Yield the text of a docstring and a table or sentence for each of its sections."""
     text, *titled = SECTIONS.split(docstring)
     yield text.strip()
@@ -82,26 +82,26 @@ def sections(docstring: str) -> Iterator[str]:
             continue
         items = re.findall(r"^    (\w+): (.*?)(?=^    \w+: |\Z)", content, re.MULTILINE | re.DOTALL)
         heading = {"Args": "argument", "Attributes": "attribute", "Raises": "error"}[title]
-        yield table((heading, "meaning"), [(f"`{name}`", " ".join(meaning.split())) for name, meaning in items])
+        yield format_table((heading, "meaning"), [(f"`{name}`", " ".join(meaning.split())) for name, meaning in items])
 
 
-def members(kind: type) -> Iterator[tuple[str, str]]:
+def list_members(kind: type) -> Iterator[tuple[str, str]]:
     """Yield the public properties and methods of a class with the first line of their docstrings."""
     fields = {field.name for field in dataclasses.fields(kind)} if dataclasses.is_dataclass(kind) else set()
     for name, member in inspect.getmembers(kind):
         if not name.startswith("_") and name not in fields and (callable(member) or isinstance(member, property)):
-            yield f"`{name}()`" if callable(member) else f"`{name}`", first_line(member)
+            yield f"`{name}()`" if callable(member) else f"`{name}`", read_first_line(member)
 
 
-def first_line(thing: Any) -> str:
+def read_first_line(thing: Any) -> str:
     """Return the first line of a docstring."""
     return (inspect.getdoc(thing) or "").split("\n", 1)[0]
 
 
-def table(header: tuple[str, str], rows: Any) -> str:
+def format_table(header: tuple[str, str], rows: Any) -> str:
     """Return a table of two columns."""
     lines = [header, ("---", "---"), *rows]
     return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
 
 
-PAGES = {"<!-- generated: command line -->": command_line, "<!-- generated: Python -->": python}
+PAGES = {"<!-- generated: command line -->": format_command_line, "<!-- generated: Python -->": format_python}

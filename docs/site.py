@@ -63,7 +63,7 @@ def gallery() -> None:
                 shutil.copy(folder / "results" / page / "report.html", MADE / "gallery" / f"{page}.html")
 
 
-def thumbnails() -> None:
+def draw_thumbnails() -> None:
     """Draw a thumbnail of every report of the gallery, if there is a Chromium."""
     browser = next((found for name in BROWSERS if (found := shutil.which(name))), None)
     if browser is None:
@@ -127,7 +127,7 @@ def main() -> int:
     chosen = options.parse_args()
     if not chosen.no_gallery:
         gallery()
-        thumbnails()
+        draw_thumbnails()
     shutil.rmtree(SITE, ignore_errors=True)
     sphinx = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-d", str(MADE.parent / "_site.doctrees")]
     subprocess.run([*sphinx, "-b", "html", str(DOCS), str(SITE)], check=True)

@@ -26,7 +26,7 @@ NO_PROSE = re.compile(r"^```.*?^```|^:::.*?^:::|<!--.*?-->|^---\n.*?^---\n", re.
 NEW_PARAGRAPH = re.compile(r"\n\s*\n|\n(?=\s*(?:[-*+]|\d+\.)\s)|\n(?=\s*\|)|(?<=\|)\n")
 
 
-def function_docstrings(package: str) -> Iterator[str]:
+def read_docstrings(package: str) -> Iterator[str]:
     """Yield the docstring of every function of a package."""
     for path in sorted((ROOT / package).rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -34,20 +34,20 @@ def function_docstrings(package: str) -> Iterator[str]:
                 yield text
 
 
-def words(text: str) -> list[str]:
+def split_words(text: str) -> list[str]:
     """Return the words of a text in lower case, without punctuation."""
     return re.findall(r"[^\W\d_][\w'’-]*", text.lower())
 
 
-def paragraphs(page: Path) -> list[str]:
+def split_paragraphs(page: Path) -> list[str]:
     """Return the paragraphs and list items of a page; code, tables and headings are no paragraphs."""
     parts = NEW_PARAGRAPH.split("\n" + NO_PROSE.sub("\n\n", page.read_text(encoding="utf-8")))
     return [part.strip() for part in parts if part.strip() and not re.match(r"\s*(\||#|    \S)", part.strip("\n"))]
 
 
-def long_paragraphs(page: Path) -> list[str]:
+def find_long_paragraphs(page: Path) -> list[str]:
     """Return the paragraphs of a page that have too many words, each with its number of words."""
-    counted = [(len(text.split()), text) for text in paragraphs(page)]
+    counted = [(len(text.split()), text) for text in split_paragraphs(page)]
     return [
         f"{page.relative_to(ROOT)}: {count} words: {' '.join(text.split()[:8])} ..."
         for count, text in counted
@@ -55,11 +55,11 @@ def long_paragraphs(page: Path) -> list[str]:
     ]
 
 
-def docstring_line(package: str) -> str:
+def format_docstring_line(package: str) -> str:
     """Return the measures of a package's docstrings as a line of a table."""
-    texts = list(function_docstrings(package))
-    first_lines = [words(text.splitlines()[0]) for text in texts]
-    all_words = [word for text in texts for word in words(text)]
+    texts = list(read_docstrings(package))
+    first_lines = [split_words(text.splitlines()[0]) for text in texts]
+    all_words = [word for text in texts for word in split_words(text)]
     fragments = sum(bool(line) and line[0] in FRAGMENTS for line in first_lines) / len(texts)
     pronouns = sum(word in PRONOUNS for word in all_words) / len(all_words)
     median = statistics.median(map(len, first_lines))
@@ -70,14 +70,14 @@ def main() -> None:
     """Print the measures."""
     print(f"{'package':12}{'count':>6}{'fragments':>12}{'pronouns':>11}{'median':>9}  (words of the first line)")
     for package in PACKAGES:
-        print(docstring_line(package))
+        print(format_docstring_line(package))
     print(f"\n{'document':32}{'words':>7}{'longest paragraph':>19}")
     for page in HAND_WRITTEN:
-        lengths = [len(text.split()) for text in paragraphs(page)]
+        lengths = [len(text.split()) for text in split_paragraphs(page)]
         total = len(page.read_text(encoding="utf-8").split())
         print(f"{page.relative_to(ROOT)!s:32}{total:7}{max(lengths):19}")
     for page in HAND_WRITTEN:
-        print("\n".join(long_paragraphs(page)), end="\n" if long_paragraphs(page) else "")
+        print("\n".join(find_long_paragraphs(page)), end="\n" if find_long_paragraphs(page) else "")
 
 
 if __name__ == "__main__":

@@ -223,7 +223,7 @@ def script_of_docs(name: str) -> ModuleType:
 
 
 def test_the_reference_of_the_command_line_has_every_verb_and_option() -> None:
-    sections = re.split(r"^### ", script_of_docs("reference").command_line(), flags=re.MULTILINE)[1:]
+    sections = re.split(r"^### ", script_of_docs("reference").format_command_line(), flags=re.MULTILINE)[1:]
     text_of = {section.split("\n")[0]: section for section in sections}
     commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
     assert set(text_of) == set(commands)
@@ -235,7 +235,7 @@ def test_the_reference_of_the_command_line_has_every_verb_and_option() -> None:
 @pytest.mark.parametrize("name", [name for name, verb in verbs() if verb.function])
 def test_the_reference_of_python_explains_every_argument_of_a_function(name: str) -> None:
     function = resolve(dict(verbs())[name].function)
-    page = script_of_docs("reference").python()
+    page = script_of_docs("reference").format_python()
     (section,) = re.findall(rf"^### cosim\.{name.replace('-', '_')}\n(.*?)^##", page, re.MULTILINE | re.DOTALL)
     for argument in inspect.signature(function).parameters:
         assert re.search(rf"^\| `{argument}` \| [A-Z][^|]+\. \|$", section, re.MULTILINE), argument

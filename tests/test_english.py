@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.english import HAND_WRITTEN, MAX_README_WORDS, ROOT, long_paragraphs, paragraphs
+from tests.english import HAND_WRITTEN, MAX_README_WORDS, ROOT, find_long_paragraphs, split_paragraphs
 
 
 def test_the_readme_is_short() -> None:
@@ -15,11 +15,11 @@ def test_the_readme_is_short() -> None:
 
 @pytest.mark.parametrize("page", HAND_WRITTEN, ids=lambda page: page.stem)
 def test_paragraphs_of_a_document_are_short(page: Path) -> None:
-    assert long_paragraphs(page) == []
+    assert find_long_paragraphs(page) == []
 
 
 def test_paragraphs_are_counted_without_code_tables_and_headings(tmp_path: Path) -> None:
     (tmp_path / "page.md").write_text(
         "# Title\n\none two\nthree\n| a | b |\n|---|---|\n\n- four\n- five\n\n```\nsix\n```\n"
     )
-    assert paragraphs(tmp_path / "page.md") == ["one two\nthree", "- four", "- five"]
+    assert split_paragraphs(tmp_path / "page.md") == ["one two\nthree", "- four", "- five"]

@@ -16,7 +16,7 @@ class VerbHelp(TyperCommand):
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """Return the words after the name of the verb."""
-        return ["[OPTIONS]", *(placeholder(p) for p in self.params if p.param_type_name == "argument")]
+        return ["[OPTIONS]", *(format_placeholder(p) for p in self.params if p.param_type_name == "argument")]
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write arguments and options."""
@@ -33,13 +33,13 @@ class GroupedHelp(TyperGroup):
         width = max(map(len, self.commands), default=0)
         for name, command in self.commands.items():
             first_line = (command.help or "").split("\n", 1)[0]
-            groups.setdefault(_group(command), []).append((name.ljust(width), first_line))
+            groups.setdefault(_get_group(command), []).append((name.ljust(width), first_line))
         for title, rows in groups.items():
             with formatter.section(title):
                 formatter.write_dl(rows)
 
 
-def placeholder(parameter: Any) -> str:
+def format_placeholder(parameter: Any) -> str:
     """Return the word that stands for the value of an argument or option: FILE, INTEGER; "" for a switch."""
     if getattr(parameter, "is_flag", False) or getattr(parameter, "count", False):
         return ""
@@ -47,7 +47,7 @@ def placeholder(parameter: Any) -> str:
     return f"{word}..." if parameter.param_type_name == "argument" and parameter.nargs != 1 else word
 
 
-def description(parameter: Any) -> str:
+def format_description(parameter: Any) -> str:
     """Return the help of an argument or option, with its default value and whether it can be repeated."""
     text = (parameter.help or "").rstrip(".")
     default = parameter.default
@@ -59,14 +59,16 @@ def description(parameter: Any) -> str:
     return f"{text}." + (" Repeatable." if getattr(parameter, "multiple", False) else "")
 
 
-def names(parameter: Any) -> str:
+def format_names(parameter: Any) -> str:
     """Return the spellings of an option, short ones first, and its placeholder."""
     options = ", ".join(sorted(parameter.opts, key=len))
-    spellings = [" / ".join([options, *parameter.secondary_opts]), placeholder(parameter)]
-    return placeholder(parameter) if parameter.param_type_name == "argument" else " ".join(filter(None, spellings))
+    spellings = [" / ".join([options, *parameter.secondary_opts]), format_placeholder(parameter)]
+    return (
+        format_placeholder(parameter) if parameter.param_type_name == "argument" else " ".join(filter(None, spellings))
+    )
 
 
-def _group(command: Any) -> str:
+def _get_group(command: Any) -> str:
     group = getattr(command, "rich_help_panel", None)
     return group if isinstance(group, str) and group else OTHERS
 
@@ -76,7 +78,7 @@ def _write_parameters(command: Any, ctx: typer.Context, formatter: Any) -> None:
     for parameter in command.get_params(ctx):
         if not getattr(parameter, "hidden", False):
             title = "Arguments" if parameter.param_type_name == "argument" else "Options"
-            rows[title].append((names(parameter), description(parameter)))
+            rows[title].append((format_names(parameter), format_description(parameter)))
     for title, records in rows.items():
         if records:
             with formatter.section(title):
