@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.text import MISSING, counted
+from cosim.base.text import MISSING, counted, plain
 from cosim.linearization.linear_model import Linear
 from cosim.linearization.system_structure import Pole, Structure
 
@@ -50,10 +50,10 @@ def meaning(p: Pole) -> str:
     real, imag = p.value.real, abs(p.value.imag)
     if not p.value:
         return {1: "stays", 2: "grows linearly (double integrator)"}.get(max(p.blocks), "grows with a power of time")
-    swings = f"oscillates with a period of {number(2 * math.pi / imag)} s" if imag else ""
+    swings = f"oscillates with a period of {plain(2 * math.pi / imag)} s" if imag else ""
     if abs(real) <= STILL_POLE:
         return f"{swings} without damping"
-    time = f"{'grows' if real > 0 else 'decays'} with a time constant of {number(1.0 / abs(real))} s"
+    time = f"{'grows' if real > 0 else 'decays'} with a time constant of {plain(1.0 / abs(real))} s"
     return f"{swings} and {time}" if swings else time
 
 
