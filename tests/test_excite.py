@@ -10,6 +10,7 @@ import csv
 import html
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -286,6 +287,9 @@ def test_the_page_shows_input_separation_and_limits(tmp_path: Path) -> None:
     assert f">{plain(found.apart[pair], 2)}</td>" in row
     assert f">{plain(found.usual[pair], 2)}</td>" in row
     assert "±0.500\u00a0m</td>" in text  # the limit that was given
+    limits = text[text.index('id="limits"') :].partition("</section>")[0]
+    rows = dict(re.findall(r'<th scope="row"[^>]*>(tilt_\w+)</th>.*?class="verdict (\w+)"', limits, re.DOTALL))
+    assert rows == {"tilt_right": "good", "tilt_left": "good"}  # commands are cut at their limits
     excite(*asked, limits=["x_world=500mm"], duration=5.0, experiments=2, report=False)
     assert not (tmp_path / "out" / "report.html").exists()  # none that is of another input
 

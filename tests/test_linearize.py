@@ -338,9 +338,9 @@ def linear_of(A: list[list[float]], B: list[list[float]], C: list[list[float]]) 
 @pytest.mark.parametrize(
     ("A", "words"),
     [
-        ([[-0.5, 0.0], [0.0, -4.0]], "decays with a time constant of 2 s"),
-        ([[0.25, 0.0], [0.0, -4.0]], "grows with a time constant of 4 s"),
-        ([[-1.0, 2.0 * math.pi], [-2.0 * math.pi, -1.0]], "oscillates with a period of 1 s and decays"),
+        ([[-0.5, 0.0], [0.0, -4.0]], "decays with a time constant of 2.00 s"),
+        ([[0.25, 0.0], [0.0, -4.0]], "grows with a time constant of 4.00 s"),
+        ([[-1.0, 2.0 * math.pi], [-2.0 * math.pi, -1.0]], "oscillates with a period of 1.00 s and decays"),
         ([[0.0, 1.0], [0.0, 0.0]], "Not asymptotically stable: 2 poles on the imaginary axis"),
     ],
 )

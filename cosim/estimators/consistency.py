@@ -229,7 +229,7 @@ def headline(rows: Sequence[Row]) -> str:
     if largest is None:
         return opening
     case = f"{largest.rows[0].case}, {largest.rows[0].flight}"
-    return f"{opening} Largest: {case}: mean square error {largest.factor:.3g} times the claimed variance."
+    return f"{opening} Largest errors: {case}: mean square error {largest.factor:.3g} times the claimed variance."
 
 
 def worst(judged: Sequence[Judged]) -> Judged | None:

@@ -98,7 +98,7 @@ def _output_plots(found: Excitation, names: list[str], drawing: Drawing) -> list
             traces.append(Trace(f"if {rival} is true", np.where(np.isfinite(other), other, np.nan), f"s{k}"))
         limit = found.question.limits.get(name)
         edges = () if limit is None else (float(values[0] - limit * factor), float(values[0] + limit * factor))
-        panels.append(Panel(name, shown or "1", traces, None, edges, "limit"))
+        panels.append(Panel(name, shown or "1", traces, None, edges, "limit" if edges else ""))
     return drawing.plots(panels)
 
 
@@ -117,14 +117,15 @@ def _pair(found: Excitation, pair: Pair, largest: float) -> Mapping[str, Any]:
 
 def _limits(found: Excitation) -> list[Mapping[str, Any]]:
     """Return each limited signal: the allowed excursion from its start, and the one of the model and of its rivals."""
-    units, trials = _units(found), {"": found.trial, **found.rivals}
+    model, units, trials = found.question.loaded.model, _units(found), {"": found.trial, **found.rivals}
+    starts = dict(zip((q.name for q in model.inputs), model.start_command(), strict=True))
     rows: list[Mapping[str, Any]] = []
     for name, limit in found.question.limits.items():
         excursions = {}
         for rival, trial in trials.items():
             values = {**trial.inputs, **trial.outputs}.get(name)
             if values is not None:
-                excursions[rival] = float(np.abs(values - values[0]).max())
+                excursions[rival] = float(np.abs(values - starts.get(name, values[0])).max())
         if not excursions:
             continue
         unit, factor = display(units[name])

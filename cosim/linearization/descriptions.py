@@ -8,11 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.text import MISSING, counted
+from cosim.base.text import MISSING, counted, plain
 from cosim.linearization.linear_model import Linear
 from cosim.linearization.system_structure import Pole, Structure
 
 SHOWN = 16  # columns of a matrix on a terminal
+SWINGS = 0.9  # damping ratio of a pair of poles, from which its overshoot is below 0.2 %
 STILL_POLE = 1e-9  # [1/s] real part of a pole, up to which it is on the imaginary axis
 
 
@@ -36,7 +37,8 @@ def headline(found: Structure, linear: Linear) -> str:
         stability = f"Unstable equilibrium: the fastest deviation {meaning(fastest)}"
     else:
         still = counted(sum(p.count for p in found.poles if p.value.real >= -STILL_POLE), "pole")
-        stability = f"Not asymptotically stable: {still} on the imaginary axis; some deviations do not decay"
+        longest = max((p for p in found.poles if p.value.real >= -STILL_POLE), key=lambda p: max(p.blocks))
+        stability = f"Not asymptotically stable: {still} on the imaginary axis; a deviation {meaning(longest)}"
     reach = f"The inputs reach {found.controllable} of {counted(n, 'state')}; the outputs show {found.observable}"
     return f"{stability}. {reach}."
 
@@ -50,10 +52,11 @@ def meaning(p: Pole) -> str:
     real, imag = p.value.real, abs(p.value.imag)
     if not p.value:
         return {1: "stays", 2: "grows linearly (double integrator)"}.get(max(p.blocks), "grows with a power of time")
-    swings = f"oscillates with a period of {number(2 * math.pi / imag)} s" if imag else ""
+    swinging = imag and p.damping_ratio < SWINGS
+    swings = f"oscillates with a period of {plain(2 * math.pi / imag)} s" if swinging else ""
     if abs(real) <= STILL_POLE:
         return f"{swings} without damping"
-    time = f"{'grows' if real > 0 else 'decays'} with a time constant of {number(1.0 / abs(real))} s"
+    time = f"{'grows' if real > 0 else 'decays'} with a time constant of {plain(1.0 / abs(real))} s"
     return f"{swings} and {time}" if swings else time
 
 

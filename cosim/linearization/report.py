@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.text import counted, plain, written
+from cosim.base.text import counted, parted, plain, written
 from cosim.base.version import __version__
 from cosim.linearization.descriptions import headline, number, pole_rows
 from cosim.linearization.frequency_response import Response, frequencies, response
@@ -43,6 +43,7 @@ def page(outcome: Outcome) -> str:
             f" {len(times)} times from {plain(times[0])} to {plain(times[-1])} s; this page shows the first, "
             "linear.json and linear.mat hold all."
         )
+    outcome_sentence, reach = parted(headline(found, linear))
     charts = Charts()
     bode = _bode(linear)
     shown = _drawn([(size, phase) for _, size, phase in bode[:MOST]], frequencies(linear), charts)
@@ -51,7 +52,8 @@ def page(outcome: Outcome) -> str:
         {
             "name": PurePath(outcome.name).name,
             "description": description,
-            "outcome": headline(found, linear),
+            "outcome": outcome_sentence,
+            "reach": reach,
             "badges": _badges(linear, found),
             "notes": outcome.notes,
             "states": _values(linear, linear.states, linear.point.states, linear.rates),

@@ -232,7 +232,7 @@ def _error_lead(r: Refinement) -> str:
         f"would cause in the {'refined ' if claimed else ''}model."
     )
     if claimed:
-        text += " The remaining share is that of the squared error above the noise floor."
+        text += " Remaining share: the part of the squared error above the noise floor that the refined model keeps."
     return text
 
 

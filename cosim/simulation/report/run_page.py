@@ -135,7 +135,7 @@ def judged_panels(run: Run) -> list[Panel]:
             limits = tuple(factor * (number(target) + side * _width(entry)) for side in (-1.0, 1.0))
         drawn = tuple(limit for limit in limits if math.isfinite(limit))
         shown = unit or run.unit(name) or "no unit"
-        panels[name] = Panel(name, shown, traces, _marked(run, [name], traces), drawn, LIMIT_LABEL)
+        panels[name] = Panel(name, shown, traces, _marked(run, [name], traces), drawn, LIMIT_LABEL if drawn else "")
     return list(panels.values())
 
 
