@@ -84,7 +84,7 @@ class LqrDesigner:
         numbers = numbers_of(model) if isinstance(model, Hovercraft) else {}
         if law in PREDICTIONS:
             return self._predictive(options, model, numbers, law)
-        settings = replace(Settings(), **{**numbers, **self.given(options, law)})
+        settings = replace(Settings(), **{**numbers, **self.collect_start_values(options, law)})
         return self._gains(options, settings, law) | numbers
 
     def objections(self, options: Mapping[str, Any], law: str) -> list[Objection]:
@@ -150,7 +150,7 @@ class LqrDesigner:
 
         return judged_gains(values, own, options, law)
 
-    def given(self, options: Mapping[str, Any], law: str) -> dict[str, Any]:
+    def collect_start_values(self, options: Mapping[str, Any], law: str) -> dict[str, Any]:
         """Return estimator, thrust and lag; the estimator only for laws with a choice."""
         names = ("thrust_nominal", "lag", *(["estimator"] if law in self.options["estimator"].laws else []))
         return {k: v for k in names if (v := options.get(k)) is not None}

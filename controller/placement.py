@@ -34,7 +34,7 @@ def placed_gain(p: ModelNumbers, poles: Sequence[complex] = POLES) -> Matrix:
     check_controllable(A, B)
     wanted = [complex(pole) for pole in poles]
     if faults := pole_faults(wanted):
-        raise ValueError("; ".join(said for _, said in faults))
+        raise ValueError("; ".join(reason for _, reason in faults))
     K = np.zeros((2, 5))
     for states, own, signs in zip((FORWARD, TURN), (wanted[:3], wanted[3:]), SIGNS, strict=True):
         axis = np.ix_(states, states)
@@ -55,13 +55,13 @@ def check_controllable(A: Matrix, B: Matrix, names: Sequence[str] = STATES) -> N
         scale = np.linalg.norm(reach, axis=1)[:, None]
         if np.linalg.matrix_rank(reach / np.where(scale > 0, scale, 1.0), tol=1e-9) < len(A):
             seen = [n for n, v in zip(names, vector, strict=True) if abs(v) > 1e-6]
-            raise ValueError(f"no input moves the pole {said(complex(pole))} rad/s, of {', '.join(seen)}")
+            raise ValueError(f"no input moves the pole {format_pole(complex(pole))} rad/s, of {', '.join(seen)}")
 
 
 def pole_faults(poles: Sequence[complex]) -> list[tuple[int, str]]:
     """Return index and fault of each invalid pole."""
     of_axes = ("forward", 0, poles[:3]), ("turning", 3, poles[3:])
-    return [(first + k, said) for axis, first, of in of_axes for k, said in _faults(axis, of)]
+    return [(first + k, reason) for axis, first, of in of_axes for k, reason in _faults(axis, of)]
 
 
 def _faults(axis: str, poles: Sequence[complex]) -> list[tuple[int, str]]:
@@ -69,22 +69,22 @@ def _faults(axis: str, poles: Sequence[complex]) -> list[tuple[int, str]]:
     faults = [(k, _too_far_right(a)) for k, a in numbered if a.real > -LEFT]
     for k, a in numbered:
         if any(abs(a - b) <= ALIKE * abs(a) for b in poles[:k]):
-            faults.append((k, f"{said(a)} stands twice in the {axis} axis; one input places a pole once"))
+            faults.append((k, f"{format_pole(a)} stands twice in the {axis} axis; one input places a pole once"))
         if a.imag and not any(abs(a.conjugate() - b) <= ALIKE * abs(a) for b in poles):
-            faults.append((k, f"{said(a)} needs {said(a.conjugate())} in the same axis"))
+            faults.append((k, f"{format_pole(a)} needs {format_pole(a.conjugate())} in the same axis"))
     return faults
 
 
 def _too_far_right(pole: complex) -> str:
     """Return the reason against a pole."""
     if pole.real >= 0.0:
-        return f"{said(pole)} rad/s is not stable; the real part of a pole is below 0"
+        return f"{format_pole(pole)} rad/s is not stable; the real part of a pole is below 0"
     return (
-        f"{said(pole)} rad/s is too slow: what it moves takes {1.0 / -pole.real:.0f} s to fall to 37 %, and nearer to 0"
-        f" than {LEFT:g} rad/s it cannot be told from one that grows; take {-LEFT:g} rad/s or further left"
+        f"{format_pole(pole)} rad/s is too slow: what it moves takes {1.0 / -pole.real:.0f} s to fall to 37 %, and"
+        f" nearer to 0 than {LEFT:g} rad/s it cannot be told from one that grows; take {-LEFT:g} rad/s or further left"
     )
 
 
-def said(pole: complex) -> str:
+def format_pole(pole: complex) -> str:
     """Return a pole as text."""
     return f"{pole.real:g}{pole.imag:+g}j" if pole.imag else f"{pole.real + 0.0:g}"

@@ -38,12 +38,14 @@ def extended_recipe() -> Recipe:
 def jacobians() -> str:
     """Return ∂f/∂x, ∂f/∂u and ∂a_x/∂x of the craft as a cached Python module."""
     from cosim.model.symbolic.jacobian import printed_jacobians
-    from cosim.storage.cache import fingerprint, kept
+    from cosim.storage.cache import fingerprint, load_or_make
     from plant.hovercraft import Hovercraft
 
     code = fingerprint(("cosim.model", "cosim.model.symbolic", "plant", "plant.effects"))
     what = ("ax",), ("yaw_damping",)
-    return str(kept(f"jacobians of the hovercraft, {what} {code}", lambda: printed_jacobians(Hovercraft(), *what)))
+    return str(
+        load_or_make(f"jacobians of the hovercraft, {what} {code}", lambda: printed_jacobians(Hovercraft(), *what))
+    )
 
 
 def _about(text: str, ports: Sequence[Port]) -> Description:

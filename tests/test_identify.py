@@ -259,6 +259,14 @@ def changed(measured: Path, folder: Path, change: Any) -> Path:
     return written(folder, content)
 
 
+@pytest.mark.parametrize("cell", ["1e5", None, 5])
+def test_a_cell_that_is_no_cell_is_a_fault_beside_recordings_that_need_it(
+    measured: Path, tmp_path: Path, cell: object
+) -> None:
+    path = changed(measured, tmp_path, lambda content: content["cells"].update(z=cell))
+    assert "cells" in refused(path, tmp_path / "out")
+
+
 def table_of(path: Path) -> tuple[list[str], np.ndarray[Any, Any]]:
     lines = path.read_text().splitlines()
     return lines[0].split(","), np.array([[float(x) for x in line.split(",")] for line in lines[1:]])

@@ -40,7 +40,7 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], dict
     protocol = read_protocol(written(tmp_path_factory.mktemp("truth"), content))
     tables = {}
     played = ("phases", "repetitions", "heights", "amplitude", "validation_duty")
-    for name, _ in protocol.file.tests.given():
+    for name, _ in protocol.file.tests.named_tests():
         runs = play_plain(protocol.known)(runs_of(protocol, name, 5))
         files = [f"{name}{k}.csv" for k in range(len(runs))]
         for file, r in zip(files, runs, strict=True):

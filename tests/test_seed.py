@@ -199,7 +199,7 @@ def test_tares_are_estimated_and_not_copied(tmp_path: Path) -> None:
     protocol = read_protocol(tmp_path / "protocol.yaml")
     play, found = play_plain(protocol.known), []
     cells = calibrated(protocol, {c: play(runs) for c, runs in load_runs(protocol, 1).items()})
-    runs = {name: play(runs_of(protocol, name, 1)) for name, _ in protocol.file.tests.given()}
+    runs = {name: play(runs_of(protocol, name, 1)) for name, _ in protocol.file.tests.named_tests()}
     for off in (0.0, 0.1):
         moved = {n: [replace(r, volts={c: v + off for c, v in r.volts.items()}) for r in rs] for n, rs in runs.items()}
         found.append([e for r in analyse(protocol, cells, moved, draw=False) for e in r.estimates])

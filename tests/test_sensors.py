@@ -306,10 +306,10 @@ def test_a_state_known_by_then_is_that_of_a_filter_which_ends_there(tmp_path: Pa
     values = {**posed.values, "camera_latency.value": 0.1}
     data = posed.data(values, 0)
     (row,) = rows = [300]
-    known = posed.known(data, values, posed.plain, 0, rows).states[row]
+    known = posed.filter_causally(data, values, posed.plain, 0, rows).states[row]
     logged = replace(posed, logs=[posed.logs[0].rows(0, row + 1), *posed.logs[1:]])
     np.testing.assert_array_equal(known, logged.run(values, posed.plain, 0, states=True).states[row])
     assert np.abs(known - posed.run(values, posed.plain, 0, states=True).states[row]).max() > 1e-4
     # asked for others too, a few readings long ago are missing
-    among = posed.known(data, values, posed.plain, 0, [100, 200, 300]).states[row]
+    among = posed.filter_causally(data, values, posed.plain, 0, [100, 200, 300]).states[row]
     np.testing.assert_allclose(among[:3], known[:3], atol=1e-3)  # as good as a reading of the camera

@@ -170,10 +170,10 @@ def test_discrete_states_are_updated_until_they_rest_a_thousand_times_at_most() 
 def test_a_derivative_that_is_no_number_goes_by_its_name() -> None:
     calls = exchange(Fmu(), Solver())
     calls.description.derivatives = [SimpleNamespace(variable=SimpleNamespace(name="der(x)"))]
-    assert "the derivative der(x) is nan" in calls._told(SolverFailed("", (0, math.nan)))
+    assert "the derivative der(x) is nan" in calls._explain(SolverFailed("", (0, math.nan)))
     calls.description.derivatives = []
-    assert "the derivative number 1 is inf" in calls._told(SolverFailed("", (0, math.inf)))
-    assert calls._told(SolverFailed("why")) == "why"
+    assert "the derivative number 1 is inf" in calls._explain(SolverFailed("", (0, math.inf)))
+    assert calls._explain(SolverFailed("why")) == "why"
 
 
 def test_solvers_say_why_they_fail_and_need_nominals_above_zero() -> None:

@@ -20,7 +20,15 @@ from cosim.logs.log import Log
 from cosim.model.planar import PlanarFrame
 from cosim.residuals import starts
 from cosim.residuals.drive import Drive, Steps, as_columns
-from cosim.residuals.starts import StartParameter, first_start, kept, noise_levels, readable, sigma_of, window_start
+from cosim.residuals.starts import (
+    StartParameter,
+    first_start,
+    noise_levels,
+    readable,
+    remaining_memory,
+    sigma_of,
+    window_start,
+)
 
 ALL = (-math.inf, math.inf)
 
@@ -103,8 +111,8 @@ def test_what_start_values_set_is_not_kept_of_the_state() -> None:
     placed = StartParameter("b_start", 1.0, *ALL, (0.1, 0.2), places=(1,))
     other = StartParameter("c_start", 1.0, *ALL, (0.1, 0.2), places=(2,))
     parameters = {"b": placed, "c": other}
-    assert kept(own, parameters, {"b_start": 9.0}) == {(STATE, 0): 1.0, (STATE, 2): 3.0, (MEMORY, 0): 4.0}
-    assert len(kept(own, parameters, {})) == 4
+    assert remaining_memory(own, parameters, {"b_start": 9.0}) == {(STATE, 0): 1.0, (STATE, 2): 3.0, (MEMORY, 0): 4.0}
+    assert len(remaining_memory(own, parameters, {})) == 4
     assert readable(parameters)
     assert not readable({"b": parameter()})
 

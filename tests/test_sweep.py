@@ -32,7 +32,7 @@ from cosim.simulation.workflow import run
 from cosim.sweeps import twins
 from cosim.sweeps.batch import Batch
 from cosim.sweeps.reading import read_sweep
-from cosim.sweeps.run_chunks import Made, made
+from cosim.sweeps.run_chunks import Made, make_runs
 from cosim.sweeps.run_statistics import sensitivity, share
 from cosim.sweeps.sampling import Factor, columns_of, distribution
 from cosim.sweeps.store import DATABASE, TABLE, read_table, signal_of
@@ -121,10 +121,10 @@ def test_runs_of_tanks_on_arrays_are_those_through_their_fmus(tanks: Callable[..
     if compiled and compiler() is None:
         pytest.skip("no C compiler")
     study = read_sweep(tanks())
-    job, asked = replace(study.job, whole=True, compiled=compiled), [study.asked(k) for k in (0, 33, 79)]
-    on_arrays = made(job, asked, "arrays")
+    job, asked = replace(study.job, whole=True, compiled=compiled), [study.request_run(k) for k in (0, 33, 79)]
+    on_arrays = make_runs(job, asked, "arrays")
     assert {m.through for m in on_arrays} == {"arrays"}
-    assert apart(on_arrays, made(job, asked, "fmus")) < 1e-12  # one rounding of sin, pow and their like a substep
+    assert apart(on_arrays, make_runs(job, asked, "fmus")) < 1e-12  # one rounding of sin, pow and their like a substep
 
 
 @pytest.mark.thorough
@@ -152,10 +152,10 @@ def test_runs_of_the_craft_with_play_delay_and_filters_of_their_own_are_those_th
     )
     study = read_sweep(tmp_path / "sweep.yaml")
     job = replace(study.job, whole=True, compiled=compiled)
-    on_arrays = made(job, [study.asked(k) for k in range(study.count)], "arrays")
+    on_arrays = make_runs(job, [study.request_run(k) for k in range(study.count)], "arrays")
     assert {m.through for m in on_arrays} == {"arrays"}
     some = [0, 1] if compiled else [0, 5, 15]  # every value of each
-    through = made(job, [study.asked(k) for k in some], "fmus")
+    through = make_runs(job, [study.request_run(k) for k in some], "fmus")
     assert apart([on_arrays[k] for k in some], through) < EQUAL  # as every sweep is held to
     assert apart([on_arrays[0]], [on_arrays[1]]) > 1e-6  # the runs do differ
 
@@ -415,7 +415,7 @@ def test_a_list_of_the_scenario_varies_as_a_whole_or_by_one_of_its_entries(
         "  design.Q.2: {uniform: [0.1, 0.2]}\n"
     )
     study = read_sweep(tmp_path / "sweep.yaml")
-    runs = [study.asked(k) for k in range(study.count)]
+    runs = [study.request_run(k) for k in range(study.count)]
     assert runs[1].overrides[0] == "design.R=[2, 2.0]"
     craft = tmp_path / "craft.yaml"
     designed = [designed_values(ScenarioFile(craft, run.overrides))["controller"]["k_1_3"] for run in runs]
@@ -520,12 +520,12 @@ def test_runs_of_many_designs_are_made_at_once_and_are_those_of_their_scenarios(
         return run_batch(self, starts, *rest)
 
     monkeypatch.setattr(Batch, "run", counted)
-    job, asked = replace(study.job, whole=True), [study.asked(k) for k in range(study.count)]
-    on_arrays = made(job, asked, "arrays")
+    job, asked = replace(study.job, whole=True), [study.request_run(k) for k in range(study.count)]
+    on_arrays = make_runs(job, asked, "arrays")
     assert sizes == [6, 6]  # with noise and without: two systems, whatever is designed
     assert {m.through for m in on_arrays} == {"arrays"}
     chosen = [0, 3, 6, 9]
-    alone = made(job, [asked[k] for k in chosen], "fmus")  # each by its own scenario
+    alone = make_runs(job, [asked[k] for k in chosen], "fmus")  # each by its own scenario
     assert apart([on_arrays[k] for k in chosen], alone) < 1e-12
     assert len({m.signals.tobytes() for m in on_arrays}) == study.count
 

@@ -78,7 +78,7 @@ def write_single(
         cure = "is a scenario of yours and would be written over; give another folder as --out"
         raise InputError([Fault(path, 0, 0, cure)])
     played = _played(recorded, part) if recorded is not None else None
-    asked, notes = _asked(part, played, stop, step)
+    asked, notes = _choose_times(part, played, stop, step)
     times = times_of([part], asked, most=MOST_OF_ONE)
     check_writable(folder, (path.name,), [fmu, *([recorded] if recorded else [])])
     matches = played.matches if played else Matches((), ())
@@ -92,7 +92,9 @@ def write_single(
     return path, (*notes, *times.notes)
 
 
-def _asked(part: Part, played: Played | None, stop: float | None, step: float | None) -> tuple[Asked, tuple[str, ...]]:
+def _choose_times(
+    part: Part, played: Played | None, stop: float | None, step: float | None
+) -> tuple[Asked, tuple[str, ...]]:
     """Return the requested times of a run and notes. A recording is played from its first row to its last."""
     declared = experiment_of(part.description).get("start")
     if played is None:

@@ -39,7 +39,7 @@ MOST_TEXT = 8_000_000  # characters
 SHOWN = 60  # characters of a value in a message
 
 
-def given(values: Given | None, name: str = "set") -> Given:
+def normalize_settings(values: Given | None, name: str = "set") -> Given:
     """Return settings as a mapping or a tuple of texts; raise InputError for other types."""
     if values is None:
         return ()
@@ -54,7 +54,7 @@ def given(values: Given | None, name: str = "set") -> Given:
 
 def texts(values: Given | None, name: str = "set") -> Sequence[str]:
     """Return settings as NAME=VALUE texts."""
-    found = given(values, name)
+    found = normalize_settings(values, name)
     return [f"{n}={as_yaml(v)}" for n, v in found.items()] if isinstance(found, Mapping) else found
 
 

@@ -142,10 +142,10 @@ class ModelExchange2(Calls):
         try:
             state_event, _, time = self.solver.step(self.time, target)
         except SolverFailed as error:
-            raise SimulationError(self.name, self.time, self._told(error)) from None
+            raise SimulationError(self.name, self.time, self._explain(error)) from None
         return bool(state_event), float(time)
 
-    def _told(self, error: SolverFailed) -> str:
+    def _explain(self, error: SolverFailed) -> str:
         """Return the solver's reason with the name of the derivative."""
         if error.derivative is None:
             return str(error)

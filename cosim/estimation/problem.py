@@ -294,7 +294,9 @@ class Problem:
         variances = self.variances(noise, index)
         return self.kernel.run(data, p, x0, P0, self.densities(noise), variances, states=states)
 
-    def known(self, data: Data, values: Mapping[str, float], noise: Noise, index: int, rows: Sequence[int]) -> Filtered:
+    def filter_causally(
+        self, data: Data, values: Mapping[str, float], noise: Noise, index: int, rows: Sequence[int]
+    ) -> Filtered:
         """Filter measurements in place of a log's, with causal states in `rows`.
 
         A late reading arrives after the row of its measurement. States in `rows` use only readings available by then.

@@ -48,7 +48,7 @@ def consistency(
         try:
             squares = squares_of(case, runs, steps, np.random.default_rng([seed, k]))
         except MemoryError:
-            said = f"there is not enough memory for {_asked(runs, steps)}; give fewer"
+            said = f"there is not enough memory for {_format_size(runs, steps)}; give fewer"
             raise InputError([Fault(Path("--runs"), 0, 0, said, exit_code=4)]) from None
         for name, (values, degrees, at) in squares.items():
             judged, flight = consistency_of(values, degrees, white=name != "NEES"), case.flight
@@ -67,12 +67,12 @@ def check_size(runs: int, steps: int) -> None:
     if runs * steps <= MOST_SAMPLES:
         return
     option, other = ("--runs", steps) if 2 * steps <= MOST_SAMPLES else ("--steps", 2)
-    most = f"{_asked(runs, steps)} are more than the {MOST_SAMPLES:,} samples that fit into memory"
+    most = f"{_format_size(runs, steps)} are more than the {MOST_SAMPLES:,} samples that fit into memory"
     cure = f"give {MOST_SAMPLES // other:,} at most" + (f" with {steps:,} steps" if option == "--runs" else "")
     raise InputError([Fault(Path(option), 0, 0, f"{most}; {cure}")])
 
 
-def _asked(runs: int, steps: int) -> str:
+def _format_size(runs: int, steps: int) -> str:
     return f"{runs:,} runs of {steps:,} steps"
 
 

@@ -68,6 +68,7 @@ def excite(
         duration: Duration of the experiment [s], or text with a unit.
         seed: Seed for the random experiments.
         experiments: Number of random experiments.
+        report: Write report.html.
         force: Overwrite results of another command in `folder`.
         keep: Move the files of an earlier call to `runs`.
         progress: Function of (stage, completed share).

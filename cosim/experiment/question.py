@@ -145,7 +145,7 @@ def _of_refinement(path: Path, against: Sequence[str]) -> Question:
         rivals, pairs = _rivals(loaded, known, names)
         values = ModelSubject(loaded).values
         fitted = tuple(_as_fitted(r, names, content, known, values) for r in rivals)
-    noise, seen = {**content.sensor_noise, **given.noise}, _seen(loaded.model, study.parent, given)
+    noise, seen = {**content.sensor_noise, **given.noise}, _read_logged_ranges(loaded.model, study.parent, given)
     return Question(loaded, loaded, fitted, tuple(pairs), tuple(content.measured), noise, {}, seen)
 
 
@@ -155,7 +155,7 @@ def _together(text: str, names: Sequence[str], found: Refined, known: Mapping[st
     return Rival(text, h.parameters if h else {}, tuple(f for n in names for f in known[n].free))
 
 
-def _seen(model: Model, folder: Path, study: StudyFile) -> Ranges:
+def _read_logged_ranges(model: Model, folder: Path, study: StudyFile) -> Ranges:
     """Return undeclared input ranges from a study's logs.
 
     Missing logs are skipped.

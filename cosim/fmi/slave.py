@@ -160,7 +160,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
         self.current = state["current"] and self.phase is STEP
         if self.phase is STEP:
             self.values = list(state["values"])
-            self.initialize(self._given())
+            self.initialize(self._collect_values())
             self.restore(state["own"])
         self.values = list(state["values"])
 
@@ -170,13 +170,13 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
 
     # -- internal -------------------------------------------------------------------------------
 
-    def _given(self) -> dict[str, Value]:
+    def _collect_values(self) -> dict[str, Value]:
         return {self.ports[vr].name: self.values[vr] for vr in self.given}
 
     def _refresh(self) -> None:
         if not self.current:
             try:
-                self.initialize(self._given())
+                self.initialize(self._collect_values())
             except Exception as error:
                 raise loggable(error) from error
             self.current = True

@@ -23,7 +23,7 @@ from cosim.model.namespaces import SymbolNamespace
 from cosim.model.symbolic.functions import Body
 from cosim.model.symbolic.languages import C
 from cosim.model.symbolic.tracing_guard import guarded
-from cosim.storage.cache import fingerprint, kept
+from cosim.storage.cache import fingerprint, load_or_make
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
     asked += srepr([shaping.stages, shaping.results, shaping.remembered, local, body.terms])
     stiff = model.integrator == STIFF
     made = (stochastic, stiff, fingerprint(("cosim.model.symbolic", "cosim.kernel")))
-    text: str = kept(f"{made} {asked}", lambda: _printed(body, (f, g), (stochastic, x), shapes, stiff))
+    text: str = load_or_make(f"{made} {asked}", lambda: _printed(body, (f, g), (stochastic, x), shapes, stiff))
     layout = Layout(
         parameters=tuple(body.parameters),
         states=tuple(names),

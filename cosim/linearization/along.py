@@ -50,7 +50,7 @@ class Along:
         self._rows = self._rows_of(moment.times)
 
     @property
-    def given(self) -> dict[str, Any]:
+    def start_values(self) -> dict[str, Any]:
         """Return the scenario's start values and parameters of the component."""
         return dict(self._manifest["scenario"]["components"].get(self._name, {}).get("start") or {})
 
@@ -113,7 +113,7 @@ class Along:
         stepper, time = Stepper(source.model), self._results.time
         memories = {f"{e.name}.{q.name}": q.unit for e in source.model.awake for q in e.memory}
         units = {**memories, **{n: source.units[n] for n in source.states}}
-        starts = {n.removesuffix("_start"): str(v) for n, v in self.given.items() if n.endswith("_start")}
+        starts = {n.removesuffix("_start"): str(v) for n, v in self.start_values.items() if n.endswith("_start")}
         values = {n: read_quantity(v, units[n]) for n, v in starts.items() if n in units}
         moment = stepper.start(float(time[0]), values)
         states, shown = [np.array(moment.state, float)], [self._outputs(source, moment.state, time[0], inputs[0])]

@@ -166,7 +166,7 @@ class ExchangeSource(Source):
         self._own = step is None and block.gives_slopes
         self.step = self.reach = DIFFERENCE if step is None else step
 
-    def given(self, values: Mapping[str, Any], over: Sequence[str]) -> ExchangeSource:
+    def with_values(self, values: Mapping[str, Any], over: Sequence[str]) -> ExchangeSource:
         """Return the source with start values of a scenario's component."""
         known = {v.name for v in self._description.modelVariables}
         start = typed_values(self._path, self._description, {n: v for n, v in values.items() if n in known})

@@ -44,14 +44,14 @@ class Kink:
     side: str = ""
 
     @property
-    def told(self) -> str:
+    def description(self) -> str:
         """Return location and slopes in words, at most three rows."""
         rows = "; ".join(map(str, self.rows[:3]))
         more = f"; and {len(self.rows) - 3} rows more" if len(self.rows) > 3 else ""
         what = "jump" if any(r.jump for r in self.rows) else "kink"
         return f"{self.variable} = {self.value:.6g} is a {what}: {rows}{more}"
 
-    def kept(self, states: Sequence[str], outputs: Sequence[str]) -> Kink:
+    def restrict(self, states: Sequence[str], outputs: Sequence[str]) -> Kink:
         """Return the kink with only these rows."""
         names = {RATE: states, OUTPUT: outputs}
         return replace(self, rows=tuple(r for r in self.rows if r.name in names[r.of]))

@@ -41,7 +41,7 @@ class Source(ABC):
     units: Mapping[str, str]
 
     @abstractmethod
-    def given(self, values: Mapping[str, Any], over: Sequence[str]) -> Source:
+    def with_values(self, values: Mapping[str, Any], over: Sequence[str]) -> Source:
         """Return the source with a scenario's values, except those set in `over`."""
 
     @abstractmethod
@@ -74,7 +74,7 @@ class EquationSource(Source):
         self._equations = model.acting(SCALAR)
         self._linearizer = Linearizer(model)
 
-    def given(self, values: Mapping[str, Any], over: Sequence[str]) -> EquationSource:
+    def with_values(self, values: Mapping[str, Any], over: Sequence[str]) -> EquationSource:
         """Return the source with a scenario's parameters, except those set in `over`."""
         model = self.model
         named = {text.partition("=")[0].strip() for text in over}

@@ -117,7 +117,7 @@ def linearize(
             points = [source.start()]
         else:
             along = Along(source, where.moment, component)
-            source = source.given(along.given, given_values)
+            source = source.with_values(along.start_values, given_values)
             points, notes = along.points(source), along.notes
         points = [moved(source, point, where.values) for point in points]
         found = _linear(source, points, asked, side)
@@ -139,7 +139,7 @@ def linearize(
 def _notes(found: Sequence[Linear], known: Sequence[str]) -> list[str]:
     """Return further notes: idle inputs, slopes at kinks, notes of the models."""
     idle = [f"{name} {IDLE}" for name in _idle(found)]
-    beside = [f"{k.told}; the slopes here are those {k.side}" for each in found for k in each.kinks]
+    beside = [f"{k.description}; the slopes here are those {k.side}" for each in found for k in each.kinks]
     more = [f"{len(beside) - MOST_TOLD} kinks more; linear.json has all"] if len(beside) > MOST_TOLD else []
     told = [*idle, *beside[:MOST_TOLD], *more]
     own = dict.fromkeys(n for each in found for n in each.notes) if found[0].notes else ()
@@ -234,7 +234,7 @@ def _without_kinks(found: Sequence[Linear], asked: Asked) -> list[Linear]:
     """
     kinks = dict.fromkeys(kink for each in found for kink in _kinks(each, asked))
     if kinks:
-        raise InputError([Fault(AT, 0, 0, kink.told + NO_DERIVATIVE) for kink in kinks])
+        raise InputError([Fault(AT, 0, 0, kink.description + NO_DERIVATIVE) for kink in kinks])
     return [replace(each, kinks=()) for each in found]
 
 
@@ -281,7 +281,7 @@ def _slopes(linear: Linear, kink: Kink) -> dict[tuple[str, str], float]:
 def _kinks(linear: Linear, asked: Asked) -> list[Kink]:
     """Return the kinks of selected signals."""
     states = (*asked.states, *asked.fast)
-    kept = [k.kept(states, asked.outputs) for k in linear.kinks if k.variable in (*states, *asked.inputs)]
+    kept = [k.restrict(states, asked.outputs) for k in linear.kinks if k.variable in (*states, *asked.inputs)]
     return [k for k in kept if k.rows]
 
 

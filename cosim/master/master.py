@@ -161,7 +161,7 @@ class Master:
         row, h, begin, after = self.view, self.h, self.system.start, self.after
         table, width = doubles(self.table), len(row)
         rounds = itertools.islice(itertools.cycle(self._cycle()), 1, None)  # The first round belongs to point 0.
-        made, asked = self.made, self._asked(1)
+        made, asked = self.made, self._next_call(1)
         done, next_t = self.done, begin
         try:
             for k, actives in zip(range(1, self.steps + 1), rounds, strict=False):
@@ -181,7 +181,7 @@ class Master:
                 if k == asked:
                     for call in after:
                         call(k)
-                    asked = self._asked(k + 1)
+                    asked = self._next_call(k + 1)
                 table[k * width : k * width + width] = row
                 done = made[0] = k + 1
         finally:
@@ -210,13 +210,13 @@ class Master:
             raise NotCompiled("asked for")
         links = self.copying.links
         known = self.system, self.components, self.steps, self.h, self.row, self.rows
-        return compiled(Run(*known, lambda t: links[t.name], self.after, self._asked))
+        return compiled(Run(*known, lambda t: links[t.name], self.after, self._next_call))
 
     def _tell_loop(self, loop: str) -> None:
         self.loop = loop
         self.rows.tell_loop(loop)
 
-    def _asked(self, k: int) -> int:
+    def _next_call(self, k: int) -> int:
         """Return the next point with calls at its end, or `NEVER`."""
         if self.beside:
             return k

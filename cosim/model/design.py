@@ -89,7 +89,7 @@ class Designer(Protocol):
     def judged(self, values: Mapping[str, Any], own: Mapping[str, Any], options: Mapping[str, Any], law: str) -> Judged:
         """Return the consistency of designed values, overridden by the scenario's `own` values."""
 
-    def given(self, options: Mapping[str, Any], law: str) -> dict[str, Any]:
+    def collect_start_values(self, options: Mapping[str, Any], law: str) -> dict[str, Any]:
         """Return start values set directly by options."""
 
     def rests_on(self, designed: Mapping[str, Any], law: str) -> Mapping[str, float]:

@@ -303,7 +303,9 @@ def record(study: Study, a: Attribution, claims: Claims, problem: Problem, betwe
     claimed, floors, sets = claims.claimed, proof.floors, proof.played.items()
 
     def errors(horizon: float) -> Errors:
-        return Errors(**{name: {part: known(rmse(e[horizon])) for part, e in parts.items()} for name, parts in sets})
+        return Errors(
+            **{name: {part: keep_finite(rmse(e[horizon])) for part, e in parts.items()} for name, parts in sets}
+        )
 
     return Record(
         study=str(study.path or ""),
@@ -326,9 +328,9 @@ def record(study: Study, a: Attribution, claims: Claims, problem: Problem, betwe
         horizon="row" if static else judged if math.isfinite(judged) else "free run",
         error=errors(judged).model_copy(update={"left_out": rows}),
         horizons={} if static else {name: errors(horizon) for name, horizon in OTHER_HORIZONS.items()},
-        noise_floor=known(floors["validation" if "validation" in floors else "estimation"].level),
-        noise_floors={part: known(floor.level) for part, floor in floors.items()},
-        floor_scatters={part: known(floor.scatter) for part, floor in floors.items()},
+        noise_floor=keep_finite(floors["validation" if "validation" in floors else "estimation"].level),
+        noise_floors={part: keep_finite(floor.level) for part, floor in floors.items()},
+        floor_scatters={part: keep_finite(floor.scatter) for part, floor in floors.items()},
         held_out_gain=a.total.held_out,
         seconds=proof.seconds,
     )
@@ -347,7 +349,7 @@ def schema() -> dict[str, Any]:
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **body}
 
 
-def known(channels: Mapping[str, float]) -> dict[str, float]:
+def keep_finite(channels: Mapping[str, float]) -> dict[str, float]:
     """Return the finite channels."""
     return {name: value for name, value in channels.items() if math.isfinite(value)}
 

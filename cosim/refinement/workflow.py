@@ -33,7 +33,7 @@ from cosim.refinement.proof.refined_models import Variant, of_noise, refined_sub
 from cosim.refinement.proof.replay_check import held_against_replays
 from cosim.refinement.proof.sealed import Rise, risen
 from cosim.refinement.proof.table_errors import errors_left_out, with_leftover
-from cosim.refinement.record import Floors, Measured, Record, Replayed, known, record
+from cosim.refinement.record import Floors, Measured, Record, Replayed, keep_finite, record
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.search.fits import Found
 from cosim.refinement.search.hypotheses import Attribution
@@ -249,7 +249,7 @@ def _too_calm(floors: Floors, replayed: Replayed, subject: Subject) -> Iterator[
     """Warn of a noise floor above the error."""
     units = {q.name: q.unit for q in subject.outputs}
     for part, floor in floors.items():
-        if found := floor.above(known(rmse(replayed["after"][part][subject.horizon]))):
+        if found := floor.above(keep_finite(rmse(replayed["after"][part][subject.horizon]))):
             yield calmer(part, found, units)
 
 

@@ -147,7 +147,7 @@ class DriveApart(Drive):
         except StoppedReplay:
             raise
         except SimulationError as error:
-            raise StoppedReplay(error, self._made()) from None
+            raise StoppedReplay(error, self._read_finished_rows()) from None
         return answer
 
     # -- internals ----------------------------------------------------------------------------
@@ -160,10 +160,10 @@ class DriveApart(Drive):
         except StoppedReplay:
             raise
         except SimulationError as error:
-            table = self._made()
+            table = self._read_finished_rows()
             raise StoppedReplay(error, self._at_rows(table, steps.reached, first, last)) from None
         except BaseException:
-            table = self._made()
+            table = self._read_finished_rows()
             if last == self._full.rows - 1:
                 self.left = self._at_rows(table, steps.reached, first, last)
             raise
@@ -203,6 +203,6 @@ class DriveApart(Drive):
             None if progress is None else lambda made: progress(driven + made),
         )
 
-    def _made(self) -> Array:
+    def _read_finished_rows(self) -> Array:
         """Return the rows finished before the worker ended."""
         return read_table(self._file, self._worker.progress.made[0], len(self.outputs))

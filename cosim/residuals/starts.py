@@ -161,7 +161,7 @@ def readable(parameters: Mapping[str, StartParameter]) -> bool:
     return any(p.places for p in parameters.values())
 
 
-def kept(own: Own, parameters: Mapping[str, StartParameter], start: Mapping[str, float]) -> Memory:
+def remaining_memory(own: Own, parameters: Mapping[str, StartParameter], start: Mapping[str, float]) -> Memory:
     """Return the state without the start values' part."""
     given = {(STATE, k) for p in parameters.values() if p.name in start for k in p.places}
     whole = {(part, k): value for part in (STATE, MEMORY) for k, value in enumerate(own[part])}

@@ -24,9 +24,9 @@ from cosim.residuals.starts import (
     PAST,
     StartParameter,
     first_start,
-    kept,
     noise_levels,
     readable,
+    remaining_memory,
     start_parameters,
     window_start,
 )
@@ -126,7 +126,7 @@ def self_started(drive: Drive, parameters: Mapping[str, StartParameter], free: R
         own, carrier, since = free.states.get(chain.rows[0]), free.outputs, 0
         for first, last in pairwise(chain.rows):
             start = window_start(drive, parameters, sigma, carrier, since, first)
-            memory = None if own is None else kept(own, parameters, start)
+            memory = None if own is None else remaining_memory(own, parameters, start)
             carried[first : last + 1] = drive.run(first, last, start, memory)
             own, carrier, since = own and drive.state(), dict(zip(drive.outputs, carried.T, strict=True)), first
             if first >= chain.begin:

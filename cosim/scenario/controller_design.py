@@ -61,16 +61,16 @@ def designed_values(file: ScenarioFile) -> dict[str, dict[str, Any]]:
     if design is None:
         return {}
     try:
-        model, designer = _asked(file, design)
+        model, designer = _read_design(file, design)
         law = _law(file, design.component)
         options = _options(file, design, designer, law)
         own = getattr(file.scenario.components.get(design.component), "start", None) or {}
         faults = [_fault(file, o, own, design.component) for o in designer.objections(options, law)]
-        faults += _contradictions(file, design.component, designer.given(options, law), own)
+        faults += _contradictions(file, design.component, designer.collect_start_values(options, law), own)
         if file.faults or faults:  # A faulty scenario is never run.
             raise InputError(faults)
         made = _Design(file, designer, options, model, law)
-        designed = {**made.values(), **designer.given(options, law)}
+        designed = {**made.values(), **designer.collect_start_values(options, law)}
         judged = made.judged(designed, own)
         if judged.objections:
             raise InputError([_fault(file, o, own, design.component) for o in judged.objections])
@@ -147,7 +147,7 @@ def _contradictions(
     return faults
 
 
-def _asked(file: ScenarioFile, design: Design) -> tuple[Model | None, Designer]:
+def _read_design(file: ScenarioFile, design: Design) -> tuple[Model | None, Designer]:
     """Return the design's model, if named, and its designer."""
     if design.model is None and design.nearest:
         raise InputError([file.fault(("design", "nearest"), "nearest is of a refine; name its folder as model")])
@@ -249,7 +249,7 @@ class _Design:
         """Return the designed values; raise InputError if none exist."""
         try:
             content = {"model": self.designer.depends_on(self.model)}
-            made = self._kept(content, lambda: self.designer.values(self.options, self.model, self.law))
+            made = self._load_or_make(content, lambda: self.designer.values(self.options, self.model, self.law))
         except Undesigned:
             raise
         except ValueError as error:
@@ -263,11 +263,11 @@ class _Design:
             found = self.designer.judged(designed, dict(own), self.options, self.law)
             return {"objections": list(found.objections), "warnings": list(found.warnings)}
 
-        told = self._kept({"designed": designed, "own": dict(own)}, judge)
+        told = self._load_or_make({"designed": designed, "own": dict(own)}, judge)
         objections = [Objection(tuple(about), said, tuple(names)) for about, said, names in told["objections"]]
         return Judged(objections, told["warnings"])
 
-    def _kept(self, content: Mapping[str, Any], make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    def _load_or_make(self, content: Mapping[str, Any], make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         """Return the cached result of the content, or make it."""
         from cosim.base.version import __version__
 

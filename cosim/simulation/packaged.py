@@ -186,18 +186,18 @@ def _times(structure: Structure, flat: Flat, warnings: list[str], given: Set[str
     """
     experiments = [part.description.defaultExperiment for part in flat.parts]
 
-    def said(name: str) -> list[float]:
+    def read_positive(name: str) -> list[float]:
         texts = (getattr(experiment, name, None) for experiment in experiments)
         return [value for text in texts if text is not None and (value := float(text)) > 0.0]
 
     start, stop, step = structure.start or 0.0, structure.stop, structure.step
     if stop is None:
-        stop = start + max(said("stopTime"), default=STOP)
+        stop = start + max(read_positive("stopTime"), default=STOP)
         if "duration" not in given:
             warnings.append(f"the SSP names no stopTime: {stop - start:g} s are run; --set duration=… for others")
     duration = stop - start
     if step is None:
-        step = min(said("stepSize"), default=STEP)
+        step = min(read_positive("stepSize"), default=STEP)
         if "step" not in given:
             warnings.append(f"the SSP names no communication step: {step:g} s is taken; --set step=… for another")
     count = duration / step

@@ -127,7 +127,9 @@ def run(
             record["ssp"] = {"path": str(path.resolve()), "sha256": sha256(path)}
         record["warnings"] += told_before
         _add_outcome(record, file.scenario, stepped, watched=worker is not None)
-        failure = _left(place / rows_file, file.scenario, stepped, record, report=report, figures=figures, keep=keep)
+        failure = _keep_partial_results(
+            place / rows_file, file.scenario, stepped, record, report=report, figures=figures, keep=keep
+        )
     if failure is not None:
         failure.left = place
         raise failure
@@ -147,7 +149,7 @@ def _read(
     return file, place, warnings
 
 
-def _left(
+def _keep_partial_results(
     file: Path,
     scenario: Scenario,
     stepped: Stepped,

@@ -64,7 +64,7 @@ def discard_untrusted(paths: Iterable[Path]) -> bool:
     return not remaining
 
 
-def kept(source: str, make: Callable[[], Any]) -> Any:
+def load_or_make(source: str, make: Callable[[], Any]) -> Any:
     """Return a JSON value made from a source, cached.
 
     A hash of the content precedes the content, so that a damaged or partial file is made anew.

@@ -130,11 +130,11 @@ class _Plain:
         if depth > DEEPEST:
             raise _fault(node, "is nested too deep")
         if node.id == "mapping":
-            self._known(node, "map")
+            self._check_tag(node, "map")
             pairs = self.document.pairs(node)
             return {key: self._of(value, depth + 1) for key, (_, value) in pairs.items()}
         if node.id == "sequence":
-            self._known(node, "seq")
+            self._check_tag(node, "seq")
             return [self._of(value, depth + 1) for value in node.value]
         return self._scalar(node)
 
@@ -155,7 +155,7 @@ class _Plain:
                 return text
         raise _fault(node, f'the tag "{_tag(node)}" means nothing here; leave it out')
 
-    def _known(self, node: Any, kind: str) -> None:
+    def _check_tag(self, node: Any, kind: str) -> None:
         if node.tag is not None and str(node.tag) != f"tag:yaml.org,2002:{kind}":
             raise _fault(node, f'the tag "{_tag(node)}" means nothing here; leave it out')
 

@@ -15,7 +15,7 @@ from cosim.fmi.native.compiler import CompilerFailed, compiler, loaded
 from cosim.model.integrate import substeps
 from cosim.model.symbolic.functions import Body
 from cosim.model.symbolic.languages import Lanes, Unprintable
-from cosim.storage.cache import fingerprint, kept
+from cosim.storage.cache import fingerprint, load_or_make
 
 WIDTH = 16  # runs per block; numbers of runs are padded to multiples
 SOURCE = Path(__file__).with_name("lanes.c")
@@ -123,4 +123,4 @@ def _printed(model: Any, awake: tuple[str, ...], flags: dict[str, bool]) -> tupl
         defined = "".join(f"#define {name} {size}\n" for name, size in sizes.items())
         return defined + SOURCE.read_text(encoding="utf-8").replace("/*LANES*/", functions)
 
-    return kept(content + SOURCE.read_text(encoding="utf-8"), make), names
+    return load_or_make(content + SOURCE.read_text(encoding="utf-8"), make), names

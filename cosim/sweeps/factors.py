@@ -139,7 +139,7 @@ class Factors:
                 return None
             return found
 
-        factor = self._made(name, varied, value, unit_of(variable) or "")
+        factor = self._make_factor(name, varied, value, unit_of(variable) or "")
         design = self.scenario.scenario.design
         if factor is not None and design is not None and design.component == component:
             # The value may contradict the design.
@@ -175,7 +175,7 @@ class Factors:
                 return None
             return number
 
-        factor = self._made(name, varied, value, "")
+        factor = self._make_factor(name, varied, value, "")
         if factor is not None:
             self._try_some(factor, varied, name)
         return factor
@@ -219,7 +219,7 @@ class Factors:
             return []
         return [*file.warnings, *system.warnings]
 
-    def _made(self, name: str, varied: Varied, value: Any, unit: str) -> Factor | None:
+    def _make_factor(self, name: str, varied: Varied, value: Any, unit: str) -> Factor | None:
         """Return a factor, with values converted by `value`."""
         way = varied.way
         given: Any = getattr(varied, way)

@@ -60,7 +60,7 @@ class Sweep:
         content = [__version__, self.resolved, self.job.signals, self.job.samples, self.columns]
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
-    def asked(self, run: int) -> Asked:
+    def request_run(self, run: int) -> Asked:
         """Return the request for a run."""
         overrides, starts, seed = [], dict[str, dict[str, Any]](), None
         for name, values in self.columns.items():

@@ -181,7 +181,7 @@ def sampled_rows(steps: int, samples: int) -> list[int]:
     return np.unique(np.rint(np.linspace(0, steps, count)).astype(int)).tolist()  # type: ignore[no-any-return]
 
 
-def made(job: Job, asked: Sequence[Asked], way: Way) -> list[Made]:
+def make_runs(job: Job, asked: Sequence[Asked], way: Way) -> list[Made]:
     """Make runs; a failed run reports its reason and affects no other."""
     found: list[Made] = []
     groups: dict[tuple[str, ...], list[Asked]] = {}
@@ -248,7 +248,7 @@ def _at_once(job: Job, prepared: _Prepared, asked: Sequence[Asked]) -> list[Made
             if finite[k]:
                 values = np.ascontiguousarray(table[:, :, k])
                 results = Results(time, columns, values, prepared.system.units)
-                found.append(_made(job, prepared, one, results, "arrays"))
+                found.append(_make_row(job, prepared, one, results, "arrays"))
             else:
                 found.append(_by_fmus(job, prepared, one))
     return found
@@ -275,7 +275,7 @@ def _by_fmus(job: Job, prepared: _Prepared, one: Asked) -> Made:
         return _failed(job, prepared, one, str(error), "fmus")
     if len(results.time) <= steps:
         return _failed(job, prepared, one, f"it ended at t = {results.time[-1]:g} s", "fmus")
-    return _made(job, prepared, one, results, "fmus")
+    return _make_row(job, prepared, one, results, "fmus")
 
 
 def _needed(job: Job, prepared: _Prepared) -> tuple[str, ...]:
@@ -286,7 +286,7 @@ def _needed(job: Job, prepared: _Prepared) -> tuple[str, ...]:
     return tuple(dict.fromkeys((*job.signals, *ends)))
 
 
-def _made(job: Job, prepared: _Prepared, one: Asked, results: Results, way: Way) -> Made:
+def _make_row(job: Job, prepared: _Prepared, one: Asked, results: Results, way: Way) -> Made:
     judged = evaluate(prepared.scenario, results)
     values = tuple(np.nan if c["value"] is None else float(c["value"]) for c in judged)
     rows = sampled_rows(len(results.time) - 1, MOST_ROWS if job.whole else job.samples)

@@ -85,7 +85,7 @@ def sensitivity(
         rows = np.flatnonzero(good)
         if rows.size > MOST:
             rows = np.sort(np.random.default_rng(seed).choice(rows, MOST, replace=False))
-        return _given(outcome, values[rows], names, X[rows], seed)
+        return _rank_by_given_data(outcome, values[rows], names, X[rows], seed)
 
 
 def _sobol(outcome: str, values: Array, names: list[str], X: Array, seed: int) -> Sensitivity:
@@ -97,7 +97,7 @@ def _sobol(outcome: str, values: Array, names: list[str], X: Array, seed: int) -
     return Sensitivity(outcome, tuple(names[k] for k in order), pairs[0], total=pairs[1])
 
 
-def _given(outcome: str, values: Array, names: list[str], X: Array, seed: int) -> Sensitivity:
+def _rank_by_given_data(outcome: str, values: Array, names: list[str], X: Array, seed: int) -> Sensitivity:
     """Return RBD-FAST and PAWN indices of any runs. An additional idle factor shows the level of chance."""
     pawn, rbd_fast = (optional(f"SALib.analyze.{name}", SENSITIVITY_USE) for name in ("pawn", "rbd_fast"))
     first = rbd_fast.analyze(_problem(names, X), X, values, num_resamples=RESAMPLES, seed=seed)

@@ -64,7 +64,7 @@ def hardest(record: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def repeated(study: Sweep, run: int) -> str:
     """Return the command that makes a run of a sweep by itself."""
-    asked = study.asked(run)
+    asked = study.request_run(run)
     starts = [
         f"components.{component}.start.{name}={json.dumps(value)}"
         for component, values in asked.starts.items()

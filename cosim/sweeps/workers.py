@@ -17,7 +17,7 @@ from cosim.base.version import __version__
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.storage.yaml_file import YamlFile
-from cosim.sweeps.run_chunks import Asked, Job, Made, Way, error_of, failed, made
+from cosim.sweeps.run_chunks import Asked, Job, Made, Way, error_of, failed, make_runs
 
 MODULES = ("cosim.sweeps.run_chunks", "fmpy.fmi2", "fmpy.logging")
 ANSWER = 5  # time limit of a dask scheduler's answer [s]
@@ -80,7 +80,7 @@ def _called(
     if _stopping.is_set():
         raise RuntimeError("the sweep is being stopped")
     try:
-        found: list[Made] = worker.call(made, job, chunk, way, watch=job.watched.watch(limits))
+        found: list[Made] = worker.call(make_runs, job, chunk, way, watch=job.watched.watch(limits))
         return found
     except SimulationError as error:  # a crash or an exceeded limit
         if len(chunk) == 1:
@@ -141,7 +141,7 @@ class Here:
     def submit(self, job: Job, chunk: Sequence[Asked], way: Way, limits: Limits | None, goals: int) -> Future[Any]:
         """Make the runs and return a finished future."""
         future: Future[Any] = Future()
-        future.set_result(made(job, chunk, way))
+        future.set_result(make_runs(job, chunk, way))
         return future
 
     def done(self, pending: set[Any]) -> tuple[set[Any], set[Any]]:

@@ -92,12 +92,12 @@ def sweep(
         if force:
             for name in (DATABASE, TABLE, RECORD, REPORT):
                 (folder / name).unlink(missing_ok=True)
-        left = _left(folder, study.key)
+        left = _read_completed(folder, study.key)
         count = 0
         if left is None:
             base = stack.enter_context(Database(folder, study.key))
             one = _Sweep(study, folder, base, progress)
-            left, count = one.made(workers, client, in_process=in_process)
+            left, count = one.make_runs(workers, client, in_process=in_process)
     swept = Swept(study, folder, left, count)
     if report:
         from cosim.sweeps.report import page
@@ -109,7 +109,7 @@ def sweep(
     return swept
 
 
-def _left(folder: Path, key: str) -> dict[str, Any] | None:
+def _read_completed(folder: Path, key: str) -> dict[str, Any] | None:
     """Return the record of a completed equal sweep; raise InputError for a different sweep."""
     try:
         _, about = read_table(folder / TABLE)
@@ -131,7 +131,7 @@ class _Sweep:
         self.seconds = 0.0
         self.count = 0
 
-    def made(self, workers: int | None, client: Any, *, in_process: bool) -> tuple[dict[str, Any], int]:
+    def make_runs(self, workers: int | None, client: Any, *, in_process: bool) -> tuple[dict[str, Any], int]:
         """Return the record and the number of new runs."""
         try:
             with makers(workers, client, in_process=in_process) as who:
@@ -175,7 +175,7 @@ class _Sweep:
             repeated, job = self._repeated(), replace(self.study.job, whole=True)
             for _ in self._make(who, repeated, "fmus", job, CHECKED):
                 pass
-            future = who.submit(job, [self.study.asked(k) for k in repeated], "arrays", None, len(self.goals))
+            future = who.submit(job, [self.study.request_run(k) for k in repeated], "arrays", None, len(self.goals))
             on_arrays = who.runs(next(iter(who.done({future})[0])))
             apart = max((apart_of(a, b) for a, b in zip(on_arrays, self.base.runs(CHECKED), strict=True)), default=0.0)
             if not apart <= EQUAL:
@@ -198,7 +198,7 @@ class _Sweep:
         waiting, pending = [[*chunk] for _, chunk in chunks][::-1], set[Any]()
         while waiting or pending:
             while waiting and len(pending) < who.count + AHEAD:
-                asked = [self.study.asked(run) for run in waiting.pop()]
+                asked = [self.study.request_run(run) for run in waiting.pop()]
                 pending.add(who.submit(job, asked, way, limits, len(self.goals)))
             finished, pending = who.done(pending)
             kept = 0

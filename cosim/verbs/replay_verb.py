@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cosim.base.settings import Given, given, texts
+from cosim.base.settings import Given, normalize_settings, texts
 from cosim.storage.files import FilePath
 from cosim.storage.folders import folder_of_file
 from cosim.storage.results import rows_in
@@ -76,7 +76,7 @@ def replay(
 
 
 def _pairs(columns: Given | None) -> Sequence[str]:
-    found = given(columns, "columns")
+    found = normalize_settings(columns, "columns")
     return [f"{column}={variable}" for column, variable in found.items()] if isinstance(found, Mapping) else found
 
 

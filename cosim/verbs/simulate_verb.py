@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cosim.base.settings import Given, PositiveSeconds, Seconds, given
+from cosim.base.settings import Given, PositiveSeconds, Seconds, normalize_settings
 from cosim.storage.files import FilePath
 from cosim.verbs.options import Compile, Force, Format, Json, Open, Report, Texts, out_option, time_option
 from cosim.verbs.outcome import say_outcome, value_lines
@@ -68,7 +68,7 @@ def simulate(
     with compiling(compile), results_in(out) as folder:
         steps = partial(simulate_fmu, stop=stop, step=step, in_process=in_process, progress=progress)
         leaves = partial(steps, report=report and out is not None, force=force, format_=format)
-        outcome, notes = leaves(fmu, folder, start=given(set), recorded=input, record=record)
+        outcome, notes = leaves(fmu, folder, start=normalize_settings(set), recorded=input, record=record)
     manifest = {**outcome.manifest, "warnings": [*notes, *outcome.manifest["warnings"]]}
     return run_of(outcome.results, manifest, None if out is None else outcome.folder)
 

@@ -17,7 +17,7 @@ from cosim.base.errors import Fault, refuse
 from cosim.loading.file import LoadedModel
 from cosim.logs.log import Log
 from cosim.model import Model, Stepper
-from plant.identification.estimates import Figure, Result, made
+from plant.identification.estimates import Figure, Result, make_estimates
 
 TRIES = 6  # values on either side of the model's own, to bracket the distance
 NEAREST, WIDEST = 0.01, 1e3  # first of them as a share of the way to a bound; range of an unbounded parameter
@@ -47,7 +47,7 @@ def distance(runs: Sequence[Log], loaded: LoadedModel, parameter: str, output: s
     refuse(faults)
     thesis = float(np.mean(observed)) if observed else float("nan")
     named = [(parameter, declared.unit, thesis, float("nan"))]
-    (estimate,) = made(named, np.array(values)[:, None], np.zeros((0, 1)), "distance covered (§5.5)")
+    (estimate,) = make_estimates(named, np.array(values)[:, None], np.zeros((0, 1)), "distance covered (§5.5)")
     value = estimate.value
     found = model.with_values({**loaded.parameters, parameter: float(np.clip(value, *declared.bounds))})
     unit, figures = next(q.unit for q in model.outputs if q.name == output), []

@@ -161,7 +161,9 @@ def moved(cells: Cells, channel: str, point: int) -> Mapping[str, Cell]:
     return {**cells, channel: cells[channel].moved(point, cells[channel].error)}
 
 
-def made(names: Sequence[tuple[str, str, float, float]], each: Array, shifts: Array, origin: str) -> list[Estimate]:
+def make_estimates(
+    names: Sequence[tuple[str, str, float, float]], each: Array, shifts: Array, origin: str
+) -> list[Estimate]:
     """Return estimates from repetitions (N, p) and shifts.
 
     Args:

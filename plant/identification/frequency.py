@@ -11,7 +11,7 @@ from plant.bench import Bench
 from plant.identification.cells import Cells
 from plant.identification.command_response import LAGS, low_pass, tilt_response
 from plant.identification.commanded import frequency_of
-from plant.identification.estimates import Figure, Measured, Result, interval, least, made, shifts_of
+from plant.identification.estimates import Figure, Measured, Result, interval, least, make_estimates, shifts_of
 from plant.identification.misfit import Misfit, misfit, residuals
 from plant.identification.protocol import SineTest
 from plant.identification.recordings import Recording
@@ -45,7 +45,9 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
     thesis = _by_hand(chosen, m)
     fitted = _fit_magnitudes(frequencies, thesis[0].mean(axis=0))
     names = [("lag", "s", fitted, m.true("lag"))]
-    result = Result("frequency", made(names, each, shifts_of(lags, m.cells, "x", each), "Test 4, sines fitted"))
+    result = Result(
+        "frequency", make_estimates(names, each, shifts_of(lags, m.cells, "x", each), "Test 4, sines fitted")
+    )
     tau = result.estimates[0].value
     c = amplitudes(m.cells)
     place = int(np.argmin(np.abs(LAGS - tau)))
@@ -128,7 +130,7 @@ def harmonics(m: Measured, chosen: Sequence[Sequence[tuple[Recording, float]]], 
         for r, _ in chosen[0]
     ]
 
-    def found(using: Cells) -> Array:
+    def averages(using: Cells) -> Array:
         rows = []
         for row in chosen:
             values: list[Array] = []
@@ -146,8 +148,8 @@ def harmonics(m: Measured, chosen: Sequence[Sequence[tuple[Recording, float]]], 
         return np.array(rows)
 
     longest = max(int((r.time >= m.test.lead + m.test.skip).sum()) for r, _ in chosen[0])
-    each = found(m.cells)
-    return misfit(each, shifts_of(found, m.cells, "x", each), 0)
+    each = averages(m.cells)
+    return misfit(each, shifts_of(averages, m.cells, "x", each), 0)
 
 
 def grouped(recordings: Sequence[Recording], test: SineTest) -> dict[float, list[Recording]]:

@@ -14,7 +14,7 @@ from plant.identification.estimates import (
     Measured,
     Result,
     interval,
-    made,
+    make_estimates,
     out_of_line,
     pseudo_values,
     shifts_of,
@@ -64,7 +64,7 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
     each = exponents(m.cells)
     names = [("ground_effect_exponent", "1", thesis, m.true("ground_effect_exponent"))]
     shifts = shifts_of(exponents, m.cells, "z", each)
-    result = Result("ground_effect", made(names, each, shifts, "Test 2, fit on Γ, 1/Z̄"))
+    result = Result("ground_effect", make_estimates(names, each, shifts, "Test 2, fit on Γ, 1/Z̄"))
     rows = {h: np.array([m.force(r, "z")[r.rows(m.test.window)].mean() for r in main[h]]) for h in main}
     result.odd += out_of_line(
         [(f"at {h:.4g} m the force over its mean", main[h], v / v.mean()) for h, v in rows.items() if v.size > 1]

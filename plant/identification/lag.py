@@ -9,7 +9,7 @@ from plant.identification import answer
 from plant.identification.cells import Cells
 from plant.identification.command_response import LAGS, held_lag, low_pass, tilt_response
 from plant.identification.commanded import BEFORE
-from plant.identification.estimates import Figure, Measured, Result, least, made, out_of_line, shifts_of
+from plant.identification.estimates import Figure, Measured, Result, least, make_estimates, out_of_line, shifts_of
 from plant.identification.protocol import StepTest
 from plant.identification.recordings import Recording
 
@@ -44,7 +44,7 @@ def analyse(m: Measured, *, draw: bool = True, thrust: bool = False) -> Result:
     hand = np.array([by_hand(r, m.printed_force(r, channel), m.test) for r in m.recordings])
     names = [(name, "s", _mean(hand[:, 0]), m.true("lag"))]
     shifts, origin = shifts_of(lags, m.cells, channel, each), f"Test 4, fit of the {title} after a step"
-    result = Result("thrust_step" if thrust else "step", made(names, each, shifts, origin))
+    result = Result("thrust_step" if thrust else "step", make_estimates(names, each, shifts, origin))
     told = []
     for k, way in enumerate(("63 %", "rise time", "slope")):
         mean, half = _mean(hand[:, k]), 1.96 * _deviation(hand[:, k])

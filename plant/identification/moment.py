@@ -10,7 +10,7 @@ from cosim.base.arrays import Array
 from cosim.model.namespaces import arrays
 from plant.identification.cells import Cells
 from plant.identification.command_response import low_pass, tilt_response
-from plant.identification.estimates import Figure, Measured, Result, made, out_of_line, shifts_of
+from plant.identification.estimates import Figure, Measured, Result, make_estimates, out_of_line, shifts_of
 from plant.identification.misfit import drift
 from plant.identification.recordings import Recording
 from plant.powertrain import assembly_moment, servo_angle
@@ -46,7 +46,9 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
         top += float(basis @ m.printed_force(r, "m")[w])
         bottom += float(basis @ basis)
     names = [("assembly_arm", "m", top / bottom, m.true("assembly_arm"))]
-    result = Result("moment", made(names, each, shifts_of(arms, m.cells, "m", each), "Test 5, with an offset a test"))
+    result = Result(
+        "moment", make_estimates(names, each, shifts_of(arms, m.cells, "m", each), "Test 5, with an offset a test")
+    )
     result.odd += out_of_line([("the arm [m]", m.recordings, each[:, 0])])
     _judge(m, result, shape)
     step = known.converter_range / known.converter_levels

@@ -20,7 +20,7 @@ MOST_ROWS = 1_000_000  # rows of a run
 
 def planned_faults(yaml: YamlFile, content: ProtocolFile, known: Bench) -> list[Fault]:
     """Return every fault of the simulated tests with valid keys and values."""
-    tests = [(n, t) for n, t in content.tests.given() if not t.files]
+    tests = [(n, t) for n, t in content.tests.named_tests() if not t.files]
     if faults := list(_step_faults(yaml, content, tests)):
         return faults
     own = content.bench == BENCH

@@ -87,12 +87,12 @@ def _measured(protocol: Protocol) -> dict[str, list[Recording]]:
     faults: list[Fault] = []
     found: dict[str, list[Recording]] = {}
     cells: Cells | None = None
-    if all(protocol.file.cells[c].points for c in CHANNELS):
+    if all(c in protocol.file.cells and protocol.file.cells[c].points for c in CHANNELS):
         try:
             cells = calibrated(protocol, {})
         except ValueError as error:
             faults.append(cell_fault(protocol, error))
-    for name, test in protocol.file.tests.given():
+    for name, test in protocol.file.tests.named_tests():
         if not test.files:
             continue
         found[name], unread = read_recordings(protocol, name)

@@ -7,7 +7,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from plant.identification.cells import Cells
 from plant.identification.command_response import low_pass, tilt_response
-from plant.identification.estimates import Figure, Measured, Result, made, shifts_of
+from plant.identification.estimates import Figure, Measured, Result, make_estimates, shifts_of
 from plant.identification.recordings import Recording
 from plant.powertrain import servo_angle
 
@@ -43,7 +43,7 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
     one = 1.0 if m.truth else np.nan
     names = [("vertical_projection", "1", thesis[0], one), ("horizontal_projection", "1", thesis[1], one)]
     shifts = shifts_of(factors, m.cells, "zx", each)
-    result = Result("projection", made(names, each, shifts, "Test 3, over cos α and sin α"))
+    result = Result("projection", make_estimates(names, each, shifts, "Test 3, over cos α and sin α"))
     # deviation of the functions themselves, in bins of the angle
     edges = BIN * np.arange(-36, 37)
     deviation: dict[str, Array] = {}

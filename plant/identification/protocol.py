@@ -173,7 +173,7 @@ class Tests(Part):
     frequency: SineTest | None = None
     moment: Test | None = None
 
-    def given(self) -> Iterator[tuple[str, Test]]:
+    def named_tests(self) -> Iterator[tuple[str, Test]]:
         """Yield name and test of each test done."""
         for name in type(self).model_fields:
             if (test := getattr(self, name)) is not None:
@@ -243,8 +243,8 @@ def partly_read(path: Path) -> tuple[Protocol, list[Fault]]:
     content = content.model_copy(update={"parameters": parameters})
     faults += [*of_units, *_parameter_faults(yaml, content, bench)]
     faults += _cell_faults(yaml, content)
-    faults += [fault for name, test in content.tests.given() for fault in _test_faults(yaml, content, name, test)]
-    if not any(True for _ in content.tests.given()):
+    faults += [fault for name, test in content.tests.named_tests() for fault in _test_faults(yaml, content, name, test)]
+    if not any(True for _ in content.tests.named_tests()):
         faults.append(yaml.fault(("tests",), f"holds no test; known are {', '.join(Tests.model_fields)}", key=True))
     if content.bench not in (None, BENCH) and not (path.parent / str(content.bench)).is_file():
         message = f"no such FMU: {content.bench}; write {BENCH} for the one that is built here, or the path of yours"

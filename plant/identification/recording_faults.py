@@ -105,13 +105,13 @@ def _cells_at_fault(protocol: Protocol, name: str, test: Test, r: Recording, cel
             continue
         found = equal_readings(r.volts[c], window, r.rows(test.rest), at_rail(known, r.volts[c]))
         if found and (found.kind != "repeated" or name in TIMED):
-            yield _at(protocol, r, f"volts_{c} {_told(found, r)}", found.row)
+            yield _at(protocol, r, f"volts_{c} {_describe(found, r)}", found.row)
             return
     faults = list(_channels_at_fault(protocol, name, test, r, cells))
     yield from faults or _other_cell(protocol, test, r, cells, wanted)
 
 
-def _told(found: EqualReadings, r: Recording) -> str:
+def _describe(found: EqualReadings, r: Recording) -> str:
     """Return a sentence about equal readings, with the cure."""
     if found.kind == "stuck":
         told = f"stands still at {found.value:.4g} V from this row on, for {counted(found.count, 'reading')}"

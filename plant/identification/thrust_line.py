@@ -13,7 +13,7 @@ from cosim.model.namespaces import arrays
 from plant.bench import Bench
 from plant.identification.cells import Cell, Cells, at_rail
 from plant.identification.command_response import held_lag, low_pass
-from plant.identification.estimates import Figure, Measured, Result, made, out_of_line, shifts_of
+from plant.identification.estimates import Figure, Measured, Result, make_estimates, out_of_line, shifts_of
 from plant.identification.misfit import drift
 from plant.identification.protocol import Test
 from plant.identification.recordings import Recording
@@ -130,7 +130,7 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
         bowed = [_bow(r, line, cells["z"], known, test, begins)[k] for r, k in own]
     each = lines(cells)
     shifts = shifts_of(lines, cells, "z", each)
-    result = Result("thrust_line", made(names, each, shifts, "Test 1, line by repetition"))
+    result = Result("thrust_line", make_estimates(names, each, shifts, "Test 1, line by repetition"))
     thrust = thrusts(cells)
     result.odd += out_of_line([("the mean thrust [gf]", m.recordings, np.array([y.mean() for y in thrust]))])
     degree, errors = least_degree(delayed, thrust)

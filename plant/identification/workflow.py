@@ -83,7 +83,7 @@ def identify(
         return identify_craft(yaml, out, report=report, keep=keep)
     ready = prepare(path)
     protocol, measured = ready.protocol, ready.measured
-    named = [path, *(protocol.folder / f for _, test in protocol.file.tests.given() for f in test.files)]
+    named = [path, *(protocol.folder / f for _, test in protocol.file.tests.named_tests() for f in test.files)]
     check_writable(out, FILES, named)
     outcome = _outcome(protocol, measured, protocol.file.seed if seed is None else seed, progress)
 
@@ -110,7 +110,7 @@ def _outcome(
     hung: dict[str, list[Recording]] = {}
     played: dict[str, list[Recording]] = {}
     if protocol.file.bench is not None:
-        tests = [name for name, _ in protocol.file.tests.given() if name not in measured]
+        tests = [name for name, _ in protocol.file.tests.named_tests() if name not in measured]
         runs = {name: runs_of(protocol, name, seed) for name in tests}
         hung, played = _on_fmu(protocol, load_runs(protocol, seed), runs, progress=progress)
     try:
@@ -193,7 +193,7 @@ def _within(known: Bench, e: Estimate) -> float:
 
 def played(protocol: Protocol, play: Play, seeds: Sequence[int]) -> list[Outcome]:
     """Return whole protocols, one per seed, by plain functions, without figures, in parallel."""
-    names = [n for n, _ in protocol.file.tests.given()]
+    names = [n for n, _ in protocol.file.tests.named_tests()]
     hung: list[dict[str, list[Recording]]] = [{} for _ in seeds]
     found: list[dict[str, list[Recording]]] = [{} for _ in seeds]
     per_seed = [load_runs(protocol, seed) for seed in seeds]

@@ -164,7 +164,7 @@ def _library(
     """
     content = hashlib.sha256(repr((sorted(files.items()), main, list(command), *libraries)).encode()).hexdigest()
     stem = cached(content, "")
-    for kept in _kept(stem):
+    for kept in _find_cached(stem):
         if kept == _named(stem, kept) and not _missing(kept.read_bytes(), exports):
             return kept
         kept.unlink(missing_ok=True)
@@ -234,7 +234,7 @@ def loaded(source: str, *headers: Path) -> ctypes.CDLL:
     raise CompilerFailed(str(reason)) from reason
 
 
-def _kept(stem: Path) -> list[Path]:
+def _find_cached(stem: Path) -> list[Path]:
     """Return the trusted cached libraries of a source."""
     found = list(stem.parent.glob(f"{stem.name}-*.so"))
     return [path for path in found if discard_untrusted([path]) and path.exists()]

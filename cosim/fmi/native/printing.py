@@ -16,7 +16,7 @@ from cosim.model.symbolic.blocks import function, kinks, nearby, places_of, tang
 from cosim.model.symbolic.languages import C
 from cosim.model.symbolic.trace import Block, Trace, Untraceable, switches
 from cosim.model.symbolic.tracing_guard import guarded
-from cosim.storage.cache import fingerprint, kept
+from cosim.storage.cache import fingerprint, load_or_make
 
 MOST_SWITCHES = 4  # each doubles the generated code
 LANGUAGE = C()
@@ -132,7 +132,7 @@ class Printer:
     def sources(self) -> Sources:
         """Return all generated code."""
         tables, texts = variable_tables(self.ports)
-        functions, body_kinks, kinks_in_all, calls = kept(self._said(), self._functions)
+        functions, body_kinks, kinks_in_all, calls = load_or_make(self._serialize(), self._functions)
         parts = [tables, self._tables(), *functions, self._starts(), self._wake()]
         parts += [self._remembers(), self._counting()]
         delay = self.trace.effects.index(self.delay) if self.delay else -1
@@ -161,7 +161,7 @@ class Printer:
 
     # -- functions ------------------------------------------------------------------------------
 
-    def _said(self) -> str:
+    def _serialize(self) -> str:
         """Return a text that determines all functions, for the cache."""
         from sympy import srepr
 

@@ -92,7 +92,7 @@ def _starts(
     """Return replay starts and parameters per log."""
     rows, layout = first_rows(log, horizon), problem.layout
     data = problem.data(variant.values, index)
-    filtered = problem.known(data, variant.values, variant.noise, index, log.grid[rows].tolist())
+    filtered = problem.filter_causally(data, variant.values, variant.noise, index, log.grid[rows].tolist())
     starts = {}
     for k in rows:
         row = int(log.grid[k])
@@ -257,7 +257,7 @@ def _missed(variant: Variant, problem: Problem, log: Log, index: int, data: Data
     gains = dict.fromkeys(problem.layout.outputs, np.ones(len(data.u)))
     horizon = variant.subject.horizon
     rows = [] if data.table else log.grid[first_rows(log, horizon)].tolist()
-    filtered = problem.known(data, variant.values, variant.noise, index, rows)
+    filtered = problem.filter_causally(data, variant.values, variant.noise, index, rows)
     acting = {} if data.table else _acting(problem, filtered, np.array(rows, np.intp), np.arange(len(data.u)))
     for sensor in _sensors(variant, acting):
         if sensor.straight():

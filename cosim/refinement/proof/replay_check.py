@@ -91,7 +91,7 @@ def checked_claim(
         return claims.withdrawn(doubt)
     if claims.name == "ambiguous" or claims.grade != "claimed":
         return claims
-    worst, share = max(_left(error, floor).items(), key=itemgetter(1), default=("", 0.0))
+    worst, share = max(_remaining_excess(error, floor).items(), key=itemgetter(1), default=("", 0.0))
     if share <= PART:
         return claims
     if weak := tuple(n for n in claims.claimed.names if n in support and support[n].predicted < BETTER):
@@ -110,11 +110,11 @@ def _plant_doubt(error: ErrorOf, floor: Channels, *, effects: bool) -> Doubt | N
     recalibrated, after = error["recalibrated"], error["after"]
     if effects and floor and all(after[n] >= recalibrated[n] for n in floor):
         return Doubt("no_nearer")
-    left = _left(error, floor)
+    left = _remaining_excess(error, floor)
     return Doubt("kept", size=min(left.values())) if left and min(left.values()) > HALF else None
 
 
-def _left(error: ErrorOf, floor: Channels) -> dict[str, float]:
+def _remaining_excess(error: ErrorOf, floor: Channels) -> dict[str, float]:
     """Return the remaining excess error of each channel."""
     shares = {n: excess_left(error["before"][n], error["after"][n], f) for n, f in floor.items()}
     return {n: x for n, x in shares.items() if not math.isnan(x)}

@@ -67,7 +67,7 @@ def _leftover(problem: Problem, h: Hypothesis, subject: Subject) -> tuple[str, s
     Statistic: Σ r_k·r_k+1 / Σ r² of the centred residual ranks in the order of the input; for noise 0 ± 1/√n, also for
     noise of varying level (Bartels 1982).
     """
-    u, left = np.vstack([log.u for log in problem.logs]), _left(problem, h)
+    u, left = np.vstack([log.u for log in problem.logs]), _compute_residuals(problem, h)
     most: float = PLAIN
     found: tuple[str, str] | None = None
     for j, output in enumerate(problem.layout.outputs):
@@ -82,11 +82,11 @@ def _leftover(problem: Problem, h: Hypothesis, subject: Subject) -> tuple[str, s
     return found
 
 
-def _left(problem: Problem, h: Hypothesis) -> Array:
+def _compute_residuals(problem: Problem, h: Hypothesis) -> Array:
     """Return measured − model of every row, shape (rows, outputs)."""
     return np.vstack([open_loop(problem, 0.0, h.fit.values, h.fit, k)[:, 0] for k in range(len(problem.logs))])
 
 
 def _sizes(problem: Problem, h: Hypothesis) -> Array:
     """Return the root mean square residual of each output."""
-    return np.asarray(np.sqrt(np.nanmean(_left(problem, h) ** 2, axis=0)))
+    return np.asarray(np.sqrt(np.nanmean(_compute_residuals(problem, h) ** 2, axis=0)))

@@ -83,7 +83,7 @@ def shown(r: Refinement) -> list[Shown]:
     """Draw one picture for each part of a claim; without a claim, one of what is left."""
     claim, base = r.verdict.claimed, r.attribution.base
     if claim is None:
-        return [_left(r)] if r.verdict.name == "unexplained" else []
+        return [_draw_residual(r)] if r.verdict.name == "unexplained" else []
     pictures = []
     for candidate in claim.candidates:
         with_it = Filter(claim.fit.values, claim.fit.noise)
@@ -110,7 +110,7 @@ def _term(subject: Subject, problem: Problem, c: Candidate, without: Filter, wit
     return replace(picture, effect=c.name, kind=c.kind, term=terms[:, column])
 
 
-def _left(r: Refinement) -> Shown:
+def _draw_residual(r: Refinement) -> Shown:
     """Draw what the best hypothesis leaves, with the term without a name that promises most beside it."""
     subject, problem, best = r.study.subject, r.problem, r.attribution.best.fit
     parts, value, sigma = smoothed(problem, Filter(best.values, best.noise))

@@ -180,12 +180,12 @@ class Search:
         done = count()
         self.progress(stage, 0.0)
 
-        def told(item: Item) -> Hypothesis:
+        def fit_and_report(item: Item) -> Hypothesis:
             h, number = one(item), 1 + next(done)
             self.progress(f"{stage}: candidate {number} of {len(todo)}", number / len(todo))
             return h
 
-        fitted = in_parallel(told, todo)
+        fitted = in_parallel(fit_and_report, todo)
         self.tried |= {h.names: h for h in fitted}
         return fitted
 

@@ -184,7 +184,7 @@ def promising(problem: Problem, at: Fit, units: Mapping[str, str], worth: float)
             for shape in ground.shapes():
                 tried += len(shape.coefficients(1))
                 best.try_one(shape, shape.columns(signals))
-        shapes += best.kept()
+        shapes += best.select()
     return shapes, tried
 
 
@@ -209,7 +209,7 @@ class _Best:
         if gain > self.worth * len(taken):
             (self.groups if len(taken) > 1 else self.single).append((gain, shape, left @ taken))
 
-    def kept(self) -> list[Shape]:
+    def select(self) -> list[Shape]:
         """Return the most promising distinct shapes."""
         chosen: list[tuple[Shape, Array]] = []
         for _, shape, row in sorted(self.single, key=lambda entry: -entry[0]):

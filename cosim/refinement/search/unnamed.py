@@ -67,14 +67,14 @@ class Unnamed:
         return self.shape.coefficients(self.slot) if self.shape else (f"{PREFIX}.{self.equation}.{self.signal}",)
 
     @property
-    def known(self) -> dict[str, float]:
+    def kernel_settings(self) -> dict[str, float]:
         """Return the kernel parameters that set the shape."""
         return self.shape.settings(self.slot) if self.shape else {}
 
     @property
     def values(self) -> dict[str, float]:
         """Return the parameter values of the term."""
-        return self.known | dict(zip(self.names, self.sizes or (self.coefficient,), strict=True))
+        return self.kernel_settings | dict(zip(self.names, self.sizes or (self.coefficient,), strict=True))
 
     @property
     def entry(self) -> dict[str, Any]:
@@ -243,7 +243,7 @@ def _placed(terms: Sequence[Unnamed]) -> list[Unnamed]:
 def _fitted(problem: Problem, at: Fit, terms: Sequence[Unnamed]) -> Fit:
     """Return the fit with some additional free terms."""
     sizes = {name: abs(value) or 1.0 for u in terms for name, value in u.values.items() if name in u.names}
-    known = {name: value for u in terms for name, value in u.known.items()}
+    known = {name: value for u in terms for name, value in u.kernel_settings.items()}
     free = [*at.free, *(Free(name, -math.inf, math.inf, size) for name, size in sizes.items())]
     # Terms start at zero, so the objective can only decrease.
     return fit(problem, free, {**at.values, **known}, at.noise, iterations=SCREEN_ITERATIONS)

@@ -143,18 +143,20 @@ def starts(run: Run) -> list[Row]:
         settings = {**kind, **mapping(kind.get("start"))}
         settings = {key: value for key, value in settings.items() if key not in ("start", "fmu", "block", "sha256")}
         source = str(kind.get("fmu") or kind.get("block") or "")
-        found.append(Row(str(name), ", ".join(f"{key} = {_said(value)}" for key, value in settings.items()), source))
+        found.append(
+            Row(str(name), ", ".join(f"{key} = {_format_setting(value)}" for key, value in settings.items()), source)
+        )
     return found
 
 
-def _said(value: object) -> str:
+def _format_setting(value: object) -> str:
     """Return a setting in scenario notation on a single line."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{key}: {_said(v)}" for key, v in value.items()) + "}"
+        return "{" + ", ".join(f"{key}: {_format_setting(v)}" for key, v in value.items()) + "}"
     if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_said, value)) + "]"
+        return "[" + ", ".join(map(_format_setting, value)) + "]"
     return str(value)
 
 
