@@ -185,12 +185,14 @@ def test_theory_s_spread_of_the_position_after_ten_and_twenty_seconds() -> None:
         assert sigma[1] / sigma[0] > 1.3
 
 
+@pytest.mark.thorough
 def test_with_the_consistent_filter_the_craft_leaves_its_goal() -> None:
     # σ(x) = 0.20 m at 10 s and 0.30 m at 20 s: |x| ≤ 0.05 m all the time from 10 to 20 s is a rare exception
     leaves = [np.max(np.abs(run[500:, 0])) > 0.05 for run in under_noise("consistent")]
     assert sum(leaves) >= 15
 
 
+@pytest.mark.thorough
 def test_with_the_lagged_filter_the_craft_drifts_off_its_goal() -> None:
     # drag taken for thrust on the way leaves 0.037 m even without noise, and σ(x) = 0.016 m at 20 s adds to it:
     # most seeds are outside ±0.02 m between 10 and 20 s, a good part outside ±0.05 m

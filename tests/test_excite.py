@@ -342,6 +342,7 @@ def test_a_question_that_cannot_be_asked_is_told_with_its_cure(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.thorough
 def test_build_makes_the_fmus_of_a_model_file(tmp_path: Path) -> None:
     from fmpy import read_model_description
 

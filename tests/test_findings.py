@@ -173,6 +173,7 @@ def made(free: tuple[Free, ...], values: dict[str, float], information: Rows, nl
     return Fit(values, noise, free, (nll,), penalty, information, 5, True)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("times", [0.5, 2.0])
 def test_what_other_tolerances_would_make_of_a_fit_is_what_they_make(rail: Model, tmp_path: Path, times: float) -> None:
     """The objective as the fit's quadratic has it against a fit with tolerances so many times as wide."""
@@ -306,6 +307,7 @@ def test_a_camera_that_is_late_is_found_and_timed_beside_an_effect(tmp_path: Pat
     assert near(a.best, "coulomb.level", 0.5)
 
 
+@pytest.mark.thorough
 def test_the_noise_that_a_study_states_has_the_last_word(tmp_path: Path) -> None:
     stated = decided_of(rail_study(tmp_path / "a", DRY, "noise: {position: 0.002}\n" + FEW))
     assert math.exp(0.5 * stated.best.fit.noise.sensors[0]) == pytest.approx(0.002, rel=1e-9)
@@ -471,6 +473,7 @@ def test_a_candidate_costs_more_the_more_are_on_trial(rail: Model, tmp_path: Pat
     assert few.cost(one) < gain < many.cost(one)
 
 
+@pytest.mark.thorough
 def test_terms_without_a_name_cost_the_more_the_more_there_are(rail: Model, tmp_path: Path) -> None:
     path = rail_log(tmp_path / "a.csv", 0)
     problem = coarsened(build_problem(ModelSubject.of(rail), [read_log(path, rail.inputs, rail.outputs)], unnamed=True))

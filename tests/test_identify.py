@@ -230,6 +230,7 @@ def test_a_calibration_leaves_one_point_out_in_turn() -> None:
         cell_of([0, 1, 3, 2, 4], [0, 1, 2, 3, 4], 0.01)
 
 
+@pytest.mark.thorough
 def test_a_protocol_is_checked_and_told_from_other_files(measured: Path, tmp_path: Path) -> None:
     assert check_files([PROTOCOL, measured / "protocol.yaml"]) == []
     study = written(tmp_path, {"logs": {"estimation": ["a.csv"]}}, "study.yaml")

@@ -45,6 +45,7 @@ def test_the_table_of_the_page_refined_has_nothing_missing(again: Refinement) ->
     assert again.record["verdict"] == "no_effect"
 
 
+@pytest.mark.thorough
 def test_what_a_refine_wrote_is_a_model_that_can_be_checked(bench: Path) -> None:
     assert check_files([bench / "out" / "model.yaml"]) == []
 

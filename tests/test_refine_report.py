@@ -300,6 +300,7 @@ def test_an_imu_alone_and_no_sealed_log_are_enough(craft: Refinement, tmp_path: 
     assert found.correlation > 0.9
 
 
+@pytest.mark.thorough
 def test_each_restart_of_the_model_breaks_its_curve(craft: Refinement) -> None:
     (run,) = runs(craft, Charts())
     for pair in (*run.channels, *run.quiet):
