@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -212,3 +214,64 @@ def test_rows_in_the_format_of_a_package_are_kept_too(results: Path, monkeypatch
     assert keep_earlier(results, "cosim run") == results / "runs" / "0001"
     assert "results.acme" in files_in(results / "runs" / "0001")
     assert (results / "results.xlsx").exists()
+
+
+# -- planted by others ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["../private.txt", "/etc/passwd", "linked/photo.png", "sub/../../private.txt"])
+def test_a_planted_list_moves_no_file_of_another_place(results: Path, tmp_path: Path, name: str) -> None:
+    (private := results.parent / "private.txt").write_text("mine")
+    (photo := tmp_path / "elsewhere" / "photo.png").parent.mkdir()
+    photo.write_text("mine too")
+    (results / "linked").symlink_to(photo.parent)
+    (moving := results / "runs" / folders.MOVING).mkdir(0o700, parents=True)
+    (moving / folders.LIST).write_text(name)
+    with folder_locks(), pytest.raises(InputError, match=re.escape(f"names {name}, outside")):
+        check_left(results, "cosim run")
+    assert (private.read_text(), photo.read_text()) == ("mine", "mine too")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="permissions of POSIX")
+@pytest.mark.parametrize("kind", ["open to others", "link"])
+def test_a_move_that_others_can_have_begun_is_not_finished(results: Path, tmp_path: Path, kind: str) -> None:
+    moving, elsewhere = results / "runs" / folders.MOVING, tmp_path / "elsewhere"
+    moving.parent.mkdir()
+    elsewhere.mkdir(0o700)
+    (elsewhere / folders.LIST).write_text("results.csv")
+    if kind == "link":
+        moving.symlink_to(elsewhere)
+    else:
+        elsewhere.rename(moving)
+        moving.chmod(0o777)
+    with folder_locks(), pytest.raises(InputError, match="is open to other users, or not yours; move it away"):
+        check_left(results, "cosim run")
+    assert (results / "results.csv").is_file()
+
+
+@pytest.mark.parametrize("name", ["runs", "figures", "system"])
+def test_no_file_is_moved_or_written_through_a_link(results: Path, tmp_path: Path, name: str) -> None:
+    (photo := tmp_path / "elsewhere" / "photo.png").parent.mkdir()
+    photo.write_text("mine")
+    shutil.rmtree(results / name, ignore_errors=True)
+    (results / name).symlink_to(photo.parent)
+    with folder_locks(), pytest.raises(InputError, match=f"{name}: is a link, so files would be moved or written"):
+        check_left(results, "cosim run", force=True)
+    assert photo.is_file()
+
+
+def test_the_folder_of_an_earlier_run_is_as_open_as_the_folder_around_it(results: Path) -> None:
+    kept = keep_earlier(results, "cosim run")
+    assert kept is not None
+    assert kept.stat().st_mode == kept.parent.stat().st_mode
+
+
+@pytest.mark.skipif(os.name == "nt", reason="pipes and devices of POSIX")
+@pytest.mark.parametrize("kind", ["pipe", "device"])
+def test_what_is_no_file_is_not_waited_for(results: Path, kind: str) -> None:
+    (results / "manifest.json").unlink()
+    if kind == "pipe":
+        os.mkfifo(results / "manifest.json")
+    else:
+        (results / "manifest.json").symlink_to("/dev/zero")
+    assert folders.content_of(results / "manifest.json") == {}

@@ -8,6 +8,7 @@ from cosim.base.errors import Fault, InputError
 from cosim.simulation.run_files import read_ran
 from cosim.storage.files import FilePath, check_writable
 from cosim.storage.folder_lock import folder_locks
+from cosim.storage.folders import refuse_links
 from cosim.storage.kinds import check_given
 from cosim.storage.results import rows_in
 
@@ -36,6 +37,7 @@ def report_of(folder: FilePath, *, figures: bool = False) -> Path:
         raise InputError(
             [Fault(rows_in(path) or path, 0, 0, "has no rows: the run stopped before its first; run it again")]
         )
+    refuse_links(path)
     check_writable(path, ("report.html",))
     from cosim.simulation.report import write_figures, write_report
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
+
+from cosim.storage.folders import content_of
 
 ANSWER = "refine.json"
 REFINED = ("model.yaml", "plant.fmu")
@@ -51,8 +52,4 @@ def names_refine(path: Path) -> bool:
 
 def _grade(answer: Path) -> object:
     """Return a refine's grade: `claimed`, `part`, `nearest` or None."""
-    try:
-        content = json.loads(answer.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return None
-    return content.get("grade") if isinstance(content, dict) else None
+    return content_of(answer).get("grade")

@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 import os
 import re
+import stat
 from collections.abc import Iterable
 from contextlib import suppress
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from cosim.base.drafts import draft_of, remove_drafts
 from cosim.base.errors import Fault, InputError
+from cosim.base.scratch import is_own
 from cosim.storage.artefact import artefacts
 from cosim.storage.files import uninterrupted, write_text
 from cosim.storage.folder_lock import take_folder
@@ -22,6 +24,7 @@ EARLIER = "runs"  # folder of earlier runs inside a results folder, 0001 and so 
 MOVING, LIST = ".moving", ".files"  # inside EARLIER: a run being moved, and the list of its files
 UPWARDS = re.compile(r"^([\w ]+: \"?)(?=\.\./)", re.MULTILINE)  # a YAML key whose value is a relative path upwards
 REPLAY = "replay.json"  # stored with the rows of a replay
+MOST_BYTES = 200_000_000  # size of a JSON file [bytes]
 CURE = "give another folder as --out, or write over it by --force"
 
 
@@ -63,8 +66,10 @@ def manifest_in(folder: Path) -> dict[str, Any]:
 
 
 def content_of(path: Path) -> dict[str, Any]:
-    """Return a JSON mapping from a file, empty if unreadable."""
+    """Return a JSON mapping from a regular file, empty if unreadable."""
     try:
+        if not path.is_file() or path.stat().st_size > MOST_BYTES:
+            return {}
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return {}
@@ -132,8 +137,13 @@ def _same(one: str, other: str) -> bool:
 
 
 def prepare_folder(folder: Path, *, keep: bool) -> None:
-    """Lock a folder and finish an interrupted move; raise InputError if `keep` is impossible."""
+    """Lock a folder and finish an interrupted move.
+
+    Raises:
+        InputError: `keep` is impossible, or a link would lead files out of the folder.
+    """
     take_folder(folder)
+    refuse_links(folder)
     _finish_move(folder)
     earlier = folder / EARLIER
     if not keep or not os.path.lexists(earlier):
@@ -144,6 +154,15 @@ def prepare_folder(folder: Path, *, keep: bool) -> None:
     if not os.access(earlier, os.W_OK | os.X_OK) or earlier.stat().st_dev != folder.stat().st_dev:
         why = "cannot be written, or is on another disk; earlier runs are kept there"
         raise InputError([Fault(earlier, 0, 0, f"{why}; {cure}")])
+
+
+def refuse_links(folder: Path) -> None:
+    """Raise InputError for links in place of the folders that results folders contain."""
+    inner = {EARLIER, *(name.partition("/")[0] for a in artefacts() for name in a.files if "/" in name)}
+    why = "is a link, so files would be moved or written elsewhere; remove it, or give another folder as --out"
+    faults = [Fault(folder / name, 0, 0, why) for name in sorted(inner) if (folder / name).is_symlink()]
+    if faults:
+        raise InputError(faults)
 
 
 def keep_earlier(folder: Path, verb: str, also: Iterable[str] = ()) -> Path | None:
@@ -160,7 +179,7 @@ def keep_earlier(folder: Path, verb: str, also: Iterable[str] = ()) -> Path | No
         return None
     moving = folder / EARLIER / MOVING
     with uninterrupted():
-        moving.mkdir(parents=True, exist_ok=True)
+        moving.mkdir(0o700, parents=True, exist_ok=True)
         write_text(moving / LIST, "\n".join(path.relative_to(folder).as_posix() for path in paths))
         return _finish_move(folder)
 
@@ -174,12 +193,20 @@ def _files_of(folder: Path, verb: str, also: Iterable[str]) -> list[Path]:
 
 
 def _finish_move(folder: Path) -> Path | None:
-    """Finish a move listed in `runs`; return its folder."""
+    """Finish a move listed in `runs`; return its folder.
+
+    Raises:
+        InputError: Another user can have written the list, or the list names files outside the folder.
+    """
     moving = folder / EARLIER / MOVING
-    if not moving.is_dir() or moving.is_symlink():
+    if not os.path.lexists(moving):
         return None
-    if (moving / LIST).is_file():
+    if not is_own(moving, stat.S_ISDIR) or (os.name == "posix" and moving.stat().st_mode & 0o022):
+        raise InputError([Fault(moving, 0, 0, "is open to other users, or not yours; move it away")])
+    if is_own(moving / LIST, stat.S_ISREG):
         names = (moving / LIST).read_text(encoding="utf-8").splitlines()
+        if outside := [name for name in names if not _is_inside(folder, name)]:
+            raise InputError([Fault(moving / LIST, 0, 0, f"names {outside[0]}, outside {folder}; move {moving} away")])
         for name in names:
             _move(folder / name, moving / name)
         remove_drafts(moving, names)
@@ -191,7 +218,15 @@ def _finish_move(folder: Path) -> Path | None:
     numbers = (int(path.name) for path in moving.parent.iterdir() if path.name.isdecimal())
     place = moving.parent / f"{max(numbers, default=0) + 1:04d}"
     moving.rename(place)
+    place.chmod(stat.S_IMODE(place.parent.stat().st_mode))
     return place
+
+
+def _is_inside(folder: Path, name: str) -> bool:
+    """Return whether a relative path leads to a place in a folder, through no link."""
+    path = PurePosixPath(name)
+    parents = [folder / parent for parent in path.parents if parent.parts]
+    return not path.is_absolute() and ".." not in path.parts and not any(p.is_symlink() for p in parents)
 
 
 def _move(path: Path, place: Path) -> None:

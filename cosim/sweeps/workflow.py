@@ -21,7 +21,7 @@ from cosim.base.version import __version__
 from cosim.scenario.scenario import Criterion
 from cosim.storage.files import FilePath, atomic_write, check_writable, hold_stops, named_path, one_stop, uninterrupted
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_left, folder_named, keep_earlier
+from cosim.storage.folders import check_left, content_of, folder_named, keep_earlier
 from cosim.sweeps.batch import why_not_on_arrays
 from cosim.sweeps.reading import Sweep, read_sweep
 from cosim.sweeps.run_chunks import MOST_ROWS, Job, Way, sampled_rows
@@ -113,8 +113,9 @@ def _read_completed(folder: Path, key: str) -> dict[str, Any] | None:
     """Return the record of a completed equal sweep; raise InputError for a different sweep."""
     try:
         _, about = read_table(folder / TABLE)
-        record: dict[str, Any] = json.loads((folder / RECORD).read_text(encoding="utf-8"))
     except (OSError, ValueError):
+        return None
+    if not (record := content_of(folder / RECORD)):
         return None
     if about.get("key") != key:
         message = "holds another sweep, or one of other FMUs; give another folder as --out, or begin anew by --force"
