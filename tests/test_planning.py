@@ -220,7 +220,7 @@ def test_a_start_value_is_of_the_type_within_the_bounds(given: Any, kind: str, m
 
 
 def test_items_of_an_enumeration_go_by_name_or_number() -> None:
-    items = [SimpleNamespace(name="off", value="1"), SimpleNamespace(name="on", value="3")]
+    items = [SimpleNamespace(name=name, value=value) for name, value in (("off", "1"), (None, "2"), ("on", "3"))]
     more = {"declaredType": SimpleNamespace(items=items, min=None, max=None, unit=None, relativeQuantity=None)}
     assert fits("on", "Enumeration", **more) == 3
     assert fits(1, "Enumeration", **more) == 1

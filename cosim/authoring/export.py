@@ -12,7 +12,7 @@ from typing import Any
 from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.scratch import temporary_folder
 from cosim.base.units import computed_in, parse
-from cosim.blocks.description import unit_definition, ways
+from cosim.blocks.description import enumeration_items, unit_definition, ways
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.profile import Profile, profile_function
 from cosim.coupling.algorithms import algorithms
@@ -199,7 +199,7 @@ def _own(variable: Any, value: Any) -> bool:
 def _typed(variable: Any, value: Any) -> tuple[str, Value]:
     """Return SSP's type and value; an enumeration's item by name."""
     if variable.type == "Enumeration":
-        items = {int(i.value): i.name for i in variable.declaredType.items or ()} if variable.declaredType else {}
+        items = {number: name for name, number in enumeration_items(variable).items()}
         return "Enumeration", items.get(value, str(value))
     return variable.type, value
 

@@ -177,6 +177,12 @@ def unit_definition(description: Any, unit: str | None) -> tuple[float, ...] | N
     return None
 
 
+def enumeration_items(variable: Any) -> dict[str, int]:
+    """Return the items of an enumeration, name → number; items without a name are omitted."""
+    declared = variable.declaredType
+    return {i.name: int(i.value) for i in (declared.items or () if declared else ()) if i.name}
+
+
 def is_difference(variable: Any) -> bool:
     """Return whether a variable is declared as a difference."""
     own, declared = variable.relativeQuantity, variable.declaredType

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from cosim.blocks.component import Signal
-from cosim.blocks.description import is_difference, unit_definition, unit_of
+from cosim.blocks.description import enumeration_items, is_difference, unit_definition, unit_of
 from cosim.blocks.fmi_types import Exchange, element_names, kinds_of
 
 
@@ -99,7 +99,7 @@ class Ports:
 
     def _signal(self, variable: Any, name: str) -> Signal:
         unit, declared = unit_of(variable), variable.declaredType
-        items = {i.name: int(i.value) for i in declared.items} if variable.type == "Enumeration" and declared else None
+        items = enumeration_items(variable) if variable.type == "Enumeration" and declared else None
         relative = is_difference(variable)
         local = variable.causality not in {"input", "output"}
         array = variable.name if variable.shape else ""

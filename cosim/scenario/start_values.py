@@ -10,7 +10,7 @@ from typing import Any
 
 from cosim.base.units import allowed_quantity, split_quantity
 from cosim.blocks.component import Signal
-from cosim.blocks.description import is_difference, unit_definition, unit_of
+from cosim.blocks.description import enumeration_items, is_difference, unit_definition, unit_of
 from cosim.blocks.fmi_types import Kind, element_names, kinds_of
 from cosim.storage.yaml_file import did_you_mean
 
@@ -121,7 +121,7 @@ def _why_no_number(variable: Any, kind: Kind, given: Any) -> str:
         return f"it is a number [{unit or '1'}]"
     if kind.low is not None and not float(given).is_integer():
         return "it is a whole number"
-    if variable.type == "Enumeration" and (items := _items(variable)) and int(given) not in items.values():
+    if variable.type == "Enumeration" and (items := enumeration_items(variable)) and int(given) not in items.values():
         return f"it is one of {', '.join(f'{n} ({k})' for n, k in items.items())}"
     low, high = _bounds(variable, kind)
     if not low <= given <= high:
@@ -143,14 +143,9 @@ def _bounds(variable: Any, kind: Kind) -> tuple[float, float]:
     return max(lowest, -math.inf if low is None else low), min(highest, math.inf if high is None else high)
 
 
-def _items(variable: Any) -> dict[str, int]:
-    """Return an enumeration's declared items with their numbers."""
-    return {i.name: int(i.value) for i in variable.declaredType.items or ()} if variable.declaredType else {}
-
-
 def _named(variable: Any, text: str) -> int | Misfit:
     """Return the number of an enumeration's item."""
-    items = _items(variable)
+    items = enumeration_items(variable)
     return items[text] if text in items else Misfit(f"it is one of {', '.join(items)}{did_you_mean(text, items)}")
 
 
