@@ -56,7 +56,7 @@ def page(found: Excitation, scenario: Path) -> str:
             "limits": _limits(found),
             "outputs": _output_plots(found, outputs, drawing),
             "play": shlex.join(["cosim", "run", str(scenario)]),
-            "data": charts.data(),  # after all that is drawn
+            "data": charts.data(),  # after all drawings
             "version": __version__,
         },
     )

@@ -66,7 +66,7 @@ def page(outcome: Outcome) -> str:
             "bode": [(output, plots) for (output, *_), plots in zip(bode, shown, strict=False)],
             "left_out": max(0, len(bode) - MOST),
             "along": _along(outcome, charts),
-            "data": charts.data(),  # after all that is drawn
+            "data": charts.data(),  # after all drawings
             "kinks": [_kink_row(k, r) for k in linear.kinks for r in k.rows],
             "matrices": [_matrix(linear, n) for n in "ABCD"],
             "largest": LARGEST,
@@ -131,7 +131,7 @@ def pole_map(found: Sequence[Pole], charts: Charts) -> Plot:
 
 
 def _bode(linear: Linear) -> list[tuple[str, Panel, Panel]]:
-    """Return magnitude and phase of each output's response to its inputs."""
+    """Return magnitude and phase of each output."""
     g = response(linear, frequencies(linear))
     sizes = np.abs(g).max(axis=2, initial=0.0)
     acting = sizes > NOTHING * np.maximum(sizes.max(axis=0, initial=0.0), 1e-300)
@@ -156,7 +156,7 @@ def _pair(linear: Linear, g: Response, i: int, inputs: Sequence[int]) -> tuple[P
 
 
 def _drawn(pairs: Sequence[tuple[Panel, Panel]], omega: Array, charts: Charts) -> list[tuple[Plot, ...]]:
-    """Draw Bode plots with a common frequency axis and cursor."""
+    """Draw Bode plots over a common frequency axis."""
     if not pairs:
         return []
     curves = sum(len(size.traces) + len(phase.traces) for size, phase in pairs)
@@ -165,7 +165,7 @@ def _drawn(pairs: Sequence[tuple[Panel, Panel]], omega: Array, charts: Charts) -
 
 
 def _along(outcome: Outcome, charts: Charts) -> Plot | None:
-    """Draw the poles' real parts over time; None for a single time."""
+    """Draw the poles' real parts over several times."""
     if len(outcome.linear) < 2:
         return None
     time = np.array([m.point.time for m in outcome.linear])

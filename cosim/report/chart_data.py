@@ -22,13 +22,13 @@ Numbers = list[float | None]
 
 
 def sample_rows(count: int, limit: int) -> Rows:
-    """Return every n-th row and the last, about `limit` rows at most."""
+    """Return every n-th row and the last, about `limit`."""
     rows = np.arange(0, count, max(1, math.ceil(count / limit)))
     return rows if not count or rows[-1] == count - 1 else np.append(rows, count - 1)
 
 
 def rounded(values: Array, digits: int) -> Numbers:
-    """Round values for JSON: null for non-finite values, integers without `.0`."""
+    """Round values for JSON, with null for non-finite values."""
     numbers: Numbers = []
     for value, good in zip(values.tolist(), np.isfinite(values).tolist(), strict=True):
         short = round(value, digits) if good else None
@@ -61,7 +61,7 @@ class Abscissa:
         return f"{self.over[0]} in {self.over[1] or '1'}"
 
     def about(self, rows: Rows) -> dict[str, Any]:
-        """Return the axis' settings for the script of a page with these rows."""
+        """Return the settings for a page with these rows."""
         about: dict[str, Any] = {"over": self.over} if self.over != TIME else {}
         about |= {"ends": self.ends} if self.ends else {}
         about |= {"sparse": 1} if self.sparse else {}
@@ -87,11 +87,11 @@ class Series:
         self.about = abscissa.about(self.rows)
 
     def add(self, panel: Panel) -> list[str]:
-        """Add the traces of a panel; return their keys."""
+        """Add a panel's traces and return their keys."""
         return [self.trace(trace, trace.values, trace.upper) for trace in panel.traces]
 
     def trace(self, trace: Trace, values: Array, upper: Array | None = None) -> str:
-        """Add a trace with values at the axis' rows; return its key."""
+        """Add a trace and return its key."""
         more: dict[str, Any] = {"b": 1} if trace.anew else {}
         more |= {"s": trace.shift} if trace.shift else {}
         more |= {"u": self.column(upper)} if upper is not None else {}
@@ -99,11 +99,11 @@ class Series:
         return self.column(values, way=trace.way, more=more)
 
     def band(self, panel: Panel) -> tuple[str, ...]:
-        """Add the edges of a panel's band; return their keys."""
+        """Add a band's edges and return their keys."""
         return (self.column(panel.band.lower), self.column(panel.band.upper)) if panel.band else ()
 
     def column(self, values: Array, *, way: int = LINE, more: Mapping[str, Any] = MappingProxyType({})) -> str:
-        """Add a signal drawn in this way; return its key."""
+        """Add a signal and return its key."""
         key, kept = f"{self.name}k{len(self.entries)}", values[self.rows]
         good = np.isfinite(kept)
         counts = (
@@ -132,7 +132,10 @@ def to_json(series: Series, more: Mapping[str, Any] = MappingProxyType({}), *, f
 
 
 def _block(series: Series) -> dict[str, Any]:
-    """Return the data of one axis; `every`: distance of its rows, `of`: number of all rows."""
+    """Return the data of one axis.
+
+    every: distance of the page's rows; of: number of all rows
+    """
     every = int(series.rows[1] - series.rows[0]) if series.rows.size > 1 else 1
     return {
         "rows": int(series.rows.size),

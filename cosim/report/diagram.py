@@ -82,9 +82,10 @@ class Layout:
 def diagram(
     boxes: Sequence[Box], wires: Sequence[Wire], summary: str, keys: Sequence[str] = (), *, alone: bool = True
 ) -> str:
-    """Return boxes from left to right and their wires as SVG.
+    """Return a block diagram as SVG.
 
-    Wires back run below the boxes, wires past a box above. alone: for a separate file, with light and dark colours.
+    Boxes stand from left to right. Wires back run below the boxes, wires past a box above.
+    alone: for a separate file, with light and dark colours
     """
     if not boxes:
         return ""
@@ -116,7 +117,7 @@ def diagram(
 
 
 def _role(wire: Wire, gap: int) -> str:
-    """Return a wire's course in the gap before a box, "" for none."""
+    """Return a wire's course in the gap before a box."""
     source, target = wire.source[0], wire.target[0]
     if source + 1 == gap:
         return "out back" if target < gap else "out near" if target == gap else "out on"
@@ -126,9 +127,9 @@ def _role(wire: Wire, gap: int) -> str:
 
 
 def _order(gap: int, wires: Sequence[Wire]) -> list[tuple[int, str]]:
-    """Return the wires with a vertical part in a gap, each with its end, "out" or "in".
+    """Return the wires in a gap, each with its end.
 
-    In this order from the left, wires of neighbouring ports do not cross.
+    The end is "out" or "in". In this order from the left, wires of neighbouring ports do not cross.
     """
     roles: dict[str, list[int]] = {}
     for number, wire in enumerate(wires):
@@ -139,7 +140,10 @@ def _order(gap: int, wires: Sequence[Wire]) -> list[tuple[int, str]]:
 
 
 def _lanes(wires: Sequence[Wire]) -> tuple[Mapping[int, int], Mapping[int, int]]:
-    """Return wire → lane above, for wires past a box, and wire → lane below, for wires back."""
+    """Return wire → lane, above and below the boxes.
+
+    Wires past a box run above, wires back below.
+    """
     above = [k for k, w in enumerate(wires) if w.target[0] > w.source[0] + 1]
     below = [k for k, w in enumerate(wires) if w.target[0] <= w.source[0]]
     return {k: lane for lane, k in enumerate(reversed(above))}, {k: lane for lane, k in enumerate(reversed(below))}

@@ -50,7 +50,10 @@ class Drawing:
         return Keys(tuple(self.series.add(panel)), self.series.band(panel))
 
     def _parted(self, panel: Panel) -> Panel:
-        """Return a panel with a row inserted at each break, or with dots for a lone row."""
+        """Return a panel with a row inserted at each break.
+
+        A lone row gives dots.
+        """
         if self.lone:
             return replace(panel, traces=[replace(t, style=f"{t.style} dots", held=False) for t in panel.traces])
         if not self.breaks.size:
@@ -78,7 +81,9 @@ class Charts:
         return drawing
 
     def alone(self, panel: Panel, axis: Axis, over: tuple[str, str], *, log: bool = False) -> Plot:
-        """Draw a chart of traces and band with their own x (`Trace.x`, `Band.x`).
+        """Draw a chart of traces with their own x.
+
+        The x are `Trace.x` and `Band.x`.
 
         log: over a logarithmic axis (`log_axis`)
         """
@@ -97,7 +102,7 @@ class Charts:
         begins = np.concatenate(([0], np.cumsum([p.size for p in places])))
 
         def spread(values: Array, number: int) -> Array:
-            """Place a curve's values in a column of all rows."""
+            """Place a curve's values among all rows."""
             column = np.full(x.size, np.nan)
             column[at[begins[number] : begins[number + 1]]] = values
             return column
@@ -114,8 +119,9 @@ class Charts:
     def points(
         self, panel: Panel, axes: tuple[Axis, Axis], over: tuple[str, str], also: Mapping[str, Array] = NOTHING
     ) -> Plot:
-        """Draw the panel's only trace as points; the cursor reads the nearest point.
+        """Draw the panel's only trace as points.
 
+        The cursor reads the nearest point.
         axes: of x and y; also: further values of each point by label
         """
         (trace,), (across, up) = panel.traces, axes

@@ -26,7 +26,7 @@ Whole = NDArray[np.int64]
 
 
 def power(values: Array) -> int:
-    """Return the decimals for a column's largest value and span; negative for large numbers."""
+    """Return the decimals of a column, negative for large numbers."""
     good = values[np.isfinite(values)]
     if not good.size or not np.any(good):
         return 0
@@ -39,9 +39,9 @@ def power(values: Array) -> int:
 
 
 def power_of_time(time: Array) -> int:
-    """Return the decimals for a thousandth of the least step, at least six.
+    """Return the decimals of the time.
 
-    Very long times reduce the number, since a whole number must not exceed LARGEST.
+    These resolve a thousandth of the least step, and a microsecond, unless whole numbers exceed LARGEST.
     """
     steps = np.diff(time)
     steps = steps[steps > 0.0]

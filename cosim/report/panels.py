@@ -84,7 +84,7 @@ class Panel:
 def by_unit(
     names: Iterable[str], unit: Callable[[str], str], values: Callable[[str], Array]
 ) -> list[tuple[str, list[str]]]:
-    """Return each unit with the names that share a panel, in the order of the names.
+    """Return unit and names of each shared panel.
 
     Signals without a unit may be of any kind: they share a panel only if each is visible on its axis.
     """
@@ -124,5 +124,5 @@ class _Range:
 
     @property
     def shows_all(self) -> bool:
-        """Return whether every signal on the axis is large enough to be visible."""
+        """Return whether every signal is large enough to be visible."""
         return self.high - self.low <= WIDEST_RANGES * self.smallest

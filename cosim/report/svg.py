@@ -107,14 +107,14 @@ LARGEST_DRAWN = 1e300  # largest end of an axis: its span and margins must not o
 
 
 def extent(signals: Sequence[Array]) -> tuple[float, float] | None:
-    """Return the least and largest finite value, None without any."""
+    """Return the least and largest finite value."""
     kept = [values[np.isfinite(values)] for values in signals]
     kept = [values for values in kept if values.size]
     return (min(float(v.min()) for v in kept), max(float(v.max()) for v in kept)) if kept else None
 
 
 def make_axis(low: float, high: float, count: int, angle: bool = False) -> Axis:
-    """Return an axis over low … high with about `count` round ticks.
+    """Return an axis with about `count` round ticks.
 
     Huge and tiny ticks share a power of ten.
     """
@@ -133,7 +133,10 @@ def make_axis(low: float, high: float, count: int, angle: bool = False) -> Axis:
 
 
 def power_of_ten(largest: float) -> int:
-    """Return the exponent of an axis' labels, a multiple of three; 0 from 0.001 to 10⁶."""
+    """Return the exponent of an axis' labels, a multiple of three.
+
+    Labels from 0.001 to 10⁶ have no exponent.
+    """
     return 0 if 1e-3 <= largest < 1e6 else 3 * math.floor(math.log10(largest) / 3 + 1e-9)
 
 
@@ -208,7 +211,7 @@ def runs(good: NDArray[np.bool_]) -> list[slice]:
 
 
 def polyline(u: Whole, v: Whole, held: bool = False) -> str:
-    """Return a path in relative whole numbers; `held` draws steps."""
+    """Return a line, or steps if `held`, in relative coordinates."""
     if u.size == 1:
         return f"M{u[0] - LONE} {v[0]}h{2 * LONE}m{-LONE} {-RISE}v{2 * RISE}"  # a lone sample: a visible cross
     path = [f"M{u[0]} {v[0]}"]
@@ -303,7 +306,10 @@ def make_plot(
     over: str = "time in s",
     y: Axis | None = None,
 ) -> Plot:
-    """Draw a panel; keys: series of its curves, over: name and unit of x."""
+    """Draw a panel.
+
+    keys: series of its curves; over: name and unit of x
+    """
     y = y or value_axis(panel)
     names = list(keys.traces) + [""] * (len(panel.traces) - len(keys.traces))
     curves = tuple(
@@ -334,7 +340,7 @@ def make_plot(
 
 
 def _only(trace: Trace) -> str:
-    """Return the value of a single row as text, "" for more rows."""
+    """Return the text of a trace with one row."""
     if trace.values.size != 1:
         return ""
     value = float(trace.values[0])

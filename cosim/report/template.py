@@ -12,9 +12,10 @@ SCRIPTS = ("axes.js", "charts.js", "report.js")  # in this order
 
 
 def render(page: Path, values: Mapping[str, Any], folders: Sequence[Path] = ()) -> str:
-    """Return a self-contained page; its template may use shared templates and those in `folders`.
+    """Return a self-contained page.
 
-    Every `.css` and `.js` in the page's folder is inlined. Lines of a template literal lose their indentation.
+    Its template may use the shared templates and templates in `folders`. Every `.css` and `.js` in the page's
+    folder is inlined. Lines of a template literal lose their indentation.
     """
     # Only pages need jinja2: `import cosim.report` must not load it.
     from jinja2 import Environment, FileSystemLoader, StrictUndefined

@@ -27,7 +27,7 @@ from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.residuals.windows import SKIPPED
 
 TEMPLATE = Path(__file__).with_name("templates") / "replay.html.j2"
-STEMS = 100  # at most, of an autocorrelation
+STEMS = 100  # about, lags of an autocorrelation
 
 
 # -- the page ---------------------------------------------------------------------------------
@@ -95,7 +95,7 @@ def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, An
         "starts": [_start(drive, n, v) for n, v in comparison.replays[FREE_RUN].starts[0].items()],
         "provenance": _provenance(comparison),
         "repeat": shlex.join(_command(log, drive, passing)),
-        "data": charts.data(),  # after all that is drawn
+        "data": charts.data(),  # after all drawings
         "version": __version__,
     }
 

@@ -51,7 +51,7 @@ def page(swept: Swept) -> str:
             "scatters": _scatters(swept, table, indices, charts),
             "factors": _factors(swept),
             "plots": drawing.plots([_band(name, signal_of(table, name, MOST_RUNS), record) for name in names]),
-            "data": charts.data(),  # after all that is drawn
+            "data": charts.data(),  # after all drawings
             **_sensitivity_tables(record, indices),
             "failures": record["failures"],
             "more_failures": max(0, failed - len(record["failures"])),
@@ -64,7 +64,7 @@ def page(swept: Swept) -> str:
 
 
 def _judged(swept: Swept, table: Any) -> Mapping[str, Any]:
-    """Return criteria with the runs meeting them, values and the worst runs."""
+    """Return criteria, values and the worst runs."""
     record = swept.record
     if not record["criteria"]:
         return {"tone": "plain", "worst": [], "hardest_name": "", "criteria": [], "values": []}
@@ -104,7 +104,7 @@ def _criterion(c: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _bar(value: float, low: float, high: float) -> Mapping[str, float]:
-    """Return the bar of a share 0 … 1 and its interval, in percent."""
+    """Return a share and its interval in percent."""
     value, low, high = (round(100 * min(1.0, max(0.0, v)), 2) for v in (value, low, high))
     return {"value": value, "low": low, "width": round(high - low, 2)}
 
@@ -130,7 +130,7 @@ def _values_of(table: Any, name: str) -> Array:
 
 
 def _worst(swept: Swept, table: Any) -> list[Mapping[str, Any]]:
-    """Return the worst runs by the hardest criterion, with factors and command."""
+    """Return the worst runs by the hardest criterion."""
     criterion = hardest(swept.record)
     values, runs = _values_of(table, criterion["name"]), np.array(table.column("run").to_pylist(), int)
     completed = np.array([status == "ok" for status in table.column("status").to_pylist()])
@@ -154,7 +154,7 @@ def _short(value: Any) -> str:
 
 
 def _scatters(swept: Swept, table: Any, indices: Sequence[Sensitivity], charts: Charts) -> list[tuple[Plot, str]]:
-    """Draw the hardest criteria over their two most important factors."""
+    """Draw criteria over their most important factors."""
     ranked = {s.outcome: s.factors for s in indices}
     numbers = [f.name for f in swept.sweep.factors if f.name != "seed" and are_numbers(swept.sweep.columns[f.name])]
     first = sorted(swept.record["criteria"], key=lambda c: c["met"])[:MOST_SCATTERED]
@@ -164,9 +164,9 @@ def _scatters(swept: Swept, table: Any, indices: Sequence[Sensitivity], charts: 
 
 
 def _scatter(swept: Swept, table: Any, c: Mapping[str, Any], name: str, charts: Charts) -> tuple[Plot, str] | None:
-    """Draw a criterion over a factor; None if the factor does not vary.
+    """Draw a criterion over a varying factor.
 
-    Returns the plot and the label of its axis.
+    Returns the plot and the label of its axis, None for a constant factor or fewer than two values.
     """
     values, runs = _values_of(table, c["name"]), np.array(table.column("run").to_pylist(), int)
     good = np.flatnonzero(np.isfinite(values))
@@ -225,7 +225,7 @@ def _band(name: str, values: Array, record: Mapping[str, Any]) -> Panel:
 
 
 def _sensitivities(swept: Swept, table: Any) -> list[Sensitivity]:
-    """Return the sensitivities of the criteria and of the signals' final values."""
+    """Return the sensitivities of criteria and final signals."""
     factors = {n: v for n, v in swept.sweep.columns.items() if n != "seed"}
     outcomes: dict[str, Array] = {c["name"]: _values_of(table, c["name"]) for c in swept.record["criteria"]}
     for name in swept.sweep.job.signals[:MOST_BANDS]:

@@ -15,7 +15,7 @@ SYMBOLS = {quantity.name: quantity.symbol for quantity in QUANTITIES}
 
 
 def belief_sentence(craft: Craft) -> str | None:
-    """Return a warning if the estimator has settled but not the craft."""
+    """Warn if only the estimate has settled."""
     seen = belief(craft)
     if seen is None or not seen.wanders:
         return None
@@ -36,7 +36,7 @@ def belief_sentence(craft: Craft) -> str | None:
 
 
 def integral_sentence(craft: Craft) -> str | None:
-    """Return the effect of integral control on the position error, with or without fixes."""
+    """Return the effect of integral control on the position."""
     if craft.estimate("x_integral") is None:
         return None
     x, target = craft.signal("x"), craft.reference("x")

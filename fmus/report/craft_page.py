@@ -55,7 +55,7 @@ class CraftPage:
 
 
 def subject(run: Run, drawing: Drawing) -> ComponentPage:
-    """Return the page of a run's crafts: motion, states, estimation, tilts."""
+    """Return the sections of a run's crafts."""
     crafts = find_crafts(run)
     called = [craft.name if len(crafts) > 1 else "the craft" for craft in crafts]
     rows = drawing.few

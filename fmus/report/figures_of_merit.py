@@ -54,7 +54,7 @@ def tiles(run: Run, crafts: Sequence[Craft]) -> list[Row]:
 
 
 def _settling_asked(run: Run, craft: Craft, variable: str) -> Row | None:
-    """Return a signal's last settling time among the scenario's criteria."""
+    """Return the settling time of a signal's last criterion."""
     column = f"{craft.name}.{variable}"
     asked = [c for c in mappings(run.manifest.get("criteria")) if (c.get("kind"), c.get("of")) == (SETTLING, column)]
     if not asked:
@@ -72,14 +72,14 @@ def _settling_here(answer: Response) -> Row:
 
 
 def _settling(value: float, unit: str) -> str:
-    """Return a settling time as text, or the band if not settled."""
+    """Return a settling time as text."""
     if math.isnan(value):
         return MISSING
     return amount(value, "s") if math.isfinite(value) else f"not within ±{BAND:g}\xa0{unit}"
 
 
 def response_rows(craft: Craft) -> list[ResponseRow]:
-    """Return the responses of x and ψ to their references, at most the last MOST_RESPONSES."""
+    """Return the last responses of x and ψ."""
     answers = sorted((r for v in ("x", "psi") for r in responses(craft, v)), key=lambda r: (r.time, r.variable != "x"))
     return [_response_row(answer) for answer in answers[-MOST_RESPONSES:]]
 
@@ -94,7 +94,7 @@ def _response_row(answer: Response) -> ResponseRow:
 
 
 def error_grid(craft: Craft) -> Grid | None:
-    """Return RMS errors over the run: craft − reference, estimate − craft."""
+    """Return the RMS errors of control and estimation."""
     rows = []
     for quantity in QUANTITIES:
         true, unit = craft.signal(quantity.name), SI[quantity.name]
@@ -106,7 +106,7 @@ def error_grid(craft: Craft) -> Grid | None:
 
 
 def tilt_grid(craft: Craft) -> Grid | None:
-    """Return effort and saturation of the tilts over the run."""
+    """Return effort and saturation of the tilts."""
     rows = []
     for side in SIDES:
         command = craft.command(f"tilt_{side}")

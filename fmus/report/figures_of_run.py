@@ -51,9 +51,9 @@ class Response:
 
 
 def reference_steps(time: Array, reference: Array) -> list[Step]:
-    """Return the changes of a reference, with a first one at row 0.
+    """Return the changes of a reference.
 
-    Changes within MERGE form one ramp.
+    Row 0 counts as a change. Changes within MERGE form one ramp.
     """
     changes = [0, *(int(k) for k in np.flatnonzero(np.abs(np.diff(reference)) > 1e-12) + 1)]
     groups: list[list[int]] = [[0, 0]]
@@ -68,7 +68,7 @@ def reference_steps(time: Array, reference: Array) -> list[Step]:
 
 
 def responses(craft: Craft, variable: str) -> list[Response]:
-    """Return the responses of `x` or `psi`, each until the next change of reference."""
+    """Return the responses to each change of a reference."""
     signal, reference = craft.signal(variable), craft.reference(variable)
     if signal is None or reference is None:
         return []
@@ -102,7 +102,7 @@ def _response(variable: str, rows: list[Array], estimate: Array | None, step: St
 
 
 def error_rms(signal: Array | None, target: Array | None) -> float:
-    """Return the RMS error over rows with finite values, NaN without any."""
+    """Return the RMS error over finite rows, else NaN."""
     if signal is None or target is None:
         return math.nan
     good = np.isfinite(signal) & np.isfinite(target)
@@ -119,7 +119,7 @@ def effort(craft: Craft, side: str) -> float:
 
 
 def saturation(craft: Craft, side: str) -> float:
-    """Return the share of time with a tilt command at its limit.
+    """Return the share of time at the tilt limit.
 
     Each command is held until the next.
     """
@@ -147,9 +147,9 @@ class Belief:
 
 
 def belief(craft: Craft) -> Belief | None:
-    """Return the median distances at the end of a run, after the last step.
+    """Return the median distances at the end.
 
-    The end is the last second or tenth of the run, the longer of both.
+    The end is the last second or the last tenth of the run, the longer of both, but after the last step.
     """
     x, x_hat, target = craft.signal("x"), craft.estimate("x_hat"), craft.reference("x")
     if x is None or x_hat is None or target is None:

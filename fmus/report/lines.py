@@ -73,7 +73,7 @@ def _band(centre: Array | None, sigma: Array | None, factor: float, label: str) 
 
 
 def tilt_panels(craft: Craft) -> list[Panel]:
-    """Return panels of tilt commands with limits, and of actual tilts."""
+    """Return panels of commanded and actual tilts."""
     panels = []
     for side in SIDES:
         command, actual = craft.command(f"tilt_{side}"), craft.tilt(side)
@@ -88,7 +88,7 @@ def tilt_panels(craft: Craft) -> list[Panel]:
 
 
 def shown_columns(crafts: Sequence[Craft]) -> set[str]:
-    """Return the result columns shown in the sections about crafts."""
+    """Return the result columns in the crafts' sections."""
     shown: set[str] = set()
     for craft in crafts:
         for quantity in QUANTITIES:

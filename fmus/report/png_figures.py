@@ -14,7 +14,7 @@ from fmus.report.topview import Track, estimated_track, reference_track, true_tr
 
 
 def figures(run: Run, folder: Path) -> list[Path]:
-    """Draw all figures of a run's crafts, with separate files for each craft."""
+    """Draw all figures of a run's crafts."""
     crafts = find_crafts(run)
     paths = []
     for craft in crafts:
@@ -26,7 +26,7 @@ def figures(run: Run, folder: Path) -> list[Path]:
 
 
 def _path(path: Path, craft: Craft) -> Path:
-    """Draw the path from above to scale, X up and Y to the left."""
+    """Draw the path from above, to scale."""
     figure = new_figure(7.2, 5.0)
     ax = figure.subplots()
     tracks: list[tuple[str, Track | None, str]] = [("reference", reference_track(craft), "reference")]

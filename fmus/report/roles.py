@@ -54,7 +54,10 @@ class Craft:
         return self.run.signal(f"{self.estimator}.{variable}") if self.estimator else None
 
     def reference_column(self, variable: str) -> str | None:
-        """Return the reference column of `x` or `psi`: the controller input's source, else the input."""
+        """Return the reference column of `x` or `psi`.
+
+        The column is the source of the controller's input, else the input.
+        """
         if self.estimator is None:
             return None
         wanted = f"{self.estimator}.{variable}_ref"
@@ -62,7 +65,7 @@ class Craft:
         return next((column for column in columns if column is not None and column in self.run.results), None)
 
     def reference(self, variable: str) -> Array | None:
-        """Return the reference of `x` or `psi`: a recorded signal, else the start value."""
+        """Return the reference of `x` or `psi`, recorded or constant."""
         column = self.reference_column(variable)
         if column is not None:
             return self.run.results[column]
@@ -70,7 +73,7 @@ class Craft:
         return np.full(self.run.time.size, told) if np.isfinite(told) else None
 
     def command(self, variable: str) -> Array | None:
-        """Return a tilt command: the craft's input, else the controller's output."""
+        """Return a tilt command of the craft or controller."""
         here = self.signal(variable)
         return self.estimate(variable) if here is None else here
 

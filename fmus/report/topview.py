@@ -125,7 +125,10 @@ def _laid_out(craft: Craft, way: Array, heading: Array) -> Track:
 
 
 def horizontal_thrust(craft: Craft, side: str) -> Array | None:
-    """Return the thrust T·sin α along the craft's axis [N], or sin α without recorded thrust."""
+    """Return the thrust along the craft's axis.
+
+    T·sin α [N], or sin α without recorded thrust.
+    """
     tilt, thrust = craft.tilt(side), craft.signal(f"thrust_{side}")
     if tilt is None:
         return None
@@ -133,7 +136,7 @@ def horizontal_thrust(craft: Craft, side: str) -> Array | None:
 
 
 def pose(track: Track, row: int) -> str:
-    """Return the SVG transform of a pose, "" for a gap."""
+    """Return the SVG transform of a pose."""
     values = (track.right[row], track.down[row], track.turn[row])
     if not all(map(math.isfinite, values)):
         return ""
@@ -173,7 +176,7 @@ def newtons_per_decimetre(craft: Craft) -> float:
 
 
 def make_view(crafts: Sequence[Craft], rows: Rows) -> View | None:
-    """Return the picture of all crafts, None without a drawable pose."""
+    """Return the picture of all crafts with drawable poses."""
     crafts = [craft for craft in crafts if last_row(true_track(craft)) is not None]
     if not crafts:
         return None
@@ -203,9 +206,9 @@ def _companions(craft: Craft) -> list[Track | None]:
 
 
 def _box(tracks: Sequence[Track]) -> tuple[int, int, int, int]:
-    """Return left, top, width and height [mm] of a picture of all tracks.
+    """Return the box of a picture of all tracks.
 
-    The ratio of width to height is between NARROWEST and WIDEST.
+    Left, top, width and height are in mm. The ratio of width to height is between NARROWEST and WIDEST.
     """
     nowhere = (0.0, 0.0)
     x, y = extent([track.x for track in tracks]) or nowhere, extent([track.y for track in tracks]) or nowhere

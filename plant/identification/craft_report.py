@@ -43,6 +43,6 @@ def page(outcome: CraftOutcome) -> str:
                 for r in outcome.results
             ],
             "repeat": f"cosim identify {craft.yaml.path}",
-            "data": charts.data(),  # after all that is drawn
+            "data": charts.data(),  # after all drawings
         },
     )

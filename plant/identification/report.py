@@ -63,7 +63,7 @@ def page(outcome: Outcome) -> str:
                 }
                 for r in outcome.results
             ],
-            "data": charts.data(),  # after all that is drawn
+            "data": charts.data(),  # after all drawings
             "repeat": f"cosim identify {protocol.yaml.path}",
             "version": __version__,
         },
@@ -71,7 +71,10 @@ def page(outcome: Outcome) -> str:
 
 
 def _headline(outcome: Outcome, known: Sequence[Estimate]) -> str:
-    """Return the count of intervals with the true value, else the least certain estimate."""
+    """Return the number of correct intervals, or the least certain estimate.
+
+    An interval is correct if the true value is inside. Without true values, the widest relative interval is named.
+    """
     every = list(outcome.estimates.values())
     if known:
         return f"{sum(e.holds for e in known)} of {len(known)} intervals of 95 % contain the true value."
@@ -84,7 +87,7 @@ def _headline(outcome: Outcome, known: Sequence[Estimate]) -> str:
 
 
 def number(value: float, unit: str, like: float) -> str:
-    """Format a value with digits to match an interval's half-width."""
+    """Format a value with digits for its half-width."""
     if not np.isfinite(value):
         return MISSING
     shown, scale = ("ms", 1000.0) if unit == "s" else ("mm", 1000.0) if unit == "m" else (written(unit), 1.0)
@@ -110,7 +113,7 @@ def _row(key: str, e: Estimate) -> Mapping[str, Any]:
 
 
 def _places(e: Estimate) -> Mapping[str, float]:
-    """Return the positions [%] of an estimate's values on a ruler."""
+    """Return the positions [%] on a ruler."""
     values = {"low": e.low, "high": e.high, "value": e.value, "thesis": e.thesis, "truth": e.truth}
     finite = [v for v in values.values() if np.isfinite(v)]
     if len(finite) < 3 or max(finite) == min(finite):
@@ -157,7 +160,9 @@ def plot_of(figure: Figure, charts: Charts) -> Plot:
 
 
 def _trace(label: str, over: Array, values: Array, style: str) -> Trace:
-    """Return a trace, drawn as points if x falls, as for several tests."""
+    """Return a trace.
+
+    A falling x, as for several tests, gives points."""
     good = np.isfinite(over)
     x, order = over[good], np.argsort(over[good], kind="stable")
     several = "dots" not in style and bool(np.any(np.diff(x) < 0.0))

@@ -56,9 +56,9 @@ def _turned(values: Array, unit: str) -> Array:
 
 
 def _commands(subject: Subject, problem: Problem, parts: Smoothed) -> list[Regressor]:
-    """Return varying commands, their means and half differences, with rates.
+    """Return varying commands and combinations, with rates.
 
-    Means and half differences are for two commands of equal unit.
+    Combinations are mean and half difference of two commands of equal unit.
     """
     columns, rates = [], []
     for index, m in parts:
@@ -83,7 +83,10 @@ def _commands(subject: Subject, problem: Problem, parts: Smoothed) -> list[Regre
 
 
 def explained(values: Array, by: Array) -> float:
-    """Return the share of variance between bins of `by`; 1 for a function of `by`."""
+    """Return the share of variance explained by a signal.
+
+    The share is the variance between bins of `by`, 1 for a function of `by`.
+    """
     good = np.isfinite(values) & np.isfinite(by)
     v, x = values[good], by[good]
     total = float(v.var()) if v.size else 0.0
@@ -113,7 +116,7 @@ def bins(x: Array, count: int, least: int = 1) -> list[Rows]:
 
 
 def choose(known: Mapping[str, Regressor], suggested: Sequence[str], values: Array) -> Regressor:
-    """Return the signal with the largest explained share of `values`.
+    """Return the signal explaining most of `values`.
 
     Signals suggested for a term have precedence.
     """
@@ -122,7 +125,7 @@ def choose(known: Mapping[str, Regressor], suggested: Sequence[str], values: Arr
 
 
 def local(problem: Problem, parts: Smoothed, shape: Shape, sizes: Sequence[float]) -> tuple[Regressor, Array]:
-    """Return the signal of a local shape, and the term's values."""
+    """Return signal and values of a local term."""
     signals = signals_of(problem, parts)
     return Regressor(shape.signal, shape.unit, shape.over(signals)), shape.columns(signals) @ np.array(sizes)
 
@@ -130,7 +133,7 @@ def local(problem: Problem, parts: Smoothed, shape: Shape, sizes: Sequence[float
 def nameless(
     subject: Subject, problem: Problem, parts: Smoothed, term: Mapping[str, Any]
 ) -> tuple[Regressor, Array] | None:
-    """Return the signal of an unnamed term of refine.json, and the term's values."""
+    """Return signal and values of an unnamed term."""
     signal, coefficient = term["signal"], term["coefficient"]
     if term.get("local"):
         shape = Shape.of_entry(term["equation"], term["local"])

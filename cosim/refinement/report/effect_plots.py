@@ -70,7 +70,7 @@ class Shown:
 
     @property
     def share(self) -> float:
-        """Return the share of the estimate's mean square explained by the term."""
+        """Return the share of mean square explained."""
         if self.recorded is not None:
             return self.recorded
         power = float(np.mean(self.estimated**2))
@@ -80,7 +80,7 @@ class Shown:
 
 
 def shown(r: Refinement) -> list[Shown]:
-    """Return one picture for each claimed candidate, or one of the remainder."""
+    """Compare each claimed term, or the remainder, with data."""
     claim, base = r.verdict.claimed, r.attribution.base
     if claim is None:
         return [_draw_residual(r)] if r.verdict.name == "unexplained" else []
@@ -101,7 +101,10 @@ def _without(claim: Hypothesis, candidate: Candidate, neutral: Mapping[str, floa
 
 
 def _term(subject: Subject, problem: Problem, c: Candidate, without: Filter, with_it: Filter) -> Shown:
-    """Compare term and missing acceleration in the equation with the largest term."""
+    """Compare a term with the missing acceleration.
+
+    The comparison is in the equation with the largest term, relative to its uncertainty.
+    """
     parts, _, sigma = smoothed(problem, without)
     terms = np.vstack([claimed(problem, without, with_it, k) for k, _ in parts])
     column = int(np.argmax(np.sqrt(np.mean(terms**2, axis=0)) / np.median(sigma, axis=0)))
@@ -128,7 +131,7 @@ def _draw_residual(r: Refinement) -> Shown:
 
 
 def _picture(subject: Subject, parts: Smoothed, column: int, against: Regressor) -> Shown:
-    """Return the missing input of one equation, without a claim."""
+    """Return the missing input of one equation."""
     where, logs = parts[0][1].equations[column], [m for _, m in parts]
     unit = _per_second(next((q.unit for q in subject.states if q.name == where), ""))
     first = len(logs[0].time)
@@ -143,7 +146,7 @@ def _per_second(unit: str) -> str:
 
 
 def _reading(subject: Subject, problem: Problem, c: Candidate, without: Filter, with_it: Filter) -> Shown:
-    """Compare estimated and claimed error of a sensor, along the refined estimate.
+    """Compare estimated and claimed error of a sensor.
 
     The error is shown for the output with the largest error: against the output itself if a straight line describes the
     error, against the output's rate for late readings, otherwise against the signal with the largest explained share.

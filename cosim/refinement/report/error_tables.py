@@ -68,13 +68,13 @@ def units(r: Refinement) -> dict[str, str]:
 
 
 def error_size(value: float, unit: str, like: float) -> str:
-    """Format an error in a suitable unit for errors of size `like`."""
+    """Format an error in a unit for size `like`."""
     shown, factor = finer(unit, like)
     return joined(plain(value * factor), shown)
 
 
 def horizon(r: Refinement) -> str:
-    """Return the horizon of the errors: `2 s`, or `a whole run`."""
+    """Return the horizon: `2 s`, or `a whole run`."""
     horizons = [played.horizon for _, played in r.evidence["before"]["estimation"]]
     return "a whole run" if not horizons or math.isinf(horizons[0]) else horizon_name(horizons[0])
 
@@ -92,10 +92,10 @@ def error_tables(r: Refinement) -> list[ErrorTable]:
 
 
 def horizon_table(r: Refinement) -> HorizonTable:
-    """Return the errors before and after, shortest horizon first.
+    """Return the errors over each horizon, shortest first.
 
-    Without a claim, the second error is of the nearest model, if any. Horizons without errors, shorter than a step of
-    the log, are omitted.
+    With a claim: before → refined. Without: model → nearest model, or the model alone. Horizons without errors are
+    omitted, since a log's step is longer.
     """
     part = judged(r)
     errors = {seconds: r.record["horizons"][name] for name, seconds in OTHER_HORIZONS.items()}
@@ -137,7 +137,7 @@ def _error_row(r: Refinement, part: str, name: str) -> ErrorRow:
 
 
 def _marks(before: float, after: float, floor: float) -> Marks | None:
-    """Return positions on a logarithmic scale of at least a decade."""
+    """Return positions on a logarithmic scale."""
     good = [v for v in (before, after, floor) if math.isfinite(v) and v > 0]
     if len(good) < 3:
         return None

@@ -19,7 +19,7 @@ from cosim.report.svg import Plot
 from cosim.residuals.lags import every_lag, lag_drawing, neighbours
 from cosim.residuals.residual_statistics import Whiteness, lags_of, rmse, whiteness
 
-STEMS = 50  # at most, of an autocorrelation
+STEMS = 50  # about, lags of an autocorrelation
 STYLES = ("s1", "true")
 
 
@@ -36,12 +36,12 @@ class WhitenessRow:
 
 
 def modes(r: Refinement) -> tuple[str, str]:
-    """Return the labels of the comparison: two models, or two filters."""
+    """Return the labels of the two models or filters."""
     return ("before", "refined") if r.verdict.claimed else ("equations trusted", "disturbance estimated")
 
 
 def innovations(r: Refinement, charts: Charts) -> list[WhitenessRow]:
-    """Return the innovations of each channel over their expected standard deviation.
+    """Return the normalised innovations of each channel.
 
     A filter that trusts its equations has the smallest process noise of the fit.
     """

@@ -26,7 +26,7 @@ DOTS, FINE = 24, 80  # points with an error bar, and points of the claimed curve
 LEAST = 0.6  # [s] least duration of the rows of an error bar
 MEMORIES = 0.3  # [s] between independent rows of an error bar: twice the smoother's memory
 CLOSE_UP = 12.0  # [s] duration of a close-up
-CHANNELS = 8  # at most, of a log
+CHANNELS = 8  # at most, drawn of a log
 TELLS = 1.1  # ratio of errors before and after; a larger one is worth a plot
 FAR = 1.5  # times the noise floor; a larger error is worth a plot
 
@@ -74,9 +74,9 @@ def runs(r: Refinement, charts: Charts) -> list[Run]:
 
 
 def _pair(r: Refinement, drawing: Drawing, before: Evidence, after: Evidence, name: str, floor: float) -> Pairs:
-    """Draw one channel; the model's output is the reading minus its error.
+    """Draw one channel of a log.
 
-    It includes the errors of sensors in the model.
+    The model's output is the reading minus its error, and includes sensor errors in the model.
     """
     log, old = before[0]
     unit, factor = display(log.units.get(name, ""))
@@ -96,7 +96,7 @@ def _pair(r: Refinement, drawing: Drawing, before: Evidence, after: Evidence, na
 
 
 def _windows(time: Array, starts: Array, horizon: float, panel: Panel) -> Band | None:
-    """Return a band over every other replay, to show each restart."""
+    """Return a band over every other replay."""
     span = extent([trace.values for trace in panel.traces])
     if span is None or starts.size < 2:
         return None
@@ -111,7 +111,7 @@ def _windows(time: Array, starts: Array, horizon: float, panel: Panel) -> Band |
 
 
 def against_signal(s: Shown, charts: Charts) -> Plot:
-    """Draw means of the data with 95 % bars, and the claimed term."""
+    """Draw the data's means and the claimed term."""
     unit, factor = display(s.unit)
     shown, scale = display(s.against.unit)
     x = s.against.values * scale

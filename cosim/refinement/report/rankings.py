@@ -211,7 +211,10 @@ def _width(q: float, smallest: float, largest: float) -> float:
 
 
 def _words(q: Mapping[str, Any], quiet: float) -> str:
-    """Say whether an equation is complete, with ln q at most `quiet`."""
+    """Say whether an equation is complete.
+
+    The equation was complete before if ln q was at most `quiet`.
+    """
     was = q["before"] > math.exp(quiet)
     if q["inflated"]:
         return "incomplete; the claim explains a part" if q["after"] < 0.5 * q["before"] else "incomplete"

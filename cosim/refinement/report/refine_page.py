@@ -74,7 +74,7 @@ def context(r: Refinement) -> Mapping[str, Any]:
         "use": shlex.join(r.study.subject.use(r.folder)),
         "repeat": shlex.join(["cosim", "refine", str(r.study.path), "--out", str(r.folder)]) if r.study.path else "",
         "provenance": _provenance(r),
-        "data": charts.data(),  # after all that is drawn
+        "data": charts.data(),  # after all drawings
         "version": __version__,
     }
 
@@ -99,7 +99,7 @@ def _in_time(r: Refinement, charts: Charts) -> Mapping[str, Any]:
 
 
 def _lead(drawn: Sequence[Run], channel: str) -> tuple[Run, Pairs, list[Run]] | None:
-    """Return a channel of the last log, and all logs without the channel.
+    """Return a channel of the last log, and the remaining plots of all logs.
 
     The last log is the sealed log, if any.
     """
@@ -112,7 +112,7 @@ def _lead(drawn: Sequence[Run], channel: str) -> tuple[Run, Pairs, list[Run]] | 
 
 
 def _whiteness(r: Refinement, charts: Charts) -> Mapping[str, Any]:
-    """Return the innovations; channels white before and after are folded."""
+    """Return the innovations, with white channels folded."""
     white = innovations(r, charts)
     coloured = [w for w in white if w.tells]
     return {
@@ -125,7 +125,7 @@ def _whiteness(r: Refinement, charts: Charts) -> Mapping[str, Any]:
 
 
 def _ranking(r: Refinement) -> Mapping[str, Any]:
-    """Return the hypotheses: best and further single candidates, and combinations."""
+    """Return the hypotheses: single candidates and combinations."""
     singles, more, pairs = ranked(r)
     return {
         "singles": singles,

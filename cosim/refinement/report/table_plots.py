@@ -53,7 +53,7 @@ def table_parts(r: Refinement, charts: Charts) -> Mapping[str, Any]:
 
 
 def left_out(r: Refinement) -> Grid:
-    """Return the errors on held-out rows, a row for each output.
+    """Return the errors on held-out rows.
 
     Without a claim, the refined model is omitted.
     """
@@ -79,7 +79,10 @@ def drawn(r: Refinement, charts: Charts) -> list[DrawnTable]:
 
 
 def _plots(r: Refinement, charts: Charts, of: Mapping[str, Evidence], name: str) -> list[Drawn]:
-    """Draw an output over the first varying input, its residual over each."""
+    """Draw an output and its residual over the inputs.
+
+    The output is drawn over the first varying input, the residual over each.
+    """
     log = of["before"][0][0]
     models = [("before", "s1 solid", "before"), ("refined", "true", "after")]
     models = models if r.verdict.claimed else [("model", "true", "after")]
@@ -104,7 +107,7 @@ def _plots(r: Refinement, charts: Charts, of: Mapping[str, Evidence], name: str)
 
 @dataclass(frozen=True, eq=False)
 class _Axis:
-    """An input: displayed unit, values in SI units, and scale to the displayed unit."""
+    """An input: displayed unit, values, and their scale to the displayed unit."""
 
     name: str
     unit: str
