@@ -33,7 +33,11 @@ class RecordingError(Exception):
 
 
 def recorded(recording: Recording, folder: Path) -> Path:
-    """The file in `folder`, downloaded into it if it is not there; RecordingError if that fails or it is another."""
+    """Return the recording in `folder`, after a download if missing.
+
+    Raises:
+        RecordingError: The download failed, or the file is a different one.
+    """
     for name, sha256 in {recording.name: recording.sha256, **recording.copies}.items():
         path = folder / name
         if path.is_file():

@@ -1,4 +1,4 @@
-"""The page of a run made again from what it left."""
+"""The page of an earlier run, written again."""
 
 from __future__ import annotations
 
@@ -15,7 +15,11 @@ from cosim.storage.results import rows_in
 
 @folder_locks()
 def report_of(folder: FilePath, *, figures: bool = False) -> Path:
-    """Write report.html of a run into its folder again; InputError where it holds no run, or one without rows."""
+    """Write report.html of an earlier run again.
+
+    Raises:
+        InputError: The folder has no run, or a run without rows.
+    """
     path = Path(folder)
     if not path.is_dir():
         check_given(path, "a folder that a run left")

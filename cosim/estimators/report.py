@@ -1,4 +1,4 @@
-"""The page of estimators: a verdict each, and how normalised errors and innovations went over time."""
+"""The page of estimators: verdicts, normalised errors and innovations over time."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TEMPLATE = Path(__file__).with_name("templates") / "consistency.html.j2"
 
 
 def page(rows: Sequence[Row], steps: int, seed: int) -> str:
-    """One self-contained page."""
+    """Return a self-contained page."""
     charts, runs, judged = Charts(), rows[0].result.runs, by_case(rows)
     flights, largest = {row.flight: row.motion for row in rows}, worst(judged)
     shown = largest or judged[0]
@@ -42,7 +42,7 @@ def page(rows: Sequence[Row], steps: int, seed: int) -> str:
             "cases": [
                 (f"{of.rows[0].case}; {of.rows[0].flight}", [_plot(row, charts) for row in of.rows]) for of in judged
             ],
-            "data": charts.data(),  # after all that is drawn
+            "data": charts.data(),  # after all drawings
             "repeat": f"cosim consistency --runs {runs} --steps {steps} --seed {seed}",
             "version": __version__,
         },
@@ -50,7 +50,10 @@ def page(rows: Sequence[Row], steps: int, seed: int) -> str:
 
 
 def _summary(case: str, of: Sequence[Judged], flights: Sequence[str]) -> Mapping[str, Any]:
-    """Return an estimator as one row: on each flight the verdict, and square errors over the claimed variance."""
+    """Return an estimator's verdict on each flight.
+
+    `factor` is the squared error over the claimed variance.
+    """
     cells = {j.rows[0].flight: {"verdict": j.verdict, "good": j.consistent, "factor": plain(j.factor, 3)} for j in of}
     return {"case": case, "flights": [cells.get(flight) for flight in flights]}
 
@@ -76,7 +79,7 @@ def _cells(row: Row) -> Mapping[str, Any]:
 
 
 def _plot(row: Row, charts: Charts) -> Plot:
-    """The mean over the runs at each time, and where a consistent estimator has it in 95 of 100."""
+    """Draw the mean and a consistent estimator's 95 % range."""
     r = row.result
     low, high = (np.full(row.at.size, edge) for edge in r.at_time)
     traces = (Trace(f"mean of {counted(r.runs, 'run')}", r.at_times, "true"),)

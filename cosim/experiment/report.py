@@ -21,14 +21,14 @@ from cosim.report.svg import Plot
 from cosim.report.template import render
 
 TEMPLATE = Path(__file__).with_name("templates") / "excite.html.j2"
-MOST_PAIRS = 30  # in the table, the hardest first
+MOST_PAIRS = 30  # in the table, the least separated first
 MOST_OUTPUTS = 12  # with a chart
 MOST_RIVALS = 4  # drawn beside the model
 NAMED = 8  # rivals in a badge
 
 
 def page(found: Excitation, scenario: Path) -> str:
-    """Return a self-contained page; scenario: the file that plays the input."""
+    """Return a self-contained page; scenario: file with the input."""
     question, charts = found.question, Charts()
     seconds = float(found.trial.time[-1] - found.trial.time[0])
     outputs = _outputs(found)
@@ -56,7 +56,7 @@ def page(found: Excitation, scenario: Path) -> str:
             "limits": _limits(found),
             "outputs": _output_plots(found, outputs, drawing),
             "play": shlex.join(["cosim", "run", str(scenario)]),
-            "data": charts.data(),  # after all that is drawn
+            "data": charts.data(),  # after all drawings
             "version": __version__,
         },
     )
@@ -79,14 +79,14 @@ def _input_panels(found: Excitation) -> list[Panel]:
 
 
 def _outputs(found: Excitation) -> list[str]:
-    """Return the outputs with a chart: the limited ones first, then the measured ones."""
+    """Return the outputs with a chart: first limited, then measured outputs."""
     question, outputs = found.question, found.trial.outputs
     limited = [name for name in outputs if name in question.limits]
     return list(dict.fromkeys((*limited, *question.measured)))[:MOST_OUTPUTS]
 
 
 def _output_plots(found: Excitation, names: list[str], drawing: Drawing) -> list[Plot]:
-    """Return the outputs of the model and of its rivals, with the limits."""
+    """Draw the outputs of model and rivals, with limits."""
     rivals, units = list(found.rivals.items())[:MOST_RIVALS], _units(found)
     panels = []
     for name in names:
@@ -116,7 +116,7 @@ def _pair(found: Excitation, pair: Pair, largest: float) -> Mapping[str, Any]:
 
 
 def _limits(found: Excitation) -> list[Mapping[str, Any]]:
-    """Return each limited signal: the allowed excursion from its start, and the one of the model and of its rivals."""
+    """Return allowed, model's and largest excursion of each limited signal."""
     model, units, trials = found.question.loaded.model, _units(found), {"": found.trial, **found.rivals}
     starts = dict(zip((q.name for q in model.inputs), model.start_command(), strict=True))
     rows: list[Mapping[str, Any]] = []

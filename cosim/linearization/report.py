@@ -29,12 +29,12 @@ from cosim.report.template import render
 TEMPLATE = Path(__file__).with_name("templates") / "linearize.html.j2"
 TOGETHER = 6  # curves in a panel
 MOST = 40  # panels
-LARGEST = 24  # columns of a matrix that is shown
-NOTHING = 1e-12  # of the largest response, below which an output does not answer
+LARGEST = 24  # columns of a displayed matrix
+NOTHING = 1e-12  # of the largest response; an output with less does not respond
 
 
 def page(outcome: Outcome) -> str:
-    """One self-contained page, of the first where there are several times."""
+    """Return a self-contained page of the first linearisation."""
     linear, found = outcome.first, outcome.structure
     times = [m.point.time for m in outcome.linear]
     description = f"{outcome.title}, linearised at t = {plain(linear.point.time)} s: {linear.method}."
@@ -66,7 +66,7 @@ def page(outcome: Outcome) -> str:
             "bode": [(output, plots) for (output, *_), plots in zip(bode, shown, strict=False)],
             "left_out": max(0, len(bode) - MOST),
             "along": _along(outcome, charts),
-            "data": charts.data(),  # after all that is drawn
+            "data": charts.data(),  # after all drawings
             "kinks": [_kink_row(k, r) for k in linear.kinks for r in k.rows],
             "matrices": [_matrix(linear, n) for n in "ABCD"],
             "largest": LARGEST,
@@ -111,7 +111,7 @@ def _matrix(linear: Linear, name: str) -> dict[str, Any]:
 
 
 def pole_map(found: Sequence[Pole], charts: Charts) -> Plot:
-    """Poles as crosses in the complex plane."""
+    """Draw the poles as crosses in the complex plane."""
     inward = sorted(found, key=lambda p: (p.value.real, p.value.imag))
     real, imag = np.array([p.value.real for p in inward]), np.array([p.value.imag for p in inward])
     reach = max(float(np.abs(imag).max()), 0.1 * float(np.abs(real).max()), 1e-3)
@@ -131,7 +131,7 @@ def pole_map(found: Sequence[Pole], charts: Charts) -> Plot:
 
 
 def _bode(linear: Linear) -> list[tuple[str, Panel, Panel]]:
-    """Return each output with the magnitude and phase of its responses to the inputs that act on it."""
+    """Return magnitude and phase of each output."""
     g = response(linear, frequencies(linear))
     sizes = np.abs(g).max(axis=2, initial=0.0)
     acting = sizes > NOTHING * np.maximum(sizes.max(axis=0, initial=0.0), 1e-300)
@@ -156,7 +156,7 @@ def _pair(linear: Linear, g: Response, i: int, inputs: Sequence[int]) -> tuple[P
 
 
 def _drawn(pairs: Sequence[tuple[Panel, Panel]], omega: Array, charts: Charts) -> list[tuple[Plot, ...]]:
-    """Bode plots over one axis, so that a frequency is read in all of them."""
+    """Draw Bode plots over a common frequency axis."""
     if not pairs:
         return []
     curves = sum(len(size.traces) + len(phase.traces) for size, phase in pairs)
@@ -165,7 +165,7 @@ def _drawn(pairs: Sequence[tuple[Panel, Panel]], omega: Array, charts: Charts) -
 
 
 def _along(outcome: Outcome, charts: Charts) -> Plot | None:
-    """Real parts of the poles over time, where there are several times."""
+    """Draw the poles' real parts over several times."""
     if len(outcome.linear) < 2:
         return None
     time = np.array([m.point.time for m in outcome.linear])

@@ -1,1 +1,1 @@
-"""The drawing kit of every page: plots, tables, templates. It knows no subject."""
+"""Plots, tables and templates of every page, independent of its subject."""

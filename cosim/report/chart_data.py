@@ -1,4 +1,4 @@
-"""Numbers for the page's script: every row of every signal in a chart, and safe inside a script element."""
+"""Numbers for the page's script: every row of the charts' signals, safe inside a script element."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from cosim.report.packed import packed, power, power_of_time, whole
 from cosim.report.panels import HELD, LINE, Panel, Trace
 
 MOST_CELLS = 6_000_000  # values in a page; beyond, every n-th row
-COUNTS = 1e9  # below which what is held and whole is read without decimals
-TIME = ("time", "s")  # what a page is over unless it says so
+COUNTS = 1e9  # held whole numbers below have no decimals
+TIME = ("time", "s")  # default x axis of a page
 Numbers = list[float | None]
 
 
 def sample_rows(count: int, limit: int) -> Rows:
-    """Every n-th row and the last, at most about `limit`."""
+    """Return every n-th row and the last, about `limit`."""
     rows = np.arange(0, count, max(1, math.ceil(count / limit)))
     return rows if not count or rows[-1] == count - 1 else np.append(rows, count - 1)
 
 
 def rounded(values: Array, digits: int) -> Numbers:
-    """Plain numbers; what cannot be drawn becomes null, whole numbers lose their `.0`."""
+    """Round values for JSON, with null for non-finite values."""
     numbers: Numbers = []
     for value, good in zip(values.tolist(), np.isfinite(values).tolist(), strict=True):
         short = round(value, digits) if good else None
@@ -38,13 +38,14 @@ def rounded(values: Array, digits: int) -> Numbers:
 
 @dataclass(frozen=True)
 class Abscissa:
-    """What charts are over.
+    """The x axis of charts.
 
-    over:   its name and unit; ends: where it begins and ends if not at rows
-    sparse: most signals have values at a few of the rows each; what is missing is then no gap in a line
-    breaks: rows after which lines begin anew that do so
-    log:    the axis holds the logarithms to base 10 of what it is read as
-    points: places in a plane, of which the nearest one is meant
+    over:   name and unit
+    ends:   limits of the axis, by default its first and last value
+    sparse: signals have values at few rows each; a missing value is no gap in a line
+    breaks: rows after which traces with `anew` restart
+    log:    x holds logarithms to base 10 of the displayed values
+    points: the cursor reads the nearest point of a plane
     """
 
     over: tuple[str, str] = TIME
@@ -56,11 +57,11 @@ class Abscissa:
 
     @property
     def label(self) -> str:
-        """What it is, in words."""
+        """Return name and unit in words."""
         return f"{self.over[0]} in {self.over[1] or '1'}"
 
     def about(self, rows: Rows) -> dict[str, Any]:
-        """What the script must know of it, of a page that holds these rows."""
+        """Return the settings for a page with these rows."""
         about: dict[str, Any] = {"over": self.over} if self.over != TIME else {}
         about |= {"ends": self.ends} if self.ends else {}
         about |= {"sparse": 1} if self.sparse else {}
@@ -73,9 +74,9 @@ OVER_TIME = Abscissa()
 
 
 class Series:
-    """Signals over one axis of which the script knows every row, each under a short key.
+    """Signals over one axis for the script, each under a short key.
 
-    rows: those in the page: all, unless that would be more than MOST_CELLS
+    rows: rows in the page; every n-th row if all signals together exceed MOST_CELLS
     """
 
     def __init__(self, time: Array, curves: int, abscissa: Abscissa = OVER_TIME, *, name: str = "") -> None:
@@ -86,11 +87,11 @@ class Series:
         self.about = abscissa.about(self.rows)
 
     def add(self, panel: Panel) -> list[str]:
-        """Keys of the traces of a panel."""
+        """Add a panel's traces and return their keys."""
         return [self.trace(trace, trace.values, trace.upper) for trace in panel.traces]
 
     def trace(self, trace: Trace, values: Array, upper: Array | None = None) -> str:
-        """Key of a trace, whose values stand at the rows of this axis."""
+        """Add a trace and return its key."""
         more: dict[str, Any] = {"b": 1} if trace.anew else {}
         more |= {"s": trace.shift} if trace.shift else {}
         more |= {"u": self.column(upper)} if upper is not None else {}
@@ -98,11 +99,11 @@ class Series:
         return self.column(values, way=trace.way, more=more)
 
     def band(self, panel: Panel) -> tuple[str, ...]:
-        """Keys of the lower and the upper edge of a panel's band."""
+        """Add a band's edges and return their keys."""
         return (self.column(panel.band.lower), self.column(panel.band.upper)) if panel.band else ()
 
     def column(self, values: Array, *, way: int = LINE, more: Mapping[str, Any] = MappingProxyType({})) -> str:
-        """Key of one signal; way: how it is drawn."""
+        """Add a signal and return its key."""
         key, kept = f"{self.name}k{len(self.entries)}", values[self.rows]
         good = np.isfinite(kept)
         counts = (
@@ -120,9 +121,10 @@ class Series:
 
 
 def to_json(series: Series, more: Mapping[str, Any] = MappingProxyType({}), *, further: Sequence[Series] = ()) -> str:
-    """Everything the scripts need; `<`, `>` and `&` are escaped so that no text can end the script element.
+    """Return all data of the scripts as JSON.
 
-    further: signals over other axes, each set with a name of its own
+    `<`, `>` and `&` are escaped, since no text may end the script element.
+    further: signals over further axes, each series with its own name
     """
     data = {**_block(series), **({"further": [_block(s) for s in further]} if further else {}), **more}
     text = json.dumps(data, separators=(",", ":"), allow_nan=False)
@@ -130,7 +132,10 @@ def to_json(series: Series, more: Mapping[str, Any] = MappingProxyType({}), *, f
 
 
 def _block(series: Series) -> dict[str, Any]:
-    """`every` and `of`: the n-th rows that are here, and how many there are in all."""
+    """Return the data of one axis.
+
+    every: distance of the page's rows; of: number of all rows
+    """
     every = int(series.rows[1] - series.rows[0]) if series.rows.size > 1 else 1
     return {
         "rows": int(series.rows.size),

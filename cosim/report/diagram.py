@@ -1,4 +1,4 @@
-"""Boxes with ports and lines between them, as SVG that needs no script and no font of its own."""
+"""Block diagrams as SVG, without a script or font of their own."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from html import escape
 
 from cosim.report.template import TEMPLATES, inlined
 
-CHARACTER, BOLD, SMALL = 7.0, 9.2, 6.2  # [px] wide, of 12.5, 13.5 and 11 px text
-HEAD, LINE, NOTE = 46, 22, 15  # [px] high: a box's head, a port, a line of notes below it
-SLOT, LANE, MARGIN = 13, 15, 24  # [px] between lines side by side, between lanes above and below, around all
+CHARACTER, BOLD, SMALL = 7.0, 9.2, 6.2  # [px] width of a character of 12.5, 13.5 and 11 px text
+HEAD, LINE, NOTE = 46, 22, 15  # [px] height of a box's head, of a port, of a note below a port
+SLOT, LANE, MARGIN = 13, 15, 24  # [px] between parallel wires, between lanes above and below, around the diagram
 LEAST, ROUND = 150, 6  # [px] width of a box, radius of corners
 STYLES = ("diagram.css", "diagram_alone.css")
 
 
 @dataclass(frozen=True)
 class Port:
-    """An input or output of a box; notes stand below it, each a text and its tone, warn or bad."""
+    """An input or output of a box; each note below the port has a text and a tone, warn or bad."""
 
     name: str
     unit: str = ""
@@ -25,19 +25,19 @@ class Port:
 
     @property
     def height(self) -> int:
-        """[px]"""
+        """Return the height [px]."""
         return LINE + NOTE * len(self.notes)
 
     @property
     def width(self) -> float:
-        """[px]"""
+        """Return the width [px]."""
         shown = len(self.name) + (len(self.unit) + 3 if self.unit else 0)
         return max([CHARACTER * shown, *(SMALL * len(text) for text, _ in self.notes)])
 
 
 @dataclass(frozen=True)
 class Box:
-    """What is drawn as a box: its name, lines about it, inputs at its left, outputs at its right."""
+    """A box: its name, a line about it, inputs at the left and outputs at the right."""
 
     name: str
     about: str
@@ -46,19 +46,19 @@ class Box:
 
     @property
     def width(self) -> float:
-        """[px]"""
+        """Return the width [px]."""
         sides = [max((p.width for p in side), default=0.0) for side in (self.inputs, self.outputs)]
         return max(LEAST, sum(sides) + 40, BOLD * len(self.name) + 24, SMALL * len(self.about) + 24)
 
     @property
     def height(self) -> float:
-        """[px]"""
+        """Return the height [px]."""
         return HEAD + 12 + max(sum(p.height for p in side) for side in (self.inputs, self.outputs))
 
 
 @dataclass(frozen=True)
 class Wire:
-    """A line from an output to an input, each (box, port) by number; `held` is dashed, `title` tells what it is."""
+    """A line from an output to an input, each (box, port) by number; `held` is dashed, `title` is its tooltip."""
 
     source: tuple[int, int]
     target: tuple[int, int]
@@ -68,7 +68,7 @@ class Wire:
 
 @dataclass(frozen=True)
 class Layout:
-    """Places of a diagram's boxes [px], and the order of the wires in the gaps and lanes between and around them."""
+    """Places of a diagram's boxes [px], and the order of the wires in gaps and lanes."""
 
     boxes: Sequence[Box]
     left: Sequence[float]
@@ -82,9 +82,10 @@ class Layout:
 def diagram(
     boxes: Sequence[Box], wires: Sequence[Wire], summary: str, keys: Sequence[str] = (), *, alone: bool = True
 ) -> str:
-    """SVG of boxes from left to right and wires between them; lines that go back run below, over others above.
+    """Return a block diagram as SVG.
 
-    alone: it stands in a file of its own, with colours for light and dark
+    Boxes stand from left to right. Wires back run below the boxes, wires past a box above.
+    alone: for a separate file, with light and dark colours
     """
     if not boxes:
         return ""
@@ -116,7 +117,7 @@ def diagram(
 
 
 def _role(wire: Wire, gap: int) -> str:
-    """Return how a wire runs in the gap before a box: out of the box to its left, into the box, or not ("")."""
+    """Return a wire's course in the gap before a box."""
     source, target = wire.source[0], wire.target[0]
     if source + 1 == gap:
         return "out back" if target < gap else "out near" if target == gap else "out on"
@@ -126,9 +127,9 @@ def _role(wire: Wire, gap: int) -> str:
 
 
 def _order(gap: int, wires: Sequence[Wire]) -> list[tuple[int, str]]:
-    """Return the wires that run up or down in a gap, and at which end, "out" or "in".
+    """Return the wires in a gap, each with its end.
 
-    In an order, from the left, in which wires from neighbouring ports do not cross.
+    The end is "out" or "in". In this order from the left, wires of neighbouring ports do not cross.
     """
     roles: dict[str, list[int]] = {}
     for number, wire in enumerate(wires):
@@ -139,7 +140,10 @@ def _order(gap: int, wires: Sequence[Wire]) -> list[tuple[int, str]]:
 
 
 def _lanes(wires: Sequence[Wire]) -> tuple[Mapping[int, int], Mapping[int, int]]:
-    """Wire → lane above the boxes, for those that go on over others, and below, for those that go back."""
+    """Return wire → lane, above and below the boxes.
+
+    Wires past a box run above, wires back below.
+    """
     above = [k for k, w in enumerate(wires) if w.target[0] > w.source[0] + 1]
     below = [k for k, w in enumerate(wires) if w.target[0] <= w.source[0]]
     return {k: lane for lane, k in enumerate(reversed(above))}, {k: lane for lane, k in enumerate(reversed(below))}
@@ -189,7 +193,7 @@ def _path(number: int, wire: Wire, layout: Layout) -> str:
 
 
 def _rounded(points: Sequence[tuple[float, float]]) -> str:
-    """A path along points at right angles, its corners rounded."""
+    """Return a path along right-angled points with rounded corners."""
     path = [f"M{points[0][0]:.1f} {points[0][1]:.1f}"]
     for (ax, ay), (bx, by), (cx, cy) in zip(points, points[1:], points[2:], strict=False):
         before, after = abs(bx - ax) + abs(by - ay), abs(cx - bx) + abs(cy - by)

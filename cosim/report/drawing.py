@@ -1,4 +1,4 @@
-"""Panels drawn with one axis and one budget of points; the charts of a page whose axes differ."""
+"""Panels on a common x axis with a budget of points, and charts with different axes on a page."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from cosim.report.panels import Band, Panel
 from cosim.report.svg import TICKS_ACROSS, Also, Axis, Keys, Plot, log_axis, lone_axis, make_axis, make_plot, time_axis
 
 NOTHING: Mapping[str, Array] = MappingProxyType({})
-POINTS = 1000  # a curve of the first picture
-ALL_POINTS = 60_000  # of all curves together: keeps a page of a hundred signals small
+POINTS = 1000  # per curve of the first picture
+ALL_POINTS = 60_000  # of all curves: limits the size of a page of a hundred signals
 
 
 class Drawing:
-    """Draws panels with one axis; the script knows every row of them.
+    """Panels on a common x axis; the script has every row.
 
-    few: rows for a picture that moves between them
-    Over a logarithmic abscissa x is above 0. Of one row each value is a dot over an axis that names its place alone.
+    few: thinned rows for an animated picture
+    A logarithmic axis requires x > 0. A single row gives dots over an axis with a single tick.
     """
 
     def __init__(self, time: Array, curves: int, abscissa: Abscissa = OVER_TIME, *, name: str = "") -> None:
@@ -41,7 +41,7 @@ class Drawing:
         self.breaks = np.asarray(abscissa.breaks, dtype=np.intp)
 
     def plots(self, panels: Sequence[Panel]) -> list[Plot]:
-        """Plots whose values can be read at the cursor."""
+        """Draw panels with values readable at the cursor."""
         time = self._broken(self.series.time)
         draw = partial(make_plot, limit=self.limit, over=self.over)
         return [draw(self._parted(p), time, self.axis, self._keys(p)) for p in panels]
@@ -50,7 +50,10 @@ class Drawing:
         return Keys(tuple(self.series.add(panel)), self.series.band(panel))
 
     def _parted(self, panel: Panel) -> Panel:
-        """The panel with a row more at each break, at which a line can end; a lone row's values as dots."""
+        """Return a panel with a row inserted at each break.
+
+        A lone row gives dots.
+        """
         if self.lone:
             return replace(panel, traces=[replace(t, style=f"{t.style} dots", held=False) for t in panel.traces])
         if not self.breaks.size:
@@ -66,19 +69,21 @@ class Drawing:
 
 
 class Charts:
-    """The charts of a page, drawing by drawing: those of one drawing share cursor and zoom."""
+    """The charts of a page; the charts of one drawing share cursor and zoom."""
 
     def __init__(self) -> None:
         self.blocks: list[Series] = []
 
     def over(self, x: Array, curves: int, abscissa: Abscissa = OVER_TIME) -> Drawing:
-        """A drawing of panels over x, which rises."""
+        """Start a drawing of panels over rising x."""
         drawing = Drawing(x, curves, abscissa, name=self._name())
         self.blocks.append(drawing.series)
         return drawing
 
     def alone(self, panel: Panel, axis: Axis, over: tuple[str, str], *, log: bool = False) -> Plot:
-        """A chart by itself, whose traces have places of their own (`Trace.x`), and whose band those of `Band.x`.
+        """Draw a chart of traces with their own x.
+
+        The x are `Trace.x` and `Band.x`.
 
         log: over a logarithmic axis (`log_axis`)
         """
@@ -86,7 +91,7 @@ class Charts:
         places = [np.asarray(t.x) for t in panel.traces]
         if panel.band is not None and panel.band.x is not None:
             places.append(panel.band.x)
-        # points of several curves at one place share a row; of one curve each has its own
+        # curves share a row at equal x; points of one curve at equal x have separate rows
         times = [np.arange(p.size) - np.searchsorted(p, p) for p in places]
         pairs = np.column_stack((np.concatenate(places), np.concatenate(times)))
         rows, at = np.unique(pairs, axis=0, return_inverse=True)
@@ -97,7 +102,7 @@ class Charts:
         begins = np.concatenate(([0], np.cumsum([p.size for p in places])))
 
         def spread(values: Array, number: int) -> Array:
-            """Values at their places among those of all."""
+            """Place a curve's values among all rows."""
             column = np.full(x.size, np.nan)
             column[at[begins[number] : begins[number + 1]]] = values
             return column
@@ -114,9 +119,10 @@ class Charts:
     def points(
         self, panel: Panel, axes: tuple[Axis, Axis], over: tuple[str, str], also: Mapping[str, Array] = NOTHING
     ) -> Plot:
-        """Points in a plane, those of the panel's first trace, of which the nearest to the pointer is read out.
+        """Draw the panel's only trace as points.
 
-        axes: of x and y; also: what else is read of each point, by label
+        The cursor reads the nearest point.
+        axes: of x and y; also: further values of each point by label
         """
         (trace,), (across, up) = panel.traces, axes
         x = np.asarray(trace.x)
@@ -129,7 +135,7 @@ class Charts:
         return replace(drawn, also=read, reach=(up.low, up.high))
 
     def data(self) -> str:
-        """All rows, for the page's script."""
+        """Return all rows for the page's script."""
         first, *further = self.blocks or [Series(np.zeros(0), 1)]
         return to_json(first, further=further)
 
@@ -138,7 +144,7 @@ class Charts:
 
 
 def _logarithmic(panel: Panel) -> Panel:
-    """The panel with the logarithms of its places."""
+    """Return a panel with logarithmic x."""
     traces = [replace(t, x=np.log10(np.asarray(t.x))) for t in panel.traces]
     band = panel.band
     return replace(panel, traces=traces, band=band and replace(band, x=np.log10(np.asarray(band.x))))

@@ -1,4 +1,4 @@
-"""Figures of matplotlib, for users with a home folder and without one."""
+"""Figures of matplotlib, for users with or without a home folder."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ VARIABLE = "MPLCONFIGDIR"
 def new_figure(width: float, height: float) -> Figure:
     """Return an empty figure of this size [inch]."""
     if "matplotlib" not in sys.modules and VARIABLE not in os.environ and not _has_place():
-        os.environ[VARIABLE] = str(process_folder() / "matplotlib")  # or it makes one itself, and warns of that
+        os.environ[VARIABLE] = str(process_folder() / "matplotlib")  # otherwise matplotlib makes a folder and warns
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
 
 
 def _has_place() -> bool:
-    """Whether matplotlib can keep its list of fonts in the folder of this user."""
+    """Return whether matplotlib can write its font list to the user's folder."""
     folder = Path(os.path.expanduser("~")) / ".config" / "matplotlib"
     there = next((p for p in (folder, *folder.parents) if p.exists()), folder)
     return folder.is_absolute() and there.is_dir() and os.access(there, os.W_OK)

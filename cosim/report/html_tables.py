@@ -1,4 +1,4 @@
-"""Tables of the page: badges, key figures, answers to steps, errors and effort, where the run came from."""
+"""Elements of a page: labelled values, small tables and badges."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Row:
-    """A labelled value; `note` says how it was measured."""
+    """A labelled value; `note` explains its measurement."""
 
     label: str
     value: str
@@ -16,7 +16,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Grid:
-    """A small table: its columns after the first, and rows whose first cell is their name."""
+    """A small table: titles of its columns after the first, and rows that begin with their name."""
 
     title: str
     columns: tuple[str, ...]

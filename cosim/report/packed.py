@@ -1,8 +1,8 @@
-"""Every row of a page's signals in little space: whole numbers on a decimal grid, their differences, deflated.
+"""Compact encoding of a page's signals: whole numbers on a decimal grid, differenced and deflated.
 
-A column is written as the differences of its rows from the row before, each in as few bytes as it needs, seven bits in
-one and the sign in the lowest (zigzag, LEB128), so that a signal that moves little from row to row takes about a byte a
-row before it is deflated. The page's script undoes it with the browser's own `DecompressionStream`.
+Each row is stored as its difference from the previous row in as few bytes as needed: seven bits a byte, the sign in the
+lowest bit (zigzag, LEB128). A signal with small steps takes about a byte a row before it is deflated. The page's script
+decodes the text with the browser's `DecompressionStream`.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
 
-DIGITS, OF_SPAN = 5, 4  # kept of the largest value, and of how far a signal moves
-ROUNDING = 1e-12  # of the largest value: a signal that moves less stands still
-LARGEST = 1e15  # a whole number that every script knows exactly
-FINEST = 300  # decimals; a power of ten beyond is no double
+DIGITS, OF_SPAN = 5, 4  # significant digits of the largest value and of the span
+ROUNDING = 1e-12  # of the largest value: a signal with a smaller span is constant
+LARGEST = 1e15  # whole numbers up to here are exact in the script
+FINEST = 300  # decimals; larger powers of ten overflow
 Whole = NDArray[np.int64]
 
 
 def power(values: Array) -> int:
-    """Decimals of a column's grid: enough digits of its largest value and of its span; below 0 for large numbers."""
+    """Return the decimals of a column, negative for large numbers."""
     good = values[np.isfinite(values)]
     if not good.size or not np.any(good):
         return 0
@@ -39,7 +39,10 @@ def power(values: Array) -> int:
 
 
 def power_of_time(time: Array) -> int:
-    """Decimals that tell rows apart to a thousandth of the least step, and a microsecond at least."""
+    """Return the decimals of the time.
+
+    These resolve a thousandth of the least step, and a microsecond, unless whole numbers exceed LARGEST.
+    """
     steps = np.diff(time)
     steps = steps[steps > 0.0]
     digits = max(6, 3 - math.floor(math.log10(float(steps.min())))) if steps.size else 6
@@ -48,7 +51,7 @@ def power_of_time(time: Array) -> int:
 
 
 def whole(values: Array, decimals: int) -> Whole:
-    """Values on the grid; one that is missing stands as the one before it."""
+    """Round values to the grid; a missing value repeats its predecessor."""
     good = np.isfinite(values)
     last = np.maximum.accumulate(np.where(good, np.arange(values.size), -1))
     filled = np.where(last >= 0, values[np.maximum(last, 0)], 0.0)
@@ -57,12 +60,12 @@ def whole(values: Array, decimals: int) -> Whole:
 
 
 def packed(columns: Iterable[Whole]) -> str:
-    """Columns one behind the other, deflated, as text."""
+    """Return the columns in sequence, deflated, as base64 text."""
     return base64.b64encode(zlib.compress(b"".join(_bytes(column) for column in columns), 9)).decode("ascii")
 
 
 def _bytes(column: Whole) -> bytes:
-    """Differences from row to row as zigzag numbers of seven bits a byte."""
+    """Return row differences as zigzag numbers of seven bits a byte."""
     steps = np.diff(column, prepend=np.int64(0))
     zigzag = ((steps << 1) ^ (steps >> 63)).astype(np.uint64)
     lengths = np.ones(zigzag.size, np.int64)

@@ -1,4 +1,4 @@
-"""What is plotted: panels of signals in display units, the same for the page and for the figures."""
+"""Panels of signals in display units, common to page and figures."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 from cosim.base.arrays import Array
 
 OTHERS_PER_PANEL = 6
-WIDEST_RANGES = 20.0  # of an axis to a signal without a unit on it: below a twentieth no change of a signal is seen
-CONSTANT = 1e-9  # of its size, the range of a signal that does not change
+WIDEST_RANGES = 20.0  # axis' range over the range of a signal without a unit; smaller signals would look constant
+CONSTANT = 1e-9  # range of a constant signal, relative to its size
 NO_UNIT = ("", "1")
 LINE, HELD, DOTS, STEMS, BARS, CROSSES = range(6)
 
@@ -21,13 +21,13 @@ LINE, HELD, DOTS, STEMS, BARS, CROSSES = range(6)
 class Trace:
     """One line: its values in the panel's unit.
 
-    held:  from one sample to the next, where it is a command
-    anew:  the line ends at each break of its drawing and begins again
-    x:     places of its own, rising; else those of its drawing
-    stems: from zero to each value, `shift` beside its place
-    upper: bars from the values to these
-    items: what is read out in place of some values
-    A style that has the word `dots` or `crosses` draws points.
+    held:  each value is held until the next sample, for commands
+    anew:  the line restarts at each break of its drawing
+    x:     own places, rising; by default the places of its drawing
+    stems: lines from zero to each value, displaced by `shift`
+    upper: upper ends of bars that begin at the values
+    items: texts shown instead of values
+    The word `dots` or `crosses` in a style draws points.
     """
 
     label: str
@@ -43,7 +43,7 @@ class Trace:
 
     @property
     def way(self) -> int:
-        """How it is drawn, as the page's script numbers it: LINE, HELD, DOTS, STEMS, BARS, CROSSES."""
+        """Return the form for the page's script: LINE, HELD, DOTS, STEMS, BARS or CROSSES."""
         if self.upper is not None:
             return BARS
         if self.stems:
@@ -53,14 +53,14 @@ class Trace:
 
     @property
     def reach(self) -> list[Array]:
-        """What an axis must show of it."""
+        """Return the values to be included in an axis."""
         zero = [np.zeros(1)] if self.stems else []
         return [self.values, *zero] if self.upper is None else [self.values, self.upper]
 
 
 @dataclass(frozen=True)
 class Band:
-    """A region of two standard deviations about a line; x: places of its own, rising."""
+    """A shaded region between two lines; x: own places, rising."""
 
     label: str
     lower: Array
@@ -70,7 +70,7 @@ class Band:
 
 @dataclass(frozen=True)
 class Panel:
-    """One set of axes over time."""
+    """One set of axes with traces, band and limits."""
 
     title: str
     unit: str
@@ -84,7 +84,7 @@ class Panel:
 def by_unit(
     names: Iterable[str], unit: Callable[[str], str], values: Callable[[str], Array]
 ) -> list[tuple[str, list[str]]]:
-    """Return each unit with the names that share a panel, in the order of the names.
+    """Return unit and names of each shared panel.
 
     Signals without a unit may be of any kind: they share a panel only if each is visible on its axis.
     """
@@ -103,7 +103,7 @@ def by_unit(
 
 @dataclass(frozen=True)
 class _Range:
-    """Range of the signals on an axis, and the smallest range of a signal on it that is not constant."""
+    """Range of the signals on an axis, and the smallest range of a varying signal among them."""
 
     low: float
     high: float
@@ -119,10 +119,10 @@ class _Range:
         return cls(low, high, math.inf if constant else high - low)
 
     def merged(self, other: _Range) -> _Range:
-        """Return the range of both."""
+        """Return the common range."""
         return _Range(min(self.low, other.low), max(self.high, other.high), min(self.smallest, other.smallest))
 
     @property
     def shows_all(self) -> bool:
-        """Whether every signal on the axis is large enough to be seen."""
+        """Return whether every signal is large enough to be visible."""
         return self.high - self.low <= WIDEST_RANGES * self.smallest

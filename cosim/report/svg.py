@@ -1,7 +1,7 @@
-"""Panels as SVG paths and ticks, made on the server so that the page needs no script to be read.
+"""Panels as SVG paths and ticks, legible without a script.
 
-The curves live in a box of WIDTH × HEIGHT whole numbers that the browser stretches to any size; lines keep their
-width and the labels are HTML beside it, so the text is as legible at 400 px as at 1400 px.
+Curves have whole-number coordinates in a box of WIDTH × HEIGHT, stretched by the browser to any size. Lines keep their
+width and labels are HTML beside the box, so the text is as legible at 400 px as at 1400 px.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from cosim.report.panels import BARS, CROSSES, DOTS, STEMS, Panel, Trace
 WIDTH, HEIGHT = 4000, 1000
 TICKS_ACROSS, TICKS_UP = 6, 5  # about
 CAP = 18  # half the width of a bar's ends
-LONE, RISE = 28, 17  # half the width and height of a sample between two gaps
+LONE, RISE = 28, 17  # half the width and height of the cross for a sample between two gaps
 RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 Whole = NDArray[np.int64]
-WIDEST_BAND = 1e6  # times the height of the curves; a filter that has diverged must not hide them
+WIDEST_BAND = 1e6  # times the height of the curves: the band of a diverged filter must not hide them
 
 
 @dataclass(frozen=True)
 class Tick:
-    """A label at a place along the axis, in percent of it."""
+    """A label at a position along the axis [%]."""
 
     at: float
     label: str
@@ -36,7 +36,7 @@ class Tick:
 
 @dataclass(frozen=True)
 class Axis:
-    """A range of values and where its labels go; factor: the power of ten by which these are to be multiplied."""
+    """A range of values with ticks; factor: power of ten that multiplies the labels."""
 
     low: float
     high: float
@@ -44,14 +44,14 @@ class Axis:
     factor: str = ""
 
     def whole(self, values: Array, size: int) -> Whole:
-        """Values as whole numbers 0 … size along the axis."""
+        """Scale values to whole numbers, 0 … size along the axis."""
         share = (values - self.low) / (self.high - self.low)
         return np.rint(np.clip(share, -9, 10) * size).astype(np.int64)
 
 
 @dataclass(frozen=True)
 class Curve:
-    """One drawn line; value: what is read out of it where nothing moves."""
+    """One drawn line; value: its text if it has a single row."""
 
     label: str
     style: str
@@ -62,7 +62,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Also:
-    """What is read out beside the curves: a label, and the key under which the script finds it."""
+    """A value shown at the cursor but not drawn: its label and the key of its series."""
 
     label: str
     key: str
@@ -70,7 +70,7 @@ class Also:
 
 @dataclass(frozen=True)
 class Keys:
-    """Under which the script knows every row of a panel's traces, and of the edges of its band."""
+    """Keys of the series of a panel's traces and of its band's edges."""
 
     traces: tuple[str, ...] = ()
     band: tuple[str, ...] = ()
@@ -78,10 +78,10 @@ class Keys:
 
 @dataclass(frozen=True)
 class Plot:
-    """A panel ready to be set: curves, band and limits in the box, ticks in percent.
+    """A panel ready for a template: curves, band and limits in the box, ticks in percent.
 
-    levels: the limits in the panel's unit; keys: where the script finds its rows; also: read out, but not drawn
-    uprights: where a line stands across the axis, as values of it; reach: ends of y where the script must know them
+    levels: limits in the panel's unit; keys: series of its rows; also: values shown but not drawn
+    uprights: values of x with a vertical line; reach: ends of y, if the script needs them
     """
 
     title: str
@@ -103,18 +103,21 @@ class Plot:
 
 
 NO_KEYS = Keys()
-LARGEST_DRAWN = 1e300  # ends of an axis: its span, and room beside it, are numbers of a double
+LARGEST_DRAWN = 1e300  # largest end of an axis: its span and margins must not overflow
 
 
 def extent(signals: Sequence[Array]) -> tuple[float, float] | None:
-    """Least and largest finite value."""
+    """Return the least and largest finite value."""
     kept = [values[np.isfinite(values)] for values in signals]
     kept = [values for values in kept if values.size]
     return (min(float(v.min()) for v in kept), max(float(v.max()) for v in kept)) if kept else None
 
 
 def make_axis(low: float, high: float, count: int, angle: bool = False) -> Axis:
-    """An axis over low … high with about `count` round ticks; huge and tiny ones share a power of ten."""
+    """Return an axis with about `count` round ticks.
+
+    Huge and tiny ticks share a power of ten.
+    """
     low, high = (min(max(end, -LARGEST_DRAWN), LARGEST_DRAWN) for end in (low, high))
     if high - low <= 1e-9 * max(abs(low), abs(high)):
         room = 0.1 * abs(low) or 1.0
@@ -130,12 +133,15 @@ def make_axis(low: float, high: float, count: int, angle: bool = False) -> Axis:
 
 
 def power_of_ten(largest: float) -> int:
-    """The exponent, a multiple of three, that an axis up to this value is written with; 0 where none helps."""
+    """Return the exponent of an axis' labels, a multiple of three.
+
+    Labels from 0.001 to 10⁶ have no exponent.
+    """
     return 0 if 1e-3 <= largest < 1e6 else 3 * math.floor(math.log10(largest) / 3 + 1e-9)
 
 
 def round_step(least: float, angle: bool = False) -> float:
-    """The round number at or above `least`: 1, 2, 2.5, 5 × 10^n, or a part of a turn."""
+    """Round up to 1, 2, 2.5 or 5 × 10^n, or to a part of a turn."""
     if angle and 10 < least <= 360:
         return next(float(part) for part in (15, 30, 45, 90, 180, 360) if part >= least)
     power = 10.0 ** math.floor(math.log10(least))
@@ -143,12 +149,15 @@ def round_step(least: float, angle: bool = False) -> float:
 
 
 def tick_label(value: float, decimals: int) -> str:
-    """A tick's text."""
+    """Return the text of a tick."""
     return f"{value:.{decimals}f}".replace("-", MINUS)
 
 
 def log_axis(low: float, high: float) -> Axis:
-    """An axis over 10^low … 10^high: decades, or in fewer than two what is round between them."""
+    """Return an axis over 10^low … 10^high.
+
+    Ticks are decades. If these are fewer than three, ticks between decades are added, or linear ones replace them.
+    """
     every = max(1, math.ceil((high - low) / 8))
     decades = [d for d in range(math.floor(low), math.ceil(high) + 1) if d % every == 0]
 
@@ -172,12 +181,15 @@ def _short(value: float) -> str:
 
 
 def lone_axis(value: float) -> Axis:
-    """An axis about one value, which it names, and no other."""
+    """Return an axis about one value with a single tick."""
     return Axis(value - 0.5, value + 0.5, (Tick(50.0, f"{value:g}".replace("-", MINUS)),))
 
 
 def thin(values: Array, limit: int) -> Rows:
-    """At most about `limit` rows that keep every peak: least and largest of each bucket, and every gap."""
+    """Return about `limit` rows with every peak and gap.
+
+    Each bucket keeps its least and largest value, and its first gap.
+    """
     count = values.size
     if count <= limit:
         return np.arange(count)
@@ -193,17 +205,17 @@ def thin(values: Array, limit: int) -> Rows:
 
 
 def runs(good: NDArray[np.bool_]) -> list[slice]:
-    """Stretches of consecutive rows that can be drawn."""
+    """Return the stretches of consecutive drawable rows."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], good, [False])).astype(np.int8)))
     return [slice(int(first), int(last)) for first, last in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def polyline(u: Whole, v: Whole, held: bool = False) -> str:
-    """A path in relative whole numbers, a few bytes a point; `held` draws steps."""
+    """Return a line, or steps if `held`, in relative coordinates."""
     if u.size == 1:
-        return f"M{u[0] - LONE} {v[0]}h{2 * LONE}m{-LONE} {-RISE}v{2 * RISE}"  # a lone sample: a cross that is seen
+        return f"M{u[0] - LONE} {v[0]}h{2 * LONE}m{-LONE} {-RISE}v{2 * RISE}"  # a lone sample: a visible cross
     path = [f"M{u[0]} {v[0]}"]
-    flat = 0  # level stretches are drawn as one
+    flat = 0  # length of the current level stretch
     for du, dv in zip(np.diff(u).tolist(), np.diff(v).tolist(), strict=True):
         if dv == 0:
             flat += du
@@ -219,7 +231,7 @@ def polyline(u: Whole, v: Whole, held: bool = False) -> str:
 
 
 def curve_path(x: Axis, y: Axis, time: Array, trace: Trace, limit: int) -> str:
-    """The line of a trace, broken where its samples cannot be drawn; or its dots, stems, bars."""
+    """Return a trace's line, broken at gaps, or its marks."""
     time = time if trace.x is None else trace.x
     if trace.way in (DOTS, STEMS, BARS, CROSSES):
         return _marks(x, y, time + trace.shift, trace)
@@ -231,7 +243,7 @@ def curve_path(x: Axis, y: Axis, time: Array, trace: Trace, limit: int) -> str:
 
 
 def _marks(x: Axis, y: Axis, places: Array, trace: Trace) -> str:
-    """Points, crosses, stems from zero, or bars with caps, each value by itself."""
+    """Return dots, crosses, stems from zero, or bars with caps."""
     good = np.isfinite(places) & np.isfinite(trace.values)
     u, v = x.whole(places[good], WIDTH), HEIGHT - y.whole(trace.values[good], HEIGHT)
     if trace.way == DOTS:
@@ -251,7 +263,7 @@ def _marks(x: Axis, y: Axis, places: Array, trace: Trace) -> str:
 
 
 def band_path(x: Axis, y: Axis, time: Array, lower: Array, upper: Array, limit: int) -> str:
-    """The region between two lines as closed paths."""
+    """Return the region between two lines as closed paths."""
     rows = np.unique(np.linspace(0, time.size - 1, min(limit, time.size)).astype(np.intp))
     low, high = lower[rows], upper[rows]
     good = np.isfinite(low) & np.isfinite(high)
@@ -262,7 +274,10 @@ def band_path(x: Axis, y: Axis, time: Array, lower: Array, upper: Array, limit: 
 
 
 def value_axis(panel: Panel) -> Axis:
-    """The range that shows curves, limits and (unless it is absurdly wide) the band; no ticks for no values."""
+    """Return an axis for curves, limits and band.
+
+    An absurdly wide band is cut off. Without values the axis has no ticks.
+    """
     found = extent([values for trace in panel.traces for values in trace.reach])
     if found is None and not panel.limits:
         return Axis(0.0, 1.0, ())
@@ -276,7 +291,7 @@ def value_axis(panel: Panel) -> Axis:
 
 
 def time_axis(time: Array) -> Axis:
-    """The axis all plots of a run share."""
+    """Return the common axis of a run's plots."""
     low, high = extent([time]) or (0.0, 1.0)
     return make_axis(low, high if high > low else low + 1.0, TICKS_ACROSS)
 
@@ -291,7 +306,10 @@ def make_plot(
     over: str = "time in s",
     y: Axis | None = None,
 ) -> Plot:
-    """Draw a panel; `keys` name the series in which a script finds the rows of its curves, `over` says what x is."""
+    """Draw a panel.
+
+    keys: series of its curves; over: name and unit of x
+    """
     y = y or value_axis(panel)
     names = list(keys.traces) + [""] * (len(panel.traces) - len(keys.traces))
     curves = tuple(
@@ -322,7 +340,7 @@ def make_plot(
 
 
 def _only(trace: Trace) -> str:
-    """What a trace of one row is."""
+    """Return the text of a trace with one row."""
     if trace.values.size != 1:
         return ""
     value = float(trace.values[0])
@@ -330,7 +348,7 @@ def _only(trace: Trace) -> str:
 
 
 def _summary(panel: Panel, over: str) -> str:
-    """What the picture shows, for those who cannot see it."""
+    """Describe a panel for screen readers."""
     parts = []
     for trace in panel.traces:
         span = extent([trace.values] if trace.upper is None else trace.reach)

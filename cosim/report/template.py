@@ -1,4 +1,4 @@
-"""Pages out of templates: what all pages share is in `templates`; a page's own style and script are beside it."""
+"""Pages from templates: shared files are in `templates`, a page's own style and script beside its template."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ SCRIPTS = ("axes.js", "charts.js", "report.js")  # in this order
 
 
 def render(page: Path, values: Mapping[str, Any], folders: Sequence[Path] = ()) -> str:
-    """Return a self-contained page; its template finds the shared ones and those in further folders.
+    """Return a self-contained page.
 
-    Every `.css` and `.js` in the folder of the page goes into it. A line of a template literal loses its indentation.
+    Its template may use the shared templates and templates in `folders`. Every `.css` and `.js` in the page's
+    folder is inlined. Lines of a template literal lose their indentation.
     """
-    # jinja2 is needed by nothing else, so `import cosim.report` does without it.
+    # Only pages need jinja2: `import cosim.report` must not load it.
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     environment = Environment(
@@ -27,20 +28,20 @@ def render(page: Path, values: Mapping[str, Any], folders: Sequence[Path] = ()) 
         lstrip_blocks=True,
     )
     environment.filters["code"] = _code
-    # a page's own script listens to that of all pages, so it comes first; a style goes over that of all pages
+    # a page's own script listens to the shared scripts, so it comes first; its own style overrides the shared style
     style = inlined([TEMPLATES / "report.css", *sorted(page.parent.glob("*.css"))])
     script = inlined([*sorted(page.parent.glob("*.js")), *(TEMPLATES / name for name in SCRIPTS)])
     return environment.get_template(page.name).render(**values, style=style, script=script)
 
 
 def inlined(files: Sequence[Path]) -> str:
-    """Return the texts of files without indentation and lines of comment."""
+    """Return the texts of files without indentation and comment lines."""
     text = "\n".join(file.read_text(encoding="utf-8") for file in files)
     return re.sub(r"^\s*(?://.*|/\*.*\*/)?\n|^[ \t]+", "", text, flags=re.MULTILINE)
 
 
 def _code(text: str) -> str:
-    """What stands between backticks as code."""
+    """Mark text between backticks as code."""
     from markupsafe import Markup, escape
 
     return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", str(escape(text))))

@@ -1,4 +1,4 @@
-"""What a replay leaves: results.csv, residual.csv and one self-contained page."""
+"""The page of a replay."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.residuals.windows import SKIPPED
 
 TEMPLATE = Path(__file__).with_name("templates") / "replay.html.j2"
-STEMS = 100  # of an autocorrelation
+STEMS = 100  # about, lags of an autocorrelation
 
 
 # -- the page ---------------------------------------------------------------------------------
@@ -49,7 +49,7 @@ class TableRow:
 
 
 def _command(log: Log, drive: Drive, passing: bool) -> list[str]:
-    """What makes this replay again."""
+    """Return the command to repeat this replay."""
     options = [] if passing else ["--plant", str(drive.fmu)]
     for name, value in drive.given.items():
         options += ["--start", f"{name}={str(value).lower() if isinstance(value, bool) else value}"]
@@ -59,7 +59,7 @@ def _command(log: Log, drive: Drive, passing: bool) -> list[str]:
 
 
 def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, Any]:
-    """Everything the template names."""
+    """Return the values of the template."""
     log, drive = comparison.log, comparison.drive
     charts = Charts()
     drawing = charts.over(log.time, 8 * len(log.outputs) + len(log.inputs))
@@ -95,7 +95,7 @@ def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, An
         "starts": [_start(drive, n, v) for n, v in comparison.replays[FREE_RUN].starts[0].items()],
         "provenance": _provenance(comparison),
         "repeat": shlex.join(_command(log, drive, passing)),
-        "data": charts.data(),  # after all that is drawn
+        "data": charts.data(),  # after all drawings
         "version": __version__,
     }
 
@@ -124,7 +124,7 @@ def _tile(channel: ChannelSummary) -> Row:
 
 
 def _pair_panels(comparison: Comparison, horizon: float) -> list[Panel]:
-    """Measured and model, a channel each."""
+    """Return measured and model outputs, a panel for each channel."""
     log, outputs = comparison.log, comparison.replays[horizon].outputs
     label = "model, free run" if horizon == FREE_RUN else f"model, started anew every {words.horizon_name(horizon)}"
     panels = []
@@ -136,7 +136,7 @@ def _pair_panels(comparison: Comparison, horizon: float) -> list[Panel]:
 
 
 def _residual_panels(comparison: Comparison) -> list[Panel]:
-    """Residual over the horizon that counts, with ±2σ of the measurement noise."""
+    """Return the residuals, with ±2σ of the measurement noise."""
     panels = []
     for c in comparison.channels:
         unit, factor = display(c.unit)
@@ -157,7 +157,7 @@ def _command_panels(log: Log) -> list[Panel]:
 
 
 def _autocorrelation(comparison: Comparison, charts: Charts) -> list[Plot]:
-    """Stems over the lag; channels of one length share cursor and zoom."""
+    """Draw autocorrelations; channels with equally many lags share cursor and zoom."""
     plots, drawings = [], dict[int, Drawing]()
     for c in comparison.channels:
         size = c.whiteness.rho.size

@@ -22,15 +22,15 @@ from cosim.sweeps.sweep_result import Swept, hardest, headline, repeated, way_of
 
 TEMPLATE = Path(__file__).with_name("templates") / "sweep.html.j2"
 MOST_BANDS = 16
-MOST_RUNS = 20_000  # of which a band is made
+MOST_RUNS = 20_000  # at most, for a band
 MOST_POINTS = 2000  # runs in a scatter plot
 MOST_SCATTERED = 4  # criteria with scatter plots, each over two factors
 MOST_LISTED = 10  # runs farthest from meeting a criterion
-WIDE = 0.2  # half of an interval of a sensitivity, from which the page asks for more runs
+WIDE = 0.2  # half-width of a sensitivity's interval; the page asks for more runs above
 
 
 def page(swept: Swept) -> str:
-    """One self-contained page, from what the sweep left."""
+    """Return a self-contained page of a sweep."""
     table, _ = read_table(swept.folder / TABLE)
     record, charts = swept.record, Charts()
     names = swept.sweep.job.signals[:MOST_BANDS]
@@ -51,7 +51,7 @@ def page(swept: Swept) -> str:
             "scatters": _scatters(swept, table, indices, charts),
             "factors": _factors(swept),
             "plots": drawing.plots([_band(name, signal_of(table, name, MOST_RUNS), record) for name in names]),
-            "data": charts.data(),  # after all that is drawn
+            "data": charts.data(),  # after all drawings
             **_sensitivity_tables(record, indices),
             "failures": record["failures"],
             "more_failures": max(0, failed - len(record["failures"])),
@@ -64,7 +64,7 @@ def page(swept: Swept) -> str:
 
 
 def _judged(swept: Swept, table: Any) -> Mapping[str, Any]:
-    """Return how many runs meet each criterion, the values, and the runs that fail most."""
+    """Return criteria, values and the worst runs."""
     record = swept.record
     if not record["criteria"]:
         return {"tone": "plain", "worst": [], "hardest_name": "", "criteria": [], "values": []}
@@ -78,7 +78,10 @@ def _judged(swept: Swept, table: Any) -> Mapping[str, Any]:
 
 
 def _sensitivity_tables(record: Mapping[str, Any], indices: Sequence[Sensitivity]) -> Mapping[str, Any]:
-    """Return the tables of the criteria, and those of the signals; without criteria those of the signals first."""
+    """Return the sensitivities of criteria, then of signals.
+
+    Without criteria, the signals come first.
+    """
     names = {c["name"] for c in record["criteria"]}
     first = [s for s in indices if s.outcome in names] or indices
     return {
@@ -101,13 +104,13 @@ def _criterion(c: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _bar(value: float, low: float, high: float) -> Mapping[str, float]:
-    """Return the bar of a share 0 … 1 and its interval, in percent."""
+    """Return a share and its interval in percent."""
     value, low, high = (round(100 * min(1.0, max(0.0, v)), 2) for v in (value, low, high))
     return {"value": value, "low": low, "width": round(high - low, 2)}
 
 
 def _warnings(swept: Swept, indices: Sequence[Sensitivity]) -> list[str]:
-    """Return what limits the conclusions from these runs."""
+    """Return the limits of the conclusions from these runs."""
     completed = swept.record["runs"] - swept.record["failed"]
     texts = list(swept.record["warnings"])
     if completed < FEWEST:
@@ -127,7 +130,7 @@ def _values_of(table: Any, name: str) -> Array:
 
 
 def _worst(swept: Swept, table: Any) -> list[Mapping[str, Any]]:
-    """Return runs that fail the hardest criterion, farthest from its limit first, with their values and command."""
+    """Return the worst runs by the hardest criterion."""
     criterion = hardest(swept.record)
     values, runs = _values_of(table, criterion["name"]), np.array(table.column("run").to_pylist(), int)
     completed = np.array([status == "ok" for status in table.column("status").to_pylist()])
@@ -151,7 +154,7 @@ def _short(value: Any) -> str:
 
 
 def _scatters(swept: Swept, table: Any, indices: Sequence[Sensitivity], charts: Charts) -> list[tuple[Plot, str]]:
-    """Return each criterion over its two most important factors, a point a run; the hardest criteria first."""
+    """Draw criteria over their most important factors."""
     ranked = {s.outcome: s.factors for s in indices}
     numbers = [f.name for f in swept.sweep.factors if f.name != "seed" and are_numbers(swept.sweep.columns[f.name])]
     first = sorted(swept.record["criteria"], key=lambda c: c["met"])[:MOST_SCATTERED]
@@ -161,7 +164,10 @@ def _scatters(swept: Swept, table: Any, indices: Sequence[Sensitivity], charts: 
 
 
 def _scatter(swept: Swept, table: Any, c: Mapping[str, Any], name: str, charts: Charts) -> tuple[Plot, str] | None:
-    """Return a criterion over a factor, and the label of its axis; None where there is nothing to be seen."""
+    """Draw a criterion over a varying factor.
+
+    Returns the plot and the label of its axis, None for a constant factor or fewer than two values.
+    """
     values, runs = _values_of(table, c["name"]), np.array(table.column("run").to_pylist(), int)
     good = np.flatnonzero(np.isfinite(values))
     good = good[:: max(1, -(-good.size // MOST_POINTS))]
@@ -211,7 +217,7 @@ def _factors(swept: Swept) -> list[Mapping[str, str]]:
 
 def _band(name: str, values: Array, record: Mapping[str, Any]) -> Panel:
     unit, factor = display(record["units"].get(name, ""))
-    if not values.size or values.shape[1] != len(record["times"]):  # no run came to its end
+    if not values.size or values.shape[1] != len(record["times"]):  # no run is complete
         return Panel(name, unit or "1", ())
     q = quantiles(values) * factor
     traces = (Trace("median", q[2], "true"), Trace("25 %", q[1], "reference"), Trace("75 %", q[3], "reference"))
@@ -219,7 +225,7 @@ def _band(name: str, values: Array, record: Mapping[str, Any]) -> Panel:
 
 
 def _sensitivities(swept: Swept, table: Any) -> list[Sensitivity]:
-    """Of the criteria, and of each signal at its end."""
+    """Return the sensitivities of criteria and final signals."""
     factors = {n: v for n, v in swept.sweep.columns.items() if n != "seed"}
     outcomes: dict[str, Array] = {c["name"]: _values_of(table, c["name"]) for c in swept.record["criteria"]}
     for name in swept.sweep.job.signals[:MOST_BANDS]:

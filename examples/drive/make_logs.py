@@ -45,7 +45,7 @@ def write_study(folder: Path, estimation: list[str], validation: list[str]) -> P
 
 
 def make_logs(data: Path, folder: Path) -> Path:
-    """Logs and study.yaml in `folder`; returns the study."""
+    """Write logs and study.yaml to `folder`; return the study."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, recording in RECORDINGS.items():
         write_log(folder / name, *rows(data / recording))

@@ -49,7 +49,7 @@ def small(recording: Path) -> np.ndarray:
 
 
 def from_turn(angle: np.ndarray, step: float) -> np.ndarray:
-    """A row each 10 ms of what was recorded every `step` [s], from the first turning point on."""
+    """Return a row every 10 ms from the first turning point on; `step` of the recording in s."""
     span = np.abs(angle[round(NEAR / step) : round((NEAR + HALF_PERIOD) / step)])
     turn = round(NEAR / step) + round(float(np.flatnonzero(span > span.max() - FLAT).mean()))
     return angle[turn :: round(STEP / step)]
@@ -75,7 +75,7 @@ def write_study(folder: Path) -> Path:
 
 
 def make_logs(data: Path, folder: Path) -> Path:
-    """Logs and study.yaml in `folder`; returns the study."""
+    """Write logs and study.yaml to `folder`; return the study."""
     folder.mkdir(parents=True, exist_ok=True)
     pieces = large(recorded(LARGE, data))
     swings = [*pieces[3:], small(recorded(SMALL, data))]

@@ -28,7 +28,7 @@ class PropellerEffect(Effect):
         return speed
 
     def factor(self, m: Namespace, speed: Number) -> Number:
-        """What C_T is multiplied by at a speed [rad/s]."""
+        """Return the factor of C_T at a speed [rad/s]."""
         return 1.0
 
 

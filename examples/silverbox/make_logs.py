@@ -51,7 +51,7 @@ def write_study(folder: Path) -> Path:
 
 
 def make_logs(data: Path, folder: Path) -> Path:
-    """Logs and study.yaml in `folder`; returns the study."""
+    """Write logs and study.yaml to `folder`; return the study."""
     folder.mkdir(parents=True, exist_ok=True)
     recording = rows(recorded(RECORDING, data))
     for name, part in PARTS.items():

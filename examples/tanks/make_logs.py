@@ -11,7 +11,7 @@ NAMES = ("e1.csv", "e2.csv", "v1.csv")
 
 
 def log(path: Path, seed: int) -> None:
-    """The pump is changed every 20 s; the gauge has noise of 1 mm."""
+    """Write a log with a new inflow every 20 s and 1 mm of gauge noise."""
     draw, level, inflow = random.Random(seed), 1.0, 0.0
     with path.open("w", newline="", encoding="utf-8") as stream:
         rows = csv.writer(stream)

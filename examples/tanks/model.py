@@ -52,7 +52,7 @@ class GaugeOffset(SensorError):
     value: float = parameter(0.0, unit="m", bounds=(-1, 1), neutral=0.0, typical=0.02, doc="offset b")
 
     def measure(self, value: Number) -> Number:
-        """Reading h + b."""
+        """Return the reading h + b."""
         return value + self.value
 
 

@@ -22,7 +22,7 @@ class Tank(Fmi2Slave):
             self.register_variable(Real(name, description=what, **fixed))
 
     def exit_initialization_mode(self) -> None:
-        """The level begins where its parameter says."""
+        """Set the level to its start value."""
         self.level = self.level_start
 
     def do_step(self, current_time: float, step_size: float) -> bool:

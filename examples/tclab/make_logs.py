@@ -56,7 +56,7 @@ def write_study(folder: Path) -> Path:
 
 
 def make_logs(data: Path, folder: Path) -> Path:
-    """Logs and study.yaml in `folder`; returns the study."""
+    """Write logs and study.yaml to `folder`; return the study."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, (recording, each) in LOGS.items():
         write_log(folder / name, rows(recorded(recording, data)), each)

@@ -1,1 +1,1 @@
-"""All that is the hovercraft's on the page about a run."""
+"""The hovercraft's part of a run's page."""

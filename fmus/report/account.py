@@ -1,4 +1,4 @@
-"""The craft's run in words."""
+"""Sentences about the craft in a run."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SYMBOLS = {quantity.name: quantity.symbol for quantity in QUANTITIES}
 
 
 def belief_sentence(craft: Craft) -> str | None:
-    """Said only where the data show it: the estimator has settled, the craft has not."""
+    """Warn if only the estimate has settled."""
     seen = belief(craft)
     if seen is None or not seen.wanders:
         return None
@@ -36,7 +36,7 @@ def belief_sentence(craft: Craft) -> str | None:
 
 
 def integral_sentence(craft: Craft) -> str | None:
-    """What becomes of the position under a controller that integrates its error: without fixes, of x̂ alone."""
+    """Return the effect of integral control on the position."""
     if craft.estimate("x_integral") is None:
         return None
     x, target = craft.signal("x"), craft.reference("x")
@@ -55,7 +55,7 @@ def integral_sentence(craft: Craft) -> str | None:
 
 
 def band_sentence(craft: Craft) -> str | None:
-    """Return the share of rows within the ±2σ band of the estimator."""
+    """Return the shares of rows within the estimator's ±2σ band."""
     parts = []
     for variable in ("x", "psi"):
         share = inside_band(craft, variable)
@@ -65,7 +65,7 @@ def band_sentence(craft: Craft) -> str | None:
 
 
 def motion_sentence(craft: Craft, called: str) -> str:
-    """Way travelled, and where the craft ended against where it began."""
+    """Return the distance travelled, the displacement and the turn."""
     lines = [craft.run.results[f"{craft.name}.{name}"] for name in ("x_world", "y_world", "psi")]
     good = np.all(np.isfinite(lines), axis=0)
     if good.sum() < 2:
@@ -82,7 +82,7 @@ def motion_sentence(craft: Craft, called: str) -> str:
 
 
 def tilt_sentence(craft: Craft) -> str | None:
-    """Saturation in words."""
+    """Return the saturation of the tilts."""
     limit, shares = craft.tilt_limit, [saturation(craft, side) for side in SIDES]
     if limit is None or not all(map(math.isfinite, shares)):
         return None

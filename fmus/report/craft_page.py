@@ -1,4 +1,4 @@
-"""The sections about a craft."""
+"""Sections about the craft on a run's page."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TEMPLATE = Path(__file__).with_name("templates") / "craft.html.j2"
 
 @dataclass(frozen=True)
 class Readout:
-    """One state beside the picture: keys of its series and its values at the end of the run."""
+    """One state beside the picture: keys of its series and its final values."""
 
     symbol: str
     title: str
@@ -55,7 +55,7 @@ class CraftPage:
 
 
 def subject(run: Run, drawing: Drawing) -> ComponentPage:
-    """The page about the crafts of a run: motion, states, estimation, tilts."""
+    """Return the sections of a run's crafts."""
     crafts = find_crafts(run)
     called = [craft.name if len(crafts) > 1 else "the craft" for craft in crafts]
     rows = drawing.few
@@ -72,7 +72,7 @@ def subject(run: Run, drawing: Drawing) -> ComponentPage:
 
 
 def craft_page(craft: Craft, called: str, drawing: Drawing) -> CraftPage:
-    """The sections about `craft`, drawn."""
+    """Return the sections about one craft."""
     panels = state_panels(craft)
     states = drawing.plots(panels)
     return CraftPage(
@@ -93,7 +93,7 @@ def craft_page(craft: Craft, called: str, drawing: Drawing) -> CraftPage:
 
 
 def readout(panel: Panel, plot: Plot) -> Readout:
-    """Truth, estimate and reference of a state, as far as they exist."""
+    """Return truth, estimate and reference of a state, if recorded."""
     cells = []
     for style in ("true", "estimate", "reference"):
         found = [

@@ -1,4 +1,4 @@
-"""The craft's tables: answers to steps, errors, effort."""
+"""Tables of the craft: step responses, errors, effort."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from fmus.report.roles import SIDES, Craft
 
 SI = {"x": "m", "psi": "rad", "vx": "m/s", "psi_dot": "rad/s"}
 MOST_RESPONSES = 16
-SETTLING = "settling_time"  # the criterion
+SETTLING = "settling_time"  # kind of criterion
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class ResponseRow:
 
 
 def tiles(run: Run, crafts: Sequence[Craft]) -> list[Row]:
-    """The handful of numbers a reader looks for first; of the first craft."""
+    """Return the key figures of the first craft."""
     found: list[Row] = []
     for variable in ("x", "psi"):
         answers = responses(crafts[0], variable) if crafts and not failed(run) else []
@@ -54,7 +54,7 @@ def tiles(run: Run, crafts: Sequence[Craft]) -> list[Row]:
 
 
 def _settling_asked(run: Run, craft: Craft, variable: str) -> Row | None:
-    """The last settling that the scenario itself asks of a signal, in its own band; None where it asks none."""
+    """Return the settling time of a signal's last criterion."""
     column = f"{craft.name}.{variable}"
     asked = [c for c in mappings(run.manifest.get("criteria")) if (c.get("kind"), c.get("of")) == (SETTLING, column)]
     if not asked:
@@ -72,14 +72,14 @@ def _settling_here(answer: Response) -> Row:
 
 
 def _settling(value: float, unit: str) -> str:
-    """The time; where the last row is outside, that it is, for a wider band may be met all the same."""
+    """Return a settling time as text."""
     if math.isnan(value):
         return MISSING
     return amount(value, "s") if math.isfinite(value) else f"not within ±{BAND:g}\xa0{unit}"
 
 
 def response_rows(craft: Craft) -> list[ResponseRow]:
-    """Answers of x and ψ to their references in order of time; the last ones where there are many."""
+    """Return the last responses of x and ψ."""
     answers = sorted((r for v in ("x", "psi") for r in responses(craft, v)), key=lambda r: (r.time, r.variable != "x"))
     return [_response_row(answer) for answer in answers[-MOST_RESPONSES:]]
 
@@ -94,7 +94,7 @@ def _response_row(answer: Response) -> ResponseRow:
 
 
 def error_grid(craft: Craft) -> Grid | None:
-    """RMS errors over the whole run: craft against reference, estimate against craft."""
+    """Return the RMS errors of control and estimation."""
     rows = []
     for quantity in QUANTITIES:
         true, unit = craft.signal(quantity.name), SI[quantity.name]
@@ -106,7 +106,7 @@ def error_grid(craft: Craft) -> Grid | None:
 
 
 def tilt_grid(craft: Craft) -> Grid | None:
-    """Effort and saturation over the whole run."""
+    """Return effort and saturation of the tilts."""
     rows = []
     for side in SIDES:
         command = craft.command(f"tilt_{side}")

@@ -1,6 +1,6 @@
-"""What the run amounts to: answers to reference steps, errors, effort, saturation, belief against truth.
+"""Figures of a run: responses to reference steps, errors, effort, saturation, estimate against truth.
 
-Everything here uses every row of the run; only drawings are thinned. SI throughout.
+All use every row and SI units.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from cosim.base.arrays import Array
 from cosim.simulation import metrics
 from fmus.report.roles import Craft
 
-BAND = 0.02  # m and rad: 2 % of the unit steps the thesis shows
+BAND = 0.02  # m and rad: 2 % of the thesis' unit steps
 MERGE = 0.1  # s; changes of a reference closer than this are one ramp
-WANDERED = 0.05  # m; a craft this far off has not arrived, whatever its estimator says
+WANDERED = 0.05  # m; a craft farther from its target has not settled
 
 
 @dataclass(frozen=True)
 class Step:
-    """One change of a reference: rows where it begins, where it has arrived, and where the next one begins."""
+    """One change of a reference: rows of its begin, its end and the next change."""
 
     begin: int
     arrived: int
@@ -30,13 +30,13 @@ class Step:
 
     @property
     def is_ramp(self) -> bool:
-        """Whether the change took more than one row."""
+        """Return whether the change took more than one row."""
         return self.arrived > self.begin
 
 
 @dataclass(frozen=True)
 class Response:
-    """How a signal answered one change of its reference, in SI."""
+    """Response of a signal to one change of its reference, in SI units."""
 
     variable: str
     time: float
@@ -51,7 +51,10 @@ class Response:
 
 
 def reference_steps(time: Array, reference: Array) -> list[Step]:
-    """Changes of a reference; row 0 counts as one, changes within MERGE as one ramp."""
+    """Return the changes of a reference.
+
+    Row 0 counts as a change. Changes within MERGE form one ramp.
+    """
     changes = [0, *(int(k) for k in np.flatnonzero(np.abs(np.diff(reference)) > 1e-12) + 1)]
     groups: list[list[int]] = [[0, 0]]
     for previous, row in pairwise(changes):
@@ -65,7 +68,7 @@ def reference_steps(time: Array, reference: Array) -> list[Step]:
 
 
 def responses(craft: Craft, variable: str) -> list[Response]:
-    """Answers to every change of the reference of `x` or `psi`, each measured until the next change."""
+    """Return the responses to each change of a reference."""
     signal, reference = craft.signal(variable), craft.reference(variable)
     if signal is None or reference is None:
         return []
@@ -76,7 +79,7 @@ def responses(craft: Craft, variable: str) -> list[Response]:
     rows = [line[good] for line in (craft.run.time, signal, reference)]
     seen = None if estimate is None else estimate[good]
     steps = reference_steps(rows[0], rows[2])
-    # A start on target answers nothing, unless nothing else is asked of the craft.
+    # A start on target is a response only if the reference never changes.
     if len(steps) > 1 and abs(rows[1][0] - rows[2][0]) <= BAND:
         steps = steps[1:]
     return [_response(variable, rows, seen, step) for step in steps]
@@ -86,7 +89,7 @@ def _response(variable: str, rows: list[Array], estimate: Array | None, step: St
     time, signal, reference = (line[step.begin : step.end] for line in rows)
     held = slice(step.arrived, step.end)
     target = float(reference[-1])
-    moving = step.end - step.arrived < 2  # a ramp still on its way, or a change in the last row
+    moving = step.end - step.arrived < 2  # an unfinished ramp, or a change in the last row
     settling = math.nan if moving else metrics.settling_time(rows[0][held], rows[1][held], target, BAND)
     believed = math.nan
     if estimate is not None and not moving:
@@ -99,7 +102,7 @@ def _response(variable: str, rows: list[Array], estimate: Array | None, step: St
 
 
 def error_rms(signal: Array | None, target: Array | None) -> float:
-    """Root mean square over the rows where both are finite; NaN where there are none."""
+    """Return the RMS error over finite rows, else NaN."""
     if signal is None or target is None:
         return math.nan
     good = np.isfinite(signal) & np.isfinite(target)
@@ -107,7 +110,7 @@ def error_rms(signal: Array | None, target: Array | None) -> float:
 
 
 def effort(craft: Craft, side: str) -> float:
-    """Integral of the magnitude of a tilt command [rad s]."""
+    """Return the integral of a tilt command's magnitude [rad s]."""
     command = craft.command(f"tilt_{side}")
     if command is None:
         return math.nan
@@ -116,7 +119,10 @@ def effort(craft: Craft, side: str) -> float:
 
 
 def saturation(craft: Craft, side: str) -> float:
-    """Share of the time a tilt command stood at its limit, each command held until the next."""
+    """Return the share of time at the tilt limit.
+
+    Each command is held until the next.
+    """
     command, limit, time = craft.command(f"tilt_{side}"), craft.tilt_limit, craft.run.time
     if command is None or limit is None or time.size < 2:
         return math.nan
@@ -127,7 +133,7 @@ def saturation(craft: Craft, side: str) -> float:
 
 @dataclass(frozen=True)
 class Belief:
-    """How far craft and estimate stood from the target, and apart, at the end of a run; σ there [m]."""
+    """Final distances of craft and estimate from the target and from each other, and final σ [m]."""
 
     true: float
     estimated: float
@@ -136,12 +142,15 @@ class Belief:
 
     @property
     def wanders(self) -> bool:
-        """The craft has not arrived, and the estimator puts it nearer by half or more."""
+        """Return whether the craft is off target, and over twice as far as its estimate."""
         return self.true > max(WANDERED, 2 * self.estimated)
 
 
 def belief(craft: Craft) -> Belief | None:
-    """Median distances over the last second or tenth of the run, whichever is longer, after the last step."""
+    """Return the median distances at the end.
+
+    The end is the last second or the last tenth of the run, the longer of both, but after the last step.
+    """
     x, x_hat, target = craft.signal("x"), craft.estimate("x_hat"), craft.reference("x")
     if x is None or x_hat is None or target is None:
         return None
@@ -157,16 +166,16 @@ def belief(craft: Craft) -> Belief | None:
     true, estimated, apart = (
         float(np.median(np.abs(one - other)[last])) for one, other in ((x, target), (x_hat, target), (x, x_hat))
     )
-    # A craft whose last sample is inside the band has settled by the settling time's own rule.
+    # By the rule of the settling time, a craft with its last sample inside the band has settled.
     return Belief(min(true, float(np.abs(x - target)[-1])), estimated, apart, claimed)
 
 
 def inside_band(craft: Craft, variable: str) -> float:
-    """Share of the rows in which the truth lies within the estimator's own ±2σ."""
+    """Return the share of rows with the truth within the estimator's ±2σ."""
     true, estimate = craft.signal(variable), craft.estimate(f"{variable}_hat")
     sigma = craft.estimate(f"{variable}_sigma")
     if true is None or estimate is None or sigma is None:
         return math.nan
     good = np.isfinite(true) & np.isfinite(estimate) & np.isfinite(sigma)
-    # At the start P = 0 and the estimate is exact: rounding alone must not count as outside.
+    # At the start P = 0 and the estimate is exact: rounding must not count as outside.
     return float(np.mean(np.abs(estimate - true)[good] <= 2 * sigma[good] + 1e-9)) if good.any() else math.nan

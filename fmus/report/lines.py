@@ -15,7 +15,7 @@ from fmus.report.roles import COLOURS, SIDES, Craft
 
 @dataclass(frozen=True)
 class Quantity:
-    """A state that is steered and estimated: names of its variables, unit as displayed."""
+    """A controlled and estimated state, with its displayed unit."""
 
     name: str
     title: str
@@ -33,7 +33,7 @@ QUANTITIES = (
 
 
 def state_panels(craft: Craft) -> list[Panel]:
-    """True states against their references and estimates with ±2σ."""
+    """Return panels of states with references and estimates ±2σ."""
     panels = (_state_panel(craft, quantity) for quantity in QUANTITIES)
     return [panel for panel in panels if panel is not None]
 
@@ -53,7 +53,7 @@ def _state_panel(craft: Craft, quantity: Quantity) -> Panel | None:
 
 
 def error_panels(craft: Craft) -> list[Panel]:
-    """Estimate minus truth, against what the estimator claims: ±2σ about zero."""
+    """Return panels of estimation errors, with the estimator's ±2σ about zero."""
     panels = []
     for quantity in QUANTITIES:
         true, estimate = craft.signal(quantity.name), craft.estimate(f"{quantity.name}_hat")
@@ -73,7 +73,7 @@ def _band(centre: Array | None, sigma: Array | None, factor: float, label: str) 
 
 
 def tilt_panels(craft: Craft) -> list[Panel]:
-    """Tilt commands with their limits, and the tilt that followed."""
+    """Return panels of commanded and actual tilts."""
     panels = []
     for side in SIDES:
         command, actual = craft.command(f"tilt_{side}"), craft.tilt(side)
@@ -88,7 +88,7 @@ def tilt_panels(craft: Craft) -> list[Panel]:
 
 
 def shown_columns(crafts: Sequence[Craft]) -> set[str]:
-    """Columns the sections about a craft already show."""
+    """Return the result columns in the crafts' sections."""
     shown: set[str] = set()
     for craft in crafts:
         for quantity in QUANTITIES:

@@ -1,4 +1,4 @@
-"""PNG figures of a craft: states, errors of the estimate, tilts, and its path from above."""
+"""PNG figures of a craft: states, errors of the estimate, tilts, path from above."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fmus.report.topview import Track, estimated_track, reference_track, true_tr
 
 
 def figures(run: Run, folder: Path) -> list[Path]:
-    """All figures of the crafts of a run; several crafts get files of their own."""
+    """Draw all figures of a run's crafts."""
     crafts = find_crafts(run)
     paths = []
     for craft in crafts:
@@ -26,7 +26,7 @@ def figures(run: Run, folder: Path) -> list[Path]:
 
 
 def _path(path: Path, craft: Craft) -> Path:
-    """The path from above, X forward up and Y left to the left, to scale."""
+    """Draw the path from above, to scale."""
     figure = new_figure(7.2, 5.0)
     ax = figure.subplots()
     tracks: list[tuple[str, Track | None, str]] = [("reference", reference_track(craft), "reference")]

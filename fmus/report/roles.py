@@ -1,7 +1,7 @@
-"""Who is who in a run: which component is the craft, which its estimator, what they were told to follow.
+"""Roles in a run: crafts, their estimators and their references.
 
-Component names are the user's, so roles are found by structure: a craft has `x_world`, `y_world` and `psi`,
-an estimator has `x_hat` and `x_sigma`; the connections say which of them belong together.
+Component names are the user's, so variables define the roles: a craft has `x_world`, `y_world` and `psi`, an estimator
+has `x_hat` and `x_sigma`. Connections assign the estimators to crafts.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from cosim.simulation.report.recorded import Run, number
 
 SIDES = ("right", "left")
 COLOURS = {"right": "warm", "left": "cool"}
-TILT_MAX = Settings().tilt_max  # [rad], what a controller FMU uses unless told otherwise
+TILT_MAX = Settings().tilt_max  # [rad], default of the controller FMUs
 
 
 def angle(value: Any) -> float:
-    """An angle [rad], given as a number or as text such as `12 deg`; NaN where it is neither."""
+    """Return an angle [rad] from a number or text like `12 deg`, else NaN."""
     if not isinstance(value, str):
         return number(value)
     try:
@@ -35,26 +35,29 @@ def angle(value: Any) -> float:
 
 @dataclass(frozen=True)
 class Craft:
-    """A craft, and what estimates and steers it."""
+    """A craft with its estimator and controller."""
 
     run: Run
     name: str
     estimator: str | None
 
     def signal(self, variable: str) -> Array | None:
-        """A variable of the craft."""
+        """Return a variable of the craft."""
         return self.run.signal(f"{self.name}.{variable}")
 
     def tilt(self, side: str) -> Array | None:
-        """The tilt of a propeller as it followed its command [rad]."""
+        """Return the actual tilt of a propeller [rad]."""
         return self.signal(f"tilt_{side}_actual")
 
     def estimate(self, variable: str) -> Array | None:
-        """A variable of its estimator."""
+        """Return a variable of the estimator."""
         return self.run.signal(f"{self.estimator}.{variable}") if self.estimator else None
 
     def reference_column(self, variable: str) -> str | None:
-        """The column that `x` or `psi` had to follow: what is connected to the controller's input, else the input."""
+        """Return the reference column of `x` or `psi`.
+
+        The column is the source of the controller's input, else the input.
+        """
         if self.estimator is None:
             return None
         wanted = f"{self.estimator}.{variable}_ref"
@@ -62,7 +65,7 @@ class Craft:
         return next((column for column in columns if column is not None and column in self.run.results), None)
 
     def reference(self, variable: str) -> Array | None:
-        """What `x` or `psi` had to follow: a recorded signal, else a constant start value."""
+        """Return the reference of `x` or `psi`, recorded or constant."""
         column = self.reference_column(variable)
         if column is not None:
             return self.run.results[column]
@@ -70,13 +73,16 @@ class Craft:
         return np.full(self.run.time.size, told) if np.isfinite(told) else None
 
     def command(self, variable: str) -> Array | None:
-        """A tilt command: at the craft's own input, else as the controller gave it."""
+        """Return a tilt command of the craft or controller."""
         here = self.signal(variable)
         return self.estimate(variable) if here is None else here
 
     @property
     def tilt_limit(self) -> float | None:
-        """Largest tilt command [rad]; the usual one only where no command exceeds it."""
+        """Return the limit of the tilt commands [rad].
+
+        Without a start value, the default applies if no command exceeds it.
+        """
         told = angle(self.run.start(self.estimator).get("tilt_max"))
         if np.isfinite(told) and told > 0:
             return told
@@ -88,16 +94,16 @@ class Craft:
 
 
 def find_crafts(run: Run) -> list[Craft]:
-    """Every craft of the run with the estimator its signals reach."""
+    """Return every craft with the estimator downstream of it."""
     names = [name for name, has in run.variables.items() if {"x_world", "y_world", "psi"} <= has]
     estimators = [name for name, has in run.variables.items() if {"x_hat", "x_sigma"} <= has]
-    # One of each belongs together whatever the manifest still knows of the connections.
+    # A single craft and a single estimator belong together, even without connections in the manifest.
     alone = len(names) == len(estimators) == 1
     return [Craft(run, name, estimators[0] if alone else _reached(run, name, estimators, names)) for name in names]
 
 
 def _reached(run: Run, start: str, wanted: Iterable[str], blocked: Iterable[str]) -> str | None:
-    """The first of `wanted` downstream of `start`, by connections that do not lead through a `blocked` component."""
+    """Return the first of `wanted` downstream of `start`, without a path through `blocked` ones."""
     edges = [(source.partition(".")[0], target.partition(".")[0]) for source, target in run.links]
     seen, front = {start, *blocked}, [start]
     while front:

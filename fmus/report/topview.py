@@ -1,7 +1,7 @@
-"""The craft from above: world X forward is up, Y left is to the left, a left turn turns left.
+"""Picture of the craft from above: world X points up, Y to the left.
 
-Drawn in whole millimetres: right = −Y, down = −X. One scale for path and craft; where the path is so long
-that the craft would vanish it is magnified, and the page says by how much.
+Coordinates are whole millimetres: right = −Y, down = −X. Path and craft have one scale. On a long path, the craft is
+magnified by a factor stated on the page.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from fmus.report.roles import SIDES, Craft
 from plant.hovercraft import Hovercraft
 
 CRAFT = Hovercraft()
-ARM, RADIUS = CRAFT.arm, CRAFT.propeller_radius  # [m], unless its start values say otherwise
-MARGIN = 0.42  # m around the path: half a craft and some air
+ARM, RADIUS = CRAFT.arm, CRAFT.propeller_radius  # [m], defaults of the start values
+MARGIN = 0.42  # m around the path: half a craft and a margin
 NARROWEST, WIDEST = 1.25, 1.9  # width / height of the picture
-SMALLEST = 0.06  # of the picture's width; below it the craft is magnified
-ARROW = 250  # mm, about the longest arrow
-FARTHEST = 1e9  # m; whole millimetres of more do not fit
-ON_TARGET = 0.02  # m; the reference has a path of its own only if the craft begins on it
+SMALLEST = 0.06  # of the picture's width; a smaller craft is magnified
+ARROW = 250  # mm, about the length of the longest arrow
+FARTHEST = 1e9  # m; larger whole millimetres do not fit
+ON_TARGET = 0.02  # m; largest initial distance of the craft from a reference path
 
 
 @dataclass(frozen=True)
 class Track:
-    """Poses over all rows: world position [m] and heading [rad]."""
+    """Poses of all rows: world position [m] and heading [rad]."""
 
     x: Array
     y: Array
@@ -41,23 +41,23 @@ class Track:
 
     @property
     def right(self) -> Array:
-        """Place across the picture [mm]."""
+        """Return the horizontal position in the picture [mm]."""
         return -1000 * self.y
 
     @property
     def down(self) -> Array:
-        """Place down the picture [mm]."""
+        """Return the vertical position in the picture [mm]."""
         return -1000 * self.x
 
     @property
     def turn(self) -> Array:
-        """Turn with the clock [°] of a craft that is drawn with its nose up."""
+        """Return the clockwise rotation [°] from nose up."""
         return -DEGREES * self.psi
 
 
 @dataclass(frozen=True)
 class Body:
-    """A craft in the picture: its paths, poses to draw without a script, and its own size [mm]."""
+    """A craft in the picture: paths, poses without a script, and size [mm]."""
 
     name: str
     path: str
@@ -91,25 +91,25 @@ class View:
 
 
 def make_track(x: Array, y: Array, psi: Array) -> Track:
-    """A track without the poses of a craft that has left the world."""
+    """Return a track with NaN for poses beyond FARTHEST."""
     gone = ~(np.maximum(np.maximum(np.abs(x), np.abs(y)), np.abs(psi)) < FARTHEST)
     return Track(*(np.where(gone, np.nan, line) for line in (x, y, psi)))
 
 
 def true_track(craft: Craft) -> Track:
-    """Where the craft was."""
+    """Return the true track of a craft."""
     results = craft.run.results
     return make_track(*(results[f"{craft.name}.{name}"] for name in ("x_world", "y_world", "psi")))
 
 
 def estimated_track(craft: Craft) -> Track | None:
-    """Where the estimator believes the craft is: its distance laid out along its own heading."""
+    """Return the estimated track: estimated distance along the estimated heading."""
     x_hat, psi_hat = craft.estimate("x_hat"), craft.estimate("psi_hat")
     return None if x_hat is None or psi_hat is None else _laid_out(craft, x_hat, psi_hat)
 
 
 def reference_track(craft: Craft) -> Track | None:
-    """The path the references describe, where the craft begins on it."""
+    """Return the track of the references if the craft begins on it."""
     x, x_ref, psi_ref = craft.signal("x"), craft.reference("x"), craft.reference("psi")
     if x is None or x_ref is None or psi_ref is None or not x.size or not abs(x_ref[0] - x[0]) <= ON_TARGET:
         return None
@@ -117,7 +117,7 @@ def reference_track(craft: Craft) -> Track | None:
 
 
 def _laid_out(craft: Craft, way: Array, heading: Array) -> Track:
-    """Distances travelled along a changing heading, from where the craft was at the start."""
+    """Return the track of a distance along a heading, from the craft's start."""
     begin, x = true_track(craft), craft.signal("x")
     moved = np.diff(way, prepend=way[0] if x is None else x[0])
     along, left = np.cumsum(moved * np.cos(heading)), np.cumsum(moved * np.sin(heading))
@@ -125,7 +125,10 @@ def _laid_out(craft: Craft, way: Array, heading: Array) -> Track:
 
 
 def horizontal_thrust(craft: Craft, side: str) -> Array | None:
-    """Thrust along the craft's axis, T·sin α [N]; sin α alone where thrust is not recorded."""
+    """Return the thrust along the craft's axis.
+
+    T·sin α [N], or sin α without recorded thrust.
+    """
     tilt, thrust = craft.tilt(side), craft.signal(f"thrust_{side}")
     if tilt is None:
         return None
@@ -133,7 +136,7 @@ def horizontal_thrust(craft: Craft, side: str) -> Array | None:
 
 
 def pose(track: Track, row: int) -> str:
-    """An SVG transform."""
+    """Return the SVG transform of a pose."""
     values = (track.right[row], track.down[row], track.turn[row])
     if not all(map(math.isfinite, values)):
         return ""
@@ -141,13 +144,13 @@ def pose(track: Track, row: int) -> str:
 
 
 def last_row(track: Track) -> int | None:
-    """The last row that can be drawn."""
+    """Return the last drawable row."""
     rows = np.flatnonzero(np.isfinite(track.x) & np.isfinite(track.y) & np.isfinite(track.psi))
     return int(rows[-1]) if rows.size else None
 
 
 def path(track: Track | None, rows: Rows) -> str:
-    """A track in the picture's millimetres, broken where it cannot be drawn."""
+    """Return the path of a track, broken at gaps."""
     if track is None:
         return ""
     right, down = track.right[rows], track.down[rows]
@@ -157,7 +160,7 @@ def path(track: Track | None, rows: Rows) -> str:
 
 
 def arrow(force: float, per_newton: float) -> str:
-    """An arrow along the craft's axis, forward up; nothing where it would be a dot."""
+    """Return an arrow along the craft's axis, "" if too short."""
     reach = force * per_newton
     if not abs(reach) >= 8:
         return ""
@@ -166,14 +169,14 @@ def arrow(force: float, per_newton: float) -> str:
 
 
 def newtons_per_decimetre(craft: Craft) -> float:
-    """Scale of the arrows, a round number."""
+    """Return the scale of the arrows, a round number."""
     reach = extent([force for side in SIDES if (force := horizontal_thrust(craft, side)) is not None])
     largest = max(map(abs, reach)) if reach else 0.0
     return 1.0 if largest < 1e-9 else round_step(100 * largest / ARROW)
 
 
 def make_view(crafts: Sequence[Craft], rows: Rows) -> View | None:
-    """The picture of all crafts; None where none has a pose that can be drawn."""
+    """Return the picture of all crafts with drawable poses."""
     crafts = [craft for craft in crafts if last_row(true_track(craft)) is not None]
     if not crafts:
         return None
@@ -190,7 +193,7 @@ def make_view(crafts: Sequence[Craft], rows: Rows) -> View | None:
 
 
 def _companions(craft: Craft) -> list[Track | None]:
-    """Other tracks worth seeing, unless they lead far away from the craft's own."""
+    """Return estimated and reference tracks; None if far from the craft's track."""
     true = true_track(craft)
     own = extent([true.x, true.y]) or (0.0, 0.0)
     reach = 2 * (own[1] - own[0]) + 2
@@ -203,7 +206,10 @@ def _companions(craft: Craft) -> list[Track | None]:
 
 
 def _box(tracks: Sequence[Track]) -> tuple[int, int, int, int]:
-    """Left, top, width and height [mm] of a picture that holds all tracks in a pleasant shape."""
+    """Return the box of a picture of all tracks.
+
+    Left, top, width and height are in mm. The ratio of width to height is between NARROWEST and WIDEST.
+    """
     nowhere = (0.0, 0.0)
     x, y = extent([track.x for track in tracks]) or nowhere, extent([track.y for track in tracks]) or nowhere
     height, width = x[1] - x[0] + 2 * MARGIN, y[1] - y[0] + 2 * MARGIN
@@ -251,7 +257,7 @@ def _mark_interval(craft: Craft) -> float:
 
 
 def _marks(track: Track, time: Array, every: float) -> tuple[tuple[int, int], ...]:
-    """Places the craft passed at equal intervals of time."""
+    """Return the craft's positions at equal time intervals."""
     good = np.isfinite(track.x) & np.isfinite(track.y)
     if good.sum() < 2:
         return ()
@@ -270,7 +276,10 @@ def _thrust_note(craft: Craft) -> str:
 
 
 def poses(craft: Craft, rows: Rows, series: Series) -> dict[str, Any]:
-    """What moves in the picture: millimetres and degrees of craft and ghost, arrows, tilts (every row of these)."""
+    """Return the moving parts of the picture.
+
+    These are craft and ghost [mm, °], forces and tilts [°]; the series has every row of the tilts.
+    """
     entry: dict[str, Any] = {"scale": round(100 / newtons_per_decimetre(craft), 6)}
     for prefix, track in (("", true_track(craft)), ("g", estimated_track(craft))):
         if track is not None:

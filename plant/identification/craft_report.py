@@ -1,4 +1,4 @@
-"""The page of numbers identified from logs of a craft."""
+"""The page of parameters identified from logs of a craft."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TITLES = {"rest": "Noise at rest, eqs 5.44\u20135.46", "distance": "Distance cov
 
 
 def page(outcome: CraftOutcome) -> str:
-    """One self-contained page."""
+    """Return a self-contained page."""
     craft, charts = outcome.craft, Charts()
     logs = len(craft.rest) + len(craft.runs)
     rows = []
@@ -43,6 +43,6 @@ def page(outcome: CraftOutcome) -> str:
                 for r in outcome.results
             ],
             "repeat": f"cosim identify {craft.yaml.path}",
-            "data": charts.data(),  # after all that is drawn
+            "data": charts.data(),  # after all drawings
         },
     )

@@ -1,4 +1,4 @@
-"""The page of an identification: numbers with their intervals, and figures of each test."""
+"""The page of an identification: estimates with intervals, and figures of each test."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ TITLES = {
 
 
 def page(outcome: Outcome) -> str:
-    """One self-contained page."""
+    """Return a self-contained page."""
     protocol = outcome.protocol
     runs = sum(map(len, outcome.recordings.values()))
     known = [e for e in outcome.estimates.values() if not np.isnan(e.truth)]
@@ -63,7 +63,7 @@ def page(outcome: Outcome) -> str:
                 }
                 for r in outcome.results
             ],
-            "data": charts.data(),  # after all that is drawn
+            "data": charts.data(),  # after all drawings
             "repeat": f"cosim identify {protocol.yaml.path}",
             "version": __version__,
         },
@@ -71,7 +71,10 @@ def page(outcome: Outcome) -> str:
 
 
 def _headline(outcome: Outcome, known: Sequence[Estimate]) -> str:
-    """Return how many intervals contain the true value; where that is unknown, the least certain number."""
+    """Return the number of correct intervals, or the least certain estimate.
+
+    An interval is correct if the true value is inside. Without true values, the widest relative interval is named.
+    """
     every = list(outcome.estimates.values())
     if known:
         return f"{sum(e.holds for e in known)} of {len(known)} intervals of 95 % contain the true value."
@@ -84,7 +87,7 @@ def _headline(outcome: Outcome, known: Sequence[Estimate]) -> str:
 
 
 def number(value: float, unit: str, like: float) -> str:
-    """To as many digits as an interval of this half-width has a use for."""
+    """Format a value with digits for its half-width."""
     if not np.isfinite(value):
         return MISSING
     shown, scale = ("ms", 1000.0) if unit == "s" else ("mm", 1000.0) if unit == "m" else (written(unit), 1.0)
@@ -110,7 +113,7 @@ def _row(key: str, e: Estimate) -> Mapping[str, Any]:
 
 
 def _places(e: Estimate) -> Mapping[str, float]:
-    """Return the places in percent of interval, estimates and true value on a ruler about them."""
+    """Return the positions [%] on a ruler."""
     values = {"low": e.low, "high": e.high, "value": e.value, "thesis": e.thesis, "truth": e.truth}
     finite = [v for v in values.values() if np.isfinite(v)]
     if len(finite) < 3 or max(finite) == min(finite):
@@ -142,7 +145,7 @@ def _cell(outcome: Outcome, channel: str) -> Mapping[str, str]:
 
 
 def plot_of(figure: Figure, charts: Charts) -> Plot:
-    """A figure whose lines have an x of their own each."""
+    """Draw a figure of lines with separate x."""
     traces = [_trace(label, over, values, style) for label, over, values, style in figure.lines]
     traces += [Trace("95 %", low, "bar", x=over, upper=high) for over, low, high in figure.bars]
     band = Band(figure.band[0], figure.band[2], figure.band[3], figure.band[1]) if figure.band else None
@@ -157,7 +160,9 @@ def plot_of(figure: Figure, charts: Charts) -> Plot:
 
 
 def _trace(label: str, over: Array, values: Array, style: str) -> Trace:
-    """A line; points where it goes back and forth, as several tests over one another do."""
+    """Return a trace.
+
+    A falling x, as for several tests, gives points."""
     good = np.isfinite(over)
     x, order = over[good], np.argsort(over[good], kind="stable")
     several = "dots" not in style and bool(np.any(np.diff(x) < 0.0))

@@ -1,1 +1,1 @@
-"""The page about a refinement."""
+"""The page of a refinement."""

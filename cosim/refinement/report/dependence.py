@@ -1,4 +1,4 @@
-"""What a missing acceleration may depend on: signals of a log, and the choice of the one to draw it against."""
+"""Signals to plot a missing acceleration against, and the choice among them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BINS = 12
 
 @dataclass(frozen=True, eq=False)
 class Regressor:
-    """What a missing acceleration may depend on, at the rows of some logs, one after the other."""
+    """A signal to plot a missing acceleration against, at the rows of some logs in sequence."""
 
     name: str
     unit: str
@@ -28,7 +28,10 @@ class Regressor:
 
 
 def regressors(subject: Subject, problem: Problem, parts: Smoothed) -> dict[str, Regressor]:
-    """Return time, states that are filtered, commands, their rates, sums and differences, products of velocities."""
+    """Return time, filtered states, commands and products of velocities.
+
+    Commands include rates, means and half differences.
+    """
     signals, reached = signals_of(problem, parts), problem.layout.uncertain
     own = [q for q in subject.states if q.name in reached and _is_own(subject, q.name)]
     known = [Regressor("time", "s", signals["time"])]
@@ -43,17 +46,20 @@ def regressors(subject: Subject, problem: Problem, parts: Smoothed) -> dict[str,
 
 
 def _is_own(subject: Subject, state: str) -> bool:
-    """Whether a state is the subject's own, not that of an effect that it has."""
+    """Return whether a state belongs to the subject itself, not to an effect."""
     return state.partition(".")[0] not in subject.present
 
 
 def _turned(values: Array, unit: str) -> Array:
-    """Return an angle of several turns brought into one."""
+    """Wrap an angle of several turns into one turn."""
     return np.mod(values, 2.0 * np.pi) if unit == "rad" and np.ptp(values) > 2.0 * np.pi else values
 
 
 def _commands(subject: Subject, problem: Problem, parts: Smoothed) -> list[Regressor]:
-    """Return commands that move, and of two of one unit the mean and the half difference, each with its rate."""
+    """Return varying commands and combinations, with rates.
+
+    Combinations are mean and half difference of two commands of equal unit.
+    """
     columns, rates = [], []
     for index, m in parts:
         data = problem.logs[index]
@@ -77,7 +83,10 @@ def _commands(subject: Subject, problem: Problem, parts: Smoothed) -> list[Regre
 
 
 def explained(values: Array, by: Array) -> float:
-    """Return share of the variance of `values` between bins of `by`: 1 where it is a function of it."""
+    """Return the share of variance explained by a signal.
+
+    The share is the variance between bins of `by`, 1 for a function of `by`.
+    """
     good = np.isfinite(values) & np.isfinite(by)
     v, x = values[good], by[good]
     total = float(v.var()) if v.size else 0.0
@@ -88,7 +97,10 @@ def explained(values: Array, by: Array) -> float:
 
 
 def bins(x: Array, count: int, least: int = 1) -> list[Rows]:
-    """Return rows in each of `count` equal stretches of x; neighbours that hold fewer than `least` rows are joined."""
+    """Return the rows in each of `count` equal stretches of x.
+
+    Stretches with fewer than `least` rows are joined with their neighbours.
+    """
     low, high = float(x.min()), float(x.max())
     places = np.minimum((count * (x - low) / (high - low or 1.0)).astype(int), count - 1)
     joined: list[Rows] = []
@@ -98,19 +110,22 @@ def bins(x: Array, count: int, least: int = 1) -> list[Rows]:
         if waiting.size >= least:
             joined.append(waiting)
             waiting = waiting[:0]
-    if waiting.size:  # the last ones, too few to stand alone
+    if waiting.size:  # too few rows at the end for a separate bin
         joined[-1:] = [np.concatenate((*joined[-1:], waiting))]
     return joined
 
 
 def choose(known: Mapping[str, Regressor], suggested: Sequence[str], values: Array) -> Regressor:
-    """Return the signal of which `values` are most nearly a function, among those that the form of a term suggests."""
+    """Return the signal explaining most of `values`.
+
+    Signals suggested for a term have precedence.
+    """
     names = [n for n in suggested if n in known] or [n for n in known if " · " not in n]
     return known[max(names, key=lambda n: explained(values, known[n].values))]
 
 
 def local(problem: Problem, parts: Smoothed, shape: Shape, sizes: Sequence[float]) -> tuple[Regressor, Array]:
-    """Return the signal that a local shape is over, and the term at the rows of some logs."""
+    """Return signal and values of a local term."""
     signals = signals_of(problem, parts)
     return Regressor(shape.signal, shape.unit, shape.over(signals)), shape.columns(signals) @ np.array(sizes)
 
@@ -118,7 +133,7 @@ def local(problem: Problem, parts: Smoothed, shape: Shape, sizes: Sequence[float
 def nameless(
     subject: Subject, problem: Problem, parts: Smoothed, term: Mapping[str, Any]
 ) -> tuple[Regressor, Array] | None:
-    """Return the signal that a term of refine.json without a name depends on, and the term at the rows of some logs."""
+    """Return signal and values of an unnamed term."""
     signal, coefficient = term["signal"], term["coefficient"]
     if term.get("local"):
         shape = Shape.of_entry(term["equation"], term["local"])

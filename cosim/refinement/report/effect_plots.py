@@ -1,4 +1,4 @@
-"""What is missing beside what was claimed, effect by effect: the picture that shows a verdict to be right, or not."""
+"""Missing input and claimed term of each effect, as evidence for or against a verdict."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ from cosim.refinement.search.missing import (
 from cosim.subject.candidates import Candidate
 from cosim.subject.interface import Subject
 
-VARIES = 0.2  # of its size, from which a term varies enough to correlate with anything
+VARIES = 0.2  # least standard deviation of a term for a correlation, relative to its RMS
 
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What one claim explains.
+    """A missing quantity and the claimed term.
 
-    what, unit: the quantity that is missing; where: the state or channel it is missing in
-    estimated, sigma: what the data say, row by row, without the claim
-    term:       what the claim says; None: nothing is claimed
-    first:      rows of the first log
+    what, unit: missing quantity; where: its state or channel
+    estimated, sigma: estimate from the data without the claim, row by row
+    term:       claimed value, None without a claim
+    first:      number of rows of the first log
     """
 
     effect: str
@@ -51,18 +51,18 @@ class Shown:
     term: Array | None
     first: int
     step: float
-    recorded: float | None = None  # the share as refine.json has it
+    recorded: float | None = None  # the share in refine.json
 
     @property
     def what(self) -> str:
-        """What was estimated: `acceleration missing from speed`."""
+        """Return the missing quantity in words: `acceleration missing from speed`."""
         if self.kind == "sensor":
             return f"error of {self.where}"
         return f"{'acceleration' if self.unit in {'m/s2', 'rad/s2'} else 'rate'} missing from {self.where}"
 
     @property
     def correlation(self) -> float:
-        """Of what the data say with what the claim says."""
+        """Return the correlation of estimate and term."""
         if self.term is None or not np.std(self.estimated):
             return float("nan")
         varies = np.std(self.term) > VARIES * np.sqrt(np.mean(self.term**2))
@@ -70,7 +70,7 @@ class Shown:
 
     @property
     def share(self) -> float:
-        """Share of the mean square of what the data say that the claim takes away."""
+        """Return the share of mean square explained."""
         if self.recorded is not None:
             return self.recorded
         power = float(np.mean(self.estimated**2))
@@ -80,7 +80,7 @@ class Shown:
 
 
 def shown(r: Refinement) -> list[Shown]:
-    """Draw one picture for each part of a claim; without a claim, one of what is left."""
+    """Compare each claimed term, or the remainder, with data."""
     claim, base = r.verdict.claimed, r.attribution.base
     if claim is None:
         return [_draw_residual(r)] if r.verdict.name == "unexplained" else []
@@ -88,7 +88,7 @@ def shown(r: Refinement) -> list[Shown]:
     for candidate in claim.candidates:
         with_it = Filter(claim.fit.values, claim.fit.noise)
         without = Filter(base.fit.values, base.fit.noise)
-        if len(claim.candidates) > 1:  # the others stay, so that what is missing is this one
+        if len(claim.candidates) > 1:  # the other candidates stay, so that only this term is missing
             without = Filter(_without(claim, candidate, r.problem.values), base.fit.noise)
         picture = _reading if candidate.kind == "sensor" else _term
         pictures.append(picture(r.study.subject, r.problem, candidate, without, with_it))
@@ -96,12 +96,15 @@ def shown(r: Refinement) -> list[Shown]:
 
 
 def _without(claim: Hypothesis, candidate: Candidate, neutral: Mapping[str, float]) -> dict[str, float]:
-    """Return the claim's values with one candidate's at neutral."""
+    """Return the claim's values with one candidate at neutral."""
     return {**claim.fit.values, **{n: neutral[n] for n in candidate.parameters}}
 
 
 def _term(subject: Subject, problem: Problem, c: Candidate, without: Filter, with_it: Filter) -> Shown:
-    """Draw the equation in which the claim is largest against what is known of the missing acceleration."""
+    """Compare a term with the missing acceleration.
+
+    The comparison is in the equation with the largest term, relative to its uncertainty.
+    """
     parts, _, sigma = smoothed(problem, without)
     terms = np.vstack([claimed(problem, without, with_it, k) for k, _ in parts])
     column = int(np.argmax(np.sqrt(np.mean(terms**2, axis=0)) / np.median(sigma, axis=0)))
@@ -111,7 +114,7 @@ def _term(subject: Subject, problem: Problem, c: Candidate, without: Filter, wit
 
 
 def _draw_residual(r: Refinement) -> Shown:
-    """Draw what the best hypothesis leaves, with the term without a name that promises most beside it."""
+    """Compare the best hypothesis' remainder with the most promising unnamed term."""
     subject, problem, best = r.study.subject, r.problem, r.attribution.best.fit
     parts, value, sigma = smoothed(problem, Filter(best.values, best.noise))
     residual, equations = r.verdict.residual, parts[0][1].equations
@@ -128,7 +131,7 @@ def _draw_residual(r: Refinement) -> Shown:
 
 
 def _picture(subject: Subject, parts: Smoothed, column: int, against: Regressor) -> Shown:
-    """Draw what is missing in one equation, without a claim."""
+    """Return the missing input of one equation."""
     where, logs = parts[0][1].equations[column], [m for _, m in parts]
     unit = _per_second(next((q.unit for q in subject.states if q.name == where), ""))
     first = len(logs[0].time)
@@ -143,10 +146,10 @@ def _per_second(unit: str) -> str:
 
 
 def _reading(subject: Subject, problem: Problem, c: Candidate, without: Filter, with_it: Filter) -> Shown:
-    """Draw a sensor's reading less what is there, along the refined estimate, against what its error comes of.
+    """Compare estimated and claimed error of a sensor.
 
-    That is the output itself, or how fast it moves where readings are late; otherwise what suits the error best. Of
-    several outputs the one on which the error is largest is shown.
+    The error is shown for the output with the largest error: against the output itself if a straight line describes the
+    error, against the output's rate for late readings, otherwise against the signal with the largest explained share.
     """
     kind = next(k for k in subject.sensors if k.name == c.name)
     parts = [_sensed(problem, c, with_it, index, late=kind.late) for index in smoothed_logs(problem)]
@@ -174,7 +177,7 @@ def _reading(subject: Subject, problem: Problem, c: Candidate, without: Filter, 
 
 @dataclass(frozen=True, eq=False)
 class _Sensed:
-    """Rows of one log: what is there without an error of a sensor, what is read with it, readings, rates of change."""
+    """Rows of one log: outputs without and with a sensor error, readings, output rates."""
 
     time: Array
     there: Array
@@ -184,7 +187,7 @@ class _Sensed:
 
 
 def _sensed(problem: Problem, c: Candidate, with_it: Filter, index: int, *, late: bool) -> _Sensed:
-    """Return every measured output along the refined estimate of a log."""
+    """Return every measured output along a log's refined estimate."""
     data = problem.logs[index]
     run = problem.run({**problem.values, **with_it.values}, loosened(problem, with_it.noise), index, states=True)
     clean = Steps(problem, index, {**with_it.values, **{n: problem.values[n] for n in c.parameters}})
@@ -192,7 +195,7 @@ def _sensed(problem: Problem, c: Candidate, with_it: Filter, index: int, *, late
     count = min(len(data.u), MOST_ROWS) - 1
     there, read = (np.array([s.step(k, run.states[k], run.memory[k])[1] for k in range(count)]) for s in (clean, wrong))
     k = np.arange(count, dtype=np.float64)
-    if late:  # by another clock: what was there that long ago
+    if late:  # the sensor's delay: outputs of an earlier time
         rows = with_it.values[c.parameters[0]] / data.step
         read = np.column_stack([np.interp(k - rows, k, column, left=np.nan) for column in there.T])
     rate = np.gradient(there, data.step, axis=0)

@@ -1,4 +1,4 @@
-"""Errors before and after a refine as a picture for a notebook."""
+"""Errors before and after a refinement as a figure for a notebook."""
 
 from __future__ import annotations
 
@@ -14,7 +14,11 @@ MODELS = {"before": "#8c8c8c", "recalibrated": "#56b4e9", "after": "#0072b2"}
 
 
 def errors_figure(record: Mapping[str, Any], part: str) -> Figure:
-    """Draw RMSE of each channel, an axis each as units differ, a bar for each model; ValueError where there is none."""
+    """Draw the RMSE of each channel, a bar for each model.
+
+    Raises:
+        ValueError: The record has no errors of this part.
+    """
     errors = {m: dict(record.get("error", {}).get(m, {}).get(part) or {}) for m in MODELS}
     channels = list(dict.fromkeys(name for of in errors.values() for name in of))
     if not channels:

@@ -1,4 +1,4 @@
-"""How far the model was off before and is after, in numbers and in a sentence."""
+"""Errors before and after a refinement, as tables and in a sentence."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from cosim.residuals.replay_sentences import horizon_name
 from cosim.residuals.residual_statistics import excess_left
 
 PARTS = {"estimation": "Logs used for the fits", "validation": "Sealed logs"}
-NOISE = 1.2  # times the floor, up to which an error is noise
+NOISE = 1.2  # times the floor; smaller errors are noise
 
 
 @dataclass(frozen=True)
 class Marks:
-    """Places on a ruler in percent."""
+    """Positions on a ruler [%]."""
 
     before: float
     after: float
@@ -44,7 +44,7 @@ class ErrorRow:
 
 @dataclass(frozen=True)
 class ErrorTable:
-    """Errors on one set of logs; `nearest`: with those of the nearest model, where not all is claimed."""
+    """Errors on one set of logs; `nearest`: with the errors of the nearest model."""
 
     title: str
     note: str
@@ -54,7 +54,7 @@ class ErrorTable:
 
 @dataclass(frozen=True)
 class HorizonTable:
-    """Errors over several horizons on one set of logs: of `what`; a channel's name and its texts, one a horizon."""
+    """Errors `what` on one set of logs; each row has a channel's name and a text for each horizon."""
 
     title: str
     what: str
@@ -63,24 +63,24 @@ class HorizonTable:
 
 
 def units(r: Refinement) -> dict[str, str]:
-    """Return unit of each output."""
+    """Return the unit of each output."""
     return {q.name: q.unit for q in r.study.subject.outputs}
 
 
 def error_size(value: float, unit: str, like: float) -> str:
-    """Return an error in a unit that suits one of size `like`."""
+    """Format an error in a unit for size `like`."""
     shown, factor = finer(unit, like)
     return joined(plain(value * factor), shown)
 
 
 def horizon(r: Refinement) -> str:
-    """Return how long the model runs by itself: `2 s`, or `a whole run`."""
+    """Return the horizon: `2 s`, or `a whole run`."""
     horizons = [played.horizon for _, played in r.evidence["before"]["estimation"]]
     return "a whole run" if not horizons or math.isinf(horizons[0]) else horizon_name(horizons[0])
 
 
 def error_tables(r: Refinement) -> list[ErrorTable]:
-    """Return one table for each set of logs there is."""
+    """Return one table for each set of logs."""
     error, tables = r.record["error"], []
     for part, title in PARTS.items():
         if part not in error["before"]:
@@ -92,9 +92,10 @@ def error_tables(r: Refinement) -> list[ErrorTable]:
 
 
 def horizon_table(r: Refinement) -> HorizonTable:
-    """Return before → refined, or → nearest where nothing was claimed, from the shortest horizon to the longest.
+    """Return the errors over each horizon, shortest first.
 
-    Horizons shorter than the rows are apart are left away.
+    With a claim: before → refined. Without: model → nearest model, or the model alone. Horizons without errors are
+    omitted, since a log's step is longer.
     """
     part = judged(r)
     errors = {seconds: r.record["horizons"][name] for name, seconds in OTHER_HORIZONS.items()}
@@ -113,12 +114,12 @@ def horizon_table(r: Refinement) -> HorizonTable:
 
 
 def judged(r: Refinement) -> str:
-    """Return the logs that count: the sealed ones where there are any."""
+    """Return the decisive part: sealed logs, else estimation logs."""
     return "validation" if "validation" in r.record["error"]["before"] else "estimation"
 
 
 def _numbers(r: Refinement, part: str, name: str) -> list[float]:
-    """Return the errors before, recalibrated, after, of the floor, and of the nearest model; NaN for none."""
+    """Return errors before, recalibrated, after, floor and nearest; NaN if missing."""
     error, floors = r.record["error"], r.record["noise_floors"].get(part, {})
     parts = [error[v][part] for v in ("before", "recalibrated", "after")]
     parts += [floors, (error.get("nearest") or {}).get(part) or {}]
@@ -136,7 +137,7 @@ def _error_row(r: Refinement, part: str, name: str) -> ErrorRow:
 
 
 def _marks(before: float, after: float, floor: float) -> Marks | None:
-    """Return places on a logarithmic scale of a decade about the three, or as many as they need."""
+    """Return positions on a logarithmic scale."""
     good = [v for v in (before, after, floor) if math.isfinite(v) and v > 0]
     if len(good) < 3:
         return None
@@ -147,7 +148,7 @@ def _marks(before: float, after: float, floor: float) -> Marks | None:
 
 
 def second_sentence(r: Refinement) -> str:
-    """Tell the error of the channel that fell most, on sealed runs where there are any."""
+    """Report the largest relative drop of an error, on sealed logs if available."""
     part = judged(r)
     what = "rows" if r.problem.table else "runs"
     where = f"On sealed {what}" if part == "validation" else f"On the {what} used for the fits (none are sealed)"
@@ -164,7 +165,7 @@ def second_sentence(r: Refinement) -> str:
 
 
 def leading_channel(r: Refinement) -> str:
-    """Return the channel whose error fell most on the logs that count; empty where none has errors."""
+    """Return the channel with the largest relative drop, "" without errors."""
     part = judged(r)
     ratios = {}
     for name in r.record["error"]["before"][part]:
@@ -186,7 +187,7 @@ def _against_floor(after: str, floor: str, *, above: bool) -> str:
 
 
 def _unchanged(r: Refinement, part: str, where: str) -> str:
-    """Tell how far the model as it stands is from its noise floor."""
+    """Report the unchanged model's error farthest above its noise floor."""
     worst, ratio = "", 0.0
     for name in r.record["error"]["before"][part]:
         *_, after, floor, _ = _numbers(r, part, name)

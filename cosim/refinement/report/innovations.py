@@ -1,4 +1,4 @@
-"""What the filter did not expect, before and after: the innovations and their autocorrelation."""
+"""Innovations and their autocorrelation, before and after."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from cosim.report.svg import Plot
 from cosim.residuals.lags import every_lag, lag_drawing, neighbours
 from cosim.residuals.residual_statistics import Whiteness, lags_of, rmse, whiteness
 
-STEMS = 50  # of an autocorrelation
+STEMS = 50  # about, lags of an autocorrelation
 STYLES = ("s1", "true")
 
 
 @dataclass(frozen=True)
 class WhitenessRow:
-    """Innovations of a channel in numbers, before and after."""
+    """Statistics and plots of a channel's innovations, before and after."""
 
     channel: str
     size: tuple[str, str]
@@ -36,14 +36,14 @@ class WhitenessRow:
 
 
 def modes(r: Refinement) -> tuple[str, str]:
-    """Return the names of what is compared: two models in one filter, or one model in two filters."""
+    """Return the labels of the two models or filters."""
     return ("before", "refined") if r.verdict.claimed else ("equations trusted", "disturbance estimated")
 
 
 def innovations(r: Refinement, charts: Charts) -> list[WhitenessRow]:
-    """Return one-step errors over what the filter expects, channel by channel in the order of the logs.
+    """Return the normalised innovations of each channel.
 
-    A filter trusts its equations where their process noise is too small for any log to show.
+    A filter that trusts its equations has the smallest process noise of the fit.
     """
     after, logs = r.variants["after"], range(len(r.problem.logs))
     pair = [(after, replace(after.noise, power=r.problem.noise.smallest)), (after, after.noise)]
@@ -86,13 +86,13 @@ def _innovations(r: Refinement, values: dict[str, float], noise: Noise, index: i
 
 
 def _joined(parts: Sequence[Array], lags: int) -> Array:
-    """Return logs one after the other, so far apart that no lag reaches from one into the next."""
+    """Join logs with gaps longer than any lag."""
     gap = np.full(lags + 1, np.nan)
     return np.concatenate([piece for part in parts for piece in (part, gap)])
 
 
 def _autocorrelation(channel: str, tests: Sequence[Whiteness], names: Sequence[str], over: Drawing) -> Panel:
-    """Return two stems side by side at each lag."""
+    """Return two autocorrelations as stems side by side."""
     rows, lag = every_lag(tests[0].rho.size - 1, STEMS), over.series.time
     beside = 0.16 * (lag[1] - lag[0] if lag.size > 1 else lag[0])
     traces = [

@@ -1,4 +1,4 @@
-"""The table of parameters per log: what each group has, and what the filter came to where no group is known."""
+"""The table of parameters per log: fitted values of groups, final filter estimates for other logs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from cosim.refinement.refinement import Refinement
 
 
 class PerLogRow(NamedTuple):
-    """A parameter for one group, in words."""
+    """A parameter of one group as text."""
 
     name: str
     group: str
@@ -20,7 +20,7 @@ class PerLogRow(NamedTuple):
 
 
 def per_log_rows(r: Refinement) -> list[PerLogRow]:
-    """Return one row for each parameter and group, those that were fitted first."""
+    """Return a row for each parameter and group, fitted values first."""
     rows = []
     for name, entry in r.record.get("per_log", {}).items():
         found = PerLog.model_validate(entry)

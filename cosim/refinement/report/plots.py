@@ -1,4 +1,4 @@
-"""The plots of the page about a refine."""
+"""Plots on the page of a refinement."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from cosim.report.panels import Band, Panel, Trace
 from cosim.report.svg import Plot, extent, make_axis
 from cosim.residuals.residual_statistics import rmse
 
-CURVES = 10  # at most of a channel: measured, two models, two errors, the edges of two shades
-DOTS, FINE = 24, 80  # places with an error bar, and of the claimed curve
-LEAST = 0.6  # [s] of rows behind an error bar
-MEMORIES = 0.3  # [s] of rows that count as one in an error bar: twice the memory of what is smoothed
-CLOSE_UP = 12.0  # [s]
-CHANNELS = 8  # of a log, drawn: no more than a reader wants
-TELLS = 1.1  # times the error after, from which the one before is worth a look
-FAR = 1.5  # times the noise floor, likewise
+CURVES = 10  # at most, of a channel: measured, two models, two errors, edges of two bands
+DOTS, FINE = 24, 80  # points with an error bar, and points of the claimed curve
+LEAST = 0.6  # [s] least duration of the rows of an error bar
+MEMORIES = 0.3  # [s] between independent rows of an error bar: twice the smoother's memory
+CLOSE_UP = 12.0  # [s] duration of a close-up
+CHANNELS = 8  # at most, drawn of a log
+TELLS = 1.1  # ratio of errors before and after; a larger one is worth a plot
+FAR = 1.5  # times the noise floor; a larger error is worth a plot
 
 
 @dataclass(frozen=True)
@@ -42,11 +42,11 @@ class Pairs:
 
 @dataclass(frozen=True)
 class Run:
-    """One log: what it is, and its channels."""
+    """One log: title and channels."""
 
     title: str
     channels: tuple[Pairs, ...]
-    quiet: tuple[Pairs, ...]  # channels that the claim does not change and noise explains, folded away
+    quiet: tuple[Pairs, ...]  # folded channels: explained by noise, unchanged by the claim
 
     def without(self, pair: Pairs) -> Run:
         """Return the log without a channel."""
@@ -74,7 +74,10 @@ def runs(r: Refinement, charts: Charts) -> list[Run]:
 
 
 def _pair(r: Refinement, drawing: Drawing, before: Evidence, after: Evidence, name: str, floor: float) -> Pairs:
-    """Draw one channel; the model's reading is the log's less its error: sensors known to be wrong are in it."""
+    """Draw one channel of a log.
+
+    The model's output is the reading minus its error, and includes sensor errors in the model.
+    """
     log, old = before[0]
     unit, factor = display(log.units.get(name, ""))
     fine, scale = finer(log.units.get(name, ""), max(rmse(e[0][1].errors(e[0][0])[name]) for e in (before, after)))
@@ -93,7 +96,7 @@ def _pair(r: Refinement, drawing: Drawing, before: Evidence, after: Evidence, na
 
 
 def _windows(time: Array, starts: Array, horizon: float, panel: Panel) -> Band | None:
-    """Return every other replay as a shade over the whole height, so that each restart shows."""
+    """Return a band over every other replay."""
     span = extent([trace.values for trace in panel.traces])
     if span is None or starts.size < 2:
         return None
@@ -108,7 +111,7 @@ def _windows(time: Array, starts: Array, horizon: float, panel: Panel) -> Band |
 
 
 def against_signal(s: Shown, charts: Charts) -> Plot:
-    """Return means of what the data say, with 95 % bars, and the claimed term."""
+    """Draw the data's means and the claimed term."""
     unit, factor = display(s.unit)
     shown, scale = display(s.against.unit)
     x = s.against.values * scale
@@ -133,7 +136,7 @@ def against_signal(s: Shown, charts: Charts) -> Plot:
 
 
 def over_time(s: Shown, charts: Charts) -> Plot:
-    """Return a close-up of the first log, where the claim moves most."""
+    """Draw a close-up of the first log at the largest variation."""
     unit, factor = display(s.unit)
     count = max(2, min(s.first, round(CLOSE_UP * slowness(s.step) / s.step)))
     signal = s.estimated if s.term is None else s.term
@@ -149,7 +152,7 @@ def over_time(s: Shown, charts: Charts) -> Plot:
 
 
 def axis_label(s: Shown) -> str:
-    """Return the label under the first of the two plots."""
+    """Return the axis label of the first plot."""
     shown = " · ".join(display(u)[0] or u for u in s.against.unit.split(" · "))
     return f"{s.against.name} [{shown or '1'}]"
 
@@ -159,7 +162,10 @@ def _what(s: Shown) -> str:
 
 
 def _standard_error(s: Shown, rows: Rows) -> float:
-    """Return the standard error of a mean over rows alike within the smoother's memory; a slope is no error."""
+    """Return the standard error of a mean of correlated rows.
+
+    A slope of the rows is not counted as error.
+    """
     alike = 1.0 if s.kind == "sensor" else max(1.0, MEMORIES * slowness(s.step) / s.step)
     count = max(1.0, rows.size / alike)
     x, y = s.against.values[rows], s.estimated[rows]
@@ -169,5 +175,5 @@ def _standard_error(s: Shown, rows: Rows) -> float:
 
 
 def rows_shown(s: Shown) -> str:
-    """Return how much data stands behind a picture."""
+    """Return the number of rows of a picture."""
     return f"{counted(s.estimated.size, 'row')} of the estimation logs"

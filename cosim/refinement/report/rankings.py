@@ -32,7 +32,7 @@ class Ranked:
 
 @dataclass(frozen=True)
 class ParameterRow:
-    """An estimate with its interval, and where it lies between neutral and its bounds."""
+    """An estimate with its interval, and its position between neutral and bounds."""
 
     name: str
     neutral: str
@@ -47,7 +47,7 @@ class ParameterRow:
 
 @dataclass(frozen=True)
 class ParameterTable:
-    """Parameters of one kind; `first` heads the value they are compared with."""
+    """Parameters of one kind; `first` is the title of the reference values."""
 
     title: str
     note: str
@@ -71,7 +71,7 @@ class NoiseRow:
 
 
 def ranked(r: Refinement) -> tuple[list[Ranked], list[Ranked], list[Ranked]]:
-    """Return single candidates shown, those folded away, and candidates together."""
+    """Return displayed single candidates, folded single candidates, and combinations."""
     rows = [row for row in r.record["candidates"] if row["names"]]
     best = max((_gain(row) for row in rows), default=0.0)
     claimed = tuple(r.verdict.claimed.names) if r.verdict.claimed else ()
@@ -93,14 +93,14 @@ def _ranked(r: Refinement, row: Mapping[str, Any], best: float, claimed: Sequenc
 
 
 def _why(r: Refinement, row: Mapping[str, Any]) -> str:
-    """Return the reason why a hypothesis is, or is not, the answer."""
+    """Return the reason for or against a hypothesis."""
     if r.verdict.name == "ambiguous" and row["why"] == "claimed":
         return "fits best, by little"
     return str(row["why"])
 
 
 def _gain(row: Mapping[str, Any]) -> float:
-    """Return the score gained; none at all where the filter diverged."""
+    """Return the gain in score, −∞ for a diverged filter."""
     return -math.inf if row["score_gain"] is None else float(row["score_gain"])
 
 
@@ -115,7 +115,7 @@ def _short(name: str, owners: Sequence[str]) -> str:
 
 
 def parameter_tables(r: Refinement) -> list[ParameterTable]:
-    """Return the tables of what was added, and of what was recalibrated with it."""
+    """Return the tables of added and of base parameters."""
     hypothesis = r.verdict.claimed or r.attribution.base
     own = {n for c in hypothesis.candidates for n in c.parameters}
     added: list[ParameterRow] = []
@@ -136,7 +136,7 @@ def parameter_tables(r: Refinement) -> list[ParameterTable]:
 
 
 def _stays(r: Refinement, hypothesis: Hypothesis) -> bool:
-    """Whether the refined subject has the base parameters of the subject: a sensor alone is wrong."""
+    """Return whether the base parameters stay: only a sensor is wrong."""
     subject = r.study.subject
     refined = refined_subject(subject, r.study.settings, hypothesis).values
     base = {n: value for n, value in subject.values.items() if n not in subject.sensor_parameters}
@@ -171,7 +171,7 @@ def _bare(value: float, unit: str, digits: int) -> str:
 
 
 def _digits(value: float, sigma: float) -> int:
-    """Return digits that show two of the interval."""
+    """Return the digits for two digits of the interval."""
     if not (math.isfinite(value) and math.isfinite(sigma)) or value == 0 or sigma <= 0:
         return 4
     return min(7, max(3, math.floor(math.log10(abs(value))) - math.floor(math.log10(NORMAL_95 * sigma)) + 2))
@@ -181,7 +181,10 @@ def _digits(value: float, sigma: float) -> int:
 
 
 def noise_rows(r: Refinement) -> list[NoiseRow]:
-    """Return the process noise of each equation; √q is how far a state drifts in a second for what it does not say."""
+    """Return the process noise of each equation.
+
+    √q is a state's drift in a second that its equation does not explain.
+    """
     noise, size = r.verdict.residual.get("process_noise", {}), r.problem.noise
     usual = math.log(2.0) + r.problem.plain.memory  # from ln of a power to ln of a density
     unit = {q.name: q.unit for q in r.study.subject.states}
@@ -202,13 +205,16 @@ def _drift(value: float, unit: str) -> str:
 
 
 def _width(q: float, smallest: float, largest: float) -> float:
-    """Return width of a bar [%]: ln q between the limits of a fit of this equation."""
+    """Return the width of a bar [%]: ln q between the limits of its fit."""
     log_q = math.log(q) if q > 0.0 else smallest
     return round(100 * min(1.0, max(0.0, (log_q - smallest) / (largest - smallest))), 1)
 
 
 def _words(q: Mapping[str, Any], quiet: float) -> str:
-    """Say whether an equation is complete; it was not if its process noise was above `quiet` [ln q]."""
+    """Say whether an equation is complete.
+
+    The equation was complete before if ln q was at most `quiet`.
+    """
     was = q["before"] > math.exp(quiet)
     if q["inflated"]:
         return "incomplete; the claim explains a part" if q["after"] < 0.5 * q["before"] else "incomplete"

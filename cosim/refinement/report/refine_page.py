@@ -1,4 +1,4 @@
-"""The page about a refine: what was missing, how that is known, and what it brought."""
+"""The page of a refinement: missing effect, evidence and improvement."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ TITLES: Mapping[str, tuple[str, str]] = {  # verdict → badge, tone
 
 
 def write_refine_report(path: Path, r: Refinement) -> None:
-    """Write one self-contained HTML page about a refine."""
+    """Write the self-contained page of a refinement."""
     page = render(TEMPLATE, context(r))
     with atomic_write(path) as stream:
         stream.write(page)
 
 
 def context(r: Refinement) -> Mapping[str, Any]:
-    """Return everything the template names."""
+    """Return the values of the template."""
     charts = Charts()
     headline, details = parted(str(r.record["sentence"]))
     return {
@@ -74,12 +74,12 @@ def context(r: Refinement) -> Mapping[str, Any]:
         "use": shlex.join(r.study.subject.use(r.folder)),
         "repeat": shlex.join(["cosim", "refine", str(r.study.path), "--out", str(r.folder)]) if r.study.path else "",
         "provenance": _provenance(r),
-        "data": charts.data(),  # after all that is drawn
+        "data": charts.data(),  # after all drawings
         "version": __version__,
     }
 
 
-_NO_TIME: Mapping[str, Any] = {"horizons": None, "terms": [], "runs": [], "lead": None, "whiteness": []}  # of tables
+_NO_TIME: Mapping[str, Any] = {"horizons": None, "terms": [], "runs": [], "lead": None, "whiteness": []}  # for tables
 
 
 def _in_time(r: Refinement, charts: Charts) -> Mapping[str, Any]:
@@ -99,7 +99,10 @@ def _in_time(r: Refinement, charts: Charts) -> Mapping[str, Any]:
 
 
 def _lead(drawn: Sequence[Run], channel: str) -> tuple[Run, Pairs, list[Run]] | None:
-    """Return a channel on the last log, the sealed one where there is one, and all logs without it."""
+    """Return a channel of the last log, and the remaining plots of all logs.
+
+    The last log is the sealed log, if any.
+    """
     if not drawn:
         return None
     *others, last = drawn
@@ -109,7 +112,7 @@ def _lead(drawn: Sequence[Run], channel: str) -> tuple[Run, Pairs, list[Run]] | 
 
 
 def _whiteness(r: Refinement, charts: Charts) -> Mapping[str, Any]:
-    """Return the innovations; channels that are white before and after are folded away where others are not."""
+    """Return the innovations, with white channels folded."""
     white = innovations(r, charts)
     coloured = [w for w in white if w.tells]
     return {
@@ -122,7 +125,7 @@ def _whiteness(r: Refinement, charts: Charts) -> Mapping[str, Any]:
 
 
 def _ranking(r: Refinement) -> Mapping[str, Any]:
-    """Return the hypotheses tried: the best single ones, the others, and the best of several candidates together."""
+    """Return the hypotheses: single candidates and combinations."""
     singles, more, pairs = ranked(r)
     return {
         "singles": singles,
@@ -154,14 +157,14 @@ def _badges(r: Refinement) -> list[Badge]:
 
 
 def _tried(r: Refinement) -> str:
-    """Return how many hypotheses, and how many of them only by a score test."""
+    """Return the numbers of fitted and of screened hypotheses."""
     fitted = sum(bool(row["fitted"]) for row in r.record["candidates"])
     screened = len(r.record["candidates"]) - fitted
     return f"{fitted} hypotheses fitted" + (f", {screened} screened" if screened else "")
 
 
 def _next_step(r: Refinement) -> str:
-    """Say what to do about an open question."""
+    """Return the next step for an open question."""
     if r.verdict.name == "ambiguous" and r.verdict.claimed is None:
         return (
             f"Next step: record a log with {r.verdict.experiment}. Nothing is claimed: the model is left as it was. "
@@ -201,11 +204,11 @@ def _term(s: Shown, charts: Charts) -> Mapping[str, Any]:
 
 
 def _term_sentence(s: Shown) -> str:
-    """Say how well the claim takes away what is missing, in numbers."""
+    """State the explained share and the correlation of a term."""
     what = s.what
     if s.term is None:
         return f"The {what} is drawn against {s.against.name}, which it follows most ({rows_shown(s)})."
-    if not np.any(s.term):  # it acts where no unknown input does, behind a sensor say
+    if not np.any(s.term):  # the effect acts elsewhere, for example behind a sensor
         return f"{s.effect} adds nothing to the {what}: it acts on another equation ({rows_shown(s)})."
     who = s.effect if s.kind != "nameless" else "a constant" if s.effect == "1" else f"the term in {s.effect}"
     text = f"Of the mean square {what}, {who} explains {percent(min(1.0, max(0.0, s.share)))}"
@@ -217,7 +220,7 @@ def _term_sentence(s: Shown) -> str:
 
 
 def _error_lead(r: Refinement) -> str:
-    """Say what the errors are of, and what the floor."""
+    """Explain the errors and the noise floor."""
     claimed = r.verdict.claimed is not None
     if r.problem.table:
         how = "over the rows, each predicted through the FMU from its own inputs"
@@ -281,7 +284,7 @@ def _provenance(r: Refinement) -> list[Row]:
 
 
 def _inputs(r: Refinement) -> list[Row]:
-    """Return how inputs were taken between rows, and what the other way would be worth."""
+    """Return the inputs' interpolation, and the likelihood gain of the alternative."""
     inputs = r.record.get("inputs")
     if not inputs:
         return []

@@ -1,4 +1,4 @@
-"""What the page about a refine shows of tables: errors on rows left out, measured and model over the inputs."""
+"""Results for tables: errors on held-out rows, measured and model outputs over the inputs."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from cosim.report.panels import Panel, Trace
 from cosim.report.svg import Plot
 from cosim.residuals.residual_statistics import rmse
 
-INPUTS = 4  # at most, over which a residual is drawn
+INPUTS = 4  # at most, as x axes of a residual
 WORDS: Mapping[Part, str] = {"estimation": "used for the fits", "validation": "sealed"}
 COLUMNS = {"before": "Before", "recalibrated": "Recalibrated", "after": "Refined", "nearest": "Nearest"}
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """A plot, and what stands under its axis."""
+    """A plot with the label of its axis."""
 
     plot: Plot
     label: str
@@ -39,21 +39,24 @@ class Drawn:
 
 @dataclass(frozen=True)
 class DrawnTable:
-    """One table: what it is, and its outputs over the inputs."""
+    """One table: title, and outputs over the inputs."""
 
     title: str
     plots: tuple[Drawn, ...]
 
 
 def table_parts(r: Refinement, charts: Charts) -> Mapping[str, Any]:
-    """Return the values that the template names of tables; none of other logs."""
+    """Return the template's values for tables, empty for logs over time."""
     if not r.problem.table:
         return {"left_out": None, "tables_drawn": []}
     return {"left_out": left_out(r), "tables_drawn": drawn(r, charts)}
 
 
 def left_out(r: Refinement) -> Grid:
-    """Return errors on rows left out, a row each output; what is the same for want of a claim is left away."""
+    """Return the errors on held-out rows.
+
+    Without a claim, the refined model is omitted.
+    """
     errors = r.record["error"]["left_out"]
     shown = [k for k in COLUMNS if errors.get(k) and (k != "after" or r.verdict.claimed)]
     rows = []
@@ -64,7 +67,7 @@ def left_out(r: Refinement) -> Grid:
 
 
 def drawn(r: Refinement, charts: Charts) -> list[DrawnTable]:
-    """Return every table, by its sets."""
+    """Draw every table: estimation tables, then sealed tables."""
     found = []
     for part, word in WORDS.items():
         for k, (log, _) in enumerate(r.evidence["before"].get(part, ())):
@@ -76,12 +79,15 @@ def drawn(r: Refinement, charts: Charts) -> list[DrawnTable]:
 
 
 def _plots(r: Refinement, charts: Charts, of: Mapping[str, Evidence], name: str) -> list[Drawn]:
-    """Draw an output over the first input that varies, and its residual over each."""
+    """Draw an output and its residual over the inputs.
+
+    The output is drawn over the first varying input, the residual over each.
+    """
     log = of["before"][0][0]
     models = [("before", "s1 solid", "before"), ("refined", "true", "after")]
     models = models if r.verdict.claimed else [("model", "true", "after")]
     errors = {label: (style, of[which][0][1].errors(of[which][0][0])[name]) for label, style, which in models}
-    # what is drawn is what was read: sensors that are known to be wrong are in it
+    # readings are drawn, including the errors of sensors in the model
     reading = log.outputs[name]
     varied = [q for q in r.study.subject.inputs if np.ptp(log.inputs[q.name]) > 0.0][:INPUTS]
     unit, times = display(log.units[name])
@@ -101,7 +107,7 @@ def _plots(r: Refinement, charts: Charts, of: Mapping[str, Evidence], name: str)
 
 @dataclass(frozen=True, eq=False)
 class _Axis:
-    """An input, its unit as the table was written or as usual, its values, and what they are multiplied by."""
+    """An input: displayed unit, values, and their scale to the displayed unit."""
 
     name: str
     unit: str
@@ -121,7 +127,7 @@ def _axis(log: Log, q: Quantity) -> _Axis:
 def _over(
     charts: Charts, title: str, unit: str, axis: _Axis, traces: Sequence[tuple[str, str, Array]], alone: bool
 ) -> Drawn:
-    """Draw rows in the order of an input: dots, and lines where it is the only one that varies."""
+    """Draw rows over an input: dots, or lines for a single varying input."""
     order, shown = np.argsort(axis.values, kind="stable"), axis.unit or "1"
     places = axis.values[order] * axis.scale
     panel = [

@@ -1,4 +1,4 @@
-"""What a page about a run shows beside its signals, of components that somebody has drawn a page for."""
+"""Sections of a run's page for components with a registered page."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from cosim.simulation.report.recorded import Run
 
 @dataclass(frozen=True)
 class ComponentPage:
-    """A page of its own for some components; without one, a run has its signals alone.
+    """Sections for some components, on a page with the signals of every run.
 
     template: extends run.html.j2
-    values:   what it names beside what every page names
-    tiles:    the handful of numbers a reader looks for first
-    shown:    columns that it shows, so that they need not stand among the other signals
-    data:     for its script
+    values:   values of the template besides the values of every page
+    tiles:    key figures
+    shown:    columns in these sections, omitted from the signals
+    data:     data of the script
     """
 
     template: Path
@@ -32,7 +32,7 @@ class ComponentPage:
 
 
 def component_page(run: Run, drawing: Drawing) -> ComponentPage | None:
-    """Return the page that is registered for a component with these variables, None without one."""
+    """Return the sections registered for the run's components, None without any."""
     page: ComponentPage | None = None
     if declared := registry.page_for(run.variables.values()):
         page = registry.resolve(declared.subject)(run, drawing)
@@ -40,7 +40,7 @@ def component_page(run: Run, drawing: Drawing) -> ComponentPage | None:
 
 
 def figures_of(run: Run, folder: Path) -> list[Path]:
-    """Return figures that are registered for a component with these variables; none without."""
+    """Draw the figures registered for the run's components."""
     drawn: list[Path] = []
     if (page := registry.page_for(run.variables.values())) and page.figures:
         drawn = registry.resolve(page.figures)(run, folder)

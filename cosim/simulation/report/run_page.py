@@ -1,4 +1,4 @@
-"""What stands on the page about any run, in order: header, signals, figures of merit, provenance."""
+"""The page of any run: header, signals, figures of merit, provenance."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ TEMPLATE = Path(__file__).with_name("templates") / "run.html.j2"
 MOST_TILES = 4
 LIMIT_LABEL = "allowed"
 WIDTHS = {"settling_time": "band", "peak": "max", "final_error": "max"}  # criterion → its distance from the target
-MOST_CONNECTIONS = 40  # with a chart of their own; the signals of further ones stand among the others
-MOST_WIRES = 200  # in the picture of the system; `cosim graph` draws all
-MOST_DRAWN = 1000  # signals that a page shows
-MOST_LISTED = 1000  # connections in its table
-DRAWABLE = 1e100  # a run that has blown up; squares beyond it overflow
+MOST_CONNECTIONS = 40  # with a separate chart; signals of further connections are among the others
+MOST_WIRES = 200  # in the system diagram; `cosim graph` draws all
+MOST_DRAWN = 1000  # signals on a page
+MOST_LISTED = 1000  # connections in the table
+DRAWABLE = 1e100  # a diverged run has larger values, with squares that may overflow
 
 
 @far_beyond
@@ -58,7 +58,7 @@ def write_report(path: Path, results: Results, manifest: Mapping[str, Any]) -> N
 
 
 def recorded(results: Results, manifest: Mapping[str, Any]) -> Run:
-    """The rows that have a time, with NaN for what no axis can hold: one kind of gap for everything after."""
+    """Return a run's rows with finite time, and NaN for all values not drawable."""
     timed = np.isfinite(results.time)
     values = results.values[timed]
     drawable = np.where(np.abs(values) < DRAWABLE, values, np.nan)
@@ -66,7 +66,7 @@ def recorded(results: Results, manifest: Mapping[str, Any]) -> Run:
 
 
 def context(run: Run, drawing: Drawing, page: ComponentPage) -> Mapping[str, Any]:
-    """Return everything the template names."""
+    """Return the values of the template."""
     goals, connected = criteria(run), connections(run)
     judged = judged_panels(run) if run.time.size and not page.shown else []
     links = connection_panels(run, connected, page.shown) if run.time.size else {}
@@ -101,7 +101,7 @@ def context(run: Run, drawing: Drawing, page: ComponentPage) -> Mapping[str, Any
 
 
 def _diagram(run: Run) -> str:
-    """Components and connections as a picture; "" where nothing is connected, or more than anyone could follow."""
+    """Return the system diagram, "" without connections or with too many."""
     if len(mappings(run.scenario.get("connections"))) > MOST_WIRES:
         return ""
     graph = graph_of_run(run)
@@ -109,7 +109,7 @@ def _diagram(run: Run) -> str:
 
 
 def _goals(judged: Sequence[Criterion]) -> list[Row]:
-    """The scenario's own criteria, those that are missed first."""
+    """Return the scenario's criteria, missed criteria first."""
     first = sorted(judged, key=lambda c: c.met)[:MOST_TILES]
     return [Row(c.what, c.value, ", ".join(_judgement(c))) for c in first]
 
@@ -119,7 +119,10 @@ def _judgement(c: Criterion) -> list[str]:
 
 
 def judged_panels(run: Run) -> list[Panel]:
-    """Return signals that criteria judge, those of missed ones first, each with its target and what is allowed."""
+    """Return a panel for each signal with a criterion, missed criteria first.
+
+    Each panel shows target and limits.
+    """
     entries = sorted(mappings(run.manifest.get("criteria")), key=lambda entry: bool(entry.get("met")))
     panels: dict[str, Panel] = {}
     for entry in entries:
@@ -140,14 +143,14 @@ def judged_panels(run: Run) -> list[Panel]:
 
 
 def _width(entry: Mapping[str, Any]) -> float:
-    """Return how far from its target a signal may be by a criterion; NaN where that is no distance."""
+    """Return a criterion's allowed distance from the target, NaN without any."""
     return number(entry.get(WIDTHS.get(str(entry.get("kind")), "")))
 
 
 def connection_panels(
     run: Run, connected: Sequence[Connection], shown: frozenset[str] = frozenset()
 ) -> dict[tuple[str, str], Panel]:
-    """What was sent and what arrived, a panel a connection whose both ends were recorded in one unit."""
+    """Return sent and received signal of each connection, if recorded in one unit."""
     panels: dict[tuple[str, str], Panel] = {}
     items = items_of(run)
     for link in connected:
@@ -175,7 +178,7 @@ def _undrawn(signals: int) -> str:
 
 
 def signal_panels(run: Run, shown: frozenset[str] = frozenset()) -> list[Panel]:
-    """The columns not `shown` elsewhere, grouped by unit in the order the units come; no more than a page shows."""
+    """Return the columns not in `shown`, grouped by unit, MOST_DRAWN at most."""
     panels, items, whole = [], items_of(run), run.results.whole
     for unit, columns in by_unit(_undisplayed(run, shown)[:MOST_DRAWN], run.unit, run.results.__getitem__):
         shown_unit, factor = display(unit)
@@ -191,7 +194,7 @@ def signal_panels(run: Run, shown: frozenset[str] = frozenset()) -> list[Panel]:
 
 
 def _marked(run: Run, columns: Sequence[str], traces: Sequence[Trace]) -> Band | None:
-    """The times at which faults act on these signals, over the height of their panel."""
+    """Return a band over the times of faults in these signals."""
     faults, around = faults_on(run, columns), extent([trace.values for trace in traces])
     if not faults or around is None:
         return None

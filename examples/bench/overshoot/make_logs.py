@@ -68,7 +68,7 @@ def calibrated(fmu: Path, rng: np.random.Generator) -> dict[str, np.ndarray]:
 
 
 def make_logs(out: Path, seed: int = 1) -> Path:
-    """Logs, study.yaml and the model files, in `out`; returns the study. The same seed gives the same bytes."""
+    """Write logs, study.yaml and model files to `out`; return the study. Equal seeds give equal bytes."""
     out.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(seed)
     with tempfile.TemporaryDirectory() as folder:
