@@ -453,7 +453,7 @@ def test_a_page_without_criteria_opens_with_what_was_simulated(tmp_path: Path) -
     opening = text[text.index("<h1>") : text.index("<section")]
     assert all(words in opening for words in ("tank, pump, valve and 1 more", "2\u00a0s in 2 steps"))
     assert "real time" not in opening
-    assert "9.2 × real time" in text
+    assert "9.2 times as fast as real time" in text
 
 
 def test_a_page_with_criteria_draws_the_judged_signals_first_the_missed_ones_before(tmp_path: Path) -> None:

@@ -18,6 +18,9 @@ PART = 0.1
 Record = Mapping[str, Any]
 
 
+ESTIMATE = r"(\w+) = ([-\d.e+]+) ± ([-\d.e+]+)"
+
+
 def contradictions(record: Record, folder: Path | None = None) -> list[str]:
     """Everything in which a record contradicts itself, and the files beside it."""
     rules = (_names, _intervals, _estimates, _grade, _rivals, _nearest, _share, _left, _misses, _floors, _sealed)
@@ -63,17 +66,20 @@ def _intervals(record: Record) -> Iterator[str]:
 
 def _estimates(record: Record) -> Iterator[str]:
     """Every `name = value ± half` of the sentence is an estimate, rounded; of a claim each estimate is told."""
-    said = set(re.findall(r"(\w+) = ([-\d.e+]+) ± ([-\d.e+]+)", record["sentence"]))
-    known: set[tuple[str, str, str]] = set()
+    said = {(name, half): float(value) for name, value, half in re.findall(ESTIMATE, record["sentence"])}
+    known: set[tuple[str, str]] = set()
     for entry in record["effects"]:
         for name, p in entry["parameters"].items():
-            rounded = f"{p['value']:.4g}", f"{0.5 * (p['ci95'][1] - p['ci95'][0]):.2g}"
-            ways = {(own, *rounded) for own in ((name, entry["name"]) if name == "value" else (name,))}
+            half = 0.5 * (p["ci95"][1] - p["ci95"][0])
+            ways = {(own, f"{half:.2g}") for own in ((name, entry["name"]) if name == "value" else (name,))}
             known |= ways
-            untold = not ways & said and f"{name} not identified" not in record["sentence"]
+            told = [said[way] for way in ways & said.keys()]
+            untold = not told and f"{name} not identified" not in record["sentence"]
             if record["verdict"] in CLAIMS and untold:
-                yield f"the sentence does not tell {entry['name']}.{name} = {rounded}"
-    if strange := said - known:
+                yield f"the sentence does not tell {entry['name']}.{name} ± {half:.2g}"
+            if any(abs(value - p["value"]) > max(0.1 * half, 1e-11 * abs(value)) for value in told):
+                yield f"the sentence has {told} for {entry['name']}.{name} = {p['value']} ± {half:.2g}"
+    if strange := said.keys() - known:
         yield f"the sentence has {sorted(strange)}, the record {sorted(known)}"
 
 

@@ -5,6 +5,7 @@ Each sentence has at most 25 words and names at most three things; refine.json a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from typing import Any
@@ -297,7 +298,10 @@ def _estimate(best: Hypothesis, f: Free, unit: str) -> str:
     name, value, half = f.name.rpartition(".")[2], best.fit.values[f.name], NORMAL_95 * best.fit.sigma(f.name)
     if half > f.high - f.low:
         return f"{name} not identified by these logs"
-    return f"{name} = {value:.4g} ± {half:.2g} {unit}".rstrip()
+    digits = (
+        4 if not value or not half else max(4, math.floor(math.log10(abs(value))) - math.floor(math.log10(half)) + 2)
+    )
+    return f"{name} = {value:.{min(digits, 12)}g} ± {half:.2g} {unit}".rstrip()
 
 
 def perhaps(names: Sequence[str]) -> str:

@@ -34,11 +34,11 @@ def badges(run: Run, judged: Sequence[Criterion]) -> list[Badge]:
     met = sum(criterion.met for criterion in judged)
     seed, warnings = run.manifest.get("seed"), texts(run.manifest.get("warnings"))
     badges = (
-        (True, Badge("failed", "bad") if failed(run) else Badge("completed", "good")),
+        (True, Badge("failed", "bad") if failed(run) else Badge("completed", "good" if judged else "plain")),
         (judged, Badge(f"{met} of {counted(len(judged), 'criterion')} met", "good" if met == len(judged) else "bad")),
-        (run.algorithm, Badge(_title(run.algorithm))),
+        (run.algorithm and run.links, Badge(_title(run.algorithm))),
         (run.links, Badge("noise on" if _has_noise(run.scenario) else "noise off")),
-        (seed is not None, Badge(f"seed {seed}")),
+        (seed is not None and _has_noise(run.scenario), Badge(f"seed {seed}")),
         (warnings, Badge(counted(len(warnings), "warning"), "warn")),
         (mapping(run.manifest.get("git")).get("dirty"), Badge("uncommitted changes", "warn")),
     )
@@ -167,7 +167,7 @@ def provenance(run: Run) -> list[Row]:
     design = mapping(manifest.get("design")) or mapping(scenario.get("design"))
     wall = [f"{key} {amount(number(timings[key]), 's')}" for key in ("load", "simulate") if key in timings]
     if math.isfinite(speed := number(timings.get("real_time_factor"))):
-        wall.append(f"{plain(speed, 2)} × real time")
+        wall.append(f"{plain(speed, 2)} times as fast as real time")
     facts = (
         Row("cosim", str(manifest.get("cosim_version") or "")),
         Row("Versions", _pairs(mapping(manifest.get("versions")), " ")),

@@ -74,4 +74,4 @@ def _simulated(run: Run) -> str:
         return "Nothing was recorded."
     duration, steps = float(run.time[-1] - run.time[0]), counted(run.time.size - 1, "step")
     over = f"{amount(duration, 's', None)} in {steps}"
-    return f"Simulated {listed(names)} over {over}. The scenario sets no criteria."
+    return f"Simulated {listed(names)} over {over}. No criteria are set, so nothing was judged."
