@@ -47,12 +47,14 @@ def test_build_takes_the_nearest_model_of_a_refine_however_it_is_named(tmp_path:
     assert mass_of(tmp_path / "built" / "plant.fmu") == 0.9
 
 
+@pytest.mark.thorough
 def test_without_it_a_refine_is_its_refined_model(tmp_path: Path) -> None:
     refined = refine_left(tmp_path / "refined")
     build(tmp_path / "built", str(refined))
     assert mass_of(tmp_path / "built" / "plant.fmu") == 0.8
 
 
+@pytest.mark.thorough
 def test_where_all_is_claimed_the_refined_model_is_the_nearest(tmp_path: Path) -> None:
     refined = refine_left(tmp_path / "refined", "claimed")
     build(tmp_path / "built", str(refined / "refine.json"), nearest=True)

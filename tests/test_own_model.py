@@ -50,6 +50,7 @@ def test_what_a_refine_wrote_is_a_model_that_can_be_checked(bench: Path) -> None
     assert check_files([bench / "out" / "model.yaml"]) == []
 
 
+@pytest.mark.thorough
 def test_a_refined_model_moves_with_the_file_it_is_of(bench: Path, tmp_path: Path) -> None:
     moved = tmp_path / "elsewhere"
     shutil.copytree(bench, moved)
@@ -61,6 +62,7 @@ def test_where_the_file_is_in_another_place_its_whole_path_is_said(bench: Path, 
     assert f"model: {bench.resolve() / 'table.py'}:Table\n" in (again.folder / "model.yaml").read_text()
 
 
+@pytest.mark.thorough
 def test_of_a_model_of_ones_own_one_says_how_far_its_inputs_may_go(bench: Path) -> None:
     assert inputs_to_limit(read_model(bench / "out" / "model.yaml").model) == ("torque",)
     assert inputs_to_limit(Hovercraft()) == ()
