@@ -37,7 +37,7 @@ def page(swept: Swept) -> str:
     drawing = charts.over(np.array(record["times"], float), 5 * len(names))
     failed, runs = record["failed"], record["runs"]
     indices = _sensitivities(swept, table)
-    failures = Badge(f"{failed} failed", "bad") if failed else Badge("none failed", "good")
+    failures = Badge(f"{failed} aborted", "bad") if failed else Badge("all completed")
     badges = [Badge(counted(runs, "run")), Badge(way_of(record)), failures]
     return render(
         TEMPLATE,
@@ -118,7 +118,7 @@ def _warnings(swept: Swept, indices: Sequence[Sensitivity]) -> list[str]:
     widest = max((half for s in indices for _, half in (*s.first, *s.total)), default=0.0)
     if widest > WIDE:
         texts.append(
-            f"Too few runs for exact sensitivities: their intervals reach ±{plain(widest, 2)}. Take more runs."
+            f"Too few runs to rank the factors: intervals of the indices reach ±{plain(widest, 2)}. Take more runs."
         )
     if "DO NOT" in swept.record["check"]["sentence"]:
         texts.append(swept.record["check"]["sentence"])

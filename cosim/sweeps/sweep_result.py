@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.text import counted, plain
+from cosim.base.text import counted, listed, plain
 from cosim.sweeps.reading import Sweep
 from cosim.sweeps.run_chunks import Made
 
@@ -46,13 +46,14 @@ def headline(record: Mapping[str, Any]) -> str:
     criteria, runs, completed = record["criteria"], record["runs"], record["runs"] - record["failed"]
     if not criteria:
         return f"{completed} of {counted(runs, 'run')} completed; the scenario sets no criteria."
-    met, worst = record.get("met_all"), hardest(record)
+    met, fewest = record.get("met_all"), hardest(record)["met"]
     if met is None:  # a sweep of an earlier version
         met = min(c["met"] for c in criteria)
     all_of = "the criterion" if len(criteria) == 1 else "all criteria"
     if met == runs:
         return f"All {counted(runs, 'run')} meet {all_of}."
-    most = f"; {worst['name']} fails most" if len(criteria) > 1 and worst["met"] < worst["of"] else ""
+    worst = [c["name"] for c in criteria if c["met"] == fewest < c["of"]]
+    most = f"; {listed(worst)} {'fails' if len(worst) == 1 else 'fail'} most" if 0 < len(worst) < len(criteria) else ""
     return f"{met} of {counted(runs, 'run')} {'meets' if met == 1 else 'meet'} {all_of}{most}."
 
 
