@@ -186,7 +186,7 @@ def _next_step(r: Refinement) -> str:
 def _term_lead(r: Refinement) -> str:
     if r.verdict.name == "sensor_error":
         return "Each reading minus the output of the refined model, and over it the estimated sensor error."
-    way = "A smoother estimates, row by row, the input that an equation lacks; it does not know the claim. "
+    way = "A smoother estimates, row by row, the input that an equation lacks, without knowing the proposed effect. "
     if r.verdict.claimed:
         return way + "Over it the claimed term: a step of the model with it minus a step without."
     beside = f" beside {listed(r.verdict.rivals)}" if r.verdict.rivals else ""
@@ -235,7 +235,7 @@ def _error_lead(r: Refinement) -> str:
         f"would cause in the {'refined ' if claimed else ''}model."
     )
     if claimed:
-        text += " Remaining share: the part of the squared error above the noise floor that the refined model keeps."
+        text += " Recalibrated: the model with its own parameters fitted anew, nothing added. Remaining share: the part of the squared error above the noise floor that the refined model keeps."
     return text
 
 
