@@ -86,7 +86,7 @@ def error_tables(r: Refinement) -> list[ErrorTable]:
         if part not in error["before"]:
             continue
         rows = tuple(_error_row(r, part, name) for name in error["before"][part])
-        note = "Estimation logs." if part == "estimation" else "Used once, to test the chosen model; for no fit and no choice."
+        note = "Estimation logs." if part == "estimation" else "Used once, to test the chosen model."
         tables.append(ErrorTable(title, note, rows, bool(error.get("nearest"))))
     return tables
 

@@ -235,7 +235,8 @@ def _error_lead(r: Refinement) -> str:
         f"would cause in the {'refined ' if claimed else ''}model."
     )
     if claimed:
-        text += " Recalibrated: the model with its own parameters fitted anew, nothing added. Remaining share: the part of the squared error above the noise floor that the refined model keeps."
+        text += " Recalibrated: the model with its own parameters fitted anew, nothing added."
+        text += " Remaining share: the part of the squared error above the noise floor that the refined model keeps."
     return text
 
 
