@@ -14,11 +14,12 @@ from plant.identification.cells import Cells, at_rail, force_of
 from plant.identification.columns import MAX_LOWEST_HEIGHT_RATIO, out_of_range, wrong_height
 from plant.identification.command_response import held_lag
 from plant.identification.commanded import frequency_of, lacks
+from plant.identification.dropouts import dropouts
 from plant.identification.equal_readings import EqualReadings, equal_readings
 from plant.identification.estimates import Measured
 from plant.identification.protocol import CHANNELS, HeightTest, Protocol, SineTest, Test
 from plant.identification.recordings import Recording
-from plant.identification.thrust_line import LEAST_DUTY, LEAST_ROWS, rows_with_thrust
+from plant.identification.thrust_line import LEAST_DUTY, LEAST_ROWS, first_beyond, rows_with_thrust
 from plant.powertrain import servo_angle
 
 SWAPPED = "are the channels swapped? Change their names"
@@ -45,14 +46,39 @@ def recording_faults(
         found = [] if r.path is None else _out_of_range(protocol, r)
         if r.path is not None and not found:  # planned phases are checked before
             found = [*_missing(protocol, name, test, r), *_wrong_height(protocol, name, test, r)]
+        found = found or list(_dropouts(protocol, r))
         faults += found or list(_cells_at_fault(protocol, name, test, r, cells))
     if whole and not faults:
         faults += _of_all(protocol, name, test, recordings)
-        if name == "thrust_line" and not rows_with_thrust(Measured(recordings, cells, protocol.known, test)).enough:
-            cure = f"no line has less than {LEAST_ROWS} readings over {LEAST_DUTY:g} %; let the window hold more of it"
-            where = ("tests", name, "window")
-            faults.append(protocol.yaml.fault(where, f"the ramp has too little thrust within the cell's range: {cure}"))
+        if name == "thrust_line":
+            faults += _short_ramp(protocol, Measured(recordings, cells, protocol.known, test))
     return faults
+
+
+def _dropouts(protocol: Protocol, r: Recording) -> Iterator[Fault]:
+    """Yield channels with single readings far off their neighbours."""
+    if r.path is None:
+        return
+    for dropout in dropouts(protocol.known, r):
+        c, row, others = dropout.channel, int(dropout.rows[0]), dropout.rows.size - 1
+        message = f"volts_{c} is {r.volts[c][row]:.4g} V here, and the readings beside it are not"
+        message += f" (up to {dropout.distance:.3g} V off)"
+        message += f"; so are {counted(others, 'other reading')} of this file" if others else ""
+        cure = "delete such rows (single missing rows are filled in), or look at the wires and record it anew"
+        yield _at(protocol, r, f"{message}: a dropout; {cure}", row)
+
+
+def _short_ramp(protocol: Protocol, m: Measured) -> Iterator[Fault]:
+    """Yield a fault if the ramps have too little thrust within the range of the cell."""
+    if rows_with_thrust(m).enough:
+        return
+    message = f"the ramp has too little thrust within the cell's range: no line has less than {LEAST_ROWS} readings "
+    message += f"over {LEAST_DUTY:g} %; let the window hold more of it"
+    if (beyond := first_beyond(m)) is not None:
+        r, row = m.recordings[beyond.recording], beyond.row
+        place = f"{r.label}:{int(r.lines[row])}" if r.lines.size else r.label
+        message += f". The range ends with {r.volts['z'][row]:.3g} V at {r.duty[row]:.4g} %, {place}"
+    yield protocol.yaml.fault(("tests", "thrust_line", "window"), message)
 
 
 def _at(protocol: Protocol, r: Recording, message: str, row: int | None = None) -> Fault:
