@@ -299,6 +299,20 @@ def test_a_single_dropout_is_named_with_its_column_and_row(
 
 
 @pytest.mark.thorough
+@pytest.mark.parametrize("run", [3, 6])  # the first of 4 and of 10 rad/s
+def test_a_cell_mirrored_at_one_frequency_is_named(
+    run: int, good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
+) -> None:
+    content, tables = good
+    files = [f"frequency{k}.csv" for k in range(run, run + 3)]
+    mirrored = {file: column(X, lambda v: 4.86 - v)(tables[file].copy()) for file in files}
+    checked, identified = answers((content, {**tables, **mirrored}), tmp_path, "frequency", lambda t: t)
+    assert checked.count("leans against the commanded tilt (phase") == 3
+    assert all(file in checked for file in files)
+    assert identified == checked
+
+
+@pytest.mark.thorough
 def test_10_hz_is_enough_for_a_step_but_not_for_the_thesis_estimator_and_says_so(
     good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
 ) -> None:

@@ -27,6 +27,7 @@ MOST_AT_RAIL = {"thrust_line": 1.0 - 0.2, "projection": 0.5}  # share of saturat
 WANTED = {"thrust_line": "z", "ground_effect": "z", "thrust_step": "z", "projection": "zx", "moment": "m"}  # required
 LEAST_FORCE = 3.0  # standard deviations of one reading at rest
 PROJECTION = (0.4, 2.5)  # plausible factors on sin α; outside, the column is wrong
+OPPOSITE = 130.0  # [°] from the tilt with the assumed lag; lags differ by less than 90°, a mirrored cell by 180°
 MAX_TARE = 0.25  # largest tare as a share of the calibration voltages
 TIMED = ("step", "thrust_step", "frequency")  # tests of a time
 SAME_NOISE = 0.9  # correlation of fourth differences; 0 ± 0.2 for two noisy runs
@@ -202,8 +203,9 @@ def _projected(protocol: Protocol, name: str, test: Test, r: Recording, cells: C
     """Yield a horizontal force that differs from thrust times sine in sign or size."""
     known, rows = protocol.known, _window(test, r)
     if isinstance(test, SineTest):
-        if frequency_of(r, test) > min(test.frequencies):
-            return  # an unknown lag changes the phase
+        if (w := frequency_of(r, test)) > min(test.frequencies):  # an unknown lag changes the phase
+            yield from _against_sine(protocol, test, r, cells, w)
+            return
     elif name == "step":
         rows = r.rows((test.window[1] - 0.3, test.window[1]))
     angle = held_lag(servo_angle(r.servo_duty, known.servo_neutral, known.servo_slope), r.step, known.lag)
@@ -221,6 +223,22 @@ def _projected(protocol: Protocol, name: str, test: Test, r: Recording, cells: C
         told = f"the horizontal force is {factor:.3g} times the thrust of volts_z times sin α, and 1 is right"
         cure = f"look at the plug of cell x, the points and units of cells z and x, and at `servo_slope`; {SWAPPED}"
         yield _at(protocol, r, f"{told}; {cure}", row)
+
+
+def _against_sine(protocol: Protocol, test: SineTest, r: Recording, cells: Cells, w: float) -> Iterator[Fault]:
+    """Yield a horizontal force in opposite phase to the commanded sine."""
+    from plant.identification.frequency import sine
+
+    known, rows = protocol.known, _window(test, r)
+    angle = held_lag(servo_angle(r.servo_duty, known.servo_neutral, known.servo_slope), r.step, known.lag)
+    force = force_of(r, cells, "x", test.rest)
+    size = sine(r, force, w, test)
+    error = float(force[r.rows(test.rest)].std()) * float(np.sqrt(2.0 / rows.sum()))
+    phase = float(np.degrees(np.angle(size / sine(r, np.sin(angle), w, test))))
+    if abs(size) > LEAST_FORCE * error and abs(phase) > OPPOSITE:
+        told = f"the horizontal force leans against the commanded tilt (phase {phase:.0f}° at {w:g} rad/s)"
+        cure = "the servo or cell x is mirrored in this run, or its clock is late; look at plug and clock"
+        yield _at(protocol, r, f"{told}; {cure}", int(np.flatnonzero(rows)[0]))
 
 
 def _other_cell(protocol: Protocol, test: Test, r: Recording, cells: Cells, wanted: str) -> Iterator[Fault]:
