@@ -167,6 +167,15 @@ CASES: dict[str, tuple[str, Change, str]] = {
     "a recording that was cut, test 5": ("moment", lambda t: t[:450], "the phase `window` from 3 to 13 s is missing"),
     "a recording that was cut, sines": ("frequency", lambda t: t[:230], "before a whole period after what is skipped"),
     "10 Hz, sines": ("frequency", lambda t: t[::5], "rows are 0.1 s apart, fewer than 10 in a period of 10 rad/s"),
+    "a clock 10 % slow, sines": (
+        "frequency", column(TIME, lambda v: 1.1 * v), "is 9.09 rad/s, and the protocol has 10 rad/s",
+    ),
+    "a clock 5 % slow, sines": (
+        "frequency", column(TIME, lambda v: 1.05 * v), "is 0.952 rad/s, and the protocol has 1 rad/s",
+    ),
+    "a step that ends upright": (
+        "step", column(SERVO, lambda v: 7.5 + v.max() - v), "the step ends at 0.0°, upright, where a tilt has no",
+    ),
     "a clock since 1970": ("step", column(TIME, lambda v: v + 1.7e9), "a clock that does not begin at 0 s"),
     "a clock that restarts": ("step", column(TIME, lambda v: np.where(v > 4, v - 4, v)), "does not increase"),
 }  # fmt: skip
@@ -224,6 +233,83 @@ def test_a_spike_is_no_force_of_another_channel_and_makes_no_copies(
     checked, _ = answers(good, tmp_path, "thrust_line", spike)
     assert "swapped" not in checked
     assert "once more" not in checked
+
+
+def lone(place: int, row: int, volts: float) -> Change:
+    """Return a change of one reading."""
+
+    def changed(table: Table) -> Table:
+        table[row, place] = volts
+        return table
+
+    return changed
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("row", [255, 300, 400])
+@pytest.mark.parametrize("volts", [0.0, 3.3])
+def test_a_lone_reading_at_the_rail_of_the_ramp_is_a_dropout(
+    volts: float, row: int, good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
+) -> None:
+    checked, identified = answers(good, tmp_path, "thrust_line", lone(Z, row, volts), first_only=True)
+    assert f"thrust_line0.csv:{row + 2}:1: volts_z is {volts:g} V here, and the readings beside it are not" in checked
+    assert len(checked.splitlines()) == 1
+    assert identified == checked
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("first", [250, 300])
+@pytest.mark.parametrize("volts", [0.0, 3.3])
+def test_a_ramp_that_ends_at_the_rail_names_the_reading(
+    first: int, volts: float, good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
+) -> None:
+    def changed(table: Table) -> Table:
+        table[first : first + 8, Z] = volts
+        return table
+
+    checked, identified = answers(good, tmp_path, "thrust_line", changed, first_only=True)
+    assert "the ramp has too little thrust within the cell's range" in checked
+    assert (
+        f"The range ends with {volts:g} V at {good[1]['thrust_line0.csv'][first, DUTY]:.4g} %, thrust_line0.csv:"
+        in checked
+    )
+    assert identified == checked
+
+
+DROPOUTS = [
+    (name, place, row, volts)
+    for name, place, rows in [
+        ("projection", X, (0, 250)), ("projection", Z, (300,)), ("moment", M, (1, 300)), ("step", X, (20, 301, 400)),
+        ("thrust_step", Z, (302, 350)), ("frequency", X, (200, 230)), ("ground_effect", Z, (250,)),
+    ]
+    for row in rows
+    for volts in (0.0, 0.02)
+]  # fmt: skip
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(("name", "place", "row", "volts"), DROPOUTS)
+def test_a_single_dropout_is_named_with_its_column_and_row(
+    name: str, place: int, row: int, volts: float, good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
+) -> None:
+    checked, identified = answers(good, tmp_path, name, lone(place, row, volts), first_only=True)
+    assert f"{name}0.csv:{row + 2}:1: volts_{'zxm'[place - Z]} is {volts:g} V here" in checked
+    assert len(checked.splitlines()) == 1
+    assert identified == checked
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("run", [3, 6])  # the first of 4 and of 10 rad/s
+def test_a_cell_mirrored_at_one_frequency_is_named(
+    run: int, good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
+) -> None:
+    content, tables = good
+    files = [f"frequency{k}.csv" for k in range(run, run + 3)]
+    mirrored = {file: column(X, lambda v: 4.86 - v)(tables[file].copy()) for file in files}
+    checked, identified = answers((content, {**tables, **mirrored}), tmp_path, "frequency", lambda t: t)
+    assert checked.count("leans against the commanded tilt (phase") == 3
+    assert all(file in checked for file in files)
+    assert identified == checked
 
 
 @pytest.mark.thorough

@@ -23,6 +23,9 @@ LEAST_BEFORE = 3  # rows before a step
 BEFORE = 0.3  # [s] before a step in a fit
 UNSETTLED = 0.1  # share of a window that may contain the previous transient
 JUMP = 3.0  # multiple of a ramp's step from row to row beyond which a jump is no ramp
+SLOWEST = 0.2  # share of a sine's fastest change from which a row belongs to the sine
+SAME_FREQUENCY = 0.005  # difference of a frequency that is written with three digits, as a share
+FREQUENCY_ERRORS = 4.0  # standard errors within which frequencies are equal
 SETTLED = 3.0  # lags and low passes until the thrust has settled to 5 % of a change
 
 
@@ -228,12 +231,21 @@ def _step(see: _Seen, place: str) -> Iterator[Lack]:
         cure = f"{LEAST_ROWS} after it and {LEAST_BEFORE} before it are needed"
         yield Lack("window", row, f"{told}; {cure}", f"change {place}.window", "move its end, or the step")
         return
+    yield from _upright_end(see, row)
     yield from see.without_thrust(r.rows((at, end)), "window", "after the step")
     begin = max(float(r.time[0]), at - BEFORE - SETTLED * (see.known.lag + see.test.low_pass))
     seen = r.rows((begin, end))
     if np.ptp(other[seen]) > LEAST_ANGLE if thrust else moves(other[seen]):
         told = f"{other_name} changes too about the step of {what}, from {begin:.4g} to {end:g} s"
         yield Lack("window", row, told, "record the step alone", "let the other stand from before the step on")
+
+
+def _upright_end(see: _Seen, row: int) -> Iterator[Lack]:
+    """Yield a deficiency if a step of the tilt ends without a horizontal force."""
+    last = abs(float(np.mean(see.angle[see.seen][-LEAST_BEFORE:])))
+    if see.name == "step" and last < UPRIGHT:
+        told = f"the step ends at {np.degrees(last):.1f}°, upright, where a tilt has no horizontal force"
+        yield Lack("window", row, told, "record a step that ends tilted", "let it end tilted")
 
 
 def _steps(signal: Array, time: Array, least: float) -> str:
@@ -263,6 +275,8 @@ def _sine(see: _Seen, place: str) -> Iterator[Lack]:
         what = f"the sine of {w:g} rad/s ends at {see.run.time[-1]:.4g} s, before a whole period after what is skipped"
         cure = f"until {needed:.4g} s"
         yield Lack("periods", see.run.time.size - 1, what, f"record it {cure}", f"play it {cure}")
+    if see.run.path is not None:
+        yield from _other_frequency(see, w, place)
     if see.run.path is not None and w * see.run.step > 2.0 * np.pi / ROWS_PER_PERIOD * (1.0 + 1e-3):
         what = f"rows are {see.run.step:.4g} s apart, fewer than {ROWS_PER_PERIOD} in a period of {w:g} rad/s"
         most = f"{2.0 * np.pi / w / ROWS_PER_PERIOD:.3g} s or less"
@@ -280,6 +294,46 @@ def frequency_of(r: Recording, test: SineTest) -> float:
         return float(rest @ rest)
 
     return min(test.frequencies, key=missed)
+
+
+def _other_frequency(see: _Seen, w: float, place: str) -> Iterator[Lack]:
+    """Yield a deficiency if the command has another frequency than the protocol."""
+    assert isinstance(see.test, SineTest)
+    after = np.flatnonzero(see.run.time >= see.test.lead - 0.5 * see.run.step)
+    changes = np.abs(np.diff(see.run.servo_duty[after]))
+    moving = np.flatnonzero(changes > SLOWEST * np.quantile(changes[changes > 0.0], 0.9))
+    rows = after[moving[0] : moving[-1] + 1]  # without rests before and after the sine
+    time, command = see.run.time[rows], see.run.servo_duty[rows]
+    if rows.size < LEAST_ROWS or w * (time[-1] - time[0]) < np.pi:
+        return
+    fitted, error = fit_frequency(time, command, w)
+    if abs(fitted - w) <= SAME_FREQUENCY * w + FREQUENCY_ERRORS * error:
+        return
+    what = f"the sine of servo_duty is {fitted:.3g} rad/s, and the protocol has {w:g} rad/s"
+    cure = f"look at the clock of the recording, or change {place}.frequencies"
+    yield Lack("frequencies", int(rows[0]), what, cure, cure)
+
+
+def fit_frequency(time: Array, command: Array, near: float) -> tuple[float, float]:
+    """Return frequency and standard error [rad/s] of a sine plus constant, between half and twice `near`."""
+    from scipy.optimize import minimize_scalar
+
+    t = time - time.mean()
+
+    def misfit(w: float) -> float:
+        basis = np.column_stack((np.sin(w * t), np.cos(w * t), np.ones_like(t)))
+        rest = command - basis @ np.linalg.lstsq(basis, command, rcond=None)[0]
+        return float(rest @ rest)
+
+    length = float(t[-1] - t[0])
+    apart = 0.5 / length  # a tenth of the main lobe of the sine, 2·2π / length, or less
+    grid = np.arange(0.5 * near, 2.0 * near + apart, apart)
+    best = float(grid[np.argmin([misfit(w) for w in grid])])
+    fitted = float(minimize_scalar(misfit, bounds=(best - apart, best + apart), method="bounded").x)
+    amplitude = np.sqrt(2.0) * float(command.std())
+    # Cramér-Rao bound of a frequency with unknown amplitude, phase and mean
+    error = np.sqrt(24.0 * misfit(fitted) / t.size / t.size) / (amplitude * length)
+    return fitted, float(error)
 
 
 def _moment(see: _Seen, place: str) -> Iterator[Lack]:

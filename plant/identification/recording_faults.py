@@ -14,11 +14,12 @@ from plant.identification.cells import Cells, at_rail, force_of
 from plant.identification.columns import MAX_LOWEST_HEIGHT_RATIO, out_of_range, wrong_height
 from plant.identification.command_response import held_lag
 from plant.identification.commanded import frequency_of, lacks
+from plant.identification.dropouts import dropouts
 from plant.identification.equal_readings import EqualReadings, equal_readings
 from plant.identification.estimates import Measured
 from plant.identification.protocol import CHANNELS, HeightTest, Protocol, SineTest, Test
 from plant.identification.recordings import Recording
-from plant.identification.thrust_line import LEAST_DUTY, LEAST_ROWS, rows_with_thrust
+from plant.identification.thrust_line import LEAST_DUTY, LEAST_ROWS, first_beyond, rows_with_thrust
 from plant.powertrain import servo_angle
 
 SWAPPED = "are the channels swapped? Change their names"
@@ -26,6 +27,7 @@ MOST_AT_RAIL = {"thrust_line": 1.0 - 0.2, "projection": 0.5}  # share of saturat
 WANTED = {"thrust_line": "z", "ground_effect": "z", "thrust_step": "z", "projection": "zx", "moment": "m"}  # required
 LEAST_FORCE = 3.0  # standard deviations of one reading at rest
 PROJECTION = (0.4, 2.5)  # plausible factors on sin α; outside, the column is wrong
+OPPOSITE = 130.0  # [°] from the tilt with the assumed lag; lags differ by less than 90°, a mirrored cell by 180°
 MAX_TARE = 0.25  # largest tare as a share of the calibration voltages
 TIMED = ("step", "thrust_step", "frequency")  # tests of a time
 SAME_NOISE = 0.9  # correlation of fourth differences; 0 ± 0.2 for two noisy runs
@@ -45,14 +47,39 @@ def recording_faults(
         found = [] if r.path is None else _out_of_range(protocol, r)
         if r.path is not None and not found:  # planned phases are checked before
             found = [*_missing(protocol, name, test, r), *_wrong_height(protocol, name, test, r)]
+        found = found or list(_dropouts(protocol, r))
         faults += found or list(_cells_at_fault(protocol, name, test, r, cells))
     if whole and not faults:
         faults += _of_all(protocol, name, test, recordings)
-        if name == "thrust_line" and not rows_with_thrust(Measured(recordings, cells, protocol.known, test)).enough:
-            cure = f"no line has less than {LEAST_ROWS} readings over {LEAST_DUTY:g} %; let the window hold more of it"
-            where = ("tests", name, "window")
-            faults.append(protocol.yaml.fault(where, f"the ramp has too little thrust within the cell's range: {cure}"))
+        if name == "thrust_line":
+            faults += _short_ramp(protocol, Measured(recordings, cells, protocol.known, test))
     return faults
+
+
+def _dropouts(protocol: Protocol, r: Recording) -> Iterator[Fault]:
+    """Yield channels with single readings far off their neighbours."""
+    if r.path is None:
+        return
+    for dropout in dropouts(protocol.known, r):
+        c, row, others = dropout.channel, int(dropout.rows[0]), dropout.rows.size - 1
+        message = f"volts_{c} is {r.volts[c][row]:.4g} V here, and the readings beside it are not"
+        message += f" (up to {dropout.distance:.3g} V off)"
+        message += f"; so are {counted(others, 'other reading')} of this file" if others else ""
+        cure = "delete such rows (single missing rows are filled in), or look at the wires and record it anew"
+        yield _at(protocol, r, f"{message}: a dropout; {cure}", row)
+
+
+def _short_ramp(protocol: Protocol, m: Measured) -> Iterator[Fault]:
+    """Yield a fault if the ramps have too little thrust within the range of the cell."""
+    if rows_with_thrust(m).enough:
+        return
+    message = f"the ramp has too little thrust within the cell's range: no line has less than {LEAST_ROWS} readings "
+    message += f"over {LEAST_DUTY:g} %; let the window hold more of it"
+    if (beyond := first_beyond(m)) is not None:
+        r, row = m.recordings[beyond.recording], beyond.row
+        place = f"{r.label}:{int(r.lines[row])}" if r.lines.size else r.label
+        message += f". The range ends with {r.volts['z'][row]:.3g} V at {r.duty[row]:.4g} %, {place}"
+    yield protocol.yaml.fault(("tests", "thrust_line", "window"), message)
 
 
 def _at(protocol: Protocol, r: Recording, message: str, row: int | None = None) -> Fault:
@@ -176,8 +203,9 @@ def _projected(protocol: Protocol, name: str, test: Test, r: Recording, cells: C
     """Yield a horizontal force that differs from thrust times sine in sign or size."""
     known, rows = protocol.known, _window(test, r)
     if isinstance(test, SineTest):
-        if frequency_of(r, test) > min(test.frequencies):
-            return  # an unknown lag changes the phase
+        if (w := frequency_of(r, test)) > min(test.frequencies):  # an unknown lag changes the phase
+            yield from _against_sine(protocol, test, r, cells, w)
+            return
     elif name == "step":
         rows = r.rows((test.window[1] - 0.3, test.window[1]))
     angle = held_lag(servo_angle(r.servo_duty, known.servo_neutral, known.servo_slope), r.step, known.lag)
@@ -195,6 +223,22 @@ def _projected(protocol: Protocol, name: str, test: Test, r: Recording, cells: C
         told = f"the horizontal force is {factor:.3g} times the thrust of volts_z times sin α, and 1 is right"
         cure = f"look at the plug of cell x, the points and units of cells z and x, and at `servo_slope`; {SWAPPED}"
         yield _at(protocol, r, f"{told}; {cure}", row)
+
+
+def _against_sine(protocol: Protocol, test: SineTest, r: Recording, cells: Cells, w: float) -> Iterator[Fault]:
+    """Yield a horizontal force in opposite phase to the commanded sine."""
+    from plant.identification.frequency import sine
+
+    known, rows = protocol.known, _window(test, r)
+    angle = held_lag(servo_angle(r.servo_duty, known.servo_neutral, known.servo_slope), r.step, known.lag)
+    force = force_of(r, cells, "x", test.rest)
+    size = sine(r, force, w, test)
+    error = float(force[r.rows(test.rest)].std()) * float(np.sqrt(2.0 / rows.sum()))
+    phase = float(np.degrees(np.angle(size / sine(r, np.sin(angle), w, test))))
+    if abs(size) > LEAST_FORCE * error and abs(phase) > OPPOSITE:
+        told = f"the horizontal force leans against the commanded tilt (phase {phase:.0f}° at {w:g} rad/s)"
+        cure = "the servo or cell x is mirrored in this run, or its clock is late; look at plug and clock"
+        yield _at(protocol, r, f"{told}; {cure}", int(np.flatnonzero(rows)[0]))
 
 
 def _other_cell(protocol: Protocol, test: Test, r: Recording, cells: Cells, wanted: str) -> Iterator[Fault]:

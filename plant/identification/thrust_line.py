@@ -51,6 +51,8 @@ def rows_with_thrust(m: Measured) -> Rows:
     kept = [r.rows(test.window) & (recent <= end) for r, recent in _recent(m)]
     thrust = [_thrust(m, r, k) for r, k in zip(m.recordings, kept, strict=True)]
     delayed = [_delayed(r, known, test, -np.inf)[k] for r, k in zip(m.recordings, kept, strict=True)]
+    if min(d.size for d in delayed) < LEAST_ROWS:
+        return Rows(end, -np.inf, kept, delayed, 0, sum(d.size for d in delayed))
     begins = dead_end(np.concatenate(delayed), np.concatenate(thrust))
     following = [_delayed(r, known, test, begins) for r in m.recordings]
     above = [k & (d > begins + MARGIN) for k, d in zip(kept, following, strict=True)]
@@ -240,18 +242,34 @@ def _recent(m: Measured) -> Iterator[tuple[Recording, Array]]:
         yield r, found[key]
 
 
+@dataclass(frozen=True)
+class Beyond:
+    """Reading beyond the range of cell z: recording, row, and the highest duty [%] in its memory."""
+
+    recording: int
+    row: int
+    duty: float
+
+
+def first_beyond(m: Measured) -> Beyond | None:
+    """Return the reading beyond the range of the cell at the lowest duty, or None."""
+    first, cell = None, m.cells["z"]
+    for k, (r, recent) in enumerate(_recent(m)):
+        v = r.volts["z"]
+        beyond = at_rail(m.known, v) | (v < cell.volts[0]) | (v > cell.volts[-1] + 0.1 * np.ptp(cell.volts))
+        rows = np.flatnonzero(r.rows(m.test.window) & beyond)
+        if rows.size and (duty := float(recent[rows].min())) < (first.duty if first else np.inf):
+            first = Beyond(k, int(rows[np.argmin(recent[rows])]), duty)
+    return first
+
+
 def highest_duty(m: Measured) -> float:
     """Return the highest duty within all cells' ranges.
 
     Selection is by command, equal for all: selection by value would bias the line.
     """
-    end, cell = np.inf, m.cells["z"]
-    for r, recent in _recent(m):
-        rows = r.rows(m.test.window)
-        v = r.volts["z"][rows]
-        beyond = at_rail(m.known, v) | (v < cell.volts[0]) | (v > cell.volts[-1] + 0.1 * np.ptp(cell.volts))
-        if beyond.any():
-            end = min(end, float(recent[rows][beyond].min()) - MARGIN)
+    first = first_beyond(m)
+    end = np.inf if first is None else first.duty - MARGIN
     return min(end, max(float(r.duty[r.rows(m.test.window)].max()) for r in m.recordings))
 
 
