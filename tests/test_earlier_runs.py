@@ -219,7 +219,10 @@ def test_rows_in_the_format_of_a_package_are_kept_too(results: Path, monkeypatch
 # -- planted by others ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["../private.txt", "/etc/passwd", "linked/photo.png", "sub/../../private.txt"])
+@pytest.mark.parametrize(
+    "name",
+    ["../private.txt", "/etc/passwd", "linked/photo.png", "sub/../../private.txt", "runs/0001/a.csv", "a" * 300, ".rc"],
+)
 def test_a_planted_list_moves_no_file_of_another_place(results: Path, tmp_path: Path, name: str) -> None:
     (private := results.parent / "private.txt").write_text("mine")
     (photo := tmp_path / "elsewhere" / "photo.png").parent.mkdir()
@@ -227,7 +230,7 @@ def test_a_planted_list_moves_no_file_of_another_place(results: Path, tmp_path: 
     (results / "linked").symlink_to(photo.parent)
     (moving := results / "runs" / folders.MOVING).mkdir(0o700, parents=True)
     (moving / folders.LIST).write_text(name)
-    with folder_locks(), pytest.raises(InputError, match=re.escape(f"names {name}, outside")):
+    with folder_locks(), pytest.raises(InputError, match=re.escape(f"names {name[:80]}, outside")):
         check_left(results, "cosim run")
     assert (private.read_text(), photo.read_text()) == ("mine", "mine too")
 
@@ -275,3 +278,40 @@ def test_what_is_no_file_is_not_waited_for(results: Path, kind: str) -> None:
     else:
         (results / "manifest.json").symlink_to("/dev/zero")
     assert folders.content_of(results / "manifest.json") == {}
+
+
+def test_a_planted_link_inside_a_move_is_not_followed(results: Path, tmp_path: Path) -> None:
+    (home := tmp_path / "home").mkdir()
+    (home / "tank.png").write_text("mine")
+    (moving := results / "runs" / folders.MOVING).mkdir(0o700, parents=True)
+    (moving / folders.LIST).write_text("figures/tank.png")
+    (moving / "figures").symlink_to(home)
+    with folder_locks(), pytest.raises(InputError, match="is a link, and earlier runs hold none"):
+        check_left(results, "cosim run")
+    assert (home / "tank.png").read_text() == "mine"
+
+
+def test_a_list_that_is_no_text_is_damaged(results: Path) -> None:
+    (moving := results / "runs" / folders.MOVING).mkdir(0o700, parents=True)
+    (moving / folders.LIST).write_bytes(b"\xff\xfe")
+    with folder_locks(), pytest.raises(InputError, match=r"\.files: is damaged; move .* away"):
+        check_left(results, "cosim run")
+
+
+def test_the_target_of_a_linked_file_is_not_copied(results: Path, tmp_path: Path) -> None:
+    (secret := tmp_path / "secret.yaml").write_text("fmu: ../x\npassword: 1\n")
+    (results / "scenario.yaml").symlink_to(secret)
+    kept = keep_earlier(results, "cosim run", also=["scenario.yaml"])
+    assert kept is not None
+    assert (kept / "scenario.yaml").is_symlink()
+    assert secret.read_text() == "fmu: ../x\npassword: 1\n"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="permissions of POSIX")
+def test_an_adapted_file_stays_private(results: Path) -> None:
+    (results / "scenario.yaml").write_text("fmu: ../x\n")
+    (results / "scenario.yaml").chmod(0o600)
+    kept = keep_earlier(results, "cosim run", also=["scenario.yaml"])
+    assert kept is not None
+    assert (kept / "scenario.yaml").read_text() == "fmu: ../../../x\n"
+    assert (kept / "scenario.yaml").stat().st_mode & 0o777 == 0o600

@@ -266,3 +266,15 @@ def test_a_blank_out_is_refused_in_python(
     with pytest.raises(InputError, match=r"^(out|folder): is blank; give the name of a file or folder$"):
         VERBS[verb](given, "")  # type: ignore[arg-type]
     assert list(here.iterdir()) == []
+
+
+@pytest.mark.skipif(os.name == "nt", reason="permissions of POSIX")
+def test_a_file_with_another_name_keeps_its_permissions_as_a_lock(tmp_path: Path) -> None:
+    (key := tmp_path / "key").write_text("private")
+    key.chmod(0o600)
+    (shared := tmp_path / "shared").mkdir()
+    shared.chmod(0o777)
+    os.link(key, shared / folder_lock.LOCK_FILE)
+    with folder_lock.folder_locks():
+        folder_lock.take_folder(shared)
+    assert key.stat().st_mode & 0o777 == 0o600

@@ -35,7 +35,7 @@ from cosim.sweeps.reading import read_sweep
 from cosim.sweeps.run_chunks import Made, make_runs
 from cosim.sweeps.run_statistics import sensitivity, share
 from cosim.sweeps.sampling import Factor, columns_of, distribution
-from cosim.sweeps.store import DATABASE, TABLE, read_table, signal_of
+from cosim.sweeps.store import DATABASE, TABLE, Database, read_table, signal_of
 from cosim.sweeps.sweep_result import repeated
 from cosim.sweeps.workflow import EQUAL, sweep
 from cosim.verbs.cli import app
@@ -657,3 +657,16 @@ def test_of_few_runs_the_page_says_that_sensitivities_need_more(tanks: Callable[
     study = sweep(path, path.parent / "out", in_process=True)
     page = (study.folder / "report.html").read_text()
     assert "Too few runs for sensitivities: 10 completed, 50 are needed." in page
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links and pipes of POSIX")
+@pytest.mark.parametrize("kind", ["link", "pipe"])
+def test_a_database_that_is_no_file_is_refused(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "runs.sqlite"
+    if kind == "pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to(tmp_path / "elsewhere.sqlite")
+    with pytest.raises(InputError, match=r"runs\.sqlite: is no file of a sweep"):
+        Database(tmp_path, "key")
+    assert not (tmp_path / "elsewhere.sqlite").exists()

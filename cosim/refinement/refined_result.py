@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.loading.refined import ANSWER, REFINED
+from cosim.storage.folders import content_of
 
 if TYPE_CHECKING:
     import pandas
@@ -94,6 +94,5 @@ class Refined:
 
 def read_refined(folder: Path) -> Refined | None:
     """Return the result in a folder, or None."""
-    if not (folder / ANSWER).is_file():
-        return None
-    return Refined(json.loads((folder / ANSWER).read_text(encoding="utf-8")), folder)
+    record = content_of(folder / ANSWER)
+    return Refined(record, folder) if record else None

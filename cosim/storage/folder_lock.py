@@ -136,7 +136,7 @@ def _is_shared_with_writers(lock: int, folder: Path) -> bool:
         return False
     if not hasattr(os, "geteuid"):
         return True
-    if own.st_uid == os.geteuid():
+    if own.st_uid == os.geteuid() and own.st_nlink == 1:  # never the mode of a file with another name
         with suppress(OSError):  # a disk without permissions
             os.fchown(lock, -1, place.st_gid)
         writers = place.st_mode & 0o222

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import stat
 from collections.abc import Iterable
 from contextlib import suppress
@@ -24,7 +25,8 @@ EARLIER = "runs"  # folder of earlier runs inside a results folder, 0001 and so 
 MOVING, LIST = ".moving", ".files"  # inside EARLIER: a run being moved, and the list of its files
 UPWARDS = re.compile(r"^([\w ]+: \"?)(?=\.\./)", re.MULTILINE)  # a YAML key whose value is a relative path upwards
 REPLAY = "replay.json"  # stored with the rows of a replay
-MOST_BYTES = 200_000_000  # size of a JSON file [bytes]
+MOST_BYTES = 200_000_000  # size of a JSON or YAML file [bytes]
+MOST_LISTED, LONGEST_NAME = 10_000_000, 255  # size of the list of a move [bytes], length of a name
 CURE = "give another folder as --out, or write over it by --force"
 
 
@@ -203,10 +205,13 @@ def _finish_move(folder: Path) -> Path | None:
         return None
     if not is_own(moving, stat.S_ISDIR) or (os.name == "posix" and moving.stat().st_mode & 0o022):
         raise InputError([Fault(moving, 0, 0, "is open to other users, or not yours; move it away")])
+    if links := [path for path in moving.rglob("*") if path.is_symlink()]:
+        raise InputError([Fault(links[0], 0, 0, f"is a link, and earlier runs hold none; move {moving} away")])
     if is_own(moving / LIST, stat.S_ISREG):
-        names = (moving / LIST).read_text(encoding="utf-8").splitlines()
+        names = _listed_names(moving / LIST)
         if outside := [name for name in names if not _is_inside(folder, name)]:
-            raise InputError([Fault(moving / LIST, 0, 0, f"names {outside[0]}, outside {folder}; move {moving} away")])
+            why = f"names {outside[0][:80]}, outside {folder} or no result; move {moving} away"
+            raise InputError([Fault(moving / LIST, 0, 0, why)])
         for name in names:
             _move(folder / name, moving / name)
         remove_drafts(moving, names)
@@ -223,10 +228,22 @@ def _finish_move(folder: Path) -> Path | None:
 
 
 def _is_inside(folder: Path, name: str) -> bool:
-    """Return whether a relative path leads to a place in a folder, through no link."""
+    """Return whether a relative path leads to a visible file in a folder, through no link and not into earlier runs."""
     path = PurePosixPath(name)
-    parents = [folder / parent for parent in path.parents if parent.parts]
-    return not path.is_absolute() and ".." not in path.parts and not any(p.is_symlink() for p in parents)
+    if path.is_absolute() or not path.parts or path.parts[0] == EARLIER:
+        return False
+    if any(part.startswith(".") or len(part) > LONGEST_NAME for part in path.parts):
+        return False
+    return not any((folder / parent).is_symlink() for parent in path.parents if parent.parts)
+
+
+def _listed_names(path: Path) -> list[str]:
+    """Return the names in the list of an interrupted move; raise InputError for a damaged list."""
+    try:
+        with path.open("rb") as stream:
+            return stream.read(MOST_LISTED).decode("utf-8").splitlines()
+    except (OSError, ValueError):
+        raise InputError([Fault(path, 0, 0, f"is damaged; move {path.parent} away")]) from None
 
 
 def _move(path: Path, place: Path) -> None:
@@ -234,11 +251,12 @@ def _move(path: Path, place: Path) -> None:
     if not path.is_file():
         return
     place.parent.mkdir(parents=True, exist_ok=True)
-    if path.suffix == ".yaml":
+    if path.suffix == ".yaml" and not path.is_symlink() and path.stat().st_size <= MOST_BYTES:
         text = path.read_text(encoding="utf-8", errors="surrogateescape")
         if UPWARDS.search(text):
             with draft_of(place) as draft:
                 draft.write_text(UPWARDS.sub(r"\1../../", text), encoding="utf-8", errors="surrogateescape")
+                shutil.copymode(path, draft)
             path.unlink()
             return
     path.replace(place)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
 import sqlite3
+import stat
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -32,6 +34,8 @@ class Database:
 
     def __init__(self, folder: Path, key: str) -> None:
         self.path = folder / DATABASE
+        if os.path.lexists(self.path) and not stat.S_ISREG(self.path.lstat().st_mode):
+            raise InputError([Fault(self.path, 0, 0, "is no file of a sweep; move it away, or give another --out")])
         try:
             self._base = sqlite3.connect(self.path)
             self._base.execute("PRAGMA synchronous = NORMAL")
