@@ -547,7 +547,7 @@ def test_on_a_tilted_table_integrals_hold_x_and_prediction_holds_y(flown: Path) 
     integral = run("hold.yaml", flown / "lqi", in_process=True)
     assert integral.missed == []
     assert abs(integral.results["plant.y"][-1]) > 1.0
-    assert "so none stays" in (flown / "lqi" / "report.html").read_text(encoding="utf-8")
+    assert "so that none remains" in (flown / "lqi" / "report.html").read_text(encoding="utf-8")
     swap = "components.controller.fmu=../build/controller-mpc.fmu"
     predictive = run("hold.yaml", flown / "mpc", [swap, "duration=20"], report=False, in_process=True)
     assert [c["of"] for c in predictive.missed] == ["plant.x"]  # off by what the tilt pushes: it has no integral

@@ -165,7 +165,7 @@ def typed(document: str) -> list[str]:
     ("document", "says"),
     [
         ("my_fmus.md", "1 of 1 criteria missed"),
-        ("my_log.md", "The model lacks leak (rate = 0.012 ±"),
+        ("my_log.md", "The model lacks leak (rate = 0.01"),
     ],
 )
 def test_the_commands_of_a_tutorial_run_in_order(
