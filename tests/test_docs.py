@@ -35,6 +35,7 @@ SNIPPETS = re.findall(r"```python\n(.*?)```", README + HOSTS, re.DOTALL)
 COMMANDS = re.findall(r"^\.venv/bin/cosim (.*?)(?:\s+#.*)?$", README, re.MULTILINE)
 
 
+@pytest.mark.thorough
 @pytest.mark.hosts
 @pytest.mark.parametrize("snippet", SNIPPETS, ids=lambda s: s.split()[1].split(".")[0])
 def test_a_snippet_for_another_host_runs_and_the_craft_moves_forward(project: Path, snippet: str) -> None:

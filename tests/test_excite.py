@@ -112,6 +112,7 @@ def test_the_excitation_separates_better_than_the_manoeuvre(told_apart: tuple[Ex
     assert found.apart[RIVALS] > 1.2 * found.usual[RIVALS]  # the best of eight; of 48 it is four times
 
 
+@pytest.mark.thorough
 def test_no_experiment_worse_than_what_is_usually_played_is_chosen_in_its_place(tmp_path: Path) -> None:
     for seed in range(3):  # one draw each: a poor one gives way to steps of the input
         wide = ["force=60", "position=10 m"]

@@ -498,6 +498,7 @@ def test_the_least_unknown_input_is_none_however_long_it_lasts() -> None:
     assert found.plain[0] == pytest.approx(math.log(0.04), abs=0.5)
 
 
+@pytest.mark.thorough
 def test_what_the_other_logs_hardly_know_of_one_part_is_no_word_against_another(rail: Model, tmp_path: Path) -> None:
     numbers = {"drag": 3.0, "slope": 0.3}
     problem = coarsened(posed(rail, tmp_path, 1, 2, numbers=numbers))

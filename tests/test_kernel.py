@@ -107,6 +107,7 @@ class RadioCraft(Hovercraft):
     catalogue = (LateRadio,)
 
 
+@pytest.mark.thorough
 def test_a_delay_of_any_name_is_looked_up_in_the_log(seen: Data) -> None:
     def errors(model: Model, **changes: float) -> Array:
         k = kernel(model, IMU)
@@ -117,6 +118,7 @@ def test_a_delay_of_any_name_is_looked_up_in_the_log(seen: Data) -> None:
     assert np.nanmax(np.abs(late - errors(RadioCraft()))) > 1e-3
 
 
+@pytest.mark.thorough
 def test_a_filter_waits_as_long_as_the_lags_of_its_model_need(craft: Generated, table: Model, tmp_path: Path) -> None:
     # a lag has forgotten all but 1e-4 of its start after ln(1e4) time constants; a table on a rail has none
     model, layout = Hovercraft(), craft.layout

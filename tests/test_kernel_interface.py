@@ -142,6 +142,7 @@ def test_both_give_the_same_numbers(problems: dict[str, Problem], call: Callable
         np.testing.assert_allclose(other[name], values, rtol=1e-10, atol=1e-12, err_msg=name)
 
 
+@pytest.mark.thorough
 def test_a_fit_on_either_finds_the_same_time_constant(problems: dict[str, Problem]) -> None:
     free = [Free("tau", 0.1, 10.0, 0.1)]
     fits = [fit(p, free, p.values, p.plain) for p in problems.values()]

@@ -184,6 +184,7 @@ def own_process(path: Path) -> Path:
     return path
 
 
+@pytest.mark.thorough
 def test_an_fmu_in_a_process_of_its_own_gives_the_same_rows_and_manifest_repeats_them(tmp_path: Path) -> None:
     path = deeds_scenario(tmp_path, "Instantiate", "folder")
     shared = run(path, tmp_path / "shared", report=False)

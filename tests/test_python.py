@@ -35,6 +35,7 @@ SHIPPED = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("snippet", SNIPPETS, ids=range(len(SNIPPETS)))
 def test_a_snippet_of_the_page_on_python_runs(project: Path, monkeypatch: pytest.MonkeyPatch, snippet: str) -> None:
     monkeypatch.chdir(project)

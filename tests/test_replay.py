@@ -282,6 +282,7 @@ def test_an_answer_that_is_wrong_in_kind_is_told_though_it_is_small(tmp_path: Pa
     assert "in size, but not in kind. The residual of ax follows tilt" in verdict(comparison)
 
 
+@pytest.mark.thorough
 def test_a_log_of_the_imu_alone_is_enough(flight: Flight, tmp_path: Path, plant_fmu: Path) -> None:
     log = log_of(tmp_path / "imu.csv", measured(flight, IMU, noise=1.0))
     comparison = write_replay(tmp_path / "out", log, plant_fmu)
@@ -335,6 +336,7 @@ def test_a_right_model_is_not_accused_for_the_scatter_of_few_windows(
     assert [c.name for c in comparison.channels if not c.matched] == []
 
 
+@pytest.mark.thorough
 def test_over_a_pause_nothing_is_known(tmp_path: Path, plant_fmu: Path) -> None:
     """What was commanded in it is lost: no window spans it, and those after it start from what was measured since."""
     flown = measured(fly(times(20.0), start=MOVING), noise=1.0)
@@ -376,6 +378,7 @@ def test_a_camera_of_two_hertz_is_enough_to_see_friction(force: float, tmp_path:
     assert bool(found) == bool(force)
 
 
+@pytest.mark.thorough
 def test_a_late_actuator_is_named_a_delay(tmp_path: Path, plant_fmu: Path) -> None:
     late = Hovercraft().with_values({"actuator_delay.time": 0.06})
     log = log_of(tmp_path / "a.csv", measured(fly(times(12.0), late, MOVING), noise=1.0))
@@ -384,6 +387,7 @@ def test_a_late_actuator_is_named_a_delay(tmp_path: Path, plant_fmu: Path) -> No
     assert not (tmp_path / "out" / "report.html").exists()
 
 
+@pytest.mark.thorough
 def test_friction_shows_in_position_and_only_there(tmp_path: Path, plant_fmu: Path) -> None:
     rough = Hovercraft().with_values({"coulomb_friction.force": 0.08})
     log = log_of(tmp_path / "a.csv", measured(fly(times(20.0), rough, MOVING), noise=1.0))

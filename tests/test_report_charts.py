@@ -74,6 +74,7 @@ def page(browser: Browser, path: Path) -> Iterator[Page]:
     assert faults == []
 
 
+@pytest.mark.thorough
 def test_of_curves_with_points_of_their_own_the_nearest_are_read(page: Page) -> None:
     there = box(page, 2)
     for share in np.random.default_rng(8).uniform(0.02, 0.98, 12):

@@ -118,6 +118,7 @@ def test_logs_that_hold_different_inputs_are_told_which_is_missing_where(tmp_pat
     ]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("logs", "line"),
     [
