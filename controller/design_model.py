@@ -83,3 +83,17 @@ def fix_matrix(p: Timed) -> Matrix:
 def _zeros(p: ModelNumbers, *shape: int) -> Matrix:
     """Return a zero matrix for floats, or for symbols of a printed design."""
     return np.zeros(shape, dtype=float if isinstance(p.mass, (int, float)) else object)
+
+
+def discretize(A: Matrix, B: Matrix, step: float) -> tuple[Matrix, Matrix]:
+    """Return F and G of xₖ₊₁ = F·xₖ + G·uₖ for held inputs.
+
+    Exact: [F G; 0 I] = exp(Δt·[A B; 0 0]).
+    """
+    from scipy.linalg import expm
+
+    n, m = B.shape
+    block = np.zeros((n + m, n + m))
+    block[:n, :n], block[:n, n:] = A, B
+    both = expm(step * block)
+    return both[:n, :n], both[:n, n:]

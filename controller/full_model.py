@@ -62,17 +62,3 @@ def full_model(p: FullNumbers) -> tuple[Matrix, Matrix]:
         put(state, **{state: -1.0 / p.lag})
         B[at[state], k] = (p.thrust_per_duty if k < 2 else 1.0) / p.lag
     return A, B
-
-
-def held(A: Matrix, B: Matrix, step: float) -> tuple[Matrix, Matrix]:
-    """Return F and G of xₖ₊₁ = F·xₖ + G·uₖ for held inputs.
-
-    Exact: [F G; 0 I] = exp(Δt·[A B; 0 0]).
-    """
-    from scipy.linalg import expm
-
-    n, m = B.shape
-    block = np.zeros((n + m, n + m))
-    block[:n, :n], block[:n, n:] = A, B
-    both = expm(step * block)
-    return both[:n, :n], both[:n, n:]

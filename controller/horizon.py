@@ -8,8 +8,8 @@ import daqp
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from controller.design_model import Matrix
-from controller.full_model import INPUTS, STATES, full_model, held
+from controller.design_model import Matrix, discretize
+from controller.full_model import INPUTS, STATES, full_model
 from controller.variants import PredictionSettings, PredictiveSettings
 
 # x_world and y_world repeat x and y without weight, so twelve of fourteen states are predicted.
@@ -93,7 +93,7 @@ def predicted(p: PredictiveSettings) -> tuple[Matrix, Matrix]:
 
 def steady(p: PredictiveSettings) -> Steps:
     """Return the steps of a prediction linearized at hover."""
-    F, G = held(*predicted(p), p.prediction_step)
+    F, G = discretize(*predicted(p), p.prediction_step)
     n, (Q, R) = len(of_steps(p)), (p.prediction_step * weight for weight in weights(p))
     return Steps(np.tile(F, (n, 1, 1)), np.tile(G, (n, 1, 1)), np.zeros((n, len(F), 1)), Q, R, cost_to_go(F, G, Q, R))
 

@@ -11,7 +11,7 @@ from controller.design_model import Matrix, ModelNumbers
 from controller.gains import GAINS, Settings
 from controller.placement import POLES as PLACED
 from controller.placement import placed_gain
-from controller.stability import FlownLoop, kept, worst
+from controller.stability import FlownLoop, swing_ratio, worst
 from controller.synthesis import Q_INTEGRAL, Q_THESIS, R_THESIS, integral_gain, lqr_gain
 from controller.variants import INTEGRAL, INTEGRALS, POLES, FullSettings, IntegralSettings
 from cosim.model import parameters_of
@@ -79,7 +79,7 @@ def _judged_loop(values: Mapping[str, Any], own: Mapping[str, Any], options: Map
             said = f"is not stable as it flies, {flies} {where}{cure}"
             objections.append(Objection(place, said, (*GAINS, *INTEGRALS)))
         else:
-            swing = f"damped by {mode.damping:.2g}: a swing keeps {100 * kept(mode.damping):.0f} % of its size"
+            swing = f"damped by {mode.damping:.2g}: a swing keeps {100 * swing_ratio(mode.damping):.0f} % of its size"
             warnings.append(f"design.{place[0]}: {flies} {where}, hardly {swing}{cure}")
     return Judged(objections, warnings)
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
-from scipy.linalg import expm
 
-from controller.design_model import Matrix, design_model, measurement_matrix
+from controller.design_model import Matrix, design_model, discretize, measurement_matrix
 from controller.gains import Settings
 
 
@@ -22,11 +21,7 @@ def discrete_model(p: Settings) -> tuple[Matrix, Matrix]:
         F, G = np.eye(5) + dt * A, dt * B
         F[4], G[4] = 0.0, p.thrust_nominal / p.mass
         return F, G
-    # [F G; 0 I] = exp(Δt·[A B; 0 0])
-    block = np.zeros((7, 7))
-    block[:5, :5], block[:5, 5:] = A, B
-    held = expm(dt * block)
-    return held[:5, :5], held[:5, 5:]
+    return discretize(A, B, dt)
 
 
 def kalman_filter(p: Settings, x_hat: Matrix) -> KalmanFilter:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from controller.design_model import Matrix
-from controller.full_model import INPUTS, held
+from controller.design_model import Matrix, discretize
+from controller.full_model import INPUTS
 from controller.horizon import AT_LIMIT, NAMES, Condensed, Program, condensed, limits, predicted, steady
 from controller.laws import OfLinearFilter, Seen
 from controller.variants import PredictionSettings, PredictiveSettings
@@ -143,7 +143,7 @@ def _observer(p: PredictiveSettings, y_hat: float) -> KalmanFilter:
     A, B = predicted(p)
     n, at = len(OWN), [NAMES[k] for k in OWN]
     kf = KalmanFilter(dim_x=n, dim_z=1, dim_u=len(INPUTS))
-    kf.F, kf.B = held(A[np.ix_(OWN, OWN)], B[OWN], p.sample_time)
+    kf.F, kf.B = discretize(A[np.ix_(OWN, OWN)], B[OWN], p.sample_time)
     kf.x, kf.P, kf.Q, kf.H = np.zeros(n), np.zeros((n, n)), np.zeros((n, n)), np.zeros((1, n))
     y, vy = at.index("y"), at.index("vy")
     kf.x[y] = y_hat

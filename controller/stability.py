@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from controller.design_model import Matrix
-from controller.full_model import INPUTS, STATES, full_model, held
+from controller.design_model import Matrix, discretize
+from controller.full_model import INPUTS, STATES, full_model
 from controller.kalman import kalman_filter
 from controller.variants import FullSettings
 
@@ -62,7 +62,7 @@ class FlownLoop:
         A, B = full_model(craft)
         A, B = A[np.ix_(MOVED, MOVED)], B[np.ix_(MOVED, TILTS)]
         self.sample = p.sample_time
-        self.craft = held(A, B, p.sample_time)
+        self.craft = discretize(A, B, p.sample_time)
         self.seen = np.vstack([np.eye(len(A))[[PSI, PSI_DOT]], A[:1]])  # a_x = v̇x
         kf = kalman_filter(p, np.zeros(5))
         last = np.zeros((5, 3))
@@ -111,6 +111,6 @@ def worst(modes: Sequence[Mode]) -> list[Mode]:
     return list(told.values())
 
 
-def kept(damping: float) -> float:
+def swing_ratio(damping: float) -> float:
     """Return the ratio of successive swings, exp(−2πζ/√(1 − ζ²))."""
     return math.exp(-2 * math.pi * damping / math.sqrt(1 - damping**2))

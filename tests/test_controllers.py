@@ -13,9 +13,9 @@ import pytest
 from scipy.linalg import solve_continuous_are, solve_discrete_are
 from scipy.optimize import lsq_linear
 
-from controller.design_model import design_model
+from controller.design_model import design_model, discretize
 from controller.extended import ExtendedFilter
-from controller.full_model import INPUTS, STATES, full_model, held
+from controller.full_model import INPUTS, STATES, full_model
 from controller.gains import Settings
 from controller.horizon import NAMES, PREDICTED, Condensed, Program, condensed, predicted, steady, weights
 from controller.laws import IntegralFeedback, Seen
@@ -192,7 +192,7 @@ def test_the_solver_finds_what_another_one_does() -> None:
 
 def test_prediction_without_limits_is_a_regulator_of_the_discrete_riccati_equation() -> None:
     free = replace(MPC, prediction_step=0.1, horizon=0.1)  # one step, then the cost to go: exactly the LQR
-    F, G = held(*predicted(free), 0.1)
+    F, G = discretize(*predicted(free), 0.1)
     Q, R = (0.1 * w for w in weights(free))
     P = solve_discrete_are(F, G, Q, R)
     K = np.linalg.solve(R + G.T @ P @ G, G.T @ P @ F)
@@ -329,7 +329,7 @@ def test_a_step_of_the_prediction_is_the_matrix_exponential() -> None:
     A, B = law._linear(states, law.plan)
     for step, doublings in ((LTV.prediction_step, law.doublings), (0.1, law.doublings + 3)):
         F, phi = held_over(A, step, doublings)
-        exact_F, exact_G = held(A[9], B[9], step)
+        exact_F, exact_G = discretize(A[9], B[9], step)
         # the series ends before (λ·h)⁵/120; its derivative, (λ·h)⁴/24, counts where two poles are nearly one: in roll
         left = 2 * SMALL**4 / 24
         np.testing.assert_allclose(F[9], exact_F, atol=left * np.abs(exact_F).max())
@@ -339,7 +339,7 @@ def test_a_step_of_the_prediction_is_the_matrix_exponential() -> None:
 def test_the_plan_is_what_the_craft_does_where_one_linearisation_misses_it() -> None:
     """A turn of 1 rad while it moves 1.5 m: the motors share the work, and thrust times tilt is no linear thing."""
     law = planned(1.5, -1.0, 0.3)
-    stepper, F_G = Stepper(Hovercraft()), held(*predicted(MPC), MPC.prediction_step)
+    stepper, F_G = Stepper(Hovercraft()), discretize(*predicted(MPC), MPC.prediction_step)
     moment, linear = stepper.start(), [np.zeros(len(NAMES))]
     flown = [np.array(moment.state)[PREDICTED]]
     for u in law.plan:

@@ -263,6 +263,18 @@ def test_no_file_is_moved_or_written_through_a_link(results: Path, tmp_path: Pat
     assert photo.is_file()
 
 
+@pytest.mark.skipif(os.name == "nt" or os.geteuid() != 0, reason="only root can make a link of another user")
+def test_a_results_folder_that_is_the_link_of_another_user_is_refused_before_its_lock(tmp_path: Path) -> None:
+    (target := tmp_path / "target").mkdir()
+    link = tmp_path / "link"
+    link.symlink_to(target)
+    check_left(link, "cosim run")  # one of our own leads to another disk, for example
+    os.chown(link, OTHER, OTHER, follow_symlinks=False)
+    with folder_locks(), pytest.raises(InputError, match="is a link of another user; give another folder as --out"):
+        check_left(link, "cosim run")
+    assert not list(target.iterdir())
+
+
 def test_the_folder_of_an_earlier_run_is_as_open_as_the_folder_around_it(results: Path) -> None:
     kept = keep_earlier(results, "cosim run")
     assert kept is not None

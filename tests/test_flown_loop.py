@@ -15,7 +15,7 @@ from controller.designer import DESIGNER
 from controller.gains import ESTIMATORS, Settings
 from controller.laws import IntegralFeedback, StateFeedback
 from controller.placement import POLES, placed_gain
-from controller.stability import LEAST_DAMPING, FlownLoop, Mode, kept, worst
+from controller.stability import LEAST_DAMPING, FlownLoop, Mode, swing_ratio, worst
 from controller.synthesis import integral_gain, lqr_gain
 from controller.variants import GAINS, INTEGRALS, FullSettings, integral_settings, mirrored
 from cosim.base.errors import InputError
@@ -94,7 +94,7 @@ def test_a_craft_without_friction_drifts_but_does_not_grow() -> None:
 
 
 def test_a_swing_damped_by_a_tenth_keeps_half_of_its_size() -> None:
-    assert kept(LEAST_DAMPING) == pytest.approx(0.53, abs=0.005)
+    assert swing_ratio(LEAST_DAMPING) == pytest.approx(0.53, abs=0.005)
 
 
 @pytest.fixture

@@ -209,7 +209,7 @@ class Taken(NamedTuple):
     offset: float = 0.0
 
 
-def taken(written: str, of: str = "the model", cure: str = "leave the unit out of the header") -> Taken:
+def assume_si(written: str, of: str = "the model", cure: str = "leave the unit out of the header") -> Taken:
     """Return the conversion to SI for a unitless signal.
 
     For example, `rpm` become rad/s. An unknown unit changes nothing, nor does g alone: gram, or 9.81 m/s².

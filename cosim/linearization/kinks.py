@@ -56,7 +56,7 @@ class Kink:
         names = {RATE: states, OUTPUT: outputs}
         return replace(self, rows=tuple(r for r in self.rows if r.name in names[r.of]))
 
-    def taken(self, slopes: Mapping[tuple[str, str], float]) -> Kink:
+    def choose_side(self, slopes: Mapping[tuple[str, str], float]) -> Kink:
         """Return the kink with the side of these slopes."""
 
         def off(side: str) -> float:

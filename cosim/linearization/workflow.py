@@ -256,7 +256,9 @@ def _beside(source: Source, found: Sequence[Linear], asked: Asked, sign: float) 
         for (i, _), each in zip(left, source.linear(points), strict=True):
             made[i] = each
     return [
-        replace(_put_back(at, beside), kinks=tuple(kink.taken(_slopes(beside, kink)) for kink in _kinks(at, asked)))
+        replace(
+            _put_back(at, beside), kinks=tuple(kink.choose_side(_slopes(beside, kink)) for kink in _kinks(at, asked))
+        )
         for at, beside in zip(found, made, strict=True)
     ]
 

@@ -190,7 +190,7 @@ def read_model(path: Path, read: tuple[Path, ...] = ()) -> LoadedModel:
     taken: dict[str, float | bool] = {}
     if content.parameters_from:
         try:
-            taken = _taken(yaml, content.parameters_from, model, (*read, path.resolve()))
+            taken = _read_common_parameters(yaml, content.parameters_from, model, (*read, path.resolve()))
         except InputError as error:
             faults += error.faults
     refuse(faults)
@@ -200,7 +200,7 @@ def read_model(path: Path, read: tuple[Path, ...] = ()) -> LoadedModel:
     return LoadedModel(model, source, values, content.sensors)
 
 
-def _taken(yaml: YamlFile, name: str, model: Model, read: tuple[Path, ...]) -> dict[str, float | bool]:
+def _read_common_parameters(yaml: YamlFile, name: str, model: Model, read: tuple[Path, ...]) -> dict[str, float | bool]:
     """Return common parameters of another model's file.
 
     Parameters refined on a rig can thus be used in the whole model.

@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 
 from cosim.base.text import counted
-from cosim.base.units import parse, taken
+from cosim.base.units import assume_si, parse
 from cosim.logs.finding import Finding
 from cosim.logs.gate import gate, refuse_faults
 from cosim.logs.log import Log, LogReader
@@ -46,7 +46,7 @@ class _AloneReader(LogReader):
             if not heading.name:
                 self.faults.note(heading.line, heading.cell, "the column has no name; name it or delete it")
                 return None
-            unit = taken(heading.unit).unit if heading.unit else ""
+            unit = assume_si(heading.unit).unit if heading.unit else ""
             self.outputs[heading.name] = self.known[heading.name] = self.units[heading.name] = unit
             if heading.unit and parse(heading.unit) is None:
                 self.unknown[heading.name] = heading.unit

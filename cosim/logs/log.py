@@ -18,7 +18,7 @@ import numpy as np
 
 from cosim.base.arrays import Array, Rows
 from cosim.base.errors import Fault, InputError
-from cosim.base.units import Conversion, alternatives, conversion, taken
+from cosim.base.units import Conversion, alternatives, assume_si, conversion
 from cosim.storage.table import read_table
 from cosim.storage.table_columns import Column, Faults, Heading
 from cosim.storage.yaml_file import closest, did_you_mean, short
@@ -212,7 +212,7 @@ class LogReader:
         known = "the time" if is_time else "an input" if name in self.inputs else ""
         wanted = "s" if is_time else self.known[name]
         if heading.unit and not wanted:
-            found = taken(heading.unit)
+            found = assume_si(heading.unit)
             self.units[name] = found.unit
             if found.sentence:
                 self.undeclared[name] = found.sentence

@@ -144,8 +144,8 @@ def prepare_folder(folder: Path, *, keep: bool) -> None:
     Raises:
         InputError: `keep` is impossible, or a link would lead files out of the folder.
     """
-    take_folder(folder)
     refuse_links(folder)
+    take_folder(folder)
     _finish_move(folder)
     earlier = folder / EARLIER
     if not keep or not os.path.lexists(earlier):
@@ -159,10 +159,12 @@ def prepare_folder(folder: Path, *, keep: bool) -> None:
 
 
 def refuse_links(folder: Path) -> None:
-    """Raise InputError for links in place of the folders that results folders contain."""
+    """Raise InputError for links in place of the folders in a results folder, and for a stranger's link to it."""
     inner = {EARLIER, *(name.partition("/")[0] for a in artefacts() for name in a.files if "/" in name)}
     why = "is a link, so files would be moved or written elsewhere; remove it, or give another folder as --out"
     faults = [Fault(folder / name, 0, 0, why) for name in sorted(inner) if (folder / name).is_symlink()]
+    if folder.is_symlink() and hasattr(os, "geteuid") and folder.lstat().st_uid not in (os.geteuid(), 0):
+        faults.append(Fault(folder, 0, 0, "is a link of another user; give another folder as --out"))
     if faults:
         raise InputError(faults)
 
@@ -205,13 +207,8 @@ def _finish_move(folder: Path) -> Path | None:
         return None
     if not is_own(moving, stat.S_ISDIR) or (os.name == "posix" and moving.stat().st_mode & 0o022):
         raise InputError([Fault(moving, 0, 0, "is open to other users, or not yours; move it away")])
-    if links := [path for path in moving.rglob("*") if path.is_symlink()]:
-        raise InputError([Fault(links[0], 0, 0, f"is a link, and earlier runs hold none; move {moving} away")])
     if is_own(moving / LIST, stat.S_ISREG):
-        names = _listed_names(moving / LIST)
-        if outside := [name for name in names if not _is_inside(folder, name)]:
-            why = f"names {outside[0][:80]}, outside {folder} or no result; move {moving} away"
-            raise InputError([Fault(moving / LIST, 0, 0, why)])
+        names = _listed_names(folder, moving)
         for name in names:
             _move(folder / name, moving / name)
         remove_drafts(moving, names)
@@ -237,13 +234,24 @@ def _is_inside(folder: Path, name: str) -> bool:
     return not any((folder / parent).is_symlink() for parent in path.parents if parent.parts)
 
 
-def _listed_names(path: Path) -> list[str]:
-    """Return the names in the list of an interrupted move; raise InputError for a damaged list."""
+def _listed_names(folder: Path, moving: Path) -> list[str]:
+    """Return the names in the list of an interrupted move.
+
+    Raises:
+        InputError: The list is damaged, or a name leads outside the folder or through a link.
+    """
+    path, cure = moving / LIST, f"move {moving} away"
     try:
         with path.open("rb") as stream:
-            return stream.read(MOST_LISTED).decode("utf-8").splitlines()
+            names = stream.read(MOST_LISTED).decode("utf-8").splitlines()
     except (OSError, ValueError):
-        raise InputError([Fault(path, 0, 0, f"is damaged; move {path.parent} away")]) from None
+        raise InputError([Fault(path, 0, 0, f"is damaged; {cure}")]) from None
+    if outside := [name for name in names if not _is_inside(folder, name)]:
+        raise InputError([Fault(path, 0, 0, f"names {outside[0][:80]}, outside {folder} or no result; {cure}")])
+    folders = dict.fromkeys(moving / parent for name in names for parent in PurePosixPath(name).parents[:-1])
+    if links := [place for place in folders if place.is_symlink()]:
+        raise InputError([Fault(links[0], 0, 0, f"is a link, and earlier runs hold none; {cure}")])
+    return names
 
 
 def _move(path: Path, place: Path) -> None:

@@ -9,7 +9,7 @@ from itertools import islice
 from typing import Any
 
 from cosim.base.errors import SimulationError
-from cosim.base.units import Taken, taken
+from cosim.base.units import Taken, assume_si
 from cosim.blocks.component import Component, Signal
 from cosim.blocks.faults import Added, Linked, Scaled, disturbed, points, whole
 from cosim.blocks.fmi_types import goes
@@ -172,7 +172,7 @@ def taken_for(file: ScenarioFile, connection: Connection, source: Signal, target
     written = isinstance(component, ReferenceComponent | PlaybackComponent) and source.unit
     if not written or target.unit or target.whole or connection.conversion is not None:
         return None
-    return taken(source.unit, "its FMU", f"give {connection.source} no unit")
+    return assume_si(source.unit, "its FMU", f"give {connection.source} no unit")
 
 
 def _misfit(connection: Connection, source: Signal, target: Signal) -> str:

@@ -109,7 +109,7 @@ def excites_too_little(effects: int, experiment: str, *, still: bool) -> str:
 
 
 def nothing(hidden: Sequence[str], moves: Mapping[str, float]) -> str:
-    """Say that nothing is missing, how large a disturbance is, and which effects these logs would not show.
+    """Return the verdict without a missing effect: the size of a disturbance, and the effects hidden in these logs.
 
     moves: forced state → size of its unknown input over that of its derivative on the logs, where there is one
     """
@@ -133,7 +133,7 @@ def cannot_tell(names: Sequence[str], experiment: str, certain: str, subject: Su
 
 
 def unexplained(residual: Mapping[str, Any], nearest: Sequence[str], otherwise: str = NO_HYPOTHESIS) -> str:
-    """Say where something acts that has no name, on what it depends, and what comes nearest."""
+    """Return the verdict on an unnamed effect: its equation, its signals and the nearest hypotheses."""
     where = residual["equation"]
     if residual["signals"]:
         text = f"Something outside the catalogue acts on {where}; it {_goes(residual)}."
@@ -294,14 +294,12 @@ def _values(entry: tuple[str, Sequence[str]]) -> Iterator[str]:
 
 
 def _estimate(best: Hypothesis, f: Free, unit: str) -> str:
-    """Return a parameter with its interval, where that is narrower than its bounds are apart."""
+    """Return a parameter with its 95 % interval, unless the interval is wider than the allowed range."""
     name, value, half = f.name.rpartition(".")[2], best.fit.values[f.name], NORMAL_95 * best.fit.sigma(f.name)
     if half > f.high - f.low:
         return f"{name} not identified by these logs"
-    digits = (
-        4 if not value or not half else max(4, math.floor(math.log10(abs(value))) - math.floor(math.log10(half)) + 2)
-    )
-    return f"{name} = {value:.{min(digits, 12)}g} ± {half:.2g} {unit}".rstrip()
+    digits = max(4, min(math.floor(math.log10(abs(value) / half)) + 3, 12)) if value and half else 4
+    return f"{name} = {value:.{digits}g} ± {half:.2g} {unit}".rstrip()
 
 
 def perhaps(names: Sequence[str]) -> str:
