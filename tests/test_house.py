@@ -76,7 +76,7 @@ def test_what_the_package_does_not_have_is_an_attribute_error() -> None:
         importlib.import_module("cosim").levitate  # noqa: B018
 
 
-SHARED_NAMES = {"__init__.py", "__main__.py", "workflow.py", "report.py", "write.py", "artefacts.py"}
+SHARED_NAMES = {"__init__.py", "__main__.py", "workflow.py", "report.py", "write.py", "artefacts.py", "messages.py"}
 
 
 def test_a_file_name_means_one_file() -> None:

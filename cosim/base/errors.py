@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cosim.base.messages import code_of
+
 
 @dataclass(frozen=True, order=True)
 class Fault:
@@ -22,11 +24,21 @@ class Fault:
         place = f"{self.file}:{self.line}:{self.column}" if self.line else str(self.file)
         return f"{place}: {self.message}"
 
+    @property
+    def code(self) -> str:
+        """Return the code of the message."""
+        return code_of(self.message)
+
 
 class CosimError(Exception):
     """Base class of all errors raised on purpose."""
 
     exit_code = 1
+
+    @property
+    def code(self) -> str:
+        """Return the code of the message; faults have their own."""
+        return code_of(self)
 
 
 class InputError(CosimError):
@@ -35,6 +47,11 @@ class InputError(CosimError):
     def __init__(self, faults: Sequence[Fault]) -> None:
         self.faults = tuple(sorted(set(faults)))
         super().__init__("\n".join(map(str, self.faults)))
+
+    @classmethod
+    def at(cls, file: Path, message: str, exit_code: int = 2) -> InputError:
+        """Return the error of a file or folder as a whole."""
+        return cls([Fault(file, 0, 0, message, exit_code)])
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.faults,)
@@ -83,6 +100,11 @@ class SimulationError(CosimError):
     def __init__(self, component: str, time: float, reason: str) -> None:
         self.component, self.time, self.reason = component, time, reason
         super().__init__(f"{component} at t = {time:.6g} s: {reason}")
+
+    @property
+    def code(self) -> str:
+        """Return the code of the reason."""
+        return code_of(self.reason)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.component, self.time, self.reason)

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import InputError
 from cosim.base.text import amount, counted
 from cosim.base.units import Conversion, conversion
+from cosim.comparison import messages
 from cosim.comparison.intermediate_rows import rows_between
 from cosim.comparison.signals import (
     Difference,
@@ -183,13 +184,12 @@ def compared(a: Ran, b: Ran, tolerance: float | None = None, absolute: float = 0
     common = [name for name in _names(a) if name in in_both]
     if not common:
         names = [", ".join(_names(r)[:5]) or "none" for r in (a, b)]
-        message = f"shares no signal with {a.path}: it has {names[1]}; that has {names[0]}"
-        raise InputError([Fault(b.path, 0, 0, message)])
+        raise InputError.at(b.path, messages.NO_COMMON_SIGNAL(other=a.path, own=names[1], theirs=names[0]))
     rows, aligned = rows_of(a, b)
     time = a.results.time[rows]
     if not time.size:
         spans = [f"{t[0]:g} … {t[-1]:g} s" if t.size else "no rows" for t in (a.results.time, b.results.time)]
-        raise InputError([Fault(b.path, 0, 0, f"shares no time with {a.path}: it has {spans[1]}, that {spans[0]}")])
+        raise InputError.at(b.path, messages.NO_COMMON_TIME(other=a.path, own=spans[1], theirs=spans[0]))
     shared = _Shared(a, b, rows, aligned, Tolerance(tolerance, absolute))
     differences = tuple(shared.difference(name) for name in common)
     only_a, only_b = (tuple(name for name in _names(r) if name not in in_both) for r in (a, b))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import InputError
+from cosim.comparison import messages
 from cosim.simulation.run_files import read_ran
 from cosim.storage.files import FilePath, check_writable
 from cosim.storage.folder_lock import folder_locks
@@ -23,24 +24,16 @@ def report_of(folder: FilePath, *, figures: bool = False) -> Path:
     path = Path(folder)
     if not path.is_dir():
         check_given(path, "a folder that a run left")
-        raise InputError([Fault(path, 0, 0, "is a file; give the folder that `cosim run` left")])
+        raise InputError.at(path, messages.FILE_FOR_FOLDER())
     if not (path / "manifest.json").is_file():
         again = {"refine.json": "refine", "replay.json": "replay", "comparison.json": "compare"}
         verb = next((v for name, v in again.items() if (path / name).is_file()), None)
-        cure = (
-            f"it is of `cosim {verb}`, which writes its page itself"
-            if verb
-            else "give the folder that `cosim run` left"
-        )
-        raise InputError([Fault(path, 0, 0, f"holds no manifest.json; {cure}")])
+        raise InputError.at(path, messages.FOLDER_OF_OTHER_VERB(verb=verb) if verb else messages.NO_MANIFEST())
     ran = read_ran(path)
     if not isinstance(ran.manifest.get("scenario"), dict):
-        told = "is no manifest of a run: there is no scenario in it, or it is torn; run it again"
-        raise InputError([Fault(path / "manifest.json", 0, 0, told)])
+        raise InputError.at(path / "manifest.json", messages.NO_SCENARIO())
     if not ran.results.time.size:
-        raise InputError(
-            [Fault(rows_in(path) or path, 0, 0, "has no rows: the run stopped before its first; run it again")]
-        )
+        raise InputError.at(rows_in(path) or path, messages.NO_ROWS())
     refuse_links(path)
     check_writable(path, ("report.html",))
     from cosim.simulation.report import write_figures, write_report

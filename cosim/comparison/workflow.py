@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.arrays import far_beyond
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import InputError
 from cosim.base.text import amount, written
 from cosim.base.version import __version__
+from cosim.comparison import messages
 from cosim.comparison.differences import Compared, compared, criteria_of, sentence
 from cosim.comparison.signal_panels import panels_of
 from cosim.comparison.signals import Difference, shared, sized
@@ -57,7 +58,7 @@ def compare(
     """
     for name, value in (("--tol", tolerance), ("--abs", absolute)):
         if value is not None and not (math.isfinite(value) and value >= 0):
-            raise InputError([Fault(a.path, 0, 0, f"{name} {value:g}: give a number that is not negative")])
+            raise InputError.at(a.path, messages.NEGATIVE_TOLERANCE(option=name, value=value))
     made = compared(a, b, tolerance, absolute)
     place = folder_named(f"{a.name} and {b.name}") if folder is None else named_path(folder)
     if not write:

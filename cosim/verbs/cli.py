@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from cosim.base.drafts import is_full
-from cosim.base.errors import CosimError, InputError, SimulationError, Terminated
+from cosim.base.errors import CosimError, SimulationError, Terminated
 from cosim.base.garbage import collect_seldom
 from cosim.base.program import as_program
 from cosim.base.registry import ExtensionWarning, attempt
@@ -25,7 +25,7 @@ from cosim.verbs.help import WHOLE_WIDTH, GroupedHelp, VerbHelp
 from cosim.verbs.manner import with_manner
 from cosim.verbs.outcome import say_partial
 from cosim.verbs.streams import echo, open_streams
-from cosim.verbs.terminal import say, say_failure, say_usage
+from cosim.verbs.terminal import say, say_error, say_failure, say_usage
 
 app = typer.Typer(
     cls=GroupedHelp,
@@ -87,7 +87,7 @@ def _run() -> None:
         say_usage(ended.__context__)
         raise
     except CosimError as error:
-        echo(str(error) if isinstance(error, InputError) else f"error: {error}", err=True)
+        say_error(error)
         say_failure(error)
         if isinstance(error, SimulationError) and error.left is not None:
             say_partial(error.left)

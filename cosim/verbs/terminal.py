@@ -10,13 +10,14 @@ import time
 import webbrowser
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import typer
 
-from cosim.base.errors import CosimError, SimulationError
+from cosim.base.errors import CosimError, InputError, SimulationError
+from cosim.base.messages import code_of
 from cosim.storage.results import rows_in
 from cosim.verbs.streams import echo
 
@@ -26,12 +27,21 @@ Numbered = Callable[[str], tuple[int, int]]
 
 @dataclass
 class Manner:
-    """Amount of output: `quiet` prints problems only, `verbose` more; `told` is true after JSON has been printed."""
+    """Amount and form of the output of a command.
+
+    Attributes:
+        quiet: Whether to print problems only.
+        verbose: Whether to print more.
+        as_json: Whether to print the result as JSON.
+        told: Whether JSON has been printed.
+        messages: Warnings and notes with a code.
+    """
 
     quiet: bool = False
     verbose: bool = False
     as_json: bool = False
     told: bool = False
+    messages: list[dict[str, str]] = field(default_factory=list)
 
 
 MANNER = Manner()  # of this process, set by the options -q and -v of any command
@@ -50,7 +60,9 @@ def say_more(text: str) -> None:
 
 
 def say_json(value: Any) -> None:
-    """Print JSON, also with -q."""
+    """Print JSON, also with -q. An object gets the codes of the warnings and notes so far."""
+    if isinstance(value, dict) and MANNER.messages:
+        value = {**value, "messages": MANNER.messages}
     echo(json.dumps(value, indent=2, ensure_ascii=False))
     MANNER.told = True
 
@@ -60,8 +72,32 @@ def say_failure(error: CosimError) -> None:
     if MANNER.as_json and not MANNER.told:
         faults = getattr(error, "faults", ())
         about = _stopped(error) if isinstance(error, SimulationError) else {}
-        places = [{"file": str(f.file), "line": f.line, "column": f.column, "message": f.message} for f in faults]
-        say_json({"error": str(error), "exit_code": error.exit_code, "faults": places, **about})
+        places = [
+            {"file": str(f.file), "line": f.line, "column": f.column, "code": f.code, "message": f.message}
+            for f in faults
+        ]
+        say_json({"error": str(error), "code": error.code, "exit_code": error.exit_code, "faults": places, **about})
+
+
+def say_error(error: CosimError) -> None:
+    """Print an error, one line per fault; with -v each line has its code."""
+    if isinstance(error, InputError):
+        for fault in error.faults:
+            echo(_with_code(str(fault), fault.code), err=True)
+    else:
+        echo(f"error: {_with_code(str(error), error.code)}", err=True)
+
+
+def _with_code(text: str, code: str) -> str:
+    """Return a text with its code at the end, for -v."""
+    return f"{text} [{code}]" if code and MANNER.verbose else text
+
+
+def _say_coded(kind: str, text: str) -> None:
+    """Print a warning or note on stderr and keep its code for JSON."""
+    if code := code_of(text):
+        MANNER.messages.append({"code": code, "text": str(text)})
+    echo(f"{kind}: {_with_code(text, code)}", err=True)
 
 
 def _stopped(error: SimulationError) -> dict[str, Any]:
@@ -84,12 +120,12 @@ def say_usage(error: BaseException | None) -> None:
 def say_note(text: str) -> None:
     """Print a note on stderr."""
     if not MANNER.quiet:
-        echo(f"note: {text}", err=True)
+        _say_coded("note", text)
 
 
 def warn(text: str) -> None:
     """Print a warning on stderr."""
-    echo(f"warning: {text}", err=True)
+    _say_coded("warning", text)
 
 
 def judged(met: bool, text: str) -> str:
