@@ -25,6 +25,13 @@ static void transpose(const double *a, double *out)
         for (int j = 0; j < NS; j++) out[NS * j + i] = a[NS * i + j];
 }
 
+/* No measurement reduces an asymmetry by rounding, so that it would grow without bound where the plant is unstable. */
+static void symmetric(double *a)
+{
+    for (int i = 0; i < NS; i++)
+        for (int j = 0; j < i; j++) a[NS * i + j] = a[NS * j + i] = 0.5 * (a[NS * i + j] + a[NS * j + i]);
+}
+
 #if STIFF
 static void linear(const void *of, double t, double share, const double *x, double *k)
 {
@@ -105,6 +112,7 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
                     multiply(Phi, P, M);
                     transpose(Phi, A);
                     multiply(M, A, P);
+                    symmetric(P);
                     for (int i = 0; i < NS; i++) P[(NS + 1) * i] += q[i] * log->step;
                 }
                 substep(before + s * h, h, x, u, p);

@@ -1,0 +1,230 @@
+"""The arm of the blind suite: two links under feedback, dry friction in both joints, and what no catalogue has.
+
+In every study the belt to joint 2 is a little elastic, and torques ripple by 2 % over the motor's turn; encoders round
+to 0.1 mrad, and measured torques are wrong by about 1 %. In five of six studies both joints have dry friction, else
+none. Nothing of the project is in the truth; `least_squares` is the yardstick.
+
+    python -m tests.blind.arm 3 /tmp/study      seed and folder; the answer is printed
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.optimize import least_squares as minimise
+
+PLANT = Path(__file__).with_name("plants") / "arm.py"
+LOGS = ("e1", "e2", "v1")
+STEP, ROWS, HORIZON = 0.005, 2000, 0.3  # [s], rows of a log, [s] of a prediction
+QUANTUM = 1e-4  # [rad] of the encoders
+CREEP = 0.02  # [rad/s]
+SHEET = {  # base number → (nominal, tolerance)
+    "inertia_1": (0.12, 0.15), "inertia_2": (0.02, 0.15), "coupling": (0.025, 0.15), "gravity_1": (3.5, 0.1),
+    "gravity_2": (0.8, 0.1), "rotor_2": (0.005, 0.2), "viscous_1": (0.15, 0.3), "viscous_2": (0.05, 0.3),
+}  # fmt: skip
+FRICTION = {"coulomb_1": (0.15, 0.6), "coulomb_2": (0.05, 0.2)}  # [N m]
+
+
+@dataclass(frozen=True)
+class ArmStudy:
+    """The answer: friction, base numbers, the belt's stiffness and damping, ripple, errors of the measured torques."""
+
+    seed: int
+    truth: dict[str, dict[str, float]]
+    base: dict[str, float]
+    stiffness: float
+    ripple: tuple[float, float, float]  # share, turns, phase
+    gains: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Log:
+    """Times, measured torques and encoder readings, a row each."""
+
+    time: np.ndarray
+    torque: np.ndarray
+    angle: np.ndarray
+
+
+def stream(seed: int, *purpose: int) -> np.random.Generator:
+    """A random stream of its own for each purpose of each seed."""
+    return np.random.default_rng([77261, seed, *purpose])
+
+
+def draw(seed: int) -> ArmStudy:
+    """The study of a seed."""
+    rng = stream(seed, 0)
+    base = {}
+    for name, (value, tolerance) in SHEET.items():
+        away = math.inf
+        while abs(away) > tolerance:
+            away = float(rng.normal(0.0, 0.5 * tolerance))
+        base[name] = value * (1.0 + away)
+    truth = {name: {"level": float(np.exp(rng.uniform(*np.log(between))))} for name, between in FRICTION.items()}
+    stiffness, phase = float(rng.uniform(40.0, 90.0)), float(rng.uniform(0.0, 2.0 * math.pi))
+    gains = tuple(1.0 + 0.01 * rng.standard_normal(2))
+    return ArmStudy(seed, {} if seed % 6 == 5 else truth, base, stiffness, (0.02, 12.0, phase), (gains[0], gains[1]))
+
+
+def rates(p: Mapping[str, float], friction: Sequence[float], x: Sequence[float], torque: Sequence[float]) -> list[float]:
+    """Accelerations of the rigid arm."""
+    q1, q2, w1, w2 = x
+    c, sin, cos = p["coupling"], math.sin(q2), math.cos(q2)
+    lower = p["gravity_2"] * math.cos(q1 + q2)
+    t1 = torque[0] + c * sin * (2.0 * w1 + w2) * w2 - p["gravity_1"] * math.cos(q1) - lower - p["viscous_1"] * w1
+    t2 = torque[1] - c * sin * w1 * w1 - lower - p["viscous_2"] * w2
+    t1, t2 = t1 - friction[0] * math.tanh(w1 / CREEP), t2 - friction[1] * math.tanh(w2 / CREEP)
+    m11, m12 = p["inertia_1"] + p["inertia_2"] + 2.0 * c * cos, p["inertia_2"] + c * cos
+    m22 = p["inertia_2"] + p["rotor_2"]
+    return np.linalg.solve([[m11, m12], [m12, m22]], [t1, t2]).tolist()
+
+
+def _elastic(study: ArmStudy, x: np.ndarray, torque: Sequence[float]) -> list[float]:
+    """Slopes of q₁, motor angle of joint 2, q₂ and their rates, with the elastic belt and the ripple."""
+    p, (share, turns, phase) = study.base, study.ripple
+    q1, motor, q2, w1, spin, w2 = x
+    dry = [study.truth.get(name, {}).get("level", 0.0) for name in FRICTION]
+    push = [torque[0] * (1.0 + share * math.sin(turns * q1 + phase))]
+    push.append(torque[1] * (1.0 + share * math.sin(turns * motor + phase)))
+    belt = study.stiffness * (motor - q2) + 0.02 * (spin - w2)
+    c, sin, cos = p["coupling"], math.sin(q2), math.cos(q2)
+    lower = p["gravity_2"] * math.cos(q1 + q2)
+    t1 = push[0] + c * sin * (2.0 * w1 + w2) * w2 - p["gravity_1"] * math.cos(q1) - lower
+    t1 -= p["viscous_1"] * w1 + dry[0] * math.tanh(w1 / CREEP)
+    t2 = belt - c * sin * w1 * w1 - lower
+    m11, m12, m22 = p["inertia_1"] + p["inertia_2"] + 2.0 * c * cos, p["inertia_2"] + c * cos, p["inertia_2"]
+    determinant = m11 * m22 - m12 * m12
+    turned = push[1] - belt - p["viscous_2"] * spin - dry[1] * math.tanh(spin / CREEP)
+    return [
+        w1, spin, w2,
+        (t1 * m22 - t2 * m12) / determinant, turned / p["rotor_2"], (t2 * m11 - t1 * m12) / determinant,
+    ]  # fmt: skip
+
+
+def _path(rng: np.random.Generator) -> np.ndarray:
+    """Angles that the controller is to follow: six sines each, slow and fast, about a posture."""
+    t = STEP * np.arange(ROWS)
+    paths = []
+    for centre, reach in ((rng.uniform(-0.8, 0.8), 0.9), (rng.uniform(-0.8, 0.8), 1.1)):
+        frequency, phase = np.exp(rng.uniform(np.log(0.1), np.log(1.6), 6)), rng.uniform(0.0, 2.0 * math.pi, 6)
+        waves = (np.sin(2.0 * math.pi * np.outer(t, frequency) + phase) / np.sqrt(frequency)).sum(axis=1)
+        paths.append(centre + reach * waves / np.max(np.abs(waves)))
+    return np.column_stack(paths)
+
+
+def record(study: ArmStudy, number: int) -> Log:
+    """Fly a log under feedback at every row: proportional, derivative, and the weight on paper."""
+    path = _path(stream(study.seed, 1, number))
+    speed = np.gradient(path, STEP, axis=0)
+    x = np.array([path[0, 0], path[0, 1], path[0, 1], *speed[0], speed[0, 1]])
+    x[4], x[5] = speed[0, 1], speed[0, 1]
+    nominal = {name: value for name, (value, _) in SHEET.items()}
+    angles, torques = np.empty((ROWS, 2)), np.empty((ROWS, 2))
+    last = path[0]
+    for k in range(ROWS):
+        seen = np.round(x[:2] / QUANTUM) * QUANTUM
+        angles[k] = seen
+        rate, last = (seen - last) / STEP if k else speed[0], seen
+        weight = nominal["gravity_2"] * math.cos(seen[0] + seen[1])
+        hold = np.array([nominal["gravity_1"] * math.cos(seen[0]) + weight, weight])
+        torque = hold + np.array([25.0, 6.0]) * (path[k] - seen) + np.array([1.2, 0.25]) * (speed[k] - rate)
+        torques[k] = torque = np.round(np.clip(torque, [-12.0, -4.0], [12.0, 4.0]), 5)
+        done = solve_ivp(lambda t, y, u=torque: _elastic(study, y, u), (0.0, STEP), x, "DOP853", rtol=1e-8, atol=1e-9)
+        x = done.y[:, -1]
+    return Log(STEP * np.arange(ROWS), torques * study.gains, angles)
+
+
+def write(study: ArmStudy, folder: Path) -> Path:
+    """Write study.yaml, the model file and the logs; return the path of study.yaml."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for number, name in enumerate(LOGS):
+        log = record(study, number)
+        rows = np.column_stack([log.time, log.torque, log.angle])
+        lines = [",".join(f"{v:.7g}" for v in row) for row in rows.tolist()]
+        (folder / f"{name}.csv").write_text("\n".join(["time,torque_1,torque_2,angle_1,angle_2", *lines]) + "\n")
+    shutil.copyfile(PLANT, folder / "arm.py")
+    path = folder / "study.yaml"
+    path.write_text("model: arm.py:Arm\nlogs:\n  estimation: [e1.csv, e2.csv]\n  validation: [v1.csv]\n")
+    return path
+
+
+def answer(study: ArmStudy) -> str:
+    """The answer as JSON, with the sealed errors of the yardstick."""
+    logs = [record(study, number) for number in range(3)]
+    fits = {name: least_squares(logs[:2], dry=dry) for name, dry in (("without", False), ("with", True))}
+    sealed = {name: np.sqrt(np.mean(missed(values, logs[2]) ** 2, axis=0)).tolist() for name, values in fits.items()}
+    told: dict[str, Any] = {"half": "arm", "kind": "known" if study.truth else "nothing", "plant": "arm"}
+    return json.dumps(told | asdict(study) | {"sensors": ["encoder_offset_2"], "yardstick": sealed}, indent=1) + "\n"
+
+
+# -- the yardstick ------------------------------------------------------------------------------------------
+
+
+def least_squares(logs: Sequence[Log], *, dry: bool) -> np.ndarray:
+    """Fit base numbers, and with `dry` both frictions, to predictions of 0.3 s by least squares."""
+    start = np.array([value for value, _ in SHEET.values()] + ([0.1, 0.05] if dry else []))
+    low, high = 0.3 * start, 3.0 * start
+    if dry:
+        low[-2:], high[-2:] = 0.0, 3.0
+    scale = np.std(np.concatenate([missed(start, log) for log in logs]), axis=0)
+
+    def off(values: np.ndarray) -> np.ndarray:
+        return np.concatenate([(missed(values, log) / scale).ravel() for log in logs])
+
+    return minimise(off, start, bounds=(low, high), x_scale=start, loss="linear", max_nfev=15).x
+
+
+def missed(values: np.ndarray, log: Log) -> np.ndarray:
+    """Errors of predictions over 0.3 s, one after another, all at once; rates at the start are smoothed ones."""
+    length = round(HORIZON / STEP)
+    starts = np.arange(10, len(log.time) - length - 10, length)
+    dry = values[8:] if len(values) > 8 else np.zeros(2)
+    a, b, c, g1, g2, rotor, d1, d2 = values[:8]
+    rate = _smooth_rate(log.angle)
+    q, w = log.angle[starts].T.copy(), rate[starts].T.copy()
+    errors = np.empty((length, starts.size, 2))
+
+    def slopes(q: np.ndarray, w: np.ndarray, u: np.ndarray) -> np.ndarray:
+        sin, cos = np.sin(q[1]), np.cos(q[1])
+        lower = g2 * np.cos(q[0] + q[1])
+        t1 = u[0] + c * sin * (2 * w[0] + w[1]) * w[1] - g1 * np.cos(q[0]) - lower - d1 * w[0]
+        t2 = u[1] - c * sin * w[0] ** 2 - lower - d2 * w[1]
+        t1, t2 = t1 - dry[0] * np.tanh(w[0] / CREEP), t2 - dry[1] * np.tanh(w[1] / CREEP)
+        m11, m12, m22 = a + b + 2 * c * cos, b + c * cos, b + rotor
+        determinant = m11 * m22 - m12**2
+        return np.stack([(t1 * m22 - t2 * m12) / determinant, (t2 * m11 - t1 * m12) / determinant])
+
+    h = STEP / 2
+    for k in range(length):
+        u = log.torque[starts + k].T
+        for _ in range(2):
+            k1 = slopes(q, w, u)
+            k2 = slopes(q + h / 2 * w, w + h / 2 * k1, u)
+            k3 = slopes(q + h / 2 * (w + h / 2 * k1), w + h / 2 * k2, u)
+            k4 = slopes(q + h * (w + h / 2 * k2), w + h * k3, u)
+            q = q + h * w + h * h / 6 * (k1 + k2 + k3)
+            w = w + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        errors[k] = (log.angle[starts + k + 1].T - q).T
+    return np.clip(errors.reshape(-1, 2), -10.0, 10.0)
+
+
+def _smooth_rate(angle: np.ndarray) -> np.ndarray:
+    """Rates by a parabola through eleven rows (Savitzky and Golay)."""
+    from scipy.signal import savgol_filter
+
+    return savgol_filter(angle, 11, 2, deriv=1, delta=STEP, axis=0)
+
+
+if __name__ == "__main__":
+    drawn = draw(int(sys.argv[1]))
+    print(write(drawn, Path(sys.argv[2])), file=sys.stderr)
+    print(answer(drawn), end="")
