@@ -165,6 +165,21 @@ def test_two_compilers_agree_to_rounding(
 
 
 @NEEDS_C
+def test_a_covariance_stays_one_on_an_unstable_plant_with_fine_sensors() -> None:
+    """An arm that stands upright for 20 s: an asymmetry by rounding doubles every 0.06 s."""
+    arm = own_model("arm.py:Arm", ROOT / "tests" / "blind" / "plants")
+    made, rows = kernel(arm, ("angle_1", "angle_2")), 4000
+    layout, p = made.layout, parameters(arm, made.layout)
+    upright = np.tile([0.5 * math.pi, 0.0], (rows, 1))
+    data = Data(0.005, 0.0, np.zeros((rows, 2)), upright, 2)
+    x0 = np.array([0.5 * math.pi, *np.zeros(len(layout.states) - 1)])
+    q, wide = np.full(len(layout.stochastic), 1e-6), 0.01 * np.eye(len(layout.stochastic))
+    run = made.run(data, p, x0, wide, q, np.full(2, 1e-10), states=True)
+    assert run.covariances is not None
+    assert (run.variances > 1e-10).all()
+    np.testing.assert_allclose(run.covariances, run.covariances.transpose(0, 2, 1), rtol=1e-9)
+
+
 def test_a_run_that_diverges_has_infinite_errors_from_there_on(craft: Generated, seen: Data) -> None:
     p = parameters(Hovercraft(), craft.layout, **{"unnamed.vx.vx³": 1e6})
     run = filtered(CompiledKernel(craft), seen, p)

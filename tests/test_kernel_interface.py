@@ -138,6 +138,8 @@ def test_both_have_one_layout(problems: dict[str, Problem]) -> None:
 def test_both_give_the_same_numbers(problems: dict[str, Problem], call: Callable[[Problem], object]) -> None:
     one, other = (vars(call(p)) for p in problems.values())
     for name, values in one.items():
+        if name == "covariances":  # which a kernel may leave out
+            continue
         # sums in another order, over 300 rows of numbers about 1
         np.testing.assert_allclose(other[name], values, rtol=1e-10, atol=1e-12, err_msg=name)
 

@@ -36,7 +36,7 @@ class CompiledKernel:
     def __init__(self, generated: Generated) -> None:
         self.layout = generated.layout
         self._library = loaded(_source(generated), NATIVE / "rk4.h", NATIVE / "stiff.h")
-        self._library.filter.argtypes = [ctypes.POINTER(_Log), *[ctypes.c_void_p] * 9]
+        self._library.filter.argtypes = [ctypes.POINTER(_Log), *[ctypes.c_void_p] * 10]
         self._library.simulate.argtypes = [ctypes.POINTER(_Log), ctypes.c_int, *[ctypes.c_void_p] * 7]
 
     def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
@@ -46,14 +46,15 @@ class CompiledKernel:
         errors, variances = np.empty((rows, ny)), np.empty((rows, ny))
         filtered = np.full((kept, len(self.layout.states)), np.nan)
         memory = np.full((kept, self.layout.memory), np.nan)
+        covariances = np.full((kept, *[len(self.layout.stochastic)] * 2), np.nan)
         late = np.empty((0, ny)) if data.late is None else data.late
         u, y, older, ramps = _plain(data.u), _plain(data.y), _plain(late), self._ramps(data)
         inputs = [_plain(v) for v in (p, x0, P0, q, np.broadcast_to(r, data.y.shape))]
-        arrays = [_address(a) for a in (*inputs, errors, variances, filtered, memory)]
+        arrays = [_address(a) for a in (*inputs, errors, variances, filtered, memory, covariances)]
         done = self._library.filter(ctypes.byref(_log(data, u, y, ramps, older)), *arrays)
         if done < rows:
             errors[done:], variances[done:] = np.inf, 1.0
-        return Filtered(errors, variances, filtered, memory)
+        return Filtered(errors, variances, filtered, memory, covariances)
 
     def simulate(
         self, data: Data, p: Array, x0: Array, memory: Array, kicks: Array | None = None, *, first: int = 0

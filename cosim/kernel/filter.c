@@ -83,9 +83,9 @@ static void transition_over(int substeps, double h, const double *A, double *Phi
 }
 
 /* r, errors and variances: rows x NY, of each measurement, the last two before it is taken (NaN where missing); states: rows x NX,
- * filtered. */
+ * filtered; covariances: rows x NS x NS, theirs. */
 int filter(const Log *log, const double *p, const double *x0, const double *P0, const double *q, const double *r,
-           double *errors, double *variances, double *states, double *memories)
+           double *errors, double *variances, double *states, double *memories, double *covariances)
 {
     static const int S[NS + 1] = STOCHASTIC;
     double x[NX + 1], P[NS * NS + 1], A[NS * NS + 1], Phi[NS * NS + 1], M[NS * NS + 1], C[NY * NS + 1], y[NY];
@@ -149,6 +149,7 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
         for (int i = 0; i < NS; i++) x[S[i]] += moved[i];
         if (states) memcpy(states + NX * k, x, sizeof(double) * NX);
         if (memories) memcpy(memories + NM * k, memory, sizeof(double) * NM);
+        if (covariances) memcpy(covariances + NS * NS * k, P, sizeof(double) * NS * NS);
         for (int i = 0; i < NX; i++) if (!isfinite(x[i])) return k;
     }
     return log->rows;

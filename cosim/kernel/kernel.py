@@ -110,12 +110,17 @@ class Data:
 
 @dataclass(frozen=True)
 class Filtered:
-    """Innovations and variances (rows, outputs) before each measurement update; states and memory after."""
+    """Innovations and variances (rows, outputs) before each measurement update; states and memory after.
+
+    Attributes:
+        covariances: Covariance of the stochastic states after each update; None from a kernel without them.
+    """
 
     errors: Array
     variances: Array
     states: Array
     memory: Array
+    covariances: Array | None = None
 
 
 @dataclass(frozen=True)

@@ -75,7 +75,9 @@ def draw(seed: int) -> ArmStudy:
     return ArmStudy(seed, {} if seed % 6 == 5 else truth, base, stiffness, (0.02, 12.0, phase), (gains[0], gains[1]))
 
 
-def rates(p: Mapping[str, float], friction: Sequence[float], x: Sequence[float], torque: Sequence[float]) -> list[float]:
+def rates(
+    p: Mapping[str, float], friction: Sequence[float], x: Sequence[float], torque: Sequence[float]
+) -> list[float]:
     """Accelerations of the rigid arm."""
     q1, q2, w1, w2 = x
     c, sin, cos = p["coupling"], math.sin(q2), math.cos(q2)
