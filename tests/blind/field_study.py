@@ -7,6 +7,7 @@ effect is that at which leaving it out of the true model costs what was drawn fo
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -107,16 +108,24 @@ def base_numbers(rig: Rig, rng: np.random.Generator) -> dict[str, float]:
 def draw(seed: int) -> Study:
     """The study of a seed; the same seed gives the same study, byte for byte."""
     dealt = deal(seed)
-    rig, rng = RIGS[dealt.plant], stream(seed, 4)
-    longest_hole = min(90, int(0.45 / rig.step)) if rig.step < 0.05 else 9
-    recorder = Recorder.draw(rng, list(rig.outputs), longest_hole)
-    study = Study(seed, dealt.plant, dealt.kind, {}, base_numbers(rig, rng), dealt.disturbance, recorder, 0.0, {})
-    if recorder.timing:
-        study = replace(study, stamp_error=recorder.stamp_error(rig, course(study, 0)[1].readings))
+    rng = stream(seed, 4)
+    study = bare(seed, dealt.plant, rng, dealt.kind)
     if dealt.kind == "known":
         return _hidden(study, rng, dealt.effects)
     if dealt.kind == "outside":
         return _strange(study, rng)
+    return study
+
+
+def bare(seed: int, plant: str, rng: np.random.Generator, kind: str = "known") -> Study:
+    """A study in which nothing is hidden yet: base numbers, disturbance and recorder."""
+    rig = RIGS[plant]
+    longest_hole = min(90, int(0.45 / rig.step)) if rig.step < 0.05 else 9
+    recorder = Recorder.draw(rng, list(rig.outputs), longest_hole)
+    disturbance = _card(tuple(DISTURBANCES), seed, 3)
+    study = Study(seed, plant, kind, {}, base_numbers(rig, rng), disturbance, recorder, 0.0, {})
+    if recorder.timing:
+        study = replace(study, stamp_error=recorder.stamp_error(rig, course(study, 0)[1].readings))
     return study
 
 
@@ -183,14 +192,19 @@ def _hidden(study: Study, rng: np.random.Generator, count: int) -> Study:
     """A known study: effects that can be told, each of the size that costs what is drawn for it."""
     rig = study.rig
     for _ in range(50):
-        names = _names(rig, rng, count)
-        sized = {name: _begin(rig, name, rng, _wanted(rng)) for name in names}
-        if (found := _searched(study, sized)) is not None:
+        if (found := sized(study, names_of(rig, rng, count), rng, _wanted)) is not None:
             return found
     raise RuntimeError(f"seed {study.seed}: no effects that can be seen")
 
 
-def _names(rig: Rig, rng: np.random.Generator, count: int) -> list[str]:
+def sized(
+    study: Study, names: Sequence[str], rng: np.random.Generator, wanted: Callable[[np.random.Generator], float]
+) -> Study | None:
+    """The study with each effect at the size that costs what is wanted [nats]; None where one cannot cost enough."""
+    return _searched(study, {name: _begin(study.rig, name, rng, wanted(rng)) for name in names})
+
+
+def names_of(rig: Rig, rng: np.random.Generator, count: int) -> list[str]:
     """Effects of the catalogue, no two of one family."""
     while True:
         names = sorted(str(n) for n in rng.choice(sorted(rig.entries), count, replace=False))
@@ -201,6 +215,15 @@ def _names(rig: Rig, rng: np.random.Generator, count: int) -> list[str]:
 def _wanted(rng: np.random.Generator) -> float:
     between = SMALL if rng.random() < SMALL_SHARE else LARGE
     return math.exp(rng.uniform(*np.log(between)))
+
+
+def wanted_large(rng: np.random.Generator) -> float:
+    """What a large effect costs [nats]."""
+    return math.exp(rng.uniform(*np.log(LARGE)))
+
+
+def _wanted_of_strangers(rng: np.random.Generator) -> float:
+    return math.exp(rng.uniform(*np.log(OUTSIDE_COST)))
 
 
 def _begin(rig: Rig, name: str, rng: np.random.Generator, wanted: float) -> _Sized:
@@ -253,7 +276,6 @@ def _strange(study: Study, rng: np.random.Generator) -> Study:
         return replace(study, truth={name: {p: float(rng.uniform(*r)) for p, r in OUTSIDE[name].ranges.items()}})
     for _ in range(50):
         name = str(rng.choice(sorted(rig.outside)))
-        wanted = math.exp(rng.uniform(*np.log(OUTSIDE_COST)))
-        if (found := _searched(study, {name: _begin(rig, name, rng, wanted)})) is not None:
+        if (found := sized(study, [name], rng, _wanted_of_strangers)) is not None:
             return found
     raise RuntimeError(f"seed {study.seed}: no stranger that can be seen")

@@ -2,9 +2,10 @@
 
     python -m tests.blind.harness 200 [--half laboratory] [--jobs 2] [--only coulomb_friction outside] [--first 0]
 
-Two halves, the laboratory (`truth*.py`) and the field (`field_*.py`), each of so many studies. Results are lines of
-JSON, one a study, appended as they come; a run that is started again skips those its git revision has a verdict on.
-The last line of the output is JSON with the figures of `score.summary`, those of the field under `field`.
+Two halves, the laboratory (`truth*.py`) and the field (`field_*.py`), each of so many studies; on demand, mixed studies
+(`parts.py`) and those of an arm (`arm.py`). Results are lines of JSON, one a study, appended as they come; a run that is
+started again skips those its git revision has a verdict on. The last line of the output is JSON with the figures of
+`score.summary`, those of the other halves under their names.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
-from tests.blind import field_score, field_study, field_write, score
+from tests.blind import arm, field_score, field_study, field_write, parts, score
 from tests.blind.truth import answer, draw, write
 from tests.blind.truth_outside import OUTSIDE
 from tests.blind.truth_study import BASE, EFFECTS, SENSORS
@@ -32,8 +33,9 @@ HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "results.jsonl"
 KINDS = ("known", "nothing", "outside")
 
-LABORATORY, FIELD = "laboratory", "field"
-HALVES = {LABORATORY: (LABORATORY,), FIELD: (FIELD,), "both": (LABORATORY, FIELD)}
+LABORATORY, FIELD, MIXED, ARM = "laboratory", "field", "mixed", "arm"
+HALVES = {half: (half,) for half in (LABORATORY, FIELD, MIXED, ARM)} | {"both": (LABORATORY, FIELD)}
+SCORES: dict[str, Any] = {LABORATORY: score, FIELD: field_score, MIXED: parts, ARM: parts}
 
 Refiner = Callable[[Path, Path], None]  # (study.yaml, folder to leave refine.json in)
 
@@ -98,9 +100,15 @@ def conduct(seed: int, refiner: Refiner, half: str = LABORATORY) -> dict[str, An
 
 def invent(half: str, seed: int, folder: Path) -> tuple[Path, str]:
     """Write the study of a seed; its study.yaml and its answer."""
-    if half == FIELD:
-        drawn = field_study.draw(seed)
-        return field_write.write(drawn, folder), field_write.answer(drawn)
+    if half in (FIELD, MIXED):
+        drawn = field_study.draw(seed) if half == FIELD else parts.draw(seed)
+        told = field_write.answer(drawn)
+        if half == MIXED:
+            strangers = sorted(set(drawn.truth) & set(drawn.rig.outside))
+            told = json.dumps(json.loads(told) | {"half": MIXED, "strangers": strangers})
+        return field_write.write(drawn, folder), told
+    if half == ARM:
+        return arm.write(arm.draw(seed), folder), arm.answer(arm.draw(seed))
     return write(draw(seed), folder), answer(draw(seed))
 
 
@@ -147,6 +155,8 @@ def seeds(count: int, first: int, only: Sequence[str], half: str = LABORATORY) -
 
 def known_names(half: str) -> set[str]:
     """What `--only` may name: kinds, plants, effects, base numbers."""
+    if half in (MIXED, ARM):
+        return set()
     if half == FIELD:
         rigs = field_study.RIGS.values()
         return {*KINDS, *field_study.PLANTS, *(name for rig in rigs for name in (*rig.entries, *rig.outside))}
@@ -166,7 +176,7 @@ def run(
     todo: Sequence[int], refiner: Refiner, results: Path, of_revision: str, jobs: int = 1, half: str = LABORATORY
 ) -> list[dict[str, Any]]:
     """Conduct what has no verdict yet (a failure is tried again), append each line at once; gives all lines."""
-    have, counted = read(results, of_revision, half), field_score if half == FIELD else score
+    have, counted = read(results, of_revision, half), SCORES[half]
     missing = [seed for seed in todo if seed not in have or have[seed]["verdict"] == "failed"]
     results.parent.mkdir(parents=True, exist_ok=True)
     for number, line in enumerate(_conducted(missing, refiner, jobs, half), start=1):
@@ -210,10 +220,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         todo = seeds(options.count, options.first, options.only, half)
         lines[half] = run(todo, refiner, options.results, of_revision, options.jobs, half)
     for half, judged in lines.items():
-        print((field_score if half == FIELD else score).table(judged), end="\n\n")
+        print(SCORES[half].table(judged), end="\n\n")
     figures = score.summary(lines[LABORATORY]) if LABORATORY in lines else {}
-    if FIELD in lines:
-        figures |= {"field": field_score.summary(lines[FIELD])}
+    figures |= {half: SCORES[half].summary(judged) for half, judged in lines.items() if half != LABORATORY}
     print(json.dumps(figures))
     return 0
 

@@ -1,0 +1,105 @@
+"""Studies of several parts at once, and what counts in them: `mixed` ones of every plant of the field, and the arm.
+
+A mixed study hides two or three effects of the catalogue; in a fifth of them, one effect beside a stranger that no
+catalogue has. Base numbers are off, a disturbance acts and the recorder errs, as in the field half.
+
+A part is named where it is claimed, alone or as part of the answer, or where one of at most three rivals holds it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from tests.blind import field_study
+from tests.blind.field_rig import Rig
+from tests.blind.field_score import put_forward
+from tests.blind.field_study import Study
+from tests.blind.score import LARGEST_SET, Line, alternatives, share, wilson
+
+HALVED = 0.5  # of the sealed error of the yardstick, from which friction has to be named
+
+
+def draw(seed: int) -> Study:
+    """The mixed study of a seed."""
+    plant = field_study.PLANTS[seed % len(field_study.PLANTS)]
+    strange = (seed // len(field_study.PLANTS)) % 5 == 4 and plant != "craft"  # a craft has one effect or one stranger
+    rig, rng = field_study.RIGS[plant], field_study.stream(seed, 6)
+    study = field_study.bare(seed, plant, rng)
+    for _ in range(50):
+        names = _names(rig, rng, strange=strange)
+        if (found := field_study.sized(study, names, rng, field_study.wanted_large)) is not None:
+            return found
+    raise RuntimeError(f"seed {seed}: no parts that can be seen")
+
+
+def _names(rig: Rig, rng: Any, *, strange: bool) -> list[str]:
+    """Two or three effects, or one and a stranger."""
+    if strange:
+        return [str(rng.choice(sorted(rig.entries))), str(rng.choice(sorted(rig.outside)))]
+    return field_study.names_of(rig, rng, int(rng.integers(2, 4)))
+
+
+# -- what counts -------------------------------------------------------------------------------------------
+
+
+def parts(line: Line) -> set[str]:
+    """True parts that the catalogue has."""
+    return set(line["truth"]) - set(line.get("strangers", ()))
+
+
+def named_parts(line: Line) -> set[str]:
+    """True parts that are claimed, or that rivals of a small set hold."""
+    sets = alternatives(line)
+    shared = set().union(*sets) if 0 < len(sets) <= LARGEST_SET else set()
+    return parts(line) & (put_forward(line) | shared)
+
+
+def wrong_parts(line: Line) -> set[str]:
+    """Names put forward that are not of the truth."""
+    return put_forward(line) - parts(line)
+
+
+def is_due(line: Line) -> bool:
+    """Arm: a least-squares fit with friction halves the sealed error on a channel."""
+    errors = line["yardstick"]
+    return any(w <= HALVED * o for o, w in zip(errors["without"], errors["with"], strict=True))
+
+
+def counts(lines: Sequence[Line]) -> dict[str, tuple[int, int]]:
+    """Figure → (how many, of how many)."""
+    known = [line for line in lines if line["kind"] == "known" and ("yardstick" not in line or is_due(line))]
+    forward = sum(len(put_forward(line)) for line in lines)
+    return {
+        "all_parts_named": (sum(named_parts(line) == parts(line) for line in known), len(known)),
+        "parts_named": (sum(len(named_parts(line)) for line in known), sum(len(parts(line)) for line in known)),
+        "wrong_parts": (sum(len(wrong_parts(line)) for line in lines), forward),
+        "studies_with_wrong_parts": (sum(bool(wrong_parts(line)) for line in lines), len(lines)),
+    }
+
+
+def summary(lines: Sequence[Line]) -> dict[str, Any]:
+    """Figures as fractions."""
+    return {"studies": len(lines)} | {name: share(*counted) for name, counted in counts(lines).items()}
+
+
+def label(line: Line) -> str:
+    """What was hidden where."""
+    return f"{line['plant']}: {' + '.join(sorted(line['truth'])) or 'nothing'}"
+
+
+def said(line: Line) -> str:
+    """What came of a study: parts named of all, then wrong ones, and the verdict."""
+    told = f"{len(named_parts(line))} of {len(parts(line))}"
+    wrong = "".join(f", wrong: {name}" for name in sorted(wrong_parts(line)))
+    return f"{told}{wrong} ({line['verdict']}, {line.get('grade', '')})"
+
+
+def table(lines: Sequence[Line]) -> str:
+    """A row a study, then the figures with Wilson's 95 % intervals."""
+    text = [f"{label(line):70} {said(line)}" for line in lines]
+    for name, (hits, of) in counts(lines).items():
+        low, high = wilson(hits, of)
+        part = f"{100 * hits / of:5.1f} %" if of else "    – "
+        text.append(f"{name:25} {hits:4d} of {of:4d}  {part}  [{100 * low:5.1f}, {100 * high:5.1f}]")
+    return "\n".join(text)
