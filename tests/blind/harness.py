@@ -3,8 +3,8 @@
     python -m tests.blind.harness 200 [--half laboratory] [--jobs 2] [--only coulomb_friction outside] [--first 0]
 
 Two halves, the laboratory (`truth*.py`) and the field (`field_*.py`), each of so many studies; on demand, mixed studies
-(`parts.py`) and those of an arm (`arm.py`). Results are lines of JSON, one a study, appended as they come; a run that is
-started again skips those its git revision has a verdict on. The last line of the output is JSON with the figures of
+(`parts.py`) and those of an arm (`arm.py`). Results are lines of JSON, one a study, appended as they come; a run that
+is started again skips those its git revision has a verdict on. The last line of the output is JSON, the figures of
 `score.summary`, those of the other halves under their names.
 """
 
