@@ -320,6 +320,18 @@ def test_the_step_is_the_slope_of_the_times_by_their_number() -> None:
     assert [slowness(step) for step in (0.001, 0.05, 0.054, 0.06, 0.1, 0.5, 1.0)] == [1, 1, 1, 2, 2, 10, 20]
 
 
+def test_a_clock_of_two_spacings_keeps_the_time_of_its_rows() -> None:
+    """10 ms and 12 ms in turn, as of a robot's controller: no row is more than half a step from its time."""
+    rng = np.random.default_rng(3)
+    time = np.concatenate([[0.0], np.cumsum(rng.choice([0.010, 0.012], 4000, p=[0.6, 0.4]))])
+    nothing = np.zeros(time.size)
+    log = Log(Path("a.csv"), time, {"u": nothing}, {"y": nothing}, {}, usual_step(time), {}, {})
+    assert log.step == 0.01
+    away = log.grid - (log.time - log.time[0]) / log.step
+    assert np.abs(away).max() <= 0.5 + 1e-6
+    assert (np.diff(log.grid) >= 1).all()
+
+
 def test_marks_of_a_logger_are_far_beyond_the_rest() -> None:
     for values, rows in (
         ([1.0] * 9 + [3.4e38], [9]),

@@ -9,7 +9,7 @@ deficient equation and decreases when the correct term is added.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,7 @@ DIFFERENCE = 0.01  # share of a parameter's size for one-sided differences
 NOISE_DIFFERENCE = 0.05
 LONGER = 3  # factor on the iterations of a fit above the objective of its parts
 FAIR = 3  # iterations granted to a fit that starts away from its base; otherwise one
+FAR, LEVELS = 3.0, 9  # innovations in standard deviations, from which so many levels of the unknown inputs are compared
 PROMISE = 3.0  # factor on the improvement of the quadratic model before a fit is abandoned
 
 
@@ -89,8 +90,18 @@ class Fit:
 
 
 def unfitted(problem: Problem) -> Fit:
-    """Return the given model as an unfitted result."""
-    return Fit(problem.values, problem.plain, (), (), 0.0, np.zeros((0, 0)), 0, False)
+    """Return the given model as an unfitted result.
+
+    If its innovations are far larger than their standard deviations, the unknown inputs start at the most likely of
+    some levels: from too small a level, a fit moves parameters in place of the noise.
+    """
+    noise = problem.plain
+    scored = problem.scored(problem.values, noise)
+    if not problem.trusted and not np.mean(scored.errors**2 / scored.variances) < FAR**2:
+        span = problem.noise.largest - noise.power
+        levels = [replace(noise, power=noise.power + share * span) for share in np.linspace(0.0, 1.0, LEVELS)]
+        noise = min(levels, key=lambda level: problem.scored(problem.values, level).nll)
+    return Fit(problem.values, noise, (), (), 0.0, np.zeros((0, 0)), 0, False)
 
 
 def inverse(information: Array) -> Array:

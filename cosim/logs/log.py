@@ -33,6 +33,8 @@ NEVER = 1e30  # size in any SI unit beyond which every value is invalid
 TURN = 2.0 * math.pi
 ALIKE = 0.85  # similarity of two names for a suggestion; prefixes of loggers resemble much
 HINTS, SHOWN = 50, 40  # columns with a suggestion, and names in a message
+DRIFT = 2.0  # steps by which the last row of a log may be off before rows count as missing
+SHORT = 5.0  # percentile of the spacings of an irregular clock [%]
 MISSING = 1.5  # steps between rows from which a row is missing
 OTHER_MODEL = (
     "a log of another model is checked with --model FILE:CLASS and replayed with --plant FMU; "
@@ -106,9 +108,10 @@ class Log:
     def grid(self) -> Rows:
         """Return the index of each row in equal steps; 0, 1, 2 … without missing rows."""
         number = np.arange(self.rows)
-        if not np.any(np.diff(self.time) > MISSING * self.step):
+        ahead = (self.time - self.time[0]) / self.step - number
+        if self.rows < 2 or (abs(ahead[-1]) < DRIFT and not np.any(np.diff(self.time) > MISSING * self.step)):
             return number
-        missing = np.rint((self.time - self.time[0]) / self.step - number).astype(np.intp)
+        missing = np.rint(ahead).astype(np.intp)
         # a late row does not shift later rows
         return number + np.maximum(0, np.minimum.accumulate(missing[::-1])[::-1])
 
@@ -355,16 +358,22 @@ def _unwrapped(
 def usual_step(time: Array) -> float:
     """Return the row spacing [s] of a line through the times, with whole steps over gaps.
 
-    With jittering stamps, a median off by a thousandth would be off by whole rows at the end of a log.
+    With jittering stamps, a median off by a thousandth would be off by whole rows at the end of a log. If the line is
+    far from the median, the clock has no single spacing. The spacing is then a short one, and some rows are missing.
     """
     apart = np.diff(time)
     median = float(np.median(apart))
     usual = apart < MISSING * median
     number = np.concatenate([[0.0], np.cumsum(np.where(usual, 1.0, np.rint(apart / median)))])
-    if np.max(np.abs(time - time[0] - median * number)) < 1e-6 * median * time.size:
-        return float(f"{median:.9g}")
-    slope = float(np.polyfit(number, time - time[0], 1)[0])
-    return float(f"{slope:.9g}") if abs(slope - median) < 0.02 * median else float(f"{median:.9g}")
+    away = time - time[0] - median * number
+    step = median
+    if np.max(np.abs(away)) >= 1e-6 * median * time.size:
+        slope = float(np.polyfit(number, time - time[0], 1)[0])
+        if abs(slope - median) < 0.02 * median:
+            step = slope
+        elif abs(away[-1]) > DRIFT * median:
+            step = float(np.percentile(apart, SHORT))
+    return float(f"{step:.9g}")
 
 
 def slowness(step: float) -> int:
