@@ -51,6 +51,13 @@ def orthonormal(columns: Array) -> Array:
     return np.asarray(np.linalg.qr(columns if finite.all() else np.where(finite, columns, 0.0))[0])
 
 
+def square_roots(covariances: Array) -> Array:
+    """Return L of each covariance, with L·L' = P; zero for a non-finite covariance."""
+    finite = np.isfinite(covariances).all(axis=(-2, -1), keepdims=True)
+    values, vectors = np.linalg.eigh(np.where(finite, covariances, 0.0))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :])
+
+
 def eigenvalues(matrix: Array) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:
     """Return the eigenvalues; none of a non-finite matrix."""
     if matrix.size and _finite(matrix):

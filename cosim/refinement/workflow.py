@@ -22,7 +22,7 @@ from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import at_rest, noise_warnings, sensor_noise
 from cosim.loading.refined import ANSWER, NEAREST, REFINED
 from cosim.refinement.decision.claims import Claims, Nearest, judge
-from cosim.refinement.decision.evidence import best_of, beyond_chance, predicts, steadiness
+from cosim.refinement.decision.evidence import best_of, beyond_chance, predicts, steadiness, with_intervals
 from cosim.refinement.decision.judgement import BETTER, decided
 from cosim.refinement.decision.sentences import calmer
 from cosim.refinement.decision.trust import attributed
@@ -117,7 +117,8 @@ def refine(
         sets = _unsealed(study)
         played, way = Proof(problem, sets, place).replayed(variants)
         progress("measuring the noise floor", 0.0)
-        floors = _floors(of_noise(variants["after"], attribution, claims.claimed, found.heard), problem, sets)
+        best = variants["after"] if claims.claimed else variants.get("nearest", variants["after"])
+        floors = _floors(of_noise(best, attribution, claims.near, found.heard), problem, sets)
         claims = replace(claims, risen=_rises(claims, played, subject), written=bool(files))
         ends = followed(variants["after"], problem, sets.get("validation", ()))
         hold_stops()  # From here, a result exists that must not be lost.
@@ -191,6 +192,8 @@ def _judged(study: Study, a: Attribution, found: Found, progress: Progress) -> C
     problem = search.problem
     moves = unknown_inputs(problem, a.best.fit, a.noisy, units)
     claims = judge(a, left, subject, problem.layout.forced, moves, still=at_rest(problem))
+    if claims.claimed is not None and claims.claimed.fit.scattered is None:
+        claims = replace(claims, claimed=with_intervals(search, claims.claimed))
     progress("replaying with the claim and without", 0.0)
     claims = held_against_replays(study, a, claims, found, problem)
     return with_leftover(claims, a, problem, subject) if subject.static else claims

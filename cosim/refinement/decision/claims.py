@@ -5,16 +5,17 @@ No stage writes text: `cosim.refinement.decision.sentences.sentence` turns the c
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from cosim.base.text import MOST_NAMED
+from cosim.estimation.fit import Fit
 from cosim.refinement.decision.judgement import SIGNIFICANT, loss_without
 from cosim.refinement.search.hypotheses import TOGETHER, Attribution, Hypothesis
 from cosim.refinement.search.unnamed import Leftover, Unnamed
 from cosim.subject.base_parameters import kind_within
-from cosim.subject.candidates import Candidate
+from cosim.subject.candidates import Candidate, Free
 from cosim.subject.interface import Subject
 
 Name = Literal["effect_found", "parameter_error", "sensor_error", "no_effect", "ambiguous", "unexplained"]
@@ -173,14 +174,23 @@ def judge(
             return Claims("unexplained", misfit={**residual, "equation": large})
         return Claims("no_effect", misfit=residual, unshown=a.hidden, moves=moves, small=a.small)
     gained = a.base.score - a.best.score
-    hides = large and gained < MUCH * a.noise_gain[list(forced).index(large)]
-    if hides or _disputed(a, left):
+    explained = 1.0 - a.error_ratio**2  # share of the mean square error on held-out logs
+    hides = large and explained < MUCH * (1.0 - explained)
+    disputed = _disputed(a, left)
+    certain = a.best if not disputed else _without(a, disputed)
+    if hides or certain is None:
         return Claims("unexplained", rivals=a.best.names, misfit=residual)
     if a.rivals:
         return _ambiguous(a, subject, residual)
-    name = name_of(a.best.candidates, subject)
-    claims = Claims(name, a.best, misfit=residual, grade="claimed", small=a.small, beside=left.first, gained=gained)
-    return replace(claims, grade="part", disturbed=large, moves=moves) if large else claims
+    name = name_of(certain.candidates, subject)
+    claims = Claims(name, certain, misfit=residual, grade="claimed", small=a.small, beside=left.first, gained=gained)
+    return replace(claims, grade="part", disturbed=large, moves=moves) if large or disputed else claims
+
+
+def _without(a: Attribution, disputed: Collection[str]) -> Hypothesis | None:
+    """Return the fit of the undisputed parts, if any."""
+    names = tuple(n for n in a.best.names if n not in disputed)
+    return next((h for h in a.tried if names and h.names == names), None)
 
 
 def _large(moves: Mapping[str, float]) -> str:
@@ -218,25 +228,29 @@ def name_of(candidates: Sequence[Candidate], subject: Subject) -> Name:
     return "parameter_error" if kinds == {"parameter"} else "sensor_error" if kinds == {"sensor"} else "effect_found"
 
 
-def _disputed(a: Attribution, left: Leftover) -> bool:
-    """Return True if unnamed terms gain much beside the claim or replace a claimed part."""
+def _disputed(a: Attribution, left: Leftover) -> set[str]:
+    """Return the claimed parts that unnamed terms replace; all parts if the terms gain much beside the claim."""
     if left.fit is None:
-        return False
+        return set()
     if left.gain > MUCH * (a.base.score - a.best.score):
-        return True
+        return set(a.best.names)
     beside = Hypothesis(a.best.candidates, left.fit, 0.0)
     neutral = {
         f.name: f.neutral if f.neutral is not None else a.base.fit.values.get(f.name, 0.0) for f in left.fit.free
     }
-    for c in a.best.candidates:
-        if loss_without(beside, c, neutral) < left.cost:
-            return True
-        for f in c.free:
-            if f.neutral is not None:
-                was, now = a.best.fit.values[f.name] - f.neutral, left.fit.values[f.name] - f.neutral
-                if abs(now - was) > MOVED * abs(was) and abs(now - was) > SIGNIFICANT * a.best.fit.sigma(f.name):
-                    return True
-    return False
+    return {
+        c.name
+        for c in a.best.candidates
+        if loss_without(beside, c, neutral) < left.cost or any(_is_moved(f, a.best.fit, left.fit) for f in c.free)
+    }
+
+
+def _is_moved(f: Free, alone: Fit, beside: Fit) -> bool:
+    """Return True if unnamed terms beside a claim move a parameter clearly and by a large share."""
+    if f.neutral is None:
+        return False
+    change = abs(beside.values[f.name] - alone.values[f.name])
+    return change > MOVED * abs(alone.values[f.name] - f.neutral) and change > SIGNIFICANT * alone.sigma(f.name)
 
 
 def _misfit(a: Attribution, left: Leftover, forced: Sequence[str]) -> dict[str, Any]:

@@ -147,6 +147,31 @@ def predicts(problem: Problem, horizon: float, better: Fit, worse: Fit) -> float
     return in_scatter(_nearer(in_parallel(one, list(logs))))
 
 
+def error_ratios(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[float, ...]:
+    """Return the ratio of open-loop errors of two hypotheses on each held-out log, in the mean over the outputs.
+
+    A single log is halved. A log on which both predictions are exact is omitted.
+    """
+    problem = search.problem if len(search.problem.logs) > 1 else halved(search.problem)
+
+    def one(left_out: int) -> float:
+        fits = [learnt_without(search, problem, h, left_out) for h in (better, worse)]
+        errors = [open_loop(problem, search.subject.horizon, f.values, f, left_out) for f in fits]
+        return mean_log_error([errors[0]]) - mean_log_error([errors[1]])
+
+    logarithms = in_parallel(one, list(range(len(problem.logs))))
+    return tuple(math.exp(value) for value in logarithms if math.isfinite(value))
+
+
+def mean_log_error(errors: Sequence[Array]) -> float:
+    """Return the mean logarithm of the root mean square errors over the outputs."""
+    rows = np.concatenate([e.reshape(-1, e.shape[-1]) for e in errors])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        sizes = 0.5 * np.log(np.nanmean(rows**2, axis=0))
+    sizes = sizes[np.isfinite(sizes)]
+    return float(np.mean(sizes)) if sizes.size else math.inf
+
+
 def best_of(scatters: float, tried: int) -> float:
     """Return the required gain per scatter of several candidates.
 
@@ -256,6 +281,22 @@ def _of_few(covariance: Array, rows: int, free: int) -> Array:
 
     left = max(1, rows - free)
     return np.asarray(covariance * (float(stdtrit(left, 0.975)) / NORMAL_95) ** 2 * rows / left)
+
+
+def with_intervals(search: Search, h: Hypothesis) -> Hypothesis:
+    """Return the hypothesis with the covariance of its estimates: scatter over blocks of time, and from log to log.
+
+    The variance from log to log is the jackknife's: (n − 1)/n·Σ(θ₋ₖ − θ̄)² over fits to all logs but one.
+    """
+    f, logs = scattered(search.problem, h.fit), len(search.problem.logs)
+    if logs < 2 or f.scattered is None or search.problem.table:
+        return replace(h, fit=f)
+    fits = in_parallel(lambda k: learnt_without(search, search.problem, h, k), list(range(logs)))
+    values = np.array([[other.values[x.name] for x in f.free] for other in fits])
+    apart = (logs - 1) / logs * np.sum((values - values.mean(axis=0)) ** 2, axis=0)
+    own = np.diag(f.scattered)
+    wider = np.sqrt(np.maximum(1.0, np.divide(apart, own, out=np.ones_like(own), where=own > 0.0)))
+    return replace(h, fit=replace(f, scattered=f.scattered * np.outer(wider, wider)))
 
 
 def scattered(problem: Problem, f: Fit) -> Fit:

@@ -12,7 +12,14 @@ from cosim.estimation.fit import Fit, inverse
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
 from cosim.logs.channel_noise import NORMAL_95
-from cosim.refinement.decision.evidence import as_given, beyond_chance, held_out, scattered, steadiness
+from cosim.refinement.decision.evidence import (
+    as_given,
+    beyond_chance,
+    error_ratios,
+    held_out,
+    steadiness,
+    with_intervals,
+)
 from cosim.refinement.search.fits import Found, Search, key_of
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
 from cosim.subject.base_parameters import WIDTHS
@@ -37,15 +44,15 @@ def decided(found: Found) -> Attribution:
     kept = _borne_out(search, found.best)
     best = kept.best
     if best.candidates:
-        best = replace(best, fit=scattered(search.problem, best.fit))
+        best = with_intervals(search, best)
     rivals = _rivals(search, best)
     tried = tuple(sorted(search.tried.values(), key=lambda h: h.score))
     reasons = Reasons(base, best, tried, rivals, search, kept.dropped).all()
     total = _support(search, best, base) if best.candidates else Support(0.0, 0.0)
     given, noise = as_given(search.problem, base.fit), noise_gain(search.problem, best.fit)
-    return Attribution(
-        base, given, tried, best, rivals, total, kept.support, noise, reasons, found.hidden, found.effects, kept.fuller
-    )
+    ratios = error_ratios(search, best, base) if best.candidates else ()
+    facts = base, given, tried, best, rivals, total, kept.support, noise, reasons
+    return Attribution(*facts, found.hidden, found.effects, kept.fuller, ratios)
 
 
 @dataclass

@@ -13,13 +13,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
-from cosim.base.arrays import Array
 from cosim.estimation.fit import Fit
 from cosim.estimation.posing import coarsened, with_equations_trusted
 from cosim.estimation.problem import Problem
-from cosim.refinement.decision.evidence import open_loop
+from cosim.refinement.decision.evidence import mean_log_error, open_loop
 from cosim.refinement.decision.judgement import noise_gain
 from cosim.refinement.search.attribution import Attributor
 from cosim.refinement.search.fits import Found, Progress, Search
@@ -54,13 +51,4 @@ def attributed(subject: Subject, problem: Problem, candidates: Sequence[Candidat
 
 def missed(problem: Problem, subject: Subject, f: Fit) -> float:
     """Return the mean log error of open-loop predictions."""
-    return size([open_loop(problem, subject.horizon, f.values, f, k) for k in range(len(problem.logs))])
-
-
-def size(errors: Sequence[Array]) -> float:
-    """Return the mean log RMSE over the outputs."""
-    rows = np.concatenate([e.reshape(-1, e.shape[-1]) for e in errors])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        sizes = 0.5 * np.log(np.nanmean(rows**2, axis=0))
-    sizes = sizes[np.isfinite(sizes)]
-    return float(np.mean(sizes)) if sizes.size else math.inf
+    return mean_log_error([open_loop(problem, subject.horizon, f.values, f, k) for k in range(len(problem.logs))])

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array, Rows
+from cosim.base.linear_algebra import square_roots
 from cosim.estimation.data import as_data, unscored
 from cosim.estimation.per_log import own, spread
 from cosim.estimation.posing import origins, start_covariance, start_state
@@ -193,19 +194,82 @@ class Floor:
 
 
 def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np.random.Generator) -> Floor:
-    """Return the noise floor from simulations with random noise."""
+    """Return the noise floor: errors of the model against itself, simulated with random noise.
+
+    Each simulation starts beside the filtered state of a replay's first row, as far away as the filter's covariance
+    says, and so stays within the motion of the log. A floor above the spread of its own channel is omitted.
+    """
     problem = filtering(problem, variant.subject, logs)
     draws: list[list[Array]] = [[] for _ in range(-(-DRAWS // len(logs)))]
     for index, log in enumerate(logs):
-        whole = {**variant.values, **_known_at_the_end(variant, problem, index)}
-        first = problem.run(whole, variant.noise, index, states=True).states[0]
+        window = _Windows.of(variant, problem, log, index)
         for draw in draws:
-            drawn = _drawn(problem, index, variant, first, rng)
-            draw.append(_missed(variant, problem, log, index, drawn))
+            draw.append(window.draw(rng))
     level = _root_mean_squares(problem, [missed for draw in draws for missed in draw])
     each = [_root_mean_squares(problem, draw) for draw in draws]
     sizes = {name: [size for one in each if (size := one[name]) > 0.0] for name in level}
-    return Floor(level, {n: float(np.std(np.log(s), ddof=1)) for n, s in sizes.items() if len(s) > 1})
+    spread = {q: _spread(logs, q) for q in level}
+    shown = {name: size for name, size in level.items() if not size > spread[name]}
+    return Floor(shown, {n: float(np.std(np.log(s), ddof=1)) for n, s in sizes.items() if n in shown and len(s) > 1})
+
+
+def _spread(logs: Sequence[Log], name: str) -> float:
+    """Return the standard deviation of an output over all logs; infinite if it is not measured."""
+    readings = [log.outputs[name][np.isfinite(log.outputs[name])] for log in logs if name in log.outputs]
+    values = np.concatenate(readings) if readings else np.empty(0)
+    return float(np.std(values)) if values.size > 1 else math.inf
+
+
+@dataclass(frozen=True, eq=False)
+class _Windows:
+    """Replays of a log, and simulations of the same model with random noise from starts beside theirs.
+
+    Attributes:
+        rows: First row of each replay; none for a table.
+        roots: Square root of the filter's covariance in each of these rows.
+        gains: Gain of each sensor, by row.
+    """
+
+    variant: Variant
+    problem: Problem
+    index: int
+    data: Data
+    rows: Sequence[int]
+    filtered: Filtered
+    roots: Array
+    gains: Array
+
+    @classmethod
+    def of(cls, variant: Variant, problem: Problem, log: Log, index: int) -> _Windows:
+        """Return the windows of a log."""
+        data = problem.data(variant.values, index)
+        rows = [] if data.table else log.grid[first_rows(log, variant.subject.horizon)].tolist()
+        filtered = problem.filter_causally(data, variant.values, variant.noise, index, rows)
+        known, count = filtered.covariances, len(problem.layout.stochastic)
+        roots = square_roots(np.zeros((len(rows), count, count)) if known is None else known[rows])
+        return cls(variant, problem, index, data, rows, filtered, roots, _gains(variant, problem, data, filtered, rows))
+
+    def draw(self, rng: np.random.Generator) -> Array:
+        """Return the errors of the replays against one simulation with random noise."""
+        problem, noise, data = self.problem, self.variant.noise, self.data
+        sensed = rng.standard_normal(data.y.shape) * np.sqrt(problem.variances(noise, self.index))
+        if data.table:
+            return np.asarray(np.where(np.isnan(data.y), np.nan, sensed) / self.gains)
+        layout, power = problem.layout, np.exp(0.5 * noise.power)
+        density = problem.densities(noise)[list(layout.noisy)]
+        kicks = np.zeros((len(data.u), len(layout.states)))
+        kicks[:, layout.noise_places] = rng.standard_normal((len(data.u), len(density))) * np.sqrt(density * data.step)
+        lasting = {**self.variant.values, LASTS: math.exp(noise.memory)}
+        p = problem.numbers(problem.of_log(lasting if layout.coloured else self.variant.values, self.index))
+        starts = self.filtered.states.copy()
+        beside = (self.roots @ rng.standard_normal((*self.roots.shape[:2], 1)))[..., 0]
+        starts[np.ix_(self.rows, list(layout.stochastic))] += beside
+        if layout.coloured:  # Replays know nothing of the unknown inputs.
+            starts[np.ix_(self.rows, layout.noise_places)] = rng.standard_normal((len(self.rows), len(power))) * power
+        length = _rows_of_replay(self.variant, data)
+        truth = _simulated(problem, data, p, self.rows, length, starts=starts, memory=self.filtered.memory, kicks=kicks)
+        replayed = _predicted(problem, data, p, self.filtered, self.rows, length)
+        return np.asarray(np.where(np.isnan(data.y), np.nan, truth + sensed - replayed) / self.gains)
 
 
 def followed(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
@@ -227,23 +291,6 @@ def _known_at_the_end(variant: Variant, problem: Problem, index: int) -> dict[st
     return values | {spread(name, group): 0.0 for name in constants}
 
 
-def _drawn(problem: Problem, index: int, variant: Variant, first: Array, rng: np.random.Generator) -> Data:
-    """Return a simulated log with new noise.
-
-    Late readings are shifted to the rows of their measurement, as in `Problem.data`.
-    """
-    layout, data = problem.layout, problem.data(variant.values, index)
-    rows, noisy = len(data.u), layout.noise_places
-    density = problem.densities(variant.noise)[list(layout.noisy)]
-    kicks = np.zeros((rows, len(layout.states)))
-    kicks[:, noisy] = rng.standard_normal((rows, len(noisy))) * np.sqrt(density * data.step)
-    lasting = {**variant.values, LASTS: math.exp(variant.noise.memory)}
-    p = problem.numbers(problem.of_log(lasting if layout.coloured else variant.values, index))
-    truth = problem.kernel.simulate(data, p, first, np.zeros(layout.memory), kicks)
-    sensed = rng.standard_normal(truth.outputs.shape) * np.sqrt(problem.variances(variant.noise, index))
-    return replace(data, y=np.where(np.isnan(data.y), np.nan, _older(truth.outputs, data.late) + sensed))
-
-
 def _older(outputs: Array, late: Array | None) -> Array:
     """Return outputs shifted by fractions of a row."""
     return outputs if late is None else outputs - np.nan_to_num(late) * np.diff(outputs, axis=0, prepend=outputs[:1])
@@ -254,20 +301,29 @@ def _missed(variant: Variant, problem: Problem, log: Log, index: int, data: Data
 
     Each replay starts from the state filtered from past data.
     """
-    gains = dict.fromkeys(problem.layout.outputs, np.ones(len(data.u)))
-    horizon = variant.subject.horizon
-    rows = [] if data.table else log.grid[first_rows(log, horizon)].tolist()
+    rows = [] if data.table else log.grid[first_rows(log, variant.subject.horizon)].tolist()
     filtered = problem.filter_causally(data, variant.values, variant.noise, index, rows)
+    readings = filtered.errors
+    if not data.table:
+        p = problem.numbers(problem.of_log(variant.values, index))
+        readings = data.y - _predicted(problem, data, p, filtered, rows, _rows_of_replay(variant, data))
+    return np.asarray(readings / _gains(variant, problem, data, filtered, rows))
+
+
+def _rows_of_replay(variant: Variant, data: Data) -> int:
+    """Return the rows of a replay."""
+    horizon = variant.subject.horizon
+    return len(data.u) if horizon == FREE_RUN else round(horizon / data.step)
+
+
+def _gains(variant: Variant, problem: Problem, data: Data, filtered: Filtered, rows: Sequence[int]) -> Array:
+    """Return the gain of each output's sensor, by row."""
+    gains = dict.fromkeys(problem.layout.outputs, np.ones(len(data.u)))
     acting = {} if data.table else _acting(problem, filtered, np.array(rows, np.intp), np.arange(len(data.u)))
     for sensor in _sensors(variant, acting):
         if sensor.straight():
             gains |= {n: gains[n] * _line(sensor)[1] for n in sensor.affected() if n in gains}
-    readings = filtered.errors
-    if not data.table:
-        length = len(data.u) if horizon == FREE_RUN else round(horizon / data.step)
-        p = problem.numbers(problem.of_log(variant.values, index))
-        readings = data.y - _predicted(problem, data, p, filtered, rows, length)
-    return np.asarray(readings / np.column_stack(list(gains.values())))
+    return np.column_stack(list(gains.values()))
 
 
 def _root_mean_squares(problem: Problem, missed: Sequence[Array]) -> dict[str, float]:
@@ -281,10 +337,26 @@ def _root_mean_squares(problem: Problem, missed: Sequence[Array]) -> dict[str, f
 
 def _predicted(problem: Problem, data: Data, p: Array, filtered: Filtered, rows: Sequence[int], length: int) -> Array:
     """Return the outputs of kernel replays; NaN between replays."""
-    predicted = np.full(data.y.shape, np.nan)
+    starts = {k: problem.undisturbed(filtered.states[k]) for k in rows}
+    return _simulated(problem, data, p, rows, length, starts=starts, memory=filtered.memory)
+
+
+def _simulated(
+    problem: Problem,
+    data: Data,
+    p: Array,
+    rows: Sequence[int],
+    length: int,
+    *,
+    starts: Mapping[int, Array] | Array,
+    memory: Array,
+    kicks: Array | None = None,
+) -> Array:
+    """Return the outputs of simulations from given rows; NaN between them."""
+    outputs = np.full(data.y.shape, np.nan)
     for k in rows:
         end = min(k + length, len(data.u) - 1)
         part = data.rows(0, end + 1)
-        run = problem.kernel.simulate(part, p, problem.undisturbed(filtered.states[k]), filtered.memory[k], first=k)
-        predicted[k + 1 : end + 1] = _older(run.outputs[k:], None if part.late is None else part.late[k:])[1:]
-    return predicted
+        run = problem.kernel.simulate(part, p, starts[k], memory[k], kicks, first=k)
+        outputs[k + 1 : end + 1] = _older(run.outputs[k:], None if part.late is None else part.late[k:])[1:]
+    return outputs

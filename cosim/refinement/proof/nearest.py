@@ -10,8 +10,7 @@ from collections.abc import Sequence
 
 from cosim.estimation.fit import Fit
 from cosim.estimation.posing import halved
-from cosim.refinement.decision.evidence import as_given, learnt_without, open_loop
-from cosim.refinement.decision.trust import size
+from cosim.refinement.decision.evidence import as_given, learnt_without, mean_log_error, open_loop
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis
 
@@ -30,7 +29,7 @@ def nearest(search: Search, a: Attribution, best: Sequence[Hypothesis]) -> Hypot
 
     def error(fits: Sequence[Fit]) -> float:
         missed = [open_loop(problem, search.subject.horizon, f.values, f, k) for k, f in zip(logs, fits, strict=True)]
-        return size(missed)
+        return mean_log_error(missed)
 
     found.append((error([as_given(problem, a.base.fit, k) for k in logs]), None))
     for h in (a.base, *best):

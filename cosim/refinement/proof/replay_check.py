@@ -49,7 +49,7 @@ def held_against_replays(study: Study, a: Attribution, claims: Claims, found: Fo
     error, floor = _replay_errors(study, a, claims, problem, found.heard)
     if single and (doubt := _still_missed(error, floor)):
         return claims.withdrawn(doubt)
-    return checked_claim(claims, error, floor, a.support, recalibrated=within)
+    return checked_claim(claims, error, floor, a.support, recalibrated=within, halves=a.halves_error)
 
 
 def _replay_errors(
@@ -74,6 +74,7 @@ def checked_claim(
     support: Mapping[str, Support] = MappingProxyType({}),
     *,
     recalibrated: bool = True,
+    halves: bool = False,
 ) -> Claims:
     """Grade or withdraw a claim according to replays.
 
@@ -81,20 +82,22 @@ def checked_claim(
 
     Args:
         recalibrated: True if the recalibrated base model is within its tolerances and so an alternative.
+        halves: True if the claim halves the error on held-out logs; it is then a part of the answer at least.
     """
     if claims.claimed is None:
         return claims
     of_sensors = claims.claimed.of_sensors
     effects = recalibrated and any(c.kind == "effect" for c in claims.claimed.candidates)
     doubt = _still_missed(error, floor) if of_sensors else _plant_doubt(error, floor, effects=effects)
-    if doubt:
+    if doubt and not halves:
         return claims.withdrawn(doubt)
     if claims.name == "ambiguous" or claims.grade != "claimed":
         return claims
     worst, share = max(_remaining_excess(error, floor).items(), key=itemgetter(1), default=("", 0.0))
     if share <= PART:
         return claims
-    if weak := tuple(n for n in claims.claimed.names if n in support and support[n].predicted < BETTER):
+    weak = tuple(n for n in claims.claimed.names if n in support and support[n].predicted < BETTER)
+    if weak and not halves:
         return claims.withdrawn(Doubt("unsteady", names=weak))
     return replace(claims, grade="part", part=Part(worst, share))
 

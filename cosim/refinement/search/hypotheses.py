@@ -10,6 +10,7 @@ from cosim.estimation.fit import Fit
 from cosim.subject.candidates import Candidate
 
 TOGETHER = " + "  # separator between the names of a rival with several candidates
+HALF = 0.5  # ratio of held-out errors from which an effect is never passed over
 NOISE = 4.0  # log-likelihood gain from which an equation has an unknown input
 
 
@@ -89,6 +90,17 @@ class Attribution:
     hidden: tuple[str, ...] = ()  # effects that these logs cannot show at their usual size
     effects: int = 0  # number of effects on trial
     fuller: Hypothesis | None = None  # best hypothesis including parts with gains too small to distinguish from chance
+    error_ratios: tuple[float, ...] = ()  # held-out open-loop error, best hypothesis over recalibrated model, by log
+
+    @property
+    def error_ratio(self) -> float:
+        """Return the mean ratio of held-out errors; 1 without hypotheses."""
+        return math.exp(sum(map(math.log, self.error_ratios)) / len(self.error_ratios)) if self.error_ratios else 1.0
+
+    @property
+    def halves_error(self) -> bool:
+        """Return True if the best hypothesis halves the held-out error and reduces it on every log."""
+        return self.error_ratio <= HALF and max(self.error_ratios) < 1.0
 
     @property
     def noisy(self) -> tuple[bool, ...]:
