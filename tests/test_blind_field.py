@@ -201,7 +201,7 @@ def test_base_numbers_are_all_off_and_within_their_tolerances() -> None:
 def test_names_of_one_family_are_never_dealt_together() -> None:
     for rig in RIGS.values():
         for n in range(50):
-            names = set(field_study._names(rig, np.random.default_rng(n), 4))
+            names = set(field_study.names_of(rig, np.random.default_rng(n), 4))
             assert len(names) == 4
             assert all(len(family & names) <= 1 for family in rig.families)
 
