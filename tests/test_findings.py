@@ -505,12 +505,12 @@ def test_what_the_other_logs_hardly_know_of_one_part_is_no_word_against_another(
     search = searched(rail, problem)
     drag, both = (search.hypothesis(parts_of(problem, rail, *names), None) for names in (("drag",), ("drag", "slope")))
     gained = held_out(search, both, drag)[0]
-    for (names, left_out), learnt in list(search.learnt.items()):  # as logs have it that hardly move
-        search.learnt[names, left_out] = replace(learnt, values={**learnt.values, "drag.factor": 0.3})
+    for (names, left_out), learnt in list(search.cross_fits.items()):  # as logs have it that hardly move
+        search.cross_fits[names, left_out] = replace(learnt, values={**learnt.values, "drag.factor": 0.3})
     assert held_out(search, both, drag)[0] == pytest.approx(gained, rel=0.02)
     # but what only one of the two has is as the others have it
-    for (names, left_out), learnt in list(search.learnt.items()):
-        search.learnt[names, left_out] = replace(learnt, values={**learnt.values, "slope.pull": -0.3})
+    for (names, left_out), learnt in list(search.cross_fits.items()):
+        search.cross_fits[names, left_out] = replace(learnt, values={**learnt.values, "slope.pull": -0.3})
     assert held_out(search, both, drag)[0] < 0.0 < gained
 
 

@@ -16,11 +16,11 @@ from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
 from cosim.refinement.decision.claims import Claims, Doubt, Moved
 from cosim.refinement.decision.sentences import (
-    calmer,
     cannot_tell,
     claim,
     doubted,
     excites_too_little,
+    floor_warning,
     further,
     holds,
     left_over,
@@ -162,7 +162,7 @@ def below_its_floor() -> dict[str, Any]:
     record = found("coulomb_friction")
     record["error"]["after"]["validation"] = {"vx": 0.005}
     above = Floor({"vx": 0.01}, {"vx": 0.05}).above({"vx": 0.005})
-    return record | {"warnings": [calmer("validation", above, UNITS)]}
+    return record | {"warnings": [floor_warning("validation", above, UNITS)]}
 
 
 MADE: dict[str, Callable[[], dict[str, Any]]] = {

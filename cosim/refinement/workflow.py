@@ -14,26 +14,27 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import Fault, refuse
 from cosim.estimation.fit import Fit
 from cosim.estimation.per_log import not_per_log
 from cosim.estimation.posing import build_problem, coarsened, varied_inputs
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import at_rest, noise_warnings, sensor_noise
 from cosim.loading.refined import ANSWER, NEAREST, REFINED
+from cosim.refinement import messages
 from cosim.refinement.decision.claims import Claims, Nearest, judge
 from cosim.refinement.decision.evidence import best_of, beyond_chance, predicts, steadiness
 from cosim.refinement.decision.judgement import BETTER, decided
-from cosim.refinement.decision.sentences import calmer
+from cosim.refinement.decision.sentences import floor_warning
 from cosim.refinement.decision.trust import attributed
 from cosim.refinement.proof.measure import FLOOR_SEED, followed, noise_floor, rmse
 from cosim.refinement.proof.nearest import nearest
 from cosim.refinement.proof.proof_replays import LogSets, Proof, warnings_of
 from cosim.refinement.proof.refined_models import Variant, of_noise, refined_subject, variant_of, variants_of
 from cosim.refinement.proof.replay_check import held_against_replays
-from cosim.refinement.proof.sealed import Rise, risen
+from cosim.refinement.proof.sealed import find_rises
 from cosim.refinement.proof.table_errors import errors_left_out, with_leftover
-from cosim.refinement.record import Floors, Measured, Record, Replayed, keep_finite, record
+from cosim.refinement.record import Floors, Measured, Replayed, keep_finite, record
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.search.fits import Found
 from cosim.refinement.search.hypotheses import Attribution
@@ -97,8 +98,8 @@ def refine(
     subject = study.subject
     check_left(folder, "cosim refine", *filter(None, [str(study.path or "")]), force=force, keep=keep)
     check_writable(folder, (*RESULTS, "report.html"), study.files)
-    problem = _posed(study)
-    _refuse_runaway(study, problem)
+    problem = _build_problem(study)
+    refuse(_divergences(study, problem))
     found = attributed(subject, problem, _on_trial(study), progress)
     progress("weighing what was found", 0.0)
     attribution = decided(found)
@@ -114,18 +115,23 @@ def refine(
         if "nearest" in variants:
             files += variants["nearest"].subject.write(scratch, folder, "nearest")
         progress("replaying through the FMUs", 0.0)
-        sets = _unsealed(study)
+        sealed = study.unseal()  # after all decisions
+        sets: LogSets = {"estimation": study.logs, "validation": sealed} if sealed else {"estimation": study.logs}
         played, way = Proof(problem, sets, place).replayed(variants)
         progress("measuring the noise floor", 0.0)
-        floors = _floors(of_noise(variants["after"], attribution, claims.claimed, found.heard), problem, sets)
+        quiet = of_noise(variants["after"], attribution, claims.claimed, found.sensors)
+        rng = np.random.default_rng(FLOOR_SEED)  # fixed for reproducible results
+        floors: Floors = {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
         claims = replace(claims, risen=_rises(claims, played, subject), written=bool(files))
-        ends = followed(variants["after"], problem, sets.get("validation", ()))
+        ends = followed(variants["after"], problem, sealed)
         hold_stops()  # From here, a result exists that must not be lost.
-        warnings += [*warnings_of(way), *_too_calm(floors, played, subject)]
+        warnings += [*warnings_of(way), *_floor_warnings(floors, played, subject)]
         study = replace(study, warnings=(*study.warnings, *warnings))
         measured = Measured(played, floors, way, ends, time.perf_counter() - began)
         written = record(study, attribution, claims, problem, between, measured)
-        _write(scratch / ANSWER, written)
+        with atomic_write(scratch / ANSWER) as stream:
+            json.dump(written.model_dump(mode="json"), stream, indent=2, ensure_ascii=False, allow_nan=False)
+            stream.write("\n")
         with uninterrupted():
             if keep:
                 keep_earlier(folder, "cosim refine")
@@ -142,30 +148,25 @@ def refine(
     return outcome
 
 
-def _posed(study: Study) -> Problem:
-    """Return the fitting problem."""
-    subject, given = study.subject, study.content.noise
-    problem = build_problem(subject, study.logs, noise=given, settings=study.settings)
-    guessed = {n: level for n, level in sensor_noise(problem).items() if n not in subject.sensor_variance}
-    return problem.with_noise({n: level for n, level in guessed.items() if n not in given and level > 0.0})
+def _build_problem(study: Study) -> Problem:
+    """Return the fitting problem, with noise levels from the logs where neither study nor model states them."""
+    noise = study.content.noise
+    problem = build_problem(study.subject, study.logs, noise=noise, settings=study.settings)
+    stated = {*study.subject.sensor_variance, *noise}
+    return problem.with_noise({n: s for n, s in sensor_noise(problem).items() if n not in stated and s > 0.0})
 
 
-def _refuse_runaway(study: Study, problem: Problem) -> None:
-    """Raise InputError if the filter of the unfitted model diverges, since no estimate could follow."""
-    faults = []
+def _divergences(study: Study, problem: Problem) -> Iterator[Fault]:
+    """Yield a fault for each log on which the filter of the unfitted model diverges, since no estimate could follow."""
     for index, (log, data) in enumerate(zip(study.logs, problem.logs, strict=False)):
         by_log = problem.scored(problem.values, problem.plain, [index]).by_log
         if np.isfinite(by_log).all():
             continue
         errors, variances = problem.innovations(problem.values, problem.plain, index)
         with np.errstate(over="ignore", invalid="ignore"):
-            lost = ~np.isfinite(errors * errors / variances) & problem.readings[index].scored
-        t = data.start + data.step * int(np.argmax(lost.any(axis=1)))
-        cure = "check its parameters, start values and the units of the log, or state a shorter substep in its class"
-        text = f"{study.subject.title} runs away on this log: its prediction is not finite at t = {t:.6g} s"
-        faults.append(Fault(log.path, 0, 0, f"{text}; {cure}"))
-    if faults:
-        raise InputError(faults)
+            diverged = ~np.isfinite(errors * errors / variances) & problem.readings[index].scored
+        t = data.start + data.step * int(np.argmax(diverged.any(axis=1)))
+        yield Fault(log.path, 0, 0, messages.DIVERGING_MODEL(model=study.subject.title, time=t))
 
 
 def _on_trial(study: Study) -> list[Candidate]:
@@ -224,40 +225,21 @@ def _variants(study: Study, a: Attribution, claims: Claims) -> dict[str, Variant
     return variants
 
 
-def _unsealed(study: Study) -> LogSets:
-    """Return the study's logs; validation logs are opened here."""
-    sealed = study.unseal()
-    return {"estimation": study.logs, "validation": sealed} if sealed else {"estimation": study.logs}
-
-
-def _floors(quiet: Variant, problem: Problem, sets: LogSets) -> Floors:
-    """Return the noise floor of each set of logs, from a fixed seed for reproducible results."""
-    rng = np.random.default_rng(FLOOR_SEED)
-    return {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
-
-
-def _rises(claims: Claims, replayed: Replayed, subject: Subject) -> Mapping[str, Rise]:
+def _rises(claims: Claims, played: Replayed, subject: Subject) -> Mapping[str, tuple[float, float]]:
     """Return the errors that rise on sealed logs with the claim, or with the nearest model."""
     variant = "after" if claims.claimed is not None else "nearest"
-    if "validation" not in replayed["before"] or variant not in replayed:
+    if "validation" not in played["before"] or variant not in played:
         return {}
-    before, after = (replayed[name]["validation"][subject.horizon] for name in ("before", variant))
-    return risen(before, after)
+    before, after = (played[name]["validation"][subject.horizon] for name in ("before", variant))
+    return find_rises(before, after)
 
 
-def _too_calm(floors: Floors, replayed: Replayed, subject: Subject) -> Iterator[str]:
+def _floor_warnings(floors: Floors, played: Replayed, subject: Subject) -> Iterator[str]:
     """Warn of a noise floor above the error."""
     units = {q.name: q.unit for q in subject.outputs}
     for part, floor in floors.items():
-        if found := floor.above(keep_finite(rmse(replayed["after"][part][subject.horizon]))):
-            yield calmer(part, found, units)
-
-
-def _write(path: Path, written: Record) -> None:
-    """Write refine.json."""
-    with atomic_write(path) as stream:
-        json.dump(written.model_dump(mode="json"), stream, indent=2, ensure_ascii=False, allow_nan=False)
-        stream.write("\n")
+        if channels := floor.above(keep_finite(rmse(played["after"][part][subject.horizon]))):
+            yield floor_warning(part, channels, units)
 
 
 def _publish(files: Sequence[Path], answer: Path, folder: Path) -> None:

@@ -207,8 +207,8 @@ def usual_experiment(subject: Subject) -> str:
 
 def experiment_for(subject: Subject, names: Sequence[str]) -> str:
     """Return the input that separates these rivals."""
-    known = [(len(row & set(names)), text) for row, text in subject.told_apart_by.items()]
-    shared, text = max(known, default=(0, ""))
+    experiments = [(len(row & set(names)), text) for row, text in subject.told_apart_by.items()]
+    shared, text = max(experiments, default=(0, ""))
     return text if shared > 1 else usual_experiment(subject)
 
 
@@ -233,8 +233,8 @@ def _disputed(a: Attribution, left: Leftover) -> bool:
             return True
         for f in c.free:
             if f.neutral is not None:
-                was, now = a.best.fit.values[f.name] - f.neutral, left.fit.values[f.name] - f.neutral
-                if abs(now - was) > MOVED * abs(was) and abs(now - was) > SIGNIFICANT * a.best.fit.sigma(f.name):
+                alone, change = a.best.fit.values[f.name], abs(left.fit.values[f.name] - a.best.fit.values[f.name])
+                if change > MOVED * abs(alone - f.neutral) and change > SIGNIFICANT * a.best.fit.sigma(f.name):
                     return True
     return False
 

@@ -42,9 +42,8 @@ def blocks_of(problem: Problem, scored: Scored, memory: float) -> Rows:
 
     Blocks are longer than the correlation of the residual.
     """
-    data = problem.logs[0]
-    lasting = correlated(scored) if problem.trusted else memory / data.step
-    rows = max(BLOCK, round(LASTING * lasting))
+    length = correlated(scored) if problem.trusted else memory / problem.logs[0].step
+    rows = max(BLOCK, round(LASTING * length))
     total = sum(len(d.u) for d in problem.logs)
     rows = max(1, min(rows, total // FEWEST))
     numbers, first = [], 0
@@ -55,11 +54,6 @@ def blocks_of(problem: Problem, scored: Scored, memory: float) -> Rows:
     return np.concatenate(numbers)
 
 
-def number_of_blocks(problem: Problem, f: Fit) -> int:
-    """Return the number of scored blocks of a fit."""
-    return int(np.unique(blocks_of(problem, problem.scored(f.values, f.noise), math.exp(f.noise.memory))).size)
-
-
 def correlated(scored: Scored) -> float:
     """Return the autocorrelation length of normalised errors [rows]."""
     parts, rows = scored.of_each_log(scored.errors / np.sqrt(scored.variances)), scored.of_each_log(scored.rows)
@@ -67,9 +61,9 @@ def correlated(scored: Scored) -> float:
     for part, at in zip(parts, rows, strict=True):
         series = np.bincount(at, np.nan_to_num(part))
         power = np.abs(np.fft.rfft(series, 2 * len(series))) ** 2
-        like = np.fft.irfft(power)[: len(series)]
-        none = np.flatnonzero(like <= 0.0)
-        longest = max(longest, float(like[: none[0] if none.size else len(like)].sum() / (like[0] or 1.0)))
+        correlation = np.fft.irfft(power)[: len(series)]
+        end = np.append(np.flatnonzero(correlation <= 0.0), len(correlation))[0]
+        longest = max(longest, float(correlation[:end].sum() / (correlation[0] or 1.0)))
     return longest
 
 
@@ -108,43 +102,41 @@ def held_out(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[flo
     is halved.
     """
     problem = search.problem if len(search.problem.logs) > 1 else halved(search.problem)
-    count = len(problem.logs)
     both = set(better.names) & set(worse.names)
     names = {f.name for c in (*better.candidates, *worse.candidates) if c.name not in both for f in c.free}
     shared = tuple(c for c in better.candidates if c.name in both)
     settling = [f for f in search.free(shared) if f.name not in names]
 
-    def one(left_out: int) -> tuple[float, list[Array]]:
-        objectives, missed = [], []
+    def compare(log: int) -> tuple[float, list[Array]]:
+        objectives, errors = [], []
         for h in (worse, better):
-            learnt = learnt_without(search, problem, h, left_out)
-            missed.append(open_loop(problem, search.subject.horizon, learnt.values, learnt, left_out))
+            others = fit_without(search, problem, h, log)
+            errors.append(open_loop(problem, search.subject.horizon, others.values, others, log))
             if problem.table:  # A few rows of a table cannot determine parameters.
-                objectives.append(problem.scored(learnt.values, learnt.noise, [left_out]).nll)
+                objectives.append(problem.scored(others.values, others.noise, [log]).nll)
                 continue
             own = {f.name for c in h.candidates for f in c.free}
-            stays = {n: learnt.values[n] if n in own else problem.values[n] for n in names}
-            values, only = {**h.fit.values, **stays}, [left_out]
-            settled = fit(problem, settling, values, h.fit.noise, only, SCREEN_ITERATIONS, sensing=False)
-            objectives.append(settled.objective)
-        return objectives[0] - objectives[1], missed
+            fixed = {n: others.values[n] if n in own else problem.values[n] for n in names}
+            values = {**h.fit.values, **fixed}
+            refit = fit(problem, settling, values, h.fit.noise, [log], SCREEN_ITERATIONS, sensing=False)
+            objectives.append(refit.objective)
+        return objectives[0] - objectives[1], errors
 
-    found = in_parallel(one, list(range(count)))
-    return sum(gain for gain, _ in found), in_scatter(_nearer([missed for _, missed in found]))
+    gains, errors = zip(*in_parallel(compare, list(range(len(problem.logs)))), strict=True)
+    return sum(gains), in_scatter(_error_decreases(errors))
 
 
 def predicts(problem: Problem, horizon: float, better: Fit, worse: Fit) -> float:
     """Return the open-loop gain per scatter on held-out logs."""
     problem = problem if len(problem.logs) > 1 else halved(problem)
-    logs = range(len(problem.logs))
+    logs = list(range(len(problem.logs)))
 
-    def one(left_out: int) -> list[Array]:
-        others = [k for k in logs if k != left_out]
-        learnt = [fit(problem, f.free, f.values, f.noise, others, SCREEN_ITERATIONS) for f in (worse, better)]
-        known = [unseen(problem, f, left_out) for f in learnt]
-        return [open_loop(problem, horizon, f.values, f, left_out) for f in known]
+    def errors(log: int) -> list[Array]:
+        others = [k for k in logs if k != log]
+        fits = [fit(problem, f.free, f.values, f.noise, others, SCREEN_ITERATIONS) for f in (worse, better)]
+        return [open_loop(problem, horizon, f.values, f, log) for f in (unseen(problem, f, log) for f in fits)]
 
-    return in_scatter(_nearer(in_parallel(one, list(logs))))
+    return in_scatter(_error_decreases(in_parallel(errors, logs)))
 
 
 def best_of(scatters: float, tried: int) -> float:
@@ -165,25 +157,33 @@ def beyond_chance(problem: Problem, f: Fit, tried: int) -> float:
     """
     from scipy.special import stdtrit
 
-    blocks = number_of_blocks(problem, f)
-    return 0.5 * float(stdtrit(max(1, blocks - 1), 1.0 - 0.5 * BY_CHANCE / max(1, tried)))
+    blocks = blocks_of(problem, problem.scored(f.values, f.noise), math.exp(f.noise.memory))
+    return 0.5 * float(stdtrit(max(1, np.unique(blocks).size - 1), 1.0 - 0.5 * BY_CHANCE / max(1, tried)))
 
 
-def learnt_without(search: Search, problem: Problem, h: Hypothesis, left_out: int) -> Fit:
+def fit_without(search: Search, problem: Problem, h: Hypothesis, log: int) -> Fit:
     """Return a cached fit to all logs but one."""
-    key = (h.names, left_out)
-    if key not in search.learnt:
-        others = [k for k in range(len(problem.logs)) if k != left_out]
-        free = search.free(h.candidates)
-        learnt = fit(problem, free, h.fit.values, h.fit.noise, others, SCREEN_ITERATIONS)
-        search.learnt[key] = unseen(problem, learnt, left_out)
-    return search.learnt[key]
+    key = (h.names, log)
+    if key not in search.cross_fits:
+        others = [k for k in range(len(problem.logs)) if k != log]
+        refit = fit(problem, search.free(h.candidates), h.fit.values, h.fit.noise, others, SCREEN_ITERATIONS)
+        search.cross_fits[key] = unseen(problem, refit, log)
+    return search.cross_fits[key]
 
 
-def _nearer(found: Sequence[Sequence[Array]]) -> Array:
-    """Return the scaled decrease of squared errors per replay."""
-    longest = max(missed[0].shape[1] for missed in found)  # Rows of the longest replay: logs may differ in length.
-    worse, better = (np.concatenate([_padded(missed[k], longest) for missed in found]) for k in (0, 1))
+def _error_decreases(errors: Sequence[Sequence[Array]]) -> Array:
+    """Return the scaled decrease of squared errors per replay.
+
+    Args:
+        errors: Open-loop errors of the worse and of the better fit on each log.
+    """
+    longest = max(e.shape[1] for e, _ in errors)  # Rows of the longest replay: logs may differ in length.
+
+    def joined(k: int) -> Array:
+        widths = [((0, 0), (0, longest - pair[k].shape[1]), (0, 0)) for pair in errors]
+        return np.concatenate([np.pad(p[k], w, constant_values=np.nan) for p, w in zip(errors, widths, strict=True)])
+
+    worse, better = joined(0), joined(1)
     both = np.isfinite(worse) & np.isfinite(better)
     counts = np.maximum(1, both.sum(axis=1))
     squares = [np.where(both, e, 0.0) ** 2 for e in (worse, better)]
@@ -191,11 +191,6 @@ def _nearer(found: Sequence[Sequence[Array]]) -> Array:
     size = np.where(size > 0.0, size, 1.0)
     per_replay = ((squares[0] - squares[1]).sum(axis=1) / counts / size).sum(axis=1)
     return np.asarray(per_replay[both.any(axis=(1, 2))])
-
-
-def _padded(missed: Array, rows: int) -> Array:
-    """Return replays padded with NaN to equal length."""
-    return np.pad(missed, ((0, 0), (0, rows - missed.shape[1]), (0, 0)), constant_values=np.nan)
 
 
 def open_loop(problem: Problem, horizon: float, values: Mapping[str, float], f: Fit, index: int) -> Array:
@@ -230,13 +225,13 @@ def as_given(problem: Problem, base: Fit, left_out: int | None = None) -> Fit:
     Parameters per log come from all logs, or from all but `left_out`. The noise must be refitted: a filter that trusts
     the given model as much as the recalibrated model would not follow the measurements.
     """
-    given = fit(problem, (), problem.values, base.noise, None, SCREEN_ITERATIONS, sensing=False)
+    fixed = fit(problem, (), problem.values, base.noise, None, SCREEN_ITERATIONS, sensing=False)
     if not problem.own:
-        return given
+        return fixed
     others = [k for k in range(len(problem.logs)) if k != left_out]
-    known = {**problem.values, **{f.name: base.values[f.name] for f in problem.own}}
-    learnt = fit(problem, problem.own, known, given.noise, others, SCREEN_ITERATIONS, sensing=False)
-    return learnt if left_out is None else unseen(problem, learnt, left_out)
+    values = {**problem.values, **{f.name: base.values[f.name] for f in problem.own}}
+    refit = fit(problem, problem.own, values, fixed.noise, others, SCREEN_ITERATIONS, sensing=False)
+    return refit if left_out is None else unseen(problem, refit, left_out)
 
 
 def scatter(problem: Problem, f: Fit) -> float:

@@ -34,22 +34,30 @@ TOLERANCES = (0.5, 2.0)  # factors on the tolerances that test whether a claim d
 def decided(found: Found) -> Attribution:
     """Return the best supported hypothesis and its rivals."""
     search, base = found.search, found.search.tried[()]
-    kept = _borne_out(search, found.best)
-    best = kept.best
+    rest = _drop_unsupported(search, found.best)
+    best = rest.best
     if best.candidates:
         best = replace(best, fit=scattered(search.problem, best.fit))
     rivals = _rivals(search, best)
     tried = tuple(sorted(search.tried.values(), key=lambda h: h.score))
-    reasons = Reasons(base, best, tried, rivals, search, kept.dropped).all()
-    total = _support(search, best, base) if best.candidates else Support(0.0, 0.0)
-    given, noise = as_given(search.problem, base.fit), noise_gain(search.problem, best.fit)
     return Attribution(
-        base, given, tried, best, rivals, total, kept.support, noise, reasons, found.hidden, found.effects, kept.fuller
+        base,
+        as_given(search.problem, base.fit),
+        tried,
+        best,
+        rivals,
+        _support(search, best, base) if best.candidates else Support(0.0, 0.0),
+        rest.support,
+        noise_gain(search.problem, best.fit),
+        {h.names: _reason(search, h, best, rivals, rest.dropped) for h in tried if h.names != best.names},
+        found.hidden,
+        found.effects,
+        rest.fuller,
     )
 
 
 @dataclass
-class _Kept:
+class _Remainder:
     """The supported remainder of a hypothesis.
 
     Attributes:
@@ -64,60 +72,56 @@ class _Kept:
     fuller: Hypothesis | None = None
 
 
-def _borne_out(search: Search, best: Hypothesis) -> _Kept:
+def _drop_unsupported(search: Search, best: Hypothesis) -> _Remainder:
     """Drop the weakest unsupported part until none remains.
 
     Parts with small gains stay if their joint gain is sufficient.
     """
-    kept, of_fuller = _Kept(best), dict[str, Hypothesis]()
-    while kept.best.candidates:
-        best, without = kept.best, _without_each(search, kept.best)
-        kept.support = {}
+    rest, of_fuller = _Remainder(best), dict[str, Hypothesis]()
+    while rest.best.candidates:
+        best, without = rest.best, _fit_without_each(search, rest.best)
+        rest.support = {}
         for c in sorted(best.candidates, key=lambda c: without[c.name].fit.objective):  # weakest first
-            kept.support[c.name] = _support(search, best, without[c.name])
-            if doubt := _doubt(search, best, c, kept.support[c.name]):
+            rest.support[c.name] = _support(search, best, without[c.name])
+            if doubt := _doubt(search, best, c, rest.support[c.name]):
                 break
         else:
             break
-        kept.dropped[c.name], kept.best = doubt, without[c.name]
+        rest.dropped[c.name], rest.best = doubt, without[c.name]
         if not doubt.startswith(LITTLE):
-            kept.fuller = None
-        elif kept.fuller is None:
-            kept.fuller, of_fuller = best, without
-    if kept.fuller is None or not _stand_together(search, kept.fuller, kept.best):
-        return kept
-    every = kept.fuller
+            rest.fuller = None
+        elif rest.fuller is None:
+            rest.fuller, of_fuller = best, without
+    every = rest.fuller
+    if every is None or not _gain_together(search, every, rest.best):
+        return rest
     support = {c.name: _support(search, every, of_fuller[c.name]) for c in every.candidates}
-    return _Kept(every, support, {n: doubt for n, doubt in kept.dropped.items() if n not in every.names})
+    return _Remainder(every, support, {n: doubt for n, doubt in rest.dropped.items() if n not in every.names})
 
 
-def _stand_together(search: Search, every: Hypothesis, left: Hypothesis) -> bool:
+def _gain_together(search: Search, every: Hypothesis, rest: Hypothesis) -> bool:
     """Return True if small parts gain enough together."""
-    small = [c for c in every.candidates if c.name not in left.names]
-    if len(small) < 2 or left.fit.objective - every.fit.objective < search.cost(small):
+    small = [c for c in every.candidates if c.name not in rest.names]
+    if len(small) < 2 or rest.fit.objective - every.fit.objective < search.cost(small):
         return False
-    return steadiness(search.problem, every.fit, left.fit) > surely(search, every.fit)
+    limit = beyond_chance(search.problem, every.fit, search.on_trial)
+    return steadiness(search.problem, every.fit, rest.fit) > limit
 
 
-def surely(search: Search, f: Fit) -> float:
-    """Return the gain per scatter that excludes chance."""
-    return beyond_chance(search.problem, f, search.on_trial)
-
-
-def _without_each(search: Search, h: Hypothesis) -> dict[str, Hypothesis]:
+def _fit_without_each(search: Search, h: Hypothesis) -> dict[str, Hypothesis]:
     """Fit the hypothesis without each of its parts."""
 
-    def one(c: Candidate) -> Hypothesis:
-        left = tuple(other for other in h.candidates if other.name != c.name)
-        known = search.tried.get(key_of(left))
-        if known and known.ended:
-            return known
-        made = search.hypothesis(left, h.fit, loosen=False, patient=False)
-        if made.fit.objective <= search.reached_within(left) + NO_WORSE:
-            return made
-        return search.hypothesis(left, h.fit)  # With the noise of `h`, the fit without the part stays too high.
+    def fit_without(c: Candidate) -> Hypothesis:
+        rest = tuple(other for other in h.candidates if other.name != c.name)
+        earlier = search.tried.get(key_of(rest))
+        if earlier and earlier.ended:
+            return earlier
+        quick = search.hypothesis(rest, h.fit, loosen=False, patient=False)
+        if quick.fit.objective <= search.bound_within(rest) + NO_WORSE:
+            return quick
+        return search.hypothesis(rest, h.fit)  # With the noise of `h`, the fit without the part stays too high.
 
-    fitted = dict(zip((c.name for c in h.candidates), in_parallel(one, list(h.candidates)), strict=True))
+    fitted = dict(zip((c.name for c in h.candidates), in_parallel(fit_without, list(h.candidates)), strict=True))
     search.tried |= {f.names: f for f in fitted.values()}
     return fitted
 
@@ -138,7 +142,7 @@ def _doubt(search: Search, h: Hypothesis, c: Candidate, s: Support) -> str:
         return f"{limits[0]} is at its limit"
     if c.kind == "parameter":  # Held-out logs say the same about the base model.
         return "" if outside(search, h, c) else "is within its tolerance"
-    if s.gain < SMALL * search.cost([c]) and s.steady < surely(search, h.fit):
+    if s.gain < SMALL * search.cost([c]) and s.steady < beyond_chance(search.problem, h.fit, search.on_trial):
         return f"{LITTLE}, and that is {s.steady:.1f} times its own scatter over time"
     if s.steady < UNSURE and not s.held_out > HELD * s.gain:  # A rare effect gains in few blocks, but in each log.
         return f"what it gains is {s.steady:.1f} times its own scatter over time"
@@ -152,10 +156,8 @@ def _doubt(search: Search, h: Hypothesis, c: Candidate, s: Support) -> str:
 def outside(search: Search, h: Hypothesis, c: Candidate) -> bool:
     """Return True if the confidence interval of a base parameter is outside its tolerance."""
     (name,) = c.parameters
-    held = {f.name: f.prior for f in search.free(()) if f.prior}
-    if name not in held:
-        return True
-    return beyond(h.fit, name, held[name])
+    priors = {f.name: f.prior for f in search.free(()) if f.prior}
+    return name not in priors or beyond(h.fit, name, priors[name])
 
 
 def beyond(f: Fit, name: str, prior: tuple[float, float]) -> bool:
@@ -199,12 +201,12 @@ def _with_tolerance(h: Hypothesis, times: float, weight: float) -> float:
         weight: Weight of the priors relative to the likelihood.
     """
     f = h.fit
-    held = [(k, x.prior) for k, x in enumerate(f.free) if x.prior]
-    if not held:
+    priors = [(k, x.prior) for k, x in enumerate(f.free) if x.prior]
+    if not priors:
         return f.objective
     n = len(f.information)
     now, then, off = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
-    for k, (mean, sigma) in held:
+    for k, (mean, sigma) in priors:
         now[k, k], then[k, k] = weight * sigma**-2, weight * (times * sigma) ** -2
         off[k] = f.values[f.free[k].name] - mean
     bare = f.information - now
@@ -243,35 +245,22 @@ def _limits(h: Hypothesis, parts: Sequence[Candidate], neutral: Mapping[str, flo
     return [f.name for c in parts for f in c.free if at_limit(h, f, neutral)]
 
 
-@dataclass(frozen=True)
-class Reasons:
-    """Reasons why each hypothesis but the best is rejected, in words."""
-
-    base: Hypothesis
-    best: Hypothesis
-    tried: Sequence[Hypothesis]
-    rivals: Sequence[Hypothesis]
-    search: Search
-    dropped: Mapping[str, str]
-
-    def all(self) -> dict[tuple[str, ...], str]:
-        """Return the reasons by the names of each hypothesis."""
-        return {h.names: self._reason(h) for h in self.tried if h.names != self.best.names}
-
-    def _reason(self, h: Hypothesis) -> str:
-        """Return the first reason that applies."""
-        gained, behind = self.base.score - h.score, h.score - self.best.score
-        than = listed(self.best.names) or "the base model"
-        if any(h.names == r.names for r in self.rivals):
-            return f"a rival: explains as well as {than}"
-        if extra := [n for n in h.names if n in self.dropped]:
-            return f"{extra[0]}: {self.dropped[extra[0]]}"
-        if h.fit.objective >= self.base.fit.objective:
-            return "no gain"
-        if gained < 0.0:
-            return "gains less than it costs"
-        if limits := _limits(h, h.candidates, self.search.problem.values):
-            return f"{limits[0]} is at its limit"
-        if behind < 0.0:
-            return f"gains {-behind:.1f} on {than}, but not with every part borne out"
-        return f"explains less than {than} by {behind:.1f}"
+def _reason(
+    search: Search, h: Hypothesis, best: Hypothesis, rivals: Sequence[Hypothesis], dropped: Mapping[str, str]
+) -> str:
+    """Return the first reason that applies against a hypothesis, in words."""
+    base, behind = search.tried[()], h.score - best.score
+    than = listed(best.names) or "the base model"
+    if any(h.names == r.names for r in rivals):
+        return f"a rival: explains as well as {than}"
+    if extra := [n for n in h.names if n in dropped]:
+        return f"{extra[0]}: {dropped[extra[0]]}"
+    if h.fit.objective >= base.fit.objective:
+        return "no gain"
+    if base.score - h.score < 0.0:
+        return "gains less than it costs"
+    if limits := _limits(h, h.candidates, search.problem.values):
+        return f"{limits[0]} is at its limit"
+    if behind < 0.0:
+        return f"gains {-behind:.1f} on {than}, but not with every part borne out"
+    return f"explains less than {than} by {behind:.1f}"

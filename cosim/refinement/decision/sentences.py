@@ -10,9 +10,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from typing import Any
 
+from cosim.base.messages import Message
 from cosim.base.text import MOST_NAMED, amount, counted, finer, joined, listed, percent, plain, size, written
 from cosim.loading.refined import NEAREST, REFINED
 from cosim.logs.channel_noise import NORMAL_95
+from cosim.refinement import messages
 from cosim.refinement.decision.claims import Claims, Doubt, Moved
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.search.shapes import Shape
@@ -203,17 +205,14 @@ def rises(errors: Mapping[str, tuple[float, float]], units: Mapping[str, str], f
     return f"On the sealed logs the error {changes[first]} with {file}.{also}"
 
 
-def calmer(part: str, above: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -> str:
-    """Say that a noise floor is above the error; above: channel → floor and error."""
-    which = "sealed" if part == "validation" else "estimation"
+def floor_warning(part: str, channels: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -> Message:
+    """Warn of a noise floor above the error; channels: channel → floor and error."""
     pairs = []
-    for name, (floor, error) in above.items():
+    for name, (floor, error) in channels.items():
         unit, factor = finer(units.get(name, ""), error)
         pairs.append(f"{name} {joined(plain(error * factor), unit)} under {joined(plain(floor * factor), unit)}")
-    return (
-        f"on the {which} logs the error is below its noise floor ({', '.join(pairs)}). These logs hold less noise and "
-        "disturbance than was estimated, so the floor does not apply to them"
-    )
+    logs = "sealed" if part == "validation" else "estimation"
+    return messages.FLOOR_ABOVE_ERROR(logs=logs, pairs=", ".join(pairs))
 
 
 def holds(names: Sequence[str], *, fitted: bool, file: str = NEAREST[0], same: bool = False) -> str:

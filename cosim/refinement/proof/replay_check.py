@@ -33,23 +33,23 @@ ErrorOf = Mapping[str, Channels]  # replays before, recalibrated and after → e
 
 def held_against_replays(study: Study, a: Attribution, claims: Claims, found: Found, problem: Problem) -> Claims:
     """Compare the verdict with replays of the logs."""
-    within, single = not _beyond(a.base.fit), False
+    is_within, is_single = not _beyond(a.base.fit), False
     if claims.name == "no_effect":
-        error, floor = _replay_errors(study, a, claims, problem, found.heard)
+        error, floor = _replay_errors(study, a, claims, problem, found.sensors)
         if missed := _missed(error["before"], floor):
-            explained = within and not _missed(error["recalibrated"], floor)
-            claims = claims if explained else single_number(claims, a, study.subject, found, missed)
-            single = True
+            if not is_within or _missed(error["recalibrated"], floor):
+                claims = single_number(claims, a, study.subject, found, missed)
+            is_single = True
     elif claims.name == "parameter_error" and claims.claimed and (others := _beyond(claims.claimed.fit)):
         otherwise = single_number(claims, a, study.subject, found, {})
         further = _moved(claims.claimed.fit, others)
         claims = otherwise if otherwise.claimed is not None else replace(claims, further=further)
     if claims.claimed is None:
         return claims
-    error, floor = _replay_errors(study, a, claims, problem, found.heard)
-    if single and (doubt := _still_missed(error, floor)):
+    error, floor = _replay_errors(study, a, claims, problem, found.sensors)
+    if is_single and (doubt := _still_missed(error, floor)):
         return claims.withdrawn(doubt)
-    return checked_claim(claims, error, floor, a.support, recalibrated=within)
+    return checked_claim(claims, error, floor, a.support, recalibrated=is_within)
 
 
 def _replay_errors(
@@ -110,8 +110,8 @@ def _plant_doubt(error: ErrorOf, floor: Channels, *, effects: bool) -> Doubt | N
     recalibrated, after = error["recalibrated"], error["after"]
     if effects and floor and all(after[n] >= recalibrated[n] for n in floor):
         return Doubt("no_nearer")
-    left = _remaining_excess(error, floor)
-    return Doubt("kept", size=min(left.values())) if left and min(left.values()) > HALF else None
+    least = min(_remaining_excess(error, floor).values(), default=0.0)
+    return Doubt("kept", size=least) if least > HALF else None
 
 
 def _remaining_excess(error: ErrorOf, floor: Channels) -> dict[str, float]:
@@ -140,8 +140,9 @@ def single_number(claims: Claims, a: Attribution, subject: Subject, found: Found
     if near:
         return Claims(name_of(near[0].candidates, subject), near[0], misfit=misfit, grade="claimed")
     worst, fit = max(missed.items(), key=itemgetter(1), default=("", 0.0)), a.base.fit
-    moved = [x.name for x in fit.free if x.prior and not x.group and _is_far(fit.values[x.name], x.prior)]
-    return Claims("unexplained", misfit=misfit, missed=worst, recalibrated=_moved(fit, moved))
+    priors = {x.name: x.prior for x in fit.free if x.prior and not x.group}
+    far = [n for n, (mean, sigma) in priors.items() if abs(fit.values[n] - mean) > WIDTHS * sigma]
+    return Claims("unexplained", misfit=misfit, missed=worst, recalibrated=_moved(fit, far))
 
 
 def _alone_off(found: Found, base: Hypothesis) -> list[Hypothesis]:
@@ -150,15 +151,10 @@ def _alone_off(found: Found, base: Hypothesis) -> list[Hypothesis]:
     single = [c for c in found.candidates if c.kind == "parameter" or c.gain]
     # Fits start from stated values: a fit from recalibrated values would have to follow a ridge of shared effects.
     stated = [search.hypothesis((c,), replace(base.fit, values=search.problem.values)) for c in single]
-    known = [h for c in single if (h := search.tried.get((c.name,))) and h.ended]
-    best = {h.names: h for h in sorted((*stated, *known), key=lambda h: -h.score)}
+    earlier = [h for c in single if (h := search.tried.get((c.name,))) and h.ended]
+    best = {h.names: h for h in sorted((*stated, *earlier), key=lambda h: -h.score)}
     off = sorted((h for h in best.values() if _is_off(search, h)), key=lambda h: h.score)
     return [h for h in off if h is off[0] or h.score - off[0].score < RIVAL]
-
-
-def _is_far(value: float, prior: tuple[float, float]) -> bool:
-    """Return True if a fitted value is outside its tolerance."""
-    return abs(value - prior[0]) > WIDTHS * prior[1]
 
 
 def _moved(f: Fit, names: Sequence[str]) -> tuple[Moved, ...]:

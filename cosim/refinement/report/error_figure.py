@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from cosim.refinement import messages
 from cosim.report.figure import new_figure
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ def errors_figure(record: Mapping[str, Any], part: str) -> Figure:
     errors = {m: dict(record.get("error", {}).get(m, {}).get(part) or {}) for m in MODELS}
     channels = list(dict.fromkeys(name for of in errors.values() for name in of))
     if not channels:
-        raise ValueError(f'no errors of "{part}" are in refine.json; it holds estimation and validation')
+        raise ValueError(messages.NO_ERRORS(part=part))
     columns = min(4, len(channels))
     rows = -(-len(channels) // columns)
     figure = new_figure(2.4 * columns + 0.4, 2.4 * rows + 0.3)

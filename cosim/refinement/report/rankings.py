@@ -81,34 +81,21 @@ def ranked(r: Refinement) -> tuple[list[Ranked], list[Ranked], list[Ranked]]:
 
 
 def _ranked(r: Refinement, row: Mapping[str, Any], best: float, claimed: Sequence[str]) -> Ranked:
-    gain = _gain(row)
-    chosen = tuple(row["names"]) == tuple(claimed)
-    declared = r.study.subject.declared
-    fitted = ", ".join(
-        f"{_short(n, row['names'])} = {amount(float(v), declared[n].unit if n in declared else '', 4)}"
-        for n, v in row["parameters"].items()
-    )
+    gain, declared, values = _gain(row), r.study.subject.declared, []
+    for n, value in row["parameters"].items():
+        short = n.removesuffix(".value") if len(row["names"]) > 1 else n.partition(".")[2] or "value"
+        values.append(f"{short} = {amount(float(value), declared[n].unit if n in declared else '', 4)}")
     width = round(100 * max(0.0, gain) / best, 1) if best > 0 else 0.0
-    return Ranked(" + ".join(row["names"]), plain(gain, 3), width, fitted, _why(r, row), chosen)
-
-
-def _why(r: Refinement, row: Mapping[str, Any]) -> str:
-    """Return the reason for or against a hypothesis."""
-    if r.verdict.name == "ambiguous" and row["why"] == "claimed":
-        return "fits best, by little"
-    return str(row["why"])
+    why = str(row["why"])
+    if r.verdict.name == "ambiguous" and why == "claimed":
+        why = "fits best, by little"
+    is_claimed = tuple(row["names"]) == tuple(claimed)
+    return Ranked(" + ".join(row["names"]), plain(gain, 3), width, ", ".join(values), why, is_claimed)
 
 
 def _gain(row: Mapping[str, Any]) -> float:
     """Return the gain in score, −∞ for a diverged filter."""
     return -math.inf if row["score_gain"] is None else float(row["score_gain"])
-
-
-def _short(name: str, owners: Sequence[str]) -> str:
-    own = name.partition(".")[2]
-    if len(owners) > 1:
-        return name.removesuffix(".value")
-    return own or "value"
 
 
 # -- parameters -------------------------------------------------------------------------------
@@ -118,12 +105,9 @@ def parameter_tables(r: Refinement) -> list[ParameterTable]:
     """Return the tables of added and of base parameters."""
     hypothesis = r.verdict.claimed or r.attribution.base
     own = {n for c in hypothesis.candidates for n in c.parameters}
-    added: list[ParameterRow] = []
-    rest: list[ParameterRow] = []
-    for free in hypothesis.fit.free:
-        if not free.group:
-            rows = added if free.name in own else rest
-            rows.append(_parameter_row(r, free, hypothesis))
+    common = [f for f in hypothesis.fit.free if not f.group]
+    added = [_parameter_row(r, f, hypothesis) for f in common if f.name in own]
+    rest = [_parameter_row(r, f, hypothesis) for f in common if f.name not in own]
     title = "Added parameters" if r.verdict.name != "parameter_error" else "Wrong parameters"
     note = "Bar: 95 % interval; dashed line: neutral value or data sheet."
     tables = [ParameterTable(title, note, "Neutral", tuple(added))]
@@ -147,14 +131,14 @@ def _parameter_row(r: Refinement, free: Free, hypothesis: Hypothesis) -> Paramet
     """Return the row of an estimate."""
     declaration, value = r.study.subject.declared[free.name], hypothesis.fit.values[free.name]
     unit = declaration.unit
-    sigma, known = hypothesis.fit.sigma(free.name), float(r.problem.values[free.name])
-    shaping = "." in free.name and declaration.neutral is None
+    sigma, start = hypothesis.fit.sigma(free.name), float(r.problem.values[free.name])
+    is_shape = "." in free.name and declaration.neutral is None
     low, high = value - NORMAL_95 * sigma, value + NORMAL_95 * sigma
-    least, most = min(known, low), max(known, high)
+    least, most = min(start, low), max(start, high)
     room = 0.12 * (most - least) or 0.1 * abs(value) or 1.0
     least, most = max(free.low, least - room), min(free.high, most + room)
     digits = _digits(value, sigma)
-    neutral = f"{amount(known, unit, 4)}{' (start)' if shaping else ''}"
+    neutral = f"{amount(start, unit, 4)}{' (start)' if is_shape else ''}"
 
     def at(x: float) -> float:
         return round(100 * min(1.0, max(0.0, (x - least) / (most - least))), 2) if most > least else 50.0
@@ -162,7 +146,7 @@ def _parameter_row(r: Refinement, free: Free, hypothesis: Hypothesis) -> Paramet
     lowest = _bare(low, unit, digits) if unit else amount(low, "", digits)
     interval = f"{lowest} … {amount(high, unit, digits)}"
     bounds = f"{_bare(free.low, unit, 3)} … {amount(free.high, unit, 3)}"
-    places = at(known), at(low), round(at(high) - at(low), 2), at(value)
+    places = at(start), at(low), round(at(high) - at(low), 2), at(value)
     return ParameterRow(free.name, neutral, amount(value, unit, digits), interval, bounds, *places)
 
 
@@ -192,16 +176,12 @@ def noise_rows(r: Refinement) -> list[NoiseRow]:
     for k, name in enumerate(r.problem.layout.forced):
         if name in noise:
             before, after = noise[name]["before"], noise[name]["after"]
-            drifts = [_drift(math.sqrt(q), unit.get(name, "")) for q in (before, after)]
+            shown, factor = ("mm/s", 1000.0) if unit.get(name) == "m/s" else display(unit.get(name, ""))
+            drifts = [joined(plain(math.sqrt(q) * factor, 2), shown) for q in (before, after)]
             bars = [_width(q, size.smallest[k] + usual, size.largest[k] + usual) for q in (before, after)]
             words = _words(noise[name], size.quiet[k] + usual)
             rows.append(NoiseRow(name, drifts[0], drifts[1], bars[0], bars[1], words))
     return rows
-
-
-def _drift(value: float, unit: str) -> str:
-    text, factor = ("mm/s", 1000.0) if unit == "m/s" else display(unit)
-    return joined(plain(value * factor, 2), text)
 
 
 def _width(q: float, smallest: float, largest: float) -> float:

@@ -146,35 +146,28 @@ def _badges(r: Refinement) -> list[Badge]:
     what, much = "log", f"{plain(sum(float(log.time[-1] - log.time[0]) for log in r.study.logs))} s"
     if r.problem.table:
         what, much = "table", counted(sum(log.rows for log in r.study.logs), "row")
+    fitted = sum(bool(row["fitted"]) for row in r.record["candidates"])
+    screened = len(r.record["candidates"]) - fitted
     return [
         Badge(text, tone),
         *([Badge("a part of it", "warn")] if r.verdict.grade == "part" else []),
         Badge(f"{counted(len(r.study.logs), what)} used for the fits, {much}"),
         Badge(f"{counted(sealed, what)} sealed" if sealed else f"no {what} sealed", "plain" if sealed else "warn"),
-        Badge(_tried(r)),
+        Badge(f"{fitted} hypotheses fitted" + (f", {screened} screened" if screened else "")),
         Badge(f"{r.record['seconds']:.0f} s of computing"),
     ]
 
 
-def _tried(r: Refinement) -> str:
-    """Return the numbers of fitted and of screened hypotheses."""
-    fitted = sum(bool(row["fitted"]) for row in r.record["candidates"])
-    screened = len(r.record["candidates"]) - fitted
-    return f"{fitted} hypotheses fitted" + (f", {screened} screened" if screened else "")
-
-
 def _next_step(r: Refinement) -> str:
     """Return the next step for an open question."""
-    if r.verdict.name == "ambiguous" and r.verdict.claimed is None:
-        return (
-            f"Next step: record a log with {r.verdict.experiment}. Nothing is claimed: the model is left as it was. "
-            "Not visible in these logs, present or not:"
-        )
     if r.verdict.name == "ambiguous":
-        return (
-            f"Next step: record a log with {r.verdict.experiment}. Until then the refined model contains the "
-            "hypothesis that fits best; it predicts these runs as well as any of its rivals:"
-        )
+        rest = "Nothing is claimed: the model is left as it was. Not visible in these logs, present or not:"
+        if r.verdict.claimed:
+            rest = (
+                "Until then the refined model contains the hypothesis that fits best; it predicts these runs as well "
+                "as any of its rivals:"
+            )
+        return f"Next step: record a log with {r.verdict.experiment}. {rest}"
     if r.verdict.name == "unexplained" and r.verdict.rivals:
         return (
             "Next step: look at the figure of the remainder for what an effect of your own would have to do. "

@@ -63,7 +63,7 @@ class Attributor:
         self.progress("recalibrating the base model", 0.0)
         base = self._with_stamp_errors(self._with_stated_noise(search.hypothesis((), None)))
         search.tried[()] = base
-        search.reached = base.fit.objective
+        search.bound = base.fit.objective
         search.problem = replace(search.problem, sensing=base.fit.noise)
         best, idle = self._rescore(base), 0
         for number in range(ROUNDS):
@@ -186,9 +186,9 @@ class Attributor:
         sets: dict[tuple[str, ...], Trial] = {}
         for h in fitted:
             neutral = self.search.problem.values
-            kept = tuple(c for c in h.candidates if loss_without(h, c, neutral) > self.search.cost([c]))
-            if kept and len(kept) < len(h.candidates):
-                sets[key_of(kept)] = kept, {n: h.fit.values[n] for c in kept for n in c.parameters}
+            parts = tuple(c for c in h.candidates if loss_without(h, c, neutral) > self.search.cost([c]))
+            if parts and len(parts) < len(h.candidates):
+                sets[key_of(parts)] = parts, {n: h.fit.values[n] for c in parts for n in c.parameters}
         return list(sets.values())
 
     def _finish(self, base: Hypothesis, best: Hypothesis) -> Found:
@@ -197,17 +197,17 @@ class Attributor:
         self.progress("fitting the best to the end", 0.0)
         search.problem = replace(self._fine_enough(best), sensing=best.fit.noise, scatter=search.problem.scatter)
         if best.candidates:
-            (again,), (best,) = search.fit_again([base], only=True), search.fit_again([best])
+            (refit,), (best,) = search.fit_again([base], only=True), search.fit_again([best])
         else:
-            (again,) = (best,) = search.fit_again([best])
+            (refit,) = (best,) = search.fit_again([best])
         best = self._rescore(best)
         if (ahead := self._leader(best)) is not best:
             best = leading((best, *search.fit_again([ahead])))
         best = self._with_replacement(self._with_addition(best))
-        search.reached = again.fit.objective
+        search.bound = refit.fit.objective
         for _ in range(2):  # A new best hypothesis has its own rivals.
             beside = [h for h in self._finalists(best) if h.names and not h.ended]
-            before, best = best, leading((again, best, *search.fit_alike(beside, best)))
+            before, best = best, leading((refit, best, *search.fit_alike(beside, best)))
             if best is before:
                 break
         absent = [c.name for c in self.candidates if c.kind == "effect" and c.name not in best.names]

@@ -53,14 +53,6 @@ class Missing:
 Smoothed = Sequence[tuple[int, Missing]]  # index of a log in the problem, and its smoothed input
 
 
-@dataclass(frozen=True, eq=False)
-class Filter:
-    """Parameter values and process noise of a kernel filter."""
-
-    values: Mapping[str, float]
-    noise: Noise
-
-
 class Steps:
     """Single kernel steps from any row of a log."""
 
@@ -81,23 +73,22 @@ class Steps:
         return run.states[back + 1], run.outputs[back]
 
 
-def missing(problem: Problem, base: Filter, index: int, every: int = 1) -> Missing:
+def missing(problem: Problem, base: Fit, index: int, every: int = 1) -> Missing:
     """Return the smoothed missing input of a log.
 
     Args:
         every: Rows between two linearizations.
     """
     layout, data = problem.layout, problem.logs[index]
-    equations = layout.forced
     noise = loosened(problem, base.noise)
     run = problem.run({**problem.values, **base.values}, noise, index, states=True)
     rows = min(len(data.u), MOST_ROWS)
     model = _linear(problem, Steps(problem, index, base.values), run.states, run.memory, rows, every)
     readings = problem.data({**problem.values, **base.values}, index).y[:rows]
     value, sigma = _smooth(problem, model, run.states, noise, index, readings)
-    kept = slice(min(unscored(data), rows - 1), rows - 1)
+    scored = slice(min(unscored(data), rows - 1), rows - 1)
     time = data.start + data.step * np.arange(rows, dtype=np.float64)
-    return Missing(time[kept], equations, value[kept], sigma[kept], run.states[:rows][kept])
+    return Missing(time[scored], layout.forced, value[scored], sigma[scored], run.states[:rows][scored])
 
 
 def smoothed_logs(problem: Problem) -> range:
@@ -105,7 +96,7 @@ def smoothed_logs(problem: Problem) -> range:
     return range(min(LOGS, len(problem.logs)))
 
 
-def smoothed(problem: Problem, base: Filter, every: int = 1) -> tuple[Smoothed, Array, Array]:
+def smoothed(problem: Problem, base: Fit, every: int = 1) -> tuple[Smoothed, Array, Array]:
     """Smooth the first logs; return single and stacked results."""
     parts = [(k, missing(problem, base, k, every)) for k in smoothed_logs(problem)]
     return parts, np.vstack([m.value for _, m in parts]), np.vstack([m.sigma for _, m in parts])
@@ -118,13 +109,13 @@ def unknown_inputs(problem: Problem, at: Fit, noisy: Sequence[bool], units: Mapp
         units: Units of the states.
     """
     names, powers = problem.layout.forced, np.exp(0.5 * at.noise.power)
-    moved: dict[str, float] = {}
+    largest: dict[str, float] = {}  # unit → range of the derivatives
     runs = [problem.run({**problem.values, **at.values}, at.noise, k, states=True) for k in range(len(problem.logs))]
     for name, place in zip(names, problem.layout.forced_places, strict=True):
         change = [np.diff(run.states[unscored(d) :, place]) / d.step for run, d in zip(runs, problem.logs, strict=True)]
         low, high = np.percentile(np.concatenate(change), (2.5, 97.5))
-        moved[units[name]] = max(moved.get(units[name], 1e-300), float(high - low))
-    return {n: float(p) / moved[units[n]] for n, p, there in zip(names, powers, noisy, strict=True) if there}
+        largest[units[name]] = max(largest.get(units[name], 1e-300), float(high - low))
+    return {n: float(p) / largest[units[n]] for n, p, is_noisy in zip(names, powers, noisy, strict=True) if is_noisy}
 
 
 def loosened(problem: Problem, noise: Noise) -> Noise:
@@ -137,7 +128,7 @@ def loosened(problem: Problem, noise: Noise) -> Noise:
     return replace(problem.plain, sensors=sensors, power=np.maximum(noise.power, problem.noise.plain))
 
 
-def claimed(problem: Problem, base: Filter, after: Filter, index: int) -> Array:
+def claimed(problem: Problem, base: Fit, after: Fit, index: int) -> Array:
     """Return the claim's contribution to each equation.
 
     Both steps start from the refined estimate of the measured states and from their own estimate of the rest.
@@ -164,12 +155,12 @@ def at_best(problem: Problem, at: Fit, column: int, term: Array, lacking: Array)
     The share that parameters without prior can compensate is projected out, because the fit has already moved these
     parameters. A term with the wrong sign scales to zero.
     """
-    here, rows = Filter(at.values, at.noise), []
+    rows = []
     for f in at.free:
         if f.prior is None:
             step = DIFFERENCE * f.size * (1.0 if at.values[f.name] + DIFFERENCE * f.size <= f.high else -1.0)
-            moved = Filter({**at.values, f.name: at.values[f.name] + step}, at.noise)
-            added = [claimed(problem, here, moved, k)[:, column] for k in smoothed_logs(problem)]
+            moved = replace(at, values={**at.values, f.name: at.values[f.name] + step})
+            added = [claimed(problem, at, moved, k)[:, column] for k in smoothed_logs(problem)]
             rows.append(np.concatenate(added) / step)
     if rows and np.isfinite(rows).all() and np.isfinite(term).all():
         basis = np.array(rows).T

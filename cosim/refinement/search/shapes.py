@@ -21,7 +21,7 @@ from cosim.estimation.fit import Fit
 from cosim.estimation.problem import Problem
 from cosim.kernel.kernel import CONSTANT, DISTURBANCE
 from cosim.kernel.nameless import KNOTS, LOCAL, bump, clipped, rise
-from cosim.refinement.search.missing import Filter, Smoothed, smoothed
+from cosim.refinement.search.missing import Smoothed, smoothed
 
 HALF = 2.0 * np.sqrt(1.0 - 0.5 ** (1.0 / 3.0))  # ζ at which a bump has half its height
 INSIDE = (2.0, 98.0)  # percentiles of the rows that bound the places
@@ -76,8 +76,7 @@ class Shape:
     @property
     def entry(self) -> dict[str, Any]:
         """Return the entry for refine.json."""
-        told = {n: list(v) if isinstance(v, tuple) else v for n, v in vars(self).items()}
-        return {n: v for n, v in told.items() if n != "equation"}
+        return {n: list(v) if isinstance(v, tuple) else v for n, v in vars(self).items() if n != "equation"}
 
     @property
     def signal(self) -> str:
@@ -105,18 +104,18 @@ class Shape:
         def mixed(role: str, names: Sequence[str], size: float) -> dict[str, float]:
             return {f"{LOCAL}.{slot}.{role}.{n}": s * size for n, s in zip(names, (1.0, -1.0), strict=False)}
 
-        found = {f"{LOCAL}.{slot}.to.{self.equation}": 1.0}
+        settings = {f"{LOCAL}.{slot}.to.{self.equation}": 1.0}
         if self.turned:
             (angle,) = self.of
             circle = {"1": 1.0, f"cos {angle}": -np.cos(self.place), f"sin {angle}": -np.sin(self.place)}
-            found |= {f"{LOCAL}.{slot}.of.{n}": self.per * float(size) for n, size in circle.items()}
+            settings |= {f"{LOCAL}.{slot}.of.{n}": self.per * float(size) for n, size in circle.items()}
         else:
-            found |= mixed("of", self.of, self.per) | {f"{LOCAL}.{slot}.of.1": -self.place * self.per}
+            settings |= mixed("of", self.of, self.per) | {f"{LOCAL}.{slot}.of.1": -self.place * self.per}
         if self.well:
-            return found | mixed("by", self.of, 1.0) | {f"{LOCAL}.{slot}.by.1": -self.place}
+            return settings | mixed("by", self.of, 1.0) | {f"{LOCAL}.{slot}.by.1": -self.place}
         if self.dry:
-            return found | mixed("by", self.times, 1.0 / self.slip) | {f"{LOCAL}.{slot}.dry": 1.0}
-        return found | (mixed("by", self.times, 1.0) or {f"{LOCAL}.{slot}.by.1": 1.0})
+            return settings | mixed("by", self.times, 1.0 / self.slip) | {f"{LOCAL}.{slot}.dry": 1.0}
+        return settings | (mixed("by", self.times, 1.0) or {f"{LOCAL}.{slot}.by.1": 1.0})
 
     def coefficients(self, slot: int) -> tuple[str, ...]:
         """Return the names of a slot's coefficients."""
@@ -154,8 +153,8 @@ def signals_of(problem: Problem, parts: Smoothed) -> dict[str, Array]:
     layout, states = problem.layout, np.vstack([m.states for _, m in parts])
     commands = np.vstack([problem.logs[k].u[m.rows(problem.logs[k])] for k, m in parts])
     time, named = np.concatenate([m.time for _, m in parts]), zip(layout.states, states.T, strict=True)
-    known = {n: z for n, z in named if not n.startswith((DISTURBANCE, CONSTANT))}
-    return {"time": time, **known, **{f"command {n}": u for n, u in zip(layout.inputs, commands.T, strict=True)}}
+    own = {n: z for n, z in named if not n.startswith((DISTURBANCE, CONSTANT))}
+    return {"time": time, **own, **{f"command {n}": u for n, u in zip(layout.inputs, commands.T, strict=True)}}
 
 
 def promising(problem: Problem, at: Fit, units: Mapping[str, str], worth: float) -> tuple[list[Shape], int]:
@@ -166,12 +165,12 @@ def promising(problem: Problem, at: Fit, units: Mapping[str, str], worth: float)
         worth: Log-likelihood gain that a shape must promise, assuming independent rows.
     """
     prefix = f"{LOCAL}.1.of."
-    known = {n.removeprefix(prefix) for n in problem.layout.parameters if n.startswith(prefix)}
-    if not known or not problem.layout.forced:
+    names = {n.removeprefix(prefix) for n in problem.layout.parameters if n.startswith(prefix)}
+    if not names or not problem.layout.forced:
         return [], 0
     with np.errstate(invalid="ignore", over="ignore"):
-        parts, lacking, sigma = smoothed(problem, Filter(at.values, at.noise), EVERY)
-    signals = {n: z for n, z in signals_of(problem, parts).items() if n in known}
+        parts, lacking, sigma = smoothed(problem, at, EVERY)
+    signals = {n: z for n, z in signals_of(problem, parts).items() if n in names}
     if not all(np.isfinite(z).all() for z in (lacking, *signals.values())):
         return [], 0
     shapes: list[Shape] = []
@@ -193,21 +192,22 @@ class _Best:
 
     def __init__(self, lacking: Array, beside: Sequence[Array], worth: float) -> None:
         self.plain = orthonormal(np.column_stack([np.ones(len(lacking)), *beside]))
-        self.lacking, self.worth = self._beside(lacking), worth
+        self.lacking, self.worth = self._project(lacking), worth
         self.single: list[tuple[float, Shape, Array]] = []
         self.groups: list[tuple[float, Shape, Array]] = []
 
-    def _beside(self, columns: Array) -> Array:
+    def _project(self, columns: Array) -> Array:
+        """Return the columns without their share in the constant and the state."""
         return np.asarray(columns - self.plain @ (self.plain.T @ columns))
 
     def try_one(self, shape: Shape, columns: Array) -> None:
         """Keep a shape if its predicted gain is sufficient."""
-        left = self._beside(columns)
-        products = left.T @ left
-        taken = least_squares(products, left.T @ self.lacking, rcond=1e-9)
-        gain = 0.5 * float(taken @ products @ taken)
-        if gain > self.worth * len(taken):
-            (self.groups if len(taken) > 1 else self.single).append((gain, shape, left @ taken))
+        basis = self._project(columns)
+        products = basis.T @ basis
+        sizes = least_squares(products, basis.T @ self.lacking, rcond=1e-9)
+        gain = 0.5 * float(sizes @ products @ sizes)
+        if gain > self.worth * len(sizes):
+            (self.groups if len(sizes) > 1 else self.single).append((gain, shape, basis @ sizes))
 
     def select(self) -> list[Shape]:
         """Return the most promising distinct shapes."""
@@ -283,7 +283,9 @@ def _grounds(problem: Problem, equation: str, signals: Signals, units: Mapping[s
         z = _mixed(signals, of)
         low, high = np.percentile(z, INSIDE)
         if high > low and np.unique(z).size >= FEWEST:
-            factors = {t: _slip(signals, t) for t in _factors(problem, equation, signals, of) if not set(t) & set(of)}
+            times = [t for t in _factors(problem, equation, signals, of) if not set(t) & set(of)]
+            ranges = [np.ptp(np.percentile(_mixed(signals, t), INSIDE)) for t in times]
+            factors = {t: SLIP * float(span) or 1.0 for t, span in zip(times, ranges, strict=True)}
             yield _Ground(Shape(equation, of, "bump", 0.0, 0.0, unit=units.get(of[0], "")), z, low, high, factors)
 
 
@@ -292,9 +294,3 @@ def _factors(problem: Problem, equation: str, signals: Signals, of: tuple[str, .
     rates = [problem.layout.rates.get(n, "") for n in of]
     factors = [tuple(rates)] if all(rate in signals for rate in rates) else []
     return [*factors, *((t,) for t in (equation,) if t in signals and (t,) not in factors)]
-
-
-def _slip(signals: Signals, names: tuple[str, ...]) -> float:
-    """Return the value within which the sign of a velocity turns."""
-    low, high = np.percentile(_mixed(signals, names), INSIDE)
-    return SLIP * float(high - low) or 1.0
