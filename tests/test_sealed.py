@@ -12,7 +12,7 @@ import pytest
 from cosim.loading.file import load_model
 from cosim.logs.log import Log
 from cosim.model import Stepper
-from cosim.refinement.decision.sentences import rises
+from cosim.refinement.decision.sentences import rise_text
 from cosim.refinement.proof.measure import Evidence
 from cosim.refinement.proof.sealed import find_rises, is_significant_rise
 from cosim.refinement.refinement import Refinement
@@ -106,7 +106,7 @@ def test_chance_alone_makes_a_rise_as_rarely_as_it_says() -> None:
 
 
 def test_a_rise_that_no_reader_sees_is_not_told() -> None:
-    assert rises({"x": (0.10001, 0.10002)}, {"x": "m"}, "model.yaml") == ""
-    said = rises({"x": (0.1, 0.2), "phi": (0.01, 0.02)}, {"x": "m", "phi": "rad"}, "nearest.yaml")
+    assert rise_text({"x": (0.10001, 0.10002)}, {"x": "m"}, "model.yaml") == ""
+    said = rise_text({"x": (0.1, 0.2), "phi": (0.01, 0.02)}, {"x": "m", "phi": "rad"}, "nearest.yaml")
     text = "the error of x rises from 100 mm to 200 mm with nearest.yaml. So does the error of phi."
     assert said.replace("\u00a0", " ") == f"On the sealed logs {text}"

@@ -42,7 +42,7 @@ def blocks_of(problem: Problem, scored: Scored, memory: float) -> Rows:
 
     Blocks are longer than the correlation of the residual.
     """
-    length = correlated(scored) if problem.trusted else memory / problem.logs[0].step
+    length = correlation_length(scored) if problem.trusted else memory / problem.logs[0].step
     rows = max(BLOCK, round(LASTING * length))
     total = sum(len(d.u) for d in problem.logs)
     rows = max(1, min(rows, total // FEWEST))
@@ -54,7 +54,7 @@ def blocks_of(problem: Problem, scored: Scored, memory: float) -> Rows:
     return np.concatenate(numbers)
 
 
-def correlated(scored: Scored) -> float:
+def correlation_length(scored: Scored) -> float:
     """Return the autocorrelation length of normalised errors [rows]."""
     parts, rows = scored.of_each_log(scored.errors / np.sqrt(scored.variances)), scored.of_each_log(scored.rows)
     longest = 0.0
@@ -77,23 +77,23 @@ def steadiness(problem: Problem, better: Fit, worse: Fit, costs: float = 0.0) ->
     if scored[0].errors.size != scored[1].errors.size:
         return math.inf
     block = blocks_of(problem, scored[0], math.exp(better.noise.memory))
-    return by_block(block, scored[1], scored[0], costs + worse.penalty - better.penalty)
+    return gain_per_scatter(block, scored[1], scored[0], costs + worse.penalty - better.penalty)
 
 
-def by_block(block: Rows, worse: Scored, better: Scored, known: float) -> float:
+def gain_per_scatter(block: Rows, worse: Scored, better: Scored, constant: float) -> float:
     """Return a gain divided by its scatter over blocks."""
     terms, others = (np.nan_to_num(s.terms, nan=DIVERGED, posinf=DIVERGED) for s in (worse, better))
     gains = np.bincount(block, terms - others).astype(np.float64)
-    return in_scatter(gains[np.bincount(block) > 0], known)
+    return sum_per_scatter(gains[np.bincount(block) > 0], constant)
 
 
-def in_scatter(gains: Array, known: float = 0.0) -> float:
+def sum_per_scatter(gains: Array, constant: float = 0.0) -> float:
     """Return a sum divided by its standard deviation."""
-    total, spread = known + float(np.sum(gains)), float(np.std(gains)) * math.sqrt(gains.size)
+    total, spread = constant + float(np.sum(gains)), float(np.std(gains)) * math.sqrt(gains.size)
     return total / spread if spread > 0.0 else math.copysign(math.inf, total) if total else 0.0
 
 
-def held_out(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[float, float]:
+def held_out_gains(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[float, float]:
     """Return the held-out gains in likelihood and open loop.
 
     Parameters claimed by only one hypothesis keep the values from the other logs, or of the model. For the likelihood,
@@ -123,10 +123,10 @@ def held_out(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[flo
         return objectives[0] - objectives[1], errors
 
     gains, errors = zip(*in_parallel(compare, list(range(len(problem.logs)))), strict=True)
-    return sum(gains), in_scatter(_error_decreases(errors))
+    return sum(gains), sum_per_scatter(_error_decreases(errors))
 
 
-def predicts(problem: Problem, horizon: float, better: Fit, worse: Fit) -> float:
+def open_loop_gain(problem: Problem, horizon: float, better: Fit, worse: Fit) -> float:
     """Return the open-loop gain per scatter on held-out logs."""
     problem = problem if len(problem.logs) > 1 else halved(problem)
     logs = list(range(len(problem.logs)))
@@ -136,10 +136,10 @@ def predicts(problem: Problem, horizon: float, better: Fit, worse: Fit) -> float
         fits = [fit(problem, f.free, f.values, f.noise, others, SCREEN_ITERATIONS) for f in (worse, better)]
         return [open_loop(problem, horizon, f.values, f, log) for f in (unseen(problem, f, log) for f in fits)]
 
-    return in_scatter(_error_decreases(in_parallel(errors, logs)))
+    return sum_per_scatter(_error_decreases(in_parallel(errors, logs)))
 
 
-def best_of(scatters: float, tried: int) -> float:
+def required_scatters(scatters: float, tried: int) -> float:
     """Return the required gain per scatter of several candidates.
 
     The probability that the best of n ineffective candidates passes z is at most n·(1 − Φ(z)) (Bonferroni).
@@ -149,7 +149,7 @@ def best_of(scatters: float, tried: int) -> float:
     return float(-ndtri(ndtr(-scatters) / max(1, tried)))
 
 
-def beyond_chance(problem: Problem, f: Fit, tried: int) -> float:
+def chance_limit(problem: Problem, f: Fit, tried: int) -> float:
     """Return the gain per scatter that excludes chance.
 
     An estimate of t standard deviations gains ½·t², which is ½·|t| times the scatter of the gain. t follows Student's
@@ -210,16 +210,16 @@ def open_loop(problem: Problem, horizon: float, values: Mapping[str, float], f: 
     length = max(2, min(length, (rows - first) // 2))
     run = problem.run(values, f.noise, index, states=True)
     p = problem.numbers(problem.of_log(values, index))
-    missed = np.full((max(1, (rows - 1 - first) // length), length, data.y.shape[1]), np.nan)
-    for replay, row in zip(missed, range(first, rows - length, length), strict=False):
+    residuals = np.full((max(1, (rows - 1 - first) // length), length, data.y.shape[1]), np.nan)
+    for replay, row in zip(residuals, range(first, rows - length, length), strict=False):
         back = min(row, BACK)
         part, start = data.rows(row - back, row + length + 1), problem.undisturbed(run.states[row])
         predicted = problem.kernel.simulate(part, p, start, run.memory[row], first=back).outputs
         replay[:] = data.y[row + 1 : row + 1 + length] - predicted[back + 1 : back + 1 + length]
-    return np.where(np.abs(missed) < 1e30, missed, np.nan)
+    return np.where(np.abs(residuals) < 1e30, residuals, np.nan)
 
 
-def as_given(problem: Problem, base: Fit, left_out: int | None = None) -> Fit:
+def fit_given_model(problem: Problem, base: Fit, left_out: int | None = None) -> Fit:
     """Fit the unknown inputs of the given model, and its parameters per log.
 
     Parameters per log come from all logs, or from all but `left_out`. The noise must be refitted: a filter that trusts
@@ -234,26 +234,26 @@ def as_given(problem: Problem, base: Fit, left_out: int | None = None) -> Fit:
     return refit if left_out is None else unseen(problem, refit, left_out)
 
 
-def scatter(problem: Problem, f: Fit) -> float:
+def scatter_ratio(problem: Problem, f: Fit) -> float:
     """Return the ratio of scattered to white estimate variances."""
-    spread, white = scattered(problem, f).scattered, inverse(f.information)
+    spread, white = with_sandwich_covariance(problem, f).scattered, inverse(f.information)
     assert spread is not None
     ratios = [spread[k, k] / white[k, k] for k in range(len(f.free)) if white[k, k] > 0.0]
     return max(1.0, float(np.median(ratios))) if ratios else 1.0
 
 
-def _of_few(covariance: Array, rows: int, free: int) -> Array:
+def _widen_for_few_rows(covariance: Array, rows: int, free: int) -> Array:
     """Widen a covariance for few rows.
 
     With few rows, residuals underestimate the noise and normal intervals are too narrow (Student).
     """
     from scipy.special import stdtrit
 
-    left = max(1, rows - free)
-    return np.asarray(covariance * (float(stdtrit(left, 0.975)) / NORMAL_95) ** 2 * rows / left)
+    freedom = max(1, rows - free)
+    return np.asarray(covariance * (float(stdtrit(freedom, 0.975)) / NORMAL_95) ** 2 * rows / freedom)
 
 
-def scattered(problem: Problem, f: Fit) -> Fit:
+def with_sandwich_covariance(problem: Problem, f: Fit) -> Fit:
     """Return the fit with White's sandwich covariance."""
     each, information = scores(problem, f)
     scored = problem.scored(f.values, f.noise)
@@ -263,5 +263,5 @@ def scattered(problem: Problem, f: Fit) -> Fit:
     covariance = inside @ (sums @ sums.T) @ inside
     count = len(f.free)
     if problem.table:
-        covariance = _of_few(covariance, problem.samples, sum(x.prior is None for x in f.free))
+        covariance = _widen_for_few_rows(covariance, problem.samples, sum(x.prior is None for x in f.free))
     return replace(f, scattered=np.asarray(covariance[:count, :count]))

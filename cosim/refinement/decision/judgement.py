@@ -12,8 +12,14 @@ from cosim.estimation.fit import Fit, inverse
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
 from cosim.logs.channel_noise import NORMAL_95
-from cosim.refinement.decision.evidence import as_given, beyond_chance, held_out, scattered, steadiness
-from cosim.refinement.search.fits import Found, Search, key_of
+from cosim.refinement.decision.evidence import (
+    chance_limit,
+    fit_given_model,
+    held_out_gains,
+    steadiness,
+    with_sandwich_covariance,
+)
+from cosim.refinement.search.fits import Search, SearchResult, key_of
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
 from cosim.subject.base_parameters import WIDTHS
 from cosim.subject.candidates import Candidate, Free
@@ -31,18 +37,18 @@ WORSE, BETTER = -3.0, 3.0  # gain per scatter of held-out predictions that rejec
 TOLERANCES = (0.5, 2.0)  # factors on the tolerances that test whether a claim depends on them
 
 
-def decided(found: Found) -> Attribution:
+def decide(result: SearchResult) -> Attribution:
     """Return the best supported hypothesis and its rivals."""
-    search, base = found.search, found.search.tried[()]
-    rest = _drop_unsupported(search, found.best)
+    search, base = result.search, result.search.tried[()]
+    rest = _drop_unsupported(search, result.best)
     best = rest.best
     if best.candidates:
-        best = replace(best, fit=scattered(search.problem, best.fit))
+        best = replace(best, fit=with_sandwich_covariance(search.problem, best.fit))
     rivals = _rivals(search, best)
     tried = tuple(sorted(search.tried.values(), key=lambda h: h.score))
     return Attribution(
         base,
-        as_given(search.problem, base.fit),
+        fit_given_model(search.problem, base.fit),
         tried,
         best,
         rivals,
@@ -50,8 +56,8 @@ def decided(found: Found) -> Attribution:
         rest.support,
         noise_gain(search.problem, best.fit),
         {h.names: _reason(search, h, best, rivals, rest.dropped) for h in tried if h.names != best.names},
-        found.hidden,
-        found.effects,
+        result.hidden,
+        result.effects,
         rest.fuller,
     )
 
@@ -92,20 +98,20 @@ def _drop_unsupported(search: Search, best: Hypothesis) -> _Remainder:
             rest.fuller = None
         elif rest.fuller is None:
             rest.fuller, of_fuller = best, without
-    every = rest.fuller
-    if every is None or not _gain_together(search, every, rest.best):
+    fuller = rest.fuller
+    if fuller is None or not _gain_together(search, fuller, rest.best):
         return rest
-    support = {c.name: _support(search, every, of_fuller[c.name]) for c in every.candidates}
-    return _Remainder(every, support, {n: doubt for n, doubt in rest.dropped.items() if n not in every.names})
+    support = {c.name: _support(search, fuller, of_fuller[c.name]) for c in fuller.candidates}
+    return _Remainder(fuller, support, {n: doubt for n, doubt in rest.dropped.items() if n not in fuller.names})
 
 
-def _gain_together(search: Search, every: Hypothesis, rest: Hypothesis) -> bool:
+def _gain_together(search: Search, fuller: Hypothesis, rest: Hypothesis) -> bool:
     """Return True if small parts gain enough together."""
-    small = [c for c in every.candidates if c.name not in rest.names]
-    if len(small) < 2 or rest.fit.objective - every.fit.objective < search.cost(small):
+    small = [c for c in fuller.candidates if c.name not in rest.names]
+    if len(small) < 2 or rest.fit.objective - fuller.fit.objective < search.cost(small):
         return False
-    limit = beyond_chance(search.problem, every.fit, search.on_trial)
-    return steadiness(search.problem, every.fit, rest.fit) > limit
+    limit = chance_limit(search.problem, fuller.fit, search.on_trial)
+    return steadiness(search.problem, fuller.fit, rest.fit) > limit
 
 
 def _fit_without_each(search: Search, h: Hypothesis) -> dict[str, Hypothesis]:
@@ -131,18 +137,18 @@ def _support(search: Search, better: Hypothesis, worse: Hypothesis) -> Support:
     steady = steadiness(search.problem, better.fit, worse.fit)
     if gain > PLAIN and steady > PLAINLY:
         return Support(gain, steady)
-    return Support(gain, steady, *held_out(search, better, worse))
+    return Support(gain, steady, *held_out_gains(search, better, worse))
 
 
 def _doubt(search: Search, h: Hypothesis, c: Candidate, s: Support) -> str:
     """Return the reason against a part, or ""."""
     if s.gain < search.cost([c]):
         return f"gains {s.gain:.1f}, less than the {search.cost([c]):.0f} that it costs"
-    if limits := _limits(h, [c], search.problem.values):
+    if limits := _parameters_at_limit(h, [c], search.problem.values):
         return f"{limits[0]} is at its limit"
     if c.kind == "parameter":  # Held-out logs say the same about the base model.
-        return "" if outside(search, h, c) else "is within its tolerance"
-    if s.gain < SMALL * search.cost([c]) and s.steady < beyond_chance(search.problem, h.fit, search.on_trial):
+        return "" if is_outside_tolerance(search, h, c) else "is within its tolerance"
+    if s.gain < SMALL * search.cost([c]) and s.steady < chance_limit(search.problem, h.fit, search.on_trial):
         return f"{LITTLE}, and that is {s.steady:.1f} times its own scatter over time"
     if s.steady < UNSURE and not s.held_out > HELD * s.gain:  # A rare effect gains in few blocks, but in each log.
         return f"what it gains is {s.steady:.1f} times its own scatter over time"
@@ -153,14 +159,14 @@ def _doubt(search: Search, h: Hypothesis, c: Candidate, s: Support) -> str:
     return ""
 
 
-def outside(search: Search, h: Hypothesis, c: Candidate) -> bool:
+def is_outside_tolerance(search: Search, h: Hypothesis, c: Candidate) -> bool:
     """Return True if the confidence interval of a base parameter is outside its tolerance."""
     (name,) = c.parameters
     priors = {f.name: f.prior for f in search.free(()) if f.prior}
-    return name not in priors or beyond(h.fit, name, priors[name])
+    return name not in priors or is_beyond_tolerance(h.fit, name, priors[name])
 
 
-def beyond(f: Fit, name: str, prior: tuple[float, float]) -> bool:
+def is_beyond_tolerance(f: Fit, name: str, prior: tuple[float, float]) -> bool:
     """Return True if the 95 % interval of a base parameter is completely outside its tolerance."""
     mean, sigma = prior
     return abs(f.values[name] - mean) - NORMAL_95 * f.sigma(name) > WIDTHS * sigma
@@ -230,7 +236,7 @@ def noise_gain(problem: Problem, f: Fit) -> tuple[float, ...]:
     return tuple(problem.scored(f.values, replace(f.noise, power=power)).nll - f.nll for power in without)
 
 
-def at_limit(h: Hypothesis, f: Free, neutral: Mapping[str, float]) -> bool:
+def is_at_limit(h: Hypothesis, f: Free, neutral: Mapping[str, float]) -> bool:
     """Return True if a parameter is at a limit other than its neutral value.
 
     At the neutral value, an effect of the model is removed, which is no limit.
@@ -240,9 +246,9 @@ def at_limit(h: Hypothesis, f: Free, neutral: Mapping[str, float]) -> bool:
     return value in limits and value not in (neutral[f.name], f.neutral)
 
 
-def _limits(h: Hypothesis, parts: Sequence[Candidate], neutral: Mapping[str, float]) -> list[str]:
+def _parameters_at_limit(h: Hypothesis, parts: Sequence[Candidate], neutral: Mapping[str, float]) -> list[str]:
     """Return the parameters at a limit."""
-    return [f.name for c in parts for f in c.free if at_limit(h, f, neutral)]
+    return [f.name for c in parts for f in c.free if is_at_limit(h, f, neutral)]
 
 
 def _reason(
@@ -259,7 +265,7 @@ def _reason(
         return "no gain"
     if base.score - h.score < 0.0:
         return "gains less than it costs"
-    if limits := _limits(h, h.candidates, search.problem.values):
+    if limits := _parameters_at_limit(h, h.candidates, search.problem.values):
         return f"{limits[0]} is at its limit"
     if behind < 0.0:
         return f"gains {-behind:.1f} on {than}, but not with every part borne out"

@@ -22,7 +22,7 @@ from cosim.estimation.problem import Problem
 from cosim.refinement.decision.evidence import open_loop
 from cosim.refinement.decision.judgement import noise_gain
 from cosim.refinement.search.attribution import Attributor
-from cosim.refinement.search.fits import Found, Progress, Search
+from cosim.refinement.search.fits import Progress, Search, SearchResult
 from cosim.refinement.search.hypotheses import NOISE, Hypothesis
 from cosim.subject.candidates import Candidate
 from cosim.subject.interface import Subject
@@ -30,7 +30,7 @@ from cosim.subject.interface import Subject
 CLEARLY = 0.05  # improvement of the log error of open-loop predictions from which one way is better
 
 
-def attributed(subject: Subject, problem: Problem, candidates: Sequence[Candidate], progress: Progress) -> Found:
+def attribute(subject: Subject, problem: Problem, candidates: Sequence[Candidate], progress: Progress) -> SearchResult:
     """Return the best hypothesis, with or without unknown inputs.
 
     Equations are trusted if open-loop predictions become clearly better.

@@ -40,7 +40,7 @@ CALMER, UNLIKE = 1.2, 3.0  # ratio of floor to error, and its log per scatter, f
 Evidence = list[tuple[Log, Replay]]
 
 
-def filtering(problem: Problem, subject: Subject, logs: Sequence[Log]) -> Problem:
+def filter_problem(problem: Problem, subject: Subject, logs: Sequence[Log]) -> Problem:
     """Return a variant's filter problem on other logs.
 
     The kernel of `problem` takes all parameters, including those of the variant.
@@ -54,35 +54,35 @@ def filtering(problem: Problem, subject: Subject, logs: Sequence[Log]) -> Proble
     return replace(posed, P0=start_covariance(subject, posed))
 
 
-def replays(
+def replay_logs(
     variant: Variant, replayer: Replayer, problem: Problem, logs: Sequence[Log], horizons: Sequence[float] = ()
 ) -> dict[float, Evidence]:
     """Return horizon → corrected logs and their replays.
 
     The subject's own horizon comes first. An unstable subject may stop its FMU on another horizon; that log is skipped.
     """
-    problem = filtering(problem, variant.subject, logs)
+    problem = filter_problem(problem, variant.subject, logs)
     judged = variant.subject.horizon
     played: dict[float, Evidence] = {judged: [], **{horizon: [] for horizon in horizons}}
     for index, log in enumerate(logs):
         values = problem.of_log(variant.values, index)
-        starts, acting = {}, {}
+        starts, per_log = {}, {}
         for horizon in played if not log.table else ():
-            starts[horizon], acting[horizon] = _starts(variant, problem, log, index, horizon)
-        made = replayer.replays(log, problem.logs[index], values, starts)
+            starts[horizon], per_log[horizon] = _starts(variant, problem, log, index, horizon)
+        results = replayer.replays(log, problem.logs[index], values, starts)
         for horizon in played:
             try:
-                replay = next(made)
+                replay = next(results)
             except StoppedReplay:
                 if horizon == judged:
                     raise
                 break  # A stopped FMU must not be called again.
             played[horizon].append(
-                (without_sensor_errors(log, variant, acting.get(horizon, {}), replay.outputs), replay)
+                (remove_sensor_errors(log, variant, per_log.get(horizon, {}), replay.outputs), replay)
             )
             if log.table:
                 break
-        made.close()
+        results.close()
     return played
 
 
@@ -100,7 +100,7 @@ def _starts(
         per_log = {name: float(here[place]) for name, place in layout.constants.items()}
         states = dict(zip(layout.states, filtered.states[row].tolist(), strict=True))
         starts[k] = Start(states, filtered.memory[row], per_log)
-    return starts, _acting(problem, filtered, log.grid[rows], log.grid)
+    return starts, _parameters_at_starts(problem, filtered, log.grid[rows], log.grid)
 
 
 def first_rows(log: Log, horizon: float) -> list[int]:
@@ -113,26 +113,30 @@ def rmse(evidence: Evidence) -> dict[str, float]:
     return pooled(replay.errors(log) for log, replay in evidence)
 
 
-def without_sensor_errors(log: Log, variant: Variant, acting: Mapping[str, Array], said: Mapping[str, Array]) -> Log:
+def remove_sensor_errors(
+    log: Log, variant: Variant, per_log: Mapping[str, Array], simulated: Mapping[str, Array]
+) -> Log:
     """Return the log without the modelled sensor errors.
 
     Args:
-        acting: Parameters per log, one value for each row.
-        said: Output → simulated value, for sensors with latency or dependence on other outputs.
+        per_log: Parameters per log, one value for each row.
+        simulated: Output → simulated value, for sensors with latency or dependence on other outputs.
     """
     outputs = dict(log.outputs)
-    for sensor in _sensors(variant, acting):
+    for sensor in _sensors(variant, per_log):
         if sensor.straight():
             at_zero, gain = _line(sensor)
             outputs |= {n: (outputs[n] - at_zero) / gain for n in sensor.affected() if n in outputs}
         elif not sensor.dormant:
-            outputs |= {n: outputs[n] - by for n, by in _added(sensor, log.time, said).items() if n in outputs}
+            outputs |= {
+                n: outputs[n] - by for n, by in _sensor_errors(sensor, log.time, simulated).items() if n in outputs
+            }
     return replace(log, outputs=outputs)
 
 
-def _sensors(variant: Variant, acting: Mapping[str, Array]) -> Iterator[SensorError]:
+def _sensors(variant: Variant, per_log: Mapping[str, Array]) -> Iterator[SensorError]:
     """Yield the sensor errors, last one first."""
-    values = {**variant.values, **acting}
+    values = {**variant.values, **per_log}
     for kind in reversed(variant.subject.sensors):
         yield kind(value=values[f"{kind.name}.value"])
 
@@ -143,34 +147,33 @@ def _line(sensor: SensorError) -> tuple[Any, Any]:
     return at_zero, sensor.measure(1.0) - at_zero
 
 
-def _added(sensor: Any, time: Array, said: Mapping[str, Array]) -> dict[str, Array]:
+def _sensor_errors(sensor: Any, time: Array, outputs: Mapping[str, Array]) -> dict[str, Array]:
     """Return output → error of a nonlinear sensor."""
-    own = {n: said[n] for n in sensor.affected()}
+    inputs = {n: outputs[n] for n in sensor.affected()}
     if sensor.late:
-        return {n: np.interp(time - sensor.value, time, there, left=np.nan) - there for n, there in own.items()}
-    own = {n: np.nan_to_num(there) for n, there in own.items()}
-    read = sensor.readings(arrays(), time, {**said, **own})
-    return {n: np.asarray(read[n] - there) for n, there in own.items()}
+        return {n: np.interp(time - sensor.value, time, values, left=np.nan) - values for n, values in inputs.items()}
+    inputs = {n: np.nan_to_num(values) for n, values in inputs.items()}
+    readings = sensor.readings(arrays(), time, {**outputs, **inputs})
+    return {n: np.asarray(readings[n] - values) for n, values in inputs.items()}
 
 
-def _acting(problem: Problem, filtered: Filtered, starts: Rows, rows: Rows) -> dict[str, Array]:
+def _parameters_at_starts(problem: Problem, filtered: Filtered, starts: Rows, rows: Rows) -> dict[str, Array]:
     """Return the parameters per log at each replay's start."""
     constants = problem.layout.constants
     if not constants:
         return {}
     begin = np.asarray(starts) if len(starts) else np.array([len(filtered.states) - 1])
     of_row = begin[np.maximum(0, np.searchsorted(begin, rows, side="left") - 1)]
-    known = {k: problem.undisturbed(filtered.states[k]) for k in set(of_row.tolist())}
-    return {name: np.array([known[k][place] for k in of_row.tolist()]) for name, place in constants.items()}
+    states = {k: problem.undisturbed(filtered.states[k]) for k in set(of_row.tolist())}
+    return {name: np.array([states[k][place] for k in of_row.tolist()]) for name, place in constants.items()}
 
 
 def predicted_errors(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
     """Return the RMSE of each channel in kernel replays."""
-    problem = filtering(problem, variant.subject, logs)
-    missed = [
-        _missed(variant, problem, log, index, problem.data(variant.values, index)) for index, log in enumerate(logs)
-    ]
-    return _root_mean_squares(problem, missed)
+    problem = filter_problem(problem, variant.subject, logs)
+    data = [problem.data(variant.values, k) for k in range(len(logs))]
+    errors = [_kernel_errors(variant, problem, log, k, d) for k, (log, d) in enumerate(zip(logs, data, strict=True))]
+    return _root_mean_squares(problem, errors)
 
 
 @dataclass(frozen=True)
@@ -187,37 +190,37 @@ class Floor:
 
     def above(self, error: Mapping[str, float]) -> dict[str, tuple[float, float]]:
         """Return channel → floor and error if the floor is too high."""
-        there = {n: (f, error[n]) for n, f in self.level.items() if error.get(n, 0.0) > 0.0}
-        limits = {n: max(math.log(CALMER), UNLIKE * self.scatter.get(n, 0.0)) for n in there}
-        return {n: (f, e) for n, (f, e) in there.items() if f > 0.0 and math.log(f / e) > limits[n]}
+        pairs = {n: (f, error[n]) for n, f in self.level.items() if error.get(n, 0.0) > 0.0}
+        limits = {n: max(math.log(CALMER), UNLIKE * self.scatter.get(n, 0.0)) for n in pairs}
+        return {n: (f, e) for n, (f, e) in pairs.items() if f > 0.0 and math.log(f / e) > limits[n]}
 
 
 def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np.random.Generator) -> Floor:
     """Return the noise floor from simulations with random noise."""
-    problem = filtering(problem, variant.subject, logs)
+    problem = filter_problem(problem, variant.subject, logs)
     draws: list[list[Array]] = [[] for _ in range(-(-DRAWS // len(logs)))]
     for index, log in enumerate(logs):
-        whole = {**variant.values, **_known_at_the_end(variant, problem, index)}
+        whole = {**variant.values, **_final_parameters(variant, problem, index)}
         first = problem.run(whole, variant.noise, index, states=True).states[0]
         for draw in draws:
-            drawn = _drawn(problem, index, variant, first, rng)
-            draw.append(_missed(variant, problem, log, index, drawn))
-    level = _root_mean_squares(problem, [missed for draw in draws for missed in draw])
+            simulated = _simulate_log(problem, index, variant, first, rng)
+            draw.append(_kernel_errors(variant, problem, log, index, simulated))
+    level = _root_mean_squares(problem, [errors for draw in draws for errors in draw])
     each = [_root_mean_squares(problem, draw) for draw in draws]
     sizes = {name: [size for one in each if (size := one[name]) > 0.0] for name in level}
     return Floor(level, {n: float(np.std(np.log(s), ddof=1)) for n, s in sizes.items() if len(s) > 1})
 
 
-def followed(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
+def final_log_parameters(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
     """Return the last filtered values of parameters per log."""
     if not logs or not problem.layout.constants:
         return {}
-    problem = filtering(problem, variant.subject, logs)
-    ends = [_known_at_the_end(variant, problem, index) for index in range(len(logs))]
+    problem = filter_problem(problem, variant.subject, logs)
+    ends = [_final_parameters(variant, problem, index) for index in range(len(logs))]
     return {name: value for end in ends for name, value in end.items()}
 
 
-def _known_at_the_end(variant: Variant, problem: Problem, index: int) -> dict[str, float]:
+def _final_parameters(variant: Variant, problem: Problem, index: int) -> dict[str, float]:
     """Return filtered parameters at the end of a log."""
     if not (constants := problem.layout.constants):
         return {}
@@ -227,7 +230,7 @@ def _known_at_the_end(variant: Variant, problem: Problem, index: int) -> dict[st
     return values | {spread(name, group): 0.0 for name in constants}
 
 
-def _drawn(problem: Problem, index: int, variant: Variant, first: Array, rng: np.random.Generator) -> Data:
+def _simulate_log(problem: Problem, index: int, variant: Variant, first: Array, rng: np.random.Generator) -> Data:
     """Return a simulated log with new noise.
 
     Late readings are shifted to the rows of their measurement, as in `Problem.data`.
@@ -237,19 +240,19 @@ def _drawn(problem: Problem, index: int, variant: Variant, first: Array, rng: np
     density = problem.densities(variant.noise)[list(layout.noisy)]
     kicks = np.zeros((rows, len(layout.states)))
     kicks[:, noisy] = rng.standard_normal((rows, len(noisy))) * np.sqrt(density * data.step)
-    lasting = {**variant.values, LASTS: math.exp(variant.noise.memory)}
-    p = problem.numbers(problem.of_log(lasting if layout.coloured else variant.values, index))
+    values = {**variant.values, LASTS: math.exp(variant.noise.memory)}
+    p = problem.numbers(problem.of_log(values if layout.coloured else variant.values, index))
     truth = problem.kernel.simulate(data, p, first, np.zeros(layout.memory), kicks)
     sensed = rng.standard_normal(truth.outputs.shape) * np.sqrt(problem.variances(variant.noise, index))
-    return replace(data, y=np.where(np.isnan(data.y), np.nan, _older(truth.outputs, data.late) + sensed))
+    return replace(data, y=np.where(np.isnan(data.y), np.nan, _shift(truth.outputs, data.late) + sensed))
 
 
-def _older(outputs: Array, late: Array | None) -> Array:
+def _shift(outputs: Array, late: Array | None) -> Array:
     """Return outputs shifted by fractions of a row."""
     return outputs if late is None else outputs - np.nan_to_num(late) * np.diff(outputs, axis=0, prepend=outputs[:1])
 
 
-def _missed(variant: Variant, problem: Problem, log: Log, index: int, data: Data) -> Array:
+def _kernel_errors(variant: Variant, problem: Problem, log: Log, index: int, data: Data) -> Array:
     """Return corrected measurement − model in replays over the model's horizon.
 
     Each replay starts from the state filtered from past data.
@@ -258,20 +261,21 @@ def _missed(variant: Variant, problem: Problem, log: Log, index: int, data: Data
     horizon = variant.subject.horizon
     rows = [] if data.table else log.grid[first_rows(log, horizon)].tolist()
     filtered = problem.filter_causally(data, variant.values, variant.noise, index, rows)
-    acting = {} if data.table else _acting(problem, filtered, np.array(rows, np.intp), np.arange(len(data.u)))
-    for sensor in _sensors(variant, acting):
+    starts, every_row = np.array(rows, np.intp), np.arange(len(data.u))
+    per_log = {} if data.table else _parameters_at_starts(problem, filtered, starts, every_row)
+    for sensor in _sensors(variant, per_log):
         if sensor.straight():
             gains |= {n: gains[n] * _line(sensor)[1] for n in sensor.affected() if n in gains}
     readings = filtered.errors
     if not data.table:
         length = len(data.u) if horizon == FREE_RUN else round(horizon / data.step)
         p = problem.numbers(problem.of_log(variant.values, index))
-        readings = data.y - _predicted(problem, data, p, filtered, rows, length)
+        readings = data.y - _predict(problem, data, p, filtered, rows, length)
     return np.asarray(readings / np.column_stack(list(gains.values())))
 
 
-def _root_mean_squares(problem: Problem, missed: Sequence[Array]) -> dict[str, float]:
-    whole = np.vstack(missed)
+def _root_mean_squares(problem: Problem, errors: Sequence[Array]) -> dict[str, float]:
+    whole = np.vstack(errors)
     sums, counts = np.nansum(whole**2, axis=0), np.isfinite(whole).sum(axis=0)
     return {
         name: float(np.sqrt(s / c)) if c else float("nan")
@@ -279,12 +283,12 @@ def _root_mean_squares(problem: Problem, missed: Sequence[Array]) -> dict[str, f
     }
 
 
-def _predicted(problem: Problem, data: Data, p: Array, filtered: Filtered, rows: Sequence[int], length: int) -> Array:
+def _predict(problem: Problem, data: Data, p: Array, filtered: Filtered, rows: Sequence[int], length: int) -> Array:
     """Return the outputs of kernel replays; NaN between replays."""
     predicted = np.full(data.y.shape, np.nan)
     for k in rows:
         end = min(k + length, len(data.u) - 1)
         part = data.rows(0, end + 1)
         run = problem.kernel.simulate(part, p, problem.undisturbed(filtered.states[k]), filtered.memory[k], first=k)
-        predicted[k + 1 : end + 1] = _older(run.outputs[k:], None if part.late is None else part.late[k:])[1:]
+        predicted[k + 1 : end + 1] = _shift(run.outputs[k:], None if part.late is None else part.late[k:])[1:]
     return predicted

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cosim.estimation.posing import halved
-from cosim.refinement.decision.evidence import as_given, fit_without
+from cosim.refinement.decision.evidence import fit_given_model, fit_without
 from cosim.refinement.decision.trust import log_error
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis
@@ -28,6 +28,6 @@ def nearest(search: Search, a: Attribution, best: Sequence[Hypothesis]) -> Hypot
     errors = []
     for h in hypotheses:
         logs = range(len(problem.logs))
-        fits = [fit_without(search, problem, h, k) if h else as_given(problem, a.base.fit, k) for k in logs]
+        fits = [fit_without(search, problem, h, k) if h else fit_given_model(problem, a.base.fit, k) for k in logs]
         errors.append(log_error(problem, search.subject.horizon, fits))
     return next(h for h, error in zip(hypotheses, errors, strict=True) if error <= min(errors) + SIMPLER)

@@ -16,7 +16,7 @@ from cosim.base.text import plain
 from cosim.estimation.problem import Problem
 from cosim.logs.log import Log
 from cosim.refinement import messages
-from cosim.refinement.proof.measure import Evidence, replays
+from cosim.refinement.proof.measure import Evidence, replay_logs
 from cosim.refinement.proof.refined_models import Variant
 from cosim.refinement.record import OTHER_HORIZONS, Part, Replayed, Replays
 from cosim.residuals.windows import Replay
@@ -35,7 +35,7 @@ class Proof:
     sets: LogSets
     place: Workplace
 
-    def replayed(self, variants: Mapping[str, Variant]) -> tuple[Replayed, Replays]:
+    def replay(self, variants: Mapping[str, Variant]) -> tuple[Replayed, Replays]:
         """Replay every variant; return the replays and the FMU used."""
 
         def delivered(subject: Subject) -> Replayer:
@@ -46,31 +46,29 @@ class Proof:
         try:
             quick = {id(v.subject): v.subject.quick_replayer(self.place) for v in variants.values()}
         except InputError as error:
-            return self.every(variants, delivered), Replays(through=own.through, why=error.faults[0].message)
+            return self.replay_all(variants, delivered), Replays(through=own.through, why=error.faults[0].message)
         ways = {key: way for key, way in quick.items() if way is not None}
         if len(ways) < len(quick):
-            return self.every(variants, delivered), Replays(through=own.through)
-        played = self.every(variants, lambda subject: ways[id(subject)])
+            return self.replay_all(variants, delivered), Replays(through=own.through)
+        played = self.replay_all(variants, lambda subject: ways[id(subject)])
         part: Part = "validation" if "validation" in self.sets else "estimation"
         k, log = min(enumerate(self.sets[part]), key=lambda entry: entry[1].rows)
         horizon, name = after.subject.horizon, log.path.name
-        replay = replays(after, own, self.problem, [log])[horizon][0][1]
+        replay = replay_logs(after, own, self.problem, [log])[horizon][0][1]
         apart = difference(played["after"][part][horizon][k][1], replay)
         if apart <= EQUAL:
             return played, Replays(through=ways[id(after.subject)].through, log=name, apart=apart)
         why = f"replays of {name} through it and through plant.fmu are {plain(apart, 2)} apart"
-        return self.every(variants, delivered), Replays(through=own.through, why=why, log=name, apart=apart)
+        return self.replay_all(variants, delivered), Replays(through=own.through, why=why, log=name, apart=apart)
 
-    def every(self, variants: Mapping[str, Variant], way: Way) -> Replayed:
+    def replay_all(self, variants: Mapping[str, Variant], way: Way) -> Replayed:
         """Replay every distinct variant on every set."""
         horizons = [] if self.problem.table else list(OTHER_HORIZONS.values())
         done: dict[int, dict[Part, dict[float, Evidence]]] = {}
         for variant in variants.values():
             if id(variant) not in done:
-                replayer = way(variant.subject)
-                done[id(variant)] = {
-                    part: replays(variant, replayer, self.problem, logs, horizons) for part, logs in self.sets.items()
-                }
+                source = variant, way(variant.subject), self.problem
+                done[id(variant)] = {part: replay_logs(*source, logs, horizons) for part, logs in self.sets.items()}
         return {name: done[id(variant)] for name, variant in variants.items()}
 
 

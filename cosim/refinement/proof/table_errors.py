@@ -25,7 +25,7 @@ PLAIN = 3.0  # standard deviations of the neighbour correlation from which rows 
 Channels = dict[str, float]
 
 
-def errors_left_out(search: Search, a: Attribution, claims: Claims) -> dict[str, Channels]:
+def errors_on_held_out_rows(search: Search, a: Attribution, claims: Claims) -> dict[str, Channels]:
     """Return the RMSE on held-out rows."""
     models = {"before": None, "recalibrated": a.base, "after": claims.claimed}
     if claims.nearest is not None:
@@ -43,24 +43,24 @@ def _rmse(search: Search, h: Hypothesis | None) -> Channels:
     return dict(zip(problem.layout.outputs, _root_mean_squares(np.vstack(rows)).tolist(), strict=True))
 
 
-def with_leftover(claims: Claims, a: Attribution, problem: Problem, subject: Subject) -> Claims:
+def add_dependence(claims: Claims, a: Attribution, problem: Problem, subject: Subject) -> Claims:
     """Return the claims with the remaining input dependence."""
-    left = _leftover(problem, a.best, subject)
-    if left is None:
+    dependence = _strongest_dependence(problem, a.best, subject)
+    if dependence is None:
         return claims
     if claims.claimed is None:
         if claims.name == "unexplained":
-            return replace(claims, left_of=left)
-        return Claims("unexplained", misfit=claims.misfit, left_of=left)
-    column = problem.layout.outputs.index(left[0])
+            return replace(claims, left_of=dependence)
+        return Claims("unexplained", misfit=claims.misfit, left_of=dependence)
+    column = problem.layout.outputs.index(dependence[0])
     before, after = (_root_mean_squares(_residuals(problem, h))[column] for h in (a.base, claims.claimed))
     share = float(after**2 / before**2)
     if claims.name != "ambiguous" and share > PART:
-        return replace(claims, grade="part", left_of=left, left_share=share)
-    return replace(claims, left_of=left)
+        return replace(claims, grade="part", left_of=dependence, left_share=share)
+    return replace(claims, left_of=dependence)
 
 
-def _leftover(problem: Problem, h: Hypothesis, subject: Subject) -> tuple[str, str] | None:
+def _strongest_dependence(problem: Problem, h: Hypothesis, subject: Subject) -> tuple[str, str] | None:
     """Return the output and input of the strongest dependence.
 
     Statistic: Σ r_k·r_k+1 / Σ r² of the centred residual ranks in the order of the input; for noise 0 ± 1/√n, also for

@@ -34,15 +34,15 @@ def regressors(subject: Subject, problem: Problem, parts: Smoothed) -> dict[str,
     """
     signals, reached = signals_of(problem, parts), problem.layout.uncertain
     own = [q for q in subject.states if q.name in reached and _is_own(subject, q.name)]
-    known = [Regressor("time", "s", signals["time"])]
-    known += [Regressor(q.name, q.unit, _turned(signals[q.name], q.unit)) for q in own]
-    speeds = [s for s in known if s.unit in {"m/s", "rad/s"}]
+    single = [Regressor("time", "s", signals["time"])]
+    single += [Regressor(q.name, q.unit, _wrap_angle(signals[q.name], q.unit)) for q in own]
+    speeds = [s for s in single if s.unit in {"m/s", "rad/s"}]
     products = [
         Regressor(f"{b.name} · {a.name}", f"{b.unit} · {a.unit}", a.values * b.values)
         for a, b in combinations(speeds, 2)
         if a.unit != b.unit
     ]
-    return {s.name: s for s in (*known, *products, *_commands(subject, problem, parts))}
+    return {s.name: s for s in (*single, *products, *_commands(subject, problem, parts))}
 
 
 def _is_own(subject: Subject, state: str) -> bool:
@@ -50,7 +50,7 @@ def _is_own(subject: Subject, state: str) -> bool:
     return state.partition(".")[0] not in subject.present
 
 
-def _turned(values: Array, unit: str) -> Array:
+def _wrap_angle(values: Array, unit: str) -> Array:
     """Wrap an angle of several turns into one turn."""
     return np.mod(values, 2.0 * np.pi) if unit == "rad" and np.ptp(values) > 2.0 * np.pi else values
 
@@ -82,7 +82,7 @@ def _commands(subject: Subject, problem: Problem, parts: Smoothed) -> list[Regre
     ]
 
 
-def explained(values: Array, by: Array) -> float:
+def explained_share(values: Array, by: Array) -> float:
     """Return the share of variance explained by a signal.
 
     The share is the variance between bins of `by`, 1 for a function of `by`.
@@ -115,33 +115,33 @@ def bins(x: Array, count: int, least: int = 1) -> list[Rows]:
     return joined
 
 
-def choose(known: Mapping[str, Regressor], suggested: Sequence[str], values: Array) -> Regressor:
+def choose(signals: Mapping[str, Regressor], suggested: Sequence[str], values: Array) -> Regressor:
     """Return the signal explaining most of `values`.
 
     Signals suggested for a term have precedence.
     """
-    names = [n for n in suggested if n in known] or [n for n in known if " · " not in n]
-    return known[max(names, key=lambda n: explained(values, known[n].values))]
+    names = [n for n in suggested if n in signals] or [n for n in signals if " · " not in n]
+    return signals[max(names, key=lambda n: explained_share(values, signals[n].values))]
 
 
-def local(problem: Problem, parts: Smoothed, shape: Shape, sizes: Sequence[float]) -> tuple[Regressor, Array]:
+def local_term(problem: Problem, parts: Smoothed, shape: Shape, sizes: Sequence[float]) -> tuple[Regressor, Array]:
     """Return signal and values of a local term."""
     signals = signals_of(problem, parts)
     return Regressor(shape.signal, shape.unit, shape.over(signals)), shape.columns(signals) @ np.array(sizes)
 
 
-def nameless(
+def unnamed_term(
     subject: Subject, problem: Problem, parts: Smoothed, term: Mapping[str, Any]
 ) -> tuple[Regressor, Array] | None:
     """Return signal and values of an unnamed term."""
     signal, coefficient = term["signal"], term["coefficient"]
     if term.get("local"):
         shape = Shape.of_entry(term["equation"], term["local"])
-        return local(problem, parts, shape, term["local"]["sizes"])
-    known = subject.nameless(signal)
-    if known is None:
+        return local_term(problem, parts, shape, term["local"]["sizes"])
+    basis = subject.nameless(signal)
+    if basis is None:
         return None
-    (evaluate, depends), signals = known, signals_of(problem, parts)
+    (evaluate, depends), signals = basis, signals_of(problem, parts)
     units = {"time": "s", **{q.name: q.unit for q in subject.states if _is_own(subject, q.name)}}
     units |= {f"command {q.name}": q.unit for q in subject.inputs}
     values = np.broadcast_to(evaluate(*(signals[name] for name in units)), signals["time"].shape)

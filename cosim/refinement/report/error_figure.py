@@ -29,8 +29,8 @@ def errors_figure(record: Mapping[str, Any], part: str) -> Figure:
     figure = new_figure(2.4 * columns + 0.4, 2.4 * rows + 0.3)
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for ax, channel in zip(axes, channels, strict=False):
-        there = [m for m in MODELS if errors[m].get(channel) is not None]
-        ax.bar(there, [errors[m][channel] for m in there], color=[MODELS[m] for m in there])
+        models = [m for m in MODELS if errors[m].get(channel) is not None]
+        ax.bar(models, [errors[m][channel] for m in models], color=[MODELS[m] for m in models])
         ax.set_title(channel.replace("$", r"\$"), loc="left", fontsize=10)
         ax.tick_params(axis="x", labelsize=7.5)
         ax.spines[["top", "right"]].set_visible(False)

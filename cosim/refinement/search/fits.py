@@ -49,7 +49,7 @@ def starts_of(parts: Parts, moved: set[str]) -> list[dict[str, float]]:
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchResult:
     """Result of a search: the best hypothesis, and effects that these logs cannot show at their usual size.
 
     Attributes:
@@ -179,13 +179,13 @@ class Search:
 
         return self._fit_each("fitting what comes near the best", refit, hypotheses)
 
-    def _fit_each(self, stage: str, one: Callable[[Item], Hypothesis], todo: Sequence[Item]) -> list[Hypothesis]:
+    def _fit_each(self, stage: str, fit_item: Callable[[Item], Hypothesis], todo: Sequence[Item]) -> list[Hypothesis]:
         """Fit items in parallel and report progress."""
         done = count()
         self.progress(stage, 0.0)
 
         def fit_and_report(item: Item) -> Hypothesis:
-            h, number = one(item), 1 + next(done)
+            h, number = fit_item(item), 1 + next(done)
             self.progress(f"{stage}: candidate {number} of {len(todo)}", number / len(todo))
             return h
 

@@ -15,7 +15,7 @@ from cosim.base.text import plain
 from cosim.estimation.fit import fit
 from cosim.estimation.problem import Problem
 from cosim.refinement import messages
-from cosim.refinement.decision.evidence import blocks_of, by_block
+from cosim.refinement.decision.evidence import blocks_of, gain_per_scatter
 from cosim.refinement.search.hypotheses import Hypothesis
 
 Way = Literal["held", "interpolated"]
@@ -30,7 +30,7 @@ class Between:
         steady: Gain divided by its scatter over blocks of time.
     """
 
-    taken: Mapping[str, Way]
+    ways: Mapping[str, Way]
     gain: float
     steady: float
 
@@ -39,13 +39,13 @@ class Between:
         """Return a warning if the opposite choice is clearly likelier."""
         if not (self.gain > LIKELIER and self.steady > STEADILY):
             return ()
-        opposite = {name: "held" if way == "interpolated" else "interpolated" for name, way in self.taken.items()}
+        opposite = {name: "held" if way == "interpolated" else "interpolated" for name, way in self.ways.items()}
         setting = opposite[next(iter(opposite))]
         if len(set(opposite.values())) > 1:
             setting = f"{{{', '.join(f'{name}: {way}' for name, way in opposite.items())}}}"
         inputs = []
-        for way in dict.fromkeys(self.taken.values()):
-            names = [name for name in self.taken if self.taken[name] == way]
+        for way in dict.fromkeys(self.ways.values()):
+            names = [name for name in self.ways if self.ways[name] == way]
             inputs.append(f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} taken as {way}")
         texts = {"gain": plain(self.gain), "steadiness": plain(self.steady, 2), "line": f"`inputs: {setting}`"}
         return (messages.LIKELIER_INTERPOLATION(inputs=" and ".join(inputs), **texts),)
@@ -62,5 +62,5 @@ def between_rows(problem: Problem, base: Hypothesis) -> Between:
     ways: dict[str, Way] = {name: "interpolated" if name in ramped else "held" for name in names}
     scored, scored_refit = problem.scored(base.fit.values, base.fit.noise), other.scored(refit.values, refit.noise)
     block = blocks_of(problem, scored, math.exp(base.fit.noise.memory))
-    steady = by_block(block, scored, scored_refit, base.fit.penalty - refit.penalty)
+    steady = gain_per_scatter(block, scored, scored_refit, base.fit.penalty - refit.penalty)
     return Between(ways, base.fit.objective - refit.objective, steady)

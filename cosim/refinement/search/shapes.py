@@ -21,7 +21,7 @@ from cosim.estimation.fit import Fit
 from cosim.estimation.problem import Problem
 from cosim.kernel.kernel import CONSTANT, DISTURBANCE
 from cosim.kernel.nameless import KNOTS, LOCAL, bump, clipped, rise
-from cosim.refinement.search.missing import Smoothed, smoothed
+from cosim.refinement.search.missing import Smoothed, smooth_logs
 
 HALF = 2.0 * np.sqrt(1.0 - 0.5 ** (1.0 / 3.0))  # ζ at which a bump has half its height
 INSIDE = (2.0, 98.0)  # percentiles of the rows that bound the places
@@ -124,7 +124,7 @@ class Shape:
 
     def over(self, signals: Signals) -> Array:
         """Return the signal, a turning angle near the place."""
-        z = _mixed(signals, self.of)
+        z = _difference(signals, self.of)
         return np.mod(z - self.place + np.pi, TURN) + self.place - np.pi if self.turned else z
 
     def columns(self, signals: Signals) -> Array:
@@ -140,11 +140,11 @@ class Shape:
             return np.asarray(basis * (z - self.place)[:, None])
         if not self.times:
             return np.asarray(basis)
-        factor = _mixed(signals, self.times)
+        factor = _difference(signals, self.times)
         return np.asarray(basis * (clipped(factor / self.slip) if self.dry else factor)[:, None])
 
 
-def _mixed(signals: Signals, names: Sequence[str]) -> Array:
+def _difference(signals: Signals, names: Sequence[str]) -> Array:
     return signals[names[0]] - signals[names[1]] if len(names) > 1 else signals[names[0]]
 
 
@@ -157,7 +157,7 @@ def signals_of(problem: Problem, parts: Smoothed) -> dict[str, Array]:
     return {"time": time, **own, **{f"command {n}": u for n, u in zip(layout.inputs, commands.T, strict=True)}}
 
 
-def promising(problem: Problem, at: Fit, units: Mapping[str, str], worth: float) -> tuple[list[Shape], int]:
+def promising_shapes(problem: Problem, at: Fit, units: Mapping[str, str], worth: float) -> tuple[list[Shape], int]:
     """Return promising shapes and the number tried.
 
     Args:
@@ -169,7 +169,7 @@ def promising(problem: Problem, at: Fit, units: Mapping[str, str], worth: float)
     if not names or not problem.layout.forced:
         return [], 0
     with np.errstate(invalid="ignore", over="ignore"):
-        parts, lacking, sigma = smoothed(problem, at, EVERY)
+        parts, lacking, sigma = smooth_logs(problem, at, EVERY)
     signals = {n: z for n, z in signals_of(problem, parts).items() if n in names}
     if not all(np.isfinite(z).all() for z in (lacking, *signals.values())):
         return [], 0
@@ -178,7 +178,7 @@ def promising(problem: Problem, at: Fit, units: Mapping[str, str], worth: float)
     for column, equation in enumerate(problem.layout.forced):
         weight = 1.0 / np.sqrt(np.mean(sigma[:, column] ** 2))
         own = [signals[equation]] if equation in signals else []
-        best = _Best(lacking[:, column] * weight, own, worth)
+        best = _Selection(lacking[:, column] * weight, own, worth)
         for ground in _grounds(problem, equation, signals, units):
             for shape in ground.shapes():
                 tried += len(shape.coefficients(1))
@@ -187,11 +187,11 @@ def promising(problem: Problem, at: Fit, units: Mapping[str, str], worth: float)
     return shapes, tried
 
 
-class _Best:
+class _Selection:
     """The best shapes for one equation, beside a constant and the state itself."""
 
-    def __init__(self, lacking: Array, beside: Sequence[Array], worth: float) -> None:
-        self.plain = orthonormal(np.column_stack([np.ones(len(lacking)), *beside]))
+    def __init__(self, lacking: Array, others: Sequence[Array], worth: float) -> None:
+        self.plain = orthonormal(np.column_stack([np.ones(len(lacking)), *others]))
         self.lacking, self.worth = self._project(lacking), worth
         self.single: list[tuple[float, Shape, Array]] = []
         self.groups: list[tuple[float, Shape, Array]] = []
@@ -280,11 +280,11 @@ def _grounds(problem: Problem, equation: str, signals: Signals, units: Mapping[s
     states = [n for n in signals if n in problem.layout.states]
     pairs = [(a, b) for a, b in combinations(states, 2) if units.get(a, a) == units.get(b, b)]
     for of in (*((n,) for n in signals), *pairs):
-        z = _mixed(signals, of)
+        z = _difference(signals, of)
         low, high = np.percentile(z, INSIDE)
         if high > low and np.unique(z).size >= FEWEST:
             times = [t for t in _factors(problem, equation, signals, of) if not set(t) & set(of)]
-            ranges = [np.ptp(np.percentile(_mixed(signals, t), INSIDE)) for t in times]
+            ranges = [np.ptp(np.percentile(_difference(signals, t), INSIDE)) for t in times]
             factors = {t: SLIP * float(span) or 1.0 for t, span in zip(times, ranges, strict=True)}
             yield _Ground(Shape(equation, of, "bump", 0.0, 0.0, unit=units.get(of[0], "")), z, low, high, factors)
 

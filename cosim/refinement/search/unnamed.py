@@ -23,8 +23,8 @@ from cosim.estimation.problem import Problem
 from cosim.estimation.screen import ScoreTest
 from cosim.kernel.nameless import PREFIX, SLOTS
 from cosim.refinement.search.fits import ENTRY, SCREEN_ITERATIONS
-from cosim.refinement.search.missing import at_best, claimed, smoothed
-from cosim.refinement.search.shapes import Shape, promising
+from cosim.refinement.search.missing import contributions, scale_to_missing, smooth_logs
+from cosim.refinement.search.shapes import Shape, promising_shapes
 from cosim.subject.candidates import Free
 
 SMALL = 0.1  # share of a plainly detected disturbance within a second, for the difference step of a term
@@ -35,7 +35,7 @@ ALIKE = 0.95  # correlation of two terms' differences from which one represents 
 
 
 @dataclass(frozen=True)
-class Unnamed:
+class UnnamedTerm:
     """A term without a name.
 
     Attributes:
@@ -86,6 +86,9 @@ class Unnamed:
         return entry | {"place": self.shape.place, "width": self.shape.width, "local": local}
 
 
+LocalTerm = tuple[UnnamedTerm, list[Array]]  # a term with a local shape, and the effect of each coefficient
+
+
 @dataclass(frozen=True)
 class Leftover:
     """Terms beside a hypothesis.
@@ -98,19 +101,21 @@ class Leftover:
         among: Number of terms tried.
     """
 
-    terms: tuple[Unnamed, ...]
+    terms: tuple[UnnamedTerm, ...]
     fit: Fit | None
     gain: float
     cost: float
     among: int = 1
 
     @property
-    def first(self) -> Unnamed | None:
+    def first(self) -> UnnamedTerm | None:
         """Return the most promising term."""
         return self.terms[0] if self.terms else None
 
 
-def left_beside(problem: Problem, at: Fit, price: float, units: Mapping[str, str] = MappingProxyType({})) -> Leftover:
+def find_unnamed_terms(
+    problem: Problem, at: Fit, price: float, units: Mapping[str, str] = MappingProxyType({})
+) -> Leftover:
     """Return the terms beside a fit.
 
     Args:
@@ -156,45 +161,47 @@ class _Terms:
         """Return the gain required of a simple term."""
         return self.problem.scatter * (self.price + ENTRY + math.log(max(1, len(self.names))))
 
-    def costs(self, u: Unnamed) -> float:
+    def costs(self, u: UnnamedTerm) -> float:
         """Return the gain required of a term."""
         if u.shape is None:
             return self.cost
         count, tried = len(u.names), max(1, len(self.names) + self.tried)
         return self.problem.scatter * (self.price * count + ENTRY + math.log(tried))
 
-    def number_tried(self, terms: Sequence[Unnamed]) -> int:
+    def number_tried(self, terms: Sequence[UnnamedTerm]) -> int:
         """Return the number of terms tried."""
         return len(self.names) + (self.tried if any(u.shape for u in terms) else 0)
 
-    def simple(self) -> list[Unnamed]:
+    def simple(self) -> list[UnnamedTerm]:
         """Return the distinct simple terms of each equation."""
 
-        def term(name: str) -> tuple[Unnamed, Array]:
+        def term(name: str) -> tuple[UnnamedTerm, Array]:
             _, equation, signal = name.split(".", 2)
             step, row = self._size_step(equation, {}, name)
-            gain, (taken,) = self.test.gain([row])
-            return Unnamed(equation, signal, gain, float(taken * step), gain), row
+            gain, (size,) = self.test.gain([row])
+            return UnnamedTerm(equation, signal, gain, float(size * step), gain), row
 
         terms = [(u, row) for u, row in in_parallel(term, self.names) if u.gain > 0.0]
         forced = self.problem.layout.forced
         return [u for e in forced for u in _without_equivalents([(u, row) for u, row in terms if u.equation == e])]
 
-    def local(self, units: Mapping[str, str]) -> list[tuple[Unnamed, list[Array]]]:
+    def local(self, units: Mapping[str, str]) -> list[LocalTerm]:
         """Return local shapes and their coefficients' effects."""
-        shapes, self.tried = promising(self.problem, self.at, units, self.cost)
+        shapes, self.tried = promising_shapes(self.problem, self.at, units, self.cost)
 
-        def term(shape: Shape) -> tuple[Unnamed, list[Array]]:
+        def term(shape: Shape) -> LocalTerm:
             sized = [self._size_step(shape.equation, shape.settings(1), name) for name in shape.coefficients(1)]
             rows = [row for _, row in sized]
-            gain, taken = self.test.gain(rows)
-            sizes = tuple(float(t * step) for t, (step, _) in zip(taken, sized, strict=True))
+            gain, steps = self.test.gain(rows)
+            sizes = tuple(float(t * step) for t, (step, _) in zip(steps, sized, strict=True))
             largest = max(sizes, key=abs)
-            return Unnamed(shape.equation, shape.signal, gain, largest, gain, shape=shape, sizes=sizes), rows
+            return UnnamedTerm(shape.equation, shape.signal, gain, largest, gain, shape=shape, sizes=sizes), rows
 
         return in_parallel(term, shapes)
 
-    def select(self, simple: Sequence[Unnamed], local: Sequence[tuple[Unnamed, list[Array]]]) -> list[Unnamed]:
+    def select(
+        self, simple: Sequence[UnnamedTerm], local: Sequence[tuple[UnnamedTerm, list[Array]]]
+    ) -> list[UnnamedTerm]:
         """Return simple terms and clearly better local shapes.
 
         Each local shape must be worth its cost beside the more promising ones of its equation.
@@ -213,7 +220,7 @@ class _Terms:
                 selected.append(u)
         return selected
 
-    def net(self, u: Unnamed) -> float:
+    def net(self, u: UnnamedTerm) -> float:
         """Return the predicted gain of a term minus its cost."""
         return u.most - self.costs(u)
 
@@ -229,9 +236,9 @@ class _Terms:
         return step, self.test.row({**settings, name: step})
 
 
-def _with_slots(terms: Sequence[Unnamed]) -> list[Unnamed]:
+def _with_slots(terms: Sequence[UnnamedTerm]) -> list[UnnamedTerm]:
     """Return terms with a separate slot for each local shape."""
-    placed: list[Unnamed] = []
+    placed: list[UnnamedTerm] = []
     for u in terms:
         slot = 1 + sum(p.shape is not None for p in placed)
         if slot <= SLOTS:
@@ -239,7 +246,7 @@ def _with_slots(terms: Sequence[Unnamed]) -> list[Unnamed]:
     return placed
 
 
-def _fit_terms(problem: Problem, at: Fit, terms: Sequence[Unnamed]) -> Fit:
+def _fit_terms(problem: Problem, at: Fit, terms: Sequence[UnnamedTerm]) -> Fit:
     """Return the fit with some additional free terms."""
     sizes = {name: abs(value) or 1.0 for u in terms for name, value in u.coefficients.items()}
     settings = {name: value for u in terms for name, value in u.kernel_settings.items()}
@@ -248,14 +255,14 @@ def _fit_terms(problem: Problem, at: Fit, terms: Sequence[Unnamed]) -> Fit:
     return fit(problem, free, {**at.values, **settings}, at.noise, iterations=SCREEN_ITERATIONS)
 
 
-def _with_coefficients(u: Unnamed, fitted: Fit) -> Unnamed:
+def _with_coefficients(u: UnnamedTerm, fitted: Fit) -> UnnamedTerm:
     """Return the term with its fitted coefficients and its gain beside the other terms."""
     sizes = [fitted.values[name] for name in u.names]
     gain = 0.5 * float(np.array(sizes) @ fitted.marginal(u.names) @ np.array(sizes))
     return replace(u, gain=gain, most=gain, coefficient=max(sizes, key=abs), sizes=tuple(sizes) if u.shape else ())
 
 
-def _without_equivalents(terms: Sequence[tuple[Unnamed, Array]]) -> list[Unnamed]:
+def _without_equivalents(terms: Sequence[tuple[UnnamedTerm, Array]]) -> list[UnnamedTerm]:
     """Keep the simplest of several equivalent terms."""
     rest = [(u, row / np.linalg.norm(row)) for u, row in terms]
     distinct = []
@@ -269,17 +276,17 @@ def _without_equivalents(terms: Sequence[tuple[Unnamed, Array]]) -> list[Unnamed
     return distinct
 
 
-def _share(problem: Problem, at: Fit, u: Unnamed) -> float | None:
+def _share(problem: Problem, at: Fit, u: UnnamedTerm) -> float | None:
     """Return 1 − Σ(d − t)²/Σd² on the first logs; None if a filter diverges.
 
     d is the smoothed missing input of the equation, t the term at its best size.
     """
     with_term = replace(at, values={**at.values, **u.kernel_settings, **u.coefficients})
     with np.errstate(invalid="ignore", over="ignore"):
-        parts, value, _ = smoothed(problem, at)
+        parts, value, _ = smooth_logs(problem, at)
         column = parts[0][1].equations.index(u.equation)
         lacking = value[:, column]
-        term = np.concatenate([claimed(problem, at, with_term, k)[:, column] for k, _ in parts])
-        rest = float(np.mean((lacking - at_best(problem, at, column, term, lacking)) ** 2))
+        term = np.concatenate([contributions(problem, at, with_term, k)[:, column] for k, _ in parts])
+        rest = float(np.mean((lacking - scale_to_missing(problem, at, column, term, lacking)) ** 2))
         power = float(np.mean(lacking**2))
     return 1.0 - rest / power if np.isfinite(rest) and 0.0 < power < np.inf else None
