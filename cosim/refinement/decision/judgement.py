@@ -46,20 +46,11 @@ def decide(result: SearchResult) -> Attribution:
         best = replace(best, fit=with_sandwich_covariance(search.problem, best.fit))
     rivals = _rivals(search, best)
     tried = tuple(sorted(search.tried.values(), key=lambda h: h.score))
-    return Attribution(
-        base,
-        fit_given_model(search.problem, base.fit),
-        tried,
-        best,
-        rivals,
-        _support(search, best, base) if best.candidates else Support(0.0, 0.0),
-        rest.support,
-        noise_gain(search.problem, best.fit),
-        {h.names: _reason(search, h, best, rivals, rest.dropped) for h in tried if h.names != best.names},
-        result.hidden,
-        result.effects,
-        rest.fuller,
-    )
+    reasons = {h.names: _reason(search, h, best, rivals, rest.dropped) for h in tried if h.names != best.names}
+    total = _support(search, best, base) if best.candidates else Support(0.0, 0.0)
+    unfitted, noise = fit_given_model(search.problem, base.fit), noise_gain(search.problem, best.fit)
+    evidence = (total, rest.support, noise, reasons, result.hidden, result.effects, rest.fuller)
+    return Attribution(base, unfitted, tried, best, rivals, *evidence)
 
 
 @dataclass

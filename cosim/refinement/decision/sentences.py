@@ -34,16 +34,10 @@ IN_PART = "This explains only a part of the error"
 
 def sentence(c: Claims, subject: Subject) -> str:
     """Return the verdict in words: the rise on sealed logs, the claim and its share, the nearest model."""
-    texts = (*_preface_texts(c, subject), _answer_text(c, subject), *_share_texts(c), *_remark_texts(c, subject))
-    return " ".join(texts)
-
-
-def _preface_texts(c: Claims, subject: Subject) -> Iterator[str]:
-    """Yield the rise of an error on sealed logs, of which a reader must know before the answer."""
     units = {q.name: q.unit for q in subject.outputs}
     files = (REFINED[0], NEAREST[0]) if c.written else ("the refined object", "the nearest object")
-    if rise := rise_text(c.risen, units, files[c.claimed is None]):
-        yield rise
+    rise = rise_text(c.risen, units, files[c.claimed is None])  # a reader must know it before the answer
+    return " ".join(filter(None, (rise, _answer_text(c, subject), *_share_texts(c), *_remark_texts(c, subject))))
 
 
 def _answer_text(c: Claims, subject: Subject) -> str:

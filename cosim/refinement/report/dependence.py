@@ -60,26 +60,17 @@ def _commands(subject: Subject, problem: Problem, parts: Smoothed) -> list[Regre
 
     Combinations are mean and half difference of two commands of equal unit.
     """
-    columns, rates = [], []
-    for index, m in parts:
-        data = problem.logs[index]
-        chosen = m.rows(data)
-        columns.append(data.u[chosen])
-        rates.append(np.gradient(data.u, data.step, axis=0)[chosen])
-    u, du = np.vstack(columns), np.vstack(rates)
-    plain = [
-        (f"command {q.name}", q.unit, u[:, k], du[:, k]) for k, q in enumerate(subject.inputs) if np.ptp(u[:, k]) > 0
-    ]
-    pairs = []
-    for (i, a), (j, b) in combinations(enumerate(subject.inputs), 2):
-        if a.unit == b.unit and np.ptp(u[:, i]) > 0 and np.ptp(u[:, j]) > 0:
-            for word, sign in (("mean", 0.5), ("half difference", -0.5)):
-                name = f"{word} of commands {a.name}, {b.name}"
-                pairs.append((name, a.unit, 0.5 * u[:, i] + sign * u[:, j], 0.5 * du[:, i] + sign * du[:, j]))
-    both = [*plain, *pairs]
-    return [Regressor(n, unit, v) for n, unit, v, _ in both] + [
-        Regressor(f"rate of {n}", f"{unit}/s", dv) for n, unit, _, dv in both
-    ]
+    logs = [(problem.logs[index], m.rows(problem.logs[index])) for index, m in parts]
+    u = np.vstack([data.u[rows] for data, rows in logs])
+    du = np.vstack([np.gradient(data.u, data.step, axis=0)[rows] for data, rows in logs])
+    varying = [(q, u[:, k], du[:, k]) for k, q in enumerate(subject.inputs) if np.ptp(u[:, k]) > 0]
+    commands = [(f"command {q.name}", q.unit, v, dv) for q, v, dv in varying]
+    for (a, v, dv), (b, w, dw) in combinations(varying, 2):
+        for word, sign in (("mean", 0.5), ("half difference", -0.5)) if a.unit == b.unit else ():
+            name = f"{word} of commands {a.name}, {b.name}"
+            commands.append((name, a.unit, 0.5 * v + sign * w, 0.5 * dv + sign * dw))
+    rates = [Regressor(f"rate of {name}", f"{unit}/s", dv) for name, unit, _, dv in commands]
+    return [*(Regressor(name, unit, v) for name, unit, v, _ in commands), *rates]
 
 
 def explained_share(values: Array, by: Array) -> float:
@@ -124,24 +115,19 @@ def choose(signals: Mapping[str, Regressor], suggested: Sequence[str], values: A
     return signals[max(names, key=lambda n: explained_share(values, signals[n].values))]
 
 
-def local_term(problem: Problem, parts: Smoothed, shape: Shape, sizes: Sequence[float]) -> tuple[Regressor, Array]:
-    """Return signal and values of a local term."""
-    signals = signals_of(problem, parts)
-    return Regressor(shape.signal, shape.unit, shape.over(signals)), shape.columns(signals) @ np.array(sizes)
-
-
 def unnamed_term(
     subject: Subject, problem: Problem, parts: Smoothed, term: Mapping[str, Any]
 ) -> tuple[Regressor, Array] | None:
     """Return signal and values of an unnamed term."""
-    signal, coefficient = term["signal"], term["coefficient"]
+    signal, coefficient, signals = term["signal"], term["coefficient"], signals_of(problem, parts)
     if term.get("local"):
         shape = Shape.of_entry(term["equation"], term["local"])
-        return local_term(problem, parts, shape, term["local"]["sizes"])
+        values = shape.columns(signals) @ np.array(term["local"]["sizes"])
+        return Regressor(shape.signal, shape.unit, shape.over(signals)), values
     basis = subject.nameless(signal)
     if basis is None:
         return None
-    (evaluate, depends), signals = basis, signals_of(problem, parts)
+    evaluate, depends = basis
     units = {"time": "s", **{q.name: q.unit for q in subject.states if _is_own(subject, q.name)}}
     units |= {f"command {q.name}": q.unit for q in subject.inputs}
     values = np.broadcast_to(evaluate(*(signals[name] for name in units)), signals["time"].shape)

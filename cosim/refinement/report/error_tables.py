@@ -162,7 +162,8 @@ def second_sentence(r: Refinement) -> str:
     before, _, after, floor, _ = _numbers(r, part, name)
     sizes = [error_size(v, units(r).get(name, ""), after) for v in (before, after, floor)]
     verb = "fell from" if after < before else "went from"
-    lead = f"{where} the error of {name}{_horizon_text(r)} {verb} {sizes[0]} to {sizes[1]}"
+    over = "" if r.problem.table else f" over {horizon(r)}"
+    lead = f"{where} the error of {name}{over} {verb} {sizes[0]} to {sizes[1]}"
     return f"{lead}{_floor_text(sizes[1], sizes[2], above=floor > after)}"
 
 
@@ -177,10 +178,6 @@ def leading_channel(r: Refinement) -> str:
     return min(ratios, key=lambda n: ratios[n], default="")
 
 
-def _horizon_text(r: Refinement) -> str:
-    return "" if r.problem.table else f" over {horizon(r)}"
-
-
 def _floor_text(after: str, floor: str, *, above: bool) -> str:
     """Compare an error with its noise floor."""
     if floor == after:
@@ -190,15 +187,16 @@ def _floor_text(after: str, floor: str, *, above: bool) -> str:
 
 def _unchanged_text(r: Refinement, part: str, where: str) -> str:
     """Report the unchanged model's error farthest above its noise floor."""
-    worst, ratio = "", 0.0
+    ratios = {}
     for name in r.record["error"]["before"][part]:
         *_, after, floor, _ = _numbers(r, part, name)
-        if floor > 0 and after / floor > ratio:
-            worst, ratio = name, after / floor
-    if not worst:
+        if floor > 0 and after > 0:
+            ratios[name] = after / floor
+    if not (worst := max(ratios, key=lambda n: ratios[n], default="")):
         return ""
     *_, after, floor, nearest = _numbers(r, part, worst)
     sizes = [error_size(v, units(r).get(worst, ""), after) for v in (after, floor, nearest)]
     comparison = f", nearest.yaml by {sizes[2]}" if nearest < after else ""
-    lead = f"{where} the unchanged model misses {worst} by {sizes[0]}{_horizon_text(r)}{comparison}"
+    over = "" if r.problem.table else f" over {horizon(r)}"
+    lead = f"{where} the unchanged model misses {worst} by {sizes[0]}{over}{comparison}"
     return f"{lead}{_floor_text(sizes[0], sizes[1], above=floor > after)}"

@@ -26,6 +26,7 @@ from cosim.residuals.residual_statistics import rmse
 
 INPUTS = 4  # at most, as x axes of a residual
 WORDS: Mapping[Part, str] = {"estimation": "used for the fits", "validation": "sealed"}
+Axis = tuple[str, str, Array]  # input, displayed unit and values in it
 COLUMNS = {"before": "Before", "recalibrated": "Recalibrated", "after": "Refined", "nearest": "Nearest"}
 
 
@@ -94,7 +95,7 @@ def _plots(r: Refinement, charts: Charts, of: Mapping[str, Evidence], name: str)
     fine, scale = finer(log.units[name], max(rmse(e) for _, e in errors.values()))
     plots: list[LabelledPlot] = []
     for q in varied or r.study.subject.inputs[:1]:
-        axis, alone = _axis(log, q), len(varied) < 2
+        axis, alone = (q.name, *_unit_and_values(log, q)), len(varied) < 2
         if not plots:
             whole = [("measured", "estimate dots", reading)]
             whole += [(n, style, reading - e) for n, (style, e) in errors.items()]
@@ -105,36 +106,27 @@ def _plots(r: Refinement, charts: Charts, of: Mapping[str, Evidence], name: str)
     return plots
 
 
-@dataclass(frozen=True, eq=False)
-class _Axis:
-    """An input: displayed unit, values, and their scale to the displayed unit."""
-
-    name: str
-    unit: str
-    values: Array
-    scale: float
-
-
-def _axis(log: Log, q: Quantity) -> _Axis:
-    """Return the axis of an input."""
-    written, values = log.written.get(q.name), log.inputs[q.name]
-    if written and (scale := factor(written, q.unit or log.units[q.name])):
-        return _Axis(q.name, written, values, 1.0 / scale)
+def _unit_and_values(log: Log, q: Quantity) -> tuple[str, Array]:
+    """Return the displayed unit of an input, and its values in this unit."""
     unit, scale = display(q.unit)
-    return _Axis(q.name, unit, values, scale)
+    written = log.written.get(q.name)
+    if written and (ratio := factor(written, q.unit or log.units[q.name])):
+        unit, scale = written, 1.0 / ratio
+    return unit or "1", log.inputs[q.name] * scale
 
 
 def _draw_over_input(
-    charts: Charts, title: str, unit: str, axis: _Axis, traces: Sequence[tuple[str, str, Array]], alone: bool
+    charts: Charts, title: str, unit: str, axis: Axis, traces: Sequence[tuple[str, str, Array]], alone: bool
 ) -> LabelledPlot:
     """Draw rows over an input: dots, or lines for a single varying input."""
-    order, unit_text = np.argsort(axis.values, kind="stable"), axis.unit or "1"
-    places = axis.values[order] * axis.scale
+    name, axis_unit, values_over = axis
+    order = np.argsort(values_over, kind="stable")
+    places = values_over[order]
     panel = [
         Trace(label, values[order], style if alone or "dots" in style else f"{style} dots")
         for label, style, values in traces
     ]
     low, high = float(places.min()), float(places.max())
     room = 0.03 * (high - low) or 0.1 * abs(high) or 1.0
-    drawing = charts.over(places, len(panel), Abscissa((axis.name, unit_text), (low - room, high + room)))
-    return LabelledPlot(drawing.plots([Panel(title, unit or "1", panel)])[0], f"{axis.name} [{unit_text}]")
+    drawing = charts.over(places, len(panel), Abscissa((name, axis_unit), (low - room, high + room)))
+    return LabelledPlot(drawing.plots([Panel(title, unit or "1", panel)])[0], f"{name} [{axis_unit}]")

@@ -283,14 +283,8 @@ def _grounds(problem: Problem, equation: str, signals: Signals, units: Mapping[s
         z = _difference(signals, of)
         low, high = np.percentile(z, INSIDE)
         if high > low and np.unique(z).size >= FEWEST:
-            times = [t for t in _factors(problem, equation, signals, of) if not set(t) & set(of)]
+            rates = tuple(problem.layout.rates.get(n, "") for n in of)
+            times = [t for t in dict.fromkeys((rates, (equation,))) if signals.keys() >= {*t} and not {*t} & {*of}]
             ranges = [np.ptp(np.percentile(_difference(signals, t), INSIDE)) for t in times]
             factors = {t: SLIP * float(span) or 1.0 for t, span in zip(times, ranges, strict=True)}
             yield _Ground(Shape(equation, of, "bump", 0.0, 0.0, unit=units.get(of[0], "")), z, low, high, factors)
-
-
-def _factors(problem: Problem, equation: str, signals: Signals, of: tuple[str, ...]) -> list[tuple[str, ...]]:
-    """Return the possible factors of a shape."""
-    rates = [problem.layout.rates.get(n, "") for n in of]
-    factors = [tuple(rates)] if all(rate in signals for rate in rates) else []
-    return [*factors, *((t,) for t in (equation,) if t in signals and (t,) not in factors)]
