@@ -240,7 +240,8 @@ class _Arguments:
 
     def fault(self, location: Sequence[str | int], message: str, *, key: bool = False) -> Fault:
         """Return a fault of an argument."""
-        return Fault(self.path, 0, 0, _after(f"{'.'.join(map(str, location))}: ", message))
+        text = _after(f"{'.'.join(map(str, location))}: ", message)
+        return Fault(self.path, 0, 0, text)
 
 
 def study_of(

@@ -167,8 +167,7 @@ def judge(
         moves: Forced state → size of its unknown input relative to the state's derivative on the logs.
         still: True if nothing moves in the logs.
     """
-    residual = _misfit(a, leftover, forced)
-    large = max((name for name in moves if moves[name] > LARGE), key=lambda name: moves[name], default="")
+    residual, large = _misfit(a, leftover, forced), _largest_disturbance(moves)
     if not a.best.candidates:
         if still or (a.is_blind and not large):  # Logs in which no effect would show support no claim.
             rivals = a.hidden if len(a.hidden) > 1 else (*a.hidden, "no_effect")
@@ -188,6 +187,11 @@ def judge(
     name = name_of(a.best.candidates, subject)
     claims = Claims(name, a.best, misfit=residual, grade="claimed", small=a.small, term=leftover.first, gained=gained)
     return replace(claims, grade="part", disturbed=large, moves=moves) if large else claims
+
+
+def _largest_disturbance(moves: Mapping[str, float]) -> str:
+    """Return the state with the largest disturbance, or ""."""
+    return max((name for name in moves if moves[name] > LARGE), key=lambda name: moves[name], default="")
 
 
 def _ambiguous_claims(a: Attribution, subject: Subject, residual: Mapping[str, Any]) -> Claims:

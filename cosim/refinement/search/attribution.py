@@ -206,9 +206,8 @@ class Attributor:
         best = self._with_replacement(self._with_addition(best))
         search.bound = refit.fit.objective
         for _ in range(2):  # A new best hypothesis has its own rivals.
-            rivals = [h for h in search.tried.values() if h.score - best.score < NEAR and h.is_apart(best)]
-            finalists = [h for h in sorted(rivals, key=lambda h: h.score)[:FINALISTS] if h.names and not h.ended]
-            before, best = best, best_hypothesis((refit, best, *search.fit_alike(finalists, best)))
+            rivals = [h for h in self._finalists(best) if h.names and not h.ended]
+            before, best = best, best_hypothesis((refit, best, *search.fit_alike(rivals, best)))
             if best is before:
                 break
         absent = [c.name for c in self.candidates if c.kind == "effect" and c.name not in best.names]
@@ -263,3 +262,8 @@ class Attributor:
             likely = [name for name in promises if promises[name].within][:REPLACING]
             for c in (c for c in others if c.name in likely):
                 yield (*rest, c), {**without.fit.values, **promises[c.name].values}
+
+    def _finalists(self, best: Hypothesis) -> list[Hypothesis]:
+        """Return hypotheses close to the best that neither contain it nor are contained in it."""
+        near = [h for h in self.search.tried.values() if h.score - best.score < NEAR and h.is_apart(best)]
+        return sorted(near, key=lambda h: h.score)[:FINALISTS]

@@ -63,9 +63,7 @@ def per_log_faults(
         return
     if not names:
         yield places.fault(("per_log",), messages.NO_PARAMETERS_PER_LOG(), key=True)
-    group = group_of(places.path.parent, files, groups)
-    estimated = {group[places.path.parent / f] for f in logs["estimation"]}
-    alone = [f for f in logs["validation"] if group[places.path.parent / f] not in estimated]
+    alone = _sealed_alone(places.path.parent, groups, logs)
     allowed, full_names = _per_log_parameters(subject), set[str]()
     for k, name in enumerate(names):
         place, full = ("per_log", k), full_name(subject, name)
@@ -78,8 +76,15 @@ def per_log_faults(
             yield places.fault(place, messages.LOG_WITHOUT_VALUE(name=name, log=alone[0]))
         full_names.add(full)
     for k, name in enumerate(on_trial):
-        if ({n for n in subject.declared if n.startswith(f"{name}.")} or {name}) <= full_names:
+        if _parameters_of(subject, name) <= full_names:
             yield places.fault(("candidates", k), messages.CANDIDATE_PER_LOG(name=name))
+
+
+def _sealed_alone(folder: Path, groups: Groups, logs: Mapping[str, Sequence[str]]) -> list[str]:
+    """Return the sealed logs whose group has no estimation log."""
+    group = group_of(folder, [*logs["estimation"], *logs["validation"]], groups)
+    estimated = {group[folder / f] for f in logs["estimation"]}
+    return [f for f in logs["validation"] if group[folder / f] not in estimated]
 
 
 def _group_faults(places: Places, groups: Groups, files: Sequence[str]) -> Iterator[Fault]:
@@ -106,6 +111,11 @@ def _per_log_parameters(subject: Subject) -> list[str]:
     base = [p.name for p in subject.parameters if not isinstance(p.default, bool)]
     of_effects = [n for n in subject.candidate_parameters if n.partition(".")[0] in subject.present]
     return [*base, *of_effects, *subject.sensor_parameters]
+
+
+def _parameters_of(subject: Subject, name: str) -> set[str]:
+    """Return the parameters of a candidate."""
+    return {n for n in subject.declared if n.startswith(f"{name}.")} or {name}
 
 
 def _unknown_parameter(subject: Subject, name: str, allowed: Sequence[str]) -> Message:

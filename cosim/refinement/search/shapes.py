@@ -283,8 +283,13 @@ def _grounds(problem: Problem, equation: str, signals: Signals, units: Mapping[s
         z = _difference(signals, of)
         low, high = np.percentile(z, INSIDE)
         if high > low and np.unique(z).size >= FEWEST:
-            rates = tuple(problem.layout.rates.get(n, "") for n in of)
-            times = [t for t in dict.fromkeys((rates, (equation,))) if signals.keys() >= {*t} and not {*t} & {*of}]
-            ranges = [np.ptp(np.percentile(_difference(signals, t), INSIDE)) for t in times]
-            factors = {t: SLIP * float(span) or 1.0 for t, span in zip(times, ranges, strict=True)}
+            factors = _factors(problem, equation, signals, of)
             yield _Ground(Shape(equation, of, "bump", 0.0, 0.0, unit=units.get(of[0], "")), z, low, high, factors)
+
+
+def _factors(problem: Problem, equation: str, signals: Signals, of: tuple[str, ...]) -> dict[tuple[str, ...], float]:
+    """Return the possible factors of a shape, and the value within which the sign of each turns."""
+    rates = tuple(problem.layout.rates.get(n, "") for n in of)
+    times = [t for t in dict.fromkeys((rates, (equation,))) if signals.keys() >= {*t} and not {*t} & {*of}]
+    ranges = {t: float(np.ptp(np.percentile(_difference(signals, t), INSIDE))) for t in times}
+    return {t: SLIP * span or 1.0 for t, span in ranges.items()}
