@@ -161,7 +161,7 @@ def worse_on_sealed_logs() -> dict[str, Any]:
 def below_its_floor() -> dict[str, Any]:
     record = found("coulomb_friction")
     record["error"]["after"]["validation"] = {"vx": 0.005}
-    above = Floor({"vx": 0.01}, {"vx": 0.05}).above({"vx": 0.005})
+    above = Floor({"vx": 0.01}, {"vx": 0.05}).channels_above({"vx": 0.005})
     return record | {"warnings": [floor_warning("validation", above, UNITS)]}
 
 
@@ -284,6 +284,6 @@ def test_an_effect_that_is_claimed_is_not_said_to_be_invisible() -> None:
 
 def test_a_floor_is_above_an_error_only_beyond_what_it_scatters() -> None:
     floor = Floor({"x": 2.0, "y": 1.1, "z": 2.0}, {"x": 0.1, "y": 0.01, "z": 0.4})
-    assert floor.above({"x": 1.0, "y": 1.0, "z": 1.0}) == {"x": (2.0, 1.0)}
-    assert Floor({"x": 2.0}, {}).above({"x": 1.0}) == {"x": (2.0, 1.0)}
-    assert floor.above({"x": 0.0}) == {}
+    assert floor.channels_above({"x": 1.0, "y": 1.0, "z": 1.0}) == {"x": (2.0, 1.0)}
+    assert Floor({"x": 2.0}, {}).channels_above({"x": 1.0}) == {"x": (2.0, 1.0)}
+    assert floor.channels_above({"x": 0.0}) == {}

@@ -278,7 +278,7 @@ class Record(_Entry):
 
 
 @dataclass(frozen=True)
-class Measured:
+class Measurements:
     """Measurements of the proof after all decisions.
 
     Attributes:
@@ -296,7 +296,9 @@ class Measured:
     seconds: float = 0.0
 
 
-def record(study: Study, a: Attribution, claims: Claims, problem: Problem, between: Between, proof: Measured) -> Record:
+def record(
+    study: Study, a: Attribution, claims: Claims, problem: Problem, between: Between, proof: Measurements
+) -> Record:
     """Return the content of refine.json."""
     judged, static = study.subject.horizon, study.subject.static
     rows = LeftOut.model_validate(claims.left_out) if claims.left_out else None

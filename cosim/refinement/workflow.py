@@ -34,7 +34,7 @@ from cosim.refinement.proof.refined_models import Variant, refined_subject, vari
 from cosim.refinement.proof.replay_check import check_with_replays
 from cosim.refinement.proof.sealed import find_rises
 from cosim.refinement.proof.table_errors import add_dependence, errors_on_held_out_rows
-from cosim.refinement.record import Floors, Measured, Replayed, keep_finite, record
+from cosim.refinement.record import Floors, Measurements, Replayed, keep_finite, record
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.search.fits import SearchResult
 from cosim.refinement.search.hypotheses import Attribution
@@ -127,7 +127,7 @@ def refine(
         hold_stops()  # From here, a result exists that must not be lost.
         warnings += [*warnings_of(way), *_floor_warnings(floors, played, subject)]
         study = replace(study, warnings=(*study.warnings, *warnings))
-        measured = Measured(played, floors, way, ends, time.perf_counter() - start)
+        measured = Measurements(played, floors, way, ends, time.perf_counter() - start)
         written = record(study, attribution, claims, problem, between, measured)
         with atomic_write(scratch / ANSWER) as stream:
             json.dump(written.model_dump(mode="json"), stream, indent=2, ensure_ascii=False, allow_nan=False)
@@ -215,7 +215,7 @@ def _add_nearest(study: Study, claims: Claims, result: SearchResult, a: Attribut
 
 def _variants(study: Study, a: Attribution, claims: Claims) -> dict[str, Variant]:
     """Return the variants to replay: before, recalibrated, after, and the nearest if incomplete."""
-    subject, settings, claimed, nearest_fit = study.subject, study.settings, claims.claimed, claims.near
+    subject, settings, claimed, nearest_fit = study.subject, study.settings, claims.claimed, claims.nearest_hypothesis
     refined = refined_subject(subject, settings, claimed)
     variants = variants_of(subject, settings, a, claimed, refined)
     if claims.nearest is not None:
@@ -238,7 +238,7 @@ def _floor_warnings(floors: Floors, played: Replayed, subject: Subject) -> Itera
     """Warn of a noise floor above the error."""
     units = {q.name: q.unit for q in subject.outputs}
     for part, floor in floors.items():
-        if channels := floor.above(keep_finite(rmse(played["after"][part][subject.horizon]))):
+        if channels := floor.channels_above(keep_finite(rmse(played["after"][part][subject.horizon]))):
             yield floor_warning(part, channels, units)
 
 

@@ -142,7 +142,7 @@ class Claims:
         return {**self.misfit, "equation": output, "signals": [signal]}
 
     @property
-    def near(self) -> Hypothesis | None:
+    def nearest_hypothesis(self) -> Hypothesis | None:
         """Return the nearest hypothesis or a complete claim."""
         return self.claimed if self.nearest is None else self.nearest.hypothesis
 
@@ -177,7 +177,7 @@ def judge(
             return Claims("unexplained", misfit=residual)
         if large:
             return Claims("unexplained", misfit={**residual, "equation": large})
-        return Claims("no_effect", misfit=residual, unshown=a.hidden, moves=moves, small=a.small)
+        return Claims("no_effect", misfit=residual, unshown=a.hidden, moves=moves, small=a.small_parts)
     gained = a.base.score - a.best.score
     hides = large and gained < MUCH * a.noise_gain[list(forced).index(large)]
     if hides or _is_disputed(a, leftover):
@@ -185,7 +185,9 @@ def judge(
     if a.rivals:
         return _ambiguous_claims(a, subject, residual)
     name = name_of(a.best.candidates, subject)
-    claims = Claims(name, a.best, misfit=residual, grade="claimed", small=a.small, term=leftover.first, gained=gained)
+    claims = Claims(
+        name, a.best, misfit=residual, grade="claimed", small=a.small_parts, term=leftover.first, gained=gained
+    )
     return replace(claims, grade="part", disturbed=large, moves=moves) if large else claims
 
 

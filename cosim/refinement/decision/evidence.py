@@ -179,11 +179,11 @@ def _error_decreases(errors: Sequence[Sequence[Array]]) -> Array:
     """
     longest = max(e.shape[1] for e, _ in errors)  # Rows of the longest replay: logs may differ in length.
 
-    def joined(k: int) -> Array:
+    def join(k: int) -> Array:
         widths = [((0, 0), (0, longest - pair[k].shape[1]), (0, 0)) for pair in errors]
         return np.concatenate([np.pad(p[k], w, constant_values=np.nan) for p, w in zip(errors, widths, strict=True)])
 
-    worse, better = joined(0), joined(1)
+    worse, better = join(0), join(1)
     both = np.isfinite(worse) & np.isfinite(better)
     counts = np.maximum(1, both.sum(axis=1))
     squares = [np.where(both, e, 0.0) ** 2 for e in (worse, better)]

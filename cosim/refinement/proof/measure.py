@@ -188,7 +188,7 @@ class Floor:
     level: Mapping[str, float]
     scatter: Mapping[str, float]
 
-    def above(self, error: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+    def channels_above(self, error: Mapping[str, float]) -> dict[str, tuple[float, float]]:
         """Return channel → floor and error if the floor is too high."""
         pairs = {n: (f, error[n]) for n, f in self.level.items() if error.get(n, 0.0) > 0.0}
         limits = {n: max(math.log(CALMER), UNLIKE * self.scatter.get(n, 0.0)) for n in pairs}

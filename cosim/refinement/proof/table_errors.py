@@ -29,7 +29,7 @@ def errors_on_held_out_rows(search: Search, a: Attribution, claims: Claims) -> d
     """Return the RMSE on held-out rows."""
     models = {"before": None, "recalibrated": a.base, "after": claims.claimed}
     if claims.nearest is not None:
-        models["nearest"] = claims.near
+        models["nearest"] = claims.nearest_hypothesis
     return {name: _rmse(search, h) for name, h in models.items()}
 
 

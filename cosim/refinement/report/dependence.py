@@ -123,7 +123,7 @@ def unnamed_term(
     if term.get("local"):
         shape = Shape.of_entry(term["equation"], term["local"])
         values = shape.columns(signals) @ np.array(term["local"]["sizes"])
-        return Regressor(shape.signal, shape.unit, shape.over(signals)), values
+        return Regressor(shape.signal, shape.unit, shape.positions(signals)), values
     basis = subject.nameless(signal)
     if basis is None:
         return None

@@ -96,7 +96,7 @@ class Attribution:
         return tuple(gain > NOISE for gain in self.noise_gain)
 
     @property
-    def small(self) -> tuple[str, ...]:
+    def small_parts(self) -> tuple[str, ...]:
         """Return parts with gains explained by chance."""
         return tuple(n for n in self.fuller.names if n not in self.best.names) if self.fuller else ()
 

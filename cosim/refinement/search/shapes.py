@@ -101,7 +101,7 @@ class Shape:
     def settings(self, slot: int) -> dict[str, float]:
         """Return the kernel parameters of this shape."""
 
-        def mixed(role: str, names: Sequence[str], size: float) -> dict[str, float]:
+        def weights(role: str, names: Sequence[str], size: float) -> dict[str, float]:
             return {f"{LOCAL}.{slot}.{role}.{n}": s * size for n, s in zip(names, (1.0, -1.0), strict=False)}
 
         settings = {f"{LOCAL}.{slot}.to.{self.equation}": 1.0}
@@ -110,26 +110,26 @@ class Shape:
             circle = {"1": 1.0, f"cos {angle}": -np.cos(self.place), f"sin {angle}": -np.sin(self.place)}
             settings |= {f"{LOCAL}.{slot}.of.{n}": self.per * float(size) for n, size in circle.items()}
         else:
-            settings |= mixed("of", self.of, self.per) | {f"{LOCAL}.{slot}.of.1": -self.place * self.per}
+            settings |= weights("of", self.of, self.per) | {f"{LOCAL}.{slot}.of.1": -self.place * self.per}
         if self.well:
-            return settings | mixed("by", self.of, 1.0) | {f"{LOCAL}.{slot}.by.1": -self.place}
+            return settings | weights("by", self.of, 1.0) | {f"{LOCAL}.{slot}.by.1": -self.place}
         if self.dry:
-            return settings | mixed("by", self.times, 1.0 / self.slip) | {f"{LOCAL}.{slot}.dry": 1.0}
-        return settings | (mixed("by", self.times, 1.0) or {f"{LOCAL}.{slot}.by.1": 1.0})
+            return settings | weights("by", self.times, 1.0 / self.slip) | {f"{LOCAL}.{slot}.dry": 1.0}
+        return settings | (weights("by", self.times, 1.0) or {f"{LOCAL}.{slot}.by.1": 1.0})
 
     def coefficients(self, slot: int) -> tuple[str, ...]:
         """Return the names of a slot's coefficients."""
         own = {"bump": ("0",), "step": ("rise",), "spline": tuple(map(str, range(KNOTS)))}[self.kind]
         return tuple(f"{LOCAL}.{slot}.{name}" for name in own)
 
-    def over(self, signals: Signals) -> Array:
+    def positions(self, signals: Signals) -> Array:
         """Return the signal, a turning angle near the place."""
         z = _difference(signals, self.of)
         return np.mod(z - self.place + np.pi, TURN) + self.place - np.pi if self.turned else z
 
     def columns(self, signals: Signals) -> Array:
         """Return the factor of each coefficient, shape (rows, coefficients)."""
-        z = self.over(signals)
+        z = self.positions(signals)
         over = self.per * (1.0 - np.cos(z - self.place) if self.turned else z - self.place)
         if self.kind == "step":
             basis = rise(over)[:, None]
@@ -242,7 +242,7 @@ class _Ground:
     def shapes(self) -> Iterator[Shape]:
         """Yield every shape on trial."""
         if len(self.flat.of) == 1 and self.flat.unit == "rad" and self.high - self.low > TURN:
-            yield from self._round()
+            yield from self._turning_shapes()
             return
         span = self.high - self.low
         for place in np.linspace(self.low, self.high, STEPS + 2)[1:-1]:
@@ -258,17 +258,17 @@ class _Ground:
                     shape = replace(self.flat, place=float(place), width=float(width * span))
                     yield shape
                     yield replace(shape, well=True)
-                    yield from self._multiplied(shape)
+                    yield from self._products(shape)
 
-    def _round(self) -> Iterator[Shape]:
+    def _turning_shapes(self) -> Iterator[Shape]:
         """Yield the shapes over a turning angle."""
         for width in WIDTHS:
             for place in np.arange(round(2 / width)) * 0.5 * width * TURN:
                 shape = replace(self.flat, place=float(place), width=width * TURN, turned=True)
                 yield shape
-                yield from self._multiplied(shape)
+                yield from self._products(shape)
 
-    def _multiplied(self, shape: Shape) -> Iterator[Shape]:
+    def _products(self, shape: Shape) -> Iterator[Shape]:
         """Yield a shape times each factor."""
         for times, slip in self.factors.items():
             yield replace(shape, times=times)
