@@ -133,13 +133,12 @@ def find_unnamed_terms(
     while chosen:
         fitted = _fit_terms(problem, at, chosen)
         refitted = [_with_coefficients(u, fitted) for u in chosen]
-        weakest = min(range(len(chosen)), key=lambda k: test.net(refitted[k]))
-        if test.net(refitted[weakest]) > 0.0:
+        if all(test.net(u) > 0.0 for u in refitted):
             refitted.sort(key=test.net, reverse=True)
             refitted[0] = replace(refitted[0], share=_share(problem, at, refitted[0]))
             gain = without.objective - fitted.objective
             return Leftover(tuple(refitted), fitted, gain, test.cost, test.number_tried(refitted))
-        del chosen[weakest]
+        del chosen[min(range(len(chosen)), key=lambda k: test.net(refitted[k]))]
     return Leftover((), None, 0.0, test.cost)
 
 
@@ -199,9 +198,7 @@ class _Terms:
 
         return in_parallel(term, shapes)
 
-    def select(
-        self, simple: Sequence[UnnamedTerm], local: Sequence[tuple[UnnamedTerm, list[Array]]]
-    ) -> list[UnnamedTerm]:
+    def select(self, simple: Sequence[UnnamedTerm], local: Sequence[LocalTerm]) -> list[UnnamedTerm]:
         """Return simple terms and clearly better local shapes.
 
         Each local shape must be worth its cost beside the more promising ones of its equation.
