@@ -11,7 +11,7 @@ import jsonschema
 
 from cosim.estimation.problem import Problem
 from cosim.logs.log import Log
-from cosim.refinement.proof.measure import Evidence, replays
+from cosim.refinement.proof.measure import Evidence, replay_logs
 from cosim.refinement.proof.refined_models import Variant
 from cosim.refinement.record import SCHEMA
 from cosim.refinement.refinement import Refinement
@@ -52,7 +52,7 @@ def replayed(
 ) -> dict[float, Evidence]:
     """Replays of a variant through what is delivered."""
     with Workplace(folder, in_process=True) as place:
-        return replays(variant, variant.subject.replayer(place), problem, logs, horizons)
+        return replay_logs(variant, variant.subject.replayer(place), problem, logs, horizons)
 
 
 def named(r: Refinement) -> set[str]:

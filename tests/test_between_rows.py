@@ -64,7 +64,7 @@ def test_the_way_that_the_rig_went_is_likelier_and_the_other_is_warned_of(tmp_pa
             folder = tmp_path / f"{rig}-{taken}"
             folder.mkdir()
             found = between(motor_study(folder, rig, taken))
-            assert found.taken == {"voltage": taken}
+            assert found.ways == {"voltage": taken}
             gains[rig, taken] = found.gain
             assert bool(found.warnings) == (rig != taken)
             if rig != taken:

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from cosim.base.errors import InputError, Interrupted
 from cosim.master.remote import Stepped
-from cosim.refinement.stages import ORDER, numbered
+from cosim.refinement.stages import ORDER, stage_number
 from cosim.refinement.study import read_study
 from cosim.verbs.check_verb import check as check_files
 from cosim.verbs.cli import app, entry
@@ -216,7 +216,7 @@ def test_a_stage_is_numbered_and_its_number_never_falls(
         "replacing each part",
         "replacing each part: candidate 1 of 2",
     ]
-    with stages(numbered) as report:
+    with stages(stage_number) as report:
         assert report is not None
         for words in told:
             report(words, 0.5 if "candidate" in words else 0.0)

@@ -28,7 +28,7 @@ from cosim.experiment.chosen_input import Excitation, merit_of
 from cosim.experiment.excite import excite
 from cosim.experiment.question import ask
 from cosim.logs.log import read_log
-from cosim.refinement.decision.judgement import decided
+from cosim.refinement.decision.judgement import decide
 from cosim.refinement.search.attribution import Attributor
 from cosim.refinement.search.hypotheses import Attribution
 from cosim.simulation.workflow import run
@@ -81,7 +81,7 @@ def attributed(log: Path) -> Attribution:
     subject = ModelSubject.of(model)
     problem = build_problem(subject, [read_log(log, model.inputs, model.outputs)])
     trial = [c for c in subject.candidates(()) if c.name in RIVALS]
-    return decided(Attributor(subject, problem, trial).run())
+    return decide(Attributor(subject, problem, trial).run())
 
 
 @pytest.fixture(scope="module")

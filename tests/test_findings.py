@@ -25,17 +25,17 @@ from cosim.estimation.problem import Problem, Settings
 from cosim.loading.file import load_model, read_model
 from cosim.logs.log import read_log
 from cosim.model import Model
-from cosim.refinement.decision.evidence import best_of, held_out, scattered
-from cosim.refinement.decision.judgement import _is_rival, _with_tolerance, at_limit, beyond, decided
-from cosim.refinement.decision.trust import attributed
+from cosim.refinement.decision.evidence import held_out_gains, required_scatters, with_sandwich_covariance
+from cosim.refinement.decision.judgement import _is_rival, _with_tolerance, decide, is_at_limit, is_beyond_tolerance
+from cosim.refinement.decision.trust import attribute
 from cosim.refinement.proof.measure import first_rows
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.search.attribution import Attributor
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis
-from cosim.refinement.search.unnamed import Leftover, left_beside
+from cosim.refinement.search.unnamed import Leftover, find_unnamed_terms
 from cosim.refinement.study import read_study
-from cosim.refinement.workflow import _follows
+from cosim.refinement.workflow import _is_steady
 from cosim.subject.candidates import Candidate, Free
 from cosim.subject.model_subject import ModelSubject
 from tests.ferry import ferry_study
@@ -141,7 +141,7 @@ def test_a_number_is_wrong_where_its_interval_is_wholly_outside_the_tolerance(
     value: float, sigma: float, is_off: bool
 ) -> None:
     mass = Free("mass", 0.0, 10.0, 0.05, (1.0, 0.05))  # 10 % hold 95 %
-    assert beyond(made((mass,), {"mass": value}, np.array([[sigma**-2]])), "mass", (1.0, 0.05)) == is_off
+    assert is_beyond_tolerance(made((mass,), {"mass": value}, np.array([[sigma**-2]])), "mass", (1.0, 0.05)) == is_off
 
 
 @pytest.mark.thorough
@@ -247,7 +247,7 @@ def decided_of(study: Path) -> Attribution:
     subject = read.subject
     problem = build_problem(subject, read.logs, noise=read.content.noise, settings=read.settings)
     trial = [c for c in subject.candidates(("force",)) if c.name in (read.content.candidates or ())]
-    return decided(attributed(subject, problem, trial, lambda stage, share: None))
+    return decide(attribute(subject, problem, trial, lambda stage, share: None))
 
 
 # -- 4: what sensors and recorders do ---------------------------------------------------------------
@@ -329,7 +329,7 @@ def test_a_part_that_lands_at_neutral_is_left_out_and_the_rest_fitted_again(rail
     assert start == {"soft_motor.frequency": both.fit.values["soft_motor.frequency"]}
     rest = search.hypothesis(kept, None, promised=start)
     assert rest.score < both.score - search.entry  # and is the better one: it costs less
-    assert decided(attributor.run()).best.names == ("soft_motor",)
+    assert decide(attributor.run()).best.names == ("soft_motor",)
 
 
 # -- 6: what is physical ---------------------------------------------------------------------------------
@@ -359,7 +359,7 @@ def test_a_fit_of_what_must_be_physical_stops_where_it_would_not_be(rail: Model,
     h = searched(rail, problem).hypothesis((stribeck,), None)
     assert h.fit.values["stribeck.rest"] == h.fit.values["stribeck.sliding"] > 0.1
     (rest,) = (f for f in stribeck.free if f.above)
-    assert at_limit(h, rest, problem.values)  # so that nobody claims it
+    assert is_at_limit(h, rest, problem.values)  # so that nobody claims it
 
 
 @pytest.mark.thorough
@@ -453,7 +453,7 @@ def test_intervals_hold_the_truth_under_a_disturbance_that_lasts(rail: Model, tm
 
 def slope_of(model: Model, problem: Problem) -> Fit:
     h = searched(model, problem).hypothesis(parts_of(problem, model, "slope"), None, 12)
-    return scattered(problem, h.fit)
+    return with_sandwich_covariance(problem, h.fit)
 
 
 # -- 10: more candidates, no more claims ----------------------------------------------------------------------
@@ -478,7 +478,7 @@ def test_terms_without_a_name_cost_the_more_the_more_there_are(rail: Model, tmp_
     path = rail_log(tmp_path / "a.csv", 0)
     problem = coarsened(build_problem(ModelSubject.of(rail), [read_log(path, rail.inputs, rail.outputs)], unnamed=True))
     base = searched(rail, problem).hypothesis((), None)
-    left = left_beside(replace(problem, sensing=base.fit.noise), base.fit, 0.5 * math.log(problem.samples))
+    left = find_unnamed_terms(replace(problem, sensing=base.fit.noise), base.fit, 0.5 * math.log(problem.samples))
     count = sum(n.startswith("unnamed.") for n in problem.layout.parameters)
     assert left.cost == pytest.approx(0.5 * math.log(problem.samples) + 3.0 + math.log(count))
     assert left.terms == ()  # of nothing
@@ -504,14 +504,14 @@ def test_what_the_other_logs_hardly_know_of_one_part_is_no_word_against_another(
     problem = coarsened(posed(rail, tmp_path, 1, 2, numbers=numbers))
     search = searched(rail, problem)
     drag, both = (search.hypothesis(parts_of(problem, rail, *names), None) for names in (("drag",), ("drag", "slope")))
-    gained = held_out(search, both, drag)[0]
-    for (names, left_out), learnt in list(search.learnt.items()):  # as logs have it that hardly move
-        search.learnt[names, left_out] = replace(learnt, values={**learnt.values, "drag.factor": 0.3})
-    assert held_out(search, both, drag)[0] == pytest.approx(gained, rel=0.02)
+    gained = held_out_gains(search, both, drag)[0]
+    for (names, left_out), learnt in list(search.cross_fits.items()):  # as logs have it that hardly move
+        search.cross_fits[names, left_out] = replace(learnt, values={**learnt.values, "drag.factor": 0.3})
+    assert held_out_gains(search, both, drag)[0] == pytest.approx(gained, rel=0.02)
     # but what only one of the two has is as the others have it
-    for (names, left_out), learnt in list(search.learnt.items()):
-        search.learnt[names, left_out] = replace(learnt, values={**learnt.values, "slope.pull": -0.3})
-    assert held_out(search, both, drag)[0] < 0.0 < gained
+    for (names, left_out), learnt in list(search.cross_fits.items()):
+        search.cross_fits[names, left_out] = replace(learnt, values={**learnt.values, "slope.pull": -0.3})
+    assert held_out_gains(search, both, drag)[0] < 0.0 < gained
 
 
 def test_an_interval_along_a_ridge_is_not_made_narrower_by_how_it_is_measured(rail: Model, tmp_path: Path) -> None:
@@ -534,10 +534,10 @@ def test_a_term_without_a_name_counts_where_it_gains_all_along(rail: Model, tmp_
     search = searched(rail, problem)
     base, better = (search.hypothesis(parts_of(problem, rail, *n), None).fit for n in ((), ("drag",)))
     left = Leftover((), better, 10.0, 8.0, among=1 if steady else 10**300)
-    assert _follows(problem, left, better, base, math.inf) is steady
+    assert _is_steady(problem, left, better, base, math.inf) is steady
 
 
 def test_the_best_of_many_must_gain_more_than_one_alone() -> None:
-    assert best_of(3.0, 1) == pytest.approx(3.0)
+    assert required_scatters(3.0, 1) == pytest.approx(3.0)
     normal = NormalDist()
-    assert normal.cdf(-best_of(3.0, 15)) == pytest.approx(normal.cdf(-3.0) / 15)
+    assert normal.cdf(-required_scatters(3.0, 15)) == pytest.approx(normal.cdf(-3.0) / 15)

@@ -12,8 +12,8 @@ import pytest
 from cosim.estimation.posing import build_problem
 from cosim.logs.log import Log
 from cosim.model import Stepper
-from cosim.refinement.decision.evidence import held_out
-from cosim.refinement.decision.judgement import decided
+from cosim.refinement.decision.evidence import held_out_gains
+from cosim.refinement.decision.judgement import decide
 from cosim.refinement.search.attribution import Attributor
 from cosim.subject.model_subject import ModelSubject
 from plant.hovercraft import OUTPUTS, Hovercraft
@@ -63,8 +63,8 @@ def test_logs_that_are_unlike_confirm_what_each_other_shows(tmp_path: Path) -> N
     problem = build_problem(ModelSubject.of(model), logs)
     trial = [c for c in ModelSubject.of(model).candidates(()) if c.name in ("thrust_asymmetry", "com_offset")]
     found = Attributor(ModelSubject.of(model), problem, trial).run()
-    attribution = decided(found)
+    attribution = decide(found)
     assert (attribution.best.names, attribution.rivals) == (("thrust_asymmetry",), ())
     base, best = attribution.base, attribution.best
     # what the quiet log cannot know of inertia and process noise weighs neither for the claim nor against it
-    assert 100.0 < held_out(found.search, best, base)[0] < base.score - best.score
+    assert 100.0 < held_out_gains(found.search, best, base)[0] < base.score - best.score

@@ -15,10 +15,10 @@ from cosim.estimation.problem import Problem
 from cosim.kernel.nameless import KNOTS, bump, rise
 from cosim.logs.log import read_log
 from cosim.model import Equations, Model, Namespace, Quantity, parameter
-from cosim.refinement.decision.sentences import follows, unexplained
+from cosim.refinement.decision.sentences import dependence_text, unexplained_text
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.shapes import Shape
-from cosim.refinement.search.unnamed import Leftover, Unnamed, _Terms, left_beside
+from cosim.refinement.search.unnamed import Leftover, UnnamedTerm, _Terms, find_unnamed_terms
 from cosim.subject.model_subject import ModelSubject
 from tests.logs import write_log
 
@@ -64,7 +64,7 @@ def left(folder: Path, push: Push) -> tuple[Problem, Leftover]:
     problem = build_problem(ModelSubject.of(Block()), logs, unnamed=True)
     at = Search(ModelSubject.of(Block()), problem, 1, lambda stage, share: None).hypothesis((), None).fit
     problem = replace(problem, sensing=at.noise)
-    return problem, left_beside(problem, at, PRICE, UNITS)
+    return problem, find_unnamed_terms(problem, at, PRICE, UNITS)
 
 
 @pytest.mark.thorough
@@ -88,7 +88,7 @@ def test_a_push_that_begins_at_a_time_is_a_step_there(tmp_path: Path) -> None:
     assert first.shape is not None
     assert (first.shape.kind, first.signal) == ("step", "time")
     assert first.shape.place == pytest.approx(10.0, abs=first.shape.width)
-    assert follows(first.signal, first.shape).startswith("depends on time, changing at ")
+    assert dependence_text(first.signal, first.shape).startswith("depends on time, changing at ")
 
 
 @pytest.mark.thorough
@@ -110,10 +110,10 @@ def test_each_bump_of_a_spline_is_paid_for_and_every_shape_tried_is_counted(tmp_
     looked = _Terms(problem, fit(problem, [], problem.values, problem.plain, iterations=0), PRICE)
     looked.tried = 1000
     single, spline = (
-        Unnamed("speed", "place", 0.0, 1.0, 0.0, shape=Shape("speed", ("place",), kind, 0.0, 0.1))
+        UnnamedTerm("speed", "place", 0.0, 1.0, 0.0, shape=Shape("speed", ("place",), kind, 0.0, 0.1))
         for kind in ("bump", "spline")
     )
-    simple = Unnamed("speed", "1", 0.0, 1.0, 0.0)
+    simple = UnnamedTerm("speed", "1", 0.0, 1.0, 0.0)
     assert looked.costs(spline) - looked.costs(single) == pytest.approx(PRICE * (KNOTS - 1))
     assert looked.costs(single) - looked.costs(simple) == pytest.approx(np.log(1.0 + 1000 / len(looked.names)))
 
@@ -171,13 +171,13 @@ def test_an_angle_that_turns_meets_its_place_every_turn() -> None:
 
 def test_a_sentence_says_where_and_how_wide() -> None:
     shape = Shape("vx", ("x_world",), "bump", 0.31, 0.1, unit="m")
-    term = Unnamed("vx", "x_world", 30.0, -0.2, 30.0, 0.42, shape=shape, sizes=(-0.2,))
+    term = UnnamedTerm("vx", "x_world", 30.0, -0.2, 30.0, 0.42, shape=shape, sizes=(-0.2,))
     residual = {"equation": "vx", "signals": ["x_world"], "share": 0.42, "terms": [term.entry]}
-    assert unexplained(residual, ()) == (
+    assert unexplained_text(residual, ()) == (
         "Something outside the catalogue acts on vx; it depends on x_world, most near 0.310\u00a0m "
         "(width 0.10\u00a0m). That explains 42\u00a0% of what is missing."
     )
     assert Shape.of_entry("vx", term.entry["local"]) == shape
-    assert follows("x_world", replace(shape, kind="spline")) == "depends on x_world, by no simple law"
+    assert dependence_text("x_world", replace(shape, kind="spline")) == "depends on x_world, by no simple law"
     rubbing = replace(shape, times=("vx",), dry=True, slip=0.1)
-    assert follows("x_world", rubbing).endswith(", times the sign of vx")
+    assert dependence_text("x_world", rubbing).endswith(", times the sign of vx")

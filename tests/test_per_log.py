@@ -20,7 +20,7 @@ from cosim.estimation.posing import build_problem, halved
 from cosim.estimation.problem import Settings
 from cosim.loading.file import load_model
 from cosim.logs.log import read_log
-from cosim.refinement.proof.measure import followed
+from cosim.refinement.proof.measure import final_log_parameters
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.study import read_study
 from cosim.refinement.workflow import refine
@@ -124,7 +124,7 @@ def test_a_sealed_log_of_no_group_learns_it_from_what_is_past_alone(days: Refine
     assert len(before) >= 2
     assert [as_it_was.starts[k] for k in before] == [changed.starts[k] for k in before]
     assert as_it_was.outputs["level"][1:cut] == pytest.approx(changed.outputs["level"][1:cut], nan_ok=True)
-    assert followed(after, problem, [other])[own(NAME, "v2.csv")] != pytest.approx(offset, abs=5e-4)
+    assert final_log_parameters(after, problem, [other])[own(NAME, "v2.csv")] != pytest.approx(offset, abs=5e-4)
 
 
 @pytest.mark.thorough

@@ -117,9 +117,11 @@ def test_replays_are_native_and_equal_those_of_the_delivered_fmu(rubbing: Refine
 class Short(proof_replays.Proof):
     """Replays of one log over no other horizon, which would take longer."""
 
-    def every(self, variants: Mapping[str, Variant], way: proof_replays.Way) -> Replayed:
+    def replay_all(self, variants: Mapping[str, Variant], way: proof_replays.Way) -> Replayed:
         logs = self.sets["estimation"]
-        return {n: {"estimation": measure.replays(v, way(v.subject), self.problem, logs)} for n, v in variants.items()}
+        return {
+            n: {"estimation": measure.replay_logs(v, way(v.subject), self.problem, logs)} for n, v in variants.items()
+        }
 
 
 def short_of(r: Refinement, place: Workplace) -> Short:
@@ -141,8 +143,8 @@ def test_a_native_fmu_that_does_not_equal_the_delivered_one_is_not_believed(
     after = replace(whole, subject=Forgetful(whole.subject.loaded))
     with Workplace(tmp_path, in_process=True) as place:
         proof = short_of(rubbing, place)
-        played, way = proof.replayed({"after": after})
-        (own,) = proof.every({"after": after}, lambda subject: subject.replayer(place))["after"]["estimation"][2.0]
+        played, way = proof.replay({"after": after})
+        (own,) = proof.replay_all({"after": after}, lambda subject: subject.replayer(place))["after"]["estimation"][2.0]
     assert way.through == "python"
     assert way.apart is not None
     assert way.apart > 1e-9
@@ -156,7 +158,7 @@ def test_without_a_compiler_replays_are_in_python_and_say_why(
     monkeypatch.setenv("CC", "")
     monkeypatch.setattr(compiler, "can_cross", lambda: False)
     with Workplace(tmp_path, in_process=True) as place:
-        _, way = short_of(rubbing, place).replayed({"after": rubbing.variants["after"]})
+        _, way = short_of(rubbing, place).replay({"after": rubbing.variants["after"]})
     assert (way.through, way.log, way.apart) == ("python", "", None)
     assert way.why.startswith("no C compiler is found")
     assert not [*proof_replays.warnings_of(way)]
@@ -527,7 +529,7 @@ def test_a_claim_leaves_no_nearest_model_of_an_earlier_refine(rubbing: Refinemen
 def test_where_results_cannot_be_written_nothing_is_fitted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = study_of(tmp_path / "study", {})
     (tmp_path / "out").write_text("a file")
-    monkeypatch.setattr(workflow, "attributed", None)
+    monkeypatch.setattr(workflow, "attribute", None)
     with pytest.raises(InputError, match="cannot be the folder for results"):
         refine(path, tmp_path / "out")
 

@@ -24,21 +24,21 @@ from cosim.estimation.screen import ScoreTest
 from cosim.loading.file import BASE, LoadedModel
 from cosim.model import Stepper
 from cosim.refinement.decision.claims import Claims, judge
-from cosim.refinement.decision.judgement import decided
+from cosim.refinement.decision.judgement import decide
 from cosim.refinement.decision.sentences import DISTURBED, IN_PART, sentence
 from cosim.refinement.proof.refined_models import Variant
-from cosim.refinement.proof.replay_check import checked_claim
+from cosim.refinement.proof.replay_check import check_claim
 from cosim.refinement.record import SCHEMA, ranking, schema
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.report.dependence import bins, explained
-from cosim.refinement.report.effect_plots import Shown, shown
+from cosim.refinement.report.dependence import bins, explained_share
+from cosim.refinement.report.effect_plots import EffectComparison, compare_effects
 from cosim.refinement.report.error_tables import error_tables, second_sentence
 from cosim.refinement.report.innovations import innovations
 from cosim.refinement.report.plots import runs
 from cosim.refinement.report.refine_page import context, write_refine_report
 from cosim.refinement.search.attribution import Attributor
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
-from cosim.refinement.search.unnamed import Leftover, Unnamed, left_beside
+from cosim.refinement.search.unnamed import Leftover, UnnamedTerm, find_unnamed_terms
 from cosim.refinement.study import LogLists, Study, StudyFile
 from cosim.refinement.workflow import refine
 from cosim.report.drawing import Charts
@@ -130,7 +130,7 @@ def craft(tmp_path_factory: pytest.TempPathFactory) -> Refinement:
     subject = ModelSubject(LoadedModel(model, BASE))
     problem = build_problem(subject, [log])
     trial = [c for c in subject.candidates(()) if c.name == "yaw_damping"]
-    found = decided(Attributor(subject, problem, trial).run())
+    found = decide(Attributor(subject, problem, trial).run())
     assert found.best.names == ("yaw_damping",)
     fit = found.best.fit
     verdict = Claims("effect_found", found.best, misfit={"process_noise": {}})
@@ -255,8 +255,8 @@ def test_the_command_tells_the_verdict_and_what_became_of_the_error(cart: Refine
     assert lines[-2:] == [f"model:   {out / 'model.yaml'}", f"FMU:     {out / 'plant.fmu'}"]
 
 
-def dry_friction(r: Refinement) -> Shown:
-    (found,) = shown(r)
+def dry_friction(r: Refinement) -> EffectComparison:
+    (found,) = compare_effects(r)
     assert (found.effect, found.where, found.against.name) == ("dry", "v", "v")
     return found
 
@@ -295,7 +295,7 @@ def test_an_imu_alone_and_no_sealed_log_are_enough(craft: Refinement, tmp_path: 
     assert "no log sealed" in text
     assert "Sealed validation logs" not in text
     assert "none are sealed" in second_sentence(craft)
-    (found,) = shown(craft)
+    (found,) = compare_effects(craft)
     assert (found.effect, found.where, found.against.name) == ("yaw_damping", "psi_dot", "psi_dot")
     assert found.correlation > 0.9
 
@@ -342,7 +342,7 @@ def test_what_is_left_is_drawn_with_the_term_that_explains_it(cart: Refinement) 
     residual = {**NONE[1], "equation": "v", "signals": ["v", "1"], "share": 0.6, "terms": terms}
     base = replace(cart.attribution, best=cart.attribution.base)
     r = replace(cart, attribution=base, verdict=Claims("unexplained", misfit=residual))
-    (found,) = shown(r)
+    (found,) = compare_effects(r)
     assert (found.against.name, found.share) == ("v", 0.6)
     assert found.term is not None
     speed, lacking = found.against.values, found.estimated
@@ -366,7 +366,7 @@ class Judged:
 
     r: Refinement
 
-    def __call__(self, *unnamed: Unnamed, moves: float = 0.0, **changed: Any) -> Claims:
+    def __call__(self, *unnamed: UnnamedTerm, moves: float = 0.0, **changed: Any) -> Claims:
         a = replace(self.r.attribution, **changed)
         left = Leftover(unnamed, a.best.fit if unnamed else None, sum(u.gain for u in unnamed), 8.0)
         return judge(a, left, self.r.study.subject, ["v"], {"v": moves} if moves else {}, still=False)
@@ -465,7 +465,7 @@ def test_a_claim_that_leaves_much_of_the_error_says_so_and_one_that_leaves_most_
     def held(
         after: dict[str, float], before: dict[str, float] = before, recalibrated: dict[str, float] = same
     ) -> Claims:
-        return checked_claim(verdict, {"before": before, "recalibrated": recalibrated, "after": after}, floor)
+        return check_claim(verdict, {"before": before, "recalibrated": recalibrated, "after": after}, floor)
 
     assert held({"x": 1.2, "v": 1.5, "quiet": 1.5}) is verdict  # 5 % of the excess of v stays
     part = held({"x": 1.2, "v": 2.1, "quiet": 1.5})  # 3.41 of 24
@@ -488,17 +488,17 @@ def test_a_claim_that_leaves_much_of_the_error_says_so_and_one_that_leaves_most_
 
 def test_a_sentence_says_of_a_term_without_a_name_how_much_it_is(cart: Refinement) -> None:
     judged, base = Judged(cart), cart.attribution.base
-    terms = (Unnamed("v", "1", 40.0, 0.1, 41.0, 0.79), Unnamed("v", "time", 30.0, 0.1, 30.0))
+    terms = (UnnamedTerm("v", "1", 40.0, 0.1, 41.0, 0.79), UnnamedTerm("v", "time", 30.0, 0.1, 30.0))
     verdict = judged(*terms, best=base, rivals=(), noise_gain=(50.0,))
     assert verdict.name == "unexplained"
     assert "acts on v; it is constant. That explains 79\u00a0% of what is missing." in words(verdict, cart)
     assert (verdict.residual["signals"], verdict.residual["share"]) == (["1", "time"], 0.79)
-    nothing = judged(Unnamed("v", "1", 40.0, 0.1, 41.0, 0.0), best=base, rivals=(), noise_gain=(50.0,))
+    nothing = judged(UnnamedTerm("v", "1", 40.0, 0.1, 41.0, 0.0), best=base, rivals=(), noise_gain=(50.0,))
     assert words(nothing, cart).endswith("acts on v; it is constant.")
     gained = base.score - cart.attribution.best.score
-    disputed = judged(Unnamed("v", "|v|", 0.35 * gained, 0.1, 0.35 * gained), rivals=())
+    disputed = judged(UnnamedTerm("v", "|v|", 0.35 * gained, 0.1, 0.35 * gained), rivals=())
     assert (disputed.name, disputed.claimed, disputed.rivals) == ("unexplained", None, cart.attribution.best.names)
-    left = judged(Unnamed("v", "|v|", 0.25 * gained, 0.1, 0.25 * gained), rivals=())
+    left = judged(UnnamedTerm("v", "|v|", 0.25 * gained, 0.1, 0.25 * gained), rivals=())
     assert left.claimed is cart.attribution.best
     assert "in v that depends on |v|. A term without a name would add 25\u00a0% to the claim's" in words(left, cart)
 
@@ -507,7 +507,7 @@ def test_a_sentence_says_of_a_term_without_a_name_how_much_it_is(cart: Refinemen
 def test_of_terms_that_the_logs_do_not_tell_apart_the_simplest_stands_for_all(cart: Refinement) -> None:
     subject, logs, base = cart.study.subject, cart.study.logs, cart.attribution.base.fit
     problem = replace(build_problem(subject, logs, unnamed=True), sensing=base.noise)
-    left = left_beside(problem, base, 0.5 * math.log(problem.samples))
+    left = find_unnamed_terms(problem, base, 0.5 * math.log(problem.samples))
     found = left.terms
     assert left.fit is not None
     assert all(left.cost < u.gain for u in found)
@@ -544,8 +544,8 @@ def test_bins_hold_every_row_once_and_none_too_few() -> None:
     assert sorted(np.concatenate(found).tolist()) == list(range(501))
     assert min(map(len, found)) >= 10
     assert [k.tolist() for k in bins(np.ones(3), 4, 2)] == [[0, 1, 2]]
-    assert explained(x**2, x) > 0.9
-    assert explained(x, np.ones(501)) == 0.0
+    assert explained_share(x**2, x) > 0.9
+    assert explained_share(x, np.ones(501)) == 0.0
 
 
 @pytest.mark.parametrize(

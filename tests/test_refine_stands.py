@@ -17,7 +17,7 @@ from cosim.loading.file import load_model
 from cosim.logs.log import read_log
 from cosim.refinement.decision.claims import Claims
 from cosim.refinement.decision.sentences import sentence
-from cosim.refinement.proof.replay_check import checked_claim
+from cosim.refinement.proof.replay_check import check_claim
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.workflow import refine
 from cosim.simulation.workflow import run
@@ -96,7 +96,7 @@ def test_a_sensor_is_not_blamed_while_replays_stay_wrong() -> None:
 
     def held(x: float) -> Claims:
         error = {"ax": 0.2, "x": x}
-        return checked_claim(claim, dict.fromkeys(("before", "recalibrated", "after"), error), floor)
+        return check_claim(claim, dict.fromkeys(("before", "recalibrated", "after"), error), floor)
 
     assert held(1.2) is claim
     withdrawn = held(8.0)

@@ -55,7 +55,7 @@ def stopped(study: Path, out: Path, monkeypatch: pytest.MonkeyPatch, at: str, nu
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("number", CODES)
-@pytest.mark.parametrize("at", ["attributed", "write_model", "noise_floor"])
+@pytest.mark.parametrize("at", ["attribute", "write_model", "noise_floor"])
 def test_stopped_before_its_end_it_leaves_nothing(
     study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: str, number: signal.Signals
 ) -> None:

@@ -12,9 +12,9 @@ import pytest
 from cosim.loading.file import load_model
 from cosim.logs.log import Log
 from cosim.model import Stepper
-from cosim.refinement.decision.sentences import rises
+from cosim.refinement.decision.sentences import rise_text
 from cosim.refinement.proof.measure import Evidence
-from cosim.refinement.proof.sealed import plain_rise, risen
+from cosim.refinement.proof.sealed import find_rises, is_significant_rise
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.refine_page import write_refine_report
 from cosim.residuals.windows import Replay
@@ -89,24 +89,24 @@ def evidence(sizes: list[float], horizon: float = 1.0) -> Evidence:
 def test_a_rise_counts_by_how_it_scatters_from_replay_to_replay() -> None:
     rng = np.random.default_rng(3)
     before = 1.0 + 0.3 * rng.random(12)
-    assert risen(evidence(before.tolist()), evidence((1.1 * before).tolist())).keys() == {"y"}
-    assert not risen(evidence(before.tolist()), evidence((0.9 * before).tolist()))
+    assert find_rises(evidence(before.tolist()), evidence((1.1 * before).tolist())).keys() == {"y"}
+    assert not find_rises(evidence(before.tolist()), evidence((0.9 * before).tolist()))
     once = before.copy()
     once[5] *= 4.0  # one replay alone, by much: as the others have it, chance
-    assert not risen(evidence(before.tolist()), evidence(once.tolist()))
-    assert not risen(evidence([1.0]), evidence([2.0]))  # one replay shows no scatter
-    assert risen(evidence(before.tolist(), math.inf), evidence((2.0 * before).tolist(), math.inf))
-    assert not risen(evidence(before.tolist()), evidence(before.tolist()))
+    assert not find_rises(evidence(before.tolist()), evidence(once.tolist()))
+    assert not find_rises(evidence([1.0]), evidence([2.0]))  # one replay shows no scatter
+    assert find_rises(evidence(before.tolist(), math.inf), evidence((2.0 * before).tolist(), math.inf))
+    assert not find_rises(evidence(before.tolist()), evidence(before.tolist()))
 
 
 def test_chance_alone_makes_a_rise_as_rarely_as_it_says() -> None:
     rng = np.random.default_rng(1)
-    told = sum(plain_rise(rng.standard_normal(5).tolist(), 0.01) for _ in range(4000))
+    told = sum(is_significant_rise(rng.standard_normal(5).tolist(), 0.01) for _ in range(4000))
     assert 20 < told < 65  # 40 expected, give or take 6.3
 
 
 def test_a_rise_that_no_reader_sees_is_not_told() -> None:
-    assert rises({"x": (0.10001, 0.10002)}, {"x": "m"}, "model.yaml") == ""
-    said = rises({"x": (0.1, 0.2), "phi": (0.01, 0.02)}, {"x": "m", "phi": "rad"}, "nearest.yaml")
+    assert rise_text({"x": (0.10001, 0.10002)}, {"x": "m"}, "model.yaml") == ""
+    said = rise_text({"x": (0.1, 0.2), "phi": (0.01, 0.02)}, {"x": "m", "phi": "rad"}, "nearest.yaml")
     text = "the error of x rises from 100 mm to 200 mm with nearest.yaml. So does the error of phi."
     assert said.replace("\u00a0", " ") == f"On the sealed logs {text}"

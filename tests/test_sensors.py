@@ -23,7 +23,7 @@ from cosim.model import Model, SensorError, Stepper
 from cosim.model.namespaces import SCALAR, arrays
 from cosim.refinement.proof.measure import Variant
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.report.effect_plots import shown
+from cosim.refinement.report.effect_plots import compare_effects
 from cosim.refinement.study import read_study
 from cosim.residuals.drive import Drive
 from cosim.residuals.windows import windows
@@ -240,7 +240,7 @@ def test_a_marker_ahead_of_the_centre_and_a_gyroscope_that_drifts_are_named_with
     assert holds(r, "marker_lever_arm", "value", 0.08)
     assert holds(r, "gyro_drift", "value", 3e-3)
     assert down_to_noise(r, "x", "y", "rate")
-    pictures = {p.effect: p for p in shown(r)}
+    pictures = {p.effect: p for p in compare_effects(r)}
     marker, drift = pictures["marker_lever_arm"], pictures["gyro_drift"]
     assert marker.where in {"x", "y"}
     assert marker.against.name.startswith("psi")  # of which it is a function
@@ -268,7 +268,7 @@ def test_a_camera_that_is_three_rows_late_is_named_on_logs_of_the_craft(tmp_path
     assert (r.record["verdict"], named(r)) == ("sensor_error", {"camera_latency"})
     assert holds(r, "camera_latency", "value", 0.06)
     assert down_to_noise(r, "x_world", "y_world")
-    (picture,) = shown(r)
+    (picture,) = compare_effects(r)
     assert picture.against.name.startswith("rate of ")
     slope, _ = np.polyfit(picture.against.values, picture.estimated, 1)
     assert slope == pytest.approx(-0.06, rel=0.05)  # late by T, a reading is off by −T·ẏ

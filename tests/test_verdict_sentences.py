@@ -14,27 +14,27 @@ import pytest
 from cosim.base.text import percent
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
-from cosim.refinement.decision.claims import Claims, Doubt, Moved
+from cosim.refinement.decision.claims import Claims, Doubt, MovedParameter
 from cosim.refinement.decision.sentences import (
-    calmer,
-    cannot_tell,
-    claim,
-    doubted,
-    excites_too_little,
-    further,
-    holds,
-    left_over,
-    misses,
-    nothing,
-    part,
-    perhaps,
-    rises,
-    unexplained,
+    claim_text,
+    doubt_text,
+    floor_warning,
+    further_text,
+    little_excitation_text,
+    missed_channel_text,
+    nearest_text,
+    no_effect_text,
+    part_text,
+    remainder_text,
+    rise_text,
+    rivals_text,
+    small_gains_text,
+    unexplained_text,
 )
 from cosim.refinement.proof.measure import Floor
-from cosim.refinement.record import effects, unseen
+from cosim.refinement.record import effects, hidden_effects
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
-from cosim.refinement.search.unnamed import Unnamed
+from cosim.refinement.search.unnamed import UnnamedTerm
 from cosim.subject.candidates import Candidate, Free
 from cosim.subject.model_subject import ModelSubject
 from plant.hovercraft import Hovercraft
@@ -81,7 +81,7 @@ def written(
     entries = [e.model_dump(mode="json") for e in effects(ModelSubject.of(CRAFT), h, ())] if h else []
     after = 0.0101 if h else 0.1
     if grade != "claimed":
-        sentence = f"{sentence} {holds(near, fitted=bool(near))}"
+        sentence = f"{sentence} {nearest_text(near, fitted=bool(near))}"
     ranked = [{"names": list(h.names), "why": "claimed", "score_gain": 200.0}] if h else []
     floors: dict[str, Any] = {part: {"vx": 0.01} for part in ("estimation", "validation")}
     record = {
@@ -97,22 +97,22 @@ def written(
 
 def found(*names: str) -> dict[str, Any]:
     h = fitted(*names)
-    return written("effect_found", claim(h, h.candidates, ModelSubject.of(CRAFT)), "claimed", h)
+    return written("effect_found", claim_text(h, h.candidates, ModelSubject.of(CRAFT)), "claimed", h)
 
 
 def in_part() -> dict[str, Any]:
     h = fitted("coulomb_friction")
     residual = {"equation": "vx", "signals": ["x_world"], "share": 0.3, "terms": [{"gain": 30.0}]}
     left = (0.05**2 - 0.01**2) / (0.1**2 - 0.01**2)
-    kept = part(residual, f"replays keep {percent(left)} of the excess error of vx")
-    sentence = f"{claim(h, h.candidates, ModelSubject.of(CRAFT))} {kept}"
+    kept = part_text(residual, f"replays keep {percent(left)} of the excess error of vx")
+    sentence = f"{claim_text(h, h.candidates, ModelSubject.of(CRAFT))} {kept}"
     near = ("coulomb_friction", "quadratic_drag")
     return written("effect_found", sentence, "part", h, near, residual=residual, error=errors(0.1, 0.05, 0.04))
 
 
 def outside_the_catalogue(share: float | None = 0.42) -> dict[str, Any]:
     residual = {"equation": "vx", "signals": ["x_world"], "share": share, "terms": [{"gain": 30.0}]}
-    sentence = unexplained(residual, ["coulomb_friction"])
+    sentence = unexplained_text(residual, ["coulomb_friction"])
     return written("unexplained", sentence, "nearest", None, ("coulomb_friction",), residual=residual)
 
 
@@ -120,31 +120,31 @@ def open_question() -> dict[str, Any]:
     h, experiment = fitted("mass", "coulomb_friction"), "both duties varied"
     names = ["coulomb_friction", "quadratic_drag"]
     certain = [c for c in h.candidates if c.name == "mass"]
-    sentence = cannot_tell(names, experiment, claim(h, certain, ModelSubject.of(CRAFT)), ModelSubject.of(CRAFT))
+    sentence = rivals_text(names, experiment, claim_text(h, certain, ModelSubject.of(CRAFT)), ModelSubject.of(CRAFT))
     return written("ambiguous", sentence, "nearest", h, ("mass",), rivals=names, experiment=experiment)
 
 
 def too_little() -> dict[str, Any]:
     names = ["coulomb_friction", "quadratic_drag"]
     experiment = "larger and broader commands on all inputs, one at a time and together"
-    sentence = excites_too_little(len(names), experiment, still=False)
+    sentence = little_excitation_text(len(names), experiment, still=False)
     return written("ambiguous", sentence, "nearest", rivals=names, experiment=experiment, hidden=names)
 
 
 def only_recalibrated() -> dict[str, Any]:
-    sentence = misses("vx", 10.0, (), {})
+    sentence = missed_channel_text("vx", 10.0, (), {})
     return written("unexplained", sentence, "nearest", error=errors(0.1, 0.1, 0.1))
 
 
 def nothing_missing() -> dict[str, Any]:
     hidden = ["coulomb_friction", "quadratic_drag"]
-    return written("no_effect", nothing(hidden, {"vx": 0.012}), "nearest", hidden=hidden)
+    return written("no_effect", no_effect_text(hidden, {"vx": 0.012}), "nearest", hidden=hidden)
 
 
 def beside_something() -> dict[str, Any]:
     h = fitted("coulomb_friction")
-    term = Unnamed("vx", "x_world", 30.0, 0.1, 30.0)
-    sentence = f"{claim(h, h.candidates, ModelSubject.of(CRAFT))} {left_over(term, 200.0)}"
+    term = UnnamedTerm("vx", "x_world", 30.0, 0.1, 30.0)
+    sentence = f"{claim_text(h, h.candidates, ModelSubject.of(CRAFT))} {remainder_text(term, 200.0)}"
     return found("coulomb_friction") | {
         "sentence": sentence,
         "residual": {"equation": "vx", "signals": ["x_world"], "share": 0.1, "terms": [{"gain": 30.0}]},
@@ -154,15 +154,15 @@ def beside_something() -> dict[str, Any]:
 def worse_on_sealed_logs() -> dict[str, Any]:
     record = found("coulomb_friction")
     record["error"]["after"]["validation"] = {"vx": 0.2}
-    record["sentence"] = f"{rises({'vx': (0.1, 0.2)}, UNITS, 'model.yaml')} {record['sentence']}"
+    record["sentence"] = f"{rise_text({'vx': (0.1, 0.2)}, UNITS, 'model.yaml')} {record['sentence']}"
     return record
 
 
 def below_its_floor() -> dict[str, Any]:
     record = found("coulomb_friction")
     record["error"]["after"]["validation"] = {"vx": 0.005}
-    above = Floor({"vx": 0.01}, {"vx": 0.05}).above({"vx": 0.005})
-    return record | {"warnings": [calmer("validation", above, UNITS)]}
+    above = Floor({"vx": 0.01}, {"vx": 0.05}).channels_above({"vx": 0.005})
+    return record | {"warnings": [floor_warning("validation", above, UNITS)]}
 
 
 MADE: dict[str, Callable[[], dict[str, Any]]] = {
@@ -188,7 +188,7 @@ def test_a_verdict_agrees_with_its_own_numbers(made: str) -> None:
 
 
 MANY = [f"effect_{k}" for k in range(10)]
-FAR = [Moved(name, 1.0, 2.0) for name in MANY]
+FAR = [MovedParameter(name, 1.0, 2.0) for name in MANY]
 ACTS = {"equation": "vx", "signals": ["x_world"], "share": 0.3, "terms": []}
 
 
@@ -196,16 +196,16 @@ ACTS = {"equation": "vx", "signals": ["x_world"], "share": 0.3, "terms": []}
     "text",
     [
         *(make()["sentence"] for make in MADE.values()),
-        nothing(MANY, dict.fromkeys(MANY, 0.01)),
-        cannot_tell(MANY, "both duties varied", "", ModelSubject.of(CRAFT)),
-        unexplained(ACTS, MANY),
-        doubted(Doubt("unsteady", names=tuple(MANY))),
-        holds(MANY, fitted=True),
-        misses("vx", 10.0, FAR, dict.fromkeys(MANY, "kg")),
-        further(FAR, dict.fromkeys(MANY, "kg")),
-        perhaps(MANY),
-        rises(dict.fromkeys(MANY, (0.1, 0.2)), dict.fromkeys(MANY, "m"), "nearest.yaml"),
-        claim(wide := many_parameters(), wide.candidates, ModelSubject.of(CRAFT)),
+        no_effect_text(MANY, dict.fromkeys(MANY, 0.01)),
+        rivals_text(MANY, "both duties varied", "", ModelSubject.of(CRAFT)),
+        unexplained_text(ACTS, MANY),
+        doubt_text(Doubt("unsteady", names=tuple(MANY))),
+        nearest_text(MANY, fitted=True),
+        missed_channel_text("vx", 10.0, FAR, dict.fromkeys(MANY, "kg")),
+        further_text(FAR, dict.fromkeys(MANY, "kg")),
+        small_gains_text(MANY),
+        rise_text(dict.fromkeys(MANY, (0.1, 0.2)), dict.fromkeys(MANY, "m"), "nearest.yaml"),
+        claim_text(wide := many_parameters(), wide.candidates, ModelSubject.of(CRAFT)),
     ],
 )
 def test_a_sentence_has_at_most_25_words_and_no_chain_of_more_than_three_names(text: str) -> None:
@@ -278,12 +278,12 @@ def test_an_effect_that_is_claimed_is_not_said_to_be_invisible() -> None:
     h, base = fitted("coulomb_friction"), Hypothesis((), fitted("mass").fit, 0.0)
     verdict = Claims("effect_found", h, grade="claimed")
     a = Attribution(base, base.fit, (h,), h, (), Support(0.0, 0.0), {}, (0.0,), hidden=("coulomb_friction", "lag"))
-    assert unseen(a, verdict) == ["lag"]
-    assert unseen(a, Claims("no_effect")) == ["coulomb_friction", "lag"]
+    assert hidden_effects(a, verdict) == ["lag"]
+    assert hidden_effects(a, Claims("no_effect")) == ["coulomb_friction", "lag"]
 
 
 def test_a_floor_is_above_an_error_only_beyond_what_it_scatters() -> None:
     floor = Floor({"x": 2.0, "y": 1.1, "z": 2.0}, {"x": 0.1, "y": 0.01, "z": 0.4})
-    assert floor.above({"x": 1.0, "y": 1.0, "z": 1.0}) == {"x": (2.0, 1.0)}
-    assert Floor({"x": 2.0}, {}).above({"x": 1.0}) == {"x": (2.0, 1.0)}
-    assert floor.above({"x": 0.0}) == {}
+    assert floor.channels_above({"x": 1.0, "y": 1.0, "z": 1.0}) == {"x": (2.0, 1.0)}
+    assert Floor({"x": 2.0}, {}).channels_above({"x": 1.0}) == {"x": (2.0, 1.0)}
+    assert floor.channels_above({"x": 0.0}) == {}

@@ -278,7 +278,7 @@ class Record(_Entry):
 
 
 @dataclass(frozen=True)
-class Measured:
+class Measurements:
     """Measurements of the proof after all decisions.
 
     Attributes:
@@ -296,7 +296,9 @@ class Measured:
     seconds: float = 0.0
 
 
-def record(study: Study, a: Attribution, claims: Claims, problem: Problem, between: Between, proof: Measured) -> Record:
+def record(
+    study: Study, a: Attribution, claims: Claims, problem: Problem, between: Between, proof: Measurements
+) -> Record:
     """Return the content of refine.json."""
     judged, static = study.subject.horizon, study.subject.static
     rows = LeftOut.model_validate(claims.left_out) if claims.left_out else None
@@ -316,12 +318,12 @@ def record(study: Study, a: Attribution, claims: Claims, problem: Problem, betwe
         rivals=list(claims.rivals) if claims.name == "ambiguous" else [],
         experiment=claims.experiment,
         nearest=list(claims.nearest.names) if claims.nearest else [],
-        per_log=per_log(study, claimed.fit if claimed else a.given, proof.ends),
+        per_log=per_log(study, claimed.fit if claimed else a.unfitted, proof.ends),
         candidates=ranking(a, claims),
-        hidden=unseen(a, claims),
+        hidden=hidden_effects(a, claims),
         measured=list(problem.layout.outputs),
         sensor_noise=dict(zip(problem.layout.outputs, np.exp(0.5 * a.best.fit.noise.sensors).tolist(), strict=True)),
-        inputs=Inputs(taken=dict(between.taken), gain_otherwise=between.gain),
+        inputs=Inputs(taken=dict(between.ways), gain_otherwise=between.gain),
         warnings=list(study.warnings),
         residual=Residual.model_validate(claims.residual),
         replays=proof.way,
@@ -371,14 +373,14 @@ def effects(subject: Subject, claimed: Hypothesis, tried: Iterable[Hypothesis]) 
 
 def per_log(study: Study, f: Fit, ends: Mapping[str, float]) -> dict[str, PerLog]:
     """Return every parameter per log."""
-    declared, found = study.subject.declared, {}
+    declared, entries = study.subject.declared, {}
     for name in study.settings.per_log:
         unit, (mean, sd) = declared[name].unit, expected(f, name)
         groups = {x.group: _estimate(f, x.name, unit) for x in f.free if x.parameter == name}
         sealed = dict.fromkeys(g for g in study.settings.groups.values() if g not in groups)
         followed = {g: Followed(value=ends[own(name, g)], expected=mean, spread=sd) for g in sealed}
-        found[name] = PerLog(unit=unit, mean=mean, groups=groups, followed=followed)
-    return found
+        entries[name] = PerLog(unit=unit, mean=mean, groups=groups, followed=followed)
+    return entries
 
 
 def _estimate(f: Fit, name: str, unit: str) -> Estimate:
@@ -386,7 +388,7 @@ def _estimate(f: Fit, name: str, unit: str) -> Estimate:
     return Estimate(value=value, unit=unit, ci95=(value - half, value + half))
 
 
-def unseen(a: Attribution, claims: Claims) -> list[str]:
+def hidden_effects(a: Attribution, claims: Claims) -> list[str]:
     """Return effects that the logs cannot show."""
     claimed = claims.claimed.names if claims.claimed else ()
     return [name for name in a.hidden if name not in claimed]
@@ -401,13 +403,13 @@ def ranking(a: Attribution, claims: Claims) -> list[CandidateEntry]:
             score_gain=a.base.score - h.score,
             fitted=h.fit.iterations > 0,
             parameters={n: float(h.fit.values[n]) for c in h.candidates for n in c.parameters},
-            why=_why(a, h, claims),
+            why=_reason(a, h, claims),
         )
         for h in a.tried
     ]
 
 
-def _why(a: Attribution, h: Hypothesis, claims: Claims) -> str:
+def _reason(a: Attribution, h: Hypothesis, claims: Claims) -> str:
     if claims.claimed is not None and h.names == claims.claimed.names:
         return "claimed"
     if h.names != a.best.names:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.loading.refined import ANSWER, REFINED
+from cosim.refinement import messages
 from cosim.storage.folders import content_of
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ class Refined:
         try:
             import pandas
         except ImportError:
-            raise ImportError("to_pandas needs pandas: pip install pandas") from None
+            raise ImportError(messages.NO_PANDAS()) from None
         rows = [
             {"model": model, "part": part, "channel": channel, "rmse": value}
             for model, parts in dict(self.record.get("error") or {}).items()

@@ -29,6 +29,6 @@ ORDER: Sequence[tuple[str, ...]] = (  # messages of each stage; a finished stage
 _PLACE = {words: number for number, stage in enumerate(ORDER, 1) for words in stage}
 
 
-def numbered(words: str) -> tuple[int, int]:
+def stage_number(words: str) -> tuple[int, int]:
     """Return the stage number of a message, 0 if unknown, and the number of stages."""
     return _PLACE.get(words.partition(":")[0], 0), len(ORDER)

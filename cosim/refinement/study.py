@@ -15,7 +15,8 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, Tag, ValidationError
 
 from cosim.base.arrays import Rows
-from cosim.base.errors import Fault, InputError, NotExecuted
+from cosim.base.errors import Fault, InputError, NotExecuted, refuse
+from cosim.base.messages import Message, code_of
 from cosim.base.registry import BASE
 from cosim.base.text import counted, plain
 from cosim.base.units import has_unit, read_quantity
@@ -27,6 +28,7 @@ from cosim.logs.gate import gate, gate_faults
 from cosim.logs.holes import filled
 from cosim.logs.log import Log, read_log, stretches
 from cosim.logs.spikes import find_spikes, without
+from cosim.refinement import messages
 from cosim.refinement.search.groups import Places, full_name, group_of, per_log_faults
 from cosim.residuals.windows import SKIPPED
 from cosim.storage.artefact import Checking, kind_by_keys
@@ -40,11 +42,11 @@ from cosim.subject.model_subject import ModelSubject
 SCORED = 1.0  # [s] least scored time, beside the skipped start and one horizon
 SPARE = 3  # rows of tables beyond the estimated parameters, to estimate the noise
 FINEST, COARSEST = 1e-12, 1e3  # share of the largest reading outside which a standard deviation is implausible
-Between = Literal["held", "interpolated"]
+Interpolation = Literal["held", "interpolated"]
 NARROWEST, WIDEST = 1e-6, 2.0  # share of a parameter: stricter than any data sheet; without information
 
 
-def _share(value: Any) -> Any:
+def _check_share(value: Any) -> Any:
     """Return a tolerance or raise ValueError with the cure."""
     if isinstance(value, str) and has_unit(value):
         with suppress(ValueError):
@@ -55,21 +57,20 @@ def _share(value: Any) -> Any:
     return value
 
 
-def _by_name(value: Any) -> str:
-    """Return the tag of a setting."""
-    return "«by name»" if isinstance(value, dict) else "«all»"
-
-
-Share = Annotated[float, BeforeValidator(_share)]
-
-
-def _file_name(name: str) -> str:
+def _check_file_name(name: str) -> str:
+    """Return a file name or raise ValueError for a NUL character."""
     if "\0" in name:
         raise ValueError("no name of a file holds a NUL character")
     return name
 
 
-FileName = Annotated[str, AfterValidator(_file_name)]
+def _setting_tag(value: Any) -> str:
+    """Return the tag of a setting."""
+    return "«by name»" if isinstance(value, dict) else "«all»"
+
+
+Share = Annotated[float, BeforeValidator(_check_share)]
+FileName = Annotated[str, AfterValidator(_check_file_name)]
 
 
 class LogLists(BaseModel):
@@ -106,10 +107,11 @@ class StudyFile(BaseModel):
     logs: LogLists
     noise: dict[str, Annotated[Positive, UNIT_OF_KEY]] = {}
     tolerance: Annotated[
-        Annotated[Share, Tag("«all»")] | Annotated[dict[str, Share], Tag("«by name»")], Discriminator(_by_name)
+        Annotated[Share, Tag("«all»")] | Annotated[dict[str, Share], Tag("«by name»")], Discriminator(_setting_tag)
     ] = {}
     inputs: Annotated[
-        Annotated[Between, Tag("«all»")] | Annotated[dict[str, Between], Tag("«by name»")], Discriminator(_by_name)
+        Annotated[Interpolation, Tag("«all»")] | Annotated[dict[str, Interpolation], Tag("«by name»")],
+        Discriminator(_setting_tag),
     ] = "held"
     candidates: list[str] | None = None
     columns: dict[str, str] = {}
@@ -119,8 +121,8 @@ class StudyFile(BaseModel):
 
     def interpolated(self, subject: Subject) -> frozenset[str]:
         """Return the interpolated inputs."""
-        ways = self.inputs if isinstance(self.inputs, dict) else {q.name: self.inputs for q in subject.inputs}
-        return frozenset(name for name, way in ways.items() if way == "interpolated")
+        inputs = self.inputs if isinstance(self.inputs, dict) else {q.name: self.inputs for q in subject.inputs}
+        return frozenset(name for name, interpolation in inputs.items() if interpolation == "interpolated")
 
     def tolerance_of(self, subject: Subject) -> dict[str, float]:
         """Return base parameter → relative tolerance."""
@@ -176,13 +178,12 @@ class Study:
 
     def unseal(self) -> tuple[Log, ...]:
         """Read the validation logs; called once, after all decisions."""
-        subject = self.subject
-        paths = (self.folder / name for name in self.content.logs.validation)
-        logs = (
-            read_log(path, subject.inputs, subject.outputs, table=subject.static, columns=self.content.columns)
-            for path in paths
+        logs = (_read(self.folder / name, self.content, self.subject) for name in self.content.logs.validation)
+        return tuple(
+            stretch
+            for log in logs
+            for stretch in _usable_stretches(without(log, _spikes(log, self.subject)), self.subject.horizon)
         )
-        return tuple(s for log in logs for s in judged(without(log, _spikes(log, subject)), subject.horizon))
 
 
 def check_study(path: Path, checking: Checking) -> list[str]:
@@ -191,7 +192,7 @@ def check_study(path: Path, checking: Checking) -> list[str]:
     Raises:
         InputError: The study has faults.
     """
-    return [f"warning: {text}" for text in read_study(path).warnings]
+    return [_after("warning: ", text) for text in read_study(path).warnings]
 
 
 def read_study(path: Path) -> Study:
@@ -209,28 +210,25 @@ def read_study(path: Path) -> Study:
     try:
         loaded = load_model(content.model, path.parent, yaml)
     except InputError as error:
-        raise InputError([*faults, *_listed_twice(yaml, content.logs, {}), *error.faults]) from None
+        raise InputError([*faults, *_repeated_logs(yaml, content.logs, {}), *error.faults]) from None
     except NotExecuted:
-        if faults := [*faults, *_listed_twice(yaml, content.logs, {})]:
-            raise InputError(faults) from None
+        refuse([*faults, *_repeated_logs(yaml, content.logs, {})])
         raise
     subject = ModelSubject(loaded)
     units = {q.name: q.unit for q in subject.outputs}
-    noise, of_units = yaml.in_units(("noise",), content.noise, units, difference=True)
+    noise, unit_faults = yaml.in_units(("noise",), content.noise, units, difference=True)
     content = content.model_copy(update={"noise": noise})
-    faults += of_units
-    faults += _faults_of_keys(yaml, content, subject, unlisted=yaml.root["logs"].get("estimation", []) == [])
+    faults += unit_faults
+    faults += _key_faults(yaml, content, subject, unlisted=yaml.root["logs"].get("estimation", []) == [])
     try:
         stepping = ModelSubject(with_substep(loaded)[0])
     except InputError as error:
         faults, stepping = [*faults, *error.faults], subject
-    logs, digests, warnings, of_logs = _read_logs(yaml, content, stepping)
-    faults += [*of_logs, *_faults_beside_logs(yaml, content, subject, logs["estimation"], digests)]
-    faults += _too_late(path.parent / content.model, loaded, [*logs["estimation"], *logs["validation"]])
-    if faults:
-        raise InputError(faults)
-    loaded, chosen = with_substep(loaded, logs["estimation"])
-    warnings += [f"{content.model}: {text}" for text in chosen]
+    logs, warnings, log_faults = _read_logs(yaml, content, stepping)
+    latency_faults = _latency_faults(path.parent / content.model, loaded, [*logs["estimation"], *logs["validation"]])
+    refuse([*faults, *log_faults, *latency_faults])
+    loaded, notes = with_substep(loaded, logs["estimation"])
+    warnings += [_after(f"{content.model}: ", text) for text in notes]
     return Study(path, content, ModelSubject(loaded), tuple(logs["estimation"]), tuple(warnings))
 
 
@@ -242,7 +240,8 @@ class _Arguments:
 
     def fault(self, location: Sequence[str | int], message: str, *, key: bool = False) -> Fault:
         """Return a fault of an argument."""
-        return Fault(self.path, 0, 0, f"{'.'.join(map(str, location))}: {message}")
+        text = _after(f"{'.'.join(map(str, location))}: ", message)
+        return Fault(self.path, 0, 0, text)
 
 
 def study_of(
@@ -260,86 +259,78 @@ def study_of(
         InputError: Every fault of the study and its logs.
     """
     places = _Arguments(Path(subject.title))
-    lists = {name: [str(Path(f).absolute()) for f in files] for name, files in _lists(logs, validation)}
+    lists = {
+        name: [str(Path(f).absolute()) for f in ([files] if isinstance(files, (str, os.PathLike)) else files)]
+        for name, files in (("estimation", logs), ("validation", validation))
+    }
     try:
         content = StudyFile.model_validate({"model": subject.source, "logs": lists, **settings})
     except ValidationError as error:
-        raise InputError([places.fault(e["loc"], e["msg"]) for e in error.errors()]) from None
-    faults = _faults_of_keys(places, content, subject, unlisted=not logs)
-    read, digests, warnings, of_logs = _read_logs(places, content, subject)
-    faults += [*of_logs, *_faults_beside_logs(places, content, subject, read["estimation"], digests)]
-    if faults:
-        raise InputError(faults)
-    return Study(None, content, subject, tuple(read["estimation"]), tuple(warnings))
+        raise InputError(
+            [places.fault(e["loc"], messages.INVALID_SETTING(reason=e["msg"])) for e in error.errors()]
+        ) from None
+    usable, warnings, log_faults = _read_logs(places, content, subject)
+    refuse([*_key_faults(places, content, subject, unlisted=not logs), *log_faults])
+    return Study(None, content, subject, tuple(usable["estimation"]), tuple(warnings))
 
 
-def _lists(
-    logs: FilePath | Sequence[FilePath], validation: FilePath | Sequence[FilePath]
-) -> Iterator[tuple[str, Sequence[FilePath]]]:
-    """Yield the lists of logs."""
-    for name, files in (("estimation", logs), ("validation", validation)):
-        yield name, [files] if isinstance(files, (str, os.PathLike)) else files
+def _after(prefix: str, text: str) -> str:
+    """Return a text behind a prefix, with its code."""
+    return Message(f"{prefix}{text}", code_of(text))
 
 
-def _faults_of_keys(places: Places, content: StudyFile, subject: Subject, *, unlisted: bool) -> list[Fault]:
-    """Return all faults of the study's keys.
+def _key_faults(places: Places, content: StudyFile, subject: Subject, *, unlisted: bool) -> Iterator[Fault]:
+    """Yield all faults of the study's keys.
 
     Args:
         unlisted: True if no estimation log is listed.
     """
-    faults, logs = _unknown_names(places, content, subject), content.logs.model_dump()
-    faults += per_log_faults(places, subject, content.per_log, content.groups, logs, content.candidates or ())
+    yield from _unknown_names(places, content, subject)
+    logs = content.logs.model_dump()
+    yield from per_log_faults(places, subject, content.per_log, content.groups, logs, content.candidates or ())
     if unlisted:
-        cure = "none is left to learn from; move one to estimation"
-        sealed = f"every log is sealed, and {cure}" if content.logs.validation else "no log is listed; list one"
-        faults.append(places.fault(("logs", "estimation"), sealed))
-    return faults
-
-
-def _faults_beside_logs(
-    places: Places, content: StudyFile, subject: Subject, logs: Sequence[Log], digests: Mapping[str, str]
-) -> Iterator[Fault]:
-    """Yield faults between study and logs."""
-    yield from _noise_of_no_sensor(places, content.noise, logs)
-    yield from _listed_twice(places, content.logs, digests)
-    yield from _too_few(places, content, subject, logs)
+        message = messages.ALL_LOGS_SEALED if content.logs.validation else messages.NO_LOG
+        yield places.fault(("logs", "estimation"), message())
 
 
 def _read_logs(
-    yaml: Places, content: StudyFile, subject: Subject
-) -> tuple[dict[str, list[Log]], dict[str, str], list[str], list[Fault]]:
-    """Return usable stretches, file digests, warnings and faults."""
-    folder, traits = yaml.path.parent, subject.traits
+    places: Places, content: StudyFile, subject: Subject
+) -> tuple[dict[str, list[Log]], list[str], list[Fault]]:
+    """Return the usable stretches of the logs, warnings and faults."""
     logs: dict[str, list[Log]] = {"estimation": [], "validation": []}
     digests: dict[str, str] = {}
     warnings: list[str] = []
     faults: list[Fault] = []
     for part, name in _entries(content.logs):
-        if not os.path.exists(folder / name):
+        path = places.path.parent / name
+        if not os.path.exists(path):
             place = ("logs", part, getattr(content.logs, part).index(name))
-            faults.append(yaml.fault(place, f"{name}: no such file beside the study; its logs are named from there"))
+            faults.append(places.fault(place, messages.MISSING_LOG(log=name)))
             continue
         try:
-            log = read_log(
-                folder / name, subject.inputs, subject.outputs, table=subject.static, columns=content.columns
-            )
+            log = _read(path, content, subject)
         except InputError as error:
             faults += error.faults
             continue
         digests[name] = _digest(log)
         spikes = _spikes(log, subject)
-        findings = gate(log, subject.rate, traits=traits, spikes=spikes)
+        findings = gate(log, subject.rate, traits=subject.traits, spikes=spikes)
         faults += gate_faults(log, findings)
         log = without(log, spikes)
-        warnings += [_left_out(name, channel, rows.size) for channel, rows in spikes.items()]
-        whole = judged(log, subject.horizon)
-        faults += [] if whole else [_too_short(log, subject.horizon)]
-        told = [f for f in findings if f.severity == "warning" and f.kind != "outliers"]
-        warnings += [f"{name}: {f.whole}" for f in told]
-        if left := 0 if log.table else len(stretches(log)) - len(whole):
-            warnings.append(f"{name}: {counted(left, 'piece')} between pauses too short to be used")
-        logs[part] += whole
-    return logs, digests, warnings, faults
+        warnings += [
+            messages.READINGS_LEFT_OUT(log=name, readings=counted(rows.size, "reading"), output=output)
+            for output, rows in spikes.items()
+        ]
+        usable = _usable_stretches(log, subject.horizon)
+        faults += [] if usable else [_short_log(log, subject.horizon)]
+        warnings += [_after(f"{name}: ", f.whole) for f in findings if f.severity == "warning" and f.kind != "outliers"]
+        if count := 0 if log.table else len(stretches(log)) - len(usable):
+            warnings.append(messages.SHORT_PIECES(log=name, pieces=counted(count, "piece")))
+        logs[part] += usable
+    faults += _implausible_noise(places, content.noise, logs["estimation"])
+    faults += _repeated_logs(places, content.logs, digests)
+    faults += _few_rows(places, content, subject, logs["estimation"])
+    return logs, warnings, faults
 
 
 def _entries(logs: LogLists) -> list[tuple[str, str]]:
@@ -347,22 +338,26 @@ def _entries(logs: LogLists) -> list[tuple[str, str]]:
     return [*(("estimation", name) for name in logs.estimation), *(("validation", name) for name in logs.validation)]
 
 
-def _listed_twice(yaml: Places, logs: LogLists, digests: Mapping[str, str]) -> Iterator[Fault]:
+def _read(path: Path, content: StudyFile, subject: Subject) -> Log:
+    """Read a log."""
+    return read_log(path, subject.inputs, subject.outputs, table=subject.static, columns=content.columns)
+
+
+def _repeated_logs(places: Places, logs: LogLists, digests: Mapping[str, str]) -> Iterator[Fault]:
     """Yield faults of files listed twice, by name or by content."""
-    listed: dict[str, tuple[str, str]] = {}
+    first: dict[str, tuple[str, str]] = {}
     for n, (part, name) in enumerate(_entries(logs)):
-        path = os.path.realpath(yaml.path.parent / name)
+        path = os.path.realpath(places.path.parent / name)
         keys = [path, *([digests[name]] if name in digests else [])]
-        before = next((listed[key] for key in keys if key in listed), None)
-        if before is not None:
-            other, where = before
-            cure = "keep one" if where == part else "a validation log is never fitted on"
-            again = f"is listed for {where} {'twice' if where == part else 'too'}"
-            what = again if path in listed else f"holds the same as {other}, which is listed for {where}"
-            place = ("logs", part, n if part == "estimation" else n - len(logs.estimation))
-            yield yaml.fault(place, f"{name} {what}; {cure}")
+        if earlier := next((first[key] for key in keys if key in first), None):
+            other, purpose = earlier
+            twice, copy = messages.LOG_IN_BOTH_LISTS, messages.COPY_IN_OTHER_LIST
+            if purpose == part:
+                twice, copy = messages.LOG_TWICE, messages.COPY
+            message = (twice if path in first else copy)(log=name, other=other, purpose=purpose)
+            yield places.fault(("logs", part, n if part == "estimation" else n - len(logs.estimation)), message)
         for key in keys:
-            listed.setdefault(key, (name, part))
+            first.setdefault(key, (name, part))
 
 
 def _digest(log: Log) -> str:
@@ -378,7 +373,7 @@ def _spikes(log: Log, subject: Subject) -> dict[str, Rows]:
     return {} if log.table else find_spikes(log, subject.prediction(log))
 
 
-def least_duration(log: Log, horizon: float) -> float:
+def _min_duration(log: Log, horizon: float) -> float:
     """Return the least useful duration of a log [s].
 
     A slow log needs proportionally more.
@@ -386,94 +381,75 @@ def least_duration(log: Log, horizon: float) -> float:
     return (SKIPPED + SCORED) * log.slowness + (horizon if math.isfinite(horizon) else 0.0)
 
 
-def judged(log: Log, horizon: float) -> list[Log]:
+def _usable_stretches(log: Log, horizon: float) -> list[Log]:
     """Return the measured stretches of sufficient duration."""
     if log.table:
         return [log]
-    least = least_duration(log, horizon) - 0.5 * log.step
+    least = _min_duration(log, horizon) - 0.5 * log.step
     return [filled(s) for s in stretches(log) if s.outputs and s.time[-1] - s.time[0] >= least]
 
 
-def _left_out(log: str, channel: str, count: int) -> str:
-    readings = f"{log}: {counted(count, 'reading')} of {channel}"
-    return f"{readings} left out, which its neighbours and the model do not explain"
+def _short_log(log: Log, horizon: float) -> Fault:
+    """Return the fault of a log without a usable stretch."""
+    durations = [float(s.time[-1] - s.time[0]) for s in stretches(log)]
+    message = messages.LOG_TOO_SHORT if len(durations) == 1 else messages.PIECES_TOO_SHORT
+    least, better = plain(_min_duration(log, horizon), None), plain(20 * log.slowness)
+    return Fault(log.path, 0, 0, message(duration=plain(max(durations)), least=least, better=better))
 
 
-def _too_short(log: Log, horizon: float) -> Fault:
-    lasts = plain(max(float(s.time[-1] - s.time[0]) for s in stretches(log)))
-    least = plain(least_duration(log, horizon), None)
-    what = f"lasts {lasts} s" if len(stretches(log)) == 1 else f"lasts at most {lasts} s without a pause"
-    cure = f"it takes {least} s, and {plain(20 * log.slowness)} s and more tell more; log longer or leave it out"
-    return Fault(log.path, 0, 0, f"{what}, too short to be judged: {cure}")
-
-
-def _too_few(yaml: Places, content: StudyFile, subject: Subject, logs: Sequence[Log]) -> Iterator[Fault]:
+def _few_rows(places: Places, content: StudyFile, subject: Subject, logs: Sequence[Log]) -> Iterator[Fault]:
     """Yield faults of tables with too few rows."""
     if not logs or not subject.static:
         return
-    numbers = len(tolerances(subject, content.tolerance_of(subject)))
-    rows, least = sum(len(log.time) for log in logs), numbers + 1 + SPARE
+    count = len(tolerances(subject, content.tolerance_of(subject)))
+    rows, least = sum(len(log.time) for log in logs), count + 1 + SPARE
     if rows < least:
-        of = f"{counted(numbers, 'number')} that may be off, one that is missing, and {SPARE} more to see the noise"
-        text = f"{counted(rows, 'row')} to learn from, and it takes {least}: {of}; measure more"
-        yield yaml.fault(("logs", "estimation"), text)
+        texts = {"rows": counted(rows, "row"), "parameters": counted(count, "number")}
+        yield places.fault(("logs", "estimation"), messages.TOO_FEW_ROWS(least=least, spare=SPARE, **texts))
 
 
-def _too_late(model_file: Path, loaded: LoadedModel, logs: Sequence[Log]) -> Iterator[Fault]:
+def _latency_faults(model_file: Path, loaded: LoadedModel, logs: Sequence[Log]) -> Iterator[Fault]:
     """Yield faults of latencies too long for the logs."""
     for name in (f"{kind.name}.value" for kind in loaded.model.sensors if kind.late):
-        seconds = loaded.sensors.get(name, 0.0)
-        lasts: dict[Path, float] = {}
+        latency = loaded.sensors.get(name, 0.0)
+        durations: dict[Path, float] = {}
         for log in logs:
-            left = float(log.time[-1] - log.time[0]) - seconds
-            if left < least_duration(log, loaded.model.horizon) - 0.5 * log.step:
-                lasts[log.path] = left + seconds
-        if seconds > 0.0 and lasts:
-            which = ", ".join(f"{path.name} lasts {plain(whole)} s" for path, whole in lasts.items())
-            text = f"{name} is {plain(seconds)} s, and {which}: too little is left to be judged"
-            yield YamlFile(model_file).fault(("sensors", name), f"{text}; correct it, or log longer")
+            rest = float(log.time[-1] - log.time[0]) - latency
+            if rest < _min_duration(log, loaded.model.horizon) - 0.5 * log.step:
+                durations[log.path] = rest + latency
+        if latency > 0.0 and durations:
+            texts = ", ".join(f"{path.name} lasts {plain(duration)} s" for path, duration in durations.items())
+            message = messages.LATENCY_TOO_LONG(sensor=name, latency=plain(latency), logs=texts)
+            yield YamlFile(model_file).fault(("sensors", name), message)
 
 
-def _noise_of_no_sensor(yaml: Places, noise: Mapping[str, float], logs: Sequence[Log]) -> Iterator[Fault]:
+def _implausible_noise(places: Places, noise: Mapping[str, float], logs: Sequence[Log]) -> Iterator[Fault]:
     """Yield faults of implausible sensor noise."""
     for name, level in noise.items():
-        read = np.concatenate([np.zeros(0), *(log.outputs[name] for log in logs if name in log.outputs)])
-        read = read[np.isfinite(read)]
-        size = float(np.max(np.abs(read))) if read.size else 0.0
-        if size > 0.0 and not FINEST * size < level < COARSEST * size:
-            text = f"{plain(level)} is no noise of readings of up to {plain(size)}; state it in their unit"
-            yield yaml.fault(("noise", name), f"noise.{name}: {text}")
+        readings = np.concatenate([np.zeros(0), *(log.outputs[name] for log in logs if name in log.outputs)])
+        largest = float(np.max(np.abs(readings[np.isfinite(readings)]), initial=0.0))
+        if largest > 0.0 and not FINEST * largest < level < COARSEST * largest:
+            message = messages.IMPLAUSIBLE_NOISE(output=name, level=plain(level), largest=plain(largest))
+            yield places.fault(("noise", name), message)
 
 
-def _unknown_names(yaml: Places, content: StudyFile, subject: Subject) -> list[Fault]:
-    outputs = [q.name for q in subject.outputs]
-    faults = [
-        yaml.fault(("noise", name), f'no output "{name}"{did_you_mean(name, outputs)}', key=True)
-        for name in content.noise
-        if name not in outputs
-    ]
-    faults += _unknown_settings(yaml, content, subject)
-    known = candidate_names(subject)
-    if content.candidates is not None and not content.candidates:
-        faults.append(yaml.fault(("candidates",), "names none; name some, or leave the key out to try all"))
+def _unknown_names(places: Places, content: StudyFile, subject: Subject) -> Iterator[Fault]:
+    """Yield faults of unknown outputs, base parameters, inputs and candidates."""
+    inputs, outputs = ([q.name for q in signals] for signals in (subject.inputs, subject.outputs))
+    parameters = [p.name for p in subject.parameters if not isinstance(p.default, bool)]
+    for key, names, message in (
+        ("noise", outputs, messages.UNKNOWN_OUTPUT),
+        ("tolerance", parameters, messages.UNKNOWN_BASE_PARAMETER),
+        ("inputs", inputs, messages.UNKNOWN_INPUT),
+    ):
+        setting = getattr(content, key)
+        for name in setting if isinstance(setting, dict) else ():
+            if name not in names:
+                yield places.fault((key, name), message(name=name, hint=did_you_mean(name, names)), key=True)
+    candidates = [c.name for c in subject.candidates(inputs)]
+    if content.candidates == []:
+        yield places.fault(("candidates",), messages.NO_CANDIDATES())
     for k, name in enumerate(content.candidates or ()):
-        if name not in known:
-            faults.append(yaml.fault(("candidates", k), f'no candidate "{name}"{did_you_mean(name, known)}'))
-    return faults
-
-
-def _unknown_settings(yaml: Places, content: StudyFile, subject: Subject) -> Iterator[Fault]:
-    """Yield faults of tolerances and interpolations of unknown names."""
-    numbers = [p.name for p in subject.parameters if not isinstance(p.default, bool)]
-    for name in content.tolerance if isinstance(content.tolerance, dict) else ():
-        if name not in numbers:
-            yield yaml.fault(("tolerance", name), f'no base parameter "{name}"{did_you_mean(name, numbers)}', key=True)
-    inputs = [q.name for q in subject.inputs]
-    for name in content.inputs if isinstance(content.inputs, dict) else ():
-        if name not in inputs:
-            yield yaml.fault(("inputs", name), f'no input "{name}"{did_you_mean(name, inputs)}', key=True)
-
-
-def candidate_names(subject: Subject) -> Sequence[str]:
-    """Return the names of all possible candidates."""
-    return [c.name for c in subject.candidates([q.name for q in subject.inputs])]
+        if name not in candidates:
+            message = messages.UNKNOWN_CANDIDATE
+            yield places.fault(("candidates", k), message(name=name, hint=did_you_mean(name, candidates)))

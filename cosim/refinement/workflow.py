@@ -14,32 +14,39 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import Fault, refuse
 from cosim.estimation.fit import Fit
 from cosim.estimation.per_log import not_per_log
 from cosim.estimation.posing import build_problem, coarsened, varied_inputs
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import at_rest, noise_warnings, sensor_noise
 from cosim.loading.refined import ANSWER, NEAREST, REFINED
+from cosim.refinement import messages
 from cosim.refinement.decision.claims import Claims, Nearest, judge
-from cosim.refinement.decision.evidence import best_of, beyond_chance, predicts, steadiness, with_intervals
-from cosim.refinement.decision.judgement import BETTER, decided
-from cosim.refinement.decision.sentences import calmer
-from cosim.refinement.decision.trust import attributed
-from cosim.refinement.proof.measure import FLOOR_SEED, followed, noise_floor, rmse
+from cosim.refinement.decision.evidence import (
+    chance_limit,
+    open_loop_gain,
+    required_scatters,
+    steadiness,
+    with_intervals,
+)
+from cosim.refinement.decision.judgement import BETTER, decide
+from cosim.refinement.decision.sentences import floor_warning
+from cosim.refinement.decision.trust import attribute
+from cosim.refinement.proof.measure import FLOOR_SEED, final_log_parameters, noise_floor, rmse
 from cosim.refinement.proof.nearest import nearest
 from cosim.refinement.proof.proof_replays import LogSets, Proof, warnings_of
-from cosim.refinement.proof.refined_models import Variant, of_noise, refined_subject, variant_of, variants_of
-from cosim.refinement.proof.replay_check import held_against_replays
-from cosim.refinement.proof.sealed import Rise, risen
-from cosim.refinement.proof.table_errors import errors_left_out, with_leftover
-from cosim.refinement.record import Floors, Measured, Record, Replayed, keep_finite, record
+from cosim.refinement.proof.refined_models import Variant, refined_subject, variant_of, variants_of, with_log_noise
+from cosim.refinement.proof.replay_check import check_with_replays
+from cosim.refinement.proof.sealed import find_rises
+from cosim.refinement.proof.table_errors import add_dependence, errors_on_held_out_rows
+from cosim.refinement.record import Floors, Measurements, Replayed, keep_finite, record
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.search.fits import Found
+from cosim.refinement.search.fits import SearchResult
 from cosim.refinement.search.hypotheses import Attribution
 from cosim.refinement.search.input_hold import between_rows
 from cosim.refinement.search.missing import unknown_inputs
-from cosim.refinement.search.unnamed import Leftover, left_beside
+from cosim.refinement.search.unnamed import Leftover, find_unnamed_terms
 from cosim.refinement.study import Study, read_study
 from cosim.storage.files import (
     FilePath,
@@ -89,7 +96,7 @@ def refine(
         FmuError: An FMU cannot be loaded.
         SimulationError: An FMU fails in a replay.
     """
-    began = time.perf_counter()
+    start = time.perf_counter()
     progress = progress or (lambda stage, share: None)
     progress("reading the logs", 0.0)
     folder = named_path(folder)
@@ -97,14 +104,14 @@ def refine(
     subject = study.subject
     check_left(folder, "cosim refine", *filter(None, [str(study.path or "")]), force=force, keep=keep)
     check_writable(folder, (*RESULTS, "report.html"), study.files)
-    problem = _posed(study)
-    _refuse_runaway(study, problem)
-    found = attributed(subject, problem, _on_trial(study), progress)
+    problem = _build_problem(study)
+    refuse(_divergences(study, problem))
+    result = attribute(subject, problem, _candidates(study), progress)
     progress("weighing what was found", 0.0)
-    attribution = decided(found)
-    claims = _judged(study, attribution, found, progress)
-    claims = _with_nearest(study, claims, found, attribution)
-    between = between_rows(found.search.problem, attribution.base)
+    attribution = decide(result)
+    claims = _judge(study, attribution, result, progress)
+    claims = _add_nearest(study, claims, result, attribution)
+    between = between_rows(result.search.problem, attribution.base)
     warnings = [*noise_warnings(problem, attribution.best.fit.noise, subject), *between.warnings]
     limits = study.content.limits
     with scratch_folder(folder, ".refine-") as scratch, Workplace(scratch, limits, in_process=in_process) as place:
@@ -114,19 +121,24 @@ def refine(
         if "nearest" in variants:
             files += variants["nearest"].subject.write(scratch, folder, "nearest")
         progress("replaying through the FMUs", 0.0)
-        sets = _unsealed(study)
-        played, way = Proof(problem, sets, place).replayed(variants)
+        sealed = study.unseal()  # after all decisions
+        sets: LogSets = {"estimation": study.logs, "validation": sealed} if sealed else {"estimation": study.logs}
+        played, way = Proof(problem, sets, place).replay(variants)
         progress("measuring the noise floor", 0.0)
         best = variants["after"] if claims.claimed else variants.get("nearest", variants["after"])
-        floors = _floors(of_noise(best, attribution, claims.near, found.heard), problem, sets)
+        quiet = with_log_noise(best, attribution, claims.nearest_hypothesis, result.sensors)
+        rng = np.random.default_rng(FLOOR_SEED)  # fixed for reproducible results
+        floors: Floors = {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
         claims = replace(claims, risen=_rises(claims, played, subject), written=bool(files))
-        ends = followed(variants["after"], problem, sets.get("validation", ()))
+        ends = final_log_parameters(variants["after"], problem, sealed)
         hold_stops()  # From here, a result exists that must not be lost.
-        warnings += [*warnings_of(way), *_too_calm(floors, played, subject)]
+        warnings += [*warnings_of(way), *_floor_warnings(floors, played, subject)]
         study = replace(study, warnings=(*study.warnings, *warnings))
-        measured = Measured(played, floors, way, ends, time.perf_counter() - began)
+        measured = Measurements(played, floors, way, ends, time.perf_counter() - start)
         written = record(study, attribution, claims, problem, between, measured)
-        _write(scratch / ANSWER, written)
+        with atomic_write(scratch / ANSWER) as stream:
+            json.dump(written.model_dump(mode="json"), stream, indent=2, ensure_ascii=False, allow_nan=False)
+            stream.write("\n")
         with uninterrupted():
             if keep:
                 keep_earlier(folder, "cosim refine")
@@ -143,42 +155,37 @@ def refine(
     return outcome
 
 
-def _posed(study: Study) -> Problem:
-    """Return the fitting problem."""
-    subject, given = study.subject, study.content.noise
-    problem = build_problem(subject, study.logs, noise=given, settings=study.settings)
-    guessed = {n: level for n, level in sensor_noise(problem).items() if n not in subject.sensor_variance}
-    return problem.with_noise({n: level for n, level in guessed.items() if n not in given and level > 0.0})
+def _build_problem(study: Study) -> Problem:
+    """Return the fitting problem, with noise levels from the logs where neither study nor model states them."""
+    noise = study.content.noise
+    problem = build_problem(study.subject, study.logs, noise=noise, settings=study.settings)
+    stated = {*study.subject.sensor_variance, *noise}
+    return problem.with_noise({n: s for n, s in sensor_noise(problem).items() if n not in stated and s > 0.0})
 
 
-def _refuse_runaway(study: Study, problem: Problem) -> None:
-    """Raise InputError if the filter of the unfitted model diverges, since no estimate could follow."""
-    faults = []
+def _divergences(study: Study, problem: Problem) -> Iterator[Fault]:
+    """Yield a fault for each log on which the filter of the unfitted model diverges, since no estimate could follow."""
     for index, (log, data) in enumerate(zip(study.logs, problem.logs, strict=False)):
         by_log = problem.scored(problem.values, problem.plain, [index]).by_log
         if np.isfinite(by_log).all():
             continue
         errors, variances = problem.innovations(problem.values, problem.plain, index)
         with np.errstate(over="ignore", invalid="ignore"):
-            lost = ~np.isfinite(errors * errors / variances) & problem.readings[index].scored
-        t = data.start + data.step * int(np.argmax(lost.any(axis=1)))
-        cure = "check its parameters, start values and the units of the log, or state a shorter substep in its class"
-        text = f"{study.subject.title} runs away on this log: its prediction is not finite at t = {t:.6g} s"
-        faults.append(Fault(log.path, 0, 0, f"{text}; {cure}"))
-    if faults:
-        raise InputError(faults)
+            diverged = ~np.isfinite(errors * errors / variances) & problem.readings[index].scored
+        t = data.start + data.step * int(np.argmax(diverged.any(axis=1)))
+        yield Fault(log.path, 0, 0, messages.DIVERGING_MODEL(model=study.subject.title, time=t))
 
 
-def _on_trial(study: Study) -> list[Candidate]:
+def _candidates(study: Study) -> list[Candidate]:
     """Return the candidates named by the study, or all."""
     subject, named = study.subject, study.content.candidates
-    every = list(not_per_log(subject.candidates(varied_inputs(subject, study.logs)), study.settings.per_log))
-    return every if named is None else [c for c in every if c.name in named]
+    candidates = list(not_per_log(subject.candidates(varied_inputs(subject, study.logs)), study.settings.per_log))
+    return candidates if named is None else [c for c in candidates if c.name in named]
 
 
-def _judged(study: Study, a: Attribution, found: Found, progress: Progress) -> Claims:
+def _judge(study: Study, a: Attribution, result: SearchResult, progress: Progress) -> Claims:
     """Return the answer from the residual beside the best hypothesis and from replays."""
-    subject, search = study.subject, found.search
+    subject, search = study.subject, result.search
     progress("looking for what has no name", 0.0)
     bare = build_problem(subject, study.logs, True, study.content.noise, study.settings)
     trusted = search.problem.trusted
@@ -186,81 +193,62 @@ def _judged(study: Study, a: Attribution, found: Found, progress: Progress) -> C
     nameless = replace(coarse, sensing=a.best.fit.noise, trusted=trusted, scatter=scatter)
     units = {"time": "s", **{q.name: q.unit for q in subject.states}}
     units |= {f"command {q.name}": q.unit for q in subject.inputs}
-    left = left_beside(nameless, a.best.fit, search.price, units)
-    if left.fit is not None and not _follows(nameless, left, left.fit, a.best.fit, subject.horizon):
-        left = replace(left, terms=(), fit=None, gain=0.0)
+    leftover = find_unnamed_terms(nameless, a.best.fit, search.price, units)
+    if leftover.fit is not None and not _is_steady(nameless, leftover, leftover.fit, a.best.fit, subject.horizon):
+        leftover = replace(leftover, terms=(), fit=None, gain=0.0)
     problem = search.problem
-    moves = unknown_inputs(problem, a.best.fit, a.noisy, units)
-    claims = judge(a, left, subject, problem.layout.forced, moves, still=at_rest(problem))
+    moves = unknown_inputs(problem, a.best.fit, a.has_unknown_input, units)
+    claims = judge(a, leftover, subject, problem.layout.forced, moves, still=at_rest(problem))
     if claims.claimed is not None and claims.claimed.fit.scattered is None:
         claims = replace(claims, claimed=with_intervals(search, claims.claimed))
     progress("replaying with the claim and without", 0.0)
-    claims = held_against_replays(study, a, claims, found, problem)
-    return with_leftover(claims, a, problem, subject) if subject.static else claims
+    claims = check_with_replays(study, a, claims, result, problem)
+    return add_dependence(claims, a, problem, subject) if subject.static else claims
 
 
-def _follows(problem: Problem, left: Leftover, beside: Fit, alone: Fit, horizon: float) -> bool:
+def _is_steady(problem: Problem, leftover: Leftover, with_terms: Fit, alone: Fit, horizon: float) -> bool:
     """Return True if unnamed terms improve the fit over blocks or logs beyond chance."""
     if problem.trusted:
-        return predicts(problem, horizon, beside, alone) >= best_of(BETTER, left.among)
-    return steadiness(problem, beside, alone) >= beyond_chance(problem, beside, left.among)
+        return open_loop_gain(problem, horizon, with_terms, alone) >= required_scatters(BETTER, leftover.among)
+    return steadiness(problem, with_terms, alone) >= chance_limit(problem, with_terms, leftover.among)
 
 
-def _with_nearest(study: Study, claims: Claims, found: Found, a: Attribution) -> Claims:
+def _add_nearest(study: Study, claims: Claims, result: SearchResult, a: Attribution) -> Claims:
     """Return the claims with the nearest model, if incomplete, and held-out errors of a table."""
     if claims.grade != "claimed":
-        close = {h.names: h for h in (a.best, found.best) if h.candidates}
-        claims = replace(claims, nearest=Nearest(nearest(found.search, a, list(close.values()))))
-    left_out = errors_left_out(found.search, a, claims) if found.search.problem.table else None
+        close = {h.names: h for h in (a.best, result.best) if h.candidates}
+        claims = replace(claims, nearest=Nearest(nearest(result.search, a, list(close.values()))))
+    left_out = errors_on_held_out_rows(result.search, a, claims) if result.search.problem.table else None
     return replace(claims, restricted=study.content.candidates is not None, left_out=left_out)
 
 
 def _variants(study: Study, a: Attribution, claims: Claims) -> dict[str, Variant]:
     """Return the variants to replay: before, recalibrated, after, and the nearest if incomplete."""
-    subject, settings, claimed, near = study.subject, study.settings, claims.claimed, claims.near
+    subject, settings, claimed, nearest_fit = study.subject, study.settings, claims.claimed, claims.nearest_hypothesis
     refined = refined_subject(subject, settings, claimed)
     variants = variants_of(subject, settings, a, claimed, refined)
     if claims.nearest is not None:
-        other = refined_subject(subject, settings, near)
-        of_other = variant_of(other, settings, near.fit if near else a.given)
-        variants["nearest"] = variants["after"] if near is claimed else of_other
+        other = refined_subject(subject, settings, nearest_fit)
+        of_other = variant_of(other, settings, nearest_fit.fit if nearest_fit else a.unfitted)
+        variants["nearest"] = variants["after"] if nearest_fit is claimed else of_other
     return variants
 
 
-def _unsealed(study: Study) -> LogSets:
-    """Return the study's logs; validation logs are opened here."""
-    sealed = study.unseal()
-    return {"estimation": study.logs, "validation": sealed} if sealed else {"estimation": study.logs}
-
-
-def _floors(quiet: Variant, problem: Problem, sets: LogSets) -> Floors:
-    """Return the noise floor of each set of logs, from a fixed seed for reproducible results."""
-    rng = np.random.default_rng(FLOOR_SEED)
-    return {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
-
-
-def _rises(claims: Claims, replayed: Replayed, subject: Subject) -> Mapping[str, Rise]:
+def _rises(claims: Claims, played: Replayed, subject: Subject) -> Mapping[str, tuple[float, float]]:
     """Return the errors that rise on sealed logs with the claim, or with the nearest model."""
     variant = "after" if claims.claimed is not None else "nearest"
-    if "validation" not in replayed["before"] or variant not in replayed:
+    if "validation" not in played["before"] or variant not in played:
         return {}
-    before, after = (replayed[name]["validation"][subject.horizon] for name in ("before", variant))
-    return risen(before, after)
+    before, after = (played[name]["validation"][subject.horizon] for name in ("before", variant))
+    return find_rises(before, after)
 
 
-def _too_calm(floors: Floors, replayed: Replayed, subject: Subject) -> Iterator[str]:
+def _floor_warnings(floors: Floors, played: Replayed, subject: Subject) -> Iterator[str]:
     """Warn of a noise floor above the error."""
     units = {q.name: q.unit for q in subject.outputs}
     for part, floor in floors.items():
-        if found := floor.above(keep_finite(rmse(replayed["after"][part][subject.horizon]))):
-            yield calmer(part, found, units)
-
-
-def _write(path: Path, written: Record) -> None:
-    """Write refine.json."""
-    with atomic_write(path) as stream:
-        json.dump(written.model_dump(mode="json"), stream, indent=2, ensure_ascii=False, allow_nan=False)
-        stream.write("\n")
+        if channels := floor.channels_above(keep_finite(rmse(played["after"][part][subject.horizon]))):
+            yield floor_warning(part, channels, units)
 
 
 def _publish(files: Sequence[Path], answer: Path, folder: Path) -> None:

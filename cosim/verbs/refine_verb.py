@@ -91,11 +91,11 @@ def command(
     """
     # fits run side by side; more threads within each only wait for one another (read when numpy is first imported)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from cosim.refinement.stages import numbered
+    from cosim.refinement.stages import stage_number
     from cosim.refinement.workflow import refine as refine_study
 
     place = folder_of_file(study) if out is None else out
-    with stages(numbered) as progress, ending_when_stuck():
+    with stages(stage_number) as progress, ending_when_stuck():
         result = refine_study(
             study, place, progress, report=report, force=force, keep=out is None, in_process=in_process
         )

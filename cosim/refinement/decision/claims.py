@@ -13,7 +13,7 @@ from cosim.base.text import MOST_NAMED
 from cosim.estimation.fit import Fit
 from cosim.refinement.decision.judgement import SIGNIFICANT, loss_without
 from cosim.refinement.search.hypotheses import TOGETHER, Attribution, Hypothesis
-from cosim.refinement.search.unnamed import Leftover, Unnamed
+from cosim.refinement.search.unnamed import Leftover, UnnamedTerm
 from cosim.subject.base_parameters import kind_within
 from cosim.subject.candidates import Candidate, Free
 from cosim.subject.interface import Subject
@@ -28,7 +28,7 @@ MORE_ROWS = "more rows, over a wider range of every input, each with each"
 
 
 @dataclass(frozen=True)
-class Moved:
+class MovedParameter:
     """A base parameter that a fit moved clearly: stated and fitted value."""
 
     name: str
@@ -88,10 +88,10 @@ class Claims:
         still: True if nothing moves in the logs.
         moves: Forced state → size of its unknown input relative to the state's derivative.
         small: Names with a gain too small to distinguish from chance.
-        beside, gained: Unnamed term beside a claim, and the log-likelihood gain of the claim.
+        term, gained: Unnamed term beside a claim, and the log-likelihood gain of the claim.
         disturbed: State whose unknown input is no small disturbance beside the claim.
         further: Other base parameters outside their tolerances beside a claim (from replays, as up to `left_share`).
-        missed: Channel and its error with the unchanged model, as a multiple of the noise floor.
+        missed_channel: Channel and its error with the unchanged model, as a multiple of the noise floor.
         recalibrated: Base parameters moved beyond their tolerances.
         doubt: Reason for a withdrawn claim.
         part: Remaining error if the claim explains only a part.
@@ -116,13 +116,13 @@ class Claims:
     still: bool = False
     moves: Mapping[str, float] = field(default_factory=dict)
     small: tuple[str, ...] = ()
-    beside: Unnamed | None = None
+    term: UnnamedTerm | None = None
     gained: float = 0.0
     disturbed: str = ""
 
-    further: tuple[Moved, ...] = ()
-    missed: tuple[str, float] | None = None
-    recalibrated: tuple[Moved, ...] = ()
+    further: tuple[MovedParameter, ...] = ()
+    missed_channel: tuple[str, float] | None = None
+    recalibrated: tuple[MovedParameter, ...] = ()
     doubt: Doubt | None = None
     part: Part | None = None
     left_of: tuple[str, str] | None = None
@@ -143,18 +143,24 @@ class Claims:
         return {**self.misfit, "equation": output, "signals": [signal]}
 
     @property
-    def near(self) -> Hypothesis | None:
+    def nearest_hypothesis(self) -> Hypothesis | None:
         """Return the nearest hypothesis or a complete claim."""
         return self.claimed if self.nearest is None else self.nearest.hypothesis
 
-    def withdrawn(self, doubt: Doubt) -> Claims:
+    def withdraw(self, doubt: Doubt) -> Claims:
         """Return an unexplained answer with a reason."""
         names = self.claimed.names if self.claimed else ()
         return Claims("unexplained", rivals=names, misfit=self.misfit, doubt=doubt)
 
 
 def judge(
-    a: Attribution, left: Leftover, subject: Subject, forced: Sequence[str], moves: Mapping[str, float], *, still: bool
+    a: Attribution,
+    leftover: Leftover,
+    subject: Subject,
+    forced: Sequence[str],
+    moves: Mapping[str, float],
+    *,
+    still: bool,
 ) -> Claims:
     """Return the claim of the first matching rule.
 
@@ -162,49 +168,51 @@ def judge(
         moves: Forced state → size of its unknown input relative to the state's derivative on the logs.
         still: True if nothing moves in the logs.
     """
-    residual, large = _misfit(a, left, forced), _large(moves)
+    residual, large = _misfit(a, leftover, forced), _largest_disturbance(moves)
     if not a.best.candidates:
-        if still or (a.blind and not large):  # Logs in which no effect would show support no claim.
+        if still or (a.is_blind and not large):  # Logs in which no effect would show support no claim.
             rivals = a.hidden if len(a.hidden) > 1 else (*a.hidden, "no_effect")
             experiment = usual_experiment(subject)
             return Claims("ambiguous", None, rivals, experiment, residual, unshown=a.hidden, still=still)
-        if left.terms:
+        if leftover.terms:
             return Claims("unexplained", misfit=residual)
         if large:
             return Claims("unexplained", misfit={**residual, "equation": large})
-        return Claims("no_effect", misfit=residual, unshown=a.hidden, moves=moves, small=a.small)
+        return Claims("no_effect", misfit=residual, unshown=a.hidden, moves=moves, small=a.small_parts)
     gained = a.base.score - a.best.score
     explained = 1.0 - a.error_ratio**2  # share of the mean square error on held-out logs
     hides = large and explained < MUCH * (1.0 - explained)
-    disputed = _disputed(a, left)
-    certain = a.best if not disputed else _without(a, disputed)
+    disputed = _disputed_parts(a, leftover)
+    certain = _fit_without(a, disputed) if disputed else a.best
     if hides or certain is None:
         return Claims("unexplained", rivals=a.best.names, misfit=residual)
     if a.rivals:
-        return _ambiguous(a, subject, residual)
+        return _ambiguous_claims(a, subject, residual)
     name = name_of(certain.candidates, subject)
-    claims = Claims(name, certain, misfit=residual, grade="claimed", small=a.small, beside=left.first, gained=gained)
+    claims = Claims(
+        name, certain, misfit=residual, grade="claimed", small=a.small_parts, term=leftover.first, gained=gained
+    )
     return replace(claims, grade="part", disturbed=large, moves=moves) if large or disputed else claims
 
 
-def _without(a: Attribution, disputed: Collection[str]) -> Hypothesis | None:
+def _fit_without(a: Attribution, disputed: Collection[str]) -> Hypothesis | None:
     """Return the fit of the undisputed parts, if any."""
     names = tuple(n for n in a.best.names if n not in disputed)
     return next((h for h in a.tried if names and h.names == names), None)
 
 
-def _large(moves: Mapping[str, float]) -> str:
+def _largest_disturbance(moves: Mapping[str, float]) -> str:
     """Return the state with the largest disturbance, or ""."""
     return max((name for name in moves if moves[name] > LARGE), key=lambda name: moves[name], default="")
 
 
-def _ambiguous(a: Attribution, subject: Subject, residual: Mapping[str, Any]) -> Claims:
+def _ambiguous_claims(a: Attribution, subject: Subject, residual: Mapping[str, Any]) -> Claims:
     """Claim the best hypothesis, and its shared candidates for certain."""
-    every = (a.best, *a.rivals, *([a.fuller] if a.fuller and a.fuller.score < a.best.score else []))
+    hypotheses = (a.best, *a.rivals, *([a.fuller] if a.fuller and a.fuller.score < a.best.score else []))
     common = set(a.best.names).intersection(*(h.names for h in a.rivals))
-    apart = [[n for n in h.names if n not in common] for h in every]
+    apart = [[n for n in h.names if n not in common] for h in hypotheses]
     experiment = experiment_for(subject, [n for names in apart for n in names])
-    rivals = tuple(TOGETHER.join(h.names) for h in every)
+    rivals = tuple(TOGETHER.join(h.names) for h in hypotheses)
     short = tuple(TOGETHER.join(names) if len(names) <= MOST_NAMED else f"{len(names)} candidates" for names in apart)
     claims = Claims("ambiguous", a.best, rivals, experiment, residual, apart=short)
     return replace(claims, certain=tuple(c for c in a.best.candidates if c.name in common))
@@ -217,8 +225,8 @@ def usual_experiment(subject: Subject) -> str:
 
 def experiment_for(subject: Subject, names: Sequence[str]) -> str:
     """Return the input that separates these rivals."""
-    known = [(len(row & set(names)), text) for row, text in subject.told_apart_by.items()]
-    shared, text = max(known, default=(0, ""))
+    experiments = [(len(row & set(names)), text) for row, text in subject.told_apart_by.items()]
+    shared, text = max(experiments, default=(0, ""))
     return text if shared > 1 else usual_experiment(subject)
 
 
@@ -228,45 +236,48 @@ def name_of(candidates: Sequence[Candidate], subject: Subject) -> Name:
     return "parameter_error" if kinds == {"parameter"} else "sensor_error" if kinds == {"sensor"} else "effect_found"
 
 
-def _disputed(a: Attribution, left: Leftover) -> set[str]:
+def _disputed_parts(a: Attribution, leftover: Leftover) -> set[str]:
     """Return the claimed parts that unnamed terms replace; all parts if the terms gain much beside the claim."""
-    if left.fit is None:
+    if leftover.fit is None:
         return set()
-    if left.gain > MUCH * (a.base.score - a.best.score):
+    if leftover.gain > MUCH * (a.base.score - a.best.score):
         return set(a.best.names)
-    beside = Hypothesis(a.best.candidates, left.fit, 0.0)
-    neutral = {
-        f.name: f.neutral if f.neutral is not None else a.base.fit.values.get(f.name, 0.0) for f in left.fit.free
-    }
+    refitted, other = Hypothesis(a.best.candidates, leftover.fit, 0.0), leftover.fit
+    neutral = {f.name: f.neutral if f.neutral is not None else a.base.fit.values.get(f.name, 0.0) for f in other.free}
     return {
         c.name
         for c in a.best.candidates
-        if loss_without(beside, c, neutral) < left.cost or any(_is_moved(f, a.best.fit, left.fit) for f in c.free)
+        if loss_without(refitted, c, neutral) < leftover.cost or any(_is_moved(f, a.best.fit, other) for f in c.free)
     }
 
 
-def _is_moved(f: Free, alone: Fit, beside: Fit) -> bool:
-    """Return True if unnamed terms beside a claim move a parameter clearly and by a large share."""
+def _is_moved(f: Free, alone: Fit, with_terms: Fit) -> bool:
+    """Return True if unnamed terms move a parameter of a claim clearly and by a large share."""
     if f.neutral is None:
         return False
-    change = abs(beside.values[f.name] - alone.values[f.name])
+    change = abs(with_terms.values[f.name] - alone.values[f.name])
     return change > MOVED * abs(alone.values[f.name] - f.neutral) and change > SIGNIFICANT * alone.sigma(f.name)
 
 
-def _misfit(a: Attribution, left: Leftover, forced: Sequence[str]) -> dict[str, Any]:
+def _misfit(a: Attribution, leftover: Leftover, forced: Sequence[str]) -> dict[str, Any]:
     """Return the misfit's location and signals from the fits."""
     q0, q1 = a.base.fit.noise.density, a.best.fit.noise.density
     noise = {
-        equation: {"before": float(q0[k]), "after": float(q1[k]), "inflated": a.noisy[k], "gain": a.noise_gain[k]}
+        equation: {
+            "before": float(q0[k]),
+            "after": float(q1[k]),
+            "inflated": a.has_unknown_input[k],
+            "gain": a.noise_gain[k],
+        }
         for k, equation in enumerate(forced)
     }
     # Noise densities of states with different units are not comparable; likelihood gains are.
     inflated = {name: entry["gain"] for name, entry in noise.items() if entry["inflated"]}
-    where = left.first.equation if left.first else max(inflated, key=lambda k: inflated[k], default=None)
+    where = leftover.first.equation if leftover.first else max(inflated, key=lambda k: inflated[k], default=None)
     return {
         "equation": where,
-        "signals": list(dict.fromkeys(u.signal for u in left.terms if u.equation == where)),
-        "share": left.first.share if left.first else None,
+        "signals": list(dict.fromkeys(u.signal for u in leftover.terms if u.equation == where)),
+        "share": leftover.first.share if leftover.first else None,
         "process_noise": noise,
-        "terms": [u.entry for u in left.terms],
+        "terms": [u.entry for u in leftover.terms],
     }

@@ -12,7 +12,7 @@ predicts in open loop from its own filtered state.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -42,9 +42,8 @@ def blocks_of(problem: Problem, scored: Scored, memory: float) -> Rows:
 
     Blocks are longer than the correlation of the residual.
     """
-    data = problem.logs[0]
-    lasting = correlated(scored) if problem.trusted else memory / data.step
-    rows = max(BLOCK, round(LASTING * lasting))
+    length = correlation_length(scored) if problem.trusted else memory / problem.logs[0].step
+    rows = max(BLOCK, round(LASTING * length))
     total = sum(len(d.u) for d in problem.logs)
     rows = max(1, min(rows, total // FEWEST))
     numbers, first = [], 0
@@ -55,21 +54,16 @@ def blocks_of(problem: Problem, scored: Scored, memory: float) -> Rows:
     return np.concatenate(numbers)
 
 
-def number_of_blocks(problem: Problem, f: Fit) -> int:
-    """Return the number of scored blocks of a fit."""
-    return int(np.unique(blocks_of(problem, problem.scored(f.values, f.noise), math.exp(f.noise.memory))).size)
-
-
-def correlated(scored: Scored) -> float:
+def correlation_length(scored: Scored) -> float:
     """Return the autocorrelation length of normalised errors [rows]."""
     parts, rows = scored.of_each_log(scored.errors / np.sqrt(scored.variances)), scored.of_each_log(scored.rows)
     longest = 0.0
     for part, at in zip(parts, rows, strict=True):
         series = np.bincount(at, np.nan_to_num(part))
         power = np.abs(np.fft.rfft(series, 2 * len(series))) ** 2
-        like = np.fft.irfft(power)[: len(series)]
-        none = np.flatnonzero(like <= 0.0)
-        longest = max(longest, float(like[: none[0] if none.size else len(like)].sum() / (like[0] or 1.0)))
+        correlation = np.fft.irfft(power)[: len(series)]
+        end = np.append(np.flatnonzero(correlation <= 0.0), len(correlation))[0]
+        longest = max(longest, float(correlation[:end].sum() / (correlation[0] or 1.0)))
     return longest
 
 
@@ -83,23 +77,23 @@ def steadiness(problem: Problem, better: Fit, worse: Fit, costs: float = 0.0) ->
     if scored[0].errors.size != scored[1].errors.size:
         return math.inf
     block = blocks_of(problem, scored[0], math.exp(better.noise.memory))
-    return by_block(block, scored[1], scored[0], costs + worse.penalty - better.penalty)
+    return gain_per_scatter(block, scored[1], scored[0], costs + worse.penalty - better.penalty)
 
 
-def by_block(block: Rows, worse: Scored, better: Scored, known: float) -> float:
+def gain_per_scatter(block: Rows, worse: Scored, better: Scored, constant: float) -> float:
     """Return a gain divided by its scatter over blocks."""
     terms, others = (np.nan_to_num(s.terms, nan=DIVERGED, posinf=DIVERGED) for s in (worse, better))
     gains = np.bincount(block, terms - others).astype(np.float64)
-    return in_scatter(gains[np.bincount(block) > 0], known)
+    return sum_per_scatter(gains[np.bincount(block) > 0], constant)
 
 
-def in_scatter(gains: Array, known: float = 0.0) -> float:
+def sum_per_scatter(gains: Array, constant: float = 0.0) -> float:
     """Return a sum divided by its standard deviation."""
-    total, spread = known + float(np.sum(gains)), float(np.std(gains)) * math.sqrt(gains.size)
+    total, spread = constant + float(np.sum(gains)), float(np.std(gains)) * math.sqrt(gains.size)
     return total / spread if spread > 0.0 else math.copysign(math.inf, total) if total else 0.0
 
 
-def held_out(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[float, float]:
+def held_out_gains(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[float, float]:
     """Return the held-out gains in likelihood and open loop.
 
     Parameters claimed by only one hypothesis keep the values from the other logs, or of the model. For the likelihood,
@@ -108,63 +102,47 @@ def held_out(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[flo
     is halved.
     """
     problem = search.problem if len(search.problem.logs) > 1 else halved(search.problem)
-    count = len(problem.logs)
     both = set(better.names) & set(worse.names)
     names = {f.name for c in (*better.candidates, *worse.candidates) if c.name not in both for f in c.free}
     shared = tuple(c for c in better.candidates if c.name in both)
     settling = [f for f in search.free(shared) if f.name not in names]
 
-    def one(left_out: int) -> tuple[float, list[Array]]:
-        objectives, missed = [], []
+    def compare(log: int) -> tuple[float, list[Array]]:
+        objectives, errors = [], []
         for h in (worse, better):
-            learnt = learnt_without(search, problem, h, left_out)
-            missed.append(open_loop(problem, search.subject.horizon, learnt.values, learnt, left_out))
+            others = fit_without(search, problem, h, log)
+            errors.append(open_loop(problem, search.subject.horizon, others.values, others, log))
             if problem.table:  # A few rows of a table cannot determine parameters.
-                objectives.append(problem.scored(learnt.values, learnt.noise, [left_out]).nll)
+                objectives.append(problem.scored(others.values, others.noise, [log]).nll)
                 continue
             own = {f.name for c in h.candidates for f in c.free}
-            stays = {n: learnt.values[n] if n in own else problem.values[n] for n in names}
-            values, only = {**h.fit.values, **stays}, [left_out]
-            settled = fit(problem, settling, values, h.fit.noise, only, SCREEN_ITERATIONS, sensing=False)
-            objectives.append(settled.objective)
-        return objectives[0] - objectives[1], missed
+            fixed = {n: others.values[n] if n in own else problem.values[n] for n in names}
+            values = {**h.fit.values, **fixed}
+            refit = fit(problem, settling, values, h.fit.noise, [log], SCREEN_ITERATIONS, sensing=False)
+            objectives.append(refit.objective)
+        return objectives[0] - objectives[1], errors
 
-    found = in_parallel(one, list(range(count)))
-    return sum(gain for gain, _ in found), in_scatter(_nearer([missed for _, missed in found]))
+    gains, errors = zip(*in_parallel(compare, list(range(len(problem.logs)))), strict=True)
+    return sum(gains), sum_per_scatter(_error_decreases(errors))
 
 
-def predicts(problem: Problem, horizon: float, better: Fit, worse: Fit) -> float:
+def open_loop_gain(problem: Problem, horizon: float, better: Fit, worse: Fit) -> float:
     """Return the open-loop gain per scatter on held-out logs."""
     problem = problem if len(problem.logs) > 1 else halved(problem)
-    logs = range(len(problem.logs))
+    logs = list(range(len(problem.logs)))
 
-    def one(left_out: int) -> list[Array]:
-        others = [k for k in logs if k != left_out]
-        learnt = [fit(problem, f.free, f.values, f.noise, others, SCREEN_ITERATIONS) for f in (worse, better)]
-        known = [unseen(problem, f, left_out) for f in learnt]
-        return [open_loop(problem, horizon, f.values, f, left_out) for f in known]
+    def errors(log: int) -> list[Array]:
+        others = [k for k in logs if k != log]
+        fits = [fit(problem, f.free, f.values, f.noise, others, SCREEN_ITERATIONS) for f in (worse, better)]
+        return [open_loop(problem, horizon, f.values, f, log) for f in (unseen(problem, f, log) for f in fits)]
 
-    return in_scatter(_nearer(in_parallel(one, list(logs))))
-
-
-def error_ratios(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[float, ...]:
-    """Return the ratio of open-loop errors of two hypotheses on each held-out log, in the mean over the outputs.
-
-    A single log is halved. A log on which both predictions are exact is omitted.
-    """
-    problem = search.problem if len(search.problem.logs) > 1 else halved(search.problem)
-
-    def one(left_out: int) -> float:
-        fits = [learnt_without(search, problem, h, left_out) for h in (better, worse)]
-        errors = [open_loop(problem, search.subject.horizon, f.values, f, left_out) for f in fits]
-        return mean_log_error([errors[0]]) - mean_log_error([errors[1]])
-
-    logarithms = in_parallel(one, list(range(len(problem.logs))))
-    return tuple(math.exp(value) for value in logarithms if math.isfinite(value))
+    return sum_per_scatter(_error_decreases(in_parallel(errors, logs)))
 
 
-def mean_log_error(errors: Sequence[Array]) -> float:
-    """Return the mean logarithm of the root mean square errors over the outputs."""
+def log_error(problem: Problem, horizon: float, fits: Iterable[Fit], logs: Iterable[int] | None = None) -> float:
+    """Return the mean log RMSE of the outputs in open-loop predictions, with a fit for each log, by default all."""
+    logs = range(len(problem.logs)) if logs is None else logs
+    errors = [open_loop(problem, horizon, f.values, f, k) for f, k in zip(fits, logs, strict=False)]
     rows = np.concatenate([e.reshape(-1, e.shape[-1]) for e in errors])
     with np.errstate(invalid="ignore", divide="ignore"):
         sizes = 0.5 * np.log(np.nanmean(rows**2, axis=0))
@@ -172,7 +150,23 @@ def mean_log_error(errors: Sequence[Array]) -> float:
     return float(np.mean(sizes)) if sizes.size else math.inf
 
 
-def best_of(scatters: float, tried: int) -> float:
+def error_ratios(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[float, ...]:
+    """Return the ratio of open-loop errors of two hypotheses on each held-out log, in the mean over the outputs.
+
+    A single log is halved. A log on which both predictions are exact is omitted.
+    """
+    problem, horizon = search.problem, search.subject.horizon
+    problem = problem if len(problem.logs) > 1 else halved(problem)
+
+    def log_ratio(log: int) -> float:
+        fits = [fit_without(search, problem, h, log) for h in (better, worse)]
+        return log_error(problem, horizon, fits[:1], [log]) - log_error(problem, horizon, fits[1:], [log])
+
+    logarithms = in_parallel(log_ratio, list(range(len(problem.logs))))
+    return tuple(math.exp(value) for value in logarithms if math.isfinite(value))
+
+
+def required_scatters(scatters: float, tried: int) -> float:
     """Return the required gain per scatter of several candidates.
 
     The probability that the best of n ineffective candidates passes z is at most n·(1 − Φ(z)) (Bonferroni).
@@ -182,7 +176,7 @@ def best_of(scatters: float, tried: int) -> float:
     return float(-ndtri(ndtr(-scatters) / max(1, tried)))
 
 
-def beyond_chance(problem: Problem, f: Fit, tried: int) -> float:
+def chance_limit(problem: Problem, f: Fit, tried: int) -> float:
     """Return the gain per scatter that excludes chance.
 
     An estimate of t standard deviations gains ½·t², which is ½·|t| times the scatter of the gain. t follows Student's
@@ -190,25 +184,33 @@ def beyond_chance(problem: Problem, f: Fit, tried: int) -> float:
     """
     from scipy.special import stdtrit
 
-    blocks = number_of_blocks(problem, f)
-    return 0.5 * float(stdtrit(max(1, blocks - 1), 1.0 - 0.5 * BY_CHANCE / max(1, tried)))
+    blocks = blocks_of(problem, problem.scored(f.values, f.noise), math.exp(f.noise.memory))
+    return 0.5 * float(stdtrit(max(1, np.unique(blocks).size - 1), 1.0 - 0.5 * BY_CHANCE / max(1, tried)))
 
 
-def learnt_without(search: Search, problem: Problem, h: Hypothesis, left_out: int) -> Fit:
+def fit_without(search: Search, problem: Problem, h: Hypothesis, log: int) -> Fit:
     """Return a cached fit to all logs but one."""
-    key = (h.names, left_out)
-    if key not in search.learnt:
-        others = [k for k in range(len(problem.logs)) if k != left_out]
-        free = search.free(h.candidates)
-        learnt = fit(problem, free, h.fit.values, h.fit.noise, others, SCREEN_ITERATIONS)
-        search.learnt[key] = unseen(problem, learnt, left_out)
-    return search.learnt[key]
+    key = (h.names, log)
+    if key not in search.cross_fits:
+        others = [k for k in range(len(problem.logs)) if k != log]
+        refit = fit(problem, search.free(h.candidates), h.fit.values, h.fit.noise, others, SCREEN_ITERATIONS)
+        search.cross_fits[key] = unseen(problem, refit, log)
+    return search.cross_fits[key]
 
 
-def _nearer(found: Sequence[Sequence[Array]]) -> Array:
-    """Return the scaled decrease of squared errors per replay."""
-    longest = max(missed[0].shape[1] for missed in found)  # Rows of the longest replay: logs may differ in length.
-    worse, better = (np.concatenate([_padded(missed[k], longest) for missed in found]) for k in (0, 1))
+def _error_decreases(errors: Sequence[Sequence[Array]]) -> Array:
+    """Return the scaled decrease of squared errors per replay.
+
+    Args:
+        errors: Open-loop errors of the worse and of the better fit on each log.
+    """
+    longest = max(e.shape[1] for e, _ in errors)  # Rows of the longest replay: logs may differ in length.
+
+    def join(k: int) -> Array:
+        widths = [((0, 0), (0, longest - pair[k].shape[1]), (0, 0)) for pair in errors]
+        return np.concatenate([np.pad(p[k], w, constant_values=np.nan) for p, w in zip(errors, widths, strict=True)])
+
+    worse, better = join(0), join(1)
     both = np.isfinite(worse) & np.isfinite(better)
     counts = np.maximum(1, both.sum(axis=1))
     squares = [np.where(both, e, 0.0) ** 2 for e in (worse, better)]
@@ -216,11 +218,6 @@ def _nearer(found: Sequence[Sequence[Array]]) -> Array:
     size = np.where(size > 0.0, size, 1.0)
     per_replay = ((squares[0] - squares[1]).sum(axis=1) / counts / size).sum(axis=1)
     return np.asarray(per_replay[both.any(axis=(1, 2))])
-
-
-def _padded(missed: Array, rows: int) -> Array:
-    """Return replays padded with NaN to equal length."""
-    return np.pad(missed, ((0, 0), (0, rows - missed.shape[1]), (0, 0)), constant_values=np.nan)
 
 
 def open_loop(problem: Problem, horizon: float, values: Mapping[str, float], f: Fit, index: int) -> Array:
@@ -240,47 +237,47 @@ def open_loop(problem: Problem, horizon: float, values: Mapping[str, float], f: 
     length = max(2, min(length, (rows - first) // 2))
     run = problem.run(values, f.noise, index, states=True)
     p = problem.numbers(problem.of_log(values, index))
-    missed = np.full((max(1, (rows - 1 - first) // length), length, data.y.shape[1]), np.nan)
-    for replay, row in zip(missed, range(first, rows - length, length), strict=False):
+    residuals = np.full((max(1, (rows - 1 - first) // length), length, data.y.shape[1]), np.nan)
+    for replay, row in zip(residuals, range(first, rows - length, length), strict=False):
         back = min(row, BACK)
         part, start = data.rows(row - back, row + length + 1), problem.undisturbed(run.states[row])
         predicted = problem.kernel.simulate(part, p, start, run.memory[row], first=back).outputs
         replay[:] = data.y[row + 1 : row + 1 + length] - predicted[back + 1 : back + 1 + length]
-    return np.where(np.abs(missed) < 1e30, missed, np.nan)
+    return np.where(np.abs(residuals) < 1e30, residuals, np.nan)
 
 
-def as_given(problem: Problem, base: Fit, left_out: int | None = None) -> Fit:
+def fit_given_model(problem: Problem, base: Fit, left_out: int | None = None) -> Fit:
     """Fit the unknown inputs of the given model, and its parameters per log.
 
     Parameters per log come from all logs, or from all but `left_out`. The noise must be refitted: a filter that trusts
     the given model as much as the recalibrated model would not follow the measurements.
     """
-    given = fit(problem, (), problem.values, base.noise, None, SCREEN_ITERATIONS, sensing=False)
+    fixed = fit(problem, (), problem.values, base.noise, None, SCREEN_ITERATIONS, sensing=False)
     if not problem.own:
-        return given
+        return fixed
     others = [k for k in range(len(problem.logs)) if k != left_out]
-    known = {**problem.values, **{f.name: base.values[f.name] for f in problem.own}}
-    learnt = fit(problem, problem.own, known, given.noise, others, SCREEN_ITERATIONS, sensing=False)
-    return learnt if left_out is None else unseen(problem, learnt, left_out)
+    values = {**problem.values, **{f.name: base.values[f.name] for f in problem.own}}
+    refit = fit(problem, problem.own, values, fixed.noise, others, SCREEN_ITERATIONS, sensing=False)
+    return refit if left_out is None else unseen(problem, refit, left_out)
 
 
-def scatter(problem: Problem, f: Fit) -> float:
+def scatter_ratio(problem: Problem, f: Fit) -> float:
     """Return the ratio of scattered to white estimate variances."""
-    spread, white = scattered(problem, f).scattered, inverse(f.information)
+    spread, white = with_sandwich_covariance(problem, f).scattered, inverse(f.information)
     assert spread is not None
     ratios = [spread[k, k] / white[k, k] for k in range(len(f.free)) if white[k, k] > 0.0]
     return max(1.0, float(np.median(ratios))) if ratios else 1.0
 
 
-def _of_few(covariance: Array, rows: int, free: int) -> Array:
+def _widen_for_few_rows(covariance: Array, rows: int, free: int) -> Array:
     """Widen a covariance for few rows.
 
     With few rows, residuals underestimate the noise and normal intervals are too narrow (Student).
     """
     from scipy.special import stdtrit
 
-    left = max(1, rows - free)
-    return np.asarray(covariance * (float(stdtrit(left, 0.975)) / NORMAL_95) ** 2 * rows / left)
+    freedom = max(1, rows - free)
+    return np.asarray(covariance * (float(stdtrit(freedom, 0.975)) / NORMAL_95) ** 2 * rows / freedom)
 
 
 def with_intervals(search: Search, h: Hypothesis) -> Hypothesis:
@@ -288,18 +285,18 @@ def with_intervals(search: Search, h: Hypothesis) -> Hypothesis:
 
     The variance from log to log is the jackknife's: (n − 1)/n·Σ(θ₋ₖ − θ̄)² over fits to all logs but one.
     """
-    f, logs = scattered(search.problem, h.fit), len(search.problem.logs)
+    f, logs = with_sandwich_covariance(search.problem, h.fit), len(search.problem.logs)
     if logs < 2 or f.scattered is None or search.problem.table:
         return replace(h, fit=f)
-    fits = in_parallel(lambda k: learnt_without(search, search.problem, h, k), list(range(logs)))
+    fits = in_parallel(lambda k: fit_without(search, search.problem, h, k), list(range(logs)))
     values = np.array([[other.values[x.name] for x in f.free] for other in fits])
-    apart = (logs - 1) / logs * np.sum((values - values.mean(axis=0)) ** 2, axis=0)
-    own = np.diag(f.scattered)
-    wider = np.sqrt(np.maximum(1.0, np.divide(apart, own, out=np.ones_like(own), where=own > 0.0)))
+    between = (logs - 1) / logs * np.sum((values - values.mean(axis=0)) ** 2, axis=0)
+    within = np.diag(f.scattered)
+    wider = np.sqrt(np.maximum(1.0, np.divide(between, within, out=np.ones_like(within), where=within > 0.0)))
     return replace(h, fit=replace(f, scattered=f.scattered * np.outer(wider, wider)))
 
 
-def scattered(problem: Problem, f: Fit) -> Fit:
+def with_sandwich_covariance(problem: Problem, f: Fit) -> Fit:
     """Return the fit with White's sandwich covariance."""
     each, information = scores(problem, f)
     scored = problem.scored(f.values, f.noise)
@@ -309,5 +306,5 @@ def scattered(problem: Problem, f: Fit) -> Fit:
     covariance = inside @ (sums @ sums.T) @ inside
     count = len(f.free)
     if problem.table:
-        covariance = _of_few(covariance, problem.samples, sum(x.prior is None for x in f.free))
+        covariance = _widen_for_few_rows(covariance, problem.samples, sum(x.prior is None for x in f.free))
     return replace(f, scattered=np.asarray(covariance[:count, :count]))

@@ -13,14 +13,14 @@ from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.decision.evidence import (
-    as_given,
-    beyond_chance,
+    chance_limit,
     error_ratios,
-    held_out,
+    fit_given_model,
+    held_out_gains,
     steadiness,
     with_intervals,
 )
-from cosim.refinement.search.fits import Found, Search, key_of
+from cosim.refinement.search.fits import Search, SearchResult, key_of
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
 from cosim.subject.base_parameters import WIDTHS
 from cosim.subject.candidates import Candidate, Free
@@ -38,25 +38,25 @@ WORSE, BETTER = -3.0, 3.0  # gain per scatter of held-out predictions that rejec
 TOLERANCES = (0.5, 2.0)  # factors on the tolerances that test whether a claim depends on them
 
 
-def decided(found: Found) -> Attribution:
+def decide(result: SearchResult) -> Attribution:
     """Return the best supported hypothesis and its rivals."""
-    search, base = found.search, found.search.tried[()]
-    kept = _borne_out(search, found.best)
-    best = kept.best
+    search, base = result.search, result.search.tried[()]
+    rest = _drop_unsupported(search, result.best)
+    best = rest.best
     if best.candidates:
         best = with_intervals(search, best)
     rivals = _rivals(search, best)
     tried = tuple(sorted(search.tried.values(), key=lambda h: h.score))
-    reasons = Reasons(base, best, tried, rivals, search, kept.dropped).all()
+    reasons = {h.names: _reason(search, h, best, rivals, rest.dropped) for h in tried if h.names != best.names}
     total = _support(search, best, base) if best.candidates else Support(0.0, 0.0)
-    given, noise = as_given(search.problem, base.fit), noise_gain(search.problem, best.fit)
+    unfitted, noise = fit_given_model(search.problem, base.fit), noise_gain(search.problem, best.fit)
     ratios = error_ratios(search, best, base) if best.candidates else ()
-    facts = base, given, tried, best, rivals, total, kept.support, noise, reasons
-    return Attribution(*facts, found.hidden, found.effects, kept.fuller, ratios)
+    evidence = (total, rest.support, noise, reasons, result.hidden, result.effects, rest.fuller, ratios)
+    return Attribution(base, unfitted, tried, best, rivals, *evidence)
 
 
 @dataclass
-class _Kept:
+class _Remainder:
     """The supported remainder of a hypothesis.
 
     Attributes:
@@ -71,60 +71,56 @@ class _Kept:
     fuller: Hypothesis | None = None
 
 
-def _borne_out(search: Search, best: Hypothesis) -> _Kept:
+def _drop_unsupported(search: Search, best: Hypothesis) -> _Remainder:
     """Drop the weakest unsupported part until none remains.
 
     Parts with small gains stay if their joint gain is sufficient.
     """
-    kept, of_fuller = _Kept(best), dict[str, Hypothesis]()
-    while kept.best.candidates:
-        best, without = kept.best, _without_each(search, kept.best)
-        kept.support = {}
+    rest, of_fuller = _Remainder(best), dict[str, Hypothesis]()
+    while rest.best.candidates:
+        best, without = rest.best, _fit_without_each(search, rest.best)
+        rest.support = {}
         for c in sorted(best.candidates, key=lambda c: without[c.name].fit.objective):  # weakest first
-            kept.support[c.name] = _support(search, best, without[c.name])
-            if doubt := _doubt(search, best, c, kept.support[c.name]):
+            rest.support[c.name] = _support(search, best, without[c.name])
+            if doubt := _doubt(search, best, c, rest.support[c.name]):
                 break
         else:
             break
-        kept.dropped[c.name], kept.best = doubt, without[c.name]
+        rest.dropped[c.name], rest.best = doubt, without[c.name]
         if not doubt.startswith(LITTLE):
-            kept.fuller = None
-        elif kept.fuller is None:
-            kept.fuller, of_fuller = best, without
-    if kept.fuller is None or not _stand_together(search, kept.fuller, kept.best):
-        return kept
-    every = kept.fuller
-    support = {c.name: _support(search, every, of_fuller[c.name]) for c in every.candidates}
-    return _Kept(every, support, {n: doubt for n, doubt in kept.dropped.items() if n not in every.names})
+            rest.fuller = None
+        elif rest.fuller is None:
+            rest.fuller, of_fuller = best, without
+    fuller = rest.fuller
+    if fuller is None or not _gain_together(search, fuller, rest.best):
+        return rest
+    support = {c.name: _support(search, fuller, of_fuller[c.name]) for c in fuller.candidates}
+    return _Remainder(fuller, support, {n: doubt for n, doubt in rest.dropped.items() if n not in fuller.names})
 
 
-def _stand_together(search: Search, every: Hypothesis, left: Hypothesis) -> bool:
+def _gain_together(search: Search, fuller: Hypothesis, rest: Hypothesis) -> bool:
     """Return True if small parts gain enough together."""
-    small = [c for c in every.candidates if c.name not in left.names]
-    if len(small) < 2 or left.fit.objective - every.fit.objective < search.cost(small):
+    small = [c for c in fuller.candidates if c.name not in rest.names]
+    if len(small) < 2 or rest.fit.objective - fuller.fit.objective < search.cost(small):
         return False
-    return steadiness(search.problem, every.fit, left.fit) > surely(search, every.fit)
+    limit = chance_limit(search.problem, fuller.fit, search.on_trial)
+    return steadiness(search.problem, fuller.fit, rest.fit) > limit
 
 
-def surely(search: Search, f: Fit) -> float:
-    """Return the gain per scatter that excludes chance."""
-    return beyond_chance(search.problem, f, search.on_trial)
-
-
-def _without_each(search: Search, h: Hypothesis) -> dict[str, Hypothesis]:
+def _fit_without_each(search: Search, h: Hypothesis) -> dict[str, Hypothesis]:
     """Fit the hypothesis without each of its parts."""
 
-    def one(c: Candidate) -> Hypothesis:
-        left = tuple(other for other in h.candidates if other.name != c.name)
-        known = search.tried.get(key_of(left))
-        if known and known.ended:
-            return known
-        made = search.hypothesis(left, h.fit, loosen=False, patient=False)
-        if made.fit.objective <= search.reached_within(left) + NO_WORSE:
-            return made
-        return search.hypothesis(left, h.fit)  # With the noise of `h`, the fit without the part stays too high.
+    def fit_without(c: Candidate) -> Hypothesis:
+        rest = tuple(other for other in h.candidates if other.name != c.name)
+        earlier = search.tried.get(key_of(rest))
+        if earlier and earlier.ended:
+            return earlier
+        quick = search.hypothesis(rest, h.fit, loosen=False, patient=False)
+        if quick.fit.objective <= search.bound_within(rest) + NO_WORSE:
+            return quick
+        return search.hypothesis(rest, h.fit)  # With the noise of `h`, the fit without the part stays too high.
 
-    fitted = dict(zip((c.name for c in h.candidates), in_parallel(one, list(h.candidates)), strict=True))
+    fitted = dict(zip((c.name for c in h.candidates), in_parallel(fit_without, list(h.candidates)), strict=True))
     search.tried |= {f.names: f for f in fitted.values()}
     return fitted
 
@@ -134,18 +130,18 @@ def _support(search: Search, better: Hypothesis, worse: Hypothesis) -> Support:
     steady = steadiness(search.problem, better.fit, worse.fit)
     if gain > PLAIN and steady > PLAINLY:
         return Support(gain, steady)
-    return Support(gain, steady, *held_out(search, better, worse))
+    return Support(gain, steady, *held_out_gains(search, better, worse))
 
 
 def _doubt(search: Search, h: Hypothesis, c: Candidate, s: Support) -> str:
     """Return the reason against a part, or ""."""
     if s.gain < search.cost([c]):
         return f"gains {s.gain:.1f}, less than the {search.cost([c]):.0f} that it costs"
-    if limits := _limits(h, [c], search.problem.values):
+    if limits := _parameters_at_limit(h, [c], search.problem.values):
         return f"{limits[0]} is at its limit"
     if c.kind == "parameter":  # Held-out logs say the same about the base model.
-        return "" if outside(search, h, c) else "is within its tolerance"
-    if s.gain < SMALL * search.cost([c]) and s.steady < surely(search, h.fit):
+        return "" if is_outside_tolerance(search, h, c) else "is within its tolerance"
+    if s.gain < SMALL * search.cost([c]) and s.steady < chance_limit(search.problem, h.fit, search.on_trial):
         return f"{LITTLE}, and that is {s.steady:.1f} times its own scatter over time"
     if s.steady < UNSURE and not s.held_out > HELD * s.gain:  # A rare effect gains in few blocks, but in each log.
         return f"what it gains is {s.steady:.1f} times its own scatter over time"
@@ -156,16 +152,14 @@ def _doubt(search: Search, h: Hypothesis, c: Candidate, s: Support) -> str:
     return ""
 
 
-def outside(search: Search, h: Hypothesis, c: Candidate) -> bool:
+def is_outside_tolerance(search: Search, h: Hypothesis, c: Candidate) -> bool:
     """Return True if the confidence interval of a base parameter is outside its tolerance."""
     (name,) = c.parameters
-    held = {f.name: f.prior for f in search.free(()) if f.prior}
-    if name not in held:
-        return True
-    return beyond(h.fit, name, held[name])
+    priors = {f.name: f.prior for f in search.free(()) if f.prior}
+    return name not in priors or is_beyond_tolerance(h.fit, name, priors[name])
 
 
-def beyond(f: Fit, name: str, prior: tuple[float, float]) -> bool:
+def is_beyond_tolerance(f: Fit, name: str, prior: tuple[float, float]) -> bool:
     """Return True if the 95 % interval of a base parameter is completely outside its tolerance."""
     mean, sigma = prior
     return abs(f.values[name] - mean) - NORMAL_95 * f.sigma(name) > WIDTHS * sigma
@@ -206,12 +200,12 @@ def _with_tolerance(h: Hypothesis, times: float, weight: float) -> float:
         weight: Weight of the priors relative to the likelihood.
     """
     f = h.fit
-    held = [(k, x.prior) for k, x in enumerate(f.free) if x.prior]
-    if not held:
+    priors = [(k, x.prior) for k, x in enumerate(f.free) if x.prior]
+    if not priors:
         return f.objective
     n = len(f.information)
     now, then, off = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
-    for k, (mean, sigma) in held:
+    for k, (mean, sigma) in priors:
         now[k, k], then[k, k] = weight * sigma**-2, weight * (times * sigma) ** -2
         off[k] = f.values[f.free[k].name] - mean
     bare = f.information - now
@@ -235,7 +229,7 @@ def noise_gain(problem: Problem, f: Fit) -> tuple[float, ...]:
     return tuple(problem.scored(f.values, replace(f.noise, power=power)).nll - f.nll for power in without)
 
 
-def at_limit(h: Hypothesis, f: Free, neutral: Mapping[str, float]) -> bool:
+def is_at_limit(h: Hypothesis, f: Free, neutral: Mapping[str, float]) -> bool:
     """Return True if a parameter is at a limit other than its neutral value.
 
     At the neutral value, an effect of the model is removed, which is no limit.
@@ -245,40 +239,27 @@ def at_limit(h: Hypothesis, f: Free, neutral: Mapping[str, float]) -> bool:
     return value in limits and value not in (neutral[f.name], f.neutral)
 
 
-def _limits(h: Hypothesis, parts: Sequence[Candidate], neutral: Mapping[str, float]) -> list[str]:
+def _parameters_at_limit(h: Hypothesis, parts: Sequence[Candidate], neutral: Mapping[str, float]) -> list[str]:
     """Return the parameters at a limit."""
-    return [f.name for c in parts for f in c.free if at_limit(h, f, neutral)]
+    return [f.name for c in parts for f in c.free if is_at_limit(h, f, neutral)]
 
 
-@dataclass(frozen=True)
-class Reasons:
-    """Reasons why each hypothesis but the best is rejected, in words."""
-
-    base: Hypothesis
-    best: Hypothesis
-    tried: Sequence[Hypothesis]
-    rivals: Sequence[Hypothesis]
-    search: Search
-    dropped: Mapping[str, str]
-
-    def all(self) -> dict[tuple[str, ...], str]:
-        """Return the reasons by the names of each hypothesis."""
-        return {h.names: self._reason(h) for h in self.tried if h.names != self.best.names}
-
-    def _reason(self, h: Hypothesis) -> str:
-        """Return the first reason that applies."""
-        gained, behind = self.base.score - h.score, h.score - self.best.score
-        than = listed(self.best.names) or "the base model"
-        if any(h.names == r.names for r in self.rivals):
-            return f"a rival: explains as well as {than}"
-        if extra := [n for n in h.names if n in self.dropped]:
-            return f"{extra[0]}: {self.dropped[extra[0]]}"
-        if h.fit.objective >= self.base.fit.objective:
-            return "no gain"
-        if gained < 0.0:
-            return "gains less than it costs"
-        if limits := _limits(h, h.candidates, self.search.problem.values):
-            return f"{limits[0]} is at its limit"
-        if behind < 0.0:
-            return f"gains {-behind:.1f} on {than}, but not with every part borne out"
-        return f"explains less than {than} by {behind:.1f}"
+def _reason(
+    search: Search, h: Hypothesis, best: Hypothesis, rivals: Sequence[Hypothesis], dropped: Mapping[str, str]
+) -> str:
+    """Return the first reason that applies against a hypothesis, in words."""
+    base, behind = search.tried[()], h.score - best.score
+    than = listed(best.names) or "the base model"
+    if any(h.names == r.names for r in rivals):
+        return f"a rival: explains as well as {than}"
+    if extra := [n for n in h.names if n in dropped]:
+        return f"{extra[0]}: {dropped[extra[0]]}"
+    if h.fit.objective >= base.fit.objective:
+        return "no gain"
+    if base.score - h.score < 0.0:
+        return "gains less than it costs"
+    if limits := _parameters_at_limit(h, h.candidates, search.problem.values):
+        return f"{limits[0]} is at its limit"
+    if behind < 0.0:
+        return f"gains {-behind:.1f} on {than}, but not with every part borne out"
+    return f"explains less than {than} by {behind:.1f}"

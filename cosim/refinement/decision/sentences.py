@@ -10,13 +10,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from typing import Any
 
+from cosim.base.messages import Message
 from cosim.base.text import MOST_NAMED, amount, counted, finer, joined, listed, percent, plain, size, written
 from cosim.loading.refined import NEAREST, REFINED
 from cosim.logs.channel_noise import NORMAL_95
-from cosim.refinement.decision.claims import Claims, Doubt, Moved
+from cosim.refinement import messages
+from cosim.refinement.decision.claims import Claims, Doubt, MovedParameter
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.search.shapes import Shape
-from cosim.refinement.search.unnamed import Unnamed
+from cosim.refinement.search.unnamed import UnnamedTerm
 from cosim.subject.base_parameters import kind_within
 from cosim.subject.candidates import Candidate, Free
 from cosim.subject.interface import Subject
@@ -32,64 +34,59 @@ IN_PART = "This explains only a part of the error"
 
 def sentence(c: Claims, subject: Subject) -> str:
     """Return the verdict in words: the rise on sealed logs, the claim and its share, the nearest model."""
-    return " ".join((*_prefaces(c, subject), _answer(c, subject), *_share(c), *_remarks(c, subject)))
-
-
-def _prefaces(c: Claims, subject: Subject) -> Iterator[str]:
-    """Yield the rise of an error on sealed logs, of which a reader must know before the answer."""
     units = {q.name: q.unit for q in subject.outputs}
     files = (REFINED[0], NEAREST[0]) if c.written else ("the refined object", "the nearest object")
-    if rise := rises(c.risen, units, files[c.claimed is None]):
-        yield rise
+    rise = rise_text(c.risen, units, files[c.claimed is None])  # a reader must know it before the answer
+    return " ".join(filter(None, (rise, _answer_text(c, subject), *_share_texts(c), *_remark_texts(c, subject))))
 
 
-def _answer(c: Claims, subject: Subject) -> str:
+def _answer_text(c: Claims, subject: Subject) -> str:
     """Return the answer itself."""
     if c.name == "ambiguous" and c.claimed is None:
-        return excites_too_little(len(c.unshown), c.experiment, still=c.still)
+        return little_excitation_text(len(c.unshown), c.experiment, still=c.still)
     if c.name == "ambiguous" and c.claimed is not None:
-        certain = claim(c.claimed, c.certain, subject) if c.certain else ""
-        return cannot_tell(c.apart, c.experiment, certain, subject)
+        certain = claim_text(c.claimed, c.certain, subject) if c.certain else ""
+        return rivals_text(c.apart, c.experiment, certain, subject)
     if c.name == "no_effect":
-        return nothing(c.unshown, c.moves) + perhaps(c.small)
+        return no_effect_text(c.unshown, c.moves) + small_gains_text(c.small)
     if c.claimed is not None:
-        return claim(c.claimed, c.claimed.candidates, subject) + perhaps(c.small)
-    if c.missed is not None:
-        return misses(*c.missed, c.recalibrated, _units(subject))
+        return claim_text(c.claimed, c.claimed.candidates, subject) + small_gains_text(c.small)
+    if c.missed_channel is not None:
+        return missed_channel_text(*c.missed_channel, c.recalibrated, _units(subject))
     if c.doubt is not None:
-        return f"{unexplained(c.misfit, c.rivals, NOT_AFTER_REPLAYS)} {doubted(c.doubt)}"
-    return unexplained(c.residual, c.rivals)
+        return f"{unexplained_text(c.misfit, c.rivals, NOT_AFTER_REPLAYS)} {doubt_text(c.doubt)}"
+    return unexplained_text(c.residual, c.rivals)
 
 
-def _share(c: Claims) -> Iterator[str]:
+def _share_texts(c: Claims) -> Iterator[str]:
     """Yield how much a claim leaves unexplained, and where that is."""
     if c.left_share is not None and c.left_of is not None:
         of = f"of the mean square error of {c.left_of[0]} after recalibration"
-        yield part(c.residual, f"{percent(c.left_share)} {of} remain")
+        yield part_text(c.residual, f"{percent(c.left_share)} {of} remain")
     if c.part is not None:
-        yield part(c.misfit, f"replays keep {percent(c.part.share)} of the excess error of {c.part.channel}")
+        yield part_text(c.misfit, f"replays keep {percent(c.part.share)} of the excess error of {c.part.channel}")
     if c.disturbed:
-        moved = f"an unknown input of {percent(c.moves[c.disturbed])} of what moves {c.disturbed}"
-        yield f"{IN_PART}: {moved} remains."
+        disturbance = f"an unknown input of {percent(c.moves[c.disturbed])} of what moves {c.disturbed}"
+        yield f"{IN_PART}: {disturbance} remains."
 
 
-def _remarks(c: Claims, subject: Subject) -> Iterator[str]:
+def _remark_texts(c: Claims, subject: Subject) -> Iterator[str]:
     """Yield sentences after the answer: the rest, the nearest model, candidates, held-out rows."""
-    if c.claimed is not None and c.beside is not None:
-        yield left_over(c.beside, c.gained)
+    if c.claimed is not None and c.term is not None:
+        yield remainder_text(c.term, c.gained)
     if c.claimed is not None and c.further:
-        yield further(c.further, _units(subject))
+        yield further_text(c.further, _units(subject))
     if c.left_of is not None and c.claimed is not None and c.left_share is None:
         output, signal = c.left_of
-        yield f"A part of {output} remains unexplained; it {follows(signal)}."
+        yield f"A part of {output} remains unexplained; it {dependence_text(signal)}."
     if c.nearest is not None:
         file = NEAREST[0] if c.written else "The nearest object"
         same = c.claimed is None and c.nearest.names == c.rivals and c.name == "unexplained"
-        yield holds(c.nearest.names, fitted=c.nearest.hypothesis is not None, file=file, same=same)
+        yield nearest_text(c.nearest.names, fitted=c.nearest.hypothesis is not None, file=file, same=same)
     if c.restricted:
         yield "Only the candidates that the study names were tried."
     if c.left_out:
-        yield on_rows_left_out(c, subject)
+        yield held_out_rows_text(c, subject)
 
 
 def _units(subject: Subject) -> Mapping[str, str]:
@@ -97,7 +94,7 @@ def _units(subject: Subject) -> Mapping[str, str]:
     return {name: p.unit for name, p in subject.declared.items()}
 
 
-def excites_too_little(effects: int, experiment: str, *, still: bool) -> str:
+def little_excitation_text(effects: int, experiment: str, *, still: bool) -> str:
     """Say that these logs would show none of the effects, and what would show them."""
     which = "the one effect" if effects == 1 else f"none of {effects} effects"
     opening = "Nothing moves in these logs" if still else "These logs excite too little"
@@ -108,35 +105,35 @@ def excites_too_little(effects: int, experiment: str, *, still: bool) -> str:
     )
 
 
-def nothing(hidden: Sequence[str], moves: Mapping[str, float]) -> str:
+def no_effect_text(hidden: Sequence[str], moves: Mapping[str, float]) -> str:
     """Return the verdict without a missing effect: the size of a disturbance, and the effects hidden in these logs.
 
     moves: forced state → size of its unknown input over that of its derivative on the logs, where there is one
     """
     sizes = [f"{percent(share)} of what moves {name}" for name, share in moves.items()]
     text = f"{DISTURBED} Its size: {listed(sizes)}." if sizes else NOTHING
-    return f"{text} These logs would not show {_counted(hidden, 'effect')}." if hidden else text
+    return f"{text} These logs would not show {_counted_names(hidden, 'effect')}." if hidden else text
 
 
-def _counted(names: Sequence[str], noun: str) -> str:
+def _counted_names(names: Sequence[str], noun: str) -> str:
     """Return up to three names; more with their number before them."""
     return listed(names) if len(names) <= MOST_NAMED else f"{counted(len(names), noun)}: {listed(names)}"
 
 
-def cannot_tell(names: Sequence[str], experiment: str, certain: str, subject: Subject) -> str:
+def rivals_text(names: Sequence[str], experiment: str, certain: str, subject: Subject) -> str:
     """Say what rivals leave open, beside what they have in common."""
     opening = f"{certain} Beside it, these logs" if certain else "These logs"
     designed = "" if subject.static else " `cosim excite` designs it, and says whether any would."
-    many = f"decide between {_counted(names, 'hypothesis')}"
+    many = f"decide between {_counted_names(names, 'hypothesis')}"
     apart = f"tell {names[0]} from {names[1]}" if len(names) == 2 else many
     return f"{opening} cannot {apart}. An experiment that may decide: {experiment}.{designed}"
 
 
-def unexplained(residual: Mapping[str, Any], nearest: Sequence[str], otherwise: str = NO_HYPOTHESIS) -> str:
+def unexplained_text(residual: Mapping[str, Any], nearest: Sequence[str], otherwise: str = NO_HYPOTHESIS) -> str:
     """Return the verdict on an unnamed effect: its equation, its signals and the nearest hypotheses."""
     where = residual["equation"]
     if residual["signals"]:
-        text = f"Something outside the catalogue acts on {where}; it {_goes(residual)}."
+        text = f"Something outside the catalogue acts on {where}; it {_residual_text(residual)}."
         # a term may promise likelihood where noise, not its own share, fills what is missing
         if share := residual["share"]:
             little = f"No single term for that explains even {percent(LITTLE)} of what is missing."
@@ -148,7 +145,7 @@ def unexplained(residual: Mapping[str, Any], nearest: Sequence[str], otherwise: 
     return text + (f" Best candidates, not confirmed: {listed(nearest)}." if nearest else "")
 
 
-def doubted(doubt: Doubt) -> str:
+def doubt_text(doubt: Doubt) -> str:
     """Say why a claim was withdrawn after replays."""
     if doubt.kind == "missed":
         return f"With it, replays still miss {doubt.channel} by {plain(doubt.size, 2)} times the noise floor."
@@ -159,33 +156,38 @@ def doubted(doubt: Doubt) -> str:
     return f"Much remains, and predictions of held-out logs are not plainly better for {listed(doubt.names)}."
 
 
-def part(residual: Mapping[str, Any], rest: str) -> str:
+def part_text(residual: Mapping[str, Any], rest: str) -> str:
     """Say that a claim is a part of what is missing: how much remains, and where that acts."""
     where = f"acts on {residual['equation']}" if residual["equation"] else "has no place in the equations"
-    on = f" and {_goes(residual)}" if residual["signals"] else ""
+    on = f" and {_residual_text(residual)}" if residual["signals"] else ""
     return f"{IN_PART}: {rest}. The rest {where}{on}."
 
 
-def misses(channel: str, times: float, recalibrated: Sequence[Moved], units: Mapping[str, str]) -> str:
+def missed_channel_text(
+    channel: str, times: float, recalibrated: Sequence[MovedParameter], units: Mapping[str, str]
+) -> str:
     """Say by how much the unchanged model misses a channel, and how far recalibration had to go to mend that."""
     text = f"The model as it stands misses {channel} by {plain(times, 2)} times the noise floor."
     if recalibrated:
-        text += f" Recalibrated beyond its tolerances it does not: {_all_moved(recalibrated, units)}."
+        text += f" Recalibrated beyond its tolerances it does not: {_moved_text(recalibrated, units)}."
     return f"{text} No candidate accounts for that."
 
 
-def further(moved: Sequence[Moved], units: Mapping[str, str]) -> str:
+def further_text(parameters: Sequence[MovedParameter], units: Mapping[str, str]) -> str:
     """Say that other numbers come out beyond their tolerances beside a claim."""
-    return f"Beside it, recalibrated beyond tolerance: {_all_moved(moved, units)}."
+    return f"Beside it, recalibrated beyond tolerance: {_moved_text(parameters, units)}."
 
 
-def _all_moved(moved: Sequence[Moved], units: Mapping[str, str]) -> str:
+def _moved_text(parameters: Sequence[MovedParameter], units: Mapping[str, str]) -> str:
     return listed(
-        [f"{m.name} {plain(m.stated)} → {plain(m.fitted)} {written(units.get(m.name, ''))}".rstrip() for m in moved]
+        [
+            f"{m.name} {plain(m.stated)} → {plain(m.fitted)} {written(units.get(m.name, ''))}".rstrip()
+            for m in parameters
+        ]
     )
 
 
-def rises(errors: Mapping[str, tuple[float, float]], units: Mapping[str, str], file: str) -> str:
+def rise_text(errors: Mapping[str, tuple[float, float]], units: Mapping[str, str], file: str) -> str:
     """Say that sealed logs are predicted worse than before, on which channels; empty where no reader sees a rise.
 
     errors: channel → root mean square before and after; file: the model that is meant by after
@@ -203,39 +205,36 @@ def rises(errors: Mapping[str, tuple[float, float]], units: Mapping[str, str], f
     return f"On the sealed logs the error {changes[first]} with {file}.{also}"
 
 
-def calmer(part: str, above: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -> str:
-    """Say that a noise floor is above the error; above: channel → floor and error."""
-    which = "sealed" if part == "validation" else "estimation"
+def floor_warning(part: str, channels: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -> Message:
+    """Warn of a noise floor above the error; channels: channel → floor and error."""
     pairs = []
-    for name, (floor, error) in above.items():
+    for name, (floor, error) in channels.items():
         unit, factor = finer(units.get(name, ""), error)
         pairs.append(f"{name} {joined(plain(error * factor), unit)} under {joined(plain(floor * factor), unit)}")
-    return (
-        f"on the {which} logs the error is below its noise floor ({', '.join(pairs)}). These logs hold less noise and "
-        "disturbance than was estimated, so the floor does not apply to them"
-    )
+    logs = "sealed" if part == "validation" else "estimation"
+    return messages.FLOOR_ABOVE_ERROR(logs=logs, pairs=", ".join(pairs))
 
 
-def holds(names: Sequence[str], *, fitted: bool, file: str = NEAREST[0], same: bool = False) -> str:
+def nearest_text(names: Sequence[str], *, fitted: bool, file: str = NEAREST[0], same: bool = False) -> str:
     """Say what the nearest model contains; fitted: base parameters are recalibrated; same: just those named before."""
-    what = f"contains {'them' if same else _counted(names, 'candidate')}"
+    content = f"contains {'them' if same else _counted_names(names, 'candidate')}"
     if not names:
-        what = f"is the model {'recalibrated' if fitted else 'as it was'}"
-    return f"{file} predicts held-out logs best; it {what}."
+        content = f"is the model {'recalibrated' if fitted else 'as it was'}"
+    return f"{file} predicts held-out logs best; it {content}."
 
 
-def on_rows_left_out(c: Claims, subject: Subject) -> str:
+def held_out_rows_text(c: Claims, subject: Subject) -> str:
     """Say the errors on held-out rows: of the claim, or of the model recalibrated, and without it."""
     units, errors = {q.name: q.unit for q in subject.outputs}, c.left_out or {}
     effect = c.claimed is not None and any(part.kind != "parameter" for part in c.claimed.candidates)
     best, other = ("after", "recalibrated") if effect else ("recalibrated", "before")
     who, without = ("the model", "Without the claim") if effect else ("the model recalibrated", "As it is")
-    missed = listed([f"{size(v, units[n])} in {n}" for n, v in errors[best].items()])
+    after = listed([f"{size(v, units[n])} in {n}" for n, v in errors[best].items()])
     before = listed([size(v, units[n]) for n, v in errors[other].items()])
-    return f"On held-out rows {who} is off by {missed}. {without} it is off by {before}."
+    return f"On held-out rows {who} is off by {after}. {without} it is off by {before}."
 
 
-def follows(signal: str, shape: Shape | None = None) -> str:
+def dependence_text(signal: str, shape: Shape | None = None) -> str:
     """Say how a term goes with its signal, and where; `1` is the constant."""
     if shape is None:
         return "is constant" if signal == "1" else f"depends on {signal}"
@@ -247,11 +246,11 @@ def follows(signal: str, shape: Shape | None = None) -> str:
     return f"depends on {signal}{how}{by}"
 
 
-def _goes(residual: Mapping[str, Any]) -> str:
+def _residual_text(residual: Mapping[str, Any]) -> str:
     """Say how the residual depends on a signal, by the first of its terms."""
     first = residual["terms"][0] if residual["terms"] else {}
     shape = Shape.of_entry(first["equation"], first["local"]) if first.get("local") else None
-    return follows(residual["signals"][0], shape)
+    return dependence_text(residual["signals"][0], shape)
 
 
 OPENINGS = {  # kind → before up to three names, and in place of more
@@ -261,21 +260,22 @@ OPENINGS = {  # kind → before up to three names, and in place of more
 }
 
 
-def claim(best: Hypothesis, candidates: Sequence[Candidate], subject: Subject) -> str:
+def claim_text(best: Hypothesis, candidates: Sequence[Candidate], subject: Subject) -> str:
     """Say what these candidates of the best hypothesis are, with their values and intervals."""
     kinds = {c.name: kind_within(c, subject) for c in candidates}
-    values = {c.name: [_estimate(best, f, written(subject.declared[f.name].unit)) for f in c.free] for c in candidates}
+    values = {c.name: [_estimate_text(best, f, subject) for f in c.free] for c in candidates}
     for c in candidates:
         if kinds[c.name] != c.kind and not best.is_away(c, NORMAL_95):
             values[c.name][-1] += "; the logs show none"
-    text = _opened(kinds, {name: f"{name} ({', '.join(parts)})" for name, parts in values.items()})
+    text = _kinds_text(kinds, {name: f"{name} ({', '.join(parts)})" for name, parts in values.items()})
     if len(candidates) > MOST_NAMED or len(text.split()) > MOST_WORDS:
-        text = " ".join((_opened(kinds, {name: name for name in values}), *chain(*map(_values, values.items()))))
+        sentences = chain(*map(_value_sentences, values.items()))
+        text = " ".join((_kinds_text(kinds, {name: name for name in values}), *sentences))
     moving = " The fit was still moving when it ended: these intervals are too narrow."
     return f"{text}{'' if best.fit.converged else moving}"
 
 
-def _opened(kinds: Mapping[str, str], texts: Mapping[str, str]) -> str:
+def _kinds_text(kinds: Mapping[str, str], texts: Mapping[str, str]) -> str:
     """Return the claim of each kind of candidate; their number where there are more than three of a kind."""
     parts = []
     for kind, (opening, several) in OPENINGS.items():
@@ -286,28 +286,28 @@ def _opened(kinds: Mapping[str, str], texts: Mapping[str, str]) -> str:
     return f"{text[:1].upper()}{text[1:]}."
 
 
-def _values(entry: tuple[str, Sequence[str]]) -> Iterator[str]:
+def _value_sentences(entry: tuple[str, Sequence[str]]) -> Iterator[str]:
     """Yield the values of a candidate, at most three in a sentence."""
     name, values = entry
     for first in range(0, len(values), MOST_NAMED):
         yield f"{name}: {', '.join(values[first : first + MOST_NAMED])}."
 
 
-def _estimate(best: Hypothesis, f: Free, unit: str) -> str:
+def _estimate_text(best: Hypothesis, f: Free, subject: Subject) -> str:
     """Return a parameter with its 95 % interval, unless the interval is wider than the allowed range."""
     name, value, half = f.name.rpartition(".")[2], best.fit.values[f.name], NORMAL_95 * best.fit.sigma(f.name)
     if half > f.high - f.low:
         return f"{name} not identified by these logs"
     digits = max(4, min(math.floor(math.log10(abs(value) / half)) + 3, 12)) if value and half else 4
-    return f"{name} = {value:.{digits}g} ± {half:.2g} {unit}".rstrip()
+    return f"{name} = {value:.{digits}g} ± {half:.2g} {written(subject.declared[f.name].unit)}".rstrip()
 
 
-def perhaps(names: Sequence[str]) -> str:
+def small_gains_text(names: Sequence[str]) -> str:
     """Say that something would gain, but too little."""
     return f" Perhaps also {listed(names)}; that gain may be chance." if names else ""
 
 
-def left_over(term: Unnamed, gained: float) -> str:
+def remainder_text(term: UnnamedTerm, gained: float) -> str:
     """Say what a claim leaves: how much a term without a name adds to its gain."""
-    rest = f"Something remains in {term.equation} that {follows(term.signal, term.shape)}."
+    rest = f"Something remains in {term.equation} that {dependence_text(term.signal, term.shape)}."
     return f"{rest} A term without a name would add {percent(term.gain / gained)} to the claim's gain."

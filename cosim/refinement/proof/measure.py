@@ -41,7 +41,7 @@ CALMER, UNLIKE = 1.2, 3.0  # ratio of floor to error, and its log per scatter, f
 Evidence = list[tuple[Log, Replay]]
 
 
-def filtering(problem: Problem, subject: Subject, logs: Sequence[Log]) -> Problem:
+def filter_problem(problem: Problem, subject: Subject, logs: Sequence[Log]) -> Problem:
     """Return a variant's filter problem on other logs.
 
     The kernel of `problem` takes all parameters, including those of the variant.
@@ -55,35 +55,35 @@ def filtering(problem: Problem, subject: Subject, logs: Sequence[Log]) -> Proble
     return replace(posed, P0=start_covariance(subject, posed))
 
 
-def replays(
+def replay_logs(
     variant: Variant, replayer: Replayer, problem: Problem, logs: Sequence[Log], horizons: Sequence[float] = ()
 ) -> dict[float, Evidence]:
     """Return horizon → corrected logs and their replays.
 
     The subject's own horizon comes first. An unstable subject may stop its FMU on another horizon; that log is skipped.
     """
-    problem = filtering(problem, variant.subject, logs)
+    problem = filter_problem(problem, variant.subject, logs)
     judged = variant.subject.horizon
     played: dict[float, Evidence] = {judged: [], **{horizon: [] for horizon in horizons}}
     for index, log in enumerate(logs):
         values = problem.of_log(variant.values, index)
-        starts, acting = {}, {}
+        starts, per_log = {}, {}
         for horizon in played if not log.table else ():
-            starts[horizon], acting[horizon] = _starts(variant, problem, log, index, horizon)
-        made = replayer.replays(log, problem.logs[index], values, starts)
+            starts[horizon], per_log[horizon] = _starts(variant, problem, log, index, horizon)
+        results = replayer.replays(log, problem.logs[index], values, starts)
         for horizon in played:
             try:
-                replay = next(made)
+                replay = next(results)
             except StoppedReplay:
                 if horizon == judged:
                     raise
                 break  # A stopped FMU must not be called again.
             played[horizon].append(
-                (without_sensor_errors(log, variant, acting.get(horizon, {}), replay.outputs), replay)
+                (remove_sensor_errors(log, variant, per_log.get(horizon, {}), replay.outputs), replay)
             )
             if log.table:
                 break
-        made.close()
+        results.close()
     return played
 
 
@@ -101,7 +101,7 @@ def _starts(
         per_log = {name: float(here[place]) for name, place in layout.constants.items()}
         states = dict(zip(layout.states, filtered.states[row].tolist(), strict=True))
         starts[k] = Start(states, filtered.memory[row], per_log)
-    return starts, _acting(problem, filtered, log.grid[rows], log.grid)
+    return starts, _parameters_at_starts(problem, filtered, log.grid[rows], log.grid)
 
 
 def first_rows(log: Log, horizon: float) -> list[int]:
@@ -114,26 +114,30 @@ def rmse(evidence: Evidence) -> dict[str, float]:
     return pooled(replay.errors(log) for log, replay in evidence)
 
 
-def without_sensor_errors(log: Log, variant: Variant, acting: Mapping[str, Array], said: Mapping[str, Array]) -> Log:
+def remove_sensor_errors(
+    log: Log, variant: Variant, per_log: Mapping[str, Array], simulated: Mapping[str, Array]
+) -> Log:
     """Return the log without the modelled sensor errors.
 
     Args:
-        acting: Parameters per log, one value for each row.
-        said: Output → simulated value, for sensors with latency or dependence on other outputs.
+        per_log: Parameters per log, one value for each row.
+        simulated: Output → simulated value, for sensors with latency or dependence on other outputs.
     """
     outputs = dict(log.outputs)
-    for sensor in _sensors(variant, acting):
+    for sensor in _sensors(variant, per_log):
         if sensor.straight():
             at_zero, gain = _line(sensor)
             outputs |= {n: (outputs[n] - at_zero) / gain for n in sensor.affected() if n in outputs}
         elif not sensor.dormant:
-            outputs |= {n: outputs[n] - by for n, by in _added(sensor, log.time, said).items() if n in outputs}
+            outputs |= {
+                n: outputs[n] - by for n, by in _sensor_errors(sensor, log.time, simulated).items() if n in outputs
+            }
     return replace(log, outputs=outputs)
 
 
-def _sensors(variant: Variant, acting: Mapping[str, Array]) -> Iterator[SensorError]:
+def _sensors(variant: Variant, per_log: Mapping[str, Array]) -> Iterator[SensorError]:
     """Yield the sensor errors, last one first."""
-    values = {**variant.values, **acting}
+    values = {**variant.values, **per_log}
     for kind in reversed(variant.subject.sensors):
         yield kind(value=values[f"{kind.name}.value"])
 
@@ -144,34 +148,34 @@ def _line(sensor: SensorError) -> tuple[Any, Any]:
     return at_zero, sensor.measure(1.0) - at_zero
 
 
-def _added(sensor: Any, time: Array, said: Mapping[str, Array]) -> dict[str, Array]:
+def _sensor_errors(sensor: Any, time: Array, outputs: Mapping[str, Array]) -> dict[str, Array]:
     """Return output → error of a nonlinear sensor."""
-    own = {n: said[n] for n in sensor.affected()}
+    inputs = {n: outputs[n] for n in sensor.affected()}
     if sensor.late:
-        return {n: np.interp(time - sensor.value, time, there, left=np.nan) - there for n, there in own.items()}
-    own = {n: np.nan_to_num(there) for n, there in own.items()}
-    read = sensor.readings(arrays(), time, {**said, **own})
-    return {n: np.asarray(read[n] - there) for n, there in own.items()}
+        return {n: np.interp(time - sensor.value, time, values, left=np.nan) - values for n, values in inputs.items()}
+    inputs = {n: np.nan_to_num(values) for n, values in inputs.items()}
+    readings = sensor.readings(arrays(), time, {**outputs, **inputs})
+    return {n: np.asarray(readings[n] - values) for n, values in inputs.items()}
 
 
-def _acting(problem: Problem, filtered: Filtered, starts: Rows, rows: Rows) -> dict[str, Array]:
+def _parameters_at_starts(problem: Problem, filtered: Filtered, starts: Rows, rows: Rows) -> dict[str, Array]:
     """Return the parameters per log at each replay's start."""
     constants = problem.layout.constants
     if not constants:
         return {}
     begin = np.asarray(starts) if len(starts) else np.array([len(filtered.states) - 1])
     of_row = begin[np.maximum(0, np.searchsorted(begin, rows, side="left") - 1)]
-    known = {k: problem.undisturbed(filtered.states[k]) for k in set(of_row.tolist())}
-    return {name: np.array([known[k][place] for k in of_row.tolist()]) for name, place in constants.items()}
+    states = {k: problem.undisturbed(filtered.states[k]) for k in set(of_row.tolist())}
+    return {name: np.array([states[k][place] for k in of_row.tolist()]) for name, place in constants.items()}
 
 
 def predicted_errors(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
     """Return the RMSE of each channel in kernel replays."""
-    problem = filtering(problem, variant.subject, logs)
-    missed = [
-        _missed(variant, problem, log, index, problem.data(variant.values, index)) for index, log in enumerate(logs)
-    ]
-    return _root_mean_squares(problem, missed)
+    problem = filter_problem(problem, variant.subject, logs)
+    replays = (
+        _KernelReplays.of(variant, problem, log, k, problem.data(variant.values, k)) for k, log in enumerate(logs)
+    )
+    return _root_mean_squares(problem, [replay.errors() for replay in replays])
 
 
 @dataclass(frozen=True)
@@ -186,11 +190,11 @@ class Floor:
     level: Mapping[str, float]
     scatter: Mapping[str, float]
 
-    def above(self, error: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+    def channels_above(self, error: Mapping[str, float]) -> dict[str, tuple[float, float]]:
         """Return channel → floor and error if the floor is too high."""
-        there = {n: (f, error[n]) for n, f in self.level.items() if error.get(n, 0.0) > 0.0}
-        limits = {n: max(math.log(CALMER), UNLIKE * self.scatter.get(n, 0.0)) for n in there}
-        return {n: (f, e) for n, (f, e) in there.items() if f > 0.0 and math.log(f / e) > limits[n]}
+        pairs = {n: (f, error[n]) for n, f in self.level.items() if error.get(n, 0.0) > 0.0}
+        limits = {n: max(math.log(CALMER), UNLIKE * self.scatter.get(n, 0.0)) for n in pairs}
+        return {n: (f, e) for n, (f, e) in pairs.items() if f > 0.0 and math.log(f / e) > limits[n]}
 
 
 def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np.random.Generator) -> Floor:
@@ -199,89 +203,36 @@ def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np
     Each simulation starts beside the filtered state of a replay's first row, as far away as the filter's covariance
     says, and so stays within the motion of the log. A floor above the spread of its own channel is omitted.
     """
-    problem = filtering(problem, variant.subject, logs)
+    problem = filter_problem(problem, variant.subject, logs)
     draws: list[list[Array]] = [[] for _ in range(-(-DRAWS // len(logs)))]
     for index, log in enumerate(logs):
-        window = _Windows.of(variant, problem, log, index)
+        replays = _KernelReplays.of(variant, problem, log, index, problem.data(variant.values, index))
         for draw in draws:
-            draw.append(window.draw(rng))
-    level = _root_mean_squares(problem, [missed for draw in draws for missed in draw])
+            draw.append(replays.random_errors(rng))
+    level = _root_mean_squares(problem, [errors for draw in draws for errors in draw])
+    level = {name: size for name, size in level.items() if not size > _standard_deviation(logs, name)}
     each = [_root_mean_squares(problem, draw) for draw in draws]
     sizes = {name: [size for one in each if (size := one[name]) > 0.0] for name in level}
-    spread = {q: _spread(logs, q) for q in level}
-    shown = {name: size for name, size in level.items() if not size > spread[name]}
-    return Floor(shown, {n: float(np.std(np.log(s), ddof=1)) for n, s in sizes.items() if n in shown and len(s) > 1})
+    return Floor(level, {n: float(np.std(np.log(s), ddof=1)) for n, s in sizes.items() if len(s) > 1})
 
 
-def _spread(logs: Sequence[Log], name: str) -> float:
-    """Return the standard deviation of an output over all logs; infinite if it is not measured."""
+def _standard_deviation(logs: Sequence[Log], name: str) -> float:
+    """Return the standard deviation of an output over all logs; infinite with fewer than two readings."""
     readings = [log.outputs[name][np.isfinite(log.outputs[name])] for log in logs if name in log.outputs]
     values = np.concatenate(readings) if readings else np.empty(0)
     return float(np.std(values)) if values.size > 1 else math.inf
 
 
-@dataclass(frozen=True, eq=False)
-class _Windows:
-    """Replays of a log, and simulations of the same model with random noise from starts beside theirs.
-
-    Attributes:
-        rows: First row of each replay; none for a table.
-        roots: Square root of the filter's covariance in each of these rows.
-        gains: Gain of each sensor, by row.
-    """
-
-    variant: Variant
-    problem: Problem
-    index: int
-    data: Data
-    rows: Sequence[int]
-    filtered: Filtered
-    roots: Array
-    gains: Array
-
-    @classmethod
-    def of(cls, variant: Variant, problem: Problem, log: Log, index: int) -> _Windows:
-        """Return the windows of a log."""
-        data = problem.data(variant.values, index)
-        rows = [] if data.table else log.grid[first_rows(log, variant.subject.horizon)].tolist()
-        filtered = problem.filter_causally(data, variant.values, variant.noise, index, rows)
-        known, count = filtered.covariances, len(problem.layout.stochastic)
-        roots = square_roots(np.zeros((len(rows), count, count)) if known is None else known[rows])
-        return cls(variant, problem, index, data, rows, filtered, roots, _gains(variant, problem, data, filtered, rows))
-
-    def draw(self, rng: np.random.Generator) -> Array:
-        """Return the errors of the replays against one simulation with random noise."""
-        problem, noise, data = self.problem, self.variant.noise, self.data
-        sensed = rng.standard_normal(data.y.shape) * np.sqrt(problem.variances(noise, self.index))
-        if data.table:
-            return np.asarray(np.where(np.isnan(data.y), np.nan, sensed) / self.gains)
-        layout, power = problem.layout, np.exp(0.5 * noise.power)
-        density = problem.densities(noise)[list(layout.noisy)]
-        kicks = np.zeros((len(data.u), len(layout.states)))
-        kicks[:, layout.noise_places] = rng.standard_normal((len(data.u), len(density))) * np.sqrt(density * data.step)
-        lasting = {**self.variant.values, LASTS: math.exp(noise.memory)}
-        p = problem.numbers(problem.of_log(lasting if layout.coloured else self.variant.values, self.index))
-        starts = self.filtered.states.copy()
-        beside = (self.roots @ rng.standard_normal((*self.roots.shape[:2], 1)))[..., 0]
-        starts[np.ix_(self.rows, list(layout.stochastic))] += beside
-        if layout.coloured:  # Replays know nothing of the unknown inputs.
-            starts[np.ix_(self.rows, layout.noise_places)] = rng.standard_normal((len(self.rows), len(power))) * power
-        length = _rows_of_replay(self.variant, data)
-        truth = _simulated(problem, data, p, self.rows, length, starts=starts, memory=self.filtered.memory, kicks=kicks)
-        replayed = _predicted(problem, data, p, self.filtered, self.rows, length)
-        return np.asarray(np.where(np.isnan(data.y), np.nan, truth + sensed - replayed) / self.gains)
-
-
-def followed(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
+def final_log_parameters(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
     """Return the last filtered values of parameters per log."""
     if not logs or not problem.layout.constants:
         return {}
-    problem = filtering(problem, variant.subject, logs)
-    ends = [_known_at_the_end(variant, problem, index) for index in range(len(logs))]
+    problem = filter_problem(problem, variant.subject, logs)
+    ends = [_final_parameters(variant, problem, index) for index in range(len(logs))]
     return {name: value for end in ends for name, value in end.items()}
 
 
-def _known_at_the_end(variant: Variant, problem: Problem, index: int) -> dict[str, float]:
+def _final_parameters(variant: Variant, problem: Problem, index: int) -> dict[str, float]:
     """Return filtered parameters at the end of a log."""
     if not (constants := problem.layout.constants):
         return {}
@@ -291,72 +242,93 @@ def _known_at_the_end(variant: Variant, problem: Problem, index: int) -> dict[st
     return values | {spread(name, group): 0.0 for name in constants}
 
 
-def _older(outputs: Array, late: Array | None) -> Array:
+def _shift(outputs: Array, late: Array | None) -> Array:
     """Return outputs shifted by fractions of a row."""
     return outputs if late is None else outputs - np.nan_to_num(late) * np.diff(outputs, axis=0, prepend=outputs[:1])
 
 
-def _missed(variant: Variant, problem: Problem, log: Log, index: int, data: Data) -> Array:
-    """Return corrected measurement − model in replays over the model's horizon.
+@dataclass(frozen=True, eq=False)
+class _KernelReplays:
+    """Kernel replays of a log over the model's horizon, each from the state filtered from past data.
 
-    Each replay starts from the state filtered from past data.
+    Attributes:
+        index: Index of the log in the problem.
+        rows: First row of each replay; none for a table.
+        gains: Gain of each output's sensor, by row.
     """
-    rows = [] if data.table else log.grid[first_rows(log, variant.subject.horizon)].tolist()
-    filtered = problem.filter_causally(data, variant.values, variant.noise, index, rows)
-    readings = filtered.errors
-    if not data.table:
-        p = problem.numbers(problem.of_log(variant.values, index))
-        readings = data.y - _predicted(problem, data, p, filtered, rows, _rows_of_replay(variant, data))
-    return np.asarray(readings / _gains(variant, problem, data, filtered, rows))
+
+    variant: Variant
+    problem: Problem
+    index: int
+    data: Data
+    rows: Sequence[int]
+    filtered: Filtered
+    gains: Array
+
+    @classmethod
+    def of(cls, variant: Variant, problem: Problem, log: Log, index: int, data: Data) -> _KernelReplays:
+        """Filter the measurements for the starts of the replays."""
+        gains = dict.fromkeys(problem.layout.outputs, np.ones(len(data.u)))
+        rows = [] if data.table else log.grid[first_rows(log, variant.subject.horizon)].tolist()
+        filtered = problem.filter_causally(data, variant.values, variant.noise, index, rows)
+        starts, every_row = np.array(rows, np.intp), np.arange(len(data.u))
+        per_log = {} if data.table else _parameters_at_starts(problem, filtered, starts, every_row)
+        for sensor in _sensors(variant, per_log):
+            if sensor.straight():
+                gains |= {n: gains[n] * _line(sensor)[1] for n in sensor.affected() if n in gains}
+        return cls(variant, problem, index, data, rows, filtered, np.column_stack(list(gains.values())))
+
+    def errors(self) -> Array:
+        """Return corrected measurement − model."""
+        if self.data.table:
+            return np.asarray(self.filtered.errors / self.gains)
+        return np.asarray((self.data.y - self._predicted()) / self.gains)
+
+    def random_errors(self, rng: np.random.Generator) -> Array:
+        """Return the errors against a simulation with random noise, from starts beside those of the replays."""
+        problem, noise, data, rows = self.problem, self.variant.noise, self.data, self.rows
+        errors = rng.standard_normal(data.y.shape) * np.sqrt(problem.variances(noise, self.index))
+        if not data.table:
+            layout, starts = problem.layout, self.filtered.states.copy()
+            if self.filtered.covariances is not None:
+                roots = square_roots(self.filtered.covariances[rows])
+                random = rng.standard_normal((len(rows), len(layout.stochastic), 1))
+                starts[np.ix_(rows, list(layout.stochastic))] += (roots @ random)[..., 0]
+            noisy = len(layout.noise_places)
+            if layout.coloured:  # Replays know nothing of the unknown inputs.
+                deviation = np.exp(0.5 * noise.power)
+                starts[np.ix_(rows, layout.noise_places)] = rng.standard_normal((len(rows), noisy)) * deviation
+            density = problem.densities(noise)[list(layout.noisy)]
+            kicks = np.zeros((len(data.u), len(layout.states)))
+            kicks[:, layout.noise_places] = rng.standard_normal((len(data.u), noisy)) * np.sqrt(density * data.step)
+            memory = {LASTS: math.exp(noise.memory)} if layout.coloured else {}
+            errors += self._simulated({**self.variant.values, **memory}, starts, kicks) - self._predicted()
+        return np.asarray(np.where(np.isnan(data.y), np.nan, errors) / self.gains)
+
+    def _predicted(self) -> Array:
+        """Return the outputs of the replays; NaN between them."""
+        starts = {k: self.problem.undisturbed(self.filtered.states[k]) for k in self.rows}
+        return self._simulated(self.variant.values, starts)
+
+    def _simulated(
+        self, values: Mapping[str, float], starts: Mapping[int, Array] | Array, kicks: Array | None = None
+    ) -> Array:
+        """Return the outputs of simulations from given states; NaN between them."""
+        problem, data, horizon = self.problem, self.data, self.variant.subject.horizon
+        length = len(data.u) if horizon == FREE_RUN else round(horizon / data.step)
+        p, outputs = problem.numbers(problem.of_log(values, self.index)), np.full(data.y.shape, np.nan)
+        for k in self.rows:
+            end = min(k + length, len(data.u) - 1)
+            part = data.rows(0, end + 1)
+            run = problem.kernel.simulate(part, p, starts[k], self.filtered.memory[k], kicks, first=k)
+            outputs[k + 1 : end + 1] = _shift(run.outputs[k:], None if part.late is None else part.late[k:])[1:]
+        return outputs
 
 
-def _rows_of_replay(variant: Variant, data: Data) -> int:
-    """Return the rows of a replay."""
-    horizon = variant.subject.horizon
-    return len(data.u) if horizon == FREE_RUN else round(horizon / data.step)
-
-
-def _gains(variant: Variant, problem: Problem, data: Data, filtered: Filtered, rows: Sequence[int]) -> Array:
-    """Return the gain of each output's sensor, by row."""
-    gains = dict.fromkeys(problem.layout.outputs, np.ones(len(data.u)))
-    acting = {} if data.table else _acting(problem, filtered, np.array(rows, np.intp), np.arange(len(data.u)))
-    for sensor in _sensors(variant, acting):
-        if sensor.straight():
-            gains |= {n: gains[n] * _line(sensor)[1] for n in sensor.affected() if n in gains}
-    return np.column_stack(list(gains.values()))
-
-
-def _root_mean_squares(problem: Problem, missed: Sequence[Array]) -> dict[str, float]:
-    whole = np.vstack(missed)
+def _root_mean_squares(problem: Problem, errors: Sequence[Array]) -> dict[str, float]:
+    whole = np.vstack(errors)
     sums, counts = np.nansum(whole**2, axis=0), np.isfinite(whole).sum(axis=0)
     return {
         name: float(np.sqrt(s / c)) if c else float("nan")
         for name, s, c in zip(problem.layout.outputs, sums, counts, strict=True)
     }
-
-
-def _predicted(problem: Problem, data: Data, p: Array, filtered: Filtered, rows: Sequence[int], length: int) -> Array:
-    """Return the outputs of kernel replays; NaN between replays."""
-    starts = {k: problem.undisturbed(filtered.states[k]) for k in rows}
-    return _simulated(problem, data, p, rows, length, starts=starts, memory=filtered.memory)
-
-
-def _simulated(
-    problem: Problem,
-    data: Data,
-    p: Array,
-    rows: Sequence[int],
-    length: int,
-    *,
-    starts: Mapping[int, Array] | Array,
-    memory: Array,
-    kicks: Array | None = None,
-) -> Array:
-    """Return the outputs of simulations from given rows; NaN between them."""
-    outputs = np.full(data.y.shape, np.nan)
-    for k in rows:
-        end = min(k + length, len(data.u) - 1)
-        part = data.rows(0, end + 1)
-        run = problem.kernel.simulate(part, p, starts[k], memory[k], kicks, first=k)
-        outputs[k + 1 : end + 1] = _older(run.outputs[k:], None if part.late is None else part.late[k:])[1:]
-    return outputs

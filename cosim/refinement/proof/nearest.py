@@ -8,9 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cosim.estimation.fit import Fit
 from cosim.estimation.posing import halved
-from cosim.refinement.decision.evidence import as_given, learnt_without, mean_log_error, open_loop
+from cosim.refinement.decision.evidence import fit_given_model, fit_without, log_error
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis
 
@@ -24,15 +23,10 @@ def nearest(search: Search, a: Attribution, best: Sequence[Hypothesis]) -> Hypot
         best: Hypotheses close to a claim, simplest first.
     """
     problem = search.problem if len(search.problem.logs) > 1 else halved(search.problem)
-    logs = range(len(problem.logs))
-    found: list[tuple[float, Hypothesis | None]] = []
-
-    def error(fits: Sequence[Fit]) -> float:
-        missed = [open_loop(problem, search.subject.horizon, f.values, f, k) for k, f in zip(logs, fits, strict=True)]
-        return mean_log_error(missed)
-
-    found.append((error([as_given(problem, a.base.fit, k) for k in logs]), None))
-    for h in (a.base, *best):
-        found.append((error([learnt_without(search, problem, h, k) for k in logs]), h))
-    least = min(size for size, _ in found)
-    return next(h for size, h in found if size <= least + SIMPLER)
+    hypotheses: list[Hypothesis | None] = [None, a.base, *best]
+    errors = []
+    for h in hypotheses:
+        logs = range(len(problem.logs))
+        fits = [fit_without(search, problem, h, k) if h else fit_given_model(problem, a.base.fit, k) for k in logs]
+        errors.append(log_error(problem, search.subject.horizon, fits))
+    return next(h for h, error in zip(hypotheses, errors, strict=True) if error <= min(errors) + SIMPLER)

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.text import plain
 from cosim.estimation.problem import Problem
 from cosim.logs.log import Log
-from cosim.refinement.proof.measure import Evidence, replays
+from cosim.refinement import messages
+from cosim.refinement.proof.measure import Evidence, replay_logs
 from cosim.refinement.proof.refined_models import Variant
 from cosim.refinement.record import OTHER_HORIZONS, Part, Replayed, Replays
 from cosim.residuals.windows import Replay
@@ -35,46 +35,40 @@ class Proof:
     sets: LogSets
     place: Workplace
 
-    def replayed(self, variants: Mapping[str, Variant]) -> tuple[Replayed, Replays]:
+    def replay(self, variants: Mapping[str, Variant]) -> tuple[Replayed, Replays]:
         """Replay every variant; return the replays and the FMU used."""
 
         def delivered(subject: Subject) -> Replayer:
             return subject.replayer(self.place)
 
         after = variants["after"]
+        own = delivered(after.subject)
         try:
             quick = {id(v.subject): v.subject.quick_replayer(self.place) for v in variants.values()}
         except InputError as error:
-            own = delivered(after.subject)
-            return self.every(variants, delivered), Replays(through=own.through, why=error.faults[0].message)
+            return self.replay_all(variants, delivered), Replays(through=own.through, why=error.faults[0].message)
         ways = {key: way for key, way in quick.items() if way is not None}
         if len(ways) < len(quick):
-            return self.every(variants, delivered), Replays(through=delivered(after.subject).through)
-        played = self.every(variants, lambda subject: ways[id(subject)])
+            return self.replay_all(variants, delivered), Replays(through=own.through)
+        played = self.replay_all(variants, lambda subject: ways[id(subject)])
         part: Part = "validation" if "validation" in self.sets else "estimation"
-        logs = self.sets[part]
-        k = min(range(len(logs)), key=lambda i: logs[i].rows)
-        horizon, through = after.subject.horizon, ways[id(after.subject)].through
-        own = delivered(after.subject)
-        apart = difference(
-            played["after"][part][horizon][k][1], replays(after, own, self.problem, [logs[k]])[horizon][0][1]
-        )
+        k, log = min(enumerate(self.sets[part]), key=lambda entry: entry[1].rows)
+        horizon, name = after.subject.horizon, log.path.name
+        replay = replay_logs(after, own, self.problem, [log])[horizon][0][1]
+        apart = difference(played["after"][part][horizon][k][1], replay)
         if apart <= EQUAL:
-            return played, Replays(through=through, log=logs[k].path.name, apart=apart)
-        why = f"replays of {logs[k].path.name} through it and through plant.fmu are {plain(apart, 2)} apart"
-        way = Replays(through=own.through, why=why, log=logs[k].path.name, apart=apart)
-        return self.every(variants, delivered), way
+            return played, Replays(through=ways[id(after.subject)].through, log=name, apart=apart)
+        why = f"replays of {name} through it and through plant.fmu are {plain(apart, 2)} apart"
+        return self.replay_all(variants, delivered), Replays(through=own.through, why=why, log=name, apart=apart)
 
-    def every(self, variants: Mapping[str, Variant], way: Way) -> Replayed:
+    def replay_all(self, variants: Mapping[str, Variant], way: Way) -> Replayed:
         """Replay every distinct variant on every set."""
         horizons = [] if self.problem.table else list(OTHER_HORIZONS.values())
         done: dict[int, dict[Part, dict[float, Evidence]]] = {}
         for variant in variants.values():
             if id(variant) not in done:
-                replayer = way(variant.subject)
-                done[id(variant)] = {
-                    part: replays(variant, replayer, self.problem, logs, horizons) for part, logs in self.sets.items()
-                }
+                source = variant, way(variant.subject), self.problem
+                done[id(variant)] = {part: replay_logs(*source, logs, horizons) for part, logs in self.sets.items()}
         return {name: done[id(variant)] for name, variant in variants.items()}
 
 
@@ -83,19 +77,17 @@ def difference(one: Replay, other: Replay) -> float:
 
     The difference is infinite if only one replay predicts.
     """
-    return max((_apart(values, other.outputs[name]) for name, values in one.outputs.items()), default=0.0)
-
-
-def _apart(one: Array, other: Array) -> float:
-    there = np.isfinite(other)
-    if not np.array_equal(there, np.isfinite(one)):
-        return float("inf")
-    if not there.any():
-        return 0.0
-    return float(np.max(np.abs(one[there] - other[there])) / max(1.0, float(np.max(np.abs(other[there])))))
+    largest = 0.0
+    for name, values in one.outputs.items():
+        others, rows = other.outputs[name], np.isfinite(other.outputs[name])
+        if not np.array_equal(rows, np.isfinite(values)):
+            return float("inf")
+        apart = np.max(np.abs(values[rows] - others[rows]), initial=0.0)
+        largest = max(largest, float(apart) / float(np.max(np.abs(others[rows]), initial=1.0)))
+    return largest
 
 
 def warnings_of(way: Replays) -> Iterator[str]:
     """Warn of an unequal native FMU."""
     if way.through == "python" and way.log:
-        yield f"the native FMU of the model is not used: {way.why}; every error is that of FMUs in Python"
+        yield messages.NATIVE_FMU_UNUSED(reason=way.why)

@@ -35,10 +35,10 @@ def refined_subject(subject: Subject, settings: Settings, claimed: Hypothesis | 
     """
     if claimed is None:
         return subject
-    moved = {f.name: float(claimed.fit.values[f.name]) for f in claimed.fit.free if not f.group} | means(claimed.fit)
+    fitted = {f.name: float(claimed.fit.values[f.name]) for f in claimed.fit.free if not f.group} | means(claimed.fit)
     stated = {p.name for p in subject.parameters if p.tolerance is not None} | {*settings.tolerance}
-    stays = {n for n in moved if n not in subject.sensor_parameters and n not in stated and claimed.of_sensors}
-    return subject.refined({n: v for n, v in moved.items() if n not in stays})
+    unchanged = {n for n in fitted if n not in subject.sensor_parameters and n not in stated and claimed.is_of_sensors}
+    return subject.refined({n: v for n, v in fitted.items() if n not in unchanged})
 
 
 def variants_of(
@@ -47,20 +47,20 @@ def variants_of(
     """Return the variants before, recalibrated and after."""
     base = a.base.fit
     recalibrated = subject.refined({f.name: float(base.values[f.name]) for f in base.free if not f.group})
-    before = after = variant_of(subject, settings, a.given)
+    before = after = variant_of(subject, settings, a.unfitted)
     if claimed:
         after = variant_of(refined, settings, claimed.fit)
     return {"before": before, "recalibrated": variant_of(recalibrated, settings, base), "after": after}
 
 
-def of_noise(after: Variant, a: Attribution, claimed: Hypothesis | None, heard: Array | None) -> Variant:
+def with_log_noise(after: Variant, a: Attribution, claimed: Hypothesis | None, sensors: Array | None) -> Variant:
     """Return the refined subject with the logs' noise.
 
     Args:
-        heard: ln of the sensor noise variances to use if the fitted variances include model errors.
+        sensors: ln of the sensor noise variances to use if the fitted variances include model errors.
     """
     noise = (claimed or a.base).fit.noise
-    return replace(after, noise=noise if heard is None else replace(noise, sensors=heard))
+    return replace(after, noise=noise if sensors is None else replace(noise, sensors=sensors))
 
 
 def variant_of(subject: Subject, settings: Settings, f: Fit) -> Variant:

@@ -13,11 +13,11 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.estimation.fit import Fit
 from cosim.estimation.problem import Problem
-from cosim.refinement.decision.claims import Claims, Doubt, Moved, Part, experiment_for, name_of
-from cosim.refinement.decision.judgement import BETTER, RIVAL, SIGNIFICANT, beyond, outside
+from cosim.refinement.decision.claims import Claims, Doubt, MovedParameter, Part, experiment_for, name_of
+from cosim.refinement.decision.judgement import BETTER, RIVAL, SIGNIFICANT, is_beyond_tolerance, is_outside_tolerance
 from cosim.refinement.proof.measure import FLOOR_SEED, noise_floor, predicted_errors
-from cosim.refinement.proof.refined_models import of_noise, refined_subject, variants_of
-from cosim.refinement.search.fits import Found, Search
+from cosim.refinement.proof.refined_models import refined_subject, variants_of, with_log_noise
+from cosim.refinement.search.fits import Search, SearchResult
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
 from cosim.refinement.study import Study
 from cosim.residuals.residual_statistics import COUNTS_FROM, excess_left
@@ -31,43 +31,43 @@ Channels = Mapping[str, float]  # measured output → root mean square
 ErrorOf = Mapping[str, Channels]  # replays before, recalibrated and after → errors
 
 
-def held_against_replays(study: Study, a: Attribution, claims: Claims, found: Found, problem: Problem) -> Claims:
+def check_with_replays(study: Study, a: Attribution, claims: Claims, result: SearchResult, problem: Problem) -> Claims:
     """Compare the verdict with replays of the logs."""
-    within, single = not _beyond(a.base.fit), False
+    is_within, is_single = not _beyond_tolerance(a.base.fit), False
     if claims.name == "no_effect":
-        error, floor = _replay_errors(study, a, claims, problem, found.heard)
-        if missed := _missed(error["before"], floor):
-            explained = within and not _missed(error["recalibrated"], floor)
-            claims = claims if explained else single_number(claims, a, study.subject, found, missed)
-            single = True
-    elif claims.name == "parameter_error" and claims.claimed and (others := _beyond(claims.claimed.fit)):
-        otherwise = single_number(claims, a, study.subject, found, {})
-        further = _moved(claims.claimed.fit, others)
+        error, floor = _replay_errors(study, a, claims, problem, result.sensors)
+        if ratios := _errors_per_floor(error["before"], floor):
+            if not is_within or _errors_per_floor(error["recalibrated"], floor):
+                claims = claim_single_number(claims, a, study.subject, result, ratios)
+            is_single = True
+    elif claims.name == "parameter_error" and claims.claimed and (others := _beyond_tolerance(claims.claimed.fit)):
+        otherwise = claim_single_number(claims, a, study.subject, result, {})
+        further = _moved_parameters(claims.claimed.fit, others)
         claims = otherwise if otherwise.claimed is not None else replace(claims, further=further)
     if claims.claimed is None:
         return claims
-    error, floor = _replay_errors(study, a, claims, problem, found.heard)
-    if single and (doubt := _still_missed(error, floor)):
-        return claims.withdrawn(doubt)
-    return checked_claim(claims, error, floor, a.support, recalibrated=within, halves=a.halves_error)
+    error, floor = _replay_errors(study, a, claims, problem, result.sensors)
+    if is_single and (doubt := _error_doubt(error, floor)):
+        return claims.withdraw(doubt)
+    return check_claim(claims, error, floor, a.support, recalibrated=is_within, halves=a.halves_error)
 
 
 def _replay_errors(
-    study: Study, a: Attribution, claims: Claims, problem: Problem, heard: Array | None
+    study: Study, a: Attribution, claims: Claims, problem: Problem, sensors: Array | None
 ) -> tuple[ErrorOf, Channels]:
     """Return replay errors and their noise floor."""
     subject, settings = study.subject, study.settings
     refined = refined_subject(subject, settings, claims.claimed)
     variants = variants_of(subject, settings, a, claims.claimed, refined)
     error = {name: predicted_errors(variant, problem, study.logs) for name, variant in variants.items()}
-    quiet = of_noise(variants["after"], a, claims.claimed, heard)
+    quiet = with_log_noise(variants["after"], a, claims.claimed, sensors)
     return error, noise_floor(quiet, problem, study.logs, np.random.default_rng(FLOOR_SEED)).level
 
 
 # -- Check of a claim --------------------------------------------------------------------------
 
 
-def checked_claim(
+def check_claim(
     claims: Claims,
     error: ErrorOf,
     floor: Channels,
@@ -86,11 +86,11 @@ def checked_claim(
     """
     if claims.claimed is None:
         return claims
-    of_sensors = claims.claimed.of_sensors
+    is_of_sensors = claims.claimed.is_of_sensors
     effects = recalibrated and any(c.kind == "effect" for c in claims.claimed.candidates)
-    doubt = _still_missed(error, floor) if of_sensors else _plant_doubt(error, floor, effects=effects)
+    doubt = _error_doubt(error, floor) if is_of_sensors else _plant_doubt(error, floor, effects=effects)
     if doubt and not halves:
-        return claims.withdrawn(doubt)
+        return claims.withdraw(doubt)
     if claims.name == "ambiguous" or claims.grade != "claimed":
         return claims
     worst, share = max(_remaining_excess(error, floor).items(), key=itemgetter(1), default=("", 0.0))
@@ -98,13 +98,13 @@ def checked_claim(
         return claims
     weak = tuple(n for n in claims.claimed.names if n in support and support[n].predicted < BETTER)
     if weak and not halves:
-        return claims.withdrawn(Doubt("unsteady", names=weak))
+        return claims.withdraw(Doubt("unsteady", names=weak))
     return replace(claims, grade="part", part=Part(worst, share))
 
 
-def _still_missed(error: ErrorOf, floor: Channels) -> Doubt | None:
+def _error_doubt(error: ErrorOf, floor: Channels) -> Doubt | None:
     """Doubt a claim without effects if replays miss much."""
-    worst, times = max(_missed(error["after"], floor).items(), key=itemgetter(1), default=("", 0.0))
+    worst, times = max(_errors_per_floor(error["after"], floor).items(), key=itemgetter(1), default=("", 0.0))
     return Doubt("missed", worst, times) if worst else None
 
 
@@ -113,8 +113,8 @@ def _plant_doubt(error: ErrorOf, floor: Channels, *, effects: bool) -> Doubt | N
     recalibrated, after = error["recalibrated"], error["after"]
     if effects and floor and all(after[n] >= recalibrated[n] for n in floor):
         return Doubt("no_nearer")
-    left = _remaining_excess(error, floor)
-    return Doubt("kept", size=min(left.values())) if left and min(left.values()) > HALF else None
+    least = min(_remaining_excess(error, floor).values(), default=0.0)
+    return Doubt("kept", size=least) if least > HALF else None
 
 
 def _remaining_excess(error: ErrorOf, floor: Channels) -> dict[str, float]:
@@ -126,62 +126,60 @@ def _remaining_excess(error: ErrorOf, floor: Channels) -> dict[str, float]:
 # -- Check that nothing is missing ----------------------------------------------------------------
 
 
-def single_number(claims: Claims, a: Attribution, subject: Subject, found: Found, missed: Channels) -> Claims:
+def claim_single_number(
+    claims: Claims, a: Attribution, subject: Subject, result: SearchResult, ratios: Channels
+) -> Claims:
     """Claim a single parameter or input gain.
 
     All other parameters must stay within their tolerances. If the logs do not separate several such claims, the best is
     claimed until an experiment separates them.
 
     Args:
-        missed: Channel → error of the given model as a multiple of the noise floor.
+        ratios: Channel → error of the given model as a multiple of the noise floor.
     """
-    misfit, near = claims.misfit, _alone_off(found, a.base)
-    if len(near) > 1:
-        names = tuple(n for h in near for n in h.names)
+    misfit, hypotheses = claims.misfit, _single_errors(result, a.base)
+    if len(hypotheses) > 1:
+        names = tuple(n for h in hypotheses for n in h.names)
         experiment = experiment_for(subject, names)
-        return Claims("ambiguous", near[0], names, experiment, misfit, claims.grade, apart=names)
-    if near:
-        return Claims(name_of(near[0].candidates, subject), near[0], misfit=misfit, grade="claimed")
-    worst, fit = max(missed.items(), key=itemgetter(1), default=("", 0.0)), a.base.fit
-    moved = [x.name for x in fit.free if x.prior and not x.group and _is_far(fit.values[x.name], x.prior)]
-    return Claims("unexplained", misfit=misfit, missed=worst, recalibrated=_moved(fit, moved))
+        return Claims("ambiguous", hypotheses[0], names, experiment, misfit, claims.grade, apart=names)
+    if hypotheses:
+        return Claims(name_of(hypotheses[0].candidates, subject), hypotheses[0], misfit=misfit, grade="claimed")
+    worst, fit = max(ratios.items(), key=itemgetter(1), default=("", 0.0)), a.base.fit
+    priors = {x.name: x.prior for x in fit.free if x.prior and not x.group}
+    far = [n for n, (mean, sigma) in priors.items() if abs(fit.values[n] - mean) > WIDTHS * sigma]
+    return Claims("unexplained", misfit=misfit, missed_channel=worst, recalibrated=_moved_parameters(fit, far))
 
 
-def _alone_off(found: Found, base: Hypothesis) -> list[Hypothesis]:
+def _single_errors(result: SearchResult, base: Hypothesis) -> list[Hypothesis]:
     """Return hypotheses of a single wrong parameter."""
-    search = found.search
-    single = [c for c in found.candidates if c.kind == "parameter" or c.gain]
+    search = result.search
+    single = [c for c in result.candidates if c.kind == "parameter" or c.gain]
     # Fits start from stated values: a fit from recalibrated values would have to follow a ridge of shared effects.
     stated = [search.hypothesis((c,), replace(base.fit, values=search.problem.values)) for c in single]
-    known = [h for c in single if (h := search.tried.get((c.name,))) and h.ended]
-    best = {h.names: h for h in sorted((*stated, *known), key=lambda h: -h.score)}
-    off = sorted((h for h in best.values() if _is_off(search, h)), key=lambda h: h.score)
+    earlier = [h for c in single if (h := search.tried.get((c.name,))) and h.ended]
+    best = {h.names: h for h in sorted((*stated, *earlier), key=lambda h: -h.score)}
+    off = sorted((h for h in best.values() if _is_only_error(search, h)), key=lambda h: h.score)
     return [h for h in off if h is off[0] or h.score - off[0].score < RIVAL]
 
 
-def _is_far(value: float, prior: tuple[float, float]) -> bool:
-    """Return True if a fitted value is outside its tolerance."""
-    return abs(value - prior[0]) > WIDTHS * prior[1]
-
-
-def _moved(f: Fit, names: Sequence[str]) -> tuple[Moved, ...]:
+def _moved_parameters(f: Fit, names: Sequence[str]) -> tuple[MovedParameter, ...]:
     """Return base parameters with stated and fitted values."""
-    return tuple(Moved(x.name, x.prior[0], f.values[x.name]) for x in f.free if x.prior and x.name in names)
+    return tuple(MovedParameter(x.name, x.prior[0], f.values[x.name]) for x in f.free if x.prior and x.name in names)
 
 
-def _is_off(search: Search, h: Hypothesis) -> bool:
+def _is_only_error(search: Search, h: Hypothesis) -> bool:
     """Return True if only the hypothesis' parameter is off."""
     (c,) = h.candidates
-    if _beyond(h.fit):
+    if _beyond_tolerance(h.fit):
         return False
-    return outside(search, h, c) if c.kind == "parameter" else h.is_away(c, SIGNIFICANT)
+    return is_outside_tolerance(search, h, c) if c.kind == "parameter" else h.is_away(c, SIGNIFICANT)
 
 
-def _beyond(f: Fit) -> list[str]:
+def _beyond_tolerance(f: Fit) -> list[str]:
     """Return base parameters outside their tolerances."""
-    return [x.name for x in f.free if x.prior and not x.group and beyond(f, x.name, x.prior)]
+    return [x.name for x in f.free if x.prior and not x.group and is_beyond_tolerance(f, x.name, x.prior)]
 
 
-def _missed(error: Channels, floor: Channels) -> dict[str, float]:
+def _errors_per_floor(error: Channels, floor: Channels) -> dict[str, float]:
     """Return channel → error as a multiple of its floor."""
     return {n: error[n] / f for n, f in floor.items() if f > 0.0 and error.get(n, 0.0) > COUNTS_FROM * f}

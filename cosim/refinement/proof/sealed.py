@@ -8,18 +8,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.logs.log import Log
 from cosim.refinement.proof.measure import Evidence, rmse
 from cosim.residuals.windows import Replay
 
 CHANCE = 0.01  # probability of a false alarm for a rise on any channel
 PARTS = 8  # parts of a free run, each counted as one replay
 
-Rise = tuple[float, float]  # root mean square before and after
 
-
-def risen(before: Evidence, after: Evidence) -> dict[str, Rise]:
+def find_rises(before: Evidence, after: Evidence) -> dict[str, tuple[float, float]]:
     """Return channel → error before and after of rises.
 
     With d = ln(Σe² after / Σe² before) of each replay, t = d̄·√n / s_d is compared with Student's t of n − 1 degrees of
@@ -28,15 +24,16 @@ def risen(before: Evidence, after: Evidence) -> dict[str, Rise]:
     """
     errors = rmse(before), rmse(after)
     chance = CHANCE / max(1, len(errors[0]))
-    found: dict[str, tuple[Rise, float]] = {}
-    for name in errors[0].keys() & errors[1].keys():
-        pair = errors[0][name], errors[1][name]
-        if pair[1] > pair[0] and plain_rise(_rises(before, after, name), chance):
-            found[name] = pair, pair[1] / pair[0] if pair[0] > 0.0 else math.inf
-    return {name: pair for name, (pair, times) in sorted(found.items(), key=lambda item: -item[1][1])}
+    pairs = {name: (errors[0][name], errors[1][name]) for name in errors[0].keys() & errors[1].keys()}
+    rises = {
+        name: (old, new)
+        for name, (old, new) in pairs.items()
+        if new > old and is_significant_rise(_log_ratios(before, after, name), chance)
+    }
+    return dict(sorted(rises.items(), key=lambda item: item[1][0] / item[1][1]))  # largest ratio first
 
 
-def plain_rise(rises: Sequence[float], chance: float) -> bool:
+def is_significant_rise(rises: Sequence[float], chance: float) -> bool:
     """Return True for a significantly positive mean."""
     from scipy.special import stdtrit
 
@@ -47,24 +44,19 @@ def plain_rise(rises: Sequence[float], chance: float) -> bool:
     return mean * math.sqrt(count) > float(stdtrit(count - 1, 1.0 - chance)) * scatter
 
 
-def _rises(before: Evidence, after: Evidence, name: str) -> list[float]:
+def _log_ratios(before: Evidence, after: Evidence, name: str) -> list[float]:
     """Return the log error ratio of each replay."""
-    found: list[float] = []
+    ratios: list[float] = []
     for (log, first), (corrected, second) in zip(before, after, strict=True):
         if name not in log.outputs:
             continue
-        a, b = _squares(log, first, name), _squares(corrected, second, name)
+        with np.errstate(over="ignore"):  # A diverging model overflows.
+            a, b = ((x.outputs[name] - replay.outputs[name]) ** 2 for x, replay in ((log, first), (corrected, second)))
         both = np.isfinite(a) & np.isfinite(b)
-        edges = _edges(first)
-        parts = [slice(x, y) for x, y in pairwise(edges)]
+        parts = [slice(x, y) for x, y in pairwise(_edges(first))]
         sums = [(float(a[p][both[p]].sum()), float(b[p][both[p]].sum())) for p in parts]
-        found += [math.log(y / x) for x, y in sums if 0.0 < x < math.inf and 0.0 < y < math.inf]
-    return found
-
-
-def _squares(log: Log, replay: Replay, name: str) -> Array:
-    with np.errstate(over="ignore"):  # A diverging model overflows.
-        return np.asarray((log.outputs[name] - replay.outputs[name]) ** 2)
+        ratios += [math.log(y / x) for x, y in sums if 0.0 < x < math.inf and 0.0 < y < math.inf]
+    return ratios
 
 
 def _edges(replay: Replay) -> list[int]:

@@ -14,7 +14,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.estimation.problem import Problem
 from cosim.refinement.decision.claims import Claims
-from cosim.refinement.decision.evidence import learnt_without, open_loop
+from cosim.refinement.decision.evidence import fit_without, open_loop
 from cosim.refinement.proof.replay_check import PART
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis
@@ -25,68 +25,67 @@ PLAIN = 3.0  # standard deviations of the neighbour correlation from which rows 
 Channels = dict[str, float]
 
 
-def errors_left_out(search: Search, a: Attribution, claims: Claims) -> dict[str, Channels]:
+def errors_on_held_out_rows(search: Search, a: Attribution, claims: Claims) -> dict[str, Channels]:
     """Return the RMSE on held-out rows."""
-    given = _missed(search, None)
-    found = {"before": given, "recalibrated": _missed(search, a.base)}
-    found["after"] = _missed(search, claims.claimed) if claims.claimed else given
-    return found if claims.nearest is None else {**found, "nearest": _missed(search, claims.near)}
+    models = {"before": None, "recalibrated": a.base, "after": claims.claimed}
+    if claims.nearest is not None:
+        models["nearest"] = claims.nearest_hypothesis
+    return {name: _rmse(search, h) for name, h in models.items()}
 
 
-def _missed(search: Search, h: Hypothesis | None) -> Channels:
-    """Return a hypothesis' errors on held-out rows."""
+def _rmse(search: Search, h: Hypothesis | None) -> Channels:
+    """Return the RMSE of a hypothesis, None for the given model, on held-out rows."""
     problem, rows = search.problem, []
     for k in range(len(problem.logs)):
-        fit = search.tried[()].fit if h is None else learnt_without(search, problem, h, k)
+        fit = search.tried[()].fit if h is None else fit_without(search, problem, h, k)
         values = problem.values if h is None else fit.values
         rows.append(open_loop(problem, search.subject.horizon, values, fit, k)[:, 0])
-    left = np.vstack(rows)
-    sizes = np.sqrt(np.nanmean(left**2, axis=0)).tolist()
-    return dict(zip(problem.layout.outputs, sizes, strict=True))
+    return dict(zip(problem.layout.outputs, _root_mean_squares(np.vstack(rows)).tolist(), strict=True))
 
 
-def with_leftover(claims: Claims, a: Attribution, problem: Problem, subject: Subject) -> Claims:
+def add_dependence(claims: Claims, a: Attribution, problem: Problem, subject: Subject) -> Claims:
     """Return the claims with the remaining input dependence."""
-    left = _leftover(problem, a.best, subject)
-    if left is None:
+    dependence = _strongest_dependence(problem, a.best, subject)
+    if dependence is None:
         return claims
     if claims.claimed is None:
         if claims.name == "unexplained":
-            return replace(claims, left_of=left)
-        return Claims("unexplained", misfit=claims.misfit, left_of=left)
-    column = problem.layout.outputs.index(left[0])
-    kept = _sizes(problem, claims.claimed)[column] ** 2 / _sizes(problem, a.base)[column] ** 2
-    if claims.name != "ambiguous" and kept > PART:
-        return replace(claims, grade="part", left_of=left, left_share=float(kept))
-    return replace(claims, left_of=left)
+            return replace(claims, left_of=dependence)
+        return Claims("unexplained", misfit=claims.misfit, left_of=dependence)
+    column = problem.layout.outputs.index(dependence[0])
+    before, after = (_root_mean_squares(_residuals(problem, h))[column] for h in (a.base, claims.claimed))
+    share = float(after**2 / before**2)
+    if claims.name != "ambiguous" and share > PART:
+        return replace(claims, grade="part", left_of=dependence, left_share=share)
+    return replace(claims, left_of=dependence)
 
 
-def _leftover(problem: Problem, h: Hypothesis, subject: Subject) -> tuple[str, str] | None:
+def _strongest_dependence(problem: Problem, h: Hypothesis, subject: Subject) -> tuple[str, str] | None:
     """Return the output and input of the strongest dependence.
 
     Statistic: Σ r_k·r_k+1 / Σ r² of the centred residual ranks in the order of the input; for noise 0 ± 1/√n, also for
     noise of varying level (Bartels 1982).
     """
-    u, left = np.vstack([log.u for log in problem.logs]), _compute_residuals(problem, h)
-    most: float = PLAIN
-    found: tuple[str, str] | None = None
+    u, residuals = np.vstack([log.u for log in problem.logs]), _residuals(problem, h)
+    largest: float = PLAIN
+    strongest: tuple[str, str] | None = None
     for j, output in enumerate(problem.layout.outputs):
-        seen = np.isfinite(left[:, j])
+        rows = np.isfinite(residuals[:, j])
         for i, q in enumerate(subject.inputs):
-            if seen.sum() < FEWEST or not np.ptp(u[seen, i]):
+            if rows.sum() < FEWEST or not np.ptp(u[rows, i]):
                 continue
-            e = left[seen, j][np.argsort(u[seen, i], kind="stable")]
+            e = residuals[rows, j][np.argsort(u[rows, i], kind="stable")]
             ranks = np.argsort(np.argsort(e, kind="stable"), kind="stable") - 0.5 * (e.size - 1)
-            if (alike := float(ranks[1:] @ ranks[:-1] / (ranks @ ranks)) * math.sqrt(e.size)) > most:
-                most, found = alike, (output, q.name)
-    return found
+            if (correlation := float(ranks[1:] @ ranks[:-1] / (ranks @ ranks)) * math.sqrt(e.size)) > largest:
+                largest, strongest = correlation, (output, q.name)
+    return strongest
 
 
-def _compute_residuals(problem: Problem, h: Hypothesis) -> Array:
+def _residuals(problem: Problem, h: Hypothesis) -> Array:
     """Return measured − model of every row, shape (rows, outputs)."""
     return np.vstack([open_loop(problem, 0.0, h.fit.values, h.fit, k)[:, 0] for k in range(len(problem.logs))])
 
 
-def _sizes(problem: Problem, h: Hypothesis) -> Array:
-    """Return the root mean square residual of each output."""
-    return np.asarray(np.sqrt(np.nanmean(_compute_residuals(problem, h) ** 2, axis=0)))
+def _root_mean_squares(residuals: Array) -> Array:
+    """Return the root mean square of each column."""
+    return np.asarray(np.sqrt(np.nanmean(residuals**2, axis=0)))

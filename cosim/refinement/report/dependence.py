@@ -34,15 +34,15 @@ def regressors(subject: Subject, problem: Problem, parts: Smoothed) -> dict[str,
     """
     signals, reached = signals_of(problem, parts), problem.layout.uncertain
     own = [q for q in subject.states if q.name in reached and _is_own(subject, q.name)]
-    known = [Regressor("time", "s", signals["time"])]
-    known += [Regressor(q.name, q.unit, _turned(signals[q.name], q.unit)) for q in own]
-    speeds = [s for s in known if s.unit in {"m/s", "rad/s"}]
+    single = [Regressor("time", "s", signals["time"])]
+    single += [Regressor(q.name, q.unit, _wrap_angle(signals[q.name], q.unit)) for q in own]
+    speeds = [s for s in single if s.unit in {"m/s", "rad/s"}]
     products = [
         Regressor(f"{b.name} · {a.name}", f"{b.unit} · {a.unit}", a.values * b.values)
         for a, b in combinations(speeds, 2)
         if a.unit != b.unit
     ]
-    return {s.name: s for s in (*known, *products, *_commands(subject, problem, parts))}
+    return {s.name: s for s in (*single, *products, *_commands(subject, problem, parts))}
 
 
 def _is_own(subject: Subject, state: str) -> bool:
@@ -50,7 +50,7 @@ def _is_own(subject: Subject, state: str) -> bool:
     return state.partition(".")[0] not in subject.present
 
 
-def _turned(values: Array, unit: str) -> Array:
+def _wrap_angle(values: Array, unit: str) -> Array:
     """Wrap an angle of several turns into one turn."""
     return np.mod(values, 2.0 * np.pi) if unit == "rad" and np.ptp(values) > 2.0 * np.pi else values
 
@@ -60,29 +60,20 @@ def _commands(subject: Subject, problem: Problem, parts: Smoothed) -> list[Regre
 
     Combinations are mean and half difference of two commands of equal unit.
     """
-    columns, rates = [], []
-    for index, m in parts:
-        data = problem.logs[index]
-        chosen = m.rows(data)
-        columns.append(data.u[chosen])
-        rates.append(np.gradient(data.u, data.step, axis=0)[chosen])
-    u, du = np.vstack(columns), np.vstack(rates)
-    plain = [
-        (f"command {q.name}", q.unit, u[:, k], du[:, k]) for k, q in enumerate(subject.inputs) if np.ptp(u[:, k]) > 0
-    ]
-    pairs = []
-    for (i, a), (j, b) in combinations(enumerate(subject.inputs), 2):
-        if a.unit == b.unit and np.ptp(u[:, i]) > 0 and np.ptp(u[:, j]) > 0:
-            for word, sign in (("mean", 0.5), ("half difference", -0.5)):
-                name = f"{word} of commands {a.name}, {b.name}"
-                pairs.append((name, a.unit, 0.5 * u[:, i] + sign * u[:, j], 0.5 * du[:, i] + sign * du[:, j]))
-    both = [*plain, *pairs]
-    return [Regressor(n, unit, v) for n, unit, v, _ in both] + [
-        Regressor(f"rate of {n}", f"{unit}/s", dv) for n, unit, _, dv in both
-    ]
+    logs = [(problem.logs[index], m.rows(problem.logs[index])) for index, m in parts]
+    u = np.vstack([data.u[rows] for data, rows in logs])
+    du = np.vstack([np.gradient(data.u, data.step, axis=0)[rows] for data, rows in logs])
+    varying = [(q, u[:, k], du[:, k]) for k, q in enumerate(subject.inputs) if np.ptp(u[:, k]) > 0]
+    commands = [(f"command {q.name}", q.unit, v, dv) for q, v, dv in varying]
+    for (a, v, dv), (b, w, dw) in combinations(varying, 2):
+        for word, sign in (("mean", 0.5), ("half difference", -0.5)) if a.unit == b.unit else ():
+            name = f"{word} of commands {a.name}, {b.name}"
+            commands.append((name, a.unit, 0.5 * v + sign * w, 0.5 * dv + sign * dw))
+    rates = [Regressor(f"rate of {name}", f"{unit}/s", dv) for name, unit, _, dv in commands]
+    return [*(Regressor(name, unit, v) for name, unit, v, _ in commands), *rates]
 
 
-def explained(values: Array, by: Array) -> float:
+def explained_share(values: Array, by: Array) -> float:
     """Return the share of variance explained by a signal.
 
     The share is the variance between bins of `by`, 1 for a function of `by`.
@@ -115,33 +106,28 @@ def bins(x: Array, count: int, least: int = 1) -> list[Rows]:
     return joined
 
 
-def choose(known: Mapping[str, Regressor], suggested: Sequence[str], values: Array) -> Regressor:
+def choose(signals: Mapping[str, Regressor], suggested: Sequence[str], values: Array) -> Regressor:
     """Return the signal explaining most of `values`.
 
     Signals suggested for a term have precedence.
     """
-    names = [n for n in suggested if n in known] or [n for n in known if " · " not in n]
-    return known[max(names, key=lambda n: explained(values, known[n].values))]
+    names = [n for n in suggested if n in signals] or [n for n in signals if " · " not in n]
+    return signals[max(names, key=lambda n: explained_share(values, signals[n].values))]
 
 
-def local(problem: Problem, parts: Smoothed, shape: Shape, sizes: Sequence[float]) -> tuple[Regressor, Array]:
-    """Return signal and values of a local term."""
-    signals = signals_of(problem, parts)
-    return Regressor(shape.signal, shape.unit, shape.over(signals)), shape.columns(signals) @ np.array(sizes)
-
-
-def nameless(
+def unnamed_term(
     subject: Subject, problem: Problem, parts: Smoothed, term: Mapping[str, Any]
 ) -> tuple[Regressor, Array] | None:
     """Return signal and values of an unnamed term."""
-    signal, coefficient = term["signal"], term["coefficient"]
+    signal, coefficient, signals = term["signal"], term["coefficient"], signals_of(problem, parts)
     if term.get("local"):
         shape = Shape.of_entry(term["equation"], term["local"])
-        return local(problem, parts, shape, term["local"]["sizes"])
-    known = subject.nameless(signal)
-    if known is None:
+        values = shape.columns(signals) @ np.array(term["local"]["sizes"])
+        return Regressor(shape.signal, shape.unit, shape.positions(signals)), values
+    basis = subject.nameless(signal)
+    if basis is None:
         return None
-    (evaluate, depends), signals = known, signals_of(problem, parts)
+    evaluate, depends = basis
     units = {"time": "s", **{q.name: q.unit for q in subject.states if _is_own(subject, q.name)}}
     units |= {f"command {q.name}": q.unit for q in subject.inputs}
     values = np.broadcast_to(evaluate(*(signals[name] for name in units)), signals["time"].shape)

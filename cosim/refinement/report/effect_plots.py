@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.estimation.data import unscored
+from cosim.estimation.fit import Fit
 from cosim.estimation.problem import Problem
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.report.dependence import Regressor, choose, nameless, regressors
-from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.refinement.report.dependence import Regressor, choose, regressors, unnamed_term
 from cosim.refinement.search.missing import (
     MOST_ROWS,
-    Filter,
     Smoothed,
     Steps,
-    at_best,
-    claimed,
-    loosened,
-    smoothed,
+    contributions,
+    loosen_noise,
+    scale_to_missing,
+    smooth_logs,
     smoothed_logs,
 )
 from cosim.subject.candidates import Candidate
@@ -31,7 +29,7 @@ VARIES = 0.2  # least standard deviation of a term for a correlation, relative t
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class EffectComparison:
     """A missing quantity and the claimed term.
 
     what, unit: missing quantity; where: its state or channel
@@ -54,7 +52,7 @@ class Shown:
     recorded: float | None = None  # the share in refine.json
 
     @property
-    def what(self) -> str:
+    def quantity(self) -> str:
         """Return the missing quantity in words: `acceleration missing from speed`."""
         if self.kind == "sensor":
             return f"error of {self.where}"
@@ -79,126 +77,116 @@ class Shown:
         return 1.0 - float(np.mean((self.estimated - self.term) ** 2)) / power
 
 
-def shown(r: Refinement) -> list[Shown]:
+def compare_effects(r: Refinement) -> list[EffectComparison]:
     """Compare each claimed term, or the remainder, with data."""
     claim, base = r.verdict.claimed, r.attribution.base
     if claim is None:
         return [_draw_residual(r)] if r.verdict.name == "unexplained" else []
     pictures = []
     for candidate in claim.candidates:
-        with_it = Filter(claim.fit.values, claim.fit.noise)
-        without = Filter(base.fit.values, base.fit.noise)
+        without = base.fit
         if len(claim.candidates) > 1:  # the other candidates stay, so that only this term is missing
-            without = Filter(_without(claim, candidate, r.problem.values), base.fit.noise)
+            neutral = {n: r.problem.values[n] for n in candidate.parameters}
+            without = replace(base.fit, values={**claim.fit.values, **neutral})
         picture = _reading if candidate.kind == "sensor" else _term
-        pictures.append(picture(r.study.subject, r.problem, candidate, without, with_it))
+        pictures.append(picture(r.study.subject, r.problem, candidate, without, claim.fit))
     return pictures
 
 
-def _without(claim: Hypothesis, candidate: Candidate, neutral: Mapping[str, float]) -> dict[str, float]:
-    """Return the claim's values with one candidate at neutral."""
-    return {**claim.fit.values, **{n: neutral[n] for n in candidate.parameters}}
-
-
-def _term(subject: Subject, problem: Problem, c: Candidate, without: Filter, with_it: Filter) -> Shown:
+def _term(subject: Subject, problem: Problem, c: Candidate, without: Fit, with_it: Fit) -> EffectComparison:
     """Compare a term with the missing acceleration.
 
     The comparison is in the equation with the largest term, relative to its uncertainty.
     """
-    parts, _, sigma = smoothed(problem, without)
-    terms = np.vstack([claimed(problem, without, with_it, k) for k, _ in parts])
+    parts, _, sigma = smooth_logs(problem, without)
+    terms = np.vstack([contributions(problem, without, with_it, k) for k, _ in parts])
     column = int(np.argmax(np.sqrt(np.mean(terms**2, axis=0)) / np.median(sigma, axis=0)))
     against = choose(regressors(subject, problem, parts), subject.drawn_against.get(c.name, ()), terms[:, column])
     picture = _picture(subject, parts, column, against)
     return replace(picture, effect=c.name, kind=c.kind, term=terms[:, column])
 
 
-def _draw_residual(r: Refinement) -> Shown:
+def _draw_residual(r: Refinement) -> EffectComparison:
     """Compare the best hypothesis' remainder with the most promising unnamed term."""
     subject, problem, best = r.study.subject, r.problem, r.attribution.best.fit
-    parts, value, sigma = smoothed(problem, Filter(best.values, best.noise))
+    parts, value, sigma = smooth_logs(problem, best)
     residual, equations = r.verdict.residual, parts[0][1].equations
     column = int(np.argmax(value.std(axis=0) / np.median(sigma, axis=0)))
     if residual.get("equation") in equations:
         column = equations.index(residual["equation"])
     first = next(iter(residual.get("terms", ())), None)
-    drawn = nameless(subject, problem, parts, first) if first else None
-    if first is None or drawn is None:
+    regression = unnamed_term(subject, problem, parts, first) if first else None
+    if first is None or regression is None:
         return _picture(subject, parts, column, choose(regressors(subject, problem, parts), (), value[:, column]))
-    term = at_best(problem, best, column, drawn[1], value[:, column])
-    picture = _picture(subject, parts, column, drawn[0])
+    term = scale_to_missing(problem, best, column, regression[1], value[:, column])
+    picture = _picture(subject, parts, column, regression[0])
     return replace(picture, effect=first["signal"], term=term, recorded=residual.get("share"))
 
 
-def _picture(subject: Subject, parts: Smoothed, column: int, against: Regressor) -> Shown:
+def _picture(subject: Subject, parts: Smoothed, column: int, against: Regressor) -> EffectComparison:
     """Return the missing input of one equation."""
     where, logs = parts[0][1].equations[column], [m for _, m in parts]
-    unit = _per_second(next((q.unit for q in subject.states if q.name == where), ""))
+    unit = _rate_unit(next((q.unit for q in subject.states if q.name == where), ""))
     first = len(logs[0].time)
     step = float(np.median(np.diff(logs[0].time))) if first > 1 else 1.0
     time = np.concatenate([m.time for m in logs])
     value, sigma = (np.concatenate([getattr(m, of)[:, column] for m in logs]) for of in ("value", "sigma"))
-    return Shown("", "nameless", where, unit, against, time, value, sigma, None, first, step)
+    return EffectComparison("", "nameless", where, unit, against, time, value, sigma, None, first, step)
 
 
-def _per_second(unit: str) -> str:
+def _rate_unit(unit: str) -> str:
     return {"m/s": "m/s2", "rad/s": "rad/s2"}.get(unit, f"{unit}/s")
 
 
-def _reading(subject: Subject, problem: Problem, c: Candidate, without: Filter, with_it: Filter) -> Shown:
+def _reading(subject: Subject, problem: Problem, c: Candidate, without: Fit, with_it: Fit) -> EffectComparison:
     """Compare estimated and claimed error of a sensor.
 
     The error is shown for the output with the largest error: against the output itself if a straight line describes the
     error, against the output's rate for late readings, otherwise against the signal with the largest explained share.
     """
     kind = next(k for k in subject.sensors if k.name == c.name)
-    parts = [_sensed(problem, c, with_it, index, late=kind.late) for index in smoothed_logs(problem)]
-    first = len(parts[0].time)
-    time = np.concatenate([p.time for p in parts])
-    there, read, y, rate = (np.vstack([getattr(p, n) for p in parts]) for n in ("there", "read", "y", "rate"))
+    parts = [_readings(problem, c, with_it, index, late=kind.late) for index in smoothed_logs(problem)]
+    first = len(parts[0][0])
+    time, clean, wrong, y, rate = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     names = problem.layout.outputs
-    sizes = np.sqrt(np.nanmean((read - there) ** 2, axis=0) / problem.r)
+    sizes = np.sqrt(np.nanmean((wrong - clean) ** 2, axis=0) / problem.r)
     channel = max((names.index(n) for n in kind.affected() if n in names), key=lambda k: sizes[k])
-    rows = np.isfinite(y[:, channel]) & np.isfinite(read[:, channel])
+    rows = np.isfinite(y[:, channel]) & np.isfinite(wrong[:, channel])
     unit = {q.name: q.unit for q in subject.outputs}
-    said = {n: Regressor(f"{n} as the refined model says it is", unit[n], there[rows, k]) for k, n in enumerate(names)}
-    name, missed, term = names[channel], (y - there)[rows, channel], (read - there)[rows, channel]
+    outputs = {
+        n: Regressor(f"{n} as the refined model says it is", unit[n], clean[rows, k]) for k, n in enumerate(names)
+    }
+    name, missing, term = names[channel], (y - clean)[rows, channel], (wrong - clean)[rows, channel]
     if kind.late:
-        against = Regressor(f"rate of {name}, by the refined model", _per_second(unit[name]), rate[rows, channel])
+        against = Regressor(f"rate of {name}, by the refined model", _rate_unit(unit[name]), rate[rows, channel])
     elif kind.straight():
-        against = said[name]
+        against = outputs[name]
     else:
-        known = {"time": Regressor("time", "s", time[rows]), **said}
-        against = choose(known, subject.drawn_against.get(c.name, ()), term)
+        signals = {"time": Regressor("time", "s", time[rows]), **outputs}
+        against = choose(signals, subject.drawn_against.get(c.name, ()), term)
     sigma = np.full(len(term), float(np.sqrt(problem.r[channel])))
     count, step = int(rows[:first].sum()), problem.logs[0].step
-    return Shown(c.name, "sensor", name, unit[name], against, time[rows], missed, sigma, term, count, step)
+    return EffectComparison(c.name, "sensor", name, unit[name], against, time[rows], missing, sigma, term, count, step)
 
 
-@dataclass(frozen=True, eq=False)
-class _Sensed:
-    """Rows of one log: outputs without and with a sensor error, readings, output rates."""
+def _readings(problem: Problem, c: Candidate, with_it: Fit, index: int, *, late: bool) -> tuple[Array, ...]:
+    """Return every measured output along a log's refined estimate.
 
-    time: Array
-    there: Array
-    read: Array
-    y: Array
-    rate: Array
-
-
-def _sensed(problem: Problem, c: Candidate, with_it: Filter, index: int, *, late: bool) -> _Sensed:
-    """Return every measured output along a log's refined estimate."""
+    Returns:
+        Time, outputs without and with the sensor error, readings, and rates of the outputs.
+    """
     data = problem.logs[index]
-    run = problem.run({**problem.values, **with_it.values}, loosened(problem, with_it.noise), index, states=True)
-    clean = Steps(problem, index, {**with_it.values, **{n: problem.values[n] for n in c.parameters}})
-    wrong = Steps(problem, index, with_it.values)
+    run = problem.run({**problem.values, **with_it.values}, loosen_noise(problem, with_it.noise), index, states=True)
+    without = Steps(problem, index, {**with_it.values, **{n: problem.values[n] for n in c.parameters}})
+    with_error = Steps(problem, index, with_it.values)
     count = min(len(data.u), MOST_ROWS) - 1
-    there, read = (np.array([s.step(k, run.states[k], run.memory[k])[1] for k in range(count)]) for s in (clean, wrong))
+    clean, wrong = (
+        np.array([s.step(k, run.states[k], run.memory[k])[1] for k in range(count)]) for s in (without, with_error)
+    )
     k = np.arange(count, dtype=np.float64)
     if late:  # the sensor's delay: outputs of an earlier time
         rows = with_it.values[c.parameters[0]] / data.step
-        read = np.column_stack([np.interp(k - rows, k, column, left=np.nan) for column in there.T])
-    rate = np.gradient(there, data.step, axis=0)
-    kept = slice(min(unscored(data), count - 1), count)
-    time = data.start + data.step * k
-    return _Sensed(time[kept], there[kept], read[kept], data.y[:count][kept], rate[kept])
+        wrong = np.column_stack([np.interp(k - rows, k, column, left=np.nan) for column in clean.T])
+    rate = np.gradient(clean, data.step, axis=0)
+    scored = slice(min(unscored(data), count - 1), count)
+    return tuple(rows[scored] for rows in (data.start + data.step * k, clean, wrong, data.y[:count], rate))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from cosim.refinement import messages
 from cosim.report.figure import new_figure
 
 if TYPE_CHECKING:
@@ -22,14 +23,14 @@ def errors_figure(record: Mapping[str, Any], part: str) -> Figure:
     errors = {m: dict(record.get("error", {}).get(m, {}).get(part) or {}) for m in MODELS}
     channels = list(dict.fromkeys(name for of in errors.values() for name in of))
     if not channels:
-        raise ValueError(f'no errors of "{part}" are in refine.json; it holds estimation and validation')
+        raise ValueError(messages.NO_ERRORS(part=part))
     columns = min(4, len(channels))
     rows = -(-len(channels) // columns)
     figure = new_figure(2.4 * columns + 0.4, 2.4 * rows + 0.3)
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for ax, channel in zip(axes, channels, strict=False):
-        there = [m for m in MODELS if errors[m].get(channel) is not None]
-        ax.bar(there, [errors[m][channel] for m in there], color=[MODELS[m] for m in there])
+        models = [m for m in MODELS if errors[m].get(channel) is not None]
+        ax.bar(models, [errors[m][channel] for m in models], color=[MODELS[m] for m in models])
         ax.set_title(channel.replace("$", r"\$"), loc="left", fontsize=10)
         ax.tick_params(axis="x", labelsize=7.5)
         ax.spines[["top", "right"]].set_visible(False)

@@ -54,10 +54,10 @@ class ErrorTable:
 
 @dataclass(frozen=True)
 class HorizonTable:
-    """Errors `what` on one set of logs; each row has a channel's name and a text for each horizon."""
+    """Errors `heading` on one set of logs; each row has a channel's name and a text for each horizon."""
 
     title: str
-    what: str
+    heading: str
     horizons: tuple[str, ...]
     rows: tuple[tuple[str, tuple[str, ...]], ...]
 
@@ -69,8 +69,8 @@ def units(r: Refinement) -> dict[str, str]:
 
 def error_size(value: float, unit: str, like: float) -> str:
     """Format an error in a unit for size `like`."""
-    shown, factor = finer(unit, like)
-    return joined(plain(value * factor), shown)
+    shown_unit, factor = finer(unit, like)
+    return joined(plain(value * factor), shown_unit)
 
 
 def horizon(r: Refinement) -> str:
@@ -97,12 +97,14 @@ def horizon_table(r: Refinement) -> HorizonTable:
     With a claim: before → refined. Without: model → nearest model, or the model alone. Horizons without errors are
     omitted, since a log's step is longer.
     """
-    part = judged(r)
+    part = decisive_part(r)
     errors = {seconds: r.record["horizons"][name] for name, seconds in OTHER_HORIZONS.items()}
     errors[r.study.subject.horizon] = r.record["error"]
-    near = bool(r.record["error"].get("nearest")) and not r.verdict.claimed
-    variants = ("before", "after") if r.verdict.claimed else ("before", "nearest") if near else ("after",)
-    what = "Before → refined, over" if r.verdict.claimed else "The model → nearest.yaml, over" if near else "Over"
+    has_nearest = bool(r.record["error"].get("nearest")) and not r.verdict.claimed
+    variants = ("before", "after") if r.verdict.claimed else ("before", "nearest") if has_nearest else ("after",)
+    heading = (
+        "Before → refined, over" if r.verdict.claimed else "The model → nearest.yaml, over" if has_nearest else "Over"
+    )
 
     def text(error: Mapping[str, Any], channel: str) -> str:
         sizes = [float(error[name][part].get(channel, math.nan)) for name in variants]
@@ -110,10 +112,10 @@ def horizon_table(r: Refinement) -> HorizonTable:
 
     ordered = sorted(h for h in errors if any(v is not None for v in errors[h]["before"][part].values()))
     rows = [(c, tuple(text(errors[h], c) for h in ordered)) for c in r.record["error"]["before"][part]]
-    return HorizonTable(PARTS[part], what, tuple(map(horizon_name, ordered)), tuple(rows))
+    return HorizonTable(PARTS[part], heading, tuple(map(horizon_name, ordered)), tuple(rows))
 
 
-def judged(r: Refinement) -> str:
+def decisive_part(r: Refinement) -> str:
     """Return the decisive part: sealed logs, else estimation logs."""
     return "validation" if "validation" in r.record["error"]["before"] else "estimation"
 
@@ -128,12 +130,12 @@ def _numbers(r: Refinement, part: str, name: str) -> list[float]:
 
 def _error_row(r: Refinement, part: str, name: str) -> ErrorRow:
     before, _, after, floor, _ = numbers = _numbers(r, part, name)
-    *texts, near = (error_size(value, units(r).get(name, ""), after) for value in numbers)
-    left = excess_left(before, after, floor)
-    said = percent(max(0.0, left))
-    if math.isnan(left):
-        said = "within noise" if before < NOISE * floor else "below twice the floor" if floor else MISSING
-    return ErrorRow(name, texts[0], texts[1], texts[2], texts[3], said, _marks(before, after, floor), near)
+    *texts, nearest = (error_size(value, units(r).get(name, ""), after) for value in numbers)
+    share = excess_left(before, after, floor)
+    excess = percent(max(0.0, share))
+    if math.isnan(share):
+        excess = "within noise" if before < NOISE * floor else "below twice the floor" if floor else MISSING
+    return ErrorRow(name, texts[0], texts[1], texts[2], texts[3], excess, _marks(before, after, floor), nearest)
 
 
 def _marks(before: float, after: float, floor: float) -> Marks | None:
@@ -149,24 +151,25 @@ def _marks(before: float, after: float, floor: float) -> Marks | None:
 
 def second_sentence(r: Refinement) -> str:
     """Report the largest relative drop of an error, on sealed logs if available."""
-    part = judged(r)
-    what = "rows" if r.problem.table else "runs"
-    where = f"On sealed {what}" if part == "validation" else f"On the {what} used for the fits (none are sealed)"
+    part = decisive_part(r)
+    noun = "rows" if r.problem.table else "runs"
+    where = f"On sealed {noun}" if part == "validation" else f"On the {noun} used for the fits (none are sealed)"
     name = leading_channel(r)
     if not name:
         return ""
     if r.verdict.claimed is None:
-        return _unchanged(r, part, where)
+        return _unchanged_text(r, part, where)
     before, _, after, floor, _ = _numbers(r, part, name)
-    said = [error_size(v, units(r).get(name, ""), after) for v in (before, after, floor)]
+    sizes = [error_size(v, units(r).get(name, ""), after) for v in (before, after, floor)]
     verb = "fell from" if after < before else "went from"
-    lead = f"{where} the error of {name}{_over(r)} {verb} {said[0]} to {said[1]}"
-    return f"{lead}{_against_floor(said[1], said[2], above=floor > after)}"
+    over = "" if r.problem.table else f" over {horizon(r)}"
+    lead = f"{where} the error of {name}{over} {verb} {sizes[0]} to {sizes[1]}"
+    return f"{lead}{_floor_text(sizes[1], sizes[2], above=floor > after)}"
 
 
 def leading_channel(r: Refinement) -> str:
     """Return the channel with the largest relative drop, "" without errors."""
-    part = judged(r)
+    part = decisive_part(r)
     ratios = {}
     for name in r.record["error"]["before"][part]:
         before, _, after, *_ = _numbers(r, part, name)
@@ -175,28 +178,25 @@ def leading_channel(r: Refinement) -> str:
     return min(ratios, key=lambda n: ratios[n], default="")
 
 
-def _over(r: Refinement) -> str:
-    return "" if r.problem.table else f" over {horizon(r)}"
-
-
-def _against_floor(after: str, floor: str, *, above: bool) -> str:
+def _floor_text(after: str, floor: str, *, above: bool) -> str:
     """Compare an error with its noise floor."""
     if floor == after:
         return ", which is the noise floor."
     return f", below the noise floor of {floor}." if above else f"; the noise floor is {floor}."
 
 
-def _unchanged(r: Refinement, part: str, where: str) -> str:
+def _unchanged_text(r: Refinement, part: str, where: str) -> str:
     """Report the unchanged model's error farthest above its noise floor."""
-    worst, ratio = "", 0.0
+    ratios = {}
     for name in r.record["error"]["before"][part]:
         *_, after, floor, _ = _numbers(r, part, name)
-        if floor > 0 and after / floor > ratio:
-            worst, ratio = name, after / floor
-    if not worst:
+        if floor > 0 and after > 0:
+            ratios[name] = after / floor
+    if not (worst := max(ratios, key=lambda n: ratios[n], default="")):
         return ""
-    *_, after, floor, near = _numbers(r, part, worst)
-    said = [error_size(v, units(r).get(worst, ""), after) for v in (after, floor, near)]
-    beside = f", nearest.yaml by {said[2]}" if near < after else ""
-    lead = f"{where} the unchanged model misses {worst} by {said[0]}{_over(r)}{beside}"
-    return f"{lead}{_against_floor(said[0], said[1], above=floor > after)}"
+    *_, after, floor, nearest = _numbers(r, part, worst)
+    sizes = [error_size(v, units(r).get(worst, ""), after) for v in (after, floor, nearest)]
+    comparison = f", nearest.yaml by {sizes[2]}" if nearest < after else ""
+    over = "" if r.problem.table else f" over {horizon(r)}"
+    lead = f"{where} the unchanged model misses {worst} by {sizes[0]}{over}{comparison}"
+    return f"{lead}{_floor_text(sizes[0], sizes[1], above=floor > after)}"

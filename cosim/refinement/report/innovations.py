@@ -66,7 +66,7 @@ def _channel(
     r: Refinement, channel: str, both: Sequence[Sequence[Array]], drawing: Drawing, over: Drawing, lags: int
 ) -> WhitenessRow:
     names = modes(r)
-    tests = [whiteness(_joined(parts, lags), lags) for parts in both]
+    tests = [whiteness(_join_with_gaps(parts, lags), lags) for parts in both]
     traces = [Trace(n, parts[0], s) for n, parts, s in zip(names, both, STYLES, strict=True)]
     edge = np.full(both[0][0].size, NORMAL_95)
     panel = Panel(f"Innovation of {channel}", "σ", traces, Band("95 % of what is expected", -edge, edge))
@@ -85,7 +85,7 @@ def _innovations(r: Refinement, values: dict[str, float], noise: Noise, index: i
     return np.where(np.abs(scaled) < 1e6, scaled, np.nan)
 
 
-def _joined(parts: Sequence[Array], lags: int) -> Array:
+def _join_with_gaps(parts: Sequence[Array], lags: int) -> Array:
     """Join logs with gaps longer than any lag."""
     gap = np.full(lags + 1, np.nan)
     return np.concatenate([piece for part in parts for piece in (part, gap)])
@@ -94,10 +94,10 @@ def _joined(parts: Sequence[Array], lags: int) -> Array:
 def _autocorrelation(channel: str, tests: Sequence[Whiteness], names: Sequence[str], over: Drawing) -> Panel:
     """Return two autocorrelations as stems side by side."""
     rows, lag = every_lag(tests[0].rho.size - 1, STEMS), over.series.time
-    beside = 0.16 * (lag[1] - lag[0] if lag.size > 1 else lag[0])
+    offset = 0.16 * (lag[1] - lag[0] if lag.size > 1 else lag[0])
     traces = [
         Trace(name, test.rho[rows], style, stems=True, shift=shift)
-        for name, test, style, shift in zip(names, tests, ("s1 solid", "true"), (-beside, beside), strict=True)
+        for name, test, style, shift in zip(names, tests, ("s1 solid", "true"), (-offset, offset), strict=True)
     ]
     width = np.full(rows.size, tests[1].band if np.isfinite(tests[1].band) else 0.0)
     return Panel(f"Autocorrelation of {channel}", "1", traces, Band("95 % band if white", -width, width))

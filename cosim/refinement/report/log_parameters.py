@@ -23,12 +23,12 @@ def per_log_rows(r: Refinement) -> list[PerLogRow]:
     """Return a row for each parameter and group, fitted values first."""
     rows = []
     for name, entry in r.record.get("per_log", {}).items():
-        found = PerLog.model_validate(entry)
-        for group, e in found.groups.items():
-            low, high = (amount(bound, found.unit, 3) for bound in e.ci95)
-            rows.append(PerLogRow(name, group, amount(e.value, found.unit, 4), f"{low} … {high}", "fitted"))
-        for group, f in found.followed.items():
-            from_, by = amount(f.expected, found.unit, 3), amount(f.spread, found.unit, 2)
+        parameter = PerLog.model_validate(entry)
+        for group, e in parameter.groups.items():
+            low, high = (amount(bound, parameter.unit, 3) for bound in e.ci95)
+            rows.append(PerLogRow(name, group, amount(e.value, parameter.unit, 4), f"{low} … {high}", "fitted"))
+        for group, f in parameter.followed.items():
+            from_, by = amount(f.expected, parameter.unit, 3), amount(f.spread, parameter.unit, 2)
             how = f"by the filter at the end of the log, from {from_} ± {by} (one standard deviation)"
-            rows.append(PerLogRow(name, group, amount(f.value, found.unit, 4), MISSING, how))
+            rows.append(PerLogRow(name, group, amount(f.value, parameter.unit, 4), MISSING, how))
     return rows

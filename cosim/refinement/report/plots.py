@@ -14,7 +14,7 @@ from cosim.refinement.proof.measure import Evidence
 from cosim.refinement.record import Part
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.dependence import bins
-from cosim.refinement.report.effect_plots import Shown
+from cosim.refinement.report.effect_plots import EffectComparison
 from cosim.report.chart_data import Abscissa
 from cosim.report.drawing import Charts, Drawing
 from cosim.report.panels import Band, Panel, Trace
@@ -59,7 +59,7 @@ class Run:
 
 def runs(r: Refinement, charts: Charts) -> list[Run]:
     """Return the first estimation and the first sealed log."""
-    drawn = []
+    pages = []
     words: dict[Part, str] = {"estimation": "used for the fits", "validation": "sealed"}
     for part, word in words.items():
         before, after = (r.evidence[v].get(part) for v in ("before", "after"))
@@ -69,8 +69,8 @@ def runs(r: Refinement, charts: Charts) -> list[Run]:
             drawing = charts.over(log.time, CURVES * len(names), Abscissa(breaks=sorted(old.starts)))
             pairs = [_pair(r, drawing, before, after, name, floor.get(name, 0.0)) for name in names]
             loud = tuple(p for p in pairs if p.tells) or tuple(pairs)
-            drawn.append(Run(f"{log.path.name}, {word}", loud, tuple(p for p in pairs if p not in loud)))
-    return drawn
+            pages.append(Run(f"{log.path.name}, {word}", loud, tuple(p for p in pairs if p not in loud)))
+    return pages
 
 
 def _pair(r: Refinement, drawing: Drawing, before: Evidence, after: Evidence, name: str, floor: float) -> Pairs:
@@ -86,8 +86,8 @@ def _pair(r: Refinement, drawing: Drawing, before: Evidence, after: Evidence, na
     errors = [(label, style, e[0][1].errors(e[0][0])[name]) for label, style, e in curves]
     whole = [Trace("measured", reading * factor, "estimate")]
     whole += [Trace(label, (reading - e) * factor, style, anew=True) for label, style, e in errors]
-    left = [Trace(label, e * scale, style, anew=True) for label, style, e in errors]
-    panels = (Panel(name, unit or "1", whole), Panel(f"{name}: measured − model", fine or "1", left))
+    residuals = [Trace(label, e * scale, style, anew=True) for label, style, e in errors]
+    panels = (Panel(name, unit or "1", whole), Panel(f"{name}: measured − model", fine or "1", residuals))
     starts = log.time[np.array(sorted(old.starts), dtype=np.intp)]
     shaded = [replace(p, band=_windows(log.time, starts, old.horizon, p)) for p in panels]
     sizes = [rmse(e) for _, _, e in errors]
@@ -110,10 +110,10 @@ def _windows(time: Array, starts: Array, horizon: float, panel: Panel) -> Band |
 # -- what is missing --------------------------------------------------------------------------
 
 
-def against_signal(s: Shown, charts: Charts) -> Plot:
+def against_signal(s: EffectComparison, charts: Charts) -> Plot:
     """Draw the data's means and the claimed term."""
     unit, factor = display(s.unit)
-    shown, scale = display(s.against.unit)
+    signal_unit, scale = display(s.against.unit)
     x = s.against.values * scale
     low, high = extent([x]) or (0.0, 1.0)
     least = max(1, min(round(LEAST * slowness(s.step) / s.step), x.size // DOTS))
@@ -129,13 +129,13 @@ def against_signal(s: Shown, charts: Charts) -> Plot:
         groups = bins(x, FINE, max(1, least // 5))
         places, term = (np.array([v[g].mean() for g in groups]) for v in (x, s.term))
         traces.append(Trace(s.effect or "unnamed term", term * factor, "true", x=places))
-    title = f"{_what(s)} against {s.against.name}"
+    title = f"{_heading(s)} against {s.against.name}"
     return charts.alone(
-        Panel(title, unit or "1", traces), make_axis(low, high, 6), (s.against.name, shown or s.against.unit)
+        Panel(title, unit or "1", traces), make_axis(low, high, 6), (s.against.name, signal_unit or s.against.unit)
     )
 
 
-def over_time(s: Shown, charts: Charts) -> Plot:
+def over_time(s: EffectComparison, charts: Charts) -> Plot:
     """Draw a close-up of the first log at the largest variation."""
     unit, factor = display(s.unit)
     count = max(2, min(s.first, round(CLOSE_UP * slowness(s.step) / s.step)))
@@ -147,21 +147,21 @@ def over_time(s: Shown, charts: Charts) -> Plot:
     traces = [Trace("data", estimated, "estimate")]
     if s.term is not None:
         traces.append(Trace(s.effect or "unnamed term", s.term[rows] * factor, "true"))
-    panel = Panel(f"{_what(s)} over time", unit or "1", traces, Band("±2σ", estimated - width, estimated + width))
+    panel = Panel(f"{_heading(s)} over time", unit or "1", traces, Band("±2σ", estimated - width, estimated + width))
     return charts.over(s.time[rows], len(traces) + 2).plots([panel])[0]
 
 
-def axis_label(s: Shown) -> str:
+def axis_label(s: EffectComparison) -> str:
     """Return the axis label of the first plot."""
-    shown = " · ".join(display(u)[0] or u for u in s.against.unit.split(" · "))
-    return f"{s.against.name} [{shown or '1'}]"
+    units = " · ".join(display(u)[0] or u for u in s.against.unit.split(" · "))
+    return f"{s.against.name} [{units or '1'}]"
 
 
-def _what(s: Shown) -> str:
-    return f"{s.what[0].upper()}{s.what[1:]}"
+def _heading(s: EffectComparison) -> str:
+    return f"{s.quantity[0].upper()}{s.quantity[1:]}"
 
 
-def _standard_error(s: Shown, rows: Rows) -> float:
+def _standard_error(s: EffectComparison, rows: Rows) -> float:
     """Return the standard error of a mean of correlated rows.
 
     A slope of the rows is not counted as error.
@@ -174,6 +174,6 @@ def _standard_error(s: Shown, rows: Rows) -> float:
     return float(np.sqrt((np.mean(s.sigma[rows] ** 2) + max(0.0, scatter)) / count))
 
 
-def rows_shown(s: Shown) -> str:
+def rows_shown(s: EffectComparison) -> str:
     """Return the number of rows of a picture."""
     return f"{counted(s.estimated.size, 'row')} of the estimation logs"

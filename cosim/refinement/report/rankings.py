@@ -19,7 +19,7 @@ SHOWN_PAIRS = 15
 
 
 @dataclass(frozen=True)
-class Ranked:
+class RankingRow:
     """A hypothesis of the ranking."""
 
     names: str
@@ -70,45 +70,32 @@ class NoiseRow:
 # -- ranking ----------------------------------------------------------------------------------
 
 
-def ranked(r: Refinement) -> tuple[list[Ranked], list[Ranked], list[Ranked]]:
+def ranking_tables(r: Refinement) -> tuple[list[RankingRow], list[RankingRow], list[RankingRow]]:
     """Return displayed single candidates, folded single candidates, and combinations."""
     rows = [row for row in r.record["candidates"] if row["names"]]
     best = max((_gain(row) for row in rows), default=0.0)
     claimed = tuple(r.verdict.claimed.names) if r.verdict.claimed else ()
-    lines = [(len(row["names"]), _ranked(r, row, best, claimed)) for row in rows]
+    lines = [(len(row["names"]), _ranking_row(r, row, best, claimed)) for row in rows]
     singles, pairs = ([line for n, line in lines if (n == 1) == alone] for alone in (True, False))
     return singles[:SHOWN_SINGLES], singles[SHOWN_SINGLES:], pairs
 
 
-def _ranked(r: Refinement, row: Mapping[str, Any], best: float, claimed: Sequence[str]) -> Ranked:
-    gain = _gain(row)
-    chosen = tuple(row["names"]) == tuple(claimed)
-    declared = r.study.subject.declared
-    fitted = ", ".join(
-        f"{_short(n, row['names'])} = {amount(float(v), declared[n].unit if n in declared else '', 4)}"
-        for n, v in row["parameters"].items()
-    )
+def _ranking_row(r: Refinement, row: Mapping[str, Any], best: float, claimed: Sequence[str]) -> RankingRow:
+    gain, declared, values = _gain(row), r.study.subject.declared, []
+    for n, value in row["parameters"].items():
+        short = n.removesuffix(".value") if len(row["names"]) > 1 else n.partition(".")[2] or "value"
+        values.append(f"{short} = {amount(float(value), declared[n].unit if n in declared else '', 4)}")
     width = round(100 * max(0.0, gain) / best, 1) if best > 0 else 0.0
-    return Ranked(" + ".join(row["names"]), plain(gain, 3), width, fitted, _why(r, row), chosen)
-
-
-def _why(r: Refinement, row: Mapping[str, Any]) -> str:
-    """Return the reason for or against a hypothesis."""
-    if r.verdict.name == "ambiguous" and row["why"] == "claimed":
-        return "fits best, by little"
-    return str(row["why"])
+    why = str(row["why"])
+    if r.verdict.name == "ambiguous" and why == "claimed":
+        why = "fits best, by little"
+    is_claimed = tuple(row["names"]) == tuple(claimed)
+    return RankingRow(" + ".join(row["names"]), plain(gain, 3), width, ", ".join(values), why, is_claimed)
 
 
 def _gain(row: Mapping[str, Any]) -> float:
     """Return the gain in score, −∞ for a diverged filter."""
     return -math.inf if row["score_gain"] is None else float(row["score_gain"])
-
-
-def _short(name: str, owners: Sequence[str]) -> str:
-    own = name.partition(".")[2]
-    if len(owners) > 1:
-        return name.removesuffix(".value")
-    return own or "value"
 
 
 # -- parameters -------------------------------------------------------------------------------
@@ -118,16 +105,13 @@ def parameter_tables(r: Refinement) -> list[ParameterTable]:
     """Return the tables of added and of base parameters."""
     hypothesis = r.verdict.claimed or r.attribution.base
     own = {n for c in hypothesis.candidates for n in c.parameters}
-    added: list[ParameterRow] = []
-    rest: list[ParameterRow] = []
-    for free in hypothesis.fit.free:
-        if not free.group:
-            rows = added if free.name in own else rest
-            rows.append(_parameter_row(r, free, hypothesis))
+    common = [f for f in hypothesis.fit.free if not f.group]
+    added = [_parameter_row(r, f, hypothesis) for f in common if f.name in own]
+    rest = [_parameter_row(r, f, hypothesis) for f in common if f.name not in own]
     title = "Added parameters" if r.verdict.name != "parameter_error" else "Wrong parameters"
     note = "Bar: 95 % interval; dashed line: neutral value or data sheet."
     tables = [ParameterTable(title, note, "Neutral", tuple(added))]
-    if _stays(r, hypothesis):
+    if _is_base_unchanged(r, hypothesis):
         title, note = "fitted beside it", "The model keeps its values: the error is in a sensor, not in the plant."
     else:
         title, note = "recalibrated", "A change within the tolerance of the data sheet is not significant."
@@ -135,38 +119,38 @@ def parameter_tables(r: Refinement) -> list[ParameterTable]:
     return [t for t in tables if t.rows]
 
 
-def _stays(r: Refinement, hypothesis: Hypothesis) -> bool:
+def _is_base_unchanged(r: Refinement, hypothesis: Hypothesis) -> bool:
     """Return whether the base parameters stay: only a sensor is wrong."""
     subject = r.study.subject
     refined = refined_subject(subject, r.study.settings, hypothesis).values
     base = {n: value for n, value in subject.values.items() if n not in subject.sensor_parameters}
-    return hypothesis.of_sensors and base.items() <= refined.items()
+    return hypothesis.is_of_sensors and base.items() <= refined.items()
 
 
 def _parameter_row(r: Refinement, free: Free, hypothesis: Hypothesis) -> ParameterRow:
     """Return the row of an estimate."""
     declaration, value = r.study.subject.declared[free.name], hypothesis.fit.values[free.name]
     unit = declaration.unit
-    sigma, known = hypothesis.fit.sigma(free.name), float(r.problem.values[free.name])
-    shaping = "." in free.name and declaration.neutral is None
+    sigma, start = hypothesis.fit.sigma(free.name), float(r.problem.values[free.name])
+    is_shape = "." in free.name and declaration.neutral is None
     low, high = value - NORMAL_95 * sigma, value + NORMAL_95 * sigma
-    least, most = min(known, low), max(known, high)
+    least, most = min(start, low), max(start, high)
     room = 0.12 * (most - least) or 0.1 * abs(value) or 1.0
     least, most = max(free.low, least - room), min(free.high, most + room)
     digits = _digits(value, sigma)
-    neutral = f"{amount(known, unit, 4)}{' (start)' if shaping else ''}"
+    neutral = f"{amount(start, unit, 4)}{' (start)' if is_shape else ''}"
 
     def at(x: float) -> float:
         return round(100 * min(1.0, max(0.0, (x - least) / (most - least))), 2) if most > least else 50.0
 
-    lowest = _bare(low, unit, digits) if unit else amount(low, "", digits)
+    lowest = _number(low, unit, digits) if unit else amount(low, "", digits)
     interval = f"{lowest} … {amount(high, unit, digits)}"
-    bounds = f"{_bare(free.low, unit, 3)} … {amount(free.high, unit, 3)}"
-    places = at(known), at(low), round(at(high) - at(low), 2), at(value)
+    bounds = f"{_number(free.low, unit, 3)} … {amount(free.high, unit, 3)}"
+    places = at(start), at(low), round(at(high) - at(low), 2), at(value)
     return ParameterRow(free.name, neutral, amount(value, unit, digits), interval, bounds, *places)
 
 
-def _bare(value: float, unit: str, digits: int) -> str:
+def _number(value: float, unit: str, digits: int) -> str:
     return plain(value * display(unit)[1], digits)
 
 
@@ -192,16 +176,12 @@ def noise_rows(r: Refinement) -> list[NoiseRow]:
     for k, name in enumerate(r.problem.layout.forced):
         if name in noise:
             before, after = noise[name]["before"], noise[name]["after"]
-            drifts = [_drift(math.sqrt(q), unit.get(name, "")) for q in (before, after)]
+            drift_unit, factor = ("mm/s", 1000.0) if unit.get(name) == "m/s" else display(unit.get(name, ""))
+            drifts = [joined(plain(math.sqrt(q) * factor, 2), drift_unit) for q in (before, after)]
             bars = [_width(q, size.smallest[k] + usual, size.largest[k] + usual) for q in (before, after)]
-            words = _words(noise[name], size.quiet[k] + usual)
+            words = _noise_text(noise[name], size.quiet[k] + usual)
             rows.append(NoiseRow(name, drifts[0], drifts[1], bars[0], bars[1], words))
     return rows
-
-
-def _drift(value: float, unit: str) -> str:
-    text, factor = ("mm/s", 1000.0) if unit == "m/s" else display(unit)
-    return joined(plain(value * factor, 2), text)
 
 
 def _width(q: float, smallest: float, largest: float) -> float:
@@ -210,7 +190,7 @@ def _width(q: float, smallest: float, largest: float) -> float:
     return round(100 * min(1.0, max(0.0, (log_q - smallest) / (largest - smallest))), 1)
 
 
-def _words(q: Mapping[str, Any], quiet: float) -> str:
+def _noise_text(q: Mapping[str, Any], quiet: float) -> str:
     """Say whether an equation is complete.
 
     The equation was complete before if ln q was at most `quiet`.

@@ -16,12 +16,12 @@ from cosim.base.text import MISSING, counted, listed, parted, percent, plain
 from cosim.base.version import __version__
 from cosim.logs.log import Log
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.report.effect_plots import Shown, shown
+from cosim.refinement.report.effect_plots import EffectComparison, compare_effects
 from cosim.refinement.report.error_tables import error_tables, horizon, horizon_table, leading_channel, second_sentence
 from cosim.refinement.report.innovations import innovations, modes
 from cosim.refinement.report.log_parameters import per_log_rows
 from cosim.refinement.report.plots import Pairs, Run, against_signal, axis_label, over_time, rows_shown, runs
-from cosim.refinement.report.rankings import SHOWN_PAIRS, noise_rows, parameter_tables, ranked
+from cosim.refinement.report.rankings import SHOWN_PAIRS, noise_rows, parameter_tables, ranking_tables
 from cosim.refinement.report.table_plots import table_parts
 from cosim.report.drawing import Charts
 from cosim.report.html_tables import Badge, Row
@@ -84,30 +84,30 @@ _NO_TIME: Mapping[str, Any] = {"horizons": None, "terms": [], "runs": [], "lead"
 
 def _in_time(r: Refinement, charts: Charts) -> Mapping[str, Any]:
     """Return the drawings and texts over time."""
-    drawn = runs(r, charts)
-    lead = _lead(drawn, leading_channel(r))
+    plots = runs(r, charts)
+    lead = _lead(plots, leading_channel(r))
     return {
         "lead": lead and {"run": lead[0].title, "channel": lead[1].channel, "plots": lead[1].plots},
         "horizons": horizon_table(r),
         "horizon": horizon(r),
         "windowed": horizon(r) != "a whole run",
-        "terms": [_term(s, charts) for s in shown(r)],
+        "terms": [_term(s, charts) for s in compare_effects(r)],
         "term_lead": _term_lead(r),
-        "runs": [run for run in (lead[2] if lead else drawn) if run.channels or run.quiet],
+        "runs": [run for run in (lead[2] if lead else plots) if run.channels or run.quiet],
         **_whiteness(r, charts),
     }
 
 
-def _lead(drawn: Sequence[Run], channel: str) -> tuple[Run, Pairs, list[Run]] | None:
+def _lead(plots: Sequence[Run], channel: str) -> tuple[Run, Pairs, list[Run]] | None:
     """Return a channel of the last log, and the remaining plots of all logs.
 
     The last log is the sealed log, if any.
     """
-    if not drawn:
+    if not plots:
         return None
-    *others, last = drawn
-    every = (*last.channels, *last.quiet)
-    pair = next((p for p in every if p.channel == channel), every[0])
+    *others, last = plots
+    channels = (*last.channels, *last.quiet)
+    pair = next((p for p in channels if p.channel == channel), channels[0])
     return last, pair, [*others, last.without(pair)]
 
 
@@ -126,7 +126,7 @@ def _whiteness(r: Refinement, charts: Charts) -> Mapping[str, Any]:
 
 def _ranking(r: Refinement) -> Mapping[str, Any]:
     """Return the hypotheses: single candidates and combinations."""
-    singles, more, pairs = ranked(r)
+    singles, more, pairs = ranking_tables(r)
     return {
         "singles": singles,
         "more": more,
@@ -143,38 +143,31 @@ def _ranking(r: Refinement) -> Mapping[str, Any]:
 def _badges(r: Refinement) -> list[Badge]:
     text, tone = TITLES.get(r.verdict.name, (r.verdict.name, "plain"))
     sealed = len(r.evidence["before"].get("validation", ()))
-    what, much = "log", f"{plain(sum(float(log.time[-1] - log.time[0]) for log in r.study.logs))} s"
+    noun, amount = "log", f"{plain(sum(float(log.time[-1] - log.time[0]) for log in r.study.logs))} s"
     if r.problem.table:
-        what, much = "table", counted(sum(log.rows for log in r.study.logs), "row")
+        noun, amount = "table", counted(sum(log.rows for log in r.study.logs), "row")
+    fitted = sum(bool(row["fitted"]) for row in r.record["candidates"])
+    screened = len(r.record["candidates"]) - fitted
     return [
         Badge(text, tone),
         *([Badge("a part of it", "warn")] if r.verdict.grade == "part" else []),
-        Badge(f"{counted(len(r.study.logs), what)} used for the fits, {much}"),
-        Badge(f"{counted(sealed, what)} sealed" if sealed else f"no {what} sealed", "plain" if sealed else "warn"),
-        Badge(_tried(r)),
+        Badge(f"{counted(len(r.study.logs), noun)} used for the fits, {amount}"),
+        Badge(f"{counted(sealed, noun)} sealed" if sealed else f"no {noun} sealed", "plain" if sealed else "warn"),
+        Badge(f"{fitted} hypotheses fitted" + (f", {screened} screened" if screened else "")),
         Badge(f"{r.record['seconds']:.0f} s of computing"),
     ]
 
 
-def _tried(r: Refinement) -> str:
-    """Return the numbers of fitted and of screened hypotheses."""
-    fitted = sum(bool(row["fitted"]) for row in r.record["candidates"])
-    screened = len(r.record["candidates"]) - fitted
-    return f"{fitted} hypotheses fitted" + (f", {screened} screened" if screened else "")
-
-
 def _next_step(r: Refinement) -> str:
     """Return the next step for an open question."""
-    if r.verdict.name == "ambiguous" and r.verdict.claimed is None:
-        return (
-            f"Next step: record a log with {r.verdict.experiment}. Nothing is claimed: the model is left as it was. "
-            "Not visible in these logs, present or not:"
-        )
     if r.verdict.name == "ambiguous":
-        return (
-            f"Next step: record a log with {r.verdict.experiment}. Until then the refined model contains the "
-            "hypothesis that fits best; it predicts these runs as well as any of its rivals:"
-        )
+        rest = "Nothing is claimed: the model is left as it was. Not visible in these logs, present or not:"
+        if r.verdict.claimed:
+            rest = (
+                "Until then the refined model contains the hypothesis that fits best; it predicts these runs as well "
+                "as any of its rivals:"
+            )
+        return f"Next step: record a log with {r.verdict.experiment}. {rest}"
     if r.verdict.name == "unexplained" and r.verdict.rivals:
         return (
             "Next step: look at the figure of the remainder for what an effect of your own would have to do. "
@@ -189,11 +182,11 @@ def _term_lead(r: Refinement) -> str:
     way = "A smoother estimates, row by row, the input that an equation lacks, without knowing the proposed effect. "
     if r.verdict.claimed:
         return way + "Over it the claimed term: a step of the model with it minus a step without."
-    beside = f" beside {listed(r.verdict.rivals)}" if r.verdict.rivals else ""
-    return f"{way}Over the remainder{beside}: the unnamed term that would explain most of it, if there is one."
+    rivals = f" beside {listed(r.verdict.rivals)}" if r.verdict.rivals else ""
+    return f"{way}Over the remainder{rivals}: the unnamed term that would explain most of it, if there is one."
 
 
-def _term(s: Shown, charts: Charts) -> Mapping[str, Any]:
+def _term(s: EffectComparison, charts: Charts) -> Mapping[str, Any]:
     return {
         "title": s.effect or s.where,
         "sentence": _term_sentence(s),
@@ -203,15 +196,15 @@ def _term(s: Shown, charts: Charts) -> Mapping[str, Any]:
     }
 
 
-def _term_sentence(s: Shown) -> str:
+def _term_sentence(s: EffectComparison) -> str:
     """State the explained share and the correlation of a term."""
-    what = s.what
+    quantity = s.quantity
     if s.term is None:
-        return f"The {what} is drawn against {s.against.name}, which it follows most ({rows_shown(s)})."
+        return f"The {quantity} is drawn against {s.against.name}, which it follows most ({rows_shown(s)})."
     if not np.any(s.term):  # the effect acts elsewhere, for example behind a sensor
-        return f"{s.effect} adds nothing to the {what}: it acts on another equation ({rows_shown(s)})."
+        return f"{s.effect} adds nothing to the {quantity}: it acts on another equation ({rows_shown(s)})."
     who = s.effect if s.kind != "nameless" else "a constant" if s.effect == "1" else f"the term in {s.effect}"
-    text = f"Of the mean square {what}, {who} explains {percent(min(1.0, max(0.0, s.share)))}"
+    text = f"Of the mean square {quantity}, {who} explains {percent(min(1.0, max(0.0, s.share)))}"
     if s.kind == "sensor":
         return f"{text}; the rest is the noise of the sensor ({rows_shown(s)})."
     if math.isfinite(s.correlation):
@@ -229,9 +222,9 @@ def _error_lead(r: Refinement) -> str:
         over = f"over replays of {length}" if windowed else f"over {length}"
         each = "each started" if windowed else "started"
         how = f"{over} through the FMU, {each} from the state that the model's own filter had estimated by then"
-    made = "noise" if r.problem.table else "noise and disturbance"
+    cause = "noise" if r.problem.table else "noise and disturbance"
     text = (
-        f"Root mean square of measured − model {how}. The noise floor is the error that the estimated {made} alone "
+        f"Root mean square of measured − model {how}. The noise floor is the error that the estimated {cause} alone "
         f"would cause in the {'refined ' if claimed else ''}model."
     )
     if claimed:
@@ -274,11 +267,11 @@ def _provenance(r: Refinement) -> list[Row]:
     rows += [_log_row("Estimation log", log) for log in study.logs]
     rows += _inputs(r)
     rows += [_log_row("Sealed log", log) for log, _ in r.evidence["before"].get("validation", ())]
-    for name, what in (("model.yaml", "Refined model"), ("plant.fmu", "Refined FMU")):
+    for name, label in (("model.yaml", "Refined model"), ("plant.fmu", "Refined FMU")):
         if (file := r.folder / name).is_file():
-            rows.append(Row(what, str(file), _digest(file)))
-    known, claim = study.subject.sensor_parameters, r.verdict.claimed
-    stated = any(study.subject.values[n] != float(p.default) for n, p in known.items())
+            rows.append(Row(label, str(file), _digest(file)))
+    sensors, claim = study.subject.sensor_parameters, r.verdict.claimed
+    stated = any(study.subject.values[n] != float(p.default) for n, p in sensors.items())
     if stated or any(c.kind == "sensor" for c in (claim.candidates if claim else ())):
         rows.append(Row("Sensors", "errors stand in model.yaml; the FMU says what is there, not what is read"))
     return [*rows, Row("Made by", f"cosim {__version__}, Python {platform.python_version()}, numpy {np.__version__}")]

@@ -26,11 +26,12 @@ from cosim.residuals.residual_statistics import rmse
 
 INPUTS = 4  # at most, as x axes of a residual
 WORDS: Mapping[Part, str] = {"estimation": "used for the fits", "validation": "sealed"}
+Axis = tuple[str, str, Array]  # input, displayed unit and values in it
 COLUMNS = {"before": "Before", "recalibrated": "Recalibrated", "after": "Refined", "nearest": "Nearest"}
 
 
 @dataclass(frozen=True)
-class Drawn:
+class LabelledPlot:
     """A plot with the label of its axis."""
 
     plot: Plot
@@ -38,47 +39,47 @@ class Drawn:
 
 
 @dataclass(frozen=True)
-class DrawnTable:
+class TablePlots:
     """One table: title, and outputs over the inputs."""
 
     title: str
-    plots: tuple[Drawn, ...]
+    plots: tuple[LabelledPlot, ...]
 
 
 def table_parts(r: Refinement, charts: Charts) -> Mapping[str, Any]:
     """Return the template's values for tables, empty for logs over time."""
     if not r.problem.table:
         return {"left_out": None, "tables_drawn": []}
-    return {"left_out": left_out(r), "tables_drawn": drawn(r, charts)}
+    return {"left_out": held_out_table(r), "tables_drawn": draw_tables(r, charts)}
 
 
-def left_out(r: Refinement) -> Grid:
+def held_out_table(r: Refinement) -> Grid:
     """Return the errors on held-out rows.
 
     Without a claim, the refined model is omitted.
     """
     errors = r.record["error"]["left_out"]
-    shown = [k for k in COLUMNS if errors.get(k) and (k != "after" or r.verdict.claimed)]
+    models = [k for k in COLUMNS if errors.get(k) and (k != "after" or r.verdict.claimed)]
     rows = []
     for name, unit in ((n, units(r)[n]) for n in errors["before"]):
-        like = min(errors[k][name] for k in shown)
-        rows.append((name, *(error_size(errors[k][name], unit, like) for k in shown)))
-    return Grid("Rows left out", tuple(COLUMNS[k] for k in shown), tuple(rows))
+        smallest = min(errors[k][name] for k in models)
+        rows.append((name, *(error_size(errors[k][name], unit, smallest) for k in models)))
+    return Grid("Rows left out", tuple(COLUMNS[k] for k in models), tuple(rows))
 
 
-def drawn(r: Refinement, charts: Charts) -> list[DrawnTable]:
+def draw_tables(r: Refinement, charts: Charts) -> list[TablePlots]:
     """Draw every table: estimation tables, then sealed tables."""
-    found = []
+    tables = []
     for part, word in WORDS.items():
         for k, (log, _) in enumerate(r.evidence["before"].get(part, ())):
             of = {name: r.evidence[name][part][k : k + 1] for name in ("before", "after")}
             title = f"{log.path.name}, {word}: {counted(log.rows, 'row')}"
             plots = [p for name in log.outputs for p in _plots(r, charts, of, name)]
-            found.append(DrawnTable(title, tuple(plots)))
-    return found
+            tables.append(TablePlots(title, tuple(plots)))
+    return tables
 
 
-def _plots(r: Refinement, charts: Charts, of: Mapping[str, Evidence], name: str) -> list[Drawn]:
+def _plots(r: Refinement, charts: Charts, of: Mapping[str, Evidence], name: str) -> list[LabelledPlot]:
     """Draw an output and its residual over the inputs.
 
     The output is drawn over the first varying input, the residual over each.
@@ -92,49 +93,40 @@ def _plots(r: Refinement, charts: Charts, of: Mapping[str, Evidence], name: str)
     varied = [q for q in r.study.subject.inputs if np.ptp(log.inputs[q.name]) > 0.0][:INPUTS]
     unit, times = display(log.units[name])
     fine, scale = finer(log.units[name], max(rmse(e) for _, e in errors.values()))
-    plots: list[Drawn] = []
+    plots: list[LabelledPlot] = []
     for q in varied or r.study.subject.inputs[:1]:
-        axis, alone = _axis(log, q), len(varied) < 2
+        axis, alone = (q.name, *_unit_and_values(log, q)), len(varied) < 2
         if not plots:
             whole = [("measured", "estimate dots", reading)]
             whole += [(n, style, reading - e) for n, (style, e) in errors.items()]
-            drawn = [(n, s, v * times) for n, s, v in whole]
-            plots.append(_over(charts, name, unit, axis, drawn, alone))
-        left = [(n, f"{style} dots", e * scale) for n, (style, e) in errors.items()]
-        plots.append(_over(charts, f"{name}: measured − model", fine, axis, left, alone))
+            curves = [(n, s, v * times) for n, s, v in whole]
+            plots.append(_draw_over_input(charts, name, unit, axis, curves, alone))
+        residuals = [(n, f"{style} dots", e * scale) for n, (style, e) in errors.items()]
+        plots.append(_draw_over_input(charts, f"{name}: measured − model", fine, axis, residuals, alone))
     return plots
 
 
-@dataclass(frozen=True, eq=False)
-class _Axis:
-    """An input: displayed unit, values, and their scale to the displayed unit."""
-
-    name: str
-    unit: str
-    values: Array
-    scale: float
-
-
-def _axis(log: Log, q: Quantity) -> _Axis:
-    """Return the axis of an input."""
-    written, values = log.written.get(q.name), log.inputs[q.name]
-    if written and (scale := factor(written, q.unit or log.units[q.name])):
-        return _Axis(q.name, written, values, 1.0 / scale)
+def _unit_and_values(log: Log, q: Quantity) -> tuple[str, Array]:
+    """Return the displayed unit of an input, and its values in this unit."""
     unit, scale = display(q.unit)
-    return _Axis(q.name, unit, values, scale)
+    written = log.written.get(q.name)
+    if written and (ratio := factor(written, q.unit or log.units[q.name])):
+        unit, scale = written, 1.0 / ratio
+    return unit or "1", log.inputs[q.name] * scale
 
 
-def _over(
-    charts: Charts, title: str, unit: str, axis: _Axis, traces: Sequence[tuple[str, str, Array]], alone: bool
-) -> Drawn:
+def _draw_over_input(
+    charts: Charts, title: str, unit: str, axis: Axis, traces: Sequence[tuple[str, str, Array]], alone: bool
+) -> LabelledPlot:
     """Draw rows over an input: dots, or lines for a single varying input."""
-    order, shown = np.argsort(axis.values, kind="stable"), axis.unit or "1"
-    places = axis.values[order] * axis.scale
+    name, axis_unit, values_over = axis
+    order = np.argsort(values_over, kind="stable")
+    places = values_over[order]
     panel = [
         Trace(label, values[order], style if alone or "dots" in style else f"{style} dots")
         for label, style, values in traces
     ]
     low, high = float(places.min()), float(places.max())
     room = 0.03 * (high - low) or 0.1 * abs(high) or 1.0
-    drawing = charts.over(places, len(panel), Abscissa((axis.name, shown), (low - room, high + room)))
-    return Drawn(drawing.plots([Panel(title, unit or "1", panel)])[0], f"{axis.name} [{shown}]")
+    drawing = charts.over(places, len(panel), Abscissa((name, axis_unit), (low - room, high + room)))
+    return LabelledPlot(drawing.plots([Panel(title, unit or "1", panel)])[0], f"{name} [{axis_unit}]")

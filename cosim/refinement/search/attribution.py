@@ -20,10 +20,10 @@ from cosim.estimation.posing import coarsened
 from cosim.estimation.problem import Problem
 from cosim.estimation.screen import Choice, ScoreTest, Terms
 from cosim.estimation.sensor_noise import stamps_err
-from cosim.refinement.decision.evidence import scatter
+from cosim.refinement.decision.evidence import scatter_ratio
 from cosim.refinement.decision.judgement import SIGNIFICANT, loss_without
-from cosim.refinement.search.fits import SCREEN_ITERATIONS, Found, Progress, Search, Trial, key_of
-from cosim.refinement.search.hypotheses import Hypothesis, leading
+from cosim.refinement.search.fits import SCREEN_ITERATIONS, Progress, Search, SearchResult, Trial, key_of
+from cosim.refinement.search.hypotheses import Hypothesis, best_hypothesis
 from cosim.subject.candidates import Candidate
 from cosim.subject.interface import Subject
 
@@ -57,13 +57,13 @@ class Attributor:
         self.search = Search(subject, coarsened(problem), len(candidates), progress)
         self.identifiable: dict[str, float] = {}
 
-    def run(self) -> Found:
+    def run(self) -> SearchResult:
         """Fit the base, rounds of promising sets, and the finalists."""
         search = self.search
         self.progress("recalibrating the base model", 0.0)
         base = self._with_stamp_errors(self._with_stated_noise(search.hypothesis((), None)))
         search.tried[()] = base
-        search.reached = base.fit.objective
+        search.bound = base.fit.objective
         search.problem = replace(search.problem, sensing=base.fit.noise)
         best, idle = self._rescore(base), 0
         for number in range(ROUNDS):
@@ -73,7 +73,7 @@ class Attributor:
             stage = "trying every effect, sensor and parameter" if number == 0 else "looking for what is missing beside"
             fitted = search.fit_all(proposed, best, stage, NEAR)
             reduced = search.fit_all(self._reductions(fitted), best, "leaving out what does nothing", NEAR)
-            before, best = best.score, leading((best, *fitted, *reduced))
+            before, best = best.score, best_hypothesis((best, *fitted, *reduced))
             if best.score > before - DONE:
                 idle += 1
                 if idle > 1:
@@ -101,7 +101,7 @@ class Attributor:
         search = self.search
         if not search.problem.trusted:
             return h
-        search.problem = replace(search.problem, scatter=scatter(search.problem, h.fit))
+        search.problem = replace(search.problem, scatter=scatter_ratio(search.problem, h.fit))
         search.tried = {
             n: replace(o, score=o.fit.objective + search.cost(o.candidates)) for n, o in search.tried.items()
         }
@@ -109,7 +109,7 @@ class Attributor:
 
     def _leader(self, best: Hypothesis) -> Hypothesis:
         """Return the best hypothesis at new costs."""
-        return leading((best, *self.search.tried.values())) if self.search.problem.trusted else best
+        return best_hypothesis((best, *self.search.tried.values())) if self.search.problem.trusted else best
 
     def _with_stated_noise(self, base: Hypothesis) -> Hypothesis:
         """Fix silent sensors at their stated noise.
@@ -186,33 +186,33 @@ class Attributor:
         sets: dict[tuple[str, ...], Trial] = {}
         for h in fitted:
             neutral = self.search.problem.values
-            kept = tuple(c for c in h.candidates if loss_without(h, c, neutral) > self.search.cost([c]))
-            if kept and len(kept) < len(h.candidates):
-                sets[key_of(kept)] = kept, {n: h.fit.values[n] for c in kept for n in c.parameters}
+            parts = tuple(c for c in h.candidates if loss_without(h, c, neutral) > self.search.cost([c]))
+            if parts and len(parts) < len(h.candidates):
+                sets[key_of(parts)] = parts, {n: h.fit.values[n] for c in parts for n in c.parameters}
         return list(sets.values())
 
-    def _finish(self, base: Hypothesis, best: Hypothesis) -> Found:
+    def _finish(self, base: Hypothesis, best: Hypothesis) -> SearchResult:
         """Fit the best hypotheses to convergence with full substeps."""
         search = self.search
         self.progress("fitting the best to the end", 0.0)
         search.problem = replace(self._fine_enough(best), sensing=best.fit.noise, scatter=search.problem.scatter)
         if best.candidates:
-            (again,), (best,) = search.fit_again([base], only=True), search.fit_again([best])
+            (refit,), (best,) = search.fit_again([base], only=True), search.fit_again([best])
         else:
-            (again,) = (best,) = search.fit_again([best])
+            (refit,) = (best,) = search.fit_again([best])
         best = self._rescore(best)
         if (ahead := self._leader(best)) is not best:
-            best = leading((best, *search.fit_again([ahead])))
+            best = best_hypothesis((best, *search.fit_again([ahead])))
         best = self._with_replacement(self._with_addition(best))
-        search.reached = again.fit.objective
+        search.bound = refit.fit.objective
         for _ in range(2):  # A new best hypothesis has its own rivals.
-            beside = [h for h in self._finalists(best) if h.names and not h.ended]
-            before, best = best, leading((again, best, *search.fit_alike(beside, best)))
+            rivals = [h for h in self._finalists(best) if h.names and not h.ended]
+            before, best = best, best_hypothesis((refit, best, *search.fit_alike(rivals, best)))
             if best is before:
                 break
         absent = [c.name for c in self.candidates if c.kind == "effect" and c.name not in best.names]
         hidden = tuple(n for n in absent if self.identifiable.get(n, np.inf) < SIGNIFICANT**2)
-        return Found(search, best, hidden, tuple(self.candidates))
+        return SearchResult(search, best, hidden, tuple(self.candidates))
 
     def _with_addition(self, best: Hypothesis) -> Hypothesis:
         """Return the best hypothesis or a larger one.
@@ -221,7 +221,7 @@ class Attributor:
         """
         tried = sorted(self.search.tried.values(), key=lambda h: h.score)
         larger = [h for h in tried if set(h.names) > set(best.names) and h.score - best.score < NEAR]
-        return leading((best, *self.search.fit_again(larger[:MOST_ENLARGED])))
+        return best_hypothesis((best, *self.search.fit_again(larger[:MOST_ENLARGED])))
 
     def _fine_enough(self, best: Hypothesis) -> Problem:
         """Return the problem with enough substeps."""
@@ -243,8 +243,8 @@ class Attributor:
             ended = search.fit_again([h for h in halfway if h.score - best.score < base - h.score])
         untried = [trial for k, trial in sets.items() if k not in search.tried]
         fitted = search.fit_all(untried, best, "replacing each part", NEAR)
-        nearest = leading((best, *ended, *fitted))
-        return best if nearest is best else leading((best, *search.fit_again([nearest])))
+        nearest = best_hypothesis((best, *ended, *fitted))
+        return best if nearest is best else best_hypothesis((best, *search.fit_again([nearest])))
 
     def _replacements(self, best: Hypothesis) -> Iterator[Trial]:
         """Yield promising replacements of each part.

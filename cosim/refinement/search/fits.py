@@ -49,20 +49,20 @@ def starts_of(parts: Parts, moved: set[str]) -> list[dict[str, float]]:
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchResult:
     """Result of a search: the best hypothesis, and effects that these logs cannot show at their usual size.
 
     Attributes:
         candidates: All candidates on trial.
-        heard: With trusted equations, ln of the sensor noise variances of the fit with free unknown inputs; the trusted
-            fit would count model errors as noise.
+        sensors: With trusted equations, ln of the sensor noise variances of the fit with free unknown inputs; the
+            trusted fit would count model errors as noise.
     """
 
     search: Search
     best: Hypothesis
     hidden: tuple[str, ...]
     candidates: tuple[Candidate, ...]
-    heard: Array | None = None
+    sensors: Array | None = None
 
     @property
     def effects(self) -> int:
@@ -77,8 +77,8 @@ class Search:
         price: Score cost of each parameter of a candidate, ½·ln N.
         entry: Additional score cost of each candidate.
         tried: Names → hypothesis.
-        learnt: Names and held-out log → fit to the other logs.
-        reached: Objective of the recalibrated base model, an upper bound for every hypothesis.
+        cross_fits: Names and held-out log → fit to the other logs.
+        bound: Objective of the recalibrated base model, an upper bound for every hypothesis.
     """
 
     def __init__(self, subject: Subject, problem: Problem, on_trial: int, progress: Progress) -> None:
@@ -87,8 +87,8 @@ class Search:
         self.on_trial = max(1, on_trial)
         self.entry = ENTRY + float(np.log(self.on_trial))
         self.tried: dict[tuple[str, ...], Hypothesis] = {}
-        self.learnt: dict[tuple[tuple[str, ...], int], Fit] = {}  # (names, held-out log) → fit to the other logs
-        self.reached = np.inf
+        self.cross_fits: dict[tuple[tuple[str, ...], int], Fit] = {}
+        self.bound = np.inf
 
     def hypothesis(
         self,
@@ -113,15 +113,15 @@ class Search:
         start = start or unfitted(problem)
         # Only parameters free in this fit keep their start; parts of another hypothesis return to neutral.
         moved = {f.name for f in start.free} & {f.name for f in free}
-        known = {**problem.values, **{name: start.values[name] for name in moved}}
-        begins = [{**known, **values} for values in starts_of(parts, moved)]
+        base = {**problem.values, **{name: start.values[name] for name in moved}}
+        begins = [{**base, **values} for values in starts_of(parts, moved)]
         if promised:
-            begins = [{**known, **promised}, *(begins if len(begins) > 1 else ())]
+            begins = [{**base, **promised}, *(begins if len(begins) > 1 else ())]
         noise = self._noise_at_start(start.noise, loosen=loosen)
-        reached = self.reached_within(parts) if patient else np.inf
+        bound = self.bound_within(parts) if patient else np.inf
         fits = []
         for values in begins:
-            patience = Patience(goal, 1 if values == known else FAIR, reached)
+            patience = Patience(goal, 1 if values == base else FAIR, bound)
             fits.append(fit(problem, free, values, noise, None, iterations, patience=patience, sensing=sensing))
         best = min(fits, key=lambda f: f.objective)
         return Hypothesis(parts, best, best.objective + self.cost(parts), ended=sensing and iterations == TO_THE_END)
@@ -143,12 +143,12 @@ class Search:
         """Fit sets of candidates until a score within `margin` of `start` is out of reach."""
         todo = [trial for trial in sets if key_of(trial[0]) not in self.tried]
 
-        def one(which: Trial) -> Hypothesis:
-            parts, promised = which
+        def fit_trial(trial: Trial) -> Hypothesis:
+            parts, promised = trial
             goal = start.score + margin - self.cost(parts)
             return self.hypothesis(parts, start.fit, SCREEN_ITERATIONS, goal, promised=promised, sensing=False)
 
-        return self._each(stage, one, todo)
+        return self._fit_each(stage, fit_trial, todo)
 
     def fit_again(
         self, hypotheses: Sequence[Hypothesis], iterations: int = TO_THE_END, *, only: bool = False
@@ -159,29 +159,33 @@ class Search:
             only: Skip the restarts with larger or without unknown inputs.
         """
 
-        def one(h: Hypothesis) -> Hypothesis:
+        def refit(h: Hypothesis) -> Hypothesis:
             fitted = self.hypothesis(h.candidates, h.fit, iterations, loosen=False)
             if only or self.problem.trusted or not fitted.ended:
                 return fitted
-            return self._without_noise(self._from_plain_inputs(fitted))
+            noise = fitted.fit.noise
+            larger = replace(
+                noise, power=np.maximum(noise.power, self.problem.noise.quiet), memory=self.problem.plain.memory
+            )
+            return self._without_noise(self._refit_if_better(fitted, larger))
 
-        return self._each("fitting the best further", one, hypotheses)
+        return self._fit_each("fitting the best further", refit, hypotheses)
 
     def fit_alike(self, hypotheses: Sequence[Hypothesis], like: Hypothesis) -> list[Hypothesis]:
         """Fit hypotheses with the noise of another."""
 
-        def one(h: Hypothesis) -> Hypothesis:
+        def refit(h: Hypothesis) -> Hypothesis:
             return self.hypothesis(h.candidates, replace(h.fit, noise=like.fit.noise), loosen=False)
 
-        return self._each("fitting what comes near the best", one, hypotheses)
+        return self._fit_each("fitting what comes near the best", refit, hypotheses)
 
-    def _each(self, stage: str, one: Callable[[Item], Hypothesis], todo: Sequence[Item]) -> list[Hypothesis]:
+    def _fit_each(self, stage: str, fit_item: Callable[[Item], Hypothesis], todo: Sequence[Item]) -> list[Hypothesis]:
         """Fit items in parallel and report progress."""
         done = count()
         self.progress(stage, 0.0)
 
         def fit_and_report(item: Item) -> Hypothesis:
-            h, number = one(item), 1 + next(done)
+            h, number = fit_item(item), 1 + next(done)
             self.progress(f"{stage}: candidate {number} of {len(todo)}", number / len(todo))
             return h
 
@@ -189,13 +193,7 @@ class Search:
         self.tried |= {h.names: h for h in fitted}
         return fitted
 
-    def _from_plain_inputs(self, h: Hypothesis) -> Hypothesis:
-        """Refit a hypothesis from larger unknown inputs."""
-        plain = self.problem.plain
-        power = np.maximum(h.fit.noise.power, self.problem.noise.quiet)
-        return self._further(h, replace(h.fit.noise, power=power, memory=plain.memory))
-
-    def _further(self, h: Hypothesis, noise: Noise) -> Hypothesis:
+    def _refit_if_better(self, h: Hypothesis, noise: Noise) -> Hypothesis:
         """Refit a hypothesis from another noise if better."""
         goal = h.fit.objective - DONE
         other = self.hypothesis(h.candidates, replace(h.fit, noise=noise), LEADING, goal, loosen=False)
@@ -211,15 +209,15 @@ class Search:
             power[k] = least[k]
             noise = replace(h.fit.noise, power=power)
             if self.problem.scored(h.fit.values, noise).nll <= h.fit.nll + NEEDED:
-                h = self._further(h, noise)
+                h = self._refit_if_better(h, noise)
         return h
 
     def cost(self, parts: Sequence[Candidate]) -> float:
         """Return the score cost of candidates."""
         return self.problem.scatter * float(sum(self.entry + self.price * len(c.free) for c in parts))
 
-    def reached_within(self, parts: Parts) -> float:
+    def bound_within(self, parts: Parts) -> float:
         """Return the best objective of a subset."""
         names = {c.name for c in parts}
         fitted = (h.fit.objective for h in self.tried.values() if h.fit.iterations and names.issuperset(h.names))
-        return min(fitted, default=self.reached)
+        return min(fitted, default=self.bound)

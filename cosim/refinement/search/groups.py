@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from cosim.base.errors import Fault
+from cosim.base.messages import Message
+from cosim.refinement import messages
 from cosim.storage.yaml_file import did_you_mean
 from cosim.subject.interface import Subject
 
@@ -30,17 +32,10 @@ def full_name(subject: Subject, name: str) -> str:
     return f"{name}.value" if name in {kind.name for kind in subject.sensors} else name
 
 
-def numbers_of(subject: Subject) -> list[str]:
-    """Return the parameters that may be per log."""
-    base = [p.name for p in subject.parameters if not isinstance(p.default, bool)]
-    of_effects = [n for n in subject.candidate_parameters if n.partition(".")[0] in subject.present]
-    return [*base, *of_effects, *subject.sensor_parameters]
-
-
 def group_of(folder: Path, files: Sequence[str], groups: Groups) -> dict[Path, str]:
     """Return file → group of each log."""
-    named = {os.path.realpath(folder / f): group for group, members in groups.items() for f in members}
-    return {folder / f: named.get(os.path.realpath(folder / f), f) for f in files}
+    group = {os.path.realpath(folder / f): name for name, members in groups.items() for f in members}
+    return {folder / f: group.get(os.path.realpath(folder / f), f) for f in files}
 
 
 def per_log_faults(
@@ -57,75 +52,77 @@ def per_log_faults(
         logs: Files by `estimation` and `validation`.
         on_trial: Candidates named by the study.
     """
-    yield from _wrong_groups(places, groups, [*logs["estimation"], *logs["validation"]])
+    files = [*logs["estimation"], *logs["validation"]]
+    yield from _group_faults(places, groups, files)
     if names is None:
         if groups:
-            cure = "say with per_log which parameters differ between them, or leave the groups out"
-            yield places.fault(("groups",), f"groups, but no parameter per log; {cure}", key=True)
+            yield places.fault(("groups",), messages.GROUPS_WITHOUT_PARAMETERS(), key=True)
         return
     if subject.static:
-        cure = "a model without states reads tables; give it an input that tells them apart"
-        yield places.fault(("per_log",), f"parameters per log are not for tables: {cure}", key=True)
+        yield places.fault(("per_log",), messages.TABLES_PER_LOG(), key=True)
         return
     if not names:
-        yield places.fault(("per_log",), "names none; name some, or leave the key out", key=True)
-    apart = _unlearnt(places.path.parent, groups, logs)
-    known, seen = numbers_of(subject), set[str]()
+        yield places.fault(("per_log",), messages.NO_PARAMETERS_PER_LOG(), key=True)
+    alone = _sealed_alone(places.path.parent, groups, logs)
+    allowed, full_names = _per_log_parameters(subject), set[str]()
     for k, name in enumerate(names):
         place, full = ("per_log", k), full_name(subject, name)
-        if full not in known:
-            yield places.fault(place, _unknown(subject, name))
+        if full not in allowed:
+            yield places.fault(place, _unknown_parameter(subject, name, allowed))
             continue
-        if full in seen:
-            yield places.fault(place, f"{name} stands there twice; keep one")
-        elif apart and full in subject.only_known:
-            text = f"{name} cannot be learnt while the filter runs, as it would be on {apart[0]}"
-            yield places.fault(place, f"{text}; put {apart[0]} in a group with a log of estimation")
-        seen.add(full)
+        if full in full_names:
+            yield places.fault(place, messages.PARAMETER_TWICE(name=name))
+        elif alone and full in subject.only_known:
+            yield places.fault(place, messages.LOG_WITHOUT_VALUE(name=name, log=alone[0]))
+        full_names.add(full)
     for k, name in enumerate(on_trial):
-        if _whole(subject, name) <= seen:
-            cure = "one per log is free in every hypothesis; name it in one place"
-            yield places.fault(("candidates", k), f"{name} is per log too; {cure}")
+        if _parameters_of(subject, name) <= full_names:
+            yield places.fault(("candidates", k), messages.CANDIDATE_PER_LOG(name=name))
 
 
-def _unlearnt(folder: Path, groups: Groups, logs: Mapping[str, Sequence[str]]) -> list[str]:
+def _sealed_alone(folder: Path, groups: Groups, logs: Mapping[str, Sequence[str]]) -> list[str]:
     """Return the sealed logs whose group has no estimation log."""
     group = group_of(folder, [*logs["estimation"], *logs["validation"]], groups)
-    known = {group[folder / f] for f in logs["estimation"]}
-    return [f for f in logs["validation"] if group[folder / f] not in known]
+    estimated = {group[folder / f] for f in logs["estimation"]}
+    return [f for f in logs["validation"] if group[folder / f] not in estimated]
 
 
-def _wrong_groups(places: Places, groups: Groups, listed: Sequence[str]) -> Iterator[Fault]:
+def _group_faults(places: Places, groups: Groups, files: Sequence[str]) -> Iterator[Fault]:
     """Yield faults of groups."""
     folder, owner = places.path.parent, dict[str, str]()
-    files = {os.path.realpath(folder / f) for f in listed}
+    paths = {os.path.realpath(folder / f) for f in files}
     for group, members in groups.items():
-        if group in listed:
-            text = f'a group with the name of the log "{group}"; call it otherwise'
-            yield places.fault(("groups", group), text, key=True)
+        if group in files:
+            yield places.fault(("groups", group), messages.GROUP_NAMED_AS_LOG(group=group), key=True)
         if not members:
-            yield places.fault(("groups", group), f"{group} holds no log; name some, or leave it out", key=True)
+            yield places.fault(("groups", group), messages.EMPTY_GROUP(group=group), key=True)
         for k, name in enumerate(members):
             path, place = os.path.realpath(folder / name), ("groups", group, k)
-            if path not in files:
-                yield places.fault(place, f"{name} is not listed under logs{did_you_mean(name, listed)}")
+            if path not in paths:
+                yield places.fault(place, messages.UNLISTED_LOG(log=name, hint=did_you_mean(name, files)))
             elif path in owner:
-                twice = "twice" if owner[path] == group else f"in {owner[path]} too"
-                yield places.fault(place, f"{name} stands {twice}; a log has one group, keep one")
+                message = messages.LOG_TWICE_IN_GROUP if owner[path] == group else messages.LOG_IN_TWO_GROUPS
+                yield places.fault(place, message(log=name, group=owner[path]))
             owner.setdefault(path, group)
 
 
-def _unknown(subject: Subject, name: str) -> str:
-    if name in subject.declared and not isinstance(subject.declared[name].default, bool):
-        effect = name.partition(".")[0]
-        return f"{name} acts nowhere in the model; an effect that the model lacks is a candidate, so leave {effect} out"
-    known = numbers_of(subject)
-    own = [n for n in known if n.startswith(f"{name}.")]
-    short = [kind.name for kind in subject.sensors]
-    hint = f"; name its parameters: {', '.join(own)}" if own else did_you_mean(name, [*known, *short])
-    return f'no parameter "{name}" of the model or of its sensors{hint}'
+def _per_log_parameters(subject: Subject) -> list[str]:
+    """Return the parameters that may be per log."""
+    base = [p.name for p in subject.parameters if not isinstance(p.default, bool)]
+    of_effects = [n for n in subject.candidate_parameters if n.partition(".")[0] in subject.present]
+    return [*base, *of_effects, *subject.sensor_parameters]
 
 
-def _whole(subject: Subject, name: str) -> set[str]:
+def _parameters_of(subject: Subject, name: str) -> set[str]:
     """Return the parameters of a candidate."""
     return {n for n in subject.declared if n.startswith(f"{name}.")} or {name}
+
+
+def _unknown_parameter(subject: Subject, name: str, allowed: Sequence[str]) -> Message:
+    """Return the message of a parameter that cannot be per log."""
+    if name in subject.declared and not isinstance(subject.declared[name].default, bool):
+        return messages.INACTIVE_PARAMETER(name=name, effect=name.partition(".")[0])
+    own = [n for n in allowed if n.startswith(f"{name}.")]
+    short = [kind.name for kind in subject.sensors]
+    hint = f"; name its parameters: {', '.join(own)}" if own else did_you_mean(name, [*allowed, *short])
+    return messages.UNKNOWN_PARAMETER(name=name, hint=hint)

@@ -33,7 +33,7 @@ class Hypothesis:
         return tuple(sorted(c.name for c in self.candidates))
 
     @property
-    def of_sensors(self) -> bool:
+    def is_of_sensors(self) -> bool:
         """Return True if all candidates are sensor errors."""
         return {c.kind for c in self.candidates} == {"sensor"}
 
@@ -44,11 +44,11 @@ class Hypothesis:
 
     def is_away(self, c: Candidate, times: float) -> bool:
         """Return True if a parameter is more than `times` standard deviations from neutral."""
-        away = {f.name: abs(self.fit.values[f.name] - f.neutral) for f in c.free if f.neutral is not None}
-        return any(distance > times * self.fit.sigma(name) for name, distance in away.items())
+        distances = {f.name: abs(self.fit.values[f.name] - f.neutral) for f in c.free if f.neutral is not None}
+        return any(distance > times * self.fit.sigma(name) for name, distance in distances.items())
 
 
-def leading(hypotheses: Iterable[Hypothesis]) -> Hypothesis:
+def best_hypothesis(hypotheses: Iterable[Hypothesis]) -> Hypothesis:
     """Return the hypothesis with the best score."""
     return min(hypotheses, key=lambda h: h.score)
 
@@ -75,11 +75,11 @@ class Attribution:
     """Outcome of a search: the base fit, all hypotheses (best first), the supported one and its rivals.
 
     Attributes:
-        given: Given model with the noise of the base fit; only parameters per log are fitted.
+        unfitted: Given model with the noise of the base fit; only parameters per log are fitted.
     """
 
     base: Hypothesis
-    given: Fit
+    unfitted: Fit
     tried: tuple[Hypothesis, ...]
     best: Hypothesis
     rivals: tuple[Hypothesis, ...]
@@ -103,16 +103,16 @@ class Attribution:
         return self.error_ratio <= HALF and max(self.error_ratios) < 1.0
 
     @property
-    def noisy(self) -> tuple[bool, ...]:
-        """Return True for each forced equation with a remaining unknown input."""
+    def has_unknown_input(self) -> tuple[bool, ...]:
+        """Return, for each forced equation, whether an unknown input remains."""
         return tuple(gain > NOISE for gain in self.noise_gain)
 
     @property
-    def small(self) -> tuple[str, ...]:
+    def small_parts(self) -> tuple[str, ...]:
         """Return parts with gains explained by chance."""
         return tuple(n for n in self.fuller.names if n not in self.best.names) if self.fuller else ()
 
     @property
-    def blind(self) -> bool:
+    def is_blind(self) -> bool:
         """Return True if the logs could show none of the effects on trial."""
         return 0 < len(self.hidden) == self.effects

@@ -14,7 +14,8 @@ from typing import Literal
 from cosim.base.text import plain
 from cosim.estimation.fit import fit
 from cosim.estimation.problem import Problem
-from cosim.refinement.decision.evidence import blocks_of, by_block
+from cosim.refinement import messages
+from cosim.refinement.decision.evidence import blocks_of, gain_per_scatter
 from cosim.refinement.search.hypotheses import Hypothesis
 
 Way = Literal["held", "interpolated"]
@@ -29,7 +30,7 @@ class Between:
         steady: Gain divided by its scatter over blocks of time.
     """
 
-    taken: Mapping[str, Way]
+    ways: Mapping[str, Way]
     gain: float
     steady: float
 
@@ -38,15 +39,16 @@ class Between:
         """Return a warning if the opposite choice is clearly likelier."""
         if not (self.gain > LIKELIER and self.steady > STEADILY):
             return ()
-        other = {name: _other(way) for name, way in self.taken.items()}
-        ways = set(other.values())
-        said = ", ".join(f"{name}: {way}" for name, way in other.items())
-        line = f"`inputs: {ways.pop()}`" if len(ways) == 1 else f"`inputs: {{{said}}}`"
-        taken = " and ".join(f"{_those(self.taken, way)} {way}" for way in dict.fromkeys(self.taken.values()))
-        return (
-            f"between rows {taken}; the other way the logs are likelier by {plain(self.gain)} in log-likelihood, "
-            f"{plain(self.steady, 2)} times its scatter: if the rig commands so, say {line} in the study",
-        )
+        opposite = {name: "held" if way == "interpolated" else "interpolated" for name, way in self.ways.items()}
+        setting = opposite[next(iter(opposite))]
+        if len(set(opposite.values())) > 1:
+            setting = f"{{{', '.join(f'{name}: {way}' for name, way in opposite.items())}}}"
+        inputs = []
+        for way in dict.fromkeys(self.ways.values()):
+            names = [name for name in self.ways if self.ways[name] == way]
+            inputs.append(f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} taken as {way}")
+        texts = {"gain": plain(self.gain), "steadiness": plain(self.steady, 2), "line": f"`inputs: {setting}`"}
+        return (messages.LIKELIER_INTERPOLATION(inputs=" and ".join(inputs), **texts),)
 
 
 def between_rows(problem: Problem, base: Hypothesis) -> Between:
@@ -56,18 +58,9 @@ def between_rows(problem: Problem, base: Hypothesis) -> Between:
     logs = [replace(data, interpolated=flipped) for data in problem.logs]
     other = replace(problem, logs=logs, settings=replace(problem.settings, interpolated=flipped))
     # Unknown inputs start large enough to move, because inputs that compensated the wrong choice converge slowly.
-    again = fit(other, base.fit.free, base.fit.values, other.plain)
-    taken: dict[str, Way] = {name: "interpolated" if name in ramped else "held" for name in names}
-    now, then = problem.scored(base.fit.values, base.fit.noise), other.scored(again.values, again.noise)
-    block = blocks_of(problem, now, math.exp(base.fit.noise.memory))
-    steady = by_block(block, now, then, base.fit.penalty - again.penalty)
-    return Between(taken, base.fit.objective - again.objective, steady)
-
-
-def _those(taken: Mapping[str, Way], way: Way) -> str:
-    names = [name for name, taken_so in taken.items() if taken_so == way]
-    return f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} taken as"
-
-
-def _other(way: Way) -> Way:
-    return "held" if way == "interpolated" else "interpolated"
+    refit = fit(other, base.fit.free, base.fit.values, other.plain)
+    ways: dict[str, Way] = {name: "interpolated" if name in ramped else "held" for name in names}
+    scored, scored_refit = problem.scored(base.fit.values, base.fit.noise), other.scored(refit.values, refit.noise)
+    block = blocks_of(problem, scored, math.exp(base.fit.noise.memory))
+    steady = gain_per_scatter(block, scored, scored_refit, base.fit.penalty - refit.penalty)
+    return Between(ways, base.fit.objective - refit.objective, steady)

@@ -32,7 +32,7 @@ NONE = 1e-6  # distance of ln input power from the minimum that counts as zero
 
 
 @dataclass(frozen=True, eq=False)
-class Missing:
+class MissingInput:
     """Missing input d in the rows of one log, with its standard deviation, for each forced equation.
 
     Units are those of the state per second.
@@ -50,15 +50,7 @@ class Missing:
         return slice(first, first + len(self.time))
 
 
-Smoothed = Sequence[tuple[int, Missing]]  # index of a log in the problem, and its smoothed input
-
-
-@dataclass(frozen=True, eq=False)
-class Filter:
-    """Parameter values and process noise of a kernel filter."""
-
-    values: Mapping[str, float]
-    noise: Noise
+Smoothed = Sequence[tuple[int, MissingInput]]  # index of a log in the problem, and its smoothed input
 
 
 class Steps:
@@ -81,23 +73,22 @@ class Steps:
         return run.states[back + 1], run.outputs[back]
 
 
-def missing(problem: Problem, base: Filter, index: int, every: int = 1) -> Missing:
+def smooth_log(problem: Problem, base: Fit, index: int, every: int = 1) -> MissingInput:
     """Return the smoothed missing input of a log.
 
     Args:
         every: Rows between two linearizations.
     """
     layout, data = problem.layout, problem.logs[index]
-    equations = layout.forced
-    noise = loosened(problem, base.noise)
+    noise = loosen_noise(problem, base.noise)
     run = problem.run({**problem.values, **base.values}, noise, index, states=True)
     rows = min(len(data.u), MOST_ROWS)
     model = _linear(problem, Steps(problem, index, base.values), run.states, run.memory, rows, every)
     readings = problem.data({**problem.values, **base.values}, index).y[:rows]
     value, sigma = _smooth(problem, model, run.states, noise, index, readings)
-    kept = slice(min(unscored(data), rows - 1), rows - 1)
+    scored = slice(min(unscored(data), rows - 1), rows - 1)
     time = data.start + data.step * np.arange(rows, dtype=np.float64)
-    return Missing(time[kept], equations, value[kept], sigma[kept], run.states[:rows][kept])
+    return MissingInput(time[scored], layout.forced, value[scored], sigma[scored], run.states[:rows][scored])
 
 
 def smoothed_logs(problem: Problem) -> range:
@@ -105,29 +96,35 @@ def smoothed_logs(problem: Problem) -> range:
     return range(min(LOGS, len(problem.logs)))
 
 
-def smoothed(problem: Problem, base: Filter, every: int = 1) -> tuple[Smoothed, Array, Array]:
+def smooth_logs(problem: Problem, base: Fit, every: int = 1) -> tuple[Smoothed, Array, Array]:
     """Smooth the first logs; return single and stacked results."""
-    parts = [(k, missing(problem, base, k, every)) for k in smoothed_logs(problem)]
+    parts = [(k, smooth_log(problem, base, k, every)) for k in smoothed_logs(problem)]
     return parts, np.vstack([m.value for _, m in parts]), np.vstack([m.sigma for _, m in parts])
 
 
-def unknown_inputs(problem: Problem, at: Fit, noisy: Sequence[bool], units: Mapping[str, str]) -> dict[str, float]:
+def unknown_inputs(
+    problem: Problem, at: Fit, has_unknown_input: Sequence[bool], units: Mapping[str, str]
+) -> dict[str, float]:
     """Return the relative size of each unknown input.
 
     Args:
         units: Units of the states.
     """
     names, powers = problem.layout.forced, np.exp(0.5 * at.noise.power)
-    moved: dict[str, float] = {}
+    largest: dict[str, float] = {}  # unit → range of the derivatives
     runs = [problem.run({**problem.values, **at.values}, at.noise, k, states=True) for k in range(len(problem.logs))]
     for name, place in zip(names, problem.layout.forced_places, strict=True):
         change = [np.diff(run.states[unscored(d) :, place]) / d.step for run, d in zip(runs, problem.logs, strict=True)]
         low, high = np.percentile(np.concatenate(change), (2.5, 97.5))
-        moved[units[name]] = max(moved.get(units[name], 1e-300), float(high - low))
-    return {n: float(p) / moved[units[n]] for n, p, there in zip(names, powers, noisy, strict=True) if there}
+        largest[units[name]] = max(largest.get(units[name], 1e-300), float(high - low))
+    return {
+        n: float(p) / largest[units[n]]
+        for n, p, is_noisy in zip(names, powers, has_unknown_input, strict=True)
+        if is_noisy
+    }
 
 
-def loosened(problem: Problem, noise: Noise) -> Noise:
+def loosen_noise(problem: Problem, noise: Noise) -> Noise:
     """Return filter noise that follows model errors.
 
     A fit without unknown inputs counts model errors as sensor noise; sensors then keep their stated noise.
@@ -137,7 +134,7 @@ def loosened(problem: Problem, noise: Noise) -> Noise:
     return replace(problem.plain, sensors=sensors, power=np.maximum(noise.power, problem.noise.plain))
 
 
-def claimed(problem: Problem, base: Filter, after: Filter, index: int) -> Array:
+def contributions(problem: Problem, base: Fit, after: Fit, index: int) -> Array:
     """Return the claim's contribution to each equation.
 
     Both steps start from the refined estimate of the measured states and from their own estimate of the rest.
@@ -149,27 +146,27 @@ def claimed(problem: Problem, base: Filter, after: Filter, index: int) -> Array:
     rows = min(len(data.u), MOST_ROWS)
     added = np.full((rows, len(forced)), np.nan)
     for k in range(rows - 1):
-        here = problem.undisturbed(runs[0].states[k])
-        there = problem.undisturbed(runs[1].states[k])
-        here[shared] = there[shared]
-        plain = without.step(k, here, runs[0].memory[k])[0]
-        fuller = with_it.step(k, there, runs[1].memory[k])[0]
+        without_state = problem.undisturbed(runs[0].states[k])
+        with_state = problem.undisturbed(runs[1].states[k])
+        without_state[shared] = with_state[shared]
+        plain = without.step(k, without_state, runs[0].memory[k])[0]
+        fuller = with_it.step(k, with_state, runs[1].memory[k])[0]
         added[k] = (fuller - plain)[forced] / data.step
     return added[min(unscored(data), rows - 1) : rows - 1]
 
 
-def at_best(problem: Problem, at: Fit, column: int, term: Array, lacking: Array) -> Array:
+def scale_to_missing(problem: Problem, at: Fit, column: int, term: Array, lacking: Array) -> Array:
     """Return a term scaled to the missing input.
 
     The share that parameters without prior can compensate is projected out, because the fit has already moved these
     parameters. A term with the wrong sign scales to zero.
     """
-    here, rows = Filter(at.values, at.noise), []
+    rows = []
     for f in at.free:
         if f.prior is None:
             step = DIFFERENCE * f.size * (1.0 if at.values[f.name] + DIFFERENCE * f.size <= f.high else -1.0)
-            moved = Filter({**at.values, f.name: at.values[f.name] + step}, at.noise)
-            added = [claimed(problem, here, moved, k)[:, column] for k in smoothed_logs(problem)]
+            nudged = replace(at, values={**at.values, f.name: at.values[f.name] + step})
+            added = [contributions(problem, at, nudged, k)[:, column] for k in smoothed_logs(problem)]
             rows.append(np.concatenate(added) / step)
     if rows and np.isfinite(rows).all() and np.isfinite(term).all():
         basis = np.array(rows).T
@@ -203,11 +200,11 @@ def _linear(problem: Problem, steps: Steps, states: Array, memory: Array, rows: 
             F[k], C[k] = F[k - 1], C[k - 1]
             continue
         for j, state in enumerate(reached):
-            moved = states[k].copy()
-            moved[state] += size[j]
-            there, read = steps.step(k, moved, memory[k])
-            F[k, :, j] = (there - ahead)[reached] / size[j]
-            C[k, :, j] = (read - g[k]) / size[j]
+            nudged = states[k].copy()
+            nudged[state] += size[j]
+            next_state, outputs = steps.step(k, nudged, memory[k])
+            F[k, :, j] = (next_state - ahead)[reached] / size[j]
+            C[k, :, j] = (outputs - g[k]) / size[j]
     return _Linear(F, b, C, g)
 
 
@@ -224,7 +221,7 @@ def _smooth(problem: Problem, model: _Linear, states: Array, noise: Noise, index
     after, spread_after = np.zeros_like(ahead), np.zeros_like(spread)
     for k in range(rows - 1):
         ahead[k], spread[k] = x, P
-        x, P = _take(x, P, model.C[k], y[k] - model.g[k], r[k])
+        x, P = _update(x, P, model.C[k], y[k] - model.g[k], r[k])
         after[k], spread_after[k] = x, P
         x, P = model.F[k] @ x + model.b[k], model.F[k] @ P @ model.F[k].T + Q
     last = rows - 2
@@ -236,7 +233,7 @@ def _smooth(problem: Problem, model: _Linear, states: Array, noise: Noise, index
     return states[:rows][:, layout.noise_places] + after[:, places], deviation
 
 
-def _take(x: Array, P: Array, C: Array, e: Array, r: Array) -> tuple[Array, Array]:
+def _update(x: Array, P: Array, C: Array, e: Array, r: Array) -> tuple[Array, Array]:
     """Return the state conditioned on a row's measurements."""
     wide = np.zeros((len(e), len(x)))
     wide[:, : C.shape[1]] = C

@@ -21,7 +21,7 @@ from cosim.estimation.fit import Fit
 from cosim.estimation.problem import Problem
 from cosim.kernel.kernel import CONSTANT, DISTURBANCE
 from cosim.kernel.nameless import KNOTS, LOCAL, bump, clipped, rise
-from cosim.refinement.search.missing import Filter, Smoothed, smoothed
+from cosim.refinement.search.missing import Smoothed, smooth_logs
 
 HALF = 2.0 * np.sqrt(1.0 - 0.5 ** (1.0 / 3.0))  # ζ at which a bump has half its height
 INSIDE = (2.0, 98.0)  # percentiles of the rows that bound the places
@@ -76,8 +76,7 @@ class Shape:
     @property
     def entry(self) -> dict[str, Any]:
         """Return the entry for refine.json."""
-        told = {n: list(v) if isinstance(v, tuple) else v for n, v in vars(self).items()}
-        return {n: v for n, v in told.items() if n != "equation"}
+        return {n: list(v) if isinstance(v, tuple) else v for n, v in vars(self).items() if n != "equation"}
 
     @property
     def signal(self) -> str:
@@ -102,35 +101,35 @@ class Shape:
     def settings(self, slot: int) -> dict[str, float]:
         """Return the kernel parameters of this shape."""
 
-        def mixed(role: str, names: Sequence[str], size: float) -> dict[str, float]:
+        def weights(role: str, names: Sequence[str], size: float) -> dict[str, float]:
             return {f"{LOCAL}.{slot}.{role}.{n}": s * size for n, s in zip(names, (1.0, -1.0), strict=False)}
 
-        found = {f"{LOCAL}.{slot}.to.{self.equation}": 1.0}
+        settings = {f"{LOCAL}.{slot}.to.{self.equation}": 1.0}
         if self.turned:
             (angle,) = self.of
             circle = {"1": 1.0, f"cos {angle}": -np.cos(self.place), f"sin {angle}": -np.sin(self.place)}
-            found |= {f"{LOCAL}.{slot}.of.{n}": self.per * float(size) for n, size in circle.items()}
+            settings |= {f"{LOCAL}.{slot}.of.{n}": self.per * float(size) for n, size in circle.items()}
         else:
-            found |= mixed("of", self.of, self.per) | {f"{LOCAL}.{slot}.of.1": -self.place * self.per}
+            settings |= weights("of", self.of, self.per) | {f"{LOCAL}.{slot}.of.1": -self.place * self.per}
         if self.well:
-            return found | mixed("by", self.of, 1.0) | {f"{LOCAL}.{slot}.by.1": -self.place}
+            return settings | weights("by", self.of, 1.0) | {f"{LOCAL}.{slot}.by.1": -self.place}
         if self.dry:
-            return found | mixed("by", self.times, 1.0 / self.slip) | {f"{LOCAL}.{slot}.dry": 1.0}
-        return found | (mixed("by", self.times, 1.0) or {f"{LOCAL}.{slot}.by.1": 1.0})
+            return settings | weights("by", self.times, 1.0 / self.slip) | {f"{LOCAL}.{slot}.dry": 1.0}
+        return settings | (weights("by", self.times, 1.0) or {f"{LOCAL}.{slot}.by.1": 1.0})
 
     def coefficients(self, slot: int) -> tuple[str, ...]:
         """Return the names of a slot's coefficients."""
         own = {"bump": ("0",), "step": ("rise",), "spline": tuple(map(str, range(KNOTS)))}[self.kind]
         return tuple(f"{LOCAL}.{slot}.{name}" for name in own)
 
-    def over(self, signals: Signals) -> Array:
+    def positions(self, signals: Signals) -> Array:
         """Return the signal, a turning angle near the place."""
-        z = _mixed(signals, self.of)
+        z = _difference(signals, self.of)
         return np.mod(z - self.place + np.pi, TURN) + self.place - np.pi if self.turned else z
 
     def columns(self, signals: Signals) -> Array:
         """Return the factor of each coefficient, shape (rows, coefficients)."""
-        z = self.over(signals)
+        z = self.positions(signals)
         over = self.per * (1.0 - np.cos(z - self.place) if self.turned else z - self.place)
         if self.kind == "step":
             basis = rise(over)[:, None]
@@ -141,11 +140,11 @@ class Shape:
             return np.asarray(basis * (z - self.place)[:, None])
         if not self.times:
             return np.asarray(basis)
-        factor = _mixed(signals, self.times)
+        factor = _difference(signals, self.times)
         return np.asarray(basis * (clipped(factor / self.slip) if self.dry else factor)[:, None])
 
 
-def _mixed(signals: Signals, names: Sequence[str]) -> Array:
+def _difference(signals: Signals, names: Sequence[str]) -> Array:
     return signals[names[0]] - signals[names[1]] if len(names) > 1 else signals[names[0]]
 
 
@@ -154,11 +153,11 @@ def signals_of(problem: Problem, parts: Smoothed) -> dict[str, Array]:
     layout, states = problem.layout, np.vstack([m.states for _, m in parts])
     commands = np.vstack([problem.logs[k].u[m.rows(problem.logs[k])] for k, m in parts])
     time, named = np.concatenate([m.time for _, m in parts]), zip(layout.states, states.T, strict=True)
-    known = {n: z for n, z in named if not n.startswith((DISTURBANCE, CONSTANT))}
-    return {"time": time, **known, **{f"command {n}": u for n, u in zip(layout.inputs, commands.T, strict=True)}}
+    own = {n: z for n, z in named if not n.startswith((DISTURBANCE, CONSTANT))}
+    return {"time": time, **own, **{f"command {n}": u for n, u in zip(layout.inputs, commands.T, strict=True)}}
 
 
-def promising(problem: Problem, at: Fit, units: Mapping[str, str], worth: float) -> tuple[list[Shape], int]:
+def promising_shapes(problem: Problem, at: Fit, units: Mapping[str, str], worth: float) -> tuple[list[Shape], int]:
     """Return promising shapes and the number tried.
 
     Args:
@@ -166,12 +165,12 @@ def promising(problem: Problem, at: Fit, units: Mapping[str, str], worth: float)
         worth: Log-likelihood gain that a shape must promise, assuming independent rows.
     """
     prefix = f"{LOCAL}.1.of."
-    known = {n.removeprefix(prefix) for n in problem.layout.parameters if n.startswith(prefix)}
-    if not known or not problem.layout.forced:
+    names = {n.removeprefix(prefix) for n in problem.layout.parameters if n.startswith(prefix)}
+    if not names or not problem.layout.forced:
         return [], 0
     with np.errstate(invalid="ignore", over="ignore"):
-        parts, lacking, sigma = smoothed(problem, Filter(at.values, at.noise), EVERY)
-    signals = {n: z for n, z in signals_of(problem, parts).items() if n in known}
+        parts, lacking, sigma = smooth_logs(problem, at, EVERY)
+    signals = {n: z for n, z in signals_of(problem, parts).items() if n in names}
     if not all(np.isfinite(z).all() for z in (lacking, *signals.values())):
         return [], 0
     shapes: list[Shape] = []
@@ -179,7 +178,7 @@ def promising(problem: Problem, at: Fit, units: Mapping[str, str], worth: float)
     for column, equation in enumerate(problem.layout.forced):
         weight = 1.0 / np.sqrt(np.mean(sigma[:, column] ** 2))
         own = [signals[equation]] if equation in signals else []
-        best = _Best(lacking[:, column] * weight, own, worth)
+        best = _Selection(lacking[:, column] * weight, own, worth)
         for ground in _grounds(problem, equation, signals, units):
             for shape in ground.shapes():
                 tried += len(shape.coefficients(1))
@@ -188,26 +187,27 @@ def promising(problem: Problem, at: Fit, units: Mapping[str, str], worth: float)
     return shapes, tried
 
 
-class _Best:
+class _Selection:
     """The best shapes for one equation, beside a constant and the state itself."""
 
-    def __init__(self, lacking: Array, beside: Sequence[Array], worth: float) -> None:
-        self.plain = orthonormal(np.column_stack([np.ones(len(lacking)), *beside]))
-        self.lacking, self.worth = self._beside(lacking), worth
+    def __init__(self, lacking: Array, others: Sequence[Array], worth: float) -> None:
+        self.plain = orthonormal(np.column_stack([np.ones(len(lacking)), *others]))
+        self.lacking, self.worth = self._project(lacking), worth
         self.single: list[tuple[float, Shape, Array]] = []
         self.groups: list[tuple[float, Shape, Array]] = []
 
-    def _beside(self, columns: Array) -> Array:
+    def _project(self, columns: Array) -> Array:
+        """Return the columns without their share in the constant and the state."""
         return np.asarray(columns - self.plain @ (self.plain.T @ columns))
 
     def try_one(self, shape: Shape, columns: Array) -> None:
         """Keep a shape if its predicted gain is sufficient."""
-        left = self._beside(columns)
-        products = left.T @ left
-        taken = least_squares(products, left.T @ self.lacking, rcond=1e-9)
-        gain = 0.5 * float(taken @ products @ taken)
-        if gain > self.worth * len(taken):
-            (self.groups if len(taken) > 1 else self.single).append((gain, shape, left @ taken))
+        basis = self._project(columns)
+        products = basis.T @ basis
+        sizes = least_squares(products, basis.T @ self.lacking, rcond=1e-9)
+        gain = 0.5 * float(sizes @ products @ sizes)
+        if gain > self.worth * len(sizes):
+            (self.groups if len(sizes) > 1 else self.single).append((gain, shape, basis @ sizes))
 
     def select(self) -> list[Shape]:
         """Return the most promising distinct shapes."""
@@ -242,7 +242,7 @@ class _Ground:
     def shapes(self) -> Iterator[Shape]:
         """Yield every shape on trial."""
         if len(self.flat.of) == 1 and self.flat.unit == "rad" and self.high - self.low > TURN:
-            yield from self._round()
+            yield from self._turning_shapes()
             return
         span = self.high - self.low
         for place in np.linspace(self.low, self.high, STEPS + 2)[1:-1]:
@@ -258,17 +258,17 @@ class _Ground:
                     shape = replace(self.flat, place=float(place), width=float(width * span))
                     yield shape
                     yield replace(shape, well=True)
-                    yield from self._multiplied(shape)
+                    yield from self._products(shape)
 
-    def _round(self) -> Iterator[Shape]:
+    def _turning_shapes(self) -> Iterator[Shape]:
         """Yield the shapes over a turning angle."""
         for width in WIDTHS:
             for place in np.arange(round(2 / width)) * 0.5 * width * TURN:
                 shape = replace(self.flat, place=float(place), width=width * TURN, turned=True)
                 yield shape
-                yield from self._multiplied(shape)
+                yield from self._products(shape)
 
-    def _multiplied(self, shape: Shape) -> Iterator[Shape]:
+    def _products(self, shape: Shape) -> Iterator[Shape]:
         """Yield a shape times each factor."""
         for times, slip in self.factors.items():
             yield replace(shape, times=times)
@@ -280,21 +280,16 @@ def _grounds(problem: Problem, equation: str, signals: Signals, units: Mapping[s
     states = [n for n in signals if n in problem.layout.states]
     pairs = [(a, b) for a, b in combinations(states, 2) if units.get(a, a) == units.get(b, b)]
     for of in (*((n,) for n in signals), *pairs):
-        z = _mixed(signals, of)
+        z = _difference(signals, of)
         low, high = np.percentile(z, INSIDE)
         if high > low and np.unique(z).size >= FEWEST:
-            factors = {t: _slip(signals, t) for t in _factors(problem, equation, signals, of) if not set(t) & set(of)}
+            factors = _factors(problem, equation, signals, of)
             yield _Ground(Shape(equation, of, "bump", 0.0, 0.0, unit=units.get(of[0], "")), z, low, high, factors)
 
 
-def _factors(problem: Problem, equation: str, signals: Signals, of: tuple[str, ...]) -> list[tuple[str, ...]]:
-    """Return the possible factors of a shape."""
-    rates = [problem.layout.rates.get(n, "") for n in of]
-    factors = [tuple(rates)] if all(rate in signals for rate in rates) else []
-    return [*factors, *((t,) for t in (equation,) if t in signals and (t,) not in factors)]
-
-
-def _slip(signals: Signals, names: tuple[str, ...]) -> float:
-    """Return the value within which the sign of a velocity turns."""
-    low, high = np.percentile(_mixed(signals, names), INSIDE)
-    return SLIP * float(high - low) or 1.0
+def _factors(problem: Problem, equation: str, signals: Signals, of: tuple[str, ...]) -> dict[tuple[str, ...], float]:
+    """Return the possible factors of a shape, and the value within which the sign of each turns."""
+    rates = tuple(problem.layout.rates.get(n, "") for n in of)
+    times = [t for t in dict.fromkeys((rates, (equation,))) if signals.keys() >= {*t} and not {*t} & {*of}]
+    ranges = {t: float(np.ptp(np.percentile(_difference(signals, t), INSIDE))) for t in times}
+    return {t: SLIP * span or 1.0 for t, span in ranges.items()}

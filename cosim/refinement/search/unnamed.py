@@ -23,8 +23,8 @@ from cosim.estimation.problem import Problem
 from cosim.estimation.screen import ScoreTest
 from cosim.kernel.nameless import PREFIX, SLOTS
 from cosim.refinement.search.fits import ENTRY, SCREEN_ITERATIONS
-from cosim.refinement.search.missing import Filter, at_best, claimed, smoothed
-from cosim.refinement.search.shapes import Shape, promising
+from cosim.refinement.search.missing import contributions, scale_to_missing, smooth_logs
+from cosim.refinement.search.shapes import Shape, promising_shapes
 from cosim.subject.candidates import Free
 
 SMALL = 0.1  # share of a plainly detected disturbance within a second, for the difference step of a term
@@ -35,7 +35,7 @@ ALIKE = 0.95  # correlation of two terms' differences from which one represents 
 
 
 @dataclass(frozen=True)
-class Unnamed:
+class UnnamedTerm:
     """A term without a name.
 
     Attributes:
@@ -67,23 +67,26 @@ class Unnamed:
         return self.shape.coefficients(self.slot) if self.shape else (f"{PREFIX}.{self.equation}.{self.signal}",)
 
     @property
+    def coefficients(self) -> dict[str, float]:
+        """Return the values of the coefficients by name."""
+        return dict(zip(self.names, self.sizes or (self.coefficient,), strict=True))
+
+    @property
     def kernel_settings(self) -> dict[str, float]:
         """Return the kernel parameters that set the shape."""
         return self.shape.settings(self.slot) if self.shape else {}
 
     @property
-    def values(self) -> dict[str, float]:
-        """Return the parameter values of the term."""
-        return self.kernel_settings | dict(zip(self.names, self.sizes or (self.coefficient,), strict=True))
-
-    @property
     def entry(self) -> dict[str, Any]:
         """Return the entry for refine.json."""
-        told = {"equation": self.equation, "signal": self.signal, "gain": self.gain, "coefficient": self.coefficient}
+        entry = {name: getattr(self, name) for name in ("equation", "signal", "gain", "coefficient")}
         if self.shape is None:
-            return told
+            return entry
         local = {**self.shape.entry, "sizes": list(self.sizes)}
-        return told | {"place": self.shape.place, "width": self.shape.width, "local": local}
+        return entry | {"place": self.shape.place, "width": self.shape.width, "local": local}
+
+
+LocalTerm = tuple[UnnamedTerm, list[Array]]  # a term with a local shape, and the effect of each coefficient
 
 
 @dataclass(frozen=True)
@@ -98,19 +101,21 @@ class Leftover:
         among: Number of terms tried.
     """
 
-    terms: tuple[Unnamed, ...]
+    terms: tuple[UnnamedTerm, ...]
     fit: Fit | None
     gain: float
     cost: float
     among: int = 1
 
     @property
-    def first(self) -> Unnamed | None:
+    def first(self) -> UnnamedTerm | None:
         """Return the most promising term."""
         return self.terms[0] if self.terms else None
 
 
-def left_beside(problem: Problem, at: Fit, price: float, units: Mapping[str, str] = MappingProxyType({})) -> Leftover:
+def find_unnamed_terms(
+    problem: Problem, at: Fit, price: float, units: Mapping[str, str] = MappingProxyType({})
+) -> Leftover:
     """Return the terms beside a fit.
 
     Args:
@@ -119,24 +124,22 @@ def left_beside(problem: Problem, at: Fit, price: float, units: Mapping[str, str
         price: Score cost of a parameter for a white residual.
         units: Units of time, states and commands; local shapes use differences of states with equal units.
     """
-    looked = _Terms(problem, at, price)
-    simple, local = looked.simple(), looked.local(units)
-    terms = sorted(looked.beside(simple, local), key=looked.net, reverse=True)
-    chosen = _placed([u for u in terms if looked.net(u) > 0.0][:FITTED])
+    test = _Terms(problem, at, price)
+    terms = sorted(test.select(test.simple(), test.local(units)), key=test.net, reverse=True)
+    chosen = _with_slots([u for u in terms if test.net(u) > 0.0][:FITTED])
     if not chosen:
-        return Leftover((), None, 0.0, looked.cost)
+        return Leftover((), None, 0.0, test.cost)
     without = fit(problem, at.free, at.values, at.noise, iterations=SCREEN_ITERATIONS)
     while chosen:
-        fitted = _fitted(problem, at, chosen)
-        gains = {u: _alone(fitted, u) for u in chosen}
-        if all(gain > looked.costs(u) for u, gain in gains.items()):
-            named = sorted((_as_fitted(u, fitted, gains[u]) for u in chosen), key=looked.net, reverse=True)
-            named[0] = replace(named[0], share=_share(problem, at, named[0]))
+        fitted = _fit_terms(problem, at, chosen)
+        refitted = [_with_coefficients(u, fitted) for u in chosen]
+        if all(test.net(u) > 0.0 for u in refitted):
+            refitted.sort(key=test.net, reverse=True)
+            refitted[0] = replace(refitted[0], share=_share(problem, at, refitted[0]))
             gain = without.objective - fitted.objective
-            return Leftover(tuple(named), fitted, gain, looked.cost, looked.number_tried(named))
-        weakest = min(chosen, key=lambda u: gains[u] - looked.costs(u))
-        chosen = [u for u in chosen if u is not weakest]
-    return Leftover((), None, 0.0, looked.cost)
+            return Leftover(tuple(refitted), fitted, gain, test.cost, test.number_tried(refitted))
+        del chosen[min(range(len(chosen)), key=lambda k: test.net(refitted[k]))]
+    return Leftover((), None, 0.0, test.cost)
 
 
 class _Terms:
@@ -157,45 +160,45 @@ class _Terms:
         """Return the gain required of a simple term."""
         return self.problem.scatter * (self.price + ENTRY + math.log(max(1, len(self.names))))
 
-    def costs(self, u: Unnamed) -> float:
+    def costs(self, u: UnnamedTerm) -> float:
         """Return the gain required of a term."""
         if u.shape is None:
             return self.cost
         count, tried = len(u.names), max(1, len(self.names) + self.tried)
         return self.problem.scatter * (self.price * count + ENTRY + math.log(tried))
 
-    def number_tried(self, terms: Sequence[Unnamed]) -> int:
+    def number_tried(self, terms: Sequence[UnnamedTerm]) -> int:
         """Return the number of terms tried."""
         return len(self.names) + (self.tried if any(u.shape for u in terms) else 0)
 
-    def simple(self) -> list[Unnamed]:
+    def simple(self) -> list[UnnamedTerm]:
         """Return the distinct simple terms of each equation."""
 
-        def term(name: str) -> tuple[Unnamed, Array]:
+        def term(name: str) -> tuple[UnnamedTerm, Array]:
             _, equation, signal = name.split(".", 2)
-            step, row = self._sized(equation, {}, name)
-            gain, (taken,) = self.test.gain([row])
-            return Unnamed(equation, signal, gain, float(taken * step), gain), row
+            step, row = self._size_step(equation, {}, name)
+            gain, (size,) = self.test.gain([row])
+            return UnnamedTerm(equation, signal, gain, float(size * step), gain), row
 
         terms = [(u, row) for u, row in in_parallel(term, self.names) if u.gain > 0.0]
         forced = self.problem.layout.forced
-        return [u for e in forced for u in _distinct([(u, row) for u, row in terms if u.equation == e])]
+        return [u for e in forced for u in _without_equivalents([(u, row) for u, row in terms if u.equation == e])]
 
-    def local(self, units: Mapping[str, str]) -> list[tuple[Unnamed, list[Array]]]:
+    def local(self, units: Mapping[str, str]) -> list[LocalTerm]:
         """Return local shapes and their coefficients' effects."""
-        shapes, self.tried = promising(self.problem, self.at, units, self.cost)
+        shapes, self.tried = promising_shapes(self.problem, self.at, units, self.cost)
 
-        def term(shape: Shape) -> tuple[Unnamed, list[Array]]:
-            sized = [self._sized(shape.equation, shape.settings(1), name) for name in shape.coefficients(1)]
+        def term(shape: Shape) -> LocalTerm:
+            sized = [self._size_step(shape.equation, shape.settings(1), name) for name in shape.coefficients(1)]
             rows = [row for _, row in sized]
-            gain, taken = self.test.gain(rows)
-            sizes = tuple(float(t * step) for t, (step, _) in zip(taken, sized, strict=True))
+            gain, steps = self.test.gain(rows)
+            sizes = tuple(float(t * step) for t, (step, _) in zip(steps, sized, strict=True))
             largest = max(sizes, key=abs)
-            return Unnamed(shape.equation, shape.signal, gain, largest, gain, shape=shape, sizes=sizes), rows
+            return UnnamedTerm(shape.equation, shape.signal, gain, largest, gain, shape=shape, sizes=sizes), rows
 
         return in_parallel(term, shapes)
 
-    def beside(self, simple: Sequence[Unnamed], local: Sequence[tuple[Unnamed, list[Array]]]) -> list[Unnamed]:
+    def select(self, simple: Sequence[UnnamedTerm], local: Sequence[LocalTerm]) -> list[UnnamedTerm]:
         """Return simple terms and clearly better local shapes.
 
         Each local shape must be worth its cost beside the more promising ones of its equation.
@@ -203,36 +206,36 @@ class _Terms:
         most = {u.equation: 0.0 for u, _ in local}
         for s in simple:
             most[s.equation] = max(most.get(s.equation, 0.0), s.most)
-        kept: dict[str, list[Array]] = {}
-        found = list(simple)
+        effects: dict[str, list[Array]] = {}
+        selected = list(simple)
         for u, rows in sorted(local, key=lambda term: -self.net(term[0])):
-            before = kept.get(u.equation, [])
-            plainly = ALIKE**2 * u.gain - (self.costs(u) - self.cost) > most[u.equation]
+            before = effects.get(u.equation, [])
+            is_better = ALIKE**2 * u.gain - (self.costs(u) - self.cost) > most[u.equation]
             more = self.test.gain([*before, *rows])[0] - (self.test.gain(before)[0] if before else 0.0)
-            if plainly and more > self.costs(u):
-                kept[u.equation] = [*before, *rows]
-                found.append(u)
-        return found
+            if is_better and more > self.costs(u):
+                effects[u.equation] = [*before, *rows]
+                selected.append(u)
+        return selected
 
-    def net(self, u: Unnamed) -> float:
+    def net(self, u: UnnamedTerm) -> float:
         """Return the predicted gain of a term minus its cost."""
         return u.most - self.costs(u)
 
-    def _sized(self, equation: str, known: Mapping[str, float], name: str) -> tuple[float, Array]:
+    def _size_step(self, equation: str, settings: Mapping[str, float], name: str) -> tuple[float, Array]:
         """Return a coefficient step with a clear effect, and its effect."""
         first = self.steps[equation]
-        row = self.test.row({**known, name: first})
+        row = self.test.row({**settings, name: first})
         with np.errstate(over="ignore"):  # A term that makes the model diverge has a zero step.
             size = float(np.sqrt(row @ row))
         step = first * (DETECTABLE / size if size > 0.0 else 1.0)  # The step is independent of the size of the basis.
         if STRAIGHT * DETECTABLE < size < DETECTABLE:
             return step, row * (step / first)
-        return step, self.test.row({**known, name: step})
+        return step, self.test.row({**settings, name: step})
 
 
-def _placed(terms: Sequence[Unnamed]) -> list[Unnamed]:
+def _with_slots(terms: Sequence[UnnamedTerm]) -> list[UnnamedTerm]:
     """Return terms with a separate slot for each local shape."""
-    placed: list[Unnamed] = []
+    placed: list[UnnamedTerm] = []
     for u in terms:
         slot = 1 + sum(p.shape is not None for p in placed)
         if slot <= SLOTS:
@@ -240,52 +243,47 @@ def _placed(terms: Sequence[Unnamed]) -> list[Unnamed]:
     return placed
 
 
-def _fitted(problem: Problem, at: Fit, terms: Sequence[Unnamed]) -> Fit:
+def _fit_terms(problem: Problem, at: Fit, terms: Sequence[UnnamedTerm]) -> Fit:
     """Return the fit with some additional free terms."""
-    sizes = {name: abs(value) or 1.0 for u in terms for name, value in u.values.items() if name in u.names}
-    known = {name: value for u in terms for name, value in u.kernel_settings.items()}
+    sizes = {name: abs(value) or 1.0 for u in terms for name, value in u.coefficients.items()}
+    settings = {name: value for u in terms for name, value in u.kernel_settings.items()}
     free = [*at.free, *(Free(name, -math.inf, math.inf, size) for name, size in sizes.items())]
     # Terms start at zero, so the objective can only decrease.
-    return fit(problem, free, {**at.values, **known}, at.noise, iterations=SCREEN_ITERATIONS)
+    return fit(problem, free, {**at.values, **settings}, at.noise, iterations=SCREEN_ITERATIONS)
 
 
-def _alone(fitted: Fit, u: Unnamed) -> float:
-    """Return the gain of one fitted term beside the others."""
-    sizes = np.array([fitted.values[name] for name in u.names])
-    return 0.5 * float(sizes @ fitted.marginal(u.names) @ sizes)
+def _with_coefficients(u: UnnamedTerm, fitted: Fit) -> UnnamedTerm:
+    """Return the term with its fitted coefficients and its gain beside the other terms."""
+    sizes = [fitted.values[name] for name in u.names]
+    gain = 0.5 * float(np.array(sizes) @ fitted.marginal(u.names) @ np.array(sizes))
+    return replace(u, gain=gain, most=gain, coefficient=max(sizes, key=abs), sizes=tuple(sizes) if u.shape else ())
 
 
-def _as_fitted(u: Unnamed, fitted: Fit, gain: float) -> Unnamed:
-    """Return the term with fitted coefficients."""
-    sizes = tuple(fitted.values[name] for name in u.names)
-    return replace(u, gain=gain, most=gain, coefficient=max(sizes, key=abs), sizes=sizes if u.shape else ())
-
-
-def _distinct(promising: Sequence[tuple[Unnamed, Array]]) -> list[Unnamed]:
+def _without_equivalents(terms: Sequence[tuple[UnnamedTerm, Array]]) -> list[UnnamedTerm]:
     """Keep the simplest of several equivalent terms."""
-    left = [(u, row / np.linalg.norm(row)) for u, row in promising]
-    kept = []
-    while left:
-        best, direction = max(left, key=lambda term: term[0].gain)
-        alike = [(u, d) for u, d in left if abs(d @ direction) > ALIKE or u is best]
+    rest = [(u, row / np.linalg.norm(row)) for u, row in terms]
+    distinct = []
+    while rest:
+        best, direction = max(rest, key=lambda term: term[0].gain)
+        alike = [(u, d) for u, d in rest if abs(d @ direction) > ALIKE or u is best]
         # A term with correlation ρ to the true term promises ρ² of its gain.
         first, other = next((u, d) for u, d in alike if u.gain >= ALIKE**2 * best.gain)
-        kept.append(replace(first, most=best.gain))
-        left = [(u, d) for u, d in left if max(abs(d @ direction), abs(d @ other)) <= ALIKE and u is not best]
-    return kept
+        distinct.append(replace(first, most=best.gain))
+        rest = [(u, d) for u, d in rest if max(abs(d @ direction), abs(d @ other)) <= ALIKE and u is not best]
+    return distinct
 
 
-def _share(problem: Problem, at: Fit, u: Unnamed) -> float | None:
+def _share(problem: Problem, at: Fit, u: UnnamedTerm) -> float | None:
     """Return 1 − Σ(d − t)²/Σd² on the first logs; None if a filter diverges.
 
     d is the smoothed missing input of the equation, t the term at its best size.
     """
-    without, with_it = Filter(at.values, at.noise), Filter({**at.values, **u.values}, at.noise)
+    with_term = replace(at, values={**at.values, **u.kernel_settings, **u.coefficients})
     with np.errstate(invalid="ignore", over="ignore"):
-        parts, value, _ = smoothed(problem, without)
+        parts, value, _ = smooth_logs(problem, at)
         column = parts[0][1].equations.index(u.equation)
         lacking = value[:, column]
-        term = np.concatenate([claimed(problem, without, with_it, k)[:, column] for k, _ in parts])
-        left = float(np.mean((lacking - at_best(problem, at, column, term, lacking)) ** 2))
+        term = np.concatenate([contributions(problem, at, with_term, k)[:, column] for k, _ in parts])
+        rest = float(np.mean((lacking - scale_to_missing(problem, at, column, term, lacking)) ** 2))
         power = float(np.mean(lacking**2))
-    return 1.0 - left / power if np.isfinite(left) and 0.0 < power < np.inf else None
+    return 1.0 - rest / power if np.isfinite(rest) and 0.0 < power < np.inf else None

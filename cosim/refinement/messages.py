@@ -1,0 +1,103 @@
+"""Messages of refinement studies."""
+
+from cosim.base.messages import Template
+
+# Logs of a study
+ALL_LOGS_SEALED = Template("E-REF-001", "every log is sealed, and none is left to learn from; move one to estimation")
+NO_LOG = Template("E-REF-002", "no log is listed; list one")
+MISSING_LOG = Template("E-REF-003", "{log}: no such file beside the study; its logs are named from there")
+LOG_TWICE = Template("E-REF-004", "{log} is listed for {purpose} twice; keep one")
+LOG_IN_BOTH_LISTS = Template("E-REF-005", "{log} is listed for {purpose} too; a validation log is never fitted on")
+COPY = Template("E-REF-006", "{log} holds the same as {other}, which is listed for {purpose}; keep one")
+COPY_IN_OTHER_LIST = Template(
+    "E-REF-007",
+    "{log} holds the same as {other}, which is listed for {purpose}; a validation log is never fitted on",
+)
+LOG_TOO_SHORT = Template(
+    "E-REF-008",
+    "lasts {duration} s, too short to be judged: it takes {least} s, and {better} s and more tell more; "
+    "log longer or leave it out",
+)
+PIECES_TOO_SHORT = Template(
+    "E-REF-009",
+    "lasts at most {duration} s without a pause, too short to be judged: it takes {least} s, and {better} s and more "
+    "tell more; log longer or leave it out",
+)
+TOO_FEW_ROWS = Template(
+    "E-REF-010",
+    "{rows} to learn from, and it takes {least}: {parameters} that may be off, one that is missing, and {spare} more "
+    "to see the noise; measure more",
+)
+LATENCY_TOO_LONG = Template(
+    "E-REF-011", "{sensor} is {latency} s, and {logs}: too little is left to be judged; correct it, or log longer"
+)
+DIVERGING_MODEL = Template(
+    "E-REF-012",
+    "{model} runs away on this log: its prediction is not finite at t = {time:.6g} s; check its parameters, start "
+    "values and the units of the log, or state a shorter substep in its class",
+)
+
+# Keys of a study
+INVALID_SETTING = Template("E-REF-013", "{reason}; give a value as in a study file")
+IMPLAUSIBLE_NOISE = Template(
+    "E-REF-014", "noise.{output}: {level} is no noise of readings of up to {largest}; state it in their unit"
+)
+UNKNOWN_OUTPUT = Template("E-REF-015", 'no output "{name}"{hint}')
+UNKNOWN_BASE_PARAMETER = Template("E-REF-016", 'no base parameter "{name}"{hint}')
+UNKNOWN_INPUT = Template("E-REF-017", 'no input "{name}"{hint}')
+UNKNOWN_CANDIDATE = Template("E-REF-018", 'no candidate "{name}"{hint}')
+NO_CANDIDATES = Template("E-REF-019", "names none; name some, or leave the key out to try all")
+
+# Parameters per log and groups
+GROUPS_WITHOUT_PARAMETERS = Template(
+    "E-REF-020",
+    "groups, but no parameter per log; say with per_log which parameters differ between them, or leave the groups out",
+)
+TABLES_PER_LOG = Template(
+    "E-REF-021",
+    "parameters per log are not for tables: a model without states reads tables; give it an input that tells them "
+    "apart",
+)
+NO_PARAMETERS_PER_LOG = Template("E-REF-022", "names none; name some, or leave the key out")
+INACTIVE_PARAMETER = Template(
+    "E-REF-023",
+    "{name} acts nowhere in the model; an effect that the model lacks is a candidate, so leave {effect} out",
+)
+UNKNOWN_PARAMETER = Template("E-REF-024", 'no parameter "{name}" of the model or of its sensors{hint}')
+PARAMETER_TWICE = Template("E-REF-025", "{name} stands there twice; keep one")
+LOG_WITHOUT_VALUE = Template(
+    "E-REF-026",
+    "{name} cannot be learnt while the filter runs, as it would be on {log}; put {log} in a group with a log of "
+    "estimation",
+)
+CANDIDATE_PER_LOG = Template(
+    "E-REF-027", "{name} is per log too; one per log is free in every hypothesis; name it in one place"
+)
+GROUP_NAMED_AS_LOG = Template("E-REF-028", 'a group with the name of the log "{group}"; call it otherwise')
+EMPTY_GROUP = Template("E-REF-029", "{group} holds no log; name some, or leave it out")
+UNLISTED_LOG = Template("E-REF-030", "{log} is not listed under logs{hint}")
+LOG_TWICE_IN_GROUP = Template("E-REF-031", "{log} stands twice; a log has one group, keep one")
+LOG_IN_TWO_GROUPS = Template("E-REF-032", "{log} stands in {group} too; a log has one group, keep one")
+
+# Results in Python
+NO_PANDAS = Template("E-REF-033", "to_pandas needs pandas: pip install pandas")
+NO_ERRORS = Template("E-REF-034", 'no errors of "{part}" are in refine.json; it holds estimation and validation')
+
+# Warnings
+READINGS_LEFT_OUT = Template(
+    "W-REF-035", "{log}: {readings} of {output} left out, which its neighbours and the model do not explain"
+)
+SHORT_PIECES = Template("W-REF-036", "{log}: {pieces} between pauses too short to be used")
+LIKELIER_INTERPOLATION = Template(
+    "W-REF-037",
+    "between rows {inputs}; the other way the logs are likelier by {gain} in log-likelihood, {steadiness} times its "
+    "scatter: if the rig commands so, say {line} in the study",
+)
+NATIVE_FMU_UNUSED = Template(
+    "W-REF-038", "the native FMU of the model is not used: {reason}; every error is that of FMUs in Python"
+)
+FLOOR_ABOVE_ERROR = Template(
+    "W-REF-039",
+    "on the {logs} logs the error is below its noise floor ({pairs}). These logs hold less noise and disturbance than "
+    "was estimated, so the floor does not apply to them",
+)
