@@ -454,7 +454,7 @@ def test_the_deficient_equation_is_that_whose_noise_is_worth_most_not_that_of_th
     # where a disturbance is no small one, it is the equation that it moves most
     large = judged(vx=0.3, vy=0.03)
     assert (large.name, large.claimed, large.residual["equation"]) == ("unexplained", None, "vx")
-    assert sentence(large, CRAFT) == "A disturbance acts on vx; it depends on none of the signals tried."
+    assert sentence(large, CRAFT) == "A disturbance acts on vx; it shows no stable pattern."
 
 
 def test_a_claim_that_leaves_much_of_the_error_says_so_and_one_that_leaves_most_is_withdrawn(cart: Refinement) -> None:

@@ -92,6 +92,15 @@ class ScoreTest:
         row = self._row(steps)
         return row - self.basis @ (self.basis.T @ row)
 
+    def gain_without(self, rows: Sequence[Array], part: int) -> float:
+        """Return the joint gain of terms on all logs but one, or without a half of a single log."""
+        counts = self.scored.counts
+        counts = counts if len(counts) > 1 else (counts[0] // 2, counts[0] - counts[0] // 2)
+        of_part = np.repeat(np.arange(len(counts)), counts) == part
+        others = ~np.concatenate([of_part, of_part, np.zeros(len(self.residual) - 2 * of_part.size, bool)])
+        kept, matrix = self.residual[others], np.array(rows).T[others]
+        return 0.5 * float(np.sum((matrix @ least_squares(matrix, kept, rcond=1e-8)) ** 2))
+
     def gain(self, rows: Sequence[Array]) -> tuple[float, Array]:
         """Return joint gain and optimal multiples of terms."""
         detected = np.array([r if r @ r > NOTHING * (self.residual @ self.residual) else 0.0 * r for r in rows])

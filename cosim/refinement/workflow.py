@@ -129,7 +129,8 @@ def refine(
         quiet = with_log_noise(best, attribution, claims.nearest_hypothesis, result.sensors)
         rng = np.random.default_rng(FLOOR_SEED)  # fixed for reproducible results
         floors: Floors = {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
-        claims = replace(claims, risen=_rises(claims, played, subject), written=bool(files))
+        remaining = _remaining(claims, played, subject)
+        claims = replace(claims, risen=_rises(claims, played, subject), remaining=remaining, written=bool(files))
         ends = final_log_parameters(variants["after"], problem, sealed)
         hold_stops()  # From here, a result exists that must not be lost.
         warnings += [*warnings_of(way), *_floor_warnings(floors, played, subject)]
@@ -241,6 +242,14 @@ def _rises(claims: Claims, played: Replayed, subject: Subject) -> Mapping[str, t
         return {}
     before, after = (played[name]["validation"][subject.horizon] for name in ("before", variant))
     return find_rises(before, after)
+
+
+def _remaining(claims: Claims, played: Replayed, subject: Subject) -> Mapping[str, float]:
+    """Return the share of each channel's squared error on sealed logs that remains with the claim."""
+    if claims.claimed is None or "validation" not in played["before"]:
+        return {}
+    before, after = (keep_finite(rmse(played[name]["validation"][subject.horizon])) for name in ("before", "after"))
+    return {name: (after[name] / size) ** 2 for name, size in before.items() if size > 0.0 and name in after}
 
 
 def _floor_warnings(floors: Floors, played: Replayed, subject: Subject) -> Iterator[str]:

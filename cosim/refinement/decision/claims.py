@@ -101,6 +101,7 @@ class Claims:
         restricted: True if the study limits the candidates.
         left_out: Errors on held-out rows of a table, by model and output.
         risen: Channel → error before and after, if the error rises on sealed logs.
+        remaining: Channel → share of the squared error on sealed logs that remains with the claim.
         written: True if files of the refined and the nearest subject are written.
     """
 
@@ -132,6 +133,7 @@ class Claims:
     restricted: bool = False
     left_out: Mapping[str, Mapping[str, float]] | None = None
     risen: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    remaining: Mapping[str, float] = field(default_factory=dict)
     written: bool = True
 
     @property
@@ -190,7 +192,7 @@ def judge(
         return _ambiguous_claims(a, subject, residual)
     name = name_of(certain.candidates, subject)
     claims = Claims(
-        name, certain, misfit=residual, grade="claimed", small=a.small_parts, term=leftover.first, gained=gained
+        name, certain, misfit=residual, grade="claimed", small=a.small_parts, term=leftover.stable_first, gained=gained
     )
     return replace(claims, grade="part", disturbed=large, moves=moves) if large or disputed else claims
 
@@ -215,7 +217,8 @@ def _ambiguous_claims(a: Attribution, subject: Subject, residual: Mapping[str, A
     rivals = tuple(TOGETHER.join(h.names) for h in hypotheses)
     short = tuple(TOGETHER.join(names) if len(names) <= MOST_NAMED else f"{len(names)} candidates" for names in apart)
     claims = Claims("ambiguous", a.best, rivals, experiment, residual, apart=short)
-    return replace(claims, certain=tuple(c for c in a.best.candidates if c.name in common))
+    certain = tuple(c for c in a.best.candidates if c.name in common)
+    return replace(claims, certain=certain, grade="part" if certain else "nearest")
 
 
 def usual_experiment(subject: Subject) -> str:
@@ -233,7 +236,8 @@ def experiment_for(subject: Subject, names: Sequence[str]) -> str:
 def name_of(candidates: Sequence[Candidate], subject: Subject) -> Name:
     """Return the verdict for the candidates' kinds."""
     kinds = {kind_within(c, subject) for c in candidates}
-    return "parameter_error" if kinds == {"parameter"} else "sensor_error" if kinds == {"sensor"} else "effect_found"
+    names: dict[str, Name] = {"effect": "effect_found", "sensor": "sensor_error", "parameter": "parameter_error"}
+    return next(name for kind, name in names.items() if kind in kinds)
 
 
 def _disputed_parts(a: Attribution, leftover: Leftover) -> set[str]:
@@ -273,11 +277,12 @@ def _misfit(a: Attribution, leftover: Leftover, forced: Sequence[str]) -> dict[s
     }
     # Noise densities of states with different units are not comparable; likelihood gains are.
     inflated = {name: entry["gain"] for name, entry in noise.items() if entry["inflated"]}
-    where = leftover.first.equation if leftover.first else max(inflated, key=lambda k: inflated[k], default=None)
+    terms = leftover.terms if leftover.is_stable else ()
+    where = terms[0].equation if terms else max(inflated, key=lambda k: inflated[k], default=None)
     return {
         "equation": where,
-        "signals": list(dict.fromkeys(u.signal for u in leftover.terms if u.equation == where)),
-        "share": leftover.first.share if leftover.first else None,
+        "signals": list(dict.fromkeys(u.signal for u in terms if u.equation == where)),
+        "share": terms[0].share if terms else None,
         "process_noise": noise,
         "terms": [u.entry for u in leftover.terms],
     }

@@ -33,11 +33,22 @@ IN_PART = "This explains only a part of the error"
 
 
 def sentence(c: Claims, subject: Subject) -> str:
-    """Return the verdict in words: the rise on sealed logs, the claim and its share, the nearest model."""
+    """Return the verdict in words: improvement or rise on sealed logs, claim, dispute, what remains, nearest model."""
     units = {q.name: q.unit for q in subject.outputs}
     files = (REFINED[0], NEAREST[0]) if c.written else ("the refined object", "the nearest object")
     rise = rise_text(c.risen, units, files[c.claimed is None])  # a reader must know it before the answer
-    return " ".join(filter(None, (rise, _answer_text(c, subject), *_share_texts(c), *_remark_texts(c, subject))))
+    opening = rise or improvement_text(c.remaining)
+    return " ".join(filter(None, (opening, _answer_text(c, subject), *_share_texts(c), *_remark_texts(c, subject))))
+
+
+def improvement_text(remaining: Mapping[str, float]) -> str:
+    """Say which share of the squared error on sealed logs a claim explains, and where most remains."""
+    share = sum(remaining.values()) / len(remaining) if remaining else 1.0
+    if not share < 1.0:
+        return ""
+    worst = f", mostly in {max(remaining, key=lambda name: remaining[name])}" if len(remaining) > 1 else ""
+    text = f"The refined model explains {percent(1.0 - share)} of the squared error on sealed logs"
+    return f"{text}; {percent(share)} remain{worst}."
 
 
 def _answer_text(c: Claims, subject: Subject) -> str:
@@ -139,7 +150,7 @@ def unexplained_text(residual: Mapping[str, Any], nearest: Sequence[str], otherw
             little = f"No single term for that explains even {percent(LITTLE)} of what is missing."
             text += f" {little if share < LITTLE else f'That explains {percent(share)} of what is missing.'}"
     elif where:
-        text = f"A disturbance acts on {where}; it depends on none of the signals tried."
+        text = f"A disturbance acts on {where}; it shows no stable pattern."
     else:
         text = otherwise
     return text + (f" Best candidates, not confirmed: {listed(nearest)}." if nearest else "")

@@ -1,13 +1,17 @@
 """Choice of the nearest model for an incomplete claim, by cross-validation over the estimation logs.
 
-The nearest model is a hypothesis close to a claim, the recalibrated model, or the given model. Sealed logs are not
-used. Errors are kernel replays over the model's own horizon from the filtered state.
+The nearest model is a hypothesis close to a claim, a part of it, the recalibrated model, or the given model. Sealed logs
+are not used. Errors are kernel replays over the model's own horizon from the filtered state. Of two models that differ
+by less than one standard error over the logs, the simpler is chosen (Breiman et al. 1984).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
+import numpy as np
+
+from cosim.base.arrays import Array
 from cosim.estimation.posing import halved
 from cosim.refinement.decision.evidence import fit_given_model, fit_without, log_error
 from cosim.refinement.search.fits import Search
@@ -20,13 +24,31 @@ def nearest(search: Search, a: Attribution, best: Sequence[Hypothesis]) -> Hypot
     """Return the best predictor of held-out logs, None for the given model.
 
     Args:
-        best: Hypotheses close to a claim, simplest first.
+        best: Hypotheses close to a claim.
     """
     problem = search.problem if len(search.problem.logs) > 1 else halved(search.problem)
-    hypotheses: list[Hypothesis | None] = [None, a.base, *best]
-    errors = []
-    for h in hypotheses:
+
+    def errors(h: Hypothesis | None) -> Array:
+        """Return the log error on each held-out log."""
         logs = range(len(problem.logs))
         fits = [fit_without(search, problem, h, k) if h else fit_given_model(problem, a.base.fit, k) for k in logs]
-        errors.append(log_error(problem, search.subject.horizon, fits))
-    return next(h for h, error in zip(hypotheses, errors, strict=True) if error <= min(errors) + SIMPLER)
+        return np.array([log_error(problem, search.subject.horizon, [f], [k]) for k, f in zip(logs, fits, strict=True)])
+
+    hypotheses = sorted({h.names: h for h in (*_parts(search, best), *best)}.values(), key=lambda h: len(h.names))
+    measured = [(h, errors(h)) for h in (None, a.base, *hypotheses)]
+    _, least = min(measured, key=lambda entry: float(np.mean(entry[1])))
+    return next(h for h, error in measured if _is_as_good(error - least))
+
+
+def _is_as_good(excess: Array) -> bool:
+    """Return True if a simpler model misses the logs by no more than one standard error, or predicts a log better."""
+    standard_error = float(np.std(excess, ddof=1)) / np.sqrt(excess.size) if excess.size > 1 else 0.0
+    return bool(np.mean(excess) <= max(SIMPLER, standard_error) or np.min(excess) < -SIMPLER)
+
+
+def _parts(search: Search, best: Sequence[Hypothesis]) -> Iterator[Hypothesis]:
+    """Yield, for each smaller number of candidates, the best fitted part of the hypotheses."""
+    tried = sorted((h for h in search.tried.values() if h.names), key=lambda h: h.score)
+    for h in best:
+        for count in range(1, len(h.names)):
+            yield from [part for part in tried if len(part.names) == count and set(part.names) < set(h.names)][:1]

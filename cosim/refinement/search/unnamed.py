@@ -99,6 +99,7 @@ class Leftover:
         gain: Log-likelihood gain of all terms together.
         cost: Least gain of a term that counts.
         among: Number of terms tried.
+        is_stable: Whether the first term leads on the logs without any one of them, too.
     """
 
     terms: tuple[UnnamedTerm, ...]
@@ -106,11 +107,17 @@ class Leftover:
     gain: float
     cost: float
     among: int = 1
+    is_stable: bool = True
 
     @property
     def first(self) -> UnnamedTerm | None:
         """Return the most promising term."""
         return self.terms[0] if self.terms else None
+
+    @property
+    def stable_first(self) -> UnnamedTerm | None:
+        """Return the most promising term if it leads on the logs without any one of them."""
+        return self.first if self.is_stable else None
 
 
 def find_unnamed_terms(
@@ -137,7 +144,8 @@ def find_unnamed_terms(
             refitted.sort(key=test.net, reverse=True)
             refitted[0] = replace(refitted[0], share=_share(problem, at, refitted[0]))
             gain = without.objective - fitted.objective
-            return Leftover(tuple(refitted), fitted, gain, test.cost, test.number_tried(refitted))
+            tried = test.number_tried(refitted)
+            return Leftover(tuple(refitted), fitted, gain, test.cost, tried, test.leads_everywhere(refitted[0]))
         del chosen[min(range(len(chosen)), key=lambda k: test.net(refitted[k]))]
     return Leftover((), None, 0.0, test.cost)
 
@@ -152,6 +160,7 @@ class _Terms:
         self.problem, self.at, self.price = problem, at, price
         self.names = [name for name in problem.layout.parameters if name.startswith(f"{PREFIX}.")]
         self.tried = 0
+        self.rows: dict[tuple[str, str, Shape | None], list[Array]] = {}  # effects of each term
         self.test = ScoreTest(problem, at)
         self.steps = dict(zip(problem.layout.forced, SMALL * np.sqrt(problem.plain.density), strict=True))
 
@@ -178,6 +187,7 @@ class _Terms:
             _, equation, signal = name.split(".", 2)
             step, row = self._size_step(equation, {}, name)
             gain, (size,) = self.test.gain([row])
+            self.rows[equation, signal, None] = [row]
             return UnnamedTerm(equation, signal, gain, float(size * step), gain), row
 
         terms = [(u, row) for u, row in in_parallel(term, self.names) if u.gain > 0.0]
@@ -194,6 +204,7 @@ class _Terms:
             gain, steps = self.test.gain(rows)
             sizes = tuple(float(t * step) for t, (step, _) in zip(steps, sized, strict=True))
             largest = max(sizes, key=abs)
+            self.rows[shape.equation, shape.signal, shape] = rows
             return UnnamedTerm(shape.equation, shape.signal, gain, largest, gain, shape=shape, sizes=sizes), rows
 
         return in_parallel(term, shapes)
@@ -216,6 +227,20 @@ class _Terms:
                 effects[u.equation] = [*before, *rows]
                 selected.append(u)
         return selected
+
+    def leads_everywhere(self, first: UnnamedTerm) -> bool:
+        """Return True if the term, or an equivalent one, gains most on the logs without any one of them."""
+        own = self.rows[first.equation, first.signal, first.shape]
+
+        def leads(part: int) -> bool:
+            gains = {key: self.test.gain_without(rows, part) for key, rows in self.rows.items()}
+            leader = max(gains, key=lambda key: gains[key])
+            if leader[:2] == (first.equation, first.signal):
+                return True
+            sizes = np.linalg.norm(own[0]) * np.linalg.norm(self.rows[leader][0])
+            return leader[0] == first.equation and bool(abs(own[0] @ self.rows[leader][0]) > ALIKE * sizes)
+
+        return all(in_parallel(leads, list(range(max(2, len(self.problem.logs))))))
 
     def net(self, u: UnnamedTerm) -> float:
         """Return the predicted gain of a term minus its cost."""
