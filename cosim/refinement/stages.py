@@ -20,7 +20,7 @@ ORDER: Sequence[tuple[str, ...]] = (  # messages of each stage; a finished stage
     ),
     ("weighing what was found",),
     ("looking for what has no name",),
-    ("replaying with the claim and without",),
+    ("fitting predictions over the horizon", "replaying with the claim and without"),
     ("building the refined FMU",),
     ("replaying through the FMUs",),
     ("measuring the noise floor",),

@@ -1,8 +1,8 @@
 """Choice of the nearest model for an incomplete claim, by cross-validation over the estimation logs.
 
-The nearest model is a hypothesis close to a claim, a part of it, the recalibrated model, or the given model. Sealed logs
-are not used. Errors are kernel replays over the model's own horizon from the filtered state. Of two models that differ
-by less than one standard error over the logs, the simpler is chosen (Breiman et al. 1984).
+The nearest model is a hypothesis close to a claim, a part of it, the recalibrated model, or the given model. Sealed
+logs are not used. Errors are kernel replays over the model's own horizon from the filtered state. Of two models that
+differ by less than one standard error over the logs, the simpler is chosen (Breiman et al. 1984).
 """
 
 from __future__ import annotations
