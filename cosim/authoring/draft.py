@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ import numpy as np
 from cosim.authoring import messages
 from cosim.authoring.draft_text import BY, is_edited, scenario_text, seal
 from cosim.authoring.matching import Match, Matches, Port, match_ports, text
-from cosim.authoring.parts import SLACK, STEPS, STOP, Part, RequestedTimes, Times, parts_of, times_of
+from cosim.authoring.parts import SLACK, STEPS, STOP, Part, RequestedTimes, parts_of, times_of
 from cosim.base.drafts import draft_of
 from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.units import computed_in
@@ -35,12 +35,9 @@ MAX_PORTS = 6  # inputs and outputs in a message
 
 @dataclass(frozen=True)
 class Draft:
-    """A written first scenario with its FMUs, connections, times and warnings."""
+    """Connections, coupling algorithm and warnings of a written first scenario."""
 
-    path: Path
-    parts: Sequence[Part]
     matches: Matches
-    times: Times
     algorithm: str
     warnings: tuple[str, ...]
 
@@ -142,24 +139,31 @@ def _read_recording(path: Path, part: Part) -> Recording:
     check_given(path, LOG)
     inputs = {text(port).partition(".")[2]: port for port in part.ports[0]}
     log = read_columns(path, inputs)
-    columns = {name: column for name, column in log.columns.items() if name != "time"}
-    driving = [n for n in columns if n in inputs]
+    names = [name for name in log.columns if name != "time"]
+    driving = _driving_columns(path, part, names, inputs)
+    source = "recorded" if part.name != "recorded" else "played"
+    signals = [Signal(name, computed_in(log.columns[name].heading.unit)[0]) for name in driving]
+    connections = tuple(Match((source, signal), inputs[signal.name]) for signal in signals)
+    unused = ", ".join([*(name for name in names if name not in driving), *sorted(log.spoiled)])
+    notes = (messages.UNUSED_COLUMNS(recording=path.name, component=part.name, columns=unused),) if unused else ()
+    time = log["time"]
+    usual_step = float(f"{np.median(np.diff(time)) if time.size > 1 else STOP / STEPS:.6g}")
+    return Recording(path, float(time[0]), float(time[-1]), usual_step, Matches(connections, ()), notes)
+
+
+def _driving_columns(path: Path, part: Part, columns: Sequence[str], inputs: Collection[str]) -> list[str]:
+    """Return the columns that are inputs; raise InputError without any, or if one has a start value."""
+    driving = [name for name in columns if name in inputs]
     if not driving:
         names = {"columns": ", ".join(columns) or "none", "inputs": ", ".join(inputs) or "none"}
         message = messages.NO_INPUT_IN_RECORDING(fmu=part.path.name, component=part.name, **names)
         raise InputError([Fault(path, 1, 1, message)])
+    values = {name: part.start[name] for name in driving if name in part.start}
     refuse(
-        Fault(part.path, 0, 0, messages.INPUT_SET_AND_PLAYED(name=n, value=part.start[n], recording=path.name))
-        for n in driving
-        if n in part.start
+        Fault(part.path, 0, 0, messages.INPUT_SET_AND_PLAYED(name=name, value=value, recording=path.name))
+        for name, value in values.items()
     )
-    source = "recorded" if part.name != "recorded" else "played"
-    connections = [Match((source, Signal(n, computed_in(columns[n].heading.unit)[0])), inputs[n]) for n in driving]
-    unused = ", ".join([*(n for n in columns if n not in inputs), *sorted(log.spoiled)])
-    notes = [messages.UNUSED_COLUMNS(recording=path.name, component=part.name, columns=unused)] if unused else []
-    time = log["time"]
-    usual_step = float(f"{np.median(np.diff(time)) if time.size > 1 else STOP / STEPS:.6g}")
-    return Recording(path, float(time[0]), float(time[-1]), usual_step, Matches(tuple(connections), ()), tuple(notes))
+    return driving
 
 
 def write_draft(path: Path, fmus: Sequence[Path]) -> Draft:
@@ -189,7 +193,7 @@ def write_draft(path: Path, fmus: Sequence[Path]) -> Draft:
     with draft_of(path) as draft:
         system = _write_sound(draft, scenario_text(path.parent, parts, matches, times, algorithm), parts[0].path)
     warnings = (*_platform_warnings(parts), *times.notes, *system.warnings)
-    return Draft(path, parts, matches, times, algorithm.name, warnings)
+    return Draft(matches, algorithm.name, warnings)
 
 
 def _write_sound(path: Path, lines: str, fmu: Path) -> System:

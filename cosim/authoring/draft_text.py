@@ -40,11 +40,18 @@ def scenario_text(
         played: Recording behind the first connection.
         verb: Command that writes the scenario.
     """
+    guesses, choices = sum(bool(m.guess) for m in matches.connections), len(matches.choices)
     lines = [
         BY.format(verb) + " It runs as it is: `cosim run`, `cosim check` and `cosim graph` take it.",
         "# Every key stands in docs/scenario.md and in `cosim schema scenario`.",
-        *_guess_note(sum(bool(m.guess) for m in matches.connections)),
-        *_choice_note(len(matches.choices)),
+    ]
+    if guesses:
+        verb_form = "is a guess" if guesses == 1 else "are guesses"
+        lines.append(f"# {counted(guesses, 'connection')} below {verb_form}, marked so: look there first.")
+    if choices:
+        inputs = f"{counted(choices, 'input')} {'is' if choices == 1 else 'are'} left open"
+        lines.append(f"# {inputs}, which several outputs fit alike: uncomment the one that is meant.")
+    lines += [
         f"name: {'_'.join(dict.fromkeys(p.name for p in parts))[:60]}",
         f"duration: {times.duration:.12g} # s: {times.why_duration}",
         f"step: {_whole(times.step)} # s: {times.why_step}",
@@ -81,16 +88,6 @@ def is_edited(text: str) -> bool:
 def _whole(value: float) -> str:
     """Return a number with enough digits to reproduce it."""
     return short if float(short := f"{value:.12g}") == value else repr(float(value))
-
-
-def _guess_note(count: int) -> list[str]:
-    guesses = f"{counted(count, 'connection')} below {'is a guess' if count == 1 else 'are guesses'}"
-    return [f"# {guesses}, marked so: look there first."] if count else []
-
-
-def _choice_note(count: int) -> list[str]:
-    inputs = f"{counted(count, 'input')} {'is' if count == 1 else 'are'} left open, which several outputs fit alike"
-    return [f"# {inputs}: uncomment the one that is meant."] if count else []
 
 
 def _component(folder: Path, part: Part, times: Times) -> Iterator[str]:

@@ -173,7 +173,7 @@ class _Matching:
                 self._connect(Match(source, self.inputs[name], "nothing else is left that fits"))
 
 
-def fits(source: Port, target: Port, sizes: Mapping[str, int] = MappingProxyType({})) -> bool:
+def fits(source: Port, target: Port, sizes: Mapping[str, int]) -> bool:
     """Return whether types, dimensions and array sizes agree."""
     a, b = source[1], target[1]
     same_size = sizes.get(text(source), 1) == sizes.get(text(target), 1)

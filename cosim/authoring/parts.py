@@ -49,10 +49,15 @@ class Part:
         block = self.block
         both = (*block.inputs, *block.exact_inputs), (*block.outputs, *block.exact_outputs)
         order = {v.name: k for k, v in enumerate(self.description.modelVariables)}
+        firsts: list[dict[str, Signal]] = [{}, {}]
+        for side, signals in zip(firsts, both, strict=True):
+            for signal in signals:
+                if not signal.local:
+                    side.setdefault(signal.array or signal.name, signal)
         inputs, outputs = (
-            sorted(_first_elements(side), key=lambda s: order.get(s.array or s.name, 0)) for side in both
+            [(self.name, side[n]) for n in sorted(side, key=lambda n: order.get(n, 0))] for side in firsts
         )
-        return [(self.name, s) for s in inputs], [(self.name, s) for s in outputs]
+        return inputs, outputs
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -60,14 +65,6 @@ class Part:
         block = self.block
         every = (*block.inputs, *block.exact_inputs, *block.outputs, *block.exact_outputs)
         return dict(Counter(f"{self.name}.{s.array}" for s in every if s.array and not s.local))
-
-
-def _first_elements(signals: Sequence[Signal]) -> list[Signal]:
-    firsts: dict[str, Signal] = {}
-    for signal in signals:
-        if not signal.local:
-            firsts.setdefault(signal.array or signal.name, signal)
-    return list(firsts.values())
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from cosim.blocks.component import Signal
 from cosim.blocks.description import read_description, unit_definition, unit_of
 from cosim.ssp import messages
 from cosim.ssp.elements import Element
-from cosim.ssp.levels import Flat, Level, Link, Part, directed, levels
+from cosim.ssp.levels import Flat, Level, Link, Part, direct_connections, levels
 from cosim.ssp.read import Reader
 from cosim.ssp.structure import Component, Connection, Connector, Linear, Parameter, Structure, System, Units
 from cosim.storage.yaml_file import did_you_mean, shown
@@ -35,7 +35,7 @@ class _Flattener:
         self.parts: dict[str, Part] = {}  # by name
 
     def flat(self) -> Flat:
-        root = self._level(directed(self.structure.system), None, ())
+        root = self._level(direct_connections(self.structure.system), None, ())
         self._check(root)
         self._parameters(root)
         links = [link for level in levels(root) for link in self._links(level)]
@@ -149,16 +149,13 @@ class _Flattener:
         if part is not None:
             connector = part.component.connectors.get(variable)
             return connector, self._signal(part, variable, connector)
-        holder = level.system if name is None else level.systems[name].system
-        connector = holder.connectors.get(variable)
-        unit = (connector.unit if connector else None) or ""
-        return connector, Signal(variable, unit, self.structure.units.get(unit))
+        return self._boundary(level.system if name is None else level.systems[name].system, variable)
 
-    def _outer(self, hop: tuple[Level, Connection]) -> Signal:
-        """Return the connector from which a connection leads inside."""
-        level, connection = hop
-        connector = level.system.connectors[connection.start[1]]
-        return Signal(connector.name, connector.unit or "", self.structure.units.get(connector.unit or ""))
+    def _boundary(self, system: System, name: str) -> tuple[Connector | None, Signal]:
+        """Return a system's own connector and its signal."""
+        connector = system.connectors.get(name)
+        unit = (connector.unit if connector else None) or ""
+        return connector, Signal(name, unit, self.structure.units.get(unit))
 
     def _signal(self, part: Part, name: str, connector: Connector | None) -> Signal:
         """Return an FMU's signal in the connector's unit, else its own."""
@@ -235,8 +232,10 @@ class _Flattener:
         """Set a start value in the unit of its variable."""
         value = parameter.value
         if not isinstance(value, (bool, str)):
+            first = self._signal(part, variable, None)
+            if hops:  # The parameter is of the connector of a system, from which connections lead inside.
+                first = self._boundary(hops[0][0].system, hops[0][1].start[1])[1]
             stages = [(self._end(level, connection)[1], connection.linear) for level, connection in hops]
-            first = self._outer(hops[0]) if hops else self._signal(part, variable, None)
             factors = self._chain(self._of(parameter), [(first, parameter.linear), *stages], parameter.element)
             if factors is None:
                 return

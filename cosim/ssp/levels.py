@@ -56,7 +56,7 @@ class Level:
         return {connection.end: connection for connection in reversed(self.system.connections)}
 
 
-def directed(system: System) -> System:
+def direct_connections(system: System) -> System:
     """Return a system with connections directed from source to target. FMPy and OMSimulator accept both directions."""
 
     def sends(end: tuple[str | None, str]) -> bool | None:
@@ -73,7 +73,7 @@ def directed(system: System) -> System:
         else c
         for c in system.connections
     ]
-    elements = {name: directed(e) if isinstance(e, System) else e for name, e in system.elements.items()}
+    elements = {name: direct_connections(e) if isinstance(e, System) else e for name, e in system.elements.items()}
     return replace(system, connections=tuple(connections), elements=elements)
 
 

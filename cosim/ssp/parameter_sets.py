@@ -35,7 +35,7 @@ class ParameterReader(Notes):
             prefix = binding.get("prefix") or ""
             values = [replace(p, name=prefix + p.name) for p in self._set(holder)]
             mapping = binding.first("ssd:ParameterMapping")
-            yield from values if mapping is None else self._mapped(mapping, values)
+            yield from values if mapping is None else self._map_names(mapping, values)
 
     def _content(self, element: Element, *path: str) -> Element | None:
         """Return inline content, or the root of the referenced file; None after noting a fault."""
@@ -103,7 +103,7 @@ class ParameterReader(Notes):
             return None
         return int(text) if text.strip().lstrip("+-").isdigit() else int(value)
 
-    def _mapped(self, mapping: Element, values: list[Parameter]) -> Iterator[Parameter]:
+    def _map_names(self, mapping: Element, values: list[Parameter]) -> Iterator[Parameter]:
         """Yield parameters renamed by a mapping, without unmapped ones."""
         holder = self._content(mapping, "ssm:ParameterMapping")
         by_name: dict[str, list[Parameter]] = {}

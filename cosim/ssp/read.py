@@ -80,7 +80,7 @@ class Reader(ParameterReader):
 
     def _component(self, element: Element) -> Component:
         kind, source = element.get("type") or FMU, element.get("source")
-        fmu: Path | str = ""
+        fmu: Path | str
         if kind == NESTED:
             fmu = messages.COMPONENT_AN_SSP(type=shown(kind))
         elif kind != FMU:
@@ -92,8 +92,8 @@ class Reader(ParameterReader):
             fmu = Path()
         interface = element.get("implementation") or "any"
         if interface not in INTERFACES:
-            known = ", ".join(INTERFACES)
-            self.note(element, messages.INTERFACE_NOT_RUN(interface=shown(interface), interfaces=known))
+            names = ", ".join(INTERFACES)
+            self.note(element, messages.INTERFACE_NOT_RUN(interface=shown(interface), interfaces=names))
         connectors, parameters = self._connectors(element), tuple(self._parameters(element))
         name = element.get("name") or ""
         return Component(name, fmu, INTERFACES.get(interface), connectors, parameters, element)

@@ -18,14 +18,18 @@ BYTES = 8  # size of a number [bytes]
 
 def check_feasible(components: Iterable[Any], diagnosis: Diagnosis) -> None:
     """Note faults of refused communication steps and oversized results."""
-    blocks, scenario = list(components), diagnosis.file.scenario
-    signals = sum(len(b.inputs) + len(b.outputs) for b in blocks)
+    blocks = list(components)
+    _check_size(sum(len(b.inputs) + len(b.outputs) for b in blocks), diagnosis)
+    _check_sampling(blocks, diagnosis)
+
+
+def _check_size(signals: int, diagnosis: Diagnosis) -> None:
+    scenario = diagnosis.file.scenario
     rows = scenario.duration / scenario.step + 1.0
     size = rows * signals * BYTES
     if size > MOST_RESULTS:
         sizes = {"gigabytes": size / 1e9, "limit": MOST_RESULTS / 1e9}
         diagnosis.note(("duration",), messages.RESULTS_TOO_LARGE(rows=rows, signals=signals, **sizes))
-    _check_sampling(blocks, diagnosis)
 
 
 def _check_sampling(components: Iterable[Any], diagnosis: Diagnosis) -> None:

@@ -46,8 +46,7 @@ def command(
             say(f"      or {other}")
     for name, sources in matches.choices.items():
         say(f"  {name} is left open, for several fit alike: {', '.join(sources)}")
-    for warning in draft.warnings:
-        warn(warning)
+    warn(*draft.warnings)
     guesses, choices = sum(bool(m.guess) for m in matches.connections), matches.choices
     parts = [counted(len(fmus), "FMU"), counted(len(matches.connections), "connection")]
     parts += [f"{guesses} guessed (marked in the file)"] if guesses else []
