@@ -17,7 +17,7 @@ from cosim.isolation.limits import Limits
 from cosim.isolation.rows import CALLS, NOTHING, OTHER, Progress, Rows
 from cosim.isolation.watch import Clock, Watch, fmi_calls, how_ended
 from cosim.master.copying import Copying
-from cosim.master.halving import Halved, why_not
+from cosim.master.halving import Halved, rollback_objection
 from cosim.master.initialization import Initialization
 from cosim.master.master import StoppedRun, simulate
 from cosim.system.schedule import Stage
@@ -110,14 +110,14 @@ def test_the_difference_of_halves_is_that_of_the_values(monkeypatch: pytest.Monk
 
 def test_what_cannot_be_taken_back_is_named() -> None:
     block, source = Block("a", [], ["y"], lambda t, h, u: [t]), Source("s", {})
-    assert why_not(system_of([block], {})) == "a cannot be taken back"
+    assert rollback_objection(system_of([block], {})) == "a cannot be taken back"
     plain = system_of([], {})
     of = type(plain)
-    assert why_not(of((Stage(source),), (), (), {})) == ""
+    assert rollback_objection(of((Stage(source),), (), (), {})) == ""
     several = "several rates"
-    assert several in why_not(of((Stage(source, every=2),), (), (), {}))
+    assert several in rollback_objection(of((Stage(source, every=2),), (), (), {}))
     for more in ({"beside": ("a.text",)}, {"events": {3: {}}}, {"apart": frozenset({"a"})}):
-        assert several in why_not(of((Stage(source),), (), (), {}, **more))
+        assert several in rollback_objection(of((Stage(source),), (), (), {}, **more))
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -14,7 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cosim.base.errors import InputError, Interrupted
-from cosim.master.remote import Stepped
+from cosim.master.remote import SteppedRun
 from cosim.refinement.stages import ORDER, stage_number
 from cosim.refinement.study import read_study
 from cosim.verbs.check_verb import check as check_files
@@ -196,9 +196,9 @@ def test_a_check_that_is_stopped_tells_no_fault_and_checks_no_more(
 ) -> None:
     checked = []
 
-    def interrupted(worker: object, system: object, *rest: object) -> Stepped:
+    def interrupted(worker: object, system: object, *rest: object) -> SteppedRun:
         checked.append(system)
-        return Stepped(None, (), Interrupted("the run", 0.0, "interrupted"))  # type: ignore[arg-type]
+        return SteppedRun(None, (), Interrupted("the run", 0.0, "interrupted"))  # type: ignore[arg-type]
 
     monkeypatch.setattr("cosim.simulation.trial.simulate_apart", interrupted)
     path = str(deeds_scenario(tmp_path, "none", "none"))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cosim.base.errors import InputError
-from cosim.comparison.differences import Compared, compared
+from cosim.comparison.differences import Compared, compare_runs
 from cosim.simulation.run_files import Ran
 from cosim.storage.results import Results, read_results
 from tests.seen import faults
@@ -26,7 +26,7 @@ def ran(name: str = "a", time: np.ndarray = TIME, units: dict[str, str] | None =
 
 
 def held(a: np.ndarray, b: np.ndarray, tolerance: float | None = None, absolute: float = 0.0) -> Compared:
-    return compared(ran(x=a), ran("b", x=b), tolerance, absolute)
+    return compare_runs(ran(x=a), ran("b", x=b), tolerance, absolute)
 
 
 def test_equal_runs_differ_by_nothing_and_are_within_no_tolerance() -> None:
@@ -62,13 +62,13 @@ def test_a_number_that_one_run_alone_has_is_beyond_every_tolerance_and_one_that_
 
 def test_other_times_are_met_by_straight_lines_between_rows() -> None:
     fine = np.linspace(0, 1, 1001)
-    found = compared(ran(x=3 * TIME), ran("b", fine, x=3 * fine), 1e-9)
+    found = compare_runs(ran(x=3 * TIME), ran("b", fine, x=3 * fine), 1e-9)
     assert not found.aligned
     assert found.same
 
 
 def test_a_run_that_ends_before_the_other_is_not_the_same() -> None:
-    found = compared(ran(x=TIME), ran("b", TIME[:50], x=TIME[:50]), 0.0)
+    found = compare_runs(ran(x=TIME), ran("b", TIME[:50], x=TIME[:50]), 0.0)
     assert found.beyond == []
     assert not found.same
     assert found.shorter == "b ends at 0.49 s, a at 1 s"
@@ -76,51 +76,51 @@ def test_a_run_that_ends_before_the_other_is_not_the_same() -> None:
 
 def test_runs_that_share_no_signal_or_no_time_are_told_so() -> None:
     with pytest.raises(InputError, match="b: shares no signal with a: it has y; that has x"):
-        compared(ran(x=TIME), ran("b", y=TIME))
+        compare_runs(ran(x=TIME), ran("b", y=TIME))
     with pytest.raises(InputError, match=r"b: shares no time with a: it has 5 … 6 s, that 0 … 1 s"):
-        compared(ran(x=TIME), ran("b", TIME + 5, x=TIME))
+        compare_runs(ran(x=TIME), ran("b", TIME + 5, x=TIME))
 
 
 def test_signals_of_one_run_alone_are_listed() -> None:
-    found = compared(ran(x=TIME, y=TIME), ran("b", x=TIME, z=TIME))
+    found = compare_runs(ran(x=TIME, y=TIME), ran("b", x=TIME, z=TIME))
     assert (found.only_a, found.only_b) == (("y",), ("z",))
 
 
 def test_a_signal_that_only_the_baseline_has_is_missed_and_one_that_only_the_other_has_is_not() -> None:
     more, fewer = ran(x=TIME, y=TIME), ran("b", x=TIME)
-    lost = compared(more, fewer, 1.0)
+    lost = compare_runs(more, fewer, 1.0)
     assert not lost.same
     assert lost.reasons == ["1 signal of a is missing in b: y"]
     assert "1 signal of a is not in b" in repr(lost)
     assert lost.as_json()["within"] is False
-    assert compared(fewer, more, 0.0).same
+    assert compare_runs(fewer, more, 0.0).same
 
 
 def test_text_that_only_the_baseline_has_is_missed_too() -> None:
     text = Results(TIME, ("x",), TIME[:, None], exact={"mode": ["on"] * TIME.size})
-    assert compared(Ran(Path("a"), "a", text), ran("b", x=TIME), 0.0).only_a == ("mode",)
+    assert compare_runs(Ran(Path("a"), "a", text), ran("b", x=TIME), 0.0).only_a == ("mode",)
 
 
 def test_a_run_that_begins_late_is_not_the_same_whichever_stands_first() -> None:
     late = ran("b", TIME[30:], x=TIME[30:])
-    for found in (compared(ran(x=TIME), late, 1.0), compared(late, ran(x=TIME), 1.0)):
+    for found in (compare_runs(ran(x=TIME), late, 1.0), compare_runs(late, ran(x=TIME), 1.0)):
         assert not found.same
         assert found.shorter == "a begins at 0 s, b at 0.3 s"
 
 
 def test_units_of_one_dimension_are_converted_and_those_of_two_are_told_by_name() -> None:
     a = ran(units={"w": "rad/s"}, w=np.sin(TIME))
-    same = compared(a, ran("b", units={"w": "rpm"}, w=np.sin(TIME) * 30 / math.pi), 0.0)
+    same = compare_runs(a, ran("b", units={"w": "rpm"}, w=np.sin(TIME) * 30 / math.pi), 0.0)
     assert same.same
     assert same.differences[0].largest == 0
-    other = compared(a, ran("b", units={"w": "deg/s"}, w=np.sin(TIME)), 0.1)
+    other = compare_runs(a, ran("b", units={"w": "deg/s"}, w=np.sin(TIME)), 0.1)
     assert other.beyond[0].share == pytest.approx(1 - math.pi / 180)
-    none = compared(a, ran("b", units={"w": "m"}, w=np.sin(TIME)), 1.0)
+    none = compare_runs(a, ran("b", units={"w": "m"}, w=np.sin(TIME)), 1.0)
     assert not none.same
     assert "w is in rad/s in one, in m in the other" in repr(none)
     assert "equal" not in repr(none)
     assert none.as_json()["signals"][0]["largest"] is None
-    assert compared(a, ran("b", w=np.sin(TIME)), 0.0).same  # a column without a unit is of that of the other
+    assert compare_runs(a, ran("b", w=np.sin(TIME)), 0.0).same  # a column without a unit is of that of the other
 
 
 def test_text_at_other_times_is_that_of_the_row_before() -> None:
@@ -129,8 +129,8 @@ def test_text_at_other_times_is_that_of_the_row_before() -> None:
         return Ran(Path(name), name, Results(time, ("x",), time[:, None], exact={"mode": said}))
 
     fine = np.linspace(0, 1, 1001)
-    assert compared(mode("a", TIME, 0.5), mode("b", fine, 0.5), 1e-9).same
-    (found,) = compared(mode("a", TIME, 0.5), mode("b", fine, 0.7), 1e-9).beyond
+    assert compare_runs(mode("a", TIME, 0.5), mode("b", fine, 0.5), 1e-9).same
+    (found,) = compare_runs(mode("a", TIME, 0.5), mode("b", fine, 0.7), 1e-9).beyond
     assert (found.name, found.at) == ("mode", pytest.approx(0.5))
 
 
@@ -266,7 +266,7 @@ COARSE = np.array([0.0, 1.0, 2.0])
 def test_rows_between_those_of_the_other_are_held_against_what_these_span(
     times: list[float], values: list[float], largest: float, at: float
 ) -> None:
-    found = compared(ran(time=COARSE, x=COARSE + 1.0), ran("b", time=np.array(times), x=np.array(values)), 1e-6)
+    found = compare_runs(ran(time=COARSE, x=COARSE + 1.0), ran("b", time=np.array(times), x=np.array(values)), 1e-6)
     (d,) = found.differences
     assert (d.largest, d.at if largest else 0.0, d.beyond) == (largest, at, largest > 0)
     assert ("between rows of a" in d.note) == (largest > 0)
@@ -277,11 +277,11 @@ def test_text_between_rows_may_change_a_row_early_and_say_nothing_else() -> None
         return Ran(Path(name), name, Results(np.array(time), (), np.zeros((len(time), 0)), {}, exact={"s": words}))
 
     a = said("a", [0.0, 1.0, 2.0], ["x", "x", "y"])
-    assert compared(a, said("b", [0.0, 1.0, 1.5, 2.0], ["x", "x", "y", "y"]), 0.0).same
-    (d,) = compared(a, said("b", [0.0, 1.0, 1.5, 2.0], ["x", "x", "q", "y"]), 0.0).beyond
+    assert compare_runs(a, said("b", [0.0, 1.0, 1.5, 2.0], ["x", "x", "y", "y"]), 0.0).same
+    (d,) = compare_runs(a, said("b", [0.0, 1.0, 1.5, 2.0], ["x", "x", "q", "y"]), 0.0).beyond
     assert d.at == 1.5
     for words in (["q", "q", "q", "q"], ["q", "x", "x", "y"]):
-        (d,) = compared(a, said("b", [0.0, 1.0, 1.5, 2.0], words), 0.0).beyond
+        (d,) = compare_runs(a, said("b", [0.0, 1.0, 1.5, 2.0], words), 0.0).beyond
         assert d.at == 0.0
 
 
@@ -313,10 +313,10 @@ def test_without_a_tolerance_the_same_is_what_is_equal_and_nothing_is_beyond() -
     def said(word: str) -> Ran:
         return Ran(Path(word), word, Results(COARSE, (), np.zeros((3, 0)), {}, exact={"s": [word] * 3}))
 
-    found = compared(said("x"), said("y"))
+    found = compare_runs(said("x"), said("y"))
     assert (found.same, found.beyond) == (False, [])
 
 
 def test_units_that_cannot_be_converted_are_the_reason_and_no_tolerance() -> None:
-    found = compared(ran(w=TIME, units={"w": "rad/s"}), ran("b", w=TIME, units={"w": "bananas"}), 1e9)
+    found = compare_runs(ran(w=TIME, units={"w": "rad/s"}), ran("b", w=TIME, units={"w": "bananas"}), 1e9)
     assert found.reasons == ["w is in rad/s in one, in bananas in the other"]

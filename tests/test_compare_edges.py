@@ -13,10 +13,10 @@ from matplotlib.text import Text
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.comparison.differences import Compared, compared, criteria_of, sentence
+from cosim.comparison.differences import Compared, compare_runs, criteria_of, sentence
 from cosim.comparison.intermediate_rows import rows_between
 from cosim.comparison.signal_panels import panels_of
-from cosim.comparison.signals import near, rows_of
+from cosim.comparison.signals import common_rows, time_tolerance
 from cosim.comparison.workflow import compare, context
 from cosim.simulation.run_files import Ran
 from cosim.storage.results import Results
@@ -38,7 +38,7 @@ def ran(
 
 
 def held(a: Any, b: Any, tolerance: float | None = None, absolute: float = 0.0) -> Compared:
-    return compared(ran("a", x=a), ran("b", x=b), tolerance, absolute)
+    return compare_runs(ran("a", x=a), ran("b", x=b), tolerance, absolute)
 
 
 def test_a_difference_of_the_tolerance_itself_is_within_it() -> None:
@@ -66,51 +66,51 @@ def test_largest_rms_scale_and_share_are_their_formulas() -> None:
 def test_a_change_of_unit_there_and_back_is_no_difference_and_a_little_more_is() -> None:
     degrees = np.linspace(1.0, 100.0, 101)
     radians = ran("a", units={"x": "rad"}, x=np.radians(degrees))
-    assert compared(radians, ran("b", units={"x": "deg"}, x=degrees), 0.0).same
-    found = compared(radians, ran("b", units={"x": "deg"}, x=degrees * (1.0 + 20 * EPS)), 0.0)
+    assert compare_runs(radians, ran("b", units={"x": "deg"}, x=degrees), 0.0).same
+    found = compare_runs(radians, ran("b", units={"x": "deg"}, x=degrees * (1.0 + 20 * EPS)), 0.0)
     assert not found.same
     assert found.differences[0].note == "deg in b, converted"
     for size in (1e-6, 1e6):  # rounding is a share of the value, however large that is
         small = ran("a", units={"x": "rad"}, x=size * np.radians(degrees))
-        assert compared(small, ran("b", units={"x": "deg"}, x=size * degrees), 0.0).same
+        assert compare_runs(small, ran("b", units={"x": "deg"}, x=size * degrees), 0.0).same
         off = size * degrees * (1.0 + 20 * EPS)
-        assert not compared(small, ran("b", units={"x": "deg"}, x=off), 0.0).same
+        assert not compare_runs(small, ran("b", units={"x": "deg"}, x=off), 0.0).same
     # without a change of unit the last bit counts
     assert not held(degrees, degrees * (1.0 + EPS), 0.0).same
 
 
 def test_a_unit_in_one_run_alone_is_told_where_the_numbers_differ() -> None:
     one, none = ran("a", units={"x": "m"}, x=TIME), ran("b", x=2.0 * TIME)
-    assert compared(one, none).differences[0].note == "no unit in b, taken as m"
-    assert compared(none, one).differences[0].note == "no unit in a, taken as m"
-    assert compared(one, ran("b", x=TIME)).differences[0].note == ""
-    assert compared(one, one).differences[0].note == ""
+    assert compare_runs(one, none).differences[0].note == "no unit in b, taken as m"
+    assert compare_runs(none, one).differences[0].note == "no unit in a, taken as m"
+    assert compare_runs(one, ran("b", x=TIME)).differences[0].note == ""
+    assert compare_runs(one, one).differences[0].note == ""
 
 
 def test_signals_after_one_that_cannot_be_compared_are_compared() -> None:
     a = ran("a", text={"mode": ["on"] * 101}, units={"x": "m", "y": "s"}, x=TIME, y=TIME)
     b = ran("b", text={"mode": ["on"] * 50 + ["off"] * 51}, units={"x": "kg", "y": "s"}, x=TIME, y=TIME + 1.0)
-    found = compared(a, b, 0.1)
+    found = compare_runs(a, b, 0.1)
     assert [d.name for d in found.differences] == ["x", "y", "mode"]
     x, y, mode = found.differences
     assert (x.alike, x.beyond, y.largest, y.beyond) == (False, True, 1.0, True)
     assert (mode.largest, mode.at, mode.rms, mode.share, mode.beyond) == (1.0, 0.5, 1.0, 1.0, True)
-    assert [d.beyond for d in compared(a, b).differences] == [False, False, False]
+    assert [d.beyond for d in compare_runs(a, b).differences] == [False, False, False]
     assert found.reasons == ["2 signals beyond the tolerance", "x is in m in one, in kg in the other"]
 
 
 def test_times_within_rounding_are_one_and_others_are_not() -> None:
     time = 1e6 + 0.01 * np.arange(101)
-    assert near(time) == pytest.approx(8 * EPS * 1e6, rel=0.01)  # rounding, more than 1e-9 of a step
-    assert near(0.01 * np.arange(11)) == pytest.approx(1e-11)
-    assert near(np.array([0.0, 0.0, 0.5, 2.5])) == pytest.approx(5e-10)  # of the shortest step that is one
-    assert near(np.array([3.0])) == pytest.approx(1e-9)
+    assert time_tolerance(time) == pytest.approx(8 * EPS * 1e6, rel=0.01)  # rounding, more than 1e-9 of a step
+    assert time_tolerance(0.01 * np.arange(11)) == pytest.approx(1e-11)
+    assert time_tolerance(np.array([0.0, 0.0, 0.5, 2.5])) == pytest.approx(5e-10)  # of the shortest step that is one
+    assert time_tolerance(np.array([3.0])) == pytest.approx(1e-9)
     for shift, aligned in ((0.5, True), (0.9, True), (1.1, False)):
-        other = TIME + shift * near(TIME)
-        assert rows_of(ran("a", x=0), ran("b", other, x=0))[1] is aligned
-    rows, aligned = rows_of(ran("a", x=0), ran("b", TIME[10:41:2], x=0))
+        other = TIME + shift * time_tolerance(TIME)
+        assert common_rows(ran("a", x=0), ran("b", other, x=0))[1] is aligned
+    rows, aligned = common_rows(ran("a", x=0), ran("b", TIME[10:41:2], x=0))
     assert (rows, aligned) == (slice(10, 41), False)
-    assert rows_of(ran("a", x=0), ran("b", TIME[:0], x=0)) == (slice(0, 0), False)
+    assert common_rows(ran("a", x=0), ran("b", TIME[:0], x=0)) == (slice(0, 0), False)
 
 
 def test_rows_of_b_that_lie_between_are_those_without_a_time_of_a() -> None:
@@ -139,25 +139,25 @@ def test_rows_of_b_that_lie_between_are_those_without_a_time_of_a() -> None:
 def test_a_spike_between_rows_counts_by_its_size_and_its_time() -> None:
     fine = np.linspace(0.0, 1.0, 1001)
     spike = 2.0 * fine + np.where(np.arange(1001) == 505, 0.5, 0.0)
-    found = compared(ran("a", x=2.0 * TIME), ran("b", fine, x=spike), 0.2)
+    found = compare_runs(ran("a", x=2.0 * TIME), ran("b", fine, x=spike), 0.2)
     (one,) = found.differences
     # the rows of a around 0.505 s say 1.00 … 1.02
     assert (one.largest, one.at, one.share, one.beyond) == (pytest.approx(0.49), 0.505, pytest.approx(0.245), True)
     assert one.note == "between rows of a"
-    assert compared(ran("a", x=2.0 * TIME), ran("b", fine, x=spike), 0.25).same
-    assert compared(ran("a", x=2.0 * TIME), ran("b", fine, x=spike), 0.0, 0.5).same
+    assert compare_runs(ran("a", x=2.0 * TIME), ran("b", fine, x=spike), 0.25).same
+    assert compare_runs(ran("a", x=2.0 * TIME), ran("b", fine, x=spike), 0.0, 0.5).same
 
 
 def test_shorter_names_both_runs_and_both_times() -> None:
-    found = compared(ran("a", x=TIME), ran("b", TIME[10:91], x=TIME[10:91]))
+    found = compare_runs(ran("a", x=TIME), ran("b", TIME[10:91], x=TIME[10:91]))
     assert found.shorter == "a begins at 0 s, b at 0.1 s; b ends at 0.9 s, a at 1 s"
     assert found.as_json()["shorter"] == found.shorter
     assert held(TIME, TIME).as_json()["shorter"] is None
     late = TIME.copy()
     late[-1] += 0.9e-8  # a millionth of a step is no other end
-    assert compared(ran("a", x=TIME), ran("b", late, x=TIME)).shorter == ""
+    assert compare_runs(ran("a", x=TIME), ran("b", late, x=TIME)).shorter == ""
     late[-1] += 3e-8
-    assert "ends" in compared(ran("a", x=TIME), ran("b", late, x=TIME)).shorter
+    assert "ends" in compare_runs(ran("a", x=TIME), ran("b", late, x=TIME)).shorter
 
 
 @pytest.mark.parametrize(
@@ -180,20 +180,20 @@ def test_shorter_names_both_runs_and_both_times() -> None:
     ],
 )
 def test_the_sentence_counts_and_names_what_differs_most(offsets: Any, tolerance: Any, words: str) -> None:
-    found = compared(
+    found = compare_runs(
         ran("a", **dict.fromkeys(offsets, TIME)), ran("b", **{n: TIME + v for n, v in offsets.items()}), tolerance
     )
     assert sentence(found).replace("\u00a0", " ") == words
 
 
 def test_the_sentence_tells_signals_of_one_run_alone() -> None:
-    one = compared(ran("a", x=TIME, y=TIME), ran("b", x=TIME))
+    one = compare_runs(ran("a", x=TIME, y=TIME), ran("b", x=TIME))
     assert sentence(one) == "The signal that both have is equal in every row. 1 signal of a is not in b."
-    two = compared(ran("a", x=TIME, y=TIME, z=TIME), ran("b", TIME[:51], x=TIME[:51]))
+    two = compare_runs(ran("a", x=TIME, y=TIME, z=TIME), ran("b", TIME[:51], x=TIME[:51]))
     assert sentence(two) == (
         "The signal that both have is equal in every row. 2 signals of a are not in b. b ends at 0.5 s, a at 1 s."
     )
-    coarse = compared(ran("a", x=TIME, z=TIME, y=TIME), ran("b", TIME[::2], x=TIME[::2], z=TIME[::2]))
+    coarse = compare_runs(ran("a", x=TIME, z=TIME, y=TIME), ran("b", TIME[::2], x=TIME[::2], z=TIME[::2]))
     assert sentence(coarse) == (
         "All 2 signals that both have are equal at the times of a, and between them nowhere outside of it. "
         "1 signal of a is not in b."
@@ -203,17 +203,17 @@ def test_the_sentence_tells_signals_of_one_run_alone() -> None:
 def test_reasons_name_up_to_twelve_missing_signals() -> None:
     for count, more in ((1, ""), (12, ""), (13, ", …")):
         names = [f"s{k}" for k in range(count)]
-        found = compared(ran("a", x=TIME, **dict.fromkeys(names, 0.0)), ran("b", x=TIME), 0.1)
+        found = compare_runs(ran("a", x=TIME, **dict.fromkeys(names, 0.0)), ran("b", x=TIME), 0.1)
         verb = "signal of a is" if count == 1 else "signals of a are"
         assert found.reasons == [f"{count} {verb} missing in b: {', '.join(names[:12])}{more}"]
     assert held(TIME, TIME + 1).reasons == ["1 signal differs"]
-    assert compared(ran("a", x=0, y=0), ran("b", x=1, y=1)).reasons == ["2 signals differ"]
+    assert compare_runs(ran("a", x=0, y=0), ran("b", x=1, y=1)).reasons == ["2 signals differ"]
 
 
 def test_what_is_shown_ends_after_twelve_signals_the_most_different_first() -> None:
     signals = {f"s{k:02}": TIME for k in range(14)}
     other = {name: TIME * (1.0 + k) for k, name in enumerate(signals)}
-    found = compared(ran("a", **signals), ran("b", **other), 5.0)
+    found = compare_runs(ran("a", **signals), ran("b", **other), 5.0)
     shown = repr(found).splitlines()
     assert len(shown) == 14
     assert shown[1].split()[0] == "s13"
@@ -222,7 +222,7 @@ def test_what_is_shown_ends_after_twelve_signals_the_most_different_first() -> N
     assert page.count("<tr>") == 13
     assert "<p>… and 2 more</p>" in page
     assert [d.name for d in found.beyond] == [f"s{k:02}" for k in range(13, 5, -1)]
-    few = compared(ran("a", x=TIME), ran("b", x=2.0 * TIME))
+    few = compare_runs(ran("a", x=TIME), ran("b", x=2.0 * TIME))
     assert "more" not in repr(few)
     assert repr(few).splitlines()[1].strip() == "x  1.00  1 s  100 %"
 
@@ -230,7 +230,7 @@ def test_what_is_shown_ends_after_twelve_signals_the_most_different_first() -> N
 def test_a_missing_signal_or_time_is_a_fault_of_the_file_as_a_whole() -> None:
     for other in (ran("b", y=TIME), ran("b", TIME + 9.0, x=TIME)):
         with pytest.raises(InputError) as error:
-            compared(ran("a", x=TIME), other)
+            compare_runs(ran("a", x=TIME), other)
         assert [(f.file, f.line, f.column) for f in error.value.faults] == [(Path("b"), 0, 0)]
 
 
@@ -239,7 +239,9 @@ CRITERION = {"kind": "rms_error", "of": "a.x", "to": "r.x", "value": 1.5, "max":
 
 def test_criteria_stand_side_by_side_also_where_one_run_has_none() -> None:
     missed = CRITERION | {"value": None, "met": False}
-    found = compared(ran("a", x=TIME, criteria=[CRITERION]), ran("b", x=TIME, criteria=[missed, CRITERION | {"to": 0}]))
+    found = compare_runs(
+        ran("a", x=TIME, criteria=[CRITERION]), ran("b", x=TIME, criteria=[missed, CRITERION | {"to": 0}])
+    )
     both = criteria_of(found)
     assert [what for what, *_ in both] == ["rms error of a.x to r.x", "rms error of a.x"]
     assert both[0][1:] == (CRITERION, missed)
@@ -258,7 +260,7 @@ def test_the_page_says_how_it_was_judged_and_draws_the_most_different() -> None:
         (0.5, 0.0, "bad", "0.5 of each signal's range in a", " --tol 0.5"),
         (30.0, 0.25, "good", "30 of each signal's range in a and 0.25 in its unit", " --tol 30 --abs 0.25"),
     ):
-        page = context(compared(a, b, tolerance, absolute))
+        page = context(compare_runs(a, b, tolerance, absolute))
         assert (page["tone"], page["tolerance"], page["undrawn"]) == (tone, told, 2)
         assert page["repeat"] == f"cosim compare a b{options}"
         assert [row["name"] for row in page["rows"]][:2] == ["s25", "s24"]
@@ -306,7 +308,7 @@ def test_criteria_of_a_run_are_those_of_a_manifest_that_holds_some() -> None:
 
 def test_a_plot_is_of_the_signals_that_are_named_or_of_the_four_most_different() -> None:
     signals = {f"s{k}": TIME for k in range(6)}
-    found = compared(ran("a", **signals), ran("b", **{name: TIME * (1.0 + k) for k, name in enumerate(signals)}))
+    found = compare_runs(ran("a", **signals), ran("b", **{name: TIME * (1.0 + k) for k, name in enumerate(signals)}))
     for names, drawn in (((), ["s5", "s4", "s3", "s2"]), (("s1",), ["s1"])):
         figure = found.plot(*names)
         texts = " ".join(text.get_text() for text in figure.findobj(Text))

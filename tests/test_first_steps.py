@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cosim.authoring.draft_text import scalar
-from cosim.authoring.matching import Matches, Port, matched, text
+from cosim.authoring.matching import Matches, Port, match_ports, text
 from cosim.authoring.parts import component_name
 from cosim.base.errors import CosimError, InputError
 from cosim.blocks.component import Signal
@@ -43,7 +43,7 @@ def told(*arguments: str | Path, code: int = 0) -> str:
 def connected(
     outputs: Sequence[Port], inputs: Sequence[Port], sizes: dict[str, int] | None = None
 ) -> dict[str, tuple[str, str]]:
-    found = matched(outputs, inputs, sizes or {}).found
+    found = match_ports(outputs, inputs, sizes or {}).connections
     return {text(m.target): (text(m.source), m.guess) for m in found}
 
 
@@ -153,10 +153,10 @@ def test_outputs_that_fit_alike_are_a_choice_that_is_left_to_the_user() -> None:
         ([port("a.x"), port("b.x")], port("c.x")),  # of one name
         ([port("pump.flow_left"), port("pump.flow_right"), port("pump.level")], port("tank.flow")),
     ):
-        made = matched(outputs, [target])
-        assert not made.found
+        made = match_ports(outputs, [target])
+        assert not made.connections
         assert made.choices == {text(target): tuple(map(text, outputs[:2]))}
-        assert made.left[0][1][:2] == tuple(map(text, outputs[:2]))
+        assert made.unconnected[0][1][:2] == tuple(map(text, outputs[:2]))
 
 
 def test_an_output_that_another_input_takes_is_none_to_choose_from() -> None:

@@ -10,7 +10,7 @@ import pytest
 import cosim
 from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
-from cosim.master.observer import Observed, Observer
+from cosim.master.observer import ObservedRun, Observer
 from cosim.storage.results import read_results
 from tests.deeds import deeds_scenario
 
@@ -20,11 +20,11 @@ class Recorder(Observer):
 
     def __init__(self, end: float = np.inf, fails: float = np.inf) -> None:
         self.end_at, self.fails, self.ended = end, fails, 0
-        self.run: Observed | None = None
+        self.run: ObservedRun | None = None
         self.time: list[float] = []
         self.values: list[list[float]] = []
 
-    def begin(self, run: Observed) -> None:
+    def begin(self, run: ObservedRun) -> None:
         self.run = run
 
     def rows(self, time: Array, values: Array) -> bool:

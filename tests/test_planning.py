@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from cosim.authoring import parts
-from cosim.authoring.matching import alike, matched
-from cosim.authoring.parts import Asked, component_name, times_of
+from cosim.authoring.matching import match_ports, similarity
+from cosim.authoring.parts import RequestedTimes, component_name, times_of
 from cosim.base.errors import Fault, InputError, SimulationError
 from cosim.blocks.component import Signal
 from cosim.scenario.diagnosis import LONGEST, Diagnosis
@@ -47,7 +47,7 @@ from tests.test_schedule import Noted
     ],
 )
 def test_names_are_alike_by_their_words(a: str, b: str, value: Any) -> None:
-    assert alike(a, b) == alike(b, a) == value
+    assert similarity(a, b) == similarity(b, a) == value
 
 
 def port(owner: str, name: str, unit: str = "", **more: Any) -> tuple[str, Signal]:
@@ -55,28 +55,28 @@ def port(owner: str, name: str, unit: str = "", **more: Any) -> tuple[str, Signa
 
 
 def pairs(outputs: Any, inputs: Any, sizes: Any = None) -> dict[str, str]:
-    found = matched(outputs, inputs, sizes or {})
-    return {f"{m.target[0]}.{m.target[1].name}": f"{m.source[0]}.{m.source[1].name}" for m in found.found}
+    found = match_ports(outputs, inputs, sizes or {})
+    return {f"{m.target[0]}.{m.target[1].name}": f"{m.source[0]}.{m.source[1].name}" for m in found.connections}
 
 
 def test_an_input_is_fed_by_the_output_of_its_name_of_another_component() -> None:
     outputs = [port("a", "x"), port("b", "x"), port("a", "y")]
     assert pairs(outputs, [port("b", "x")]) == {"b.x": "a.x"}
-    found = matched(outputs, [port("c", "x")])
-    assert found.found == ()
+    found = match_ports(outputs, [port("c", "x")])
+    assert found.connections == ()
     assert found.choices == {"c.x": ("a.x", "b.x")}
-    assert found.left == ((port("c", "x"), ("a.x", "b.x", "a.y")),)
+    assert found.unconnected == ((port("c", "x"), ("a.x", "b.x", "a.y")),)
 
 
 def test_a_like_name_of_one_unit_goes_before_one_of_another() -> None:
     target = [port("c", "motor_speed", "rad/s")]
     assert pairs([port("p", "speed", "rad/s"), port("p", "velocity", "rad/s")], target) == {"c.motor_speed": "p.speed"}
     assert pairs([port("p", "speed", "V"), port("p", "spd", "rad/s")], target) == {"c.motor_speed": "p.spd"}
-    (match,) = matched([port("p", "speed", "rad/s")], target).found
+    (match,) = match_ports([port("p", "speed", "rad/s")], target).connections
     assert match.guess == "similar name, same unit"
-    (match,) = matched([port("p", "speed")], target).found
+    (match,) = match_ports([port("p", "speed")], target).connections
     assert match.guess == "similar name"
-    deg = matched([port("p", "angle", "deg")], [port("c", "angle", "rad")]).found[0]
+    deg = match_ports([port("p", "angle", "deg")], [port("c", "angle", "rad")]).connections[0]
     assert deg.factor == (pytest.approx(math.pi / 180), 0.0)
 
 
@@ -84,10 +84,10 @@ def test_each_output_goes_once_unless_it_is_of_that_name() -> None:
     outputs = [port("p", "speed", "m/s"), port("p", "force", "N")]
     inputs = [port("a", "speed", "m/s"), port("b", "speed", "m/s"), port("c", "force_in", "N")]
     assert pairs(outputs, inputs) == {"a.speed": "p.speed", "b.speed": "p.speed", "c.force_in": "p.force"}
-    alone = matched([port("p", "alpha", "N")], [port("c", "omega", "N")])
-    assert alone.found[0].guess == "nothing else is left that fits"
-    both = matched([port("p", "alpha", "N")], [port("c", "omega", "N"), port("d", "zeta", "N")])
-    assert both.found == ()
+    alone = match_ports([port("p", "alpha", "N")], [port("c", "omega", "N")])
+    assert alone.connections[0].guess == "nothing else is left that fits"
+    both = match_ports([port("p", "alpha", "N")], [port("c", "omega", "N"), port("d", "zeta", "N")])
+    assert both.connections == ()
 
 
 def test_arrays_go_to_arrays_of_as_many_elements() -> None:
@@ -124,7 +124,7 @@ def planned(monkeypatch: pytest.MonkeyPatch, *experiments: dict[str, float], own
     monkeypatch.setattr(parts, "experiment_of", lambda description: description)
     monkeypatch.setattr(parts, "_own_step", lambda part: (own or {}).get(part.name, 0.0))
     most = {"most": asked.pop("most")} if "most" in asked else {}
-    return times_of(listed, Asked(**asked) if asked else None, **most)  # type: ignore[arg-type]
+    return times_of(listed, RequestedTimes(**asked) if asked else None, **most)  # type: ignore[arg-type]
 
 
 def test_a_run_is_that_of_the_longest_experiment_in_the_finest_step(monkeypatch: pytest.MonkeyPatch) -> None:

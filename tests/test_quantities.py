@@ -15,7 +15,7 @@ import cosim
 from cosim.base.errors import InputError
 from cosim.base.units import conversion, factor, parse, read_quantity, squared, unit_definitions
 from cosim.blocks.component import Signal
-from cosim.comparison.differences import compared
+from cosim.comparison.differences import compare_runs
 from cosim.loading.file import read_model
 from cosim.logs.log import read_log
 from cosim.refinement.study import StudyFile, read_study
@@ -260,8 +260,8 @@ def test_a_column_in_degrees_is_converted_to_kelvin(tmp_path: Path, unit: str, s
 def test_runs_in_kelvin_and_in_degrees_are_compared(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("time,T [degC]\n0,0\n1,20\n")
     (tmp_path / "b.csv").write_text("time,T [K]\n0,273.15\n1,293.15\n")
-    assert compared(*(read_ran(tmp_path / f"{name}.csv") for name in "ab"), tolerance=0.0).same
-    assert compared(*(read_ran(tmp_path / f"{name}.csv") for name in "ba"), tolerance=0.0).same
+    assert compare_runs(*(read_ran(tmp_path / f"{name}.csv") for name in "ab"), tolerance=0.0).same
+    assert compare_runs(*(read_ran(tmp_path / f"{name}.csv") for name in "ba"), tolerance=0.0).same
 
 
 # -- models, studies, sweeps, protocols ------------------------------------------------------------

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cosim.authoring.draft_text import BY, is_edited, scenario_text, sealed
-from cosim.authoring.matching import Match, Matches, Port, matched, text
-from cosim.authoring.parts import SLACK, STEPS, STOP, Asked, Part, Times, parts_of, times_of
-from cosim.base.arrays import Array
+from cosim.authoring import messages
+from cosim.authoring.draft_text import BY, is_edited, scenario_text, seal
+from cosim.authoring.matching import Match, Matches, Port, match_ports, text
+from cosim.authoring.parts import SLACK, STEPS, STOP, Part, RequestedTimes, parts_of, times_of
 from cosim.base.drafts import draft_of
 from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.units import computed_in
@@ -29,17 +29,15 @@ from cosim.storage.kinds import LOG, check_given
 from cosim.storage.table import read_columns
 from cosim.system.system import System, build_system
 
-MOST_OF_ONE = 1_000_000  # steps of a single FMU's run, requested by its own times
+MAX_SINGLE_STEPS = 1_000_000  # steps of a single FMU's run, requested by its own times
+MAX_PORTS = 6  # inputs and outputs in a message
 
 
 @dataclass(frozen=True)
 class Draft:
-    """A written first scenario with its FMUs, connections, times and warnings."""
+    """Connections, coupling algorithm and warnings of a written first scenario."""
 
-    path: Path
-    parts: Sequence[Part]
     matches: Matches
-    times: Times
     algorithm: str
     warnings: tuple[str, ...]
 
@@ -75,18 +73,17 @@ def write_single(
     check_ours(folder, part.name, force=force, keep=keep)
     earlier = _read_earlier(path) if path.is_file() else BY.format("simulate")
     if not earlier.startswith(BY.format("simulate")) or (is_edited(earlier) and not keep):
-        cure = "is a scenario of yours and would be written over; give another folder as --out"
-        raise InputError([Fault(path, 0, 0, cure)])
-    played = _played(recorded, part) if recorded is not None else None
-    asked, notes = _choose_times(part, played, stop, step)
-    times = times_of([part], asked, most=MOST_OF_ONE)
+        raise InputError.at(path, messages.SCENARIO_EDITED())
+    recording = _read_recording(recorded, part) if recorded is not None else None
+    request, notes = _choose_times(part, recording, stop, step)
+    times = times_of([part], request, most=MAX_SINGLE_STEPS)
     check_writable(folder, (path.name,), [fmu, *([recorded] if recorded else [])])
-    matches = played.matches if played else Matches((), ())
+    matches = recording.matches if recording else Matches((), ())
     lines = scenario_text(folder, [part], matches, times, DEFAULT, played=recorded, verb="simulate")
     names = [n if n.startswith(f"{part.name}.") else f"{part.name}.{n}" for n in record]
     lines += f"record: {json.dumps(names)}\n" if names else ""
-    with draft_of(path) as made:
-        _write_sound(made, sealed(lines), fmu)
+    with draft_of(path) as draft:
+        _write_sound(draft, seal(lines), fmu)
         if keep:
             keep_earlier(folder, "cosim run", [path.name])
     return path, (*notes, *times.notes)
@@ -98,36 +95,36 @@ def _read_earlier(path: Path) -> str:
 
 
 def _choose_times(
-    part: Part, played: Played | None, stop: float | None, step: float | None
-) -> tuple[Asked, tuple[str, ...]]:
+    part: Part, recording: Recording | None, stop: float | None, step: float | None
+) -> tuple[RequestedTimes, tuple[str, ...]]:
     """Return the requested times of a run and notes. A recording is played from its first row to its last."""
     declared = experiment_of(part.description).get("start")
-    if played is None:
+    if recording is None:
         _check_end(part.path, declared, stop)
-        return Asked(declared, stop, step), ()
-    recording, notes = played.path.name, list(played.notes)
-    start = played.start if declared is None else max(declared, played.start)
-    end = played.end if stop is None else stop
-    if start > played.start:
-        notes.append(f"{recording}: begins at {played.start:g} s, the run at {start:g} s as {part.name} says")
+        return RequestedTimes(declared, stop, step), ()
+    name, first, last = recording.path.name, recording.start, recording.end
+    notes = list(recording.notes)
+    start = first if declared is None else max(declared, first)
+    end = last if stop is None else stop
+    if start > first:
+        notes.append(messages.RUN_STARTS_LATER(recording=name, recorded=first, start=start, component=part.name))
     elif start > (declared or 0.0):
-        notes.append(f"the run begins at {start:g} s, where {recording} does")
-    _check_end(played.path, start, end)
-    if end > played.end * (1 + SLACK):
-        notes.append(f"{recording}: ends at {played.end:g} s; its last row is held until {end:g} s")
-    because = f"the end of {recording}" if stop is None else "given"
-    why_start = f"{recording} begins" if start == played.start else ""
-    return Asked(start, end, step, played.step, because, why_start), tuple(notes)
+        notes.append(messages.RUN_STARTS_WITH_RECORDING(start=start, recording=name))
+    _check_end(recording.path, start, end)
+    if end > last * (1 + SLACK):
+        notes.append(messages.RECORDING_ENDS_EARLIER(recording=name, recorded=last, stop=end))
+    because = f"the end of {name}" if stop is None else "given"
+    why_start = f"{name} begins" if start == first else ""
+    return RequestedTimes(start, end, step, recording.step, because, why_start), tuple(notes)
 
 
 def _check_end(source: Path, start: float | None, end: float | None) -> None:
     if end is not None and end <= (start or 0.0):
-        cure = f"ends at {end:g} s, the run begins at {start or 0.0:g} s; give a later --stop"
-        raise InputError([Fault(source, 0, 0, cure)])
+        raise InputError.at(source, messages.STOP_BEFORE_START(stop=end, start=start or 0.0))
 
 
 @dataclass(frozen=True)
-class Played:
+class Recording:
     """A recording for the inputs of an FMU: start, end and step [s], connections, and notes on unused columns."""
 
     path: Path
@@ -138,30 +135,35 @@ class Played:
     notes: tuple[str, ...]
 
 
-def _played(path: Path, part: Part) -> Played:
+def _read_recording(path: Path, part: Part) -> Recording:
     check_given(path, LOG)
     inputs = {text(port).partition(".")[2]: port for port in part.ports[0]}
     log = read_columns(path, inputs)
-    columns = dict(log.columns)
-    del columns["time"]
-    fed, missed = [n for n in columns if n in inputs], [n for n in columns if n not in inputs]
-    if not fed:
-        names = f"its columns: {', '.join(columns) or 'none'}; inputs of {part.name}: {', '.join(inputs) or 'none'}"
-        raise InputError([Fault(path, 1, 1, f"no column is an input of {part.path.name} ({names})")])
-    cure = f"{path.name} plays it; leave out --set, or the column"
-    faults = [Fault(part.path, 0, 0, f"--set {n}={part.start[n]}: {cure}") for n in fed if n in part.start]
-    refuse(faults)
+    names = [name for name in log.columns if name != "time"]
+    driving = _driving_columns(path, part, names, inputs)
     source = "recorded" if part.name != "recorded" else "played"
-    found = [Match((source, Signal(n, computed_in(columns[n].heading.unit)[0])), inputs[n]) for n in fed]
-    missed += sorted(log.spoiled)
-    notes = (f"{path.name}: {part.name} has no inputs {', '.join(missed)}: they drive nothing",) if missed else ()
-    start, end = log["time"][[0, -1]].tolist()
-    return Played(path, start, end, _usual_step(log["time"]), Matches(tuple(found), ()), notes)
+    signals = [Signal(name, computed_in(log.columns[name].heading.unit)[0]) for name in driving]
+    connections = tuple(Match((source, signal), inputs[signal.name]) for signal in signals)
+    unused = ", ".join([*(name for name in names if name not in driving), *sorted(log.spoiled)])
+    notes = (messages.UNUSED_COLUMNS(recording=path.name, component=part.name, columns=unused),) if unused else ()
+    time = log["time"]
+    usual_step = float(f"{np.median(np.diff(time)) if time.size > 1 else STOP / STEPS:.6g}")
+    return Recording(path, float(time[0]), float(time[-1]), usual_step, Matches(connections, ()), notes)
 
 
-def _usual_step(time: Array) -> float:
-    """Return the median step of a recording [s]."""
-    return float(f"{np.median(np.diff(time)) if time.size > 1 else STOP / STEPS:.6g}")
+def _driving_columns(path: Path, part: Part, columns: Sequence[str], inputs: Collection[str]) -> list[str]:
+    """Return the columns that are inputs; raise InputError without any, or if one has a start value."""
+    driving = [name for name in columns if name in inputs]
+    if not driving:
+        names = {"columns": ", ".join(columns) or "none", "inputs": ", ".join(inputs) or "none"}
+        message = messages.NO_INPUT_IN_RECORDING(fmu=part.path.name, component=part.name, **names)
+        raise InputError([Fault(path, 1, 1, message)])
+    values = {name: part.start[name] for name in driving if name in part.start}
+    refuse(
+        Fault(part.path, 0, 0, messages.INPUT_SET_AND_PLAYED(name=name, value=value, recording=path.name))
+        for name, value in values.items()
+    )
+    return driving
 
 
 def write_draft(path: Path, fmus: Sequence[Path]) -> Draft:
@@ -173,54 +175,54 @@ def write_draft(path: Path, fmus: Sequence[Path]) -> Draft:
         InputError: An FMU is faulty, no output fits an input, or `path` exists.
     """
     if path.is_dir():
-        raise InputError([Fault(path, 0, 0, "is a folder; name the file to write as --out")])
+        raise InputError.at(path, messages.FILE_IS_A_FOLDER())
     if path.exists():
-        cure = "it is never written over; give another name as --out, or move it away"
-        raise InputError([Fault(path, 0, 0, f"is there already; {cure}")])
+        raise InputError.at(path, messages.FILE_EXISTS())
     if path.suffix.lower() not in (".yaml", ".yml"):
-        raise InputError([Fault(path, 0, 0, "a scenario is YAML; name a .yaml or .yml file as --out")])
+        raise InputError.at(path, messages.FILE_NOT_YAML())
     if not path.parent.is_dir():
-        raise InputError([Fault(path.parent, 0, 0, "no such folder; make it first")])
+        raise InputError.at(path.parent, messages.NO_FOLDER())
     parts = parts_of(fmus)
     inputs, outputs = ([p for part in parts for p in part.ports[side]] for side in (0, 1))
     sizes = {name: size for part in parts for name, size in part.sizes.items()}
-    matches = _without_loops(parts, matched(outputs, inputs, sizes))
-    if len(parts) > 1 and not matches.found and not any(candidates for _, candidates in matches.left):
-        raise InputError([Fault(fmus[0], 0, 0, _cannot(fmus, inputs, outputs, sizes))])
+    matches = _drop_loops(parts, match_ports(outputs, inputs, sizes))
+    if len(parts) > 1 and not matches.any_candidate:
+        raise InputError.at(fmus[0], _no_fit(fmus, inputs, outputs, sizes))
     times = times_of(parts)
-    algorithm = _algorithm(parts, matches.found)
-    with draft_of(path) as made:
-        system = _write_sound(made, scenario_text(path.parent, parts, matches, times, algorithm), parts[0].path)
-    return Draft(path, parts, matches, times, algorithm.name, (*_elsewhere(parts), *times.notes, *system.warnings))
+    algorithm = _algorithm(parts, matches.connections)
+    with draft_of(path) as draft:
+        system = _write_sound(draft, scenario_text(path.parent, parts, matches, times, algorithm), parts[0].path)
+    warnings = (*_platform_warnings(parts), *times.notes, *system.warnings)
+    return Draft(matches, algorithm.name, warnings)
 
 
-def _write_sound(made: Path, lines: str, fmu: Path) -> System:
+def _write_sound(path: Path, lines: str, fmu: Path) -> System:
     """Write a scenario and return its system; raise InputError, with the FMU as place, if faulty."""
-    made.write_text(lines, encoding="utf-8")
+    path.write_text(lines, encoding="utf-8")
     try:
-        return build_system(ScenarioFile(made))
+        return build_system(ScenarioFile(path))
     except InputError as error:
         raise InputError([Fault(fmu, 0, 0, f.message, f.exit_code) for f in error.faults]) from None
 
 
-def _elsewhere(parts: Sequence[Part]) -> Iterator[str]:
+def _platform_warnings(parts: Sequence[Part]) -> Iterator[str]:
     """Yield a warning for each FMU without a library for this machine."""
     for part in parts:
         here, there = platform_of(part.description), platforms_of(part.path)
         if here not in there:
-            yield f"{part.name} does not run on this machine: {no_library(here, there)}"
+            yield messages.OTHER_PLATFORM(component=part.name, reason=no_library(here, there))
 
 
-def _without_loops(parts: Sequence[Part], matches: Matches) -> Matches:
+def _drop_loops(parts: Sequence[Part], matches: Matches) -> Matches:
     """Remove guessed connections that close an algebraic loop."""
-    sure = [m for m in matches.found if not m.guess]
-    if _algorithm(parts, sure) is not DEFAULT:
+    every = matches.connections
+    connections = [m for m in every if not m.guess]
+    if _algorithm(parts, connections) is not DEFAULT:
         return matches
-    kept = list(sure)
-    for guess in (m for m in matches.found if m.guess):
-        kept += [guess] if _algorithm(parts, [*kept, guess]) is DEFAULT else []
-    dropped = tuple((m.target, (text(m.source), *m.others)) for m in matches.found if m not in kept)
-    return Matches(tuple(m for m in matches.found if m in kept), (*matches.left, *dropped), matches.choices)
+    for guess in (m for m in every if m.guess):
+        connections += [guess] if _algorithm(parts, [*connections, guess]) is DEFAULT else []
+    dropped = tuple((m.target, (text(m.source), *m.others)) for m in every if m not in connections)
+    return Matches(tuple(m for m in every if m in connections), (*matches.unconnected, *dropped), matches.choices)
 
 
 def _algorithm(parts: Sequence[Part], matches: Sequence[Match]) -> Algorithm:
@@ -234,19 +236,17 @@ def _algorithm(parts: Sequence[Part], matches: Sequence[Match]) -> Algorithm:
     return DEFAULT
 
 
-def _cannot(fmus: Sequence[Path], inputs: Sequence[Port], outputs: Sequence[Port], sizes: Mapping[str, int]) -> str:
+def _no_fit(fmus: Sequence[Path], inputs: Sequence[Port], outputs: Sequence[Port], sizes: Mapping[str, int]) -> str:
     names = " and ".join(p.name for p in fmus)
     if not outputs or not inputs:
-        return f"{names} cannot be connected: they have no {'outputs' if not outputs else 'inputs'}"
+        return messages.NO_PORTS(fmus=names, ports="inputs" if outputs else "outputs")
 
-    def about(port: Port) -> str:
+    def describe(port: Port) -> str:
         size = sizes.get(text(port))
         return f"{text(port)} [{port[1].unit or port[1].kind}{f', {size} elements' if size else ''}]"
 
-    some = [", ".join(map(about, ports[:6])) for ports in (outputs, inputs)]
-    by = "type, unit and number of elements" if sizes else "type and unit"
-    element = next((port for port in (*inputs, *outputs) if text(port) in sizes), None)
-    told = f"{names} cannot be connected: no output ({some[0]}) fits an input of another ({some[1]}) by {by}"
-    if element is None:
-        return told
-    return f"{told}; a scenario may connect elements of an array one by one, as {element[0]}.{element[1].name}"
+    fields = {"fmus": names}
+    for side, ports in (("outputs", outputs), ("inputs", inputs)):
+        fields[side] = ", ".join(map(describe, ports[:MAX_PORTS]))
+    element = next((f"{port[0]}.{port[1].name}" for port in (*inputs, *outputs) if text(port) in sizes), None)
+    return messages.NO_FIT_OF_ARRAYS(**fields, element=element) if element else messages.NO_FIT(**fields)

@@ -19,7 +19,7 @@ from cosim.scenario.start_values import settable
 
 BY = "# Written by `cosim {}`."
 SEAL = "# SHA-256 of the lines above: "  # lets `cosim simulate` detect an edited scenario
-PARAMETERS = 12  # shown per FMU
+MAX_PARAMETERS = 12  # shown per FMU
 PLAIN = re.compile(r"[A-Za-z_][\w.]*")
 NOT_TEXT = {"true", "false", "yes", "no", "on", "off", "null", "y", "n"}  # YAML words that need quotes as text
 
@@ -40,11 +40,18 @@ def scenario_text(
         played: Recording behind the first connection.
         verb: Command that writes the scenario.
     """
+    guesses, choices = sum(bool(m.guess) for m in matches.connections), len(matches.choices)
     lines = [
         BY.format(verb) + " It runs as it is: `cosim run`, `cosim check` and `cosim graph` take it.",
         "# Every key stands in docs/scenario.md and in `cosim schema scenario`.",
-        *_guessed(sum(bool(m.guess) for m in matches.found)),
-        *_to_choose(len(matches.choices)),
+    ]
+    if guesses:
+        verb_form = "is a guess" if guesses == 1 else "are guesses"
+        lines.append(f"# {counted(guesses, 'connection')} below {verb_form}, marked so: look there first.")
+    if choices:
+        inputs = f"{counted(choices, 'input')} {'is' if choices == 1 else 'are'} left open"
+        lines.append(f"# {inputs}, which several outputs fit alike: uncomment the one that is meant.")
+    lines += [
         f"name: {'_'.join(dict.fromkeys(p.name for p in parts))[:60]}",
         f"duration: {times.duration:.12g} # s: {times.why_duration}",
         f"step: {_whole(times.step)} # s: {times.why_step}",
@@ -59,7 +66,7 @@ def scenario_text(
         lines += _component(folder, part, times)
     if played is not None:
         lines += [
-            f"  {matches.found[0].source[0]}:",
+            f"  {matches.connections[0].source[0]}:",
             "    block: playback",
             f"    file: {scalar(relative(played, folder))}",
         ]
@@ -67,30 +74,20 @@ def scenario_text(
     return "\n".join(lines) + "\n"
 
 
-def sealed(text: str) -> str:
+def seal(text: str) -> str:
     """Return a scenario with a digest of its lines."""
     return f"{text}{SEAL}{sha256(text.encode()).hexdigest()}\n"
 
 
 def is_edited(text: str) -> bool:
     """Return whether a sealed scenario was edited."""
-    lines, seal, _ = text.rpartition(SEAL)
-    return bool(seal) and text != sealed(lines)
+    lines, digest, _ = text.rpartition(SEAL)
+    return bool(digest) and text != seal(lines)
 
 
 def _whole(value: float) -> str:
     """Return a number with enough digits to reproduce it."""
     return short if float(short := f"{value:.12g}") == value else repr(float(value))
-
-
-def _guessed(count: int) -> list[str]:
-    what = f"{counted(count, 'connection')} below {'is a guess' if count == 1 else 'are guesses'}"
-    return [f"# {what}, marked so: look there first."] if count else []
-
-
-def _to_choose(count: int) -> list[str]:
-    what = f"{counted(count, 'input')} {'is' if count == 1 else 'are'} left open, which several outputs fit alike"
-    return [f"# {what}: uncomment the one that is meant."] if count else []
 
 
 def _component(folder: Path, part: Part, times: Times) -> Iterator[str]:
@@ -100,16 +97,16 @@ def _component(folder: Path, part: Part, times: Times) -> Iterator[str]:
     yield f"    fmu: {scalar(relative(part.path, folder))}"
     if part.name in times.own:
         yield f"    step: {times.own[part.name]:.12g} # s: it takes no other"
-    given = [v for v in d.modelVariables if v.causality == "parameter" and settable(v) and not v.shape]
+    parameters = [v for v in d.modelVariables if v.causality == "parameter" and settable(v) and not v.shape]
     if part.start:
         yield "    start:"
         yield from (f"      {scalar(name)}: {scalar(value)}" for name, value in part.start.items())
-    elif given:
+    elif parameters:
         yield "    # start:"
-    for v in [v for v in given if v.name not in part.start][:PARAMETERS]:
+    for v in [v for v in parameters if v.name not in part.start][:MAX_PARAMETERS]:
         yield _parameter(v)
-    if len(given) > PARAMETERS:
-        yield f"    #   … and {len(given) - PARAMETERS} more: cosim info {_comment(part.path.name)}"
+    if len(parameters) > MAX_PARAMETERS:
+        yield f"    #   … and {len(parameters) - MAX_PARAMETERS} more: cosim info {_comment(part.path.name)}"
 
 
 def _parameter(v: Any) -> str:
@@ -121,15 +118,14 @@ def _parameter(v: Any) -> str:
 
 
 def _connections(matches: Matches) -> list[str]:
-    listed = matches.found or any(candidates for _, candidates in matches.left)
-    lines = ["connections:" if listed else "connections: []"]
-    for m in matches.found:
+    lines = ["connections:" if matches.any_candidate else "connections: []"]
+    for m in matches.connections:
         lines.append(f"  - {{from: {scalar(text(m.source))}, to: {scalar(text(m.target))}}} # {_why(m)}")
-    for port, candidates in matches.left:
-        start = f", {unit}" if (unit := port[1].unit) else ""
+    for port, candidates in matches.unconnected:
+        unit_text = f", {unit}" if (unit := port[1].unit) else ""
         alike = len(matches.choices.get(text(port), ()))
-        what = f"; the first {alike} fit alike:" if alike else "; fits:" if candidates else ""
-        lines.append(f"  # {_comment(text(port))}{start}: not connected, stays at its start value{what}")
+        choice = f"; the first {alike} fit alike:" if alike else "; fits:" if candidates else ""
+        lines.append(f"  # {_comment(text(port))}{unit_text}: not connected, stays at its start value{choice}")
         lines += [f"  # - {{from: {scalar(c)}, to: {scalar(text(port))}}}" for c in candidates]
     return lines
 
@@ -157,8 +153,8 @@ def _more(parts: Sequence[Part]) -> list[str]:
 
 def relative(path: Path, folder: Path) -> str:
     """Return a file relative to a folder, absolute if far away."""
-    named = os.path.relpath(path.resolve(), folder.resolve())
-    return Path(named).as_posix() if named.count("..") < 4 else path.resolve().as_posix()
+    name = os.path.relpath(path.resolve(), folder.resolve())
+    return Path(name).as_posix() if name.count("..") < 4 else path.resolve().as_posix()
 
 
 def scalar(value: Any, literal: bool = False) -> str:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cosim.authoring import messages
 from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.scratch import temporary_folder
 from cosim.base.units import computed_in, parse
@@ -23,15 +24,15 @@ from cosim.scenario.scenario import Connection, FixComponent, FmuComponent, Play
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import IMPORTERS
+from cosim.ssp.notes import BASE_UNITS
 from cosim.ssp.structure import Units
 from cosim.ssp.write import Model, Port, Value, Whole, write_ssp
 from cosim.storage.files import FilePath, named_path
 from cosim.storage.table import read_columns
 from cosim.system.system import System, build_system
-from cosim.system.wiring import taken_for
+from cosim.system.wiring import assumed_conversion
 
 TYPES = ("Real", "Integer", "Boolean")  # types connected by all importing tools
-BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
 
 @dataclass(frozen=True)
@@ -65,13 +66,13 @@ def export_ssp(
     check_pinned(file)
     designed = designed_values(file)
     system = build_system(file, designed)
-    refuse(_refused(file, system))
+    refuse(_faults(file, system))
     target = _target(file, Path() if path is None else named_path(path))
-    with temporary_folder("export") as made:
+    with temporary_folder("export") as folder:
         models = [
-            _source(file, name, component, made)
+            _source(file, name, component, folder)
             if isinstance(component, ReferenceComponent | PlaybackComponent)
-            else _model(file, name, _block(system, name))
+            else _model(file, name, system)
             for name, component in file.scenario.components.items()
         ]
         s = file.scenario
@@ -87,9 +88,9 @@ def _target(file: ScenarioFile, path: Path) -> Path:
     if path.is_dir():
         path = path / f"{re.sub(r'[^A-Za-z0-9_.-]+', '_', file.scenario.name) or 'system'}.ssp"
     if path.suffix.lower() != ".ssp":
-        raise InputError([Fault(path, 0, 0, "an SSP is known by its ending; name it so: " + f"{path.stem}.ssp")])
+        raise InputError.at(path, messages.WRONG_SUFFIX(name=path.with_suffix(".ssp").name))
     if path.exists() and any(other.exists() and path.samefile(other) for other in (file.path, *file.files)):
-        raise InputError([Fault(path, 0, 0, "is read, and would be written over; give another file as --out")])
+        raise InputError.at(path, messages.FILE_IS_AN_INPUT())
     return path
 
 
@@ -98,94 +99,81 @@ def _split(signal: str) -> tuple[str, str]:
     return name, variable
 
 
-def _block(system: System, name: str) -> FmuBlock:
-    block = next(stage.component for stage in system.stages if stage.component.name == name)
-    assert isinstance(block, FmuBlock)
-    return block
-
-
 def _notes(file: ScenarioFile) -> Iterator[str]:
     """Yield notes on omissions and differences of importing tools."""
     scenario = file.scenario
     if any(connection.noise for connection in scenario.connections):
-        yield "noise is left out: SSP has no word for it"
-    given = [c.tolerance for c in scenario.components.values() if isinstance(c, FmuComponent)]
-    if any(tolerance is not None for tolerance in (scenario.tolerance, *given)):
-        yield "tolerance is left out: importers take that of each FMU's default experiment, or none"
+        yield messages.NOISE_OMITTED()
+    tolerances = [c.tolerance for c in scenario.components.values() if isinstance(c, FmuComponent)]
+    if any(tolerance is not None for tolerance in (scenario.tolerance, *tolerances)):
+        yield messages.TOLERANCE_OMITTED()
     if scenario.goals:
-        yield "criteria are left out: SSP has no word for them"
+        yield messages.CRITERIA_OMITTED()
     if scenario.algorithm != IMPORTERS.name:
-        yield (
-            f"libcosim, ecos and FMPy step by {IMPORTERS.title}, this scenario by "
-            f"{algorithms()[scenario.algorithm].title}: hold them against "
-            f"`cosim run --set algorithm={IMPORTERS.name} --set noise=off`"
-        )
+        ours = algorithms()[scenario.algorithm].title
+        yield messages.OTHER_ALGORITHM(theirs=IMPORTERS.title, ours=ours, algorithm=IMPORTERS.name)
 
 
-def _refused(file: ScenarioFile, system: System) -> Iterator[Fault]:
+def _faults(file: ScenarioFile, system: System) -> Iterator[Fault]:
     """Yield faults of anything SSP or its importing tools lack."""
     scenario = file.scenario
     for key in ("faults", "events"):
         if getattr(scenario, key):
-            yield file.fault((key,), f"{key} are not what an SSP can hold; take them out, or --set {key}=[]")
+            yield file.fault((key,), messages.KEY_NOT_IN_SSP(key=key))
     for name, component in scenario.components.items():
         where = ("components", name)
         if isinstance(component, FixComponent):
-            yield file.fault((*where, "block"), "fixes are not what an SSP can hold; connect past them")
+            yield file.fault((*where, "block"), messages.FIX_NOT_IN_SSP())
         if not isinstance(component, FmuComponent):
             continue
         if component.step is not None and component.step != scenario.step:
-            cure = f"an SSP has one; give the scenario step {component.step:g}, or leave it out here"
-            yield file.fault((*where, "step"), f"a communication step of its own: {cure}")
+            yield file.fault((*where, "step"), messages.OWN_STEP(step=component.step))
         description = system.fmus[name][1]
         if description.fmiVersion.startswith("3"):
-            yield file.fault((*where, "fmu"), "is FMI 3.0; SSP 1.0 and its importers take FMI 1.0 and 2.0")
+            yield file.fault((*where, "fmu"), messages.FMI_3())
         elif (component.interface or ways(description)[0]) != "co-simulation":
-            yield file.fault(where, "is run by model exchange; the importers of SSPs run co-simulation")
+            yield file.fault(where, messages.MODEL_EXCHANGE())
     for k, connection in zip(file.places["connections"], scenario.connections, strict=True):
-        yield from _unfit(file, system, k, connection)
+        for message in _objections(file, system, connection):
+            yield file.fault(("connections", k), message)
 
 
-def _unfit(file: ScenarioFile, system: System, k: int, connection: Connection) -> Iterator[Fault]:
+def _objections(file: ScenarioFile, system: System, connection: Connection) -> Iterator[str]:
     """Yield objections of importing tools to a connection."""
     signals = system.signals
     if connection.source not in signals or connection.target not in signals:
-        yield file.fault(("connections", k), "arrays are not what SSP 1.0 can connect; connect their elements")
+        yield messages.ARRAY_CONNECTION()
         return
     source, target = signals[connection.source], signals[connection.target]
     for end, signal in ((connection.source, source), (connection.target, target)):
         if signal.kind not in {"", *TYPES}:
-            yield file.fault(("connections", k), f"{end} is {signal.kind}; importers connect {', '.join(TYPES)}")
+            yield messages.TYPE_NOT_CONNECTED(signal=end, type=signal.kind, types=", ".join(TYPES))
+    names = {"source": connection.source, "target": connection.target}
     if source.kind and target.kind and source.kind != target.kind:
-        cure = "importers of SSPs convert no types; give both one type"
-        yield file.fault(
-            ("connections", k), f"{connection.source} is {source.kind}, {connection.target} {target.kind}: {cure}"
-        )
-    assumed = taken_for(file, connection, source, target)
+        yield messages.TYPE_MISMATCH(**names, source_type=source.kind, target_type=target.kind)
+    assumed = assumed_conversion(file, connection, source, target)
     conversion = connection.conversion or source.conversion(target)
     if (conversion if assumed is None else (assumed.factor, assumed.offset)) != (1.0, 0.0):
-        what = f"{connection.source} [{source.unit}] to {connection.target} [{target.unit}]"
-        cure = "not all importers of SSPs convert; let both ends have one unit, or an FMU between them convert"
-        yield file.fault(("connections", k), f"the connection converts: {what}; {cure}")
+        yield messages.CONVERTING_CONNECTION(**names, source_unit=source.unit, target_unit=target.unit)
 
 
 # -- models ---------------------------------------------------------------------------------------
 
 
-def _model(file: ScenarioFile, name: str, block: FmuBlock) -> Model:
+def _model(file: ScenarioFile, name: str, system: System) -> Model:
     """Return an FMU's outputs, connected inputs, changed start values."""
-    fed = {c.target for c in file.scenario.connections}
-    ports = [Port(s.name, "input", s.kind, s.unit) for s in block.inputs if f"{name}.{s.name}" in fed]
+    block = next(stage.component for stage in system.stages if stage.component.name == name)
+    assert isinstance(block, FmuBlock)
+    targets = {c.target for c in file.scenario.connections}
+    ports = [Port(s.name, "input", s.kind, s.unit) for s in block.inputs if f"{name}.{s.name}" in targets]
     ports += [Port(s.name, "output", s.kind, s.unit) for s in block.outputs if s.kind in TYPES and not s.local]
     variables = {v.name: v for v in block.description.modelVariables}
-    start: dict[str, tuple[str, Value]] = {}
-    for variable, value in block.start_values.items():
-        if not _own(variables[variable], value):
-            start[variable] = _typed(variables[variable], value)
+    values = {n: (variables[n], value) for n, value in block.start_values.items()}
+    start = {n: _typed(*value) for n, value in values.items() if not _is_default(*value)}
     return Model(name, block.path, ports, start)
 
 
-def _own(variable: Any, value: Any) -> bool:
+def _is_default(variable: Any, value: Any) -> bool:
     """Return whether a start value equals the FMU's own."""
     if variable.start is None or variable.type == "Enumeration":
         return False
@@ -209,13 +197,12 @@ def _source(file: ScenarioFile, name: str, component: ReferenceComponent | Playb
     if isinstance(component, ReferenceComponent):
         signals = {signal: _profile(profile) for signal, profile in component.signals.items()}
     else:
-        used = {s.partition(".")[2] for c in file.scenario.connections if (s := c.source).startswith(f"{name}.")}
-        signals = _recorded(file.resolve(component.file), used)
+        columns = {s.partition(".")[2] for c in file.scenario.connections if (s := c.source).startswith(f"{name}.")}
+        signals = _recording_signals(file.resolve(component.file), columns)
     try:
         fmu = build_source(name, signals, folder / f"{name}.fmu", file.scenario.step, file.scenario.duration)
     except (NoCompiler, CompilerFailed) as error:
-        message = f"becomes an FMU of C, which cannot be compiled: {error}"
-        raise InputError([file.fault(("components", name), message)]) from None
+        raise InputError([file.fault(("components", name), messages.NOT_COMPILED(reason=str(error)))]) from None
     return Model(name, fmu, [Port(n, "output", "Real", s.unit) for n, s in signals.items()])
 
 
@@ -229,7 +216,7 @@ def _profile(profile: Profile) -> TimeSignal:
     return TimeSignal(unit, factor * profile.start, changes)
 
 
-def _recorded(path: Path, names: set[str]) -> dict[str, TimeSignal]:
+def _recording_signals(path: Path, names: set[str]) -> dict[str, TimeSignal]:
     """Return used columns of a recording, held between rows."""
     table = read_columns(path, names)
     times = table.values["time"]
@@ -244,13 +231,13 @@ def _recorded(path: Path, names: set[str]) -> dict[str, TimeSignal]:
 
 def _units(system: System, models: list[Model]) -> Units:
     """Return SI definitions of the connectors' units."""
-    found: dict[str, tuple[float, ...]] = {}
+    units: dict[str, tuple[float, ...]] = {}
     for model in models:
         description = system.fmus[model.name][1] if model.name in system.fmus else None
         for port in model.ports:
             definition = None if description is None else unit_definition(description, port.unit)
             if definition is None and (unit := parse(port.unit)) is not None:
-                definition = (*(float(unit.exponents.get(n, 0)) for n in BASE), unit.factor, unit.offset)
+                definition = (*(float(unit.exponents.get(n, 0)) for n in BASE_UNITS), unit.factor, unit.offset)
             if port.unit and definition is not None:
-                found.setdefault(port.unit, definition)
-    return found
+                units.setdefault(port.unit, definition)
+    return units

@@ -6,7 +6,8 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from cosim.base.errors import Fault, InputError, NotExecuted
+from cosim.authoring import messages
+from cosim.base.errors import InputError, NotExecuted
 from cosim.base.scratch import temporary_folder
 from cosim.loading.file import without_execution
 from cosim.scenario.controller_design import designed_values
@@ -18,8 +19,8 @@ from cosim.system.system import build_system
 
 HEAD = 4096  # characters that contain the subject of a diagram
 MERMAID = "flowchart LR\n  n1["
-DRAWN = re.compile(
-    r'<svg [^>]*class="diagram"[^>]* aria-label="\d+ components? of (.*?) in the order in which they step'
+DIAGRAM = re.compile(
+    r'\A<svg [^>]*class="diagram"[^>]* aria-label="\d+ components? of (.*?) in the order in which they step'
 )
 
 
@@ -32,8 +33,8 @@ def graph_of(path: Path, overrides: Sequence[str] = ()) -> Graph:
     """
     if not is_ssp(path):
         return _graph(ScenarioFile(path, overrides))
-    with temporary_folder("graph") as made:
-        return _graph(lay_out(path, made, overrides)[0])
+    with temporary_folder("graph") as folder:
+        return _graph(lay_out(path, folder, overrides)[0])
 
 
 def check_picture(path: Path, graph: Graph) -> None:
@@ -43,13 +44,12 @@ def check_picture(path: Path, graph: Graph) -> None:
     with path.open(encoding="utf-8", errors="replace") as stream:
         head = stream.read(HEAD)
     if path.suffix.lower() == ".mmd":
-        ours = head.startswith(MERMAID)
+        is_earlier = head.startswith(MERMAID)
     else:
-        found, drawn = (DRAWN.match(text) for text in (head, graph.svg()))
-        ours = found is not None and drawn is not None and found[1] == drawn[1]
-    if not ours:
-        cure = "name another file as --out, or write over it by --force"
-        raise InputError([Fault(path, 0, 0, f"is there, and no picture of {graph.name}; {cure}")])
+        titles = [DIAGRAM.findall(text) for text in (head, graph.svg())]
+        is_earlier = titles[0] != [] and titles[0] == titles[1]
+    if not is_earlier:
+        raise InputError.at(path, messages.NOT_A_DIAGRAM(name=graph.name))
 
 
 def _graph(file: ScenarioFile) -> Graph:

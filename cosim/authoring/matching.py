@@ -13,15 +13,15 @@ from cosim.blocks.component import Signal
 from cosim.blocks.fmi_types import goes
 
 WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
-SAY_NOTHING = {"in", "out", "input", "output", "signal", "value"}
-ENOUGH = 0.6  # required score: similar names, or less similar ones of the same unit
+IGNORED_WORDS = {"in", "out", "input", "output", "signal", "value"}
+MIN_SCORE = 0.6  # required score: similar names, or less similar ones of the same unit
 # score changes: equal units, a unit on one side only, an output already connected
-SAME_UNIT, ONE_UNIT, USED = 0.3, -0.15, -0.4
+SAME_UNIT, ONE_UNIT, USED_OUTPUT = 0.3, -0.15, -0.4
 # words of reference signals, never connected to measurements
 REFERENCES = {"ref", "reference", "set", "setpoint", "sp", "target", "desired", "des"}
-PREFIX, OTHER = 0.8, 0.5  # similarity of words: one begins with the other, or by common letters
-MOST = 5  # candidates listed per input
-CLOSE = 0.1  # difference of scores too small for a decision
+PREFIX_SIMILARITY, LETTER_SIMILARITY = 0.8, 0.5  # of words: one begins with the other, or by common letters
+MAX_CANDIDATES = 5  # listed per input
+MIN_LEAD = 0.1  # difference of scores too small for a decision
 
 Port = tuple[str, Signal]  # component, signal
 
@@ -54,9 +54,14 @@ class Matches:
         choices: Unconnected inputs with several equally likely outputs.
     """
 
-    found: tuple[Match, ...]
-    left: tuple[tuple[Port, tuple[str, ...]], ...]
+    connections: tuple[Match, ...]
+    unconnected: tuple[tuple[Port, tuple[str, ...]], ...]
     choices: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    @property
+    def any_candidate(self) -> bool:
+        """Return whether any output fits an input."""
+        return bool(self.connections) or any(candidates for _, candidates in self.unconnected)
 
 
 def text(port: Port) -> str:
@@ -64,7 +69,7 @@ def text(port: Port) -> str:
     return f"{port[0]}.{port[1].array or port[1].name}"
 
 
-def matched(
+def match_ports(
     outputs: Sequence[Port], inputs: Sequence[Port], sizes: Mapping[str, int] = MappingProxyType({})
 ) -> Matches:
     """Connect outputs to inputs of other components, each once.
@@ -82,36 +87,37 @@ class _Matching:
 
     def __init__(self, outputs: Sequence[Port], inputs: Sequence[Port], sizes: Mapping[str, int]) -> None:
         self.inputs = {text(i): i for i in inputs}
-        self.fits = {name: [o for o in outputs if o[0] != i[0] and fit(o, i, sizes)] for name, i in self.inputs.items()}
+        self.candidates = {
+            name: [o for o in outputs if o[0] != i[0] and fits(o, i, sizes)] for name, i in self.inputs.items()
+        }
         self.open = dict(self.inputs)
-        self.found: dict[str, Match] = {}
+        self.connections: dict[str, Match] = {}
         self.choices: dict[str, Sequence[Port]] = {}
         self.used: set[str] = set()  # connected outputs
 
     def matches(self) -> Matches:
         """Connect by name, by similarity, then remaining unique pairs."""
-        self._by_name()
+        self._connect_same_names()
         while best := self._best():
-            target, (likely, *others) = best
-            why = "similar name" + (", same unit" if _units_agree(likely[1], target[1]) else "")
-            self._connect(Match(likely, target, why, tuple(map(text, others[: MOST - 1]))))
+            target, (source, *others) = best
+            why = "similar name" + (", same unit" if _units_agree(source[1], target[1]) else "")
+            self._connect(Match(source, target, why, tuple(map(text, others[: MAX_CANDIDATES - 1]))))
         for name, target in [*self.open.items()]:
-            if likely_ones := self._likely(target):
-                self._leave(name, [s for score, s in likely_ones if likely_ones[0][0] - score < CLOSE])
-        self._only_ones()
-        found, left = [], []
+            if likely := self._likely(target):
+                self._leave(name, [s for score, s in likely if likely[0][0] - score < MIN_LEAD])
+        self._connect_remaining()
+        connections = tuple(self.connections[name] for name in self.inputs if name in self.connections)
+        unconnected = []
         for name, target in self.inputs.items():
-            if name in self.found:
-                found.append(self.found[name])
-            else:
-                fitting = map(text, [*self.choices.get(name, ()), *self.fits[name]])
-                left.append((target, tuple(dict.fromkeys(fitting))[:MOST]))
+            if name not in self.connections:
+                candidates = map(text, [*self.choices.get(name, ()), *self.candidates[name]])
+                unconnected.append((target, tuple(dict.fromkeys(candidates))[:MAX_CANDIDATES]))
         choices = {name: tuple(map(text, ports)) for name, ports in self.choices.items()}
-        return Matches(tuple(found), tuple(left), choices)
+        return Matches(connections, tuple(unconnected), choices)
 
     def _connect(self, match: Match) -> None:
         del self.open[text(match.target)]
-        self.found[text(match.target)] = match
+        self.connections[text(match.target)] = match
         self.used.add(text(match.source))
 
     def _leave(self, name: str, sources: Sequence[Port]) -> None:
@@ -119,9 +125,9 @@ class _Matching:
         del self.open[name]
         self.choices[name] = sources
 
-    def _by_name(self) -> None:
+    def _connect_same_names(self) -> None:
         for name, target in self.inputs.items():
-            same = [o for o in self.fits[name] if o[1].name == target[1].name]
+            same = [o for o in self.candidates[name] if o[1].name == target[1].name]
             if len(same) == 1:
                 self._connect(Match(same[0], target))
             elif same:
@@ -130,13 +136,13 @@ class _Matching:
     def _likely(self, target: Port) -> list[tuple[float, Port]]:
         """Return likely outputs of an input with scores, best first."""
         scored = []
-        for source in self.fits[text(target)]:
-            score = alike(source[1].name, target[1].name) + _of_units(source[1], target[1])
-            scored.append((score + USED * (text(source) in self.used), score, source))
+        for source in self.candidates[text(target)]:
+            score = similarity(source[1].name, target[1].name) + _unit_score(source[1], target[1])
+            scored.append((score + USED_OUTPUT * (text(source) in self.used), score, source))
         scored.sort(key=lambda s: -s[0])  # stable: equal ones keep file order
-        if not scored or scored[0][1] < ENOUGH or scored[0][0] < ENOUGH / 2:
+        if not scored or scored[0][1] < MIN_SCORE or scored[0][0] < MIN_SCORE / 2:
             return []
-        return [(net, source) for net, score, source in scored if score >= ENOUGH]
+        return [(net, source) for net, score, source in scored if score >= MIN_SCORE]
 
     def _best(self) -> tuple[Port, list[Port]] | None:
         """Return the input of the best pair with its likely outputs.
@@ -146,61 +152,65 @@ class _Matching:
         best: tuple[float, Port, list[Port]] | None = None
         for target in self.open.values():
             likely = self._likely(target)
-            if not likely or (likely[1:] and likely[0][0] - likely[1][0] < CLOSE):
+            if not likely or (likely[1:] and likely[0][0] - likely[1][0] < MIN_LEAD):
                 continue
             if best is None or likely[0][0] > best[0]:
                 best = likely[0][0], target, [source for _, source in likely]
         return None if best is None else best[1:]
 
-    def _only_ones(self) -> None:
+    def _connect_remaining(self) -> None:
         """Connect unique remaining outputs with unique remaining inputs."""
         sources: dict[str, Port] = {}
         for name, target in self.open.items():
             is_reference = _is_reference(target[1].name)
-            free = [o for o in self.fits[name] if text(o) not in self.used]
+            free = [o for o in self.candidates[name] if text(o) not in self.used]
             free = [o for o in free if _is_reference(o[1].name) == is_reference]
             if len(free) == 1:
                 sources[name] = free[0]
-        wanted = Counter(map(text, sources.values()))
+        demand = Counter(map(text, sources.values()))
         for name, source in sources.items():
-            if wanted[text(source)] == 1:
+            if demand[text(source)] == 1:
                 self._connect(Match(source, self.inputs[name], "nothing else is left that fits"))
 
 
-def fit(source: Port, target: Port, sizes: Mapping[str, int] = MappingProxyType({})) -> bool:
+def fits(source: Port, target: Port, sizes: Mapping[str, int]) -> bool:
     """Return whether types, dimensions and array sizes agree."""
     a, b = source[1], target[1]
     same_size = sizes.get(text(source), 1) == sizes.get(text(target), 1)
     return same_size and goes(a.kind, b.kind) and a.conversion(b) is not None
 
 
-def alike(a: str, b: str) -> float:
+def similarity(a: str, b: str) -> float:
     """Return the similarity of two names, 0 … 1. It is based on common words and common beginnings."""
     first, second = sorted((_words(a), _words(b)), key=len)
     if not first or _is_reference(a) != _is_reference(b):
         return 0.0
-    each = [max(_word(x, y) for y in second) for x in first]
-    return sum(each) / len(each) * (0.75 + 0.25 * len(first) / len(second))
+    scores = [max(_word_similarity(x, y) for y in second) for x in first]
+    return sum(scores) / len(scores) * (0.75 + 0.25 * len(first) / len(second))
 
 
 def _words(name: str) -> list[str]:
-    found = [word.lower() for word in WORDS.findall(name)]
-    return [word for word in found if word not in SAY_NOTHING] or found
+    words = [word.lower() for word in WORDS.findall(name)]
+    return [word for word in words if word not in IGNORED_WORDS] or words
 
 
 def _is_reference(name: str) -> bool:
     return not REFERENCES.isdisjoint(_words(name))
 
 
-def _word(a: str, b: str) -> float:
+def _word_similarity(a: str, b: str) -> float:
     if a == b:
         return 1.0
     if a.isdigit() or b.isdigit():
         return 0.0
-    return PREFIX if a.startswith(b) or b.startswith(a) else OTHER * SequenceMatcher(None, a, b).ratio()
+    return (
+        PREFIX_SIMILARITY
+        if a.startswith(b) or b.startswith(a)
+        else LETTER_SIMILARITY * SequenceMatcher(None, a, b).ratio()
+    )
 
 
-def _of_units(a: Signal, b: Signal) -> float:
+def _unit_score(a: Signal, b: Signal) -> float:
     return SAME_UNIT if _units_agree(a, b) else ONE_UNIT if bool(a.unit) != bool(b.unit) else 0.0
 
 

@@ -11,8 +11,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from cosim.authoring import messages
 from cosim.authoring.matching import Port
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import InputError
 from cosim.blocks.component import Signal
 from cosim.blocks.description import takes_any_step
 from cosim.blocks.fmu import FmuBlock
@@ -21,7 +22,9 @@ from cosim.fmi.sampled import sampled_by
 
 STOP, STEPS = 1.0, 500  # defaults without an FMU's declaration: duration [s], number of steps
 LONGEST = 24  # characters of a component's name, which precedes every signal
-SPELT = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss", "ø": "o", "Ø": "O"})
+SPELLING = str.maketrans(
+    {"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss", "ø": "o", "Ø": "O"}
+)
 MOST_STEPS = 20_000  # steps of a first run, which must answer soon
 SLACK = 1e-9  # relative tolerance for a whole number of steps
 
@@ -46,8 +49,15 @@ class Part:
         block = self.block
         both = (*block.inputs, *block.exact_inputs), (*block.outputs, *block.exact_outputs)
         order = {v.name: k for k, v in enumerate(self.description.modelVariables)}
-        inputs, outputs = (sorted(_whole(side), key=lambda s: order.get(s.array or s.name, 0)) for side in both)
-        return [(self.name, s) for s in inputs], [(self.name, s) for s in outputs]
+        firsts: list[dict[str, Signal]] = [{}, {}]
+        for side, signals in zip(firsts, both, strict=True):
+            for signal in signals:
+                if not signal.local:
+                    side.setdefault(signal.array or signal.name, signal)
+        inputs, outputs = (
+            [(self.name, side[n]) for n in sorted(side, key=lambda n: order.get(n, 0))] for side in firsts
+        )
+        return inputs, outputs
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -57,16 +67,8 @@ class Part:
         return dict(Counter(f"{self.name}.{s.array}" for s in every if s.array and not s.local))
 
 
-def _whole(signals: Sequence[Signal]) -> list[Signal]:
-    firsts: dict[str, Signal] = {}
-    for signal in signals:
-        if not signal.local:
-            firsts.setdefault(signal.array or signal.name, signal)
-    return list(firsts.values())
-
-
 @dataclass(frozen=True)
-class Asked:
+class RequestedTimes:
     """Requested times [s], None for the FMUs' own, with reasons.
 
     Attributes:
@@ -113,22 +115,22 @@ def component_name(stem: str, model: str = "") -> str:
 
 def _identifier(text: str) -> str:
     """Return ASCII letters, digits and underscores; ä becomes ae."""
-    plain = unicodedata.normalize("NFKD", text.translate(SPELT))
+    plain = unicodedata.normalize("NFKD", text.translate(SPELLING))
     return re.sub(r"[\W_]+", "_", "".join(c for c in plain if not unicodedata.combining(c)), flags=re.ASCII).strip("_")
 
 
 def parts_of(paths: Sequence[Path], start: Mapping[str, Any] | None = None) -> list[Part]:
     """Return FMUs with unique component names; raise InputError with all faults."""
-    found: list[Part] = []
+    parts: list[Part] = []
     for path, description in zip(paths, read_fmus(paths), strict=True):
         stem = component_name(path.stem, description.modelName or "")
-        taken = {p.name for p in found}
-        name = next(n for n in (stem, *(f"{stem}_{k}" for k in range(2, 10_000))) if n not in taken)
-        found.append(Part(name, path, description, start or {}))
-    return found
+        names = {p.name for p in parts}
+        name = next(n for n in (stem, *(f"{stem}_{k}" for k in range(2, 10_000))) if n not in names)
+        parts.append(Part(name, path, description, start or {}))
+    return parts
 
 
-def times_of(parts: Sequence[Part], asked: Asked | None = None, *, most: int = MOST_STEPS) -> Times:
+def times_of(parts: Sequence[Part], request: RequestedTimes | None = None, *, most: int = MOST_STEPS) -> Times:
     """Return start, duration and step of a run.
 
     A step that is requested or required by an FMU stays, and the end moves to a whole number of steps. Otherwise the
@@ -140,72 +142,79 @@ def times_of(parts: Sequence[Part], asked: Asked | None = None, *, most: int = M
     Raises:
         InputError: A step exceeds the run.
     """
-    asked = asked or Asked()
+    request = request or RequestedTimes()
     experiments = {p.name: experiment_of(p.description) for p in parts}
-    start, duration, why_duration = _span(asked, experiments)
-    needed = {p.name: own for p in parts if (own := _own_step(p)) > 0}
-    h, why_step = _step(asked, experiments, needed, duration)
-    if asked.step is not None and h > duration * (1 + SLACK):
-        cure = f"is longer than the run, {duration:g} s ({why_duration}); give a shorter one, or a later --stop"
-        raise InputError([Fault(parts[0].path, 0, 0, f"--step {h:g}: {cure}")])
+    start, duration, why_duration = _span(request, experiments)
+    own_steps = {p.name: own for p in parts if (own := _own_step(p)) > 0}
+    h, why_step = _step(request, experiments, own_steps, duration)
+    if request.step is not None and h > duration * (1 + SLACK):
+        raise InputError.at(parts[0].path, messages.STEP_TOO_LONG(step=h, duration=duration, reason=why_duration))
     steps = max(1, math.ceil(duration / h - SLACK))
-    if asked.stop is None and steps > most:
+    if request.stop is None and steps > most:
         why_duration = f"{most} steps; {why_duration} would be {duration:g} s"
         steps, duration = most, most * h
-    times = Times(start, duration, h, needed, why_duration, why_step, asked.why_start or Times.why_start)
-    if asked.stop is None or asked.step is not None or needed:
-        return _in_whole_steps(times, steps)
-    return _to_the_end(times, steps)
+    times = Times(start, duration, h, own_steps, why_duration, why_step, request.why_start or Times.why_start)
+    if request.stop is None or request.step is not None or own_steps:
+        return _move_end(times, steps)
+    return _shorten_step(times, steps)
 
 
-def _span(asked: Asked, experiments: Mapping[str, Mapping[str, float]]) -> tuple[float, float, str]:
+def _span(request: RequestedTimes, experiments: Mapping[str, Mapping[str, float]]) -> tuple[float, float, str]:
     """Return start and duration of the run [s] and a reason."""
     start = min((e.get("start", 0.0) for e in experiments.values()), default=0.0)
-    start = start if asked.start is None else asked.start
+    start = start if request.start is None else request.start
     ends = {name: e["stop"] for name, e in experiments.items() if e.get("stop", start) > start}
     duration, why = STOP, "no FMU says how long; a guess"
-    if asked.stop is not None:
-        duration, why = asked.stop - start, asked.because
+    if request.stop is not None:
+        duration, why = request.stop - start, request.because
     elif ends:
         longest = max(ends, key=lambda n: ends[n])
         duration, why = ends[longest] - start, f"the default experiment of {longest}"
     return start, float(f"{duration:.12g}"), why
 
 
-def _in_whole_steps(t: Times, steps: int) -> Times:
+def _move_end(t: Times, steps: int) -> Times:
     """Move the end to a whole number of steps. Components with longer steps keep their own."""
     t = replace(t, own={n: own for n, own in t.own.items() if own > t.step * (1 + SLACK)})
     duration = float(f"{steps * t.step:.12g}")
     if abs(duration - t.duration) <= SLACK * t.duration:
         return replace(t, duration=duration)
-    ends = f"the run ends at {t.start + duration:g} s, not at {t.start + t.duration:g} s ({t.why_duration})"
-    note = f"{ends}: in whole steps of {t.step:g} s ({t.why_step})"
+    note = messages.STOP_MOVED(
+        end=t.start + duration,
+        requested=t.start + t.duration,
+        why_end=t.why_duration,
+        step=t.step,
+        why_step=t.why_step,
+    )
     why = f"whole steps; {t.why_duration} is {t.duration:g} s"
     return replace(t, duration=duration, why_duration=why, notes=(note,))
 
 
-def _to_the_end(t: Times, steps: int) -> Times:
+def _shorten_step(t: Times, steps: int) -> Times:
     """Shorten the step so that the run ends on time."""
     step = t.duration / steps
     if abs(step - t.step) <= SLACK * t.step:
         return replace(t, step=step)
-    note = f"the step is {step:g} s, not {t.step:g} s ({t.why_step}), to end at {t.start + t.duration:g} s"
+    note = messages.STEP_SHORTENED(step=step, requested=t.step, why_step=t.why_step, end=t.start + t.duration)
     why = f"{steps} to the end; not {t.step:g} s, {t.why_step}"
     return replace(t, step=step, why_step=why, notes=(note,))
 
 
 def _step(
-    asked: Asked, experiments: Mapping[str, Mapping[str, float]], needed: Mapping[str, float], duration: float
+    request: RequestedTimes,
+    experiments: Mapping[str, Mapping[str, float]],
+    own_steps: Mapping[str, float],
+    duration: float,
 ) -> tuple[float, str]:
     """Return the desired step [s] and its reason, unadjusted."""
-    if asked.step is not None:
-        return asked.step, "given"
-    wished = {**{n: e["step"] for n, e in experiments.items() if e.get("step", 0.0) > 0}, **needed}
-    if wished:
-        finest = min(wished, key=lambda n: wished[n])
-        return float(f"{wished[finest]:.12g}"), f"the step of {finest}"
-    if asked.usual_step is not None:
-        return min(asked.usual_step, duration), "the usual one of its rows"
+    if request.step is not None:
+        return request.step, "given"
+    steps = {**{n: e["step"] for n, e in experiments.items() if e.get("step", 0.0) > 0}, **own_steps}
+    if steps:
+        finest = min(steps, key=lambda n: steps[n])
+        return float(f"{steps[finest]:.12g}"), f"the step of {finest}"
+    if request.usual_step is not None:
+        return min(request.usual_step, duration), "the usual one of its rows"
     return _round(duration / STEPS), "no FMU says how fine; a guess"
 
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from cosim.authoring import messages
 from cosim.authoring.draft import write_single
 from cosim.authoring.parts import parts_of
 from cosim.base.errors import Fault, refuse
@@ -57,40 +59,38 @@ def simulate(
     path = Path(fmu)
     _check_times(path, stop, step)
     (description,) = read_fmus([path])
-    given = start if isinstance(start, Mapping) else start_pairs(path, start, description)
+    values = start if isinstance(start, Mapping) else start_pairs(path, start, description)
     place = folder_named(parts_of([path])[0].name) if folder is None else named_path(folder)
     csv = None if recorded is None else Path(recorded)
     scenario, notes = write_single(
-        place, path, given, csv, stop=stop, step=step, record=record, force=force, keep=folder is None
+        place, path, values, csv, stop=stop, step=step, record=record, force=force, keep=folder is None
     )
     outcome = run(scenario, place, report=report, force=True, in_process=in_process, format_=format_, progress=progress)
     return outcome, notes
 
 
 def _check_times(fmu: Path, stop: float | None, step: float | None) -> None:
-    faults = [
-        Fault(fmu, 0, 0, f"--{name} {value:g}: give a number of seconds{' above 0' if name == 'step' else ''}")
-        for name, value in (("stop", stop), ("step", step))
-        if value is not None and not (math.isfinite(value) and (value > 0 or name == "stop"))
-    ]
+    faults = []
+    if stop is not None and not math.isfinite(stop):
+        faults.append(Fault(fmu, 0, 0, messages.STOP_NOT_FINITE(value=stop)))
+    if step is not None and not (math.isfinite(step) and step > 0):
+        faults.append(Fault(fmu, 0, 0, messages.STEP_NOT_POSITIVE(value=step)))
     refuse(faults)
 
 
 def start_pairs(fmu: Path, texts: Sequence[str], description: Any) -> dict[str, Any]:
     """Return start values from NAME=VALUE texts; text stays as written."""
     words = {v.name for v in description.modelVariables if v.type in {"String", "Binary"}}
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     faults = []
     for text in texts:
         name, sign, value = (part.strip() for part in text.partition("="))
         if not sign or not name:
-            faults.append(Fault(fmu, 0, 0, f'--set "{short(text)}" is not NAME=VALUE; for example --set mass=2'))
-        elif name in words:
-            found[name] = value
-        else:
-            try:
-                found[name] = Document(value).data
-            except NotYaml:
-                found[name] = value
+            faults.append(Fault(fmu, 0, 0, messages.NOT_NAME_VALUE(text=short(text))))
+            continue
+        values[name] = value
+        if name not in words:
+            with suppress(NotYaml):
+                values[name] = Document(value).data
     refuse(faults)
-    return found
+    return values

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cosim.base.messages import code_of
+from cosim.base.messages import Message, code_of
 
 
 @dataclass(frozen=True, order=True)
@@ -22,7 +22,7 @@ class Fault:
 
     def __str__(self) -> str:
         place = f"{self.file}:{self.line}:{self.column}" if self.line else str(self.file)
-        return f"{place}: {self.message}"
+        return Message(f"{place}: {self.message}", self.code)  # A warning thus keeps its code.
 
     @property
     def code(self) -> str:

@@ -13,30 +13,17 @@ from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.text import amount, counted
 from cosim.base.units import Conversion, conversion
-from cosim.comparison import messages
+from cosim.comparison import messages, signals
 from cosim.comparison.intermediate_rows import rows_between
-from cosim.comparison.signals import (
-    Difference,
-    Tolerance,
-    at_times,
-    near,
-    of_numbers,
-    of_other_units,
-    of_text,
-    of_units,
-    rows_of,
-    shared,
-    sized,
-    with_rows_between,
-)
+from cosim.comparison.signals import Difference, Tolerance, format_share, format_size
 from cosim.simulation.run_files import Ran
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-DRAWN = 4  # signals in a figure by default
-SHOWN = 12  # signals in a short text
+MAX_PLOTTED = 4  # signals in a figure by default
+MAX_LISTED = 12  # signals in a short text
 
 
 @dataclass(frozen=True, repr=False)
@@ -64,13 +51,18 @@ class Compared:
     absolute: float
 
     @property
+    def ranked(self) -> list[Difference]:
+        """Return all signals, largest share first."""
+        return sorted(self.differences, key=lambda d: -d.share)
+
+    @property
     def beyond(self) -> list[Difference]:
         """Return signals beyond the tolerance, largest share first."""
-        return sorted((d for d in self.differences if d.beyond), key=lambda d: -d.share)
+        return [d for d in self.ranked if d.beyond]
 
     @property
     def judged(self) -> bool:
-        """Return whether a tolerance was given."""
+        """Return whether there is a tolerance."""
         return self.tolerance is not None
 
     @property
@@ -84,21 +76,20 @@ class Compared:
     @property
     def reasons(self) -> list[str]:
         """Return the reasons against a match, in words."""
-        apart = self.beyond if self.judged else [d for d in self.differences if d.largest]
-        far = sum(d.alike for d in apart)
-        verb = "beyond the tolerance" if self.judged else _differ(far)
-        found = [f"{counted(far, 'signal')} {verb}"] if far else []
-        found += [f"{d.name} is {d.note}" for d in apart if not d.alike]
-        if self.only_a:
-            more = ", …" if len(self.only_a) > SHOWN else ""
-            count = len(self.only_a)
-            what = f"{counted(count, 'signal')} of {self.a.path} {_are(count)} missing in {self.b.path}"
-            found.append(f"{what}: {', '.join(self.only_a[:SHOWN])}{more}")
-        return found + ([self.shorter] if self.shorter else [])
+        different = self.beyond if self.judged else [d for d in self.differences if d.largest]
+        count = sum(d.alike for d in different)
+        verb = "beyond the tolerance" if self.judged else _differ(count)
+        reasons = [f"{counted(count, 'signal')} {verb}"] if count else []
+        reasons += [f"{d.name} is {d.note}" for d in different if not d.alike]
+        if missing := len(self.only_a):
+            more = ", …" if missing > MAX_LISTED else ""
+            subject = f"{counted(missing, 'signal')} of {self.a.path} {_are(missing)} missing in {self.b.path}"
+            reasons.append(f"{subject}: {', '.join(self.only_a[:MAX_LISTED])}{more}")
+        return reasons + ([self.shorter] if self.shorter else [])
 
     def __repr__(self) -> str:
-        ranked, more = self._ranked()
-        lines = ["  ".join(cells) for cells in ranked] + ([more] if more else [])
+        cells, more = self._table()
+        lines = ["  ".join(row) for row in cells] + ([more] if more else [])
         return "\n  ".join([self._heading(), *lines])
 
     def to_pandas(self) -> pandas.DataFrame:
@@ -107,8 +98,7 @@ class Compared:
             import pandas
         except ImportError:
             raise ImportError("to_pandas needs pandas: pip install pandas") from None
-        ranked = sorted(self.differences, key=lambda d: -d.share)
-        return pandas.DataFrame([asdict(d) for d in ranked]).set_index("name")
+        return pandas.DataFrame([asdict(d) for d in self.ranked]).set_index("name")
 
     def plot(self, *names: str) -> Figure:
         """Return a matplotlib figure of both runs and of b − a; without names of the signals that differ most.
@@ -123,35 +113,30 @@ class Compared:
         for name in names:
             if name not in self.values:
                 raise KeyError(f'no signal "{name}" in both{did_you_mean(name, self.values)}')
-        ranked = sorted((d for d in self.differences if d.name in self.values), key=lambda d: -d.share)
-        drawn = [d for d in ranked if d.name in names] if names else ranked[:DRAWN]
+        numeric = [d for d in self.ranked if d.name in self.values]
+        plotted = [d for d in numeric if d.name in names] if names else numeric[:MAX_PLOTTED]
         runs = self.a.name, self.b.name
-        return sheet(self.time, [p for d in drawn for p in panels_of(d.name, d.unit, runs, self.values[d.name])])
+        return sheet(self.time, [p for d in plotted for p in panels_of(d.name, d.unit, runs, self.values[d.name])])
 
     def _repr_html_(self) -> str:
         from html import escape
 
-        ranked, more = self._ranked()
+        cells, more = self._table()
         head = "".join(f"<th>{word}</th>" for word in ("signal", "largest", "at", "of its range"))
-        rows = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>" for cells in ranked)
+        rows = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in cells)
         note = f"<p>{more}</p>" if more else ""
         return f"<p><b>{escape(self._heading())}</b></p><table><tr>{head}</tr>{rows}</table>{note}"
 
     def _heading(self) -> str:
         return f"{self.a.name} and {self.b.name}: {sentence(self)}"
 
-    def _ranked(self) -> tuple[list[tuple[str, str, str, str]], str]:
+    def _table(self) -> tuple[list[tuple[str, str, str, str]], str]:
         """Return the largest differences as text, and the omitted number."""
-        ranked = sorted(self.differences, key=lambda d: -d.share)
-        cells = [(d.name, sized(d, d.largest), f"{d.at:.6g} s", shared(d)) for d in ranked[:SHOWN]]
-        return cells, f"… and {len(ranked) - SHOWN} more" if len(ranked) > SHOWN else ""
+        cells = [(d.name, format_size(d, d.largest), f"{d.at:.6g} s", format_share(d)) for d in self.ranked]
+        return cells[:MAX_LISTED], f"… and {len(cells) - MAX_LISTED} more" if len(cells) > MAX_LISTED else ""
 
     def as_json(self) -> dict[str, Any]:
         """Return the comparison as plain data, non-finite values as None."""
-        found = [
-            {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in asdict(d).items()}
-            for d in self.differences
-        ]
         return {
             "a": str(self.a.path),
             "b": str(self.b.path),
@@ -160,7 +145,10 @@ class Compared:
             "within": self.same if self.judged else None,
             "reasons": self.reasons if self.judged else None,
             "shorter": self.shorter or None,
-            "signals": found,
+            "signals": [
+                {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in asdict(d).items()}
+                for d in self.differences
+            ],
             "only_a": list(self.only_a),
             "only_b": list(self.only_b),
             "same_times": self.aligned,
@@ -168,7 +156,7 @@ class Compared:
         }
 
 
-def compared(a: Ran, b: Ran, tolerance: float | None = None, absolute: float = 0.0) -> Compared:
+def compare_runs(a: Ran, b: Ran, tolerance: float | None = None, absolute: float = 0.0) -> Compared:
     """Compare b with a at the times of a.
 
     Rows of b between rows of a are compared with the range that a spans there.
@@ -185,61 +173,62 @@ def compared(a: Ran, b: Ran, tolerance: float | None = None, absolute: float = 0
     if not common:
         names = [", ".join(_names(r)[:5]) or "none" for r in (a, b)]
         raise InputError.at(b.path, messages.NO_COMMON_SIGNAL(other=a.path, own=names[1], theirs=names[0]))
-    rows, aligned = rows_of(a, b)
+    rows, aligned = signals.common_rows(a, b)
     time = a.results.time[rows]
     if not time.size:
         spans = [f"{t[0]:g} … {t[-1]:g} s" if t.size else "no rows" for t in (a.results.time, b.results.time)]
         raise InputError.at(b.path, messages.NO_COMMON_TIME(other=a.path, own=spans[1], theirs=spans[0]))
-    shared = _Shared(a, b, rows, aligned, Tolerance(tolerance, absolute))
-    differences = tuple(shared.difference(name) for name in common)
+    overlap = _Overlap(a, b, rows, aligned, Tolerance(tolerance, absolute))
+    differences = tuple(overlap.difference(name) for name in common)
     only_a, only_b = (tuple(name for name in _names(r) if name not in in_both) for r in (a, b))
-    late = _shorter(a, b)
-    return Compared(a, b, differences, only_a, only_b, time, shared.values, aligned, late, tolerance, absolute)
+    data = differences, only_a, only_b, time, overlap.values, aligned
+    return Compared(a, b, *data, _describe_ends(a, b), tolerance, absolute)
 
 
-def _names(ran: Ran) -> tuple[str, ...]:
-    return (*ran.results.columns, *ran.results.exact)
+def _names(run: Ran) -> tuple[str, ...]:
+    return (*run.results.columns, *run.results.exact)
 
 
-class _Shared:
+class _Overlap:
     """Rows of a within the time of b; `values` holds both runs' numbers of compared signals."""
 
     def __init__(self, a: Ran, b: Ran, rows: slice, aligned: bool, allowed: Tolerance) -> None:
         self.a, self.b, self.rows, self.aligned, self.allowed = a, b, rows, aligned, allowed
         times = a.results.time, b.results.time
         self.time = times[0][rows]
-        self.between = None if aligned else rows_between(*times, near(times[0]))
+        self.between = None if aligned else rows_between(*times, signals.time_tolerance(times[0]))
         self.values: dict[str, tuple[Array, Array]] = {}
 
     def difference(self, name: str) -> Difference:
         """Return the comparison of a signal."""
         a, b = self.a.results, self.b.results
+        has_tolerance = self.allowed.relative is not None
         if name in a.exact or name in b.exact:
-            return of_text(self.a, self.b, name, self.rows, self.between, judged=self.allowed.judged)
+            return signals.compare_text(self.a, self.b, name, self.rows, self.between, has_tolerance=has_tolerance)
         unit, other = a.units.get(name, ""), b.units.get(name, "")
         by = conversion(other, unit)
         if by is None:
-            return of_other_units(name, unit, other, self.time, judged=self.allowed.judged)
-        second = b[name][: self.time.size] if self.aligned else at_times(self.time, b.time, b[name])
+            return signals.compare_other_units(name, unit, other, self.time, has_tolerance=has_tolerance)
+        second = b[name][: self.time.size] if self.aligned else np.interp(self.time, b.time, b[name])
         self.values[name] = a[name][self.rows], second if by == Conversion() else by.factor * second + by.offset
-        found = of_numbers(name, unit or other, self.time, self.values[name], self.allowed, by)
-        found = replace(found, note=of_units(unit, other, found))
+        difference = signals.compare_numbers(name, unit or other, self.time, self.values[name], self.allowed, by)
+        difference = replace(difference, note=signals.unit_note(unit, other, difference))
         if self.between is None:
-            return found
+            return difference
         outside, at = self.between.outside(a[name], by.factor * b[name] + by.offset)
-        return with_rows_between(found, outside, at, self.allowed)
+        return signals.include_rows_between(difference, outside, at, self.allowed)
 
 
 def criteria_of(c: Compared) -> Sequence[tuple[str, Any, Any]]:
     """Return all criteria with their outcomes in a and b."""
-    found: dict[str, list[Any]] = {}
-    for side, ran in enumerate((c.a, c.b)):
-        for entry in ran.criteria:
-            found.setdefault(_what(entry), [None, None])[side] = entry
-    return [(what, *both) for what, both in found.items()]
+    by_title: dict[str, list[Any]] = {}
+    for side, run in enumerate((c.a, c.b)):
+        for entry in run.criteria:
+            by_title.setdefault(_criterion_title(entry), [None, None])[side] = entry
+    return [(title, *both) for title, both in by_title.items()]
 
 
-def _what(entry: dict[str, Any]) -> str:
+def _criterion_title(entry: dict[str, Any]) -> str:
     parts = [f"{str(entry.get('kind', '?')).replace('_', ' ')} of {entry.get('of', '?')}"]
     parts += [f"{word} {entry[word]}" for word in ("to", "band", "after", "until") if entry.get(word)]
     return " ".join(parts)
@@ -258,37 +247,37 @@ def sentence(c: Compared) -> str:
     count, different = len(c.differences), sum(d.largest > 0 for d in c.differences)
     of_both = " that both have" if c.only_a else ""
     every = f"All {counted(count, 'signal')}{of_both} are" if count > 1 else ""
-    most = _most(max(c.differences, key=lambda d: d.share))
+    most = _describe_largest(max(c.differences, key=lambda d: d.share))
     if not different:
         where = "in every row" if c.aligned else "at the times of a, and between them nowhere outside of it"
-        told = f"{every or f'The signal{of_both} is'} equal {where}."
+        text = f"{every or f'The signal{of_both} is'} equal {where}."
     elif not c.judged:
-        told = f"{different} of {counted(count, 'signal')} {_differ(different)}; {most}."
+        text = f"{different} of {counted(count, 'signal')} {_differ(different)}; {most}."
     elif c.beyond:
-        beyond = len(c.beyond)
-        told = f"{beyond} of {counted(count, 'signal')} {_are(beyond)} beyond the tolerance; {_most(c.beyond[0])}."
+        beyond, largest = len(c.beyond), _describe_largest(c.beyond[0])
+        text = f"{beyond} of {counted(count, 'signal')} {_are(beyond)} beyond the tolerance; {largest}."
     else:
-        told = f"{every} within the tolerance; {most}." if every else f"Within the tolerance: {most}."
+        text = f"{every} within the tolerance; {most}." if every else f"Within the tolerance: {most}."
     if c.only_a:
-        told += f" {counted(len(c.only_a), 'signal')} of a {_are(len(c.only_a))} not in b."
-    return told + (f" {c.shorter}." if c.shorter else "")
+        text += f" {counted(len(c.only_a), 'signal')} of a {_are(len(c.only_a))} not in b."
+    return text + (f" {c.shorter}." if c.shorter else "")
 
 
-def _most(d: Difference) -> str:
+def _describe_largest(d: Difference) -> str:
     if not d.alike:
         return f"{d.name} is {d.note}"
     if not math.isfinite(d.share):
         return f"most {d.name}, which has no number in one run at {d.at:.6g} s"
-    return f"most {d.name}, by {amount(d.largest, d.unit)} at {d.at:.6g} s ({shared(d)} of its range)"
+    return f"most {d.name}, by {amount(d.largest, d.unit)} at {d.at:.6g} s ({format_share(d)} of its range)"
 
 
-def _shorter(a: Ran, b: Ran) -> str:
+def _describe_ends(a: Ran, b: Ran) -> str:
     """Return a phrase on late starts and early ends."""
     step = float(np.max(np.diff(a.results.time))) if a.results.time.size > 1 else 0.0
-    told = []
+    parts = []
     for verb, row in (("begins", 0), ("ends", -1)):
         at = [float(r.results.time[row]) for r in (a, b)]
         if abs(at[0] - at[1]) > 1e-6 * step + 1e-9:
             first, second = (a, b) if at[0] < at[1] else (b, a)
-            told.append(f"{first.path} {verb} at {min(at):.6g} s, {second.path} at {max(at):.6g} s")
-    return "; ".join(told)
+            parts.append(f"{first.path} {verb} at {min(at):.6g} s, {second.path} at {max(at):.6g} s")
+    return "; ".join(parts)

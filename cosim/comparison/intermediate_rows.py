@@ -31,8 +31,8 @@ class Between:
         if not self.rows.size:
             return 0.0, 0.0
         ends = np.column_stack((self.first, self.last + 1)).ravel()
-        known = np.append(a, np.nan)  # A range may end with the last row.
-        low, high = (f.reduceat(known, ends)[::2] for f in (np.fmin, np.fmax))
+        padded = np.append(a, np.nan)  # A range may end with the last row.
+        low, high = (f.reduceat(padded, ends)[::2] for f in (np.fmin, np.fmax))
         gaps = np.add.reduceat(np.isnan(np.append(a, 0.0)), ends)[::2] > 0
         values = b[self.rows]
         with np.errstate(invalid="ignore"):
@@ -50,17 +50,16 @@ class Between:
         return None
 
 
-def rows_between(a: Array, b: Array, near: float) -> Between:
+def rows_between(a: Array, b: Array, tolerance: float) -> Between:
     """Return the rows of b between those of a.
 
     Args:
-        near: Largest difference of equal times [s].
+        tolerance: Largest difference of equal times [s].
     """
-    after, upto = np.searchsorted(a, b - near, side="left"), np.searchsorted(a, b + near, side="right")
-    alone = np.ones(b.size, dtype=bool)
-    alone[1:] &= np.diff(b) > near
-    alone[:-1] &= np.diff(b) > near
+    after, upto = np.searchsorted(a, b - tolerance, side="left"), np.searchsorted(a, b + tolerance, side="right")
+    is_apart = np.diff(b) > tolerance
+    alone = np.append(True, is_apart) & np.append(is_apart, True)
     matched = alone & (upto - after == 1)
-    within = (b >= a[0] - near) & (b <= a[-1] + near)
+    within = (b >= a[0] - tolerance) & (b <= a[-1] + tolerance)
     rows = np.flatnonzero(within & ~matched)
     return Between(rows, b[rows], np.maximum(after[rows] - 1, 0), np.minimum(upto[rows], a.size - 1))

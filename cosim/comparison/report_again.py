@@ -26,19 +26,19 @@ def report_of(folder: FilePath, *, figures: bool = False) -> Path:
         check_given(path, "a folder that a run left")
         raise InputError.at(path, messages.FILE_FOR_FOLDER())
     if not (path / "manifest.json").is_file():
-        again = {"refine.json": "refine", "replay.json": "replay", "comparison.json": "compare"}
-        verb = next((v for name, v in again.items() if (path / name).is_file()), None)
+        verbs = {"refine.json": "refine", "replay.json": "replay", "comparison.json": "compare"}
+        verb = next((v for name, v in verbs.items() if (path / name).is_file()), None)
         raise InputError.at(path, messages.FOLDER_OF_OTHER_VERB(verb=verb) if verb else messages.NO_MANIFEST())
-    ran = read_ran(path)
-    if not isinstance(ran.manifest.get("scenario"), dict):
+    run = read_ran(path)
+    if not isinstance(run.manifest.get("scenario"), dict):
         raise InputError.at(path / "manifest.json", messages.NO_SCENARIO())
-    if not ran.results.time.size:
+    if not run.results.time.size:
         raise InputError.at(rows_in(path) or path, messages.NO_ROWS())
     refuse_links(path)
     check_writable(path, ("report.html",))
     from cosim.simulation.report import write_figures, write_report
 
-    write_report(path / "report.html", ran.results, ran.manifest)
+    write_report(path / "report.html", run.results, run.manifest)
     if figures:
-        write_figures(path / "figures", ran.results, ran.manifest)
+        write_figures(path / "figures", run.results, run.manifest)
     return path / "report.html"

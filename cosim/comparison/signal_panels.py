@@ -9,10 +9,11 @@ from cosim.report.panels import Panel, Trace
 
 def panels_of(name: str, unit: str, runs: tuple[str, str], values: tuple[Array, Array]) -> list[Panel]:
     """Return the panels of a signal in two named runs at the same times."""
-    shown, factor = display(unit)
+    display_unit, factor = display(unit)
+    label = display_unit or unit or "no unit"
     first, second = (v * factor for v in values)
     both = [Trace(f"a: {runs[0]}", first, "s0"), Trace(f"b: {runs[1]}", second, "s1")]
     return [
-        Panel(name, shown or unit or "no unit", both),
-        Panel(f"{name}, b − a", shown or unit or "no unit", [Trace("b − a", second - first, "error")]),
+        Panel(name, label, both),
+        Panel(f"{name}, b − a", label, [Trace("b − a", second - first, "error")]),
     ]

@@ -57,30 +57,25 @@ class Tolerance:
     relative: float | None
     absolute: float
 
-    @property
-    def judged(self) -> bool:
-        """Return whether a share is given."""
-        return self.relative is not None
-
     def is_exceeded(self, gap: float, scale: float) -> bool:
         """Return whether a gap, even NaN, exceeds the tolerance."""
         return self.relative is not None and not gap <= self.absolute + self.relative * scale
 
 
-def rows_of(a: Ran, b: Ran) -> tuple[slice, bool]:
+def common_rows(a: Ran, b: Ran) -> tuple[slice, bool]:
     """Return a's rows within the time of b, and whether times agree."""
     first, second = a.results.time, b.results.time
     count = min(first.size, second.size)
     if not count:
         return slice(0, 0), False
-    close = near(first)
+    close = time_tolerance(first)
     if np.all(np.abs(first[:count] - second[:count]) <= close):
         return slice(0, count), True
     low, high = np.searchsorted(first, [second[0] - close, second[-1] + close])
     return slice(int(low), int(high)), False
 
 
-def near(time: Array) -> float:
+def time_tolerance(time: Array) -> float:
     """Return the largest difference of equal times [s].
 
     It is far less than a step and more than rounding.
@@ -90,12 +85,7 @@ def near(time: Array) -> float:
     return max(SAME_TIME * step, ROUNDING * float(np.max(np.abs(time), initial=0.0)))
 
 
-def at_times(time: Array, times: Array, values: Array) -> Array:
-    """Return linearly interpolated values."""
-    return np.interp(time, times, values)
-
-
-def of_numbers(
+def compare_numbers(
     name: str, unit: str, time: Array, values: tuple[Array, Array], allowed: Tolerance, by: Conversion
 ) -> Difference:
     """Return the difference of numbers in the same unit.
@@ -120,7 +110,7 @@ def of_numbers(
     return Difference(name, unit, largest, float(time[row]), rms, scale, largest / scale, beyond)
 
 
-def with_rows_between(d: Difference, outside: float, at: float, allowed: Tolerance) -> Difference:
+def include_rows_between(d: Difference, outside: float, at: float, allowed: Tolerance) -> Difference:
     """Return a difference enlarged by rows between those of a."""
     if outside <= max(d.largest, ROUNDING * d.scale):
         return d
@@ -129,20 +119,20 @@ def with_rows_between(d: Difference, outside: float, at: float, allowed: Toleran
     return replace(d, largest=outside, at=at, share=outside / d.scale, beyond=beyond, note=note)
 
 
-def of_other_units(name: str, unit: str, other: str, time: Array, *, judged: bool) -> Difference:
+def compare_other_units(name: str, unit: str, other: str, time: Array, *, has_tolerance: bool) -> Difference:
     """Return the difference of incompatible units."""
     note = f"in {unit} in one, in {other} in the other"
-    return Difference(name, unit, math.inf, float(time[0]), math.inf, 1.0, math.inf, judged, note, alike=False)
+    return Difference(name, unit, math.inf, float(time[0]), math.inf, 1.0, math.inf, has_tolerance, note, alike=False)
 
 
-def of_units(unit: str, other: str, d: Difference) -> str:
+def unit_note(unit: str, other: str, d: Difference) -> str:
     """Return a note on the units of both runs."""
     if unit and other:
         return f"{other} in b, converted" if unit != other else ""
     return f"no unit in {'b' if unit else 'a'}, taken as {d.unit}" if (unit or other) and d.largest else ""
 
 
-def of_text(a: Ran, b: Ran, name: str, rows: slice, between: Between | None, *, judged: bool) -> Difference:
+def compare_text(a: Ran, b: Ran, name: str, rows: slice, between: Between | None, *, has_tolerance: bool) -> Difference:
     """Return the difference of text: 1 if any row differs, else 0.
 
     At other times, b's text holds until its next row.
@@ -150,7 +140,7 @@ def of_text(a: Ran, b: Ran, name: str, rows: slice, between: Between | None, *, 
     aligned = between is None
     first, second = (list(r.results.exact.get(name) or [str(v) for v in r.results[name]]) for r in (a, b))
     time = a.results.time[rows]
-    close = near(a.results.time)
+    close = time_tolerance(a.results.time)
     places = range(time.size) if aligned else np.searchsorted(b.results.time, time + close, side="right") - 1
     pairs = zip(first[rows], (second[max(0, int(k))] for k in places), strict=True)
     differs = next((float(time[k]) for k, (x, y) in enumerate(pairs) if x != y), None)
@@ -158,15 +148,15 @@ def of_text(a: Ran, b: Ran, name: str, rows: slice, between: Between | None, *, 
         differs = between.other_text(first, second)
     if differs is None:
         return Difference(name, "", 0.0, float(time[0]), 0.0, 1.0, 0.0, False, "text")
-    return Difference(name, "", 1.0, differs, 1.0, 1.0, 1.0, judged, "text differs")
+    return Difference(name, "", 1.0, differs, 1.0, 1.0, 1.0, has_tolerance, "text differs")
 
 
-def sized(d: Difference, value: float) -> str:
+def format_size(d: Difference, value: float) -> str:
     """Return a size in the signal's unit, a dash if not comparable."""
     return amount(value if d.alike else math.nan, d.unit)
 
 
-def shared(d: Difference) -> str:
+def format_share(d: Difference) -> str:
     """Return a difference as a share of the signal's range."""
     if not d.alike:
         return "not comparable"

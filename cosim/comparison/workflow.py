@@ -13,9 +13,9 @@ from cosim.base.errors import InputError
 from cosim.base.text import amount, written
 from cosim.base.version import __version__
 from cosim.comparison import messages
-from cosim.comparison.differences import Compared, compared, criteria_of, sentence
+from cosim.comparison.differences import Compared, compare_runs, criteria_of, sentence
 from cosim.comparison.signal_panels import panels_of
-from cosim.comparison.signals import Difference, shared, sized
+from cosim.comparison.signals import Difference, format_share, format_size
 from cosim.report.chart_data import to_json
 from cosim.report.drawing import Drawing
 from cosim.report.template import render
@@ -25,8 +25,8 @@ from cosim.storage.folder_lock import folder_locks
 from cosim.storage.folders import check_left, folder_named, keep_earlier
 
 TEMPLATE = Path(__file__).with_name("templates") / "comparison.html.j2"
-DRAWN = 24  # signals with the largest differences
-MADE = ("comparison.json", "report.html")
+MAX_PLOTTED = 24  # signals with the largest differences
+FILES = ("comparison.json", "report.html")
 
 
 @folder_locks()
@@ -59,29 +59,28 @@ def compare(
     for name, value in (("--tol", tolerance), ("--abs", absolute)):
         if value is not None and not (math.isfinite(value) and value >= 0):
             raise InputError.at(a.path, messages.NEGATIVE_TOLERANCE(option=name, value=value))
-    made = compared(a, b, tolerance, absolute)
+    comparison = compare_runs(a, b, tolerance, absolute)
     place = folder_named(f"{a.name} and {b.name}") if folder is None else named_path(folder)
     if not write:
-        return made, place
+        return comparison, place
     read = [p / "manifest.json" if p.is_dir() else p for p in (a.path, b.path)]
     check_left(place, "cosim compare", str(a.path), str(b.path), force=force, keep=folder is None)
-    check_writable(place, MADE, read)
+    check_writable(place, FILES, read)
     if folder is None:
         keep_earlier(place, "cosim compare")
-    write_json(place / "comparison.json", made.as_json())
+    write_json(place / "comparison.json", comparison.as_json())
     (place / "report.html").unlink(missing_ok=True)
     if report:
-        write_text(place / "report.html", render(TEMPLATE, context(made)))
-    return made, place
+        write_text(place / "report.html", render(TEMPLATE, context(comparison)))
+    return comparison, place
 
 
 def context(c: Compared) -> Mapping[str, Any]:
     """Return the variables of the template."""
-    ranked = sorted(c.differences, key=lambda d: -d.share)
-    drawn = [d for d in ranked if d.name in c.values][:DRAWN]
-    drawing = Drawing(c.time, 3 * len(drawn))
-    panels = [panel for d in drawn for panel in panels_of(d.name, d.unit, (c.a.name, c.b.name), c.values[d.name])]
-    plots = drawing.plots(panels)
+    plotted = [d for d in c.ranked if d.name in c.values][:MAX_PLOTTED]
+    drawing = Drawing(c.time, 3 * len(plotted))
+    panels = [panel for d in plotted for panel in panels_of(d.name, d.unit, (c.a.name, c.b.name), c.values[d.name])]
+    plots = drawing.plots(panels)  # before its series
     return {
         "a": c.a,
         "b": c.b,
@@ -90,10 +89,10 @@ def context(c: Compared) -> Mapping[str, Any]:
         "judged": c.judged,
         "tolerance": _tolerance(c),
         "aligned": c.aligned,
-        "rows": [_row(d) for d in ranked],
-        "criteria": [(what, _verdict(a), _verdict(b)) for what, a, b in criteria_of(c)],
+        "rows": [_row(d) for d in c.ranked],
+        "criteria": [(title, _verdict(a), _verdict(b)) for title, a, b in criteria_of(c)],
         "plots": plots,
-        "undrawn": len(ranked) - len(drawn),
+        "undrawn": len(c.differences) - len(plotted),
         "only_a": c.only_a,
         "only_b": c.only_b,
         "data": to_json(drawing.series),
@@ -103,8 +102,8 @@ def context(c: Compared) -> Mapping[str, Any]:
 
 
 def _options(c: Compared) -> list[str]:
-    found = ["--tol", f"{c.tolerance:g}"] if c.tolerance is not None else []
-    return found + (["--abs", f"{c.absolute:g}"] if c.absolute else [])
+    options = ["--tol", f"{c.tolerance:g}"] if c.tolerance is not None else []
+    return options + (["--abs", f"{c.absolute:g}"] if c.absolute else [])
 
 
 def _tolerance(c: Compared) -> str:
@@ -118,10 +117,10 @@ def _row(d: Difference) -> dict[str, Any]:
     return {
         "name": d.name,
         "unit": written(d.unit),
-        "largest": sized(d, d.largest),
+        "largest": format_size(d, d.largest),
         "at": f"{d.at:.6g}\u00a0s",
-        "rms": sized(d, d.rms),
-        "share": shared(d),
+        "rms": format_size(d, d.rms),
+        "share": format_share(d),
         "beyond": d.beyond,
         "note": d.note,
     }
@@ -131,7 +130,7 @@ def _verdict(entry: dict[str, Any] | None) -> tuple[str, str]:
     if entry is None:
         return "not asked", ""
     value = entry.get("value")
-    shown = "never" if value is None else amount(float(value), str(entry.get("unit") or ""))
-    return f"{shown} of {amount(float(entry.get('max', math.nan)), str(entry.get('unit') or ''))}", (
+    text = "never" if value is None else amount(float(value), str(entry.get("unit") or ""))
+    return f"{text} of {amount(float(entry.get('max', math.nan)), str(entry.get('unit') or ''))}", (
         "good" if entry.get("met") else "bad"
     )

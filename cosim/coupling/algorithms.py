@@ -79,9 +79,11 @@ WITHOUT_ORDER = OWN[1]  # for components in an algebraic loop, which have no ord
 
 def algorithms() -> dict[str, Algorithm]:
     """Return the algorithms by name, cosim's own first."""
-    added = [found for name in names(ALGORITHMS) if isinstance(found := load(ALGORITHMS, name), Algorithm)]
-    own = {algorithm.name: algorithm for algorithm in OWN}
-    return own | {algorithm.name: algorithm for algorithm in added if algorithm.name not in own}
+    by_name = {algorithm.name: algorithm for algorithm in OWN}
+    for algorithm in (load(ALGORITHMS, name) for name in names(ALGORITHMS)):
+        if isinstance(algorithm, Algorithm):
+            by_name.setdefault(algorithm.name, algorithm)
+    return by_name
 
 
 class AlgorithmKey:
@@ -91,15 +93,15 @@ class AlgorithmKey:
         return no_info_plain_validator_function(self.validate)
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        known = algorithms()
-        about = ", ".join(f"{name} {algorithm.about}" for name, algorithm in known.items())
-        return {**handler(str_schema()), "enum": list(known), "description": about}
+        by_name = algorithms()
+        about = ", ".join(f"{name} {algorithm.about}" for name, algorithm in by_name.items())
+        return {**handler(str_schema()), "enum": list(by_name), "description": about}
 
     @staticmethod
     def validate(value: Any) -> str:
         """Return the name of an algorithm; reject unknown names."""
-        known = list(algorithms())
-        if isinstance(value, str) and value in known:
+        allowed = list(algorithms())
+        if isinstance(value, str) and value in allowed:
             return value
-        *others, last = map(repr, known)
+        *others, last = map(repr, allowed)
         raise PydanticKnownError("literal_error", {"expected": f"{', '.join(others)} or {last}"})

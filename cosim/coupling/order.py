@@ -11,6 +11,7 @@ from graphlib import CycleError, TopologicalSorter
 from typing import NamedTuple
 
 from cosim.blocks.component import Component
+from cosim.coupling import messages
 
 Edge = tuple[str, str, str, str]  # source component, target component, target input, source output
 Input = tuple[str, str]  # component, input
@@ -49,21 +50,21 @@ def order_by_dependencies(
         AlgebraicLoop: No order exists.
     """
     if order is not None:
-        return _stated(components, edges, order)
+        return _plan_in_order(components, edges, order)
     direct = {(target, name) for _, target, name, _ in edges if components[target].depends_on(name) is not False}
     notes: list[str] = []
     while True:
         immediate = tuple((target, name) in direct for _, target, name, _ in edges)
         try:
-            return Plan(_sorted(components, edges, immediate), immediate, tuple(notes))
+            return Plan(_sort(components, edges, immediate), immediate, tuple(notes))
         except CycleError as error:
             cycle = list(reversed(error.args[1]))
-        opened, note = _open(components, edges, direct, cycle)
-        direct -= opened
+        removed, note = _open_cycle(components, edges, direct, cycle)
+        direct -= removed
         notes += [note] if note else []
 
 
-def _open(
+def _open_cycle(
     components: Mapping[str, Component], edges: Sequence[Edge], direct: set[Input], cycle: Sequence[str]
 ) -> tuple[set[Input], str]:
     """Return inputs without feedthrough, to open a cycle, and a note. The note states an assumption, if made."""
@@ -72,14 +73,11 @@ def _open(
     unneeded = {(c, name) for c, name in inputs & direct if components[c].depends_on(name, _used(edges, c)) is False}
     if unneeded:
         return unneeded, ""
-    silent = {component for component, name in inputs if components[component].depends_on(name) is None}
-    undeclared = next((component for component in components if component in silent), None)
+    unknown = {component for component, name in inputs if components[component].depends_on(name) is None}
+    undeclared = next((component for component in components if component in unknown), None)
     if undeclared is None:
         raise AlgebraicLoop(cycle)
-    note = (
-        f"{undeclared} does not declare which outputs depend directly on its inputs; "
-        "taken as none, so that it steps first. State order: if that is wrong"
-    )
+    note = messages.ASSUMED_WITHOUT_FEEDTHROUGH(component=undeclared)
     return {(component, name) for component, name in direct if component == undeclared}, note
 
 
@@ -88,7 +86,7 @@ def _used(edges: Sequence[Edge], component: str) -> set[str]:
     return {output for source, _, _, output in edges if source == component}
 
 
-def _stated(components: Mapping[str, Component], edges: Sequence[Edge], order: Sequence[str]) -> Plan:
+def _plan_in_order(components: Mapping[str, Component], edges: Sequence[Edge], order: Sequence[str]) -> Plan:
     rest = [name for name in components if name not in order]  # sources without inputs
     place = {name: k for k, name in enumerate((*rest, *order))}
     immediate = tuple(
@@ -98,7 +96,7 @@ def _stated(components: Mapping[str, Component], edges: Sequence[Edge], order: S
     return Plan(tuple(place), immediate)
 
 
-def _sorted(components: Mapping[str, Component], edges: Sequence[Edge], immediate: Sequence[bool]) -> tuple[str, ...]:
+def _sort(components: Mapping[str, Component], edges: Sequence[Edge], immediate: Sequence[bool]) -> tuple[str, ...]:
     sorter: TopologicalSorter[str] = TopologicalSorter({name: set() for name in components})
     for (source, target, *_), now in zip(edges, immediate, strict=True):
         if now:

@@ -17,14 +17,13 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.blocks.faults import Linked
 from cosim.blocks.sources import Source
-from cosim.blocks.stepping import Loop, NotCompiled, Slot, Why, library
-from cosim.blocks.stepping import Transfer as Way
-from cosim.blocks.stepping import transfer as way
+from cosim.blocks.stepping import Loop, NotCompiled, Slot, Why, library, transfer
+from cosim.blocks.stepping import Transfer as CTransfer
 from cosim.isolation.rows import CALLS, Rows
 from cosim.system.system import System
 from cosim.system.wiring import Transfer
 
-PREPARED = 1000  # points of source values computed at a time
+PREPARED_POINTS = 1000  # points of source values computed at a time
 
 
 @dataclass(frozen=True)
@@ -33,8 +32,8 @@ class Run:
 
     Attributes:
         links: Conversions of a transfer's value, in order.
-        after: Functions called with each requested point, before its row is stored.
-        asked: Function returning the next requested point at or after a point, or `NEVER`.
+        calls: Functions called with each requested point, before its row is stored.
+        next_call: Function returning the next requested point at or after a point, or `NEVER`.
     """
 
     system: System
@@ -44,11 +43,11 @@ class Run:
     row: Any
     rows: Rows
     links: Callable[[Transfer], Sequence[Linked]]
-    after: Sequence[Callable[[int], None]]
-    asked: Callable[[int], int]
+    calls: Sequence[Callable[[int], None]]
+    next_call: Callable[[int], int]
 
 
-def compiled(run: Run) -> CompiledSteps:
+def prepare_steps(run: Run) -> CompiledSteps:
     """Return the steps in C; raise NotCompiled with the reason if impossible."""
     if run.system.beside:
         raise NotCompiled(f"{run.system.beside[0]} is no number that a double holds")
@@ -80,8 +79,8 @@ class CompiledSteps:
             slot.every, slot.doing = stage.every, CALLS * k
             slot.length = stage.every * run.h if stage.component.nominal_step else 0.0
         self.loop = Loop(
-            [(slot, self._ways(stage.pulls)) for slot, stage in zip(slots, system.stages, strict=True)],
-            self._ways(system.held, every),
+            [(slot, self._transfers(stage.pulls)) for slot, stage in zip(slots, system.stages, strict=True)],
+            self._transfers(system.held, every),
             run.row,
             run.rows.table,
             begin=system.start,
@@ -92,9 +91,9 @@ class CompiledSteps:
         self.sources = {k: c for k, c in enumerate(run.components) if isinstance(c, Source)}
         self._values: list[Array] = []
 
-    def steps(self) -> None:
+    def make_all(self) -> None:
         """Make all steps, with errors as in the Python loop."""
-        run, chunk = self.run, PREPARED if self.sources else self.run.steps
+        run, chunk = self.run, PREPARED_POINTS if self.sources else self.run.steps
         for first in range(1, run.steps + 1, max(1, chunk)):
             last = min(first + chunk - 1, run.steps)
             self._prepare(first, last)
@@ -102,7 +101,7 @@ class CompiledSteps:
 
     def _until(self, last: int) -> None:
         loop, run = self.loop, self.run
-        pause = run.asked(loop.plan.next)
+        pause = run.next_call(loop.plan.next)
         while True:
             try:
                 why = loop.run(last, pause)
@@ -112,28 +111,29 @@ class CompiledSteps:
             if why == Why.FINISHED:
                 return
             if why == Why.PAUSED:
-                for call in run.after:
+                for call in run.calls:
                     call(pause)
-                pause = run.asked(pause + 1)
+                pause = run.next_call(pause + 1)
             elif why == Why.NO_ITEM:
-                self._no_item()
+                self._raise_no_item()
             elif why != Why.LATER:
                 run.components[loop.plan.place].tell(why, loop.plan, loop.slots[loop.plan.place])
 
     # -- internal -------------------------------------------------------------------------------
 
-    def _ways(self, transfers: Iterable[Transfer], every: Mapping[str, int] = MappingProxyType({})) -> list[Way]:
+    def _transfers(
+        self, transfers: Iterable[Transfer], every: Mapping[str, int] = MappingProxyType({})
+    ) -> list[CTransfer]:
         """Return transfers for C; held ones act when their target steps."""
-        ways = []
+        c_transfers = []
         for t in transfers:
             links = [linked.link() for linked in self.run.links(t)]
-            ways.append(way(self.run.row, t.source, t.target, links, every.get(t.name.partition(".")[0], 1)))
-        return ways
+            period = every.get(t.name.partition(".")[0], 1)
+            c_transfers.append(transfer(self.run.row, t.source, t.target, links, period))
+        return c_transfers
 
     def _prepare(self, first: int, last: int) -> None:
         """Prepare source values at the given points. Times are computed as by the sources themselves."""
-        if not self.sources:
-            return
         begin, h = self.run.system.start, self.run.h
         points = np.arange(first, last + 1, dtype=np.float64)
         self._values = []
@@ -143,11 +143,11 @@ class CompiledSteps:
             self._values.append(source.over(times))
             self.loop.prepare(k, self._values[-1], first)
 
-    def _no_item(self) -> None:
+    def _raise_no_item(self) -> None:
         """Raise SimulationError for a value that is no item."""
         system, plan = self.run.system, self.loop.plan
         stages = system.stages
         transfers = stages[plan.place].pulls if plan.place < len(stages) else system.held
-        for transfer in transfers:
-            transfer.check_item(self.run.row[transfer.target], system.start + plan.next * self.run.h)
+        for t in transfers:
+            t.check_item(self.run.row[t.target], system.start + plan.next * self.run.h)
         raise AssertionError("C met a value that is no item, and there is none")

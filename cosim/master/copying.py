@@ -28,42 +28,43 @@ class Copying:
         self.system, self.row, self.beside, self.steps, self.h = system, row, beside, steps, h
         self.links: dict[str, Sequence[Linked]] = {}
         self._view = doubles(row)
-        self._made: dict[str, tuple[int, tuple[Any, ...]]] = {}  # name → kind of copy (0 … 2) and its entry
+        self._entries: dict[str, tuple[int, tuple[Any, ...]]] = {}  # name → kind of copy (0 … 2) and its entry
 
     def of(self, transfers: Iterable[Transfer]) -> Copies:
         """Return transfers as plain, noisy and other copies."""
         kinds: tuple[list[Any], list[Any], list[Any]] = ([], [], [])
         for transfer in transfers:
-            if transfer.name not in self._made:
-                self._made[transfer.name] = self._ready(transfer)
-            kind, entry = self._made[transfer.name]
+            if transfer.name not in self._entries:
+                self._entries[transfer.name] = self._entry(transfer)
+            kind, entry = self._entries[transfer.name]
             kinds[kind].append(entry)
         plain, noisy, others = kinds
-        return self._stretches(plain), tuple(noisy), tuple(others)
+        return self._join(plain), tuple(noisy), tuple(others)
 
     def by_component(self) -> Mapping[str, Copies]:
         """Return the copies before each component's step."""
         return {stage.component.name: self.of(stage.pulls) for stage in self.system.stages}
 
-    def _stretches(self, places: Sequence[tuple[int, int]]) -> Plain:
+    def _join(self, places: Sequence[tuple[int, int]]) -> Plain:
         """Return adjacent copies joined into contiguous parts."""
-        found: list[list[int]] = []
+        parts: list[tuple[int, int, int]] = []  # first source, first target, length
         for source, target in places:
-            if found and (source, target) == (found[-1][0] + found[-1][2], found[-1][1] + found[-1][2]):
-                found[-1][2] += 1
+            first, goal, count = parts[-1] if parts else (0, 0, 0)
+            if parts and (source, target) == (first + count, goal + count):
+                parts[-1] = first, goal, count + 1
             else:
-                found.append([source, target, 1])
-        return tuple((self._view[b : b + n], self._view[a : a + n]) for a, b, n in found)
+                parts.append((source, target, 1))
+        return tuple((self._view[b : b + n], self._view[a : a + n]) for a, b, n in parts)
 
-    def _ready(self, transfer: Transfer) -> tuple[int, tuple[Any, ...]]:
+    def _entry(self, transfer: Transfer) -> tuple[int, tuple[Any, ...]]:
         chain = transfer.through(self.system.seed, self.system.start, self.h, self.steps + 1)
         self.links[transfer.name] = chain
         if not transfer.plain:
             origin, goal = (self.beside if beside else self.row for beside in transfer.beside)
             return 2, (origin, transfer.source, goal, transfer.target, through(chain))
-        for added in chain:
-            if isinstance(added, Added):
-                return 1, (transfer.source, transfer.target, added.samples)
+        for link in chain:
+            if isinstance(link, Added):
+                return 1, (transfer.source, transfer.target, link.samples)
         return 0, (transfer.source, transfer.target)
 
 

@@ -14,14 +14,15 @@ from typing import Any
 from cosim.base.errors import SimulationError
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import Source
-from cosim.isolation.rows import CALLS, GET, OTHER
+from cosim.isolation.rows import GET, OTHER
+from cosim.master import messages
 from cosim.master.copying import copy_values
-from cosim.master.initialization import settled
+from cosim.master.initialization import is_settled
 from cosim.master.master import Master, Round
 from cosim.system.system import System
 
 
-def why_not(system: System) -> str:
+def rollback_objection(system: System) -> str:
     """Return the reason against repeating steps, or ""."""
     if system.beside or system.events or system.apart or any(stage.every > 1 for stage in system.stages):
         return "values beside numbers, events, several rates or processes are not taken back"
@@ -46,47 +47,47 @@ class Halved(Master):
         try:
             for k in range(1, self.steps + 1):
                 t, end = begin + (k - 1) * self.h, begin + k * self.h
-                before, row = self._saved(parts), bytes(self.row)
-                self._once(actives, k, t, end)
-                whole, after, values = bytes(self.row), self._saved(parts), list(self.row)
-                self._back(parts, before)
+                before, row = self._save(parts), bytes(self.row)
+                self._step_all(actives, k, t, end)
+                whole, after, values = bytes(self.row), self._save(parts), list(self.row)
+                self._restore(parts, before)
                 ctypes.memmove(self.row, row, len(row))
-                self._check_back(parts, row, t)
+                self._check_outputs(parts, row, t)
                 for since, until in ((t, 0.5 * (t + end)), (0.5 * (t + end), end)):
-                    self._once(actives, k, since, until)
+                    self._step_all(actives, k, since, until)
                 self.table[k] = [abs(a - b) for a, b in zip(values, self.row, strict=True)]
-                self._back(parts, after)
+                self._restore(parts, after)
                 ctypes.memmove(self.row, whole, len(whole))
-                self.done = self.made[0] = k + 1
+                self.done = self.row_count[0] = k + 1
         finally:
             self.doing[0] = 0
 
-    def _once(self, actives: Round, k: int, t: float, end: float) -> None:
+    def _step_all(self, actives: Round, k: int, t: float, end: float) -> None:
         """Exchange the values once and make all steps."""
         for step, _, _, plain, noisy, others in actives:
             copy_values(self.row, (plain, noisy, others), k)
             step(t, end - t)
 
-    def _saved(self, parts: Sequence[FmuBlock]) -> list[Any]:
+    def _save(self, parts: Sequence[FmuBlock]) -> list[Any]:
         """Return the state of each FMU."""
         states = []
         for part in parts:
-            self.doing[0] = CALLS * self.components.index(part) + OTHER
+            self.announce(part, OTHER)
             states.append(part.instance.saved())
         return states
 
-    def _back(self, parts: Sequence[FmuBlock], states: Sequence[Any]) -> None:
+    def _restore(self, parts: Sequence[FmuBlock], states: Sequence[Any]) -> None:
         """Restore and free the state of each FMU."""
         for part, state in zip(parts, states, strict=True):
-            self.doing[0] = CALLS * self.components.index(part) + OTHER
+            self.announce(part, OTHER)
             part.instance.take_back(state)
 
-    def _check_back(self, parts: Sequence[FmuBlock], row: bytes, t: float) -> None:
+    def _check_outputs(self, parts: Sequence[FmuBlock], row: bytes, t: float) -> None:
         """Check that restoring the FMU state restores the outputs; raise SimulationError if it does not."""
         for part in parts:
             before = list(self.row)
-            self.doing[0] = CALLS * self.components.index(part) + GET
+            self.announce(part, GET)
             part.get()
-            if not settled(before, self.row):
-                raise SimulationError(part.name, t, "it does not come back to the state that it gave away")
+            if not is_settled(before, self.row):
+                raise SimulationError(part.name, t, messages.STATE_NOT_RESTORED())
         ctypes.memmove(self.row, row, len(row))

@@ -10,13 +10,14 @@ from typing import Any
 from cosim.base.errors import SimulationError
 from cosim.blocks.component import Component
 from cosim.isolation.rows import CALLS, GET, OTHER, PUT
+from cosim.master import messages
 from cosim.master.copying import Copies, copy_values
 
 EXACT_SWEEPS = 10  # sweeps that must settle exactly; later sweeps settle within a tolerance
 MOST_SWEEPS = 1000  # sweeps after which unsettled values are an error, unless their changes shrink
 LAST_SWEEP = 50_000  # limit for shrinking changes
-SETTLED = 1e-12  # relative change of a settled value
-SHRINKS = 0.9  # ratio of changes over MOST_SWEEPS below which they shrink
+SETTLED_CHANGE = 1e-12  # relative change of a settled value
+SHRINKING_RATIO = 0.9  # ratio of changes over MOST_SWEEPS below which they shrink
 
 
 @dataclass(frozen=True)
@@ -56,15 +57,14 @@ class Initialization:
         for sweep in range(1, LAST_SWEEP + 1):
             before, row = self._values(), list(self.row)
             self._sweep()
-            if self._values() == before or (sweep > EXACT_SWEEPS and settled(row, self.row)):
+            if self._values() == before or (sweep > EXACT_SWEEPS and is_settled(row, self.row)):
                 return
             if sweep % MOST_SWEEPS == 0:
                 change = max((abs(a - b) for a, b in zip(self.row, row, strict=True)), default=0.0)
-                if not change < SHRINKS * earlier:
+                if not change < SHRINKING_RATIO * earlier:
                     break
                 earlier = change
-        text = f"values still change after {sweep} exchanges: an algebraic loop that exchanging values does not settle"
-        raise SimulationError("initialization", self.start, text)
+        raise SimulationError("initialization", self.start, messages.NOT_SETTLED(count=sweep))
 
     def _sweep(self) -> None:
         for k, component in enumerate(self.components):
@@ -79,6 +79,6 @@ class Initialization:
         return bytes(self.row), list(self.beside)
 
 
-def settled(before: Iterable[float], after: Iterable[float]) -> bool:
+def is_settled(before: Iterable[float], after: Iterable[float]) -> bool:
     """Return whether all changes are within rounding."""
-    return all(abs(a - b) <= SETTLED * max(1.0, abs(b)) for a, b in zip(after, before, strict=True))
+    return all(abs(a - b) <= SETTLED_CHANGE * max(1.0, abs(b)) for a, b in zip(after, before, strict=True))

@@ -21,7 +21,8 @@ from cosim.base.errors import SimulationError, Terminated, stopped
 from cosim.blocks.component import EndedEarly
 from cosim.blocks.stepping import NEVER, NotCompiled
 from cosim.isolation.rows import CALLS, OTHER, Rows
-from cosim.master.c_loop import CompiledSteps, Run, compiled
+from cosim.master import messages
+from cosim.master.c_loop import CompiledSteps, Run, prepare_steps
 from cosim.master.copying import Copying, Noisy, Plain, Through, doubles
 from cosim.master.initialization import Initialization
 from cosim.storage.files import hold_stops
@@ -85,13 +86,13 @@ class Master:
         self.view = doubles(self.row)
         self.beside: list[Any] = [None] * len(system.beside)
         self.rows, self.progress, self.in_c, self.loop = rows, progress, in_c, "none"
-        self.kept = rows.beside  # values beside the row, by row
-        self.table, self.made, self.doing = rows.table, rows.made, rows.doing
+        self.beside_rows = rows.beside  # values beside the row, by row
+        self.table, self.row_count, self.doing = rows.table, rows.made, rows.doing
         self.time = system.start + h * np.arange(steps + 1, dtype=np.float64)  # counted, not summed
         self.done = 0
         self.notes: list[str] = []
         self.events = sorted(system.events)
-        self.after = self._after(progress)
+        self.calls = self._calls(progress)
         self.copying = Copying(system, self.row, self.beside, steps, h)
         self.pulls = self.copying.by_component()
         self.held = self.copying.of(system.held)
@@ -100,22 +101,23 @@ class Master:
         """Run from beginning to end."""
         try:
             self._open()
-            self._initialize()
+            data = self.components, self.row, self.beside, self.pulls, self.held
+            Initialization(*data, self.system.start, self.doing).run()
             self._record_first()
             self._step_on()
             hold_stops()  # The rows must be saved.
         except EndedEarly as end:
             if not self.done:
-                raise StoppedRun(end, self._so_far()) from None  # before the first row
-            self._end(end)
+                raise StoppedRun(end, self._rows_so_far()) from None  # before the first row
+            self._record_last(end)
         except (SimulationError, KeyboardInterrupt, Terminated) as stop:
             error = stopped(stop, float(self.time[max(0, self.done - 1)]))
-            raise StoppedRun(error, self._so_far()) from None
+            raise StoppedRun(error, self._rows_so_far()) from None
         finally:
-            for k, component in enumerate(self.components):
-                self.doing[0] = CALLS * k + OTHER
+            for component in self.components:
+                self.announce(component)
                 component.close()
-        return self._so_far()
+        return self._rows_so_far()
 
     # -- call sequence -----------------------------------------------------------------------------
 
@@ -125,43 +127,38 @@ class Master:
         for component in self.components:
             name = component.name
             component.bind(self.row, place.get(name, 0), self.beside, place_beside.get(name, 0))
-        for k, component in enumerate(self.components):
-            self.doing[0] = CALLS * k + OTHER
+        for component in self.components:
+            self.announce(component)
             component.open(self.system.start, float(self.time[-1]))
-
-    def _initialize(self) -> None:
-        """Exchange values until they settle, then start all components."""
-        known = self.components, self.row, self.beside, self.pulls, self.held
-        Initialization(*known, self.system.start, self.doing).run()
 
     def _record_first(self) -> None:
         for transfer in (*self.system.held, *(t for stage in self.system.stages for t in stage.pulls)):
             transfer.check_item((self.beside if transfer.beside[1] else self.row)[transfer.target], self.system.start)
-        for call in self.after:
+        for call in self.calls:
             call(0)
         ctypes.memmove(self.table.ctypes.data, ctypes.addressof(self.row), ctypes.sizeof(self.row))
-        self.done = self.made[0] = 1
+        self.done = self.row_count[0] = 1
 
     def _step_on(self) -> None:
         """Make all steps, in C if possible."""
         try:
-            in_c = self._compiled()
+            steps = self._prepare_c()
         except NotCompiled as reason:
-            self._tell_loop(f"Python: {reason}")
+            self._store_loop(f"Python: {reason}")
             self._step_in_python()
             return
-        self._tell_loop("C")
+        self._store_loop("C")
         try:
-            in_c.steps()
+            steps.make_all()
         finally:
-            self.done = self.made[0]
+            self.done = self.row_count[0]
 
     def _step_in_python(self) -> None:
         """Make all steps in Python; its inner calls determine the run time."""
-        row, h, begin, after = self.view, self.h, self.system.start, self.after
+        row, h, begin, calls = self.view, self.h, self.system.start, self.calls
         table, width = doubles(self.table), len(row)
         rounds = itertools.islice(itertools.cycle(self._cycle()), 1, None)  # The first round belongs to point 0.
-        made, asked = self.made, self._next_call(1)
+        row_count, call_point = self.row_count, self._next_call(1)
         done, next_t = self.done, begin
         try:
             for k, actives in zip(range(1, self.steps + 1), rounds, strict=False):
@@ -178,41 +175,45 @@ class Master:
                         step(t, length or next_t - t)
                     else:
                         step(since := begin + (k - every) * h, length or next_t - since)
-                if k == asked:
-                    for call in after:
+                if k == call_point:
+                    for call in calls:
                         call(k)
-                    asked = self._next_call(k + 1)
+                    call_point = self._next_call(k + 1)
                 table[k * width : k * width + width] = row
-                done = made[0] = k + 1
+                done = row_count[0] = k + 1
         finally:
             self.done = done
 
-    def _end(self, end: EndedEarly) -> None:
-        """End the run; with a single FMU, add a last row. Other FMUs would have no state at the end time."""
-        self.notes.append(f"{end.component} ended the simulation at t = {end.reached:.6g} s: {end.reason}")
+    def _record_last(self, end: EndedEarly) -> None:
+        """Note an early end; with a single FMU, add a last row. Other FMUs would have no state at the end time."""
+        self.notes.append(messages.ENDED_EARLY(component=end.component, time=end.reached, reason=end.reason))
         alone = len(self.system.fmus) == 1
         k = self.done
         if not (0 < k <= self.steps and end.readable and alone and end.reached > self.time[k - 1]):
             return
         for component in self.components:
             component.get()
-        for call in self.after:
+        for call in self.calls:
             call(k)
         self.time[k] = end.reached
         self.table[k] = self.row[:]
-        self.done = self.made[0] = k + 1
+        self.done = self.row_count[0] = k + 1
 
     # -- parts --------------------------------------------------------------------------------
 
-    def _compiled(self) -> CompiledSteps:
+    def _prepare_c(self) -> CompiledSteps:
         """Return the steps in C; raise NotCompiled if impossible."""
         if not self.in_c:
             raise NotCompiled("asked for")
         links = self.copying.links
-        known = self.system, self.components, self.steps, self.h, self.row, self.rows
-        return compiled(Run(*known, lambda t: links[t.name], self.after, self._next_call))
+        data = self.system, self.components, self.steps, self.h, self.row, self.rows
+        return prepare_steps(Run(*data, lambda t: links[t.name], self.calls, self._next_call))
 
-    def _tell_loop(self, loop: str) -> None:
+    def announce(self, component: Any, call: int = OTHER) -> None:
+        """Store the next call, so that a crash or a hang is blamed on its component."""
+        self.doing[0] = CALLS * self.components.index(component) + call
+
+    def _store_loop(self, loop: str) -> None:
         self.loop = loop
         self.rows.tell_loop(loop)
 
@@ -220,24 +221,24 @@ class Master:
         """Return the next point with calls at its end, or `NEVER`."""
         if self.beside:
             return k
-        found = [self.events[place]] if (place := bisect.bisect_left(self.events, k)) < len(self.events) else []
+        place = bisect.bisect_left(self.events, k)
+        points = self.events[place : place + 1]
         if self.progress is not None:
-            found.append(-(-k // PROGRESS_EVERY) * PROGRESS_EVERY)
-        return min(found, default=NEVER)
+            points.append(-(-k // PROGRESS_EVERY) * PROGRESS_EVERY)
+        return min(points, default=NEVER)
 
-    def _after(self, progress: Progress | None) -> tuple[Progress, ...]:
+    def _calls(self, progress: Progress | None) -> tuple[Progress, ...]:
         """Return the calls at requested points, before rows are stored."""
         calls: list[Progress] = []
         if self.system.events:
-            calls.append(self._change)
+            calls.append(self._apply_events)
         if self.beside:
-            calls.append(lambda k: self.kept.append(tuple(self.beside)))
+            calls.append(lambda k: self.beside_rows.append(tuple(self.beside)))
         if progress is not None:
-            told = progress
-            calls.append(lambda k: told(k) if k and k % PROGRESS_EVERY == 0 else None)
+            calls.append(lambda k: progress(k) if k and k % PROGRESS_EVERY == 0 else None)
         return tuple(calls)
 
-    def _change(self, k: int) -> None:
+    def _apply_events(self, k: int) -> None:
         changes: Mapping[str, Mapping[str, Any]] = self.system.events.get(k, {})
         for component in self.components:
             if component.name in changes:
@@ -250,17 +251,17 @@ class Master:
         every = {stage.component.name: stage.every for stage in stages}
         if period > LONGEST_CYCLE:
             period = self.steps + 1
-        made: dict[tuple[str, ...], Round] = {}
+        rounds: dict[tuple[str, ...], Round] = {}
 
-        def at(k: int) -> Round:
+        def round_at(k: int) -> Round:
             stepping = [stage for stage in stages if k % stage.every == 0]
             key = tuple(stage.component.name for stage in stepping)
-            if key not in made:
+            if key not in rounds:
                 waiting = self.copying.of(t for t in held if k % every[t.name.partition(".")[0]] == 0)
-                made[key] = (*map(self._active, stepping), (_no_step, 1, 0.0, *waiting))
-            return made[key]
+                rounds[key] = (*map(self._active, stepping), (lambda t, h: None, 1, 0.0, *waiting))
+            return rounds[key]
 
-        return [at(k) for k in range(period)]
+        return [round_at(k) for k in range(period)]
 
     def _active(self, stage: Stage) -> Active:
         component = stage.component
@@ -268,23 +269,19 @@ class Master:
         step = component.stepping(self.doing, CALLS * self.components.index(component))
         return step, stage.every, length, *self.pulls[component.name]
 
-    def _so_far(self) -> Results:
-        kept = self.kept if isinstance(self.kept, list) else []
+    def _rows_so_far(self) -> Results:
+        beside = self.beside_rows if isinstance(self.beside_rows, list) else []
         time, table = self.time[: self.done], self.table[: self.done]
-        return results_of(self.system, time, table, kept, self.notes, self.loop)
+        return results_of(self.system, time, table, beside, self.notes, self.loop)
 
 
 def results_of(
-    system: System, time: Array, table: Array, kept: Sequence[Any], notes: Sequence[str] = (), loop: str = ""
+    system: System, time: Array, table: Array, beside: Sequence[Any], notes: Sequence[str] = (), loop: str = ""
 ) -> Results:
     """Return the results of a run from its rows."""
-    exact = {name: [row[k] for row in kept[: len(time)]] for k, name in enumerate(system.beside)}
+    exact = {name: [row[k] for row in beside[: len(time)]] for k, name in enumerate(system.beside)}
     whole = frozenset(c for c in system.columns if system.signals[c].whole)
     return Results(time, system.columns, table, system.units, exact, whole, tuple(notes), loop)
-
-
-def _no_step(t: float, h: float) -> None:
-    """Make no step."""
 
 
 def _first_places(columns: Sequence[str]) -> dict[str, int]:

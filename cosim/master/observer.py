@@ -7,10 +7,13 @@ from dataclasses import dataclass
 
 from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
+from cosim.master import messages
+
+MAX_CHARACTERS = 500  # of an error message
 
 
 @dataclass(frozen=True)
-class Observed:
+class ObservedRun:
     """Description of a run, given to observers before its first row.
 
     Attributes:
@@ -29,7 +32,7 @@ class Observed:
 class Observer:
     """Base class of observers; methods are optional. An exception ends the run but keeps its rows."""
 
-    def begin(self, run: Observed) -> None:
+    def begin(self, run: ObservedRun) -> None:
         """Prepare for the rows of a run."""
 
     def rows(self, time: Array, values: Array) -> bool | None:
@@ -51,7 +54,7 @@ class ProgressObserver(Observer):
     def __init__(self, progress: Callable[[int, int], None]) -> None:
         self._progress, self._done, self._steps = progress, 0, 0
 
-    def begin(self, run: Observed) -> None:
+    def begin(self, run: ObservedRun) -> None:
         """Count from the first row."""
         self._done, self._steps = 0, run.rows - 1
 
@@ -65,45 +68,44 @@ class Feed:
     """Distribution of rows to observers, each row once, with requests for an early end.
 
     Attributes:
-        stop: Reason for an early end, "" while the run continues.
+        stop: Whether an observer requested an early end.
         failure: Error of an observer.
     """
 
-    def __init__(self, observers: Sequence[Observer], run: Observed, time: Array) -> None:
-        self._observers, self._time, self._given = observers, time, 0
+    def __init__(self, observers: Sequence[Observer], run: ObservedRun, time: Array) -> None:
+        self._observers, self._time, self._delivered = observers, time, 0
         self.table: Array | None = None  # storage of the rows
-        self.stop = ""
+        self.stop = False
         self.failure: SimulationError | None = None
         for observer in observers:
-            self._guarded(observer, lambda o=observer: o.begin(run))  # type: ignore[misc]
+            self._call(observer, lambda o=observer: o.begin(run))  # type: ignore[misc]
 
     @property
-    def over(self) -> bool:
+    def is_over(self) -> bool:
         """Return whether the run must end."""
-        return bool(self.stop) or self.failure is not None
+        return self.stop or self.failure is not None
 
     def __call__(self, done: int) -> None:
         """Give observers the new rows among `done` rows."""
-        first, self._given = self._given, max(self._given, done)
+        first, self._delivered = self._delivered, max(self._delivered, done)
         if self.table is None or first >= done or self.failure is not None:
             return
         time, values = self._time[first:done], self.table[first:done]
         for observer in self._observers:
-            self._guarded(observer, lambda o=observer: o.rows(time, values))  # type: ignore[misc]
+            self._call(observer, lambda o=observer: o.rows(time, values))  # type: ignore[misc]
 
     def end(self, table: Array) -> None:
         """Give observers the remaining rows, then end."""
         self.table = table
         self(len(table))
         for observer in self._observers:
-            self._guarded(observer, observer.end)
+            self._call(observer, observer.end)
 
-    def _guarded(self, observer: Observer, call: Callable[[], bool | None]) -> None:
-        name = type(observer).__name__
+    def _call(self, observer: Observer, method: Callable[[], bool | None]) -> None:
         try:
-            if call() and not self.stop:
-                self.stop = f"{name} asked for it"
+            self.stop |= bool(method())
         except Exception as error:  # A user's observer may raise any error.
-            now = float(self._time[max(0, min(self._given, len(self._time)) - 1)])
-            reason = f"{type(error).__name__}: {' '.join(str(error).split())[:500]}"
-            self.failure = self.failure or SimulationError(f"the observer {name}", now, reason)
+            now = float(self._time[max(0, min(self._delivered, len(self._time)) - 1)])
+            reason = " ".join(str(error).split())[:MAX_CHARACTERS]
+            message = messages.OBSERVER_FAILED(error=type(error).__name__, reason=reason)
+            self.failure = self.failure or SimulationError(f"the observer {type(observer).__name__}", now, message)

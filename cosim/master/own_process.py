@@ -21,7 +21,7 @@ Values = tuple[list[float], list[Any]]  # in the row, and beside the row
 # -- in the process of the component ---------------------------------------------------------------
 
 
-class _Held:
+class _LoadedComponent:
     """The component of this process with its signals."""
 
     def __init__(self, component: Component) -> None:
@@ -37,47 +37,47 @@ class _Held:
         return self.row[len(self.component.inputs) :], self.beside[len(self.component.exact_inputs) :]
 
 
-_held: dict[str, _Held] = {}
+_components: dict[str, _LoadedComponent] = {}
 
 
 def load(component: Component, start: float, stop: float) -> tuple[Values, Values]:
     """Open a component; return its inputs and outputs."""
-    held = _held[component.name] = _Held(component)
+    loaded = _components[component.name] = _LoadedComponent(component)
     here.overheard(component)
     component.open(start, stop)
-    return held.inputs(), held.outputs()
+    return loaded.inputs(), loaded.outputs()
 
 
 def begin(name: str) -> None:
     """End initialization."""
-    _held[name].component.start()
+    _components[name].component.start()
 
 
 def exchange(name: str, inputs: Values | None, step: tuple[float, float] | None) -> Values:
-    """Set inputs and step, each if given; return the outputs.
+    """Set inputs and step, each if not None; return the outputs.
 
     Args:
         step: Time and length of the step [s].
     """
-    held = _held[name]
+    loaded = _components[name]
     if inputs is not None:
-        held.row[: len(inputs[0])], held.beside[: len(inputs[1])] = [*inputs[0]], inputs[1]
-        held.component.put()
+        loaded.row[: len(inputs[0])], loaded.beside[: len(inputs[1])] = [*inputs[0]], inputs[1]
+        loaded.component.put()
     if step is not None:
-        held.component.advance(*step)
-    held.component.get()
-    return held.outputs()
+        loaded.component.advance(*step)
+    loaded.component.get()
+    return loaded.outputs()
 
 
 def change(name: str, values: dict[str, Any]) -> Values:
     """Set an event's values; return the inputs."""
-    _held[name].component.change(values)
-    return _held[name].inputs()
+    _components[name].component.change(values)
+    return _components[name].inputs()
 
 
 def close(name: str) -> list[str]:
     """Free the component; return its messages."""
-    component = _held.pop(name).component
+    component = _components.pop(name).component
     component.close()
     return list(getattr(component, "log", ()))
 
@@ -100,9 +100,9 @@ class OwnProcess:
         self._component, self._limits = component, limits
         self._worker = Worker(__name__)
         self._time = 0.0
-        self._loaded = False
-        self._given: Values | None = None  # inputs to send with the next call
-        self._stepped: Values | None = None  # outputs received with a step
+        self._is_loaded = False
+        self._pending: Values | None = None  # inputs to send with the next call
+        self._outputs: Values | None = None  # outputs received with a step
 
     def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
         """Return the component's answer."""
@@ -115,17 +115,17 @@ class OwnProcess:
     def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
         """Set the places of the signals."""
         self._row, self._beside = row, [] if beside is None else beside
-        self._in, self._out = _behind_one_another(first, self.inputs, self.outputs)
-        self._in_beside, self._out_beside = _behind_one_another(first_beside, self.exact_inputs, self.exact_outputs)
+        self._in, self._out = _consecutive_slices(first, self.inputs, self.outputs)
+        self._in_beside, self._out_beside = _consecutive_slices(first_beside, self.exact_inputs, self.exact_outputs)
 
     def open(self, start: float, stop: float) -> None:
         """Start the process and load the component."""
         self._time = start
         self._worker.start()
         inputs, outputs = self._call(OTHER, load, self._component, start, stop)
-        self._show_inputs(inputs)
-        self._show_outputs(outputs)
-        self._loaded = True
+        self._write_inputs(inputs)
+        self._write_outputs(outputs)
+        self._is_loaded = True
 
     def start(self) -> None:
         """End initialization."""
@@ -133,49 +133,49 @@ class OwnProcess:
 
     def change(self, values: Mapping[str, Any]) -> None:
         """Apply an event's values."""
-        self._show_inputs(self._call(OTHER, change, self.name, dict(values)))
+        self._write_inputs(self._call(OTHER, change, self.name, dict(values)))
 
     def put(self) -> None:
         """Keep the inputs for the next call."""
-        self._given = self._row[self._in], self._beside[self._in_beside]
+        self._pending = self._row[self._in], self._beside[self._in_beside]
 
     def advance(self, t: float, h: float) -> None:
         """Step and receive the outputs."""
         self._time = t
-        self._stepped = self._exchange(ADVANCE, (t, h))
+        self._outputs = self._exchange(ADVANCE, (t, h))
         self._time = t + h
 
     def get(self) -> None:
         """Write the outputs of the last step, or of the current inputs."""
-        stepped, self._stepped = self._stepped, None
-        self._show_outputs(self._exchange(GET, None) if stepped is None else stepped)
+        outputs, self._outputs = self._outputs, None
+        self._write_outputs(self._exchange(GET, None) if outputs is None else outputs)
 
     def close(self) -> None:
         """Free the component and end its process."""
         try:
-            if self._loaded and self._worker.running:
-                self._loaded = False
+            if self._is_loaded and self._worker.running:
+                self._is_loaded = False
                 self.log.extend(self._call(OTHER, close, self.name))
         finally:
             self._worker.end()
 
     def _exchange(self, doing: int, step: tuple[float, float] | None) -> Values:
-        given, self._given = self._given, None
-        answer: Values = self._call(doing, exchange, self.name, given, step)
-        return answer
+        inputs, self._pending = self._pending, None
+        outputs: Values = self._call(doing, exchange, self.name, inputs, step)
+        return outputs
 
-    def _show_inputs(self, values: Values) -> None:
+    def _write_inputs(self, values: Values) -> None:
         self._row[self._in], self._beside[self._in_beside] = [*values[0]], values[1]
 
-    def _show_outputs(self, values: Values) -> None:
+    def _write_outputs(self, values: Values) -> None:
         self._row[self._out], self._beside[self._out_beside] = [*values[0]], values[1]
 
     def _call(self, doing: int, function: Callable[..., Any], *arguments: Any) -> Any:
-        watch = Watch([self.name], [fmi_calls(self.description)], lambda made, doing: self._time, self._limits)
+        watch = Watch([self.name], [fmi_calls(self.description)], lambda row, doing: self._time, self._limits)
         return self._worker.call(function, *arguments, watch=watch, doing=doing)
 
 
-def _behind_one_another(first: int, *groups: Sequence[Signal]) -> list[slice]:
+def _consecutive_slices(first: int, *groups: Sequence[Signal]) -> list[slice]:
     places = []
     for group in groups:
         places.append(slice(first, first + len(group)))
@@ -188,15 +188,15 @@ def in_own_processes(system: System, limits: Limits) -> System:
 
     This applies on request, and to FMUs that allow a single instance per process.
     """
-    seen: set[Any] = set()
+    paths: set[Any] = set()
     stages = []
     for stage in system.stages:
         about = getattr(getattr(stage.component, "description", None), "coSimulation", None)
         single = bool(getattr(about, "canBeInstantiatedOnlyOncePerProcess", False))
         path = getattr(stage.component, "path", None)
-        if stage.component.name in system.apart or (single and path in seen):
+        if stage.component.name in system.apart or (single and path in paths):
             stage = replace(stage, component=OwnProcess(stage.component, Limits(memory=limits.memory)))
         elif single:
-            seen.add(path)
+            paths.add(path)
         stages.append(stage)
     return replace(system, stages=tuple(stages))

@@ -19,10 +19,11 @@ from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import GET, BesideFile, Progress, Rows, allocate, mapped_table, read_beside, read_table
 from cosim.isolation.watch import Clock, Watch, fmi_calls
+from cosim.master import messages
 from cosim.master.c_loop import compile_beforehand
 from cosim.master.halving import Halved
 from cosim.master.master import StoppedRun, results_of, simulate
-from cosim.master.observer import Feed, Observed, Observer
+from cosim.master.observer import MAX_CHARACTERS, Feed, ObservedRun, Observer
 from cosim.master.own_process import in_own_processes
 from cosim.storage.files import hold_stops
 from cosim.storage.results import Results
@@ -30,25 +31,24 @@ from cosim.system.system import System
 
 MODULES = ("cosim.master.remote", "fmpy.fmi2", "fmpy.logging")
 PREFIX, ROWS, BESIDE = ".rows-", "rows", "beside"
-LONGEST_WORDS = 500  # of an error message [characters]
-SMALLER = 0.9  # share of rows to try next on a full disk
+DISK_RETRY_SHARE = 0.9  # share of rows to try next on a full disk
 
 
 @dataclass(frozen=True)
-class Stepped:
+class SteppedRun:
     """Results of the steps, messages of the FMUs, and the failure, if any."""
 
     results: Results
-    said: Sequence[str]
+    log: Sequence[str]
     failure: SimulationError | None = None
 
 
-def said_of(system: System) -> list[str]:
+def _log_lines(system: System) -> list[str]:
     """Return the messages of all FMUs as lines."""
     return [f"{s.component.name}: {text}" for s in system.stages for text in getattr(s.component, "log", ())]
 
 
-def simulate_here(system: System, steps: int, h: float, observers: Sequence[Observer] = ()) -> Stepped:
+def simulate_here(system: System, steps: int, h: float, observers: Sequence[Observer] = ()) -> SteppedRun:
     """Step a system in this process; raise FmuError if an FMU does not load."""
     feed = _feed(observers, system, steps, h)
     rows = Rows.in_memory(steps + 1, len(system.columns))
@@ -59,33 +59,33 @@ def simulate_here(system: System, steps: int, h: float, observers: Sequence[Obse
         if feed.failure is not None:
             raise feed.failure
         if feed.stop:
-            raise _early(system, h, done)
+            raise _early_end(system, h, done)
 
     try:
-        made, failure = _stepped(system, steps, h, give if observers else None, rows), None
+        results, failure = _run(system, steps, h, give if observers else None, rows), None
     except StoppedRun as run:
-        made, failure = run.results, run.error
-    feed.end(made.values)
-    return Stepped(made, said_of(system), failure or feed.failure)
+        results, failure = run.results, run.error
+    feed.end(results.values)
+    return SteppedRun(results, _log_lines(system), failure or feed.failure)
 
 
 def _feed(observers: Sequence[Observer], system: System, steps: int, h: float) -> Feed:
     """Return the feed of a run's rows to its observers."""
     time = system.start + h * np.arange(steps + 1, dtype=np.float64)
-    return Feed(observers, Observed(system.columns, steps + 1, system.start, h), time)
+    return Feed(observers, ObservedRun(system.columns, steps + 1, system.start, h), time)
 
 
-def _early(system: System, h: float, done: int) -> EndedEarly:
+def _early_end(system: System, h: float, done: int) -> EndedEarly:
     """Return the early end requested by an observer."""
-    return EndedEarly("an observer", _reached(system, h, done), "it asked for the end")
+    return EndedEarly("an observer", _last_time(system, h, done), messages.END_REQUESTED())
 
 
-def _reached(system: System, h: float, made: int) -> float:
+def _last_time(system: System, h: float, rows: int) -> float:
     """Return the time [s] of the last finished row."""
-    return system.start + h * max(0, made - 1)
+    return system.start + h * max(0, rows - 1)
 
 
-def _stepped(
+def _run(
     system: System, steps: int, h: float, progress: Callable[[int], None] | None = None, rows: Rows | None = None
 ) -> Results:
     """Return the rows of a run, or its differences by halving."""
@@ -98,20 +98,20 @@ def _stepped(
 
 
 @dataclass(frozen=True)
-class Ended:
+class WorkerEnd:
     """The end of the steps in a worker; the rows are in files.
 
     Attributes:
         last: Time of the last row [s], if any.
     """
 
-    said: Sequence[str] = ()
+    log: Sequence[str] = ()
     failure: SimulationError | None = None
     last: float | None = None
     notes: Sequence[str] = ()
 
 
-def simulate_rows(system: System, steps: int, h: float, table: Path, limits: Limits, observed: bool) -> Ended:
+def simulate_rows(system: System, steps: int, h: float, table: Path, limits: Limits, observed: bool) -> WorkerEnd:
     """Simulate into a table file.
 
     Args:
@@ -120,7 +120,7 @@ def simulate_rows(system: System, steps: int, h: float, table: Path, limits: Lim
 
     def obey(done: int) -> None:
         if here.progress.stop[0]:
-            raise _early(system, h, done)
+            raise _early_end(system, h, done)
 
     system = in_own_processes(system, limits)
     for stage in system.stages:
@@ -129,21 +129,22 @@ def simulate_rows(system: System, steps: int, h: float, table: Path, limits: Lim
     mapped, beside = mapped_table(table, steps + 1, len(system.columns)), BesideFile(table.with_name(BESIDE))
     failure: SimulationError | None = None
     try:
-        rows = Rows(mapped, beside, progress.made, progress.doing, _tell_loop)
-        made = _stepped(system, steps, h, obey if observed else None, rows)
+        rows = Rows(mapped, beside, progress.made, progress.doing, _store_loop)
+        results = _run(system, steps, h, obey if observed else None, rows)
     except StoppedRun as run:
-        made, failure = run.results, run.error
+        results, failure = run.results, run.error
     except OSError as error:
         if not is_full(error):
             raise
-        made_rows = progress.made[0]
-        return Ended(said_of(system), _disk_full(_reached(system, h, made_rows), made_rows, steps + 1))
+        count = progress.made[0]
+        return WorkerEnd(_log_lines(system), _disk_full(_last_time(system, h, count), count, steps + 1))
     finally:
         beside.close()
-    return Ended(said_of(system), failure, float(made.time[-1]) if len(made.time) else None, made.notes)
+    last = float(results.time[-1]) if len(results.time) else None
+    return WorkerEnd(_log_lines(system), failure, last, results.notes)
 
 
-def _tell_loop(loop: str) -> None:
+def _store_loop(loop: str) -> None:
     """Store the kind of loop for the caller, even in case of a crash."""
     here.progress.loop = loop.encode()[:255]
 
@@ -160,7 +161,7 @@ def simulate_apart(
     limits: Limits | None = None,
     *,
     observers: Sequence[Observer] = (),
-) -> Stepped:
+) -> SteppedRun:
     """Step a system in a worker process.
 
     The rows are in a file within `folder` until the end.
@@ -171,65 +172,66 @@ def simulate_apart(
     columns, limits = len(system.columns), limits or Limits()
     feed = _feed(observers, system, steps, h)
 
-    def give(made: int) -> None:
-        feed(made)
-        worker.progress.stop[0] = feed.over
+    def give(rows: int) -> None:
+        feed(rows)
+        worker.progress.stop[0] = feed.is_over
 
     watch = Watch(
         [stage.component.name for stage in system.stages],
         [fmi_calls(getattr(stage.component, "description", None)) for stage in system.stages],
-        lambda made, call: system.start + h * (max(0, made - 1) + (call == GET and 0 < made <= steps)),
+        lambda rows, call: system.start + h * (max(0, rows - 1) + (call == GET and 0 < rows <= steps)),
         limits,
         8 * columns,
         progress=give,
     )
-    ended = Ended()
+    end = WorkerEnd()
     compile_beforehand(system)
     with ExitStack() as stack:
         worker.start()
         counters = worker.progress
         counters.loop, counters.stop[0] = b"", 0
-        held, count = _room((folder, Path(tempfile.gettempdir())), steps + 1, 8 * columns)
-        stack.callback(held.remove)
-        worker.take_along(held.path)
-        table = held.path / ROWS
+        rows_folder, count = _allocate_rows((folder, Path(tempfile.gettempdir())), steps + 1, 8 * columns)
+        stack.callback(rows_folder.remove)
+        worker.take_along(rows_folder.path)
+        table = rows_folder.path / ROWS
         if observers and columns:
             feed.table = np.memmap(table, np.float64, "r", shape=(count, columns))
         try:
-            ended = worker.call(simulate_rows, system, count - 1, h, table, limits, bool(observers), watch=watch)
+            end = worker.call(simulate_rows, system, count - 1, h, table, limits, bool(observers), watch=watch)
             hold_stops()  # The rows must be saved.
         except (SimulationError, KeyboardInterrupt, Terminated) as stop:
-            ended = Ended(failure=stopped(stop, _reached(system, h, counters.made[0])))
+            end = WorkerEnd(failure=stopped(stop, _last_time(system, h, counters.made[0])))
         except (CosimError, OSError, MemoryError):
             raise
         except Exception as error:  # An unexpected error of a library is no reason to lose the rows.
-            ended = Ended(failure=_unforeseen(error, watch, counters))
+            end = WorkerEnd(failure=_unexpected(error, watch, counters))
         done = counters.made[0]
         values, beside = read_table(table, done, columns), read_beside(table.with_name(BESIDE), done)
     feed.end(values)
-    failure = ended.failure or feed.failure
+    failure = end.failure or feed.failure
     time = system.start + h * np.arange(steps + 1, dtype=np.float64)
-    if ended.last is not None:
-        time[done - 1] = ended.last
+    if end.last is not None:
+        time[done - 1] = end.last
     if failure is None and done == count <= steps:
         failure = _disk_full(time[count - 1].item(), count, steps + 1)
     loop = counters.loop.decode("utf-8", "ignore")
-    return Stepped(results_of(system, time[:done], values, beside, ended.notes, loop), ended.said, failure)
+    return SteppedRun(results_of(system, time[:done], values, beside, end.notes, loop), end.log, failure)
 
 
-def _unforeseen(error: Exception, watch: Watch, counters: Progress) -> SimulationError:
+def _unexpected(error: Exception, watch: Watch, counters: Progress) -> SimulationError:
     """Return an unexpected error with its call as SimulationError."""
     component, at, call = Clock(watch, counters).place()
-    words = " ".join(str(error).split())[:LONGEST_WORDS]
-    return SimulationError(component, at, f"{call}: {type(error).__name__}: {words} (--in-process shows where)")
+    reason = " ".join(str(error).split())[:MAX_CHARACTERS]
+    message = messages.UNEXPECTED_ERROR(call=call, error=type(error).__name__, reason=reason)
+    return SimulationError(component, at, message)
 
 
 def _disk_full(time: float, count: int, rows: int) -> DiskFull:
     """Return the error of a disk without space for the rows."""
-    return DiskFull("the run", time, f"the disk is full: it has room for {count} of {rows} rows while the run lasts")
+    return DiskFull("the run", time, messages.DISK_FULL(count=count, rows=rows))
 
 
-def _room(folders: Sequence[Path], rows: int, width: int) -> tuple[Held, int]:
+def _allocate_rows(folders: Sequence[Path], rows: int, width: int) -> tuple[Held, int]:
     """Return a folder with the rows file, and its number of rows.
 
     The folder is beside the results, or elsewhere for lack of space. A full disk takes fewer rows.
@@ -239,15 +241,15 @@ def _room(folders: Sequence[Path], rows: int, width: int) -> tuple[Held, int]:
     """
     count = rows
     while count:
-        for beside in folders:
-            held = scratch(PREFIX, beside)
+        for parent in folders:
+            folder = scratch(PREFIX, parent)
             try:
-                allocate(held.path / ROWS, count * width)
+                allocate(folder.path / ROWS, count * width)
             except OSError as error:
-                held.remove()
+                folder.remove()
                 if not is_full(error):
                     raise
             else:
-                return held, count
-        count = int(SMALLER * count)
+                return folder, count
+        count = int(DISK_RETRY_SHARE * count)
     raise _disk_full(0.0, 0, rows)

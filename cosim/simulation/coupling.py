@@ -17,7 +17,7 @@ import numpy as np
 
 from cosim.base.errors import InputError, Interrupted
 from cosim.isolation.process import Worker
-from cosim.master.halving import why_not
+from cosim.master.halving import rollback_objection
 from cosim.master.remote import MODULES, simulate_apart, simulate_here
 from cosim.scenario.controller_design import designed_apart
 from cosim.scenario.nearest_models import take_nearest
@@ -124,7 +124,7 @@ def _results(
         why = "; ".join(fault.message.partition(": set ")[0] for fault in error.faults)  # a remedy for runs only
         return f"(halved by --coupling-error: {step:g} s for {given.scenario.step:g} s) it cannot be run: {why}"
     if halved:
-        if reason := why_not(system):
+        if reason := rollback_objection(system):
             return reason
         system = replace(system, halved=True)
     if worker is None:

@@ -16,7 +16,7 @@ from cosim.base.errors import DiskFull, SimulationError, Terminated, stopped
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import allocate
 from cosim.master.observer import Observer, ProgressObserver
-from cosim.master.remote import MODULES, Stepped, simulate_apart, simulate_here
+from cosim.master.remote import MODULES, SteppedRun, simulate_apart, simulate_here
 from cosim.scenario.controller_design import designed_apart
 from cosim.scenario.nearest_models import take_nearest
 from cosim.scenario.pinned import sha256
@@ -152,7 +152,7 @@ def _read(
 def _keep_partial_results(
     file: Path,
     scenario: Scenario,
-    stepped: Stepped,
+    stepped: SteppedRun,
     record: dict[str, Any],
     *,
     report: bool,
@@ -186,7 +186,7 @@ def _keep_partial_results(
 
 def _stepped(
     scenario: Scenario, system: System, worker: Worker | None, folder: Path, observers: Sequence[Observer]
-) -> Stepped:
+) -> SteppedRun:
     """Step the system in the worker, else in this process."""
     steps, h = scenario.steps, scenario.step
     if worker is None:
@@ -202,13 +202,13 @@ def _timings(scenario: Scenario, began: float, loaded: float, simulated: float) 
     return {"load": loaded - began, "simulate": stepping, "real_time_factor": scenario.duration / stepping}
 
 
-def _add_outcome(record: dict[str, Any], scenario: Scenario, stepped: Stepped, *, watched: bool) -> None:
+def _add_outcome(record: dict[str, Any], scenario: Scenario, stepped: SteppedRun, *, watched: bool) -> None:
     """Add the outcome of the steps to the manifest."""
     if stepped.failure is None:
         record["criteria"] = evaluate(scenario, stepped.results)
     else:
         record["status"] = f"failed: {stepped.failure}"
-    record["warnings"] += [*stepped.results.notes, *stepped.said]
+    record["warnings"] += [*stepped.results.notes, *stepped.log]
     if not watched and scenario.limits is not None:
         record["warnings"].append("limits are not watched where FMUs run in this process")
 

@@ -9,6 +9,8 @@ from typing import Any
 from xml.parsers import expat
 
 from cosim.base.errors import Fault
+from cosim.base.messages import Message, code_of
+from cosim.ssp import messages
 from cosim.storage.archive import MOST_XML, BadArchive, check_xml
 
 NAMESPACES = {
@@ -31,16 +33,14 @@ class Element:
     column: int
     children: list[Element] = field(default_factory=list)
 
-    def all(self, tag: str) -> Iterator[Element]:
-        """Yield the children with a tag."""
-        return (child for child in self.children if child.tag == tag)
+    def all(self, *tags: str) -> Iterator[Element]:
+        """Yield the elements at a path of tags, within the first of each outer tag."""
+        parent = self.first(*tags[:-1])
+        return (child for child in (parent.children if parent else ()) if child.tag == tags[-1])
 
     def first(self, *tags: str) -> Element | None:
         """Return the first element at a path of tags, if any."""
-        found: Element | None = self
-        for tag in tags:
-            found = next(found.all(tag), None) if found is not None else None
-        return found
+        return next(self.all(*tags), None) if tags else self
 
     def get(self, name: str) -> str | None:
         """Return an attribute, if present."""
@@ -49,39 +49,39 @@ class Element:
     def fault(self, message: str) -> Fault:
         """Return a fault of this element."""
         name = self.get("name")
-        called = f'{self.tag} "{name[:60]}"' if name else self.tag
-        return Fault(self.file, self.line, self.column, f"{called}: {message}")
+        label = f'{self.tag} "{name[:60]}"' if name else self.tag
+        message = Message(f"{label}: {message}", code_of(message))
+        return Fault(self.file, self.line, self.column, message)
 
 
 def parse(file: Path, text: bytes) -> Element:
     """Return the root of a document; raise BadArchive if invalid or unsafe."""
     if len(text) > MOST_XML:
-        raise BadArchive(f"it has more than the {MOST_XML / 1e6:.0f} MB that are read")
+        raise BadArchive(messages.TOO_LARGE(megabytes=MOST_XML / 1e6))
     check_xml(file.name, text, "SSP")
     prefixes: list[dict[str, str]] = [{}]
-    open_: list[Element] = []
-    roots: list[Element] = []
+    document = Element(file, "", {}, 0, 0)
+    ancestors = [document]
 
     def start(name: str, flat: list[str]) -> None:
         attributes = dict(zip(flat[::2], flat[1::2], strict=True))
         own = {key.removeprefix("xmlns").removeprefix(":"): v for key, v in attributes.items() if key[:5] == "xmlns"}
         prefixes.append({**prefixes[-1], **own})
         prefix, _, local = name.rpartition(":")
-        known = prefixes[-1].get(prefix)
+        uri = prefixes[-1].get(prefix)
         # an undeclared prefix is taken as the standard's
-        prefix = prefix if known is None else NAMESPACES.get(known, prefix or "?")
-        element = Element(
-            file, f"{prefix}:{local}", attributes, parser.CurrentLineNumber, parser.CurrentColumnNumber + 1
-        )
-        (open_[-1].children if open_ else roots).append(element)
-        open_.append(element)
+        prefix = prefix if uri is None else NAMESPACES.get(uri, prefix or "?")
+        place = parser.CurrentLineNumber, parser.CurrentColumnNumber + 1
+        element = Element(file, f"{prefix}:{local}", attributes, *place)
+        ancestors[-1].children.append(element)
+        ancestors.append(element)
 
     def end(_: Any) -> None:
-        open_.pop()
+        ancestors.pop()
         prefixes.pop()
 
     parser = expat.ParserCreate()
     parser.ordered_attributes = True
     parser.StartElementHandler, parser.EndElementHandler = start, end
     parser.Parse(text, True)
-    return roots[0]
+    return document.children[0]

@@ -55,25 +55,17 @@ class Level:
         """Return the connections by end."""
         return {connection.end: connection for connection in reversed(self.system.connections)}
 
-    @cached_property
-    def out_of(self) -> dict[tuple[str | None, str], list[Connection]]:
-        """Return the connections by start."""
-        found: dict[tuple[str | None, str], list[Connection]] = {}
-        for connection in self.system.connections:
-            found.setdefault(connection.start, []).append(connection)
-        return found
 
-
-def directed(system: System) -> System:
+def direct_connections(system: System) -> System:
     """Return a system with connections directed from source to target. FMPy and OMSimulator accept both directions."""
 
     def sends(end: tuple[str | None, str]) -> bool | None:
-        name, connector = end
+        name, connector_name = end
         holder = system if name is None else system.elements.get(name)
-        known = None if holder is None else holder.connectors.get(connector)
-        if known is None or known.kind not in {"input", "output", "parameter", "calculatedParameter"}:
+        connector = None if holder is None else holder.connectors.get(connector_name)
+        if connector is None or connector.kind not in {"input", "output", "parameter", "calculatedParameter"}:
             return None
-        return (known.kind in {"output", "calculatedParameter"}) != (name is None)
+        return (connector.kind in {"output", "calculatedParameter"}) != (name is None)
 
     connections = [
         replace(c, start=c.end, end=c.start)
@@ -81,7 +73,7 @@ def directed(system: System) -> System:
         else c
         for c in system.connections
     ]
-    elements = {name: directed(e) if isinstance(e, System) else e for name, e in system.elements.items()}
+    elements = {name: direct_connections(e) if isinstance(e, System) else e for name, e in system.elements.items()}
     return replace(system, connections=tuple(connections), elements=elements)
 
 

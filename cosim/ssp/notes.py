@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from typing import TypeVar
 
 from cosim.base.errors import Fault, InputError
+from cosim.ssp import messages
 from cosim.ssp.elements import Element
 from cosim.ssp.ssp_package import Package
 from cosim.ssp.structure import Definition, Linear, Units
@@ -17,6 +19,7 @@ OTHER_TRANSFORMATIONS = (
     "ssc:IntegerMappingTransformation",
     "ssc:EnumerationMappingTransformation",
 )
+Default = TypeVar("Default", float, None)
 
 
 class Notes:
@@ -37,46 +40,45 @@ class Notes:
         """Note a warning on an element."""
         self.warnings.append(str(Fault(element.file, element.line, element.column, message)))
 
-    def _linear(self, element: Element, exact: bool) -> Linear:
-        for other in OTHER_TRANSFORMATIONS:
-            if (found := element.first(other)) is not None:
-                self.note(found, "is not run here; ssc:LinearTransformation is, or let the FMU map it")
-        found = element.first("ssc:LinearTransformation") or element.first("ssd:LinearTransformation")
-        if found is None:
+    def _linear(self, element: Element) -> Linear:
+        """Return the transformation of a connection or a mapping."""
+        exact = element.get("suppressUnitConversion") in {"true", "1"}
+        for other in filter(None, map(element.first, OTHER_TRANSFORMATIONS)):
+            self.note(other, messages.TRANSFORMATION_NOT_RUN())
+        linear = element.first("ssc:LinearTransformation") or element.first("ssd:LinearTransformation")
+        if linear is None:
             return Linear(exact=exact)
-        factor, offset = self._number(found, "factor", 1.0), self._number(found, "offset", 0.0)
-        return Linear(1.0 if factor is None else factor, offset or 0.0, exact)
+        return Linear(self._number(linear, "factor", 1.0), self._number(linear, "offset", 0.0), exact)
 
-    def _units(self, listed: Element | None) -> Units:
-        found: dict[str, Definition] = {}
-        for unit in () if listed is None else listed.all("ssc:Unit"):
-            base = unit.first("ssc:BaseUnit")
-            name = unit.get("name")
+    def _units(self, element: Element, tag: str) -> Units:
+        """Return the units in a child of an element."""
+        units: dict[str, Definition] = {}
+        for unit in element.all(tag, "ssc:Unit"):
+            base, name = unit.first("ssc:BaseUnit"), unit.get("name")
             if name and base is not None:
                 numbers = [self._number(base, n, 0.0) for n in BASE_UNITS]
                 numbers += [self._number(base, "factor", 1.0), self._number(base, "offset", 0.0)]
                 if numbers[-2] == 0.0:
-                    self.note(base, "factor 0 is that of no unit")
-                elif None not in numbers:
-                    found[name] = tuple(n for n in numbers if n is not None)
-        return found
+                    self.note(base, messages.ZERO_FACTOR())
+                else:
+                    units[name] = tuple(numbers)
+        return units
 
-    def _number(self, element: Element, name: str, default: float | None, needed: bool = False) -> float | None:
+    def _number(self, element: Element, name: str, default: Default) -> float | Default:
+        """Return a number, or the default after noting a fault and for a missing attribute."""
         text = element.get(name)
         if text is None:
-            if needed:
-                self.note(element, f"it has no {name}; add it")
             return default
         try:
             value = float(text)
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
-            self.note(element, f"{name} {shown(text)}: it is a finite number")
+            self.note(element, messages.NOT_FINITE(name=name, value=shown(text)))
             return default
         return value
 
     def _version(self, root: Element) -> None:
         version = root.get("version")
         if version not in VERSIONS:
-            self.note(root, f"version {shown(version)} is not known here; {' and '.join(VERSIONS)} are")
+            self.note(root, messages.UNKNOWN_VERSION(version=shown(version), versions=" and ".join(VERSIONS)))

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 
+from cosim.ssp import messages
 from cosim.ssp.elements import Element
 from cosim.ssp.parameter_sets import ParameterReader
 from cosim.ssp.structure import Component, Connection, Connector, Structure, System
 from cosim.storage.yaml_file import shown
 
 FMU = "application/x-fmu-sharedlibrary"
-WAYS = {"any": None, "CoSimulation": "co-simulation", "ModelExchange": "model-exchange"}
+NESTED = "application/x-ssp-definition"
+INTERFACES = {"any": None, "CoSimulation": "co-simulation", "ModelExchange": "model-exchange"}
 STEPS = {"FixedStepAlgorithm": "baseStepSize", "FixedStepMaster": "stepSize"}  # annotations of OSP and of OMSimulator
 
 
@@ -22,12 +25,12 @@ class Reader(ParameterReader):
         """Return the description; None after noting a fault."""
         root = self.package.element(self.package.structure)
         if root.tag != "ssd:SystemStructureDescription":
-            self.note(root, "it should be ssd:SystemStructureDescription")
+            self.note(root, messages.WRONG_ELEMENT(tag="ssd:SystemStructureDescription"))
             return None
         self._version(root)
         system = root.first("ssd:System")
         if system is None:
-            self.note(root, "it has no ssd:System; add one")
+            self.note(root, messages.MISSING_ELEMENT(tag="ssd:System"))
             return None
         experiment = root.first("ssd:DefaultExperiment")
         start, stop = self._times(experiment)
@@ -35,106 +38,99 @@ class Reader(ParameterReader):
             root.get("name") or "system",
             system.get("description") or root.get("description") or "",
             self._system(system),
-            self._units(root.first("ssd:Units")),
+            self._units(root, "ssd:Units"),
             start,
             stop,
             self._step(root, system, experiment),
-            root if experiment is None else experiment,
-            self.warnings,
+            experiment or root,
         )
 
     def _system(self, element: Element) -> System:
         elements: dict[str, System | Component] = {}
-        inner = element.first("ssd:Elements")
-        for child in () if inner is None else inner.children:
-            if (found := self._element(child)) is not None:
-                if found.name in elements:
-                    self.note(child, "another element has this name; rename one of them")
-                elements[found.name] = found
-        listed = element.first("ssd:Connections")
-        connections = () if listed is None else tuple(self._connection(c) for c in listed.all("ssd:Connection"))
+        listed = element.first("ssd:Elements")
+        for child in listed.children if listed else ():
+            if (inner := self._element(child)) is not None:
+                if inner.name in elements:
+                    self.note(child, messages.DOUBLED_ELEMENT())
+                elements[inner.name] = inner
+        connections = [self._connection(c) for c in element.all("ssd:Connections", "ssd:Connection")]
         if (dictionaries := element.first("ssd:SignalDictionaries")) is not None and dictionaries.children:
-            self.note(dictionaries, "signal dictionaries are not read here; connect outputs to inputs")
+            self.note(dictionaries, messages.SIGNAL_DICTIONARY())
         return System(
             element.get("name") or "",
             self._connectors(element),
             tuple(self._parameters(element)),
             elements,
-            tuple(c for c in connections if c is not None),
+            tuple(filter(None, connections)),
             element,
         )
 
     def _element(self, child: Element) -> System | Component | None:
-        if child.tag == "ssd:Annotations":
-            return None
         if child.tag == "ssd:SignalDictionaryReference":
-            self.note(child, "signal dictionaries are not read here; connect outputs to inputs")
-            return None
-        if child.tag not in {"ssd:Component", "ssd:System"}:
-            self.note(child, "is no element of a system; ssd:Component and ssd:System are")
-            return None
-        if not child.get("name"):
-            self.note(child, "it has no name; add one")
-            return None
-        return self._system(child) if child.tag == "ssd:System" else self._component(child)
+            self.note(child, messages.SIGNAL_DICTIONARY())
+        elif child.tag not in {"ssd:Component", "ssd:System", "ssd:Annotations"}:
+            self.note(child, messages.NOT_AN_ELEMENT())
+        elif child.tag != "ssd:Annotations" and not child.get("name"):
+            self.note(child, messages.NO_NAME())
+        elif child.tag == "ssd:System":
+            return self._system(child)
+        elif child.tag == "ssd:Component":
+            return self._component(child)
+        return None
 
-    def _component(self, element: Element) -> Component | None:
+    def _component(self, element: Element) -> Component:
         kind, source = element.get("type") or FMU, element.get("source")
-        path: Path | str = ""
-        if kind != FMU:
-            cure = (
-                "put its systems into this file" if kind == "application/x-ssp-definition" else f"components are {FMU}"
-            )
-            self.note(element, f"type {shown(kind)} is not read here; {cure}")
-        elif not source:
-            self.note(element, "it has no source, so there is nothing to run; name its FMU")
-        elif isinstance(path := self.package.resolve(source), str):
-            self.note(element, path)
-        way = element.get("implementation") or "any"
-        if way not in WAYS:
-            self.note(element, f"implementation {shown(way)} is not run here; {', '.join(WAYS)} are")
+        fmu: Path | str
+        if kind == NESTED:
+            fmu = messages.COMPONENT_AN_SSP(type=shown(kind))
+        elif kind != FMU:
+            fmu = messages.COMPONENT_NOT_AN_FMU(type=shown(kind), fmu=FMU)
+        else:
+            fmu = self.package.resolve(source) if source else messages.NO_FMU_NAMED()
+        if isinstance(fmu, str):
+            self.note(element, fmu)
+            fmu = Path()
+        interface = element.get("implementation") or "any"
+        if interface not in INTERFACES:
+            names = ", ".join(INTERFACES)
+            self.note(element, messages.INTERFACE_NOT_RUN(interface=shown(interface), interfaces=names))
         connectors, parameters = self._connectors(element), tuple(self._parameters(element))
-        if isinstance(path, str):
-            return Component(element.get("name") or "", Path(), None, connectors, parameters, element)
-        return Component(element.get("name") or "", path, WAYS.get(way), connectors, parameters, element)
+        name = element.get("name") or ""
+        return Component(name, fmu, INTERFACES.get(interface), connectors, parameters, element)
 
     def _connectors(self, element: Element) -> dict[str, Connector]:
-        found: dict[str, Connector] = {}
-        listed = element.first("ssd:Connectors")
-        for each in () if listed is None else listed.all("ssd:Connector"):
+        connectors: dict[str, Connector] = {}
+        for each in element.all("ssd:Connectors", "ssd:Connector"):
             name = each.get("name")
             if not name:
-                self.note(each, "it has no name; add one")
+                self.note(each, messages.NO_NAME())
                 continue
-            if name in found:
-                self.note(each, "another connector has this name; keep one of them")
-            kinds = [child for child in each.children if child.tag.startswith("ssc:")]
-            unit = next((u for child in kinds if (u := child.get("unit"))), None)
-            found[name] = Connector(name, each.get("kind") or "", unit, each)
-        return found
+            if name in connectors:
+                self.note(each, messages.DOUBLED_CONNECTOR())
+            units = (child.get("unit") for child in each.children if child.tag.startswith("ssc:"))
+            connectors[name] = Connector(name, each.get("kind") or "", next(filter(None, units), None), each)
+        return connectors
 
     def _connection(self, element: Element) -> Connection | None:
         start, end = (element.get(f"{side}Connector") for side in ("start", "end"))
         if not start or not end:
-            self.note(element, f"it has no {'startConnector' if not start else 'endConnector'}; add it")
+            self.note(element, messages.MISSING_ATTRIBUTE(name="endConnector" if start else "startConnector"))
             return None
-        exact = element.get("suppressUnitConversion") in {"true", "1"}
         # OMSimulator writes an empty name for the system itself.
         ends = (element.get("startElement") or None, start), (element.get("endElement") or None, end)
-        return Connection(*ends, self._linear(element, exact), element)
+        return Connection(*ends, self._linear(element), element)
 
     def _step(self, root: Element, system: Element, experiment: Element | None) -> float | None:
         """Return the communication step of another tool's annotation, if any."""
-        for holder in (experiment, system, root):
-            annotations = None if holder is None else holder.first("ssd:Annotations")
-            for element in () if annotations is None else _within(annotations):
-                attribute = STEPS.get(element.tag.rpartition(":")[2])
-                if attribute and element.get(attribute) is not None:
-                    step = self._number(element, attribute, None)
-                    if step is not None and step <= 0.0:
-                        self.note(element, f"{attribute} {step:g} s: a communication step is more than 0 s")
-                        return None
-                    return step
+        annotations = (holder.first("ssd:Annotations") for holder in (experiment, system, root) if holder)
+        for element in chain.from_iterable(_descendants(each) for each in annotations if each):
+            attribute = STEPS.get(element.tag.rpartition(":")[2])
+            if attribute and element.get(attribute) is not None:
+                step = self._number(element, attribute, None)
+                if step is not None and step <= 0.0:
+                    self.note(element, messages.STEP_NOT_POSITIVE(name=attribute, step=step))
+                    return None
+                return step
         return None
 
     def _times(self, experiment: Element | None) -> tuple[float | None, float | None]:
@@ -143,13 +139,13 @@ class Reader(ParameterReader):
             return None, None
         start, stop = (self._number(experiment, name, None) for name in ("startTime", "stopTime"))
         if stop is not None and stop <= (start or 0.0):
-            self.note(experiment, f"stopTime {stop:g} s is not after startTime {start or 0.0:g} s")
+            self.note(experiment, messages.STOP_BEFORE_START(stop=stop, start=start or 0.0))
             return start, None
         return start, stop
 
 
-def _within(element: Element) -> Iterator[Element]:
+def _descendants(element: Element) -> Iterator[Element]:
     """Yield all nested elements."""
     for child in element.children:
         yield child
-        yield from _within(child)
+        yield from _descendants(child)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import Fault
+from cosim.ssp import messages
 from cosim.ssp.elements import NAMESPACES
 
 SCHEMAS = {
@@ -14,7 +15,7 @@ SCHEMAS = {
     "ParameterSet": "SystemStructureParameterValues.xsd",
     "ParameterMapping": "SystemStructureParameterMapping.xsd",
 }
-SHOWN = 5  # per file
+MAX_FAULTS = 5  # per file
 
 
 @cache
@@ -32,16 +33,16 @@ def slips(label: Path, text: bytes) -> list[Fault]:
     try:
         root = etree.fromstring(text, etree.XMLParser(resolve_entities=False, no_network=True))
     except etree.XMLSyntaxError as error:
-        return [Fault(label, error.lineno or 0, 1, f"breaks the rules of XML: {error.msg}")]
+        return [Fault(label, error.lineno or 0, 1, messages.XML_VIOLATION(reason=error.msg))]
     name = SCHEMAS.get(etree.QName(root).localname)
     if name is None or root.get("version") != "1.0":
         return []
     schema = _schema(name)
     schema.validate(root)
-    found = []
-    for slip in list(schema.error_log)[:SHOWN]:
-        message = slip.message
+    faults = []
+    for slip in list(schema.error_log)[:MAX_FAULTS]:
+        reason = slip.message
         for uri, prefix in NAMESPACES.items():
-            message = message.replace(f"{{{uri}}}", f"{prefix}:")
-        found.append(Fault(label, slip.line, 1, f"breaks the schema of SSP: {message}"))
-    return found
+            reason = reason.replace(f"{{{uri}}}", f"{prefix}:")
+        faults.append(Fault(label, slip.line, 1, messages.SCHEMA_VIOLATION(reason=reason)))
+    return faults

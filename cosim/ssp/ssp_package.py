@@ -10,6 +10,7 @@ from urllib.parse import unquote, urlsplit
 
 from cosim.base.errors import Fault, InputError
 from cosim.base.scratch import temporary_folder
+from cosim.ssp import messages
 from cosim.ssp.elements import Element, parse
 from cosim.ssp.schema import slips
 from cosim.storage.archive import SSP, STRUCTURE, BadArchive, unpack
@@ -41,27 +42,27 @@ class Package:
 
     def resolve(self, source: str) -> Path | str:
         """Return the file at a relative URI, or the objection."""
-        shown = f'"{source[:80]}"'
+        name = source[:80]
         try:
             uri = urlsplit(source)
             if uri.scheme not in {"", "file"} or uri.netloc:
-                return f"{shown} is not in the package; put the file into resources/ and name it so"
+                return messages.NOT_IN_PACKAGE(name=name)
             within = self.folder.resolve()
             path = (within / unquote(uri.path)).resolve()
             if self.packed and not path.is_relative_to(within):
-                return f"{shown} leads out of the package; put the file into resources/ and name it so"
-            return path if path.is_file() else f"no file {shown} in it{self._hint(path)}"
+                return messages.OUTSIDE_PACKAGE(name=name)
+            return path if path.is_file() else messages.NO_SUCH_FILE(name=name, hint=self._hint(path))
         except (OSError, ValueError):  # an impossible file name
-            return f"{shown} is no name of a file"
+            return messages.INVALID_FILE_NAME(name=name)
 
     def _hint(self, path: Path) -> str:
         """Return a suggestion with the same name in different case."""
         folders = dict.fromkeys((path.parent, self.folder / "resources"))
-        beside = (p for folder in folders if folder.is_dir() for p in sorted(folder.iterdir()) if p.is_file())
-        found = next((p for p in beside if p.name.lower() == path.name.lower()), None)
-        if found is None or not found.is_relative_to(self.folder):
+        files = (p for folder in folders if folder.is_dir() for p in sorted(folder.iterdir()) if p.is_file())
+        match = next((p for p in files if p.name.lower() == path.name.lower()), None)
+        if match is None or not match.is_relative_to(self.folder):
             return ""
-        return f'; did you mean "{found.relative_to(self.folder).as_posix()}"?'
+        return f'; did you mean "{match.relative_to(self.folder).as_posix()}"?'
 
     def element(self, path: Path) -> Element:
         """Return the root element of a file; raise InputError."""
@@ -69,12 +70,12 @@ class Package:
         try:
             text = path.read_bytes()
             root = parse(label, text)
-            self.slips.extend(slips(label, text))
-            return root
         except BadArchive as error:
-            raise InputError([Fault(label, 0, 0, str(error))]) from None
+            raise InputError.at(label, str(error)) from None
         except OSError as error:
-            raise InputError([Fault(label, 0, 0, f"cannot be read: {error.strerror}")]) from None
+            raise InputError.at(label, messages.UNREADABLE(reason=error.strerror)) from None
+        self.slips.extend(slips(label, text))
+        return root
 
 
 @contextmanager
@@ -84,12 +85,12 @@ def opened(path: Path) -> Iterator[Package]:
     if path.suffix.lower() == ".ssd":
         yield Package(path, path.parent, path, packed=False)
         return
-    with temporary_folder("ssp") as made:
-        folder = made.resolve()
+    with temporary_folder("ssp") as scratch:
+        folder = scratch.resolve()
         try:
             unpack(path, folder, SSP)
         except BadArchive as error:
-            raise InputError([Fault(path, 0, 0, f"is no SSP: {error}")]) from None
+            raise InputError.at(path, messages.NOT_AN_SSP(reason=str(error))) from None
         except OSError as error:
-            raise InputError([Fault(path, 0, 0, f"cannot be unpacked: {error.strerror}")]) from None
+            raise InputError.at(path, messages.NOT_UNPACKED(reason=error.strerror)) from None
         yield Package(path, folder, folder / STRUCTURE, packed=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -90,4 +90,3 @@ class Structure:
     stop: float | None
     step: float | None
     experiment: Element
-    warnings: list[str] = field(default_factory=list)

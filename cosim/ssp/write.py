@@ -67,8 +67,9 @@ def write_ssp(path: Path, whole: Whole) -> Path:
     files = {model.name: f"{RESOURCES}/{model.name}.fmu" for model in whole.models}
     members = {STRUCTURE: _xml(_description(whole, files))}
     if any(model.start for model in whole.models):
-        everything = ((f"{m.name}.{name}", typed) for m in whole.models for name, typed in m.start.items())
-        members[f"{RESOURCES}/{START}.ssv"] = _xml(_named(_parameter_set(everything), "ssv"))
+        start = _parameter_set((f"{m.name}.{name}", typed) for m in whole.models for name, typed in m.start.items())
+        start.attrib |= _namespaces("ssv")
+        members[f"{RESOURCES}/{START}.ssv"] = _xml(start)
     members |= {files[model.name]: model.fmu.read_bytes() for model in whole.models}
     with draft_of(path) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in members.items():
@@ -81,20 +82,14 @@ def _xml(root: Element) -> bytes:
     return bytes(tostring(root, encoding="UTF-8", xml_declaration=True))
 
 
-def _named(root: Element, *prefixes: str) -> Element:
-    """Return the root with declared namespaces."""
-    for uri, prefix in NAMESPACES.items():
-        if prefix in prefixes:
-            root.set(f"xmlns:{prefix}", uri)
-    return root
+def _namespaces(*prefixes: str) -> dict[str, str]:
+    """Return the attributes that declare namespaces."""
+    return {f"xmlns:{prefix}": uri for uri, prefix in NAMESPACES.items() if prefix in prefixes}
 
 
 def _description(whole: Whole, files: Mapping[str, str]) -> Element:
-    root = _named(Element("ssd:SystemStructureDescription"), "ssd", "ssc", "ssv")
-    root.set("xmlns:osp", OSP)
-    root.set("name", whole.name)
-    root.set("version", "1.0")
-    root.set("generationTool", f"cosim {__version__}")
+    attributes = {"xmlns:osp": OSP, "name": whole.name, "version": "1.0", "generationTool": f"cosim {__version__}"}
+    root = Element("ssd:SystemStructureDescription", _namespaces("ssd", "ssc", "ssv") | attributes)
     system = SubElement(root, "ssd:System", name="system", description=whole.description)
     elements = SubElement(system, "ssd:Elements")
     for model in whole.models:

@@ -14,18 +14,19 @@ from cosim.blocks.description import read_description, state_names, ways
 from cosim.blocks.fixes import COUNT, Fixes, Sensor
 from cosim.blocks.fmu import FmuBlock, named
 from cosim.blocks.sources import playback, reference
-from cosim.scenario.diagnosis import Diagnosis, Place
+from cosim.scenario.diagnosis import Diagnosis
 from cosim.scenario.scenario import FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent, Scenario
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.scenario.start_values import Misfit, kind_of, settable, typed, with_elements
 from cosim.storage.yaml_file import did_you_mean
+from cosim.system import messages
 
 Designed = Mapping[str, Mapping[str, float]]  # component → start values
 
 
 def build_components(file: ScenarioFile, designed: Designed, diagnosis: Diagnosis) -> dict[str, Component]:
     """Return the sound components by name, in file order."""
-    found: dict[str, Component] = {}
+    components: dict[str, Component] = {}
     read = cache(read_description)  # Several components may use the same FMU.
     for name, component in file.scenario.components.items():
         try:
@@ -35,8 +36,8 @@ def build_components(file: ScenarioFile, designed: Designed, diagnosis: Diagnosi
         except FmuError as error:
             diagnosis.note(("components", name, "fmu"), str(error), exit_code=3)
         else:
-            found |= {name: block} if block is not None else {}
-    return found
+            components |= {name: block} if block is not None else {}
+    return components
 
 
 def _component(
@@ -64,18 +65,16 @@ def _fixes(scenario: Scenario, name: str, component: FixComponent, diagnosis: Di
         noise = about.noise if scenario.noise else None
         signals[signal] = (about.unit, noise.variance, noise.bias) if noise else (about.unit, 0.0, 0.0)
     sensor = Sensor(component.rate, component.latency, component.dropout, signals)
-    taken = [n for n in signals if n in sensor.outputs()]
-    for signal in taken:
-        what = "their number goes out" if signal == COUNT else "the fixes of another signal go out"
-        where: Place = ("components", name, "signals", signal)
-        diagnosis.note(where, f'"{signal}" is the name under which {what}; give the signal another')
+    collisions = [n for n in signals if n in sensor.outputs()]
+    for signal in collisions:
+        template = messages.COUNT_NAME_TAKEN if signal == COUNT else messages.FIX_NAME_TAKEN
+        diagnosis.note(("components", name, "signals", signal), template(name=signal))
     fastest = 1.0 / scenario.step
-    fast = component.rate > fastest * (1.0 + 1e-9)
-    if fast:
-        cure = f"use at most {fastest:g} Hz, or a shorter step"
-        message = f"rate is {component.rate:g} Hz, communication points come at {fastest:g} Hz; {cure}"
+    too_fast = component.rate > fastest * (1.0 + 1e-9)
+    if too_fast:
+        message = messages.FIX_RATE_TOO_HIGH(rate=component.rate, fastest=fastest)
         diagnosis.note(("components", name, "rate"), message)
-    return None if fast or taken else Fixes(name, sensor, scenario.step, scenario.seed)
+    return None if too_fast or collisions else Fixes(name, sensor, scenario.step, scenario.seed)
 
 
 def _fmu(
@@ -88,19 +87,19 @@ def _fmu(
 ) -> FmuBlock | None:
     path = file.resolve(component.fmu)
     if not path.is_file():
-        made = is_model(BASE) and path.name in model_entry().built
-        cure = f'; "cosim build --out {path.parent}" makes it' if made else ""
+        is_built = is_model(BASE) and path.name in model_entry().built
+        cure = f'; "cosim build --out {path.parent}" makes it' if is_built else ""
         if file.manifest is not None:
             cure += f"; put it there, or {path.name} beside {file.path.name}"
-        diagnosis.note(("components", name, "fmu"), f"no such FMU: {path}{cure}")
+        diagnosis.note(("components", name, "fmu"), messages.NO_FMU(path=path, cure=cure))
         return None
     description = read(path)
     start = _start_values(name, description, {**designed, **component.start}, diagnosis)
     targets = (connection.target.partition(".") for connection in file.scenario.connections)
     connected = frozenset(variable for owner, _, variable in targets if owner == name)
     if component.interface not in (None, *ways(description)):
-        offered = " and ".join(ways(description))
-        diagnosis.note(("components", name, "interface"), f"{path.name} offers {offered} only")
+        message = messages.INTERFACE_NOT_OFFERED(fmu=path.name, interfaces=" and ".join(ways(description)))
+        diagnosis.note(("components", name, "interface"), message)
         return None
     scenario = file.scenario
     return FmuBlock(
@@ -111,25 +110,25 @@ def _fmu(
         connected,
         way=component.interface,
         tolerance=scenario.tolerance if component.tolerance is None else component.tolerance,
-        recorded=recorded(scenario.record, name, description),
+        recorded=_recorded_names(scenario.record, name, description),
         logging=component.logging,
         solver=component.solver,
     )
 
 
-def recorded(patterns: Sequence[str], name: str, description: Any) -> frozenset[str]:
+def _recorded_names(patterns: Sequence[str], name: str, description: Any) -> frozenset[str]:
     """Return variables to record besides inputs and outputs.
 
     They match patterns such as `plant.*`. An FMU without outputs adds its states.
     """
-    found = {
+    names = {
         v.name
         for v in description.modelVariables
         if v.causality not in {"input", "output", "independent"} and any(named(p, name, v.name) for p in patterns)
     }
     if not any(v.causality == "output" for v in description.modelVariables):  # as in FMPy
-        found |= set(state_names(description))
-    return frozenset(found)
+        names |= set(state_names(description))
+    return frozenset(names)
 
 
 def _start_values(component: str, description: Any, stated: Mapping[str, Any], diagnosis: Diagnosis) -> dict[str, Any]:
@@ -140,15 +139,14 @@ def _start_values(component: str, description: Any, stated: Mapping[str, Any], d
         variable = variables.get(name)
         if variable is None:
             hint = did_you_mean(name, [v.name for v in variables.values() if settable(v)])
-            converted: Any = Misfit(f'{component} has no variable "{name}"{hint}')
+            message = messages.NO_VARIABLE(component=component, name=name, hint=hint)
         elif not settable(variable):
-            converted = Misfit(f"{component}.{name} is {kind_of(variable)}; it takes no start value")
+            message = messages.NOT_SETTABLE(name=f"{component}.{name}", kind=kind_of(variable))
         else:
             converted = typed(description, variable, value)
-            if isinstance(converted, Misfit):
-                converted = Misfit(f"{component}.{name} is {value!r}; {converted.reason}")
-        if isinstance(converted, Misfit):
-            diagnosis.note(("components", component, "start", name), converted.reason)
-        elif converted is not None:
-            values[name] = converted
+            if not isinstance(converted, Misfit):
+                values[name] = converted
+                continue
+            message = messages.VALUE_MISFIT(name=f"{component}.{name}", value=value, reason=converted.reason)
+        diagnosis.note(("components", component, "start", name), message)
     return values

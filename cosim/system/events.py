@@ -12,38 +12,40 @@ from cosim.scenario.diagnosis import Diagnosis
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.scenario.start_values import Misfit, typed
 from cosim.storage.yaml_file import did_you_mean
+from cosim.system import messages
 
 Events = Mapping[int, Mapping[str, Mapping[str, Any]]]  # communication point → component → variable → value
 
 
-def changes(file: ScenarioFile, blocks: Mapping[str, FmuBlock], diagnosis: Diagnosis) -> Events:
+def changes_of(file: ScenarioFile, blocks: Mapping[str, FmuBlock], diagnosis: Diagnosis) -> Events:
     """Return the events by communication point.
 
     An event acts at the first point at or after its time. Among events at the same point, the later time wins.
     """
     scenario = file.scenario
-    found: dict[int, dict[str, dict[str, Any]]] = {}
+    changes: dict[int, dict[str, dict[str, Any]]] = {}
     connected = {c.target for c in scenario.connections}
     variables = {name: {v.name: v for v in block.description.modelVariables} for name, block in blocks.items()}
-    given_at: dict[tuple[float, str], Any] = {}
+    values: dict[tuple[float, str], Any] = {}
     events = zip(file.places["events"], scenario.events, strict=True)
     for k, event in sorted(events, key=lambda placed: placed[1].at):
         point = math.ceil(steps_in(event.at - scenario.start_time, scenario.step) - 1e-9)
         if not 0 <= point <= scenario.steps:
             end = scenario.start_time + scenario.duration
-            diagnosis.note(("events", k, "at"), f"{event.at:g} s is not within {scenario.start_time:g} … {end:g} s")
+            message = messages.EVENT_OUTSIDE_RUN(time=event.at, start=scenario.start_time, end=end)
+            diagnosis.note(("events", k, "at"), message)
             continue
-        for target, given in event.set.items():
+        for target, written in event.set.items():
             name, _, variable = target.partition(".")
-            value = _value(blocks, variables, connected, target, given)
+            value = _value(blocks, variables, connected, target, written)
             if isinstance(value, Misfit):
                 diagnosis.note(("events", k, "set", target), value.reason)
-            elif given_at.setdefault((event.at, target), value) != value:
-                both = f"{given_at[event.at, target]!r} and {value!r}"
-                diagnosis.note(("events", k, "set", target), f"two values at {event.at:g} s: {both}; keep one")
+            elif (first := values.setdefault((event.at, target), value)) != value:
+                message = messages.TWO_VALUES(time=event.at, first=first, second=value)
+                diagnosis.note(("events", k, "set", target), message)
             else:
-                found.setdefault(point, {}).setdefault(name, {})[variable] = value
-    return found
+                changes.setdefault(point, {}).setdefault(name, {})[variable] = value
+    return changes
 
 
 def _value(
@@ -51,27 +53,29 @@ def _value(
     variables_of: Mapping[str, Mapping[str, Any]],
     connected: Collection[str],
     target: str,
-    given: Any,
+    written: Any,
 ) -> Any:
     """Return the value in FMI's type, or the objection."""
     name, _, variable_name = target.partition(".")
     block = blocks.get(name)
     if block is None:
-        return Misfit(f'no FMU "{name}" among the components{did_you_mean(name, blocks)}')
+        return Misfit(messages.NO_FMU_OF_NAME(name=name, hint=did_you_mean(name, blocks)))
     variables = variables_of[name]
     variable = variables.get(variable_name)
     if variable is None:
-        known = [n for n, v in variables.items() if changeable(v)]
-        return Misfit(f'{name} has no variable "{variable_name}"{did_you_mean(variable_name, known)}')
-    if not changeable(variable):
-        what = f"a {variable.variability} {variable.causality}"
-        return Misfit(f"{target} is {what}; inputs and tunable parameters change while it runs")
+        hint = did_you_mean(variable_name, [n for n, v in variables.items() if _is_changeable(v)])
+        return Misfit(messages.NO_VARIABLE(component=name, name=variable_name, hint=hint))
+    if not _is_changeable(variable):
+        kind = {"variability": variable.variability, "causality": variable.causality}
+        return Misfit(messages.NOT_CHANGEABLE(name=target, **kind))
     if target in connected or target.partition("[")[0] in connected:
-        return Misfit(f"{target} is connected, which decides its value; use faults: for what disturbs a connection")
-    value = typed(block.description, variable, given)
-    return Misfit(f"{target} is {given!r}; {value.reason}") if isinstance(value, Misfit) else value
+        return Misfit(messages.SET_AND_CONNECTED(name=target))
+    value = typed(block.description, variable, written)
+    if isinstance(value, Misfit):
+        return Misfit(messages.VALUE_MISFIT(name=target, value=written, reason=value.reason))
+    return value
 
 
-def changeable(variable: Any) -> bool:
+def _is_changeable(variable: Any) -> bool:
     """Return whether FMI allows setting the variable during a run."""
     return bool(variable.causality == "input" or (variable.causality, variable.variability) == ("parameter", "tunable"))

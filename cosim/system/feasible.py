@@ -9,6 +9,7 @@ from typing import Any
 from cosim.blocks.fmu import FmuBlock
 from cosim.fmi.sampled import sampled_by
 from cosim.scenario.diagnosis import Diagnosis
+from cosim.system import messages
 
 ROUNDING = 1e-6  # fraction of a step, the tolerance of the FMUs
 MOST_RESULTS = 8e9  # size of results [bytes]
@@ -25,31 +26,30 @@ def check_feasible(components: Iterable[Any], diagnosis: Diagnosis) -> None:
 def _check_size(signals: int, diagnosis: Diagnosis) -> None:
     scenario = diagnosis.file.scenario
     rows = scenario.duration / scenario.step + 1.0
-    if rows * signals * BYTES > MOST_RESULTS:
-        size = f"{rows:.3g} rows of {signals} signals, {rows * signals * BYTES / 1e9:.3g} GB"
-        diagnosis.note(
-            ("duration",), f"leaves {size}, more than {MOST_RESULTS / 1e9:g} GB; run shorter or in longer steps"
-        )
+    size = rows * signals * BYTES
+    if size > MOST_RESULTS:
+        sizes = {"gigabytes": size / 1e9, "limit": MOST_RESULTS / 1e9}
+        diagnosis.note(("duration",), messages.RESULTS_TOO_LARGE(rows=rows, signals=signals, **sizes))
 
 
 def _check_sampling(components: Iterable[Any], diagnosis: Diagnosis) -> None:
     file, scenario = diagnosis.file, diagnosis.file.scenario
-    stated = file.fault(("step",), "")
-    if file.stands_in or any((f.line, f.column) == (stated.line, stated.column) for f in file.faults):
+    place = file.fault(("step",), "")
+    if file.stands_in or any((f.line, f.column) == (place.line, place.column) for f in file.faults):
         return  # The step is faulty itself.
-    states = cache(sampled_by)  # Several components may use the same FMU.
+    parameter_of = cache(sampled_by)  # Several components may use the same FMU.
     for block in components:
-        parameter = states(block.path) if isinstance(block, FmuBlock) else None
+        parameter = parameter_of(block.path) if isinstance(block, FmuBlock) else None
         if parameter is None:
             continue
-        own = next((v.start for v in block.description.modelVariables if v.name == parameter), None)
+        declared = next((v.start for v in block.description.modelVariables if v.name == parameter), None)
         try:
-            sample = float(block.start_values.get(parameter, own))
+            sample = float(block.start_values.get(parameter, declared))
         except (TypeError, ValueError):
             continue
-        given = getattr(scenario.components[block.name], "step", None)  # the component's own step
-        step = scenario.step if given is None else float(given)
+        own_step = getattr(scenario.components[block.name], "step", None)
+        step = scenario.step if own_step is None else float(own_step)
         if abs(step - sample) > ROUNDING * sample:
-            where = ("step",) if given is None else ("components", block.name, "step")
-            cure = f"set components.{block.name}.start.{parameter}, or step: {sample:g}"
-            diagnosis.note(where, f"step is {step:g} s; {block.name} is sampled at {sample:g} s ({parameter}): {cure}")
+            where = ("step",) if own_step is None else ("components", block.name, "step")
+            names = {"component": block.name, "parameter": parameter}
+            diagnosis.note(where, messages.STEP_NOT_OF_SAMPLING(step=step, sample=sample, **names))

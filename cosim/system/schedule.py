@@ -12,6 +12,7 @@ from cosim.coupling.order import AlgebraicLoop, Edge
 from cosim.scenario.diagnosis import Diagnosis
 from cosim.scenario.scenario import Connection, Scenario
 from cosim.storage.yaml_file import did_you_mean
+from cosim.system import messages
 from cosim.system.wiring import Components, Transfer
 
 
@@ -42,21 +43,18 @@ def schedule(
     """
     every = {name: _every(scenario, name, diagnosis) for name in components}
     algorithm = algorithms()[scenario.algorithm]
-    stated = scenario.order if algorithm.sequential else None
-    if stated is not None and not _names_all(stated, components, diagnosis):
+    user_order = scenario.order if algorithm.sequential else None
+    if user_order is not None and not _names_all(user_order, components, diagnosis):
         return Schedule()
     try:
-        order, immediate, notes = algorithm.plan(components, list(map(_edge, scenario.connections)), stated)
+        order, immediate, notes = algorithm.plan(components, list(map(_edge, scenario.connections)), user_order)
     except AlgebraicLoop as loop:
-        names = ", ".join(sorted(set(loop.cycle)))
-        message = (
-            f"algebraic loop under {algorithm.name}: {' → '.join(loop.cycle)}; each needs the other's value of the "
-            f"same time. State their order (order: [{names}]) or algorithm: {WITHOUT_ORDER.name}"
-        )
+        names = {"names": ", ".join(sorted(set(loop.cycle))), "cycle": " → ".join(loop.cycle)}
+        message = messages.ALGEBRAIC_LOOP(algorithm=algorithm.name, other=WITHOUT_ORDER.name, **names)
         diagnosis.note(("connections",), message)
         return Schedule()
     if sorted(order) != sorted(components):
-        message = f"{algorithm.name} steps {', '.join(order)}; it must step each component once"
+        message = messages.PLAN_INCOMPLETE(algorithm=algorithm.name, order=", ".join(order))
         diagnosis.note(("algorithm",), message)
         return Schedule()
     diagnosis.warnings += notes
@@ -77,18 +75,16 @@ def _every(scenario: Scenario, name: str, diagnosis: Diagnosis) -> int:
     if step is None:
         return 1
     count = steps_in(step, scenario.step)
-    if round(count) < 1 or abs(count - round(count)) > 1e-9 * count:
-        cure = f"use a whole multiple, {max(1, round(count)) * scenario.step:g} s for one"
-        message = f"step is {step:g} s, that of the scenario {scenario.step:g} s; {cure}"
+    every = max(1, round(count))
+    if round(count) < 1 or abs(count - every) > 1e-9 * count:
+        message = messages.STEP_NOT_A_MULTIPLE(step=step, base=scenario.step, cure=every * scenario.step)
         diagnosis.note(("components", name, "step"), message)
-        return max(1, round(count))
-    every = round(count)
-    if every > scenario.steps:
-        message = f"step is {step:g} s, the run {scenario.duration:g} s: it would never step"
+    elif every > scenario.steps:
+        message = messages.STEP_LONGER_THAN_RUN(step=step, duration=scenario.duration)
         diagnosis.note(("components", name, "step"), message)
-    elif left := scenario.steps % every:
-        still = f"its last {left * scenario.step:g} s of the run make no whole step: it stands still there"
-        diagnosis.warnings.append(f"{name}: step is {step:g} s; {still}")
+    elif rest := scenario.steps % every:
+        message = messages.LAST_STEP_INCOMPLETE(component=name, step=step, rest=rest * scenario.step)
+        diagnosis.warnings.append(message)
     return every
 
 
@@ -104,8 +100,7 @@ def _names_all(order: Sequence[str], components: Components, diagnosis: Diagnosi
     unknown = [name for name in order if name not in components]
     twice = len(set(order)) != len(order)
     for name in unknown:
-        diagnosis.note(("order",), f'no component "{name}"{did_you_mean(name, components)}')
+        diagnosis.note(("order",), messages.UNKNOWN_COMPONENT(name=name, hint=did_you_mean(name, components)))
     if missing or twice:
-        message = f"order names every component with inputs once; missing: {', '.join(missing) or 'none'}"
-        diagnosis.note(("order",), message)
+        diagnosis.note(("order",), messages.ORDER_INCOMPLETE(missing=", ".join(missing) or "none"))
     return not (unknown or missing or twice)

@@ -16,11 +16,12 @@ from cosim.scenario.diagnosis import Diagnosis, Place
 from cosim.scenario.scenario import FmuComponent, Scenario
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.storage.yaml_file import did_you_mean
+from cosim.system import messages
 from cosim.system.components import Designed, build_components
-from cosim.system.events import Events, changes
+from cosim.system.events import Events, changes_of
 from cosim.system.feasible import check_feasible
 from cosim.system.schedule import Schedule, Stage, schedule
-from cosim.system.wiring import Transfer, connect, lay_out, unconnected
+from cosim.system.wiring import Transfer, connect, connection_warnings, lay_out
 
 
 @dataclass(frozen=True)
@@ -62,21 +63,22 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
     """
     scenario, diagnosis = file.scenario, Diagnosis(file)
     components = build_components(file, start_values or {}, diagnosis)
-    whole = len(components) == len(scenario.components) and not file.broken
+    is_whole = len(components) == len(scenario.components) and not file.broken
     layout = lay_out(components)
     transfers = connect(file, components, layout, diagnosis)
     _check_design(file, diagnosis)
     check_feasible(components.values(), diagnosis)
-    if whole:
+    if is_whole:
         _check_criteria(scenario, layout.columns, diagnosis)
     plan = Schedule()
-    if whole and all(transfers):
+    if is_whole and all(transfers):
         plan = schedule(scenario, components, transfers, diagnosis)
     blocks = {name: c for name, c in components.items() if isinstance(c, FmuBlock)}
-    events = changes(file, blocks, diagnosis)
+    events = changes_of(file, blocks, diagnosis)
     _check_record(file, components, diagnosis)
     diagnosis.raise_any()
-    warnings = [*diagnosis.warnings, *unconnected(file, components), *(w for c in blocks.values() for w in c.warnings)]
+    warnings = [*diagnosis.warnings, *connection_warnings(file, components)]
+    warnings += [warning for block in blocks.values() for warning in block.warnings]
     return System(
         plan.stages,
         plan.held,
@@ -100,15 +102,13 @@ def _check_record(file: ScenarioFile, components: Mapping[str, Component], diagn
         component = components.get(name)
         if "*" not in name and name not in file.scenario.components:
             hint = did_you_mean(name, file.scenario.components)
-            diagnosis.note(("record", k), f'no component "{name}"{hint}; write component.* or component.variable')
+            diagnosis.note(("record", k), messages.RECORD_WITHOUT_COMPONENT(name=name, hint=hint))
         elif isinstance(component, FmuBlock) and not component.names_any(pattern):
-            known = [f"{name}.{v.name}" for v in component.description.modelVariables]
-            diagnosis.note(("record", k), f'no variable "{pattern}"{did_you_mean(pattern, known)}')
+            hint = did_you_mean(pattern, [f"{name}.{v.name}" for v in component.description.modelVariables])
+            diagnosis.note(("record", k), messages.RECORD_WITHOUT_VARIABLE(pattern=pattern, hint=hint))
     for name, component in components.items():
         if not (component.inputs or component.outputs or component.exact_inputs or component.exact_outputs):
-            diagnosis.warnings.append(
-                f"{name} has no inputs and outputs, so nothing of it is recorded; record: [{name}.*] does so"
-            )
+            diagnosis.warnings.append(messages.NOTHING_RECORDED(name=name))
 
 
 def _check_design(file: ScenarioFile, diagnosis: Diagnosis) -> None:
@@ -117,9 +117,7 @@ def _check_design(file: ScenarioFile, diagnosis: Diagnosis) -> None:
     if design is None or design.component in file.broken:
         return
     if not isinstance(file.scenario.components.get(design.component), FmuComponent):
-        diagnosis.note(
-            ("design", "component"), f'design is for component "{design.component}", which is no FMU of components'
-        )
+        diagnosis.note(("design", "component"), messages.DESIGN_WITHOUT_FMU(name=design.component))
 
 
 def _check_criteria(scenario: Scenario, columns: Collection[str], diagnosis: Diagnosis) -> None:
@@ -128,4 +126,5 @@ def _check_criteria(scenario: Scenario, columns: Collection[str], diagnosis: Dia
         where: Place = ("criteria", kind, *(() if k is None else (k,)))
         for key, signal in (("of", criterion.of), ("to", criterion.to)):
             if isinstance(signal, str) and signal not in columns:
-                diagnosis.note((*where, key), f'no signal "{signal}"{did_you_mean(signal, columns)}')
+                hint = did_you_mean(signal, columns)
+                diagnosis.note((*where, key), messages.UNKNOWN_SIGNAL(name=signal, hint=hint))

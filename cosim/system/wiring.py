@@ -28,6 +28,7 @@ from cosim.scenario.scenario import (
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.scenario.start_values import Misfit
 from cosim.storage.yaml_file import did_you_mean
+from cosim.system import messages
 
 Components = Mapping[str, Component]
 MOST_NAMED = 20  # signals in a message
@@ -83,8 +84,8 @@ class Transfer:
     def check_item(self, value: Any, t: float) -> None:
         """Raise SimulationError if a value is no item of the target."""
         if self.items is not None and value not in self.items.values():
-            said = f"{value:g}, which comes from {self.origin}, is none of its items: {_numbers(self.items)}"
-            raise SimulationError(self.name, t, said)
+            message = messages.NOT_AN_ITEM(value=value, origin=self.origin, items=_numbers(self.items))
+            raise SimulationError(self.name, t, message)
 
     def samples(self, seed: int, count: int) -> array[float] | None:
         """Return noise samples per communication point, None without noise."""
@@ -103,8 +104,8 @@ class Transfer:
             window = points(fault.begin, fault.end, start, step, count)
             rng = stream(seed, f"{self.name} {fault.kind} {number}")
             delay = 0 if fault.delay is None else whole(fault.delay, step)
-            given = {"value": fault.value, "probability": fault.probability, "delay": delay}
-            chain.append(disturbed(fault.kind, window, count, rng, **given))  # type: ignore[arg-type]
+            settings = {"value": fault.value, "probability": fault.probability, "delay": delay}
+            chain.append(disturbed(fault.kind, window, count, rng, **settings))  # type: ignore[arg-type]
         if self.items is not None:
             chain.append(_Checked(self, start, step))
         return tuple(chain)
@@ -163,7 +164,7 @@ def connect(
     return [wiring.transfers(k, connection) for k, connection in lines]
 
 
-def taken_for(file: ScenarioFile, connection: Connection, source: Signal, target: Signal) -> Taken | None:
+def assumed_conversion(file: ScenarioFile, connection: Connection, source: Signal, target: Signal) -> Taken | None:
     """Return the conversion for an input without unit, if needed.
 
     Only numbers with a unit written by people are converted.
@@ -175,18 +176,16 @@ def taken_for(file: ScenarioFile, connection: Connection, source: Signal, target
     return assume_si(source.unit, "its FMU", f"give {connection.source} no unit")
 
 
-def _misfit(connection: Connection, source: Signal, target: Signal) -> str:
+def _objection(connection: Connection, source: Signal, target: Signal) -> str:
     """Return the objection to a connection, or ""."""
+    ends = {"source": connection.source, "target": connection.target}
     if not goes(source.kind, target.kind):
-        what = f"{connection.source} is {source.kind or 'a number'}, {connection.target} is {target.kind}"
-        return f"types do not agree: {what}"
+        return messages.TYPE_MISMATCH(**ends, source_type=source.kind or "a number", target_type=target.kind)
     if source.declared and source.declared == target.declared and source.items != target.items:
-        ends = ((connection.source, source), (connection.target, target))
-        what = ", ".join(f"{name} has {_numbers(signal.items)}" for name, signal in ends)
-        return f"enumerations of one name, {source.declared}, with other items: {what}"
+        items = {"source_items": _numbers(source.items), "target_items": _numbers(target.items)}
+        return messages.ITEM_MISMATCH(**ends, **items, name=source.declared)
     if connection.conversion is None and source.conversion(target) is None:
-        units = f"{connection.source} [{source.unit}] to {connection.target} [{target.unit}]"
-        return f"unit mismatch: {units}; where they are the same all the same, say so by factor: 1"
+        return messages.UNIT_MISMATCH(**ends, source_unit=source.unit, target_unit=target.unit)
     return ""
 
 
@@ -195,7 +194,7 @@ class _Wiring:
 
     def __init__(self, file: ScenarioFile, components: Components, layout: RowLayout, diagnosis: Diagnosis) -> None:
         self.file, self.components, self.layout, self.diagnosis = file, components, layout, diagnosis
-        self._known: dict[tuple[str, str], dict[str, list[Signal]]] = {}
+        self._by_side: dict[tuple[str, str], dict[str, list[Signal]]] = {}
         self._faults: dict[str, list[Disturbance]] = {}
         for fault in file.scenario.faults:
             self._faults.setdefault(fault.on, []).append(fault)
@@ -207,22 +206,23 @@ class _Wiring:
         if not sources or not targets:
             return ()
         if len(sources) != len(targets):
-            ends = f"{connection.source} to {connection.target}"
-            self.diagnosis.note(("connections", k), f"{ends}: {len(sources)} values do not go to {len(targets)}")
+            ends = {"source": connection.source, "target": connection.target}
+            message = messages.SIZE_MISMATCH(**ends, count=len(sources), target_count=len(targets))
+            self.diagnosis.note(("connections", k), message)
             return ()
-        made = []
+        transfers = []
         for source, target in zip(sources, targets, strict=True):
             transfer = self._transfer(connection, source, target)
             if isinstance(transfer, Misfit):
                 self.diagnosis.note(("connections", k), transfer.reason)
                 return ()
-            made.append(transfer)
-        return tuple(made)
+            transfers.append(transfer)
+        return tuple(transfers)
 
     def _transfer(self, connection: Connection, source: Signal, target: Signal) -> Transfer | Misfit:
         """Return the transfer between two signals, or the objection."""
-        if misfit := _misfit(connection, source, target):
-            return Misfit(misfit)
+        if objection := _objection(connection, source, target):
+            return Misfit(objection)
         noise = connection.noise if self.file.scenario.noise else None
         factor, offset = self._conversion(connection, source, target)
         origin = f"{connection.source.partition('.')[0]}.{source.name}"
@@ -232,17 +232,18 @@ class _Wiring:
         changes = [f"{fault.kind} fault" for fault in faults if fault.kind not in PASSING]
         changes += ["noise or factor"] if noise or (factor, offset) != (1.0, 0.0) else []
         if changes and (from_beside or to_beside):
-            ends = f"{connection.source} to {connection.target}"
-            return Misfit(f"{ends}: no {' or '.join(changes)} on {source.kind or target.kind}")
+            fields = {"changes": " or ".join(changes), "type": source.kind or target.kind}
+            message = messages.UNCHANGEABLE_TYPE(source=connection.source, target=connection.target, **fields)
+            return Misfit(message)
         sides = from_beside, to_beside
         return Transfer(at, to, name, noise, factor, offset, faults, sides, target.items, origin)
 
     def _conversion(self, connection: Connection, source: Signal, target: Signal) -> tuple[float, float]:
         """Return factor and offset; note a warning for an assumed unit."""
-        assumed = taken_for(self.file, connection, source, target)
+        assumed = assumed_conversion(self.file, connection, source, target)
         if assumed is None:
             return connection.conversion or source.conversion(target) or (1.0, 0.0)
-        warning = f"{connection.target} {assumed.sentence}"
+        warning = messages.ASSUMED_UNIT(target=connection.target, assumption=assumed.sentence)
         if assumed.sentence and warning not in self.diagnosis.warnings:  # once for all elements of an array
             self.diagnosis.warnings.append(warning)
         return assumed.factor, assumed.offset
@@ -252,36 +253,34 @@ class _Wiring:
         name, _, variable = text.partition(".")
         if name not in self.file.scenario.components and name not in self.file.broken:
             hint = did_you_mean(name, self.file.scenario.components)
-            self.diagnosis.note(where, f'no component "{name}"{hint}')
+            self.diagnosis.note(where, messages.UNKNOWN_COMPONENT(name=name, hint=hint))
             return []
         component = self.components.get(name)
         if component is None or name in self.file.broken:  # Another check reports this component.
             return []
-        known = self._signals(component, side)
-        if variable in known:
-            return known[variable]
+        signals = self._signals(component, side)
+        if variable in signals:
+            return signals[variable]
         other = "inputs" if side == "outputs" else "outputs"
         if variable in self._signals(component, other):
-            message = f"{text} is one of the {other} of {name}; an output goes to an input"
+            message = messages.WRONG_END(signal=text, side=other, component=name)
         elif any(s.local and s.name == variable for s in _signals(component, side)):
-            message = f"{text} is recorded, but no output of {name}; an output goes to an input"
+            message = messages.ONLY_RECORDED(signal=text, component=name)
         else:
-            message = f'{name} has no {side[:-1]} "{variable}"{did_you_mean(variable, known)}'
-            message += f" (its {side}: {_some(known)})"
+            names = {"hint": did_you_mean(variable, signals), "names": _some(signals)}
+            message = messages.UNKNOWN_END(component=name, side=side[:-1], name=variable, **names)
         self.diagnosis.note(where, message)
         return []
 
     def _signals(self, component: Component, side: str) -> dict[str, list[Signal]]:
         """Return signals by name, and elements by name of their array."""
         key = component.name, side
-        if key not in self._known:
-            found = self._known[key] = {}
+        if key not in self._by_side:
+            by_name = self._by_side[key] = {}
             for signal in _signals(component, side):
-                if not signal.local:
-                    found.setdefault(signal.name, []).append(signal)
-                    if signal.array:
-                        found.setdefault(signal.array, []).append(signal)
-        return self._known[key]
+                for name in filter(None, (signal.name, signal.array)) if not signal.local else ():
+                    by_name.setdefault(name, []).append(signal)
+        return self._by_side[key]
 
 
 def _numbers(items: Mapping[str, int] | None) -> str:
@@ -310,49 +309,48 @@ def _check_faults(file: ScenarioFile, diagnosis: Diagnosis) -> None:
     for k, fault in zip(file.places["faults"], scenario.faults, strict=True):
         if fault.on not in targets and fault.on.partition("[")[0] not in targets:
             hint = did_you_mean(fault.on, targets) or f" (connected: {_some(targets)})"
-            diagnosis.note(("faults", k, "on"), f"no connection to {fault.on}{hint}")
+            diagnosis.note(("faults", k, "on"), messages.FAULT_NOT_ON_CONNECTION(target=fault.on, hint=hint))
         if getattr(scenario.components.get(fault.on.partition(".")[0]), "step", None) is not None:
-            cure = "faults act on components that step with the scenario"
-            diagnosis.note(("faults", k, "on"), f"{fault.on} is of a component with a step of its own; {cure}")
-        needed = needs.get(fault.kind)
-        if needed is not None and getattr(fault, needed) is None:
-            diagnosis.note(("faults", k), f"{fault.kind} needs {needed}")
-        made = 0.0 if fault.delay is None else whole(fault.delay, scenario.step) * scenario.step
-        if fault.delay is not None and abs(made - fault.delay) > 1e-9 * made:
-            rounded = f"no whole number of steps: it is {made:g} s"
-            diagnosis.warnings.append(f"a delay of {fault.delay:g} s on {fault.on} is {rounded}")
+            diagnosis.note(("faults", k, "on"), messages.FAULT_ON_OWN_STEP(target=fault.on))
+        key = needs.get(fault.kind)
+        if key is not None and getattr(fault, key) is None:
+            diagnosis.note(("faults", k), messages.FAULT_WITHOUT_KEY(kind=fault.kind, key=key))
+        rounded = 0.0 if fault.delay is None else whole(fault.delay, scenario.step) * scenario.step
+        if fault.delay is not None and abs(rounded - fault.delay) > 1e-9 * rounded:
+            message = messages.DELAY_ROUNDED(delay=fault.delay, target=fault.on, rounded=rounded)
+            diagnosis.warnings.append(message)
         first, last = points(fault.begin, fault.end, scenario.start_time, scenario.step, scenario.steps + 1)
         if not max(0, first) <= min(last, scenario.steps):
             end = scenario.start_time + scenario.duration
-            diagnosis.note(("faults", k), f"acts at no communication point of {scenario.start_time:g} … {end:g} s")
+            diagnosis.note(("faults", k), messages.FAULT_OUTSIDE_RUN(start=scenario.start_time, end=end))
 
 
 def _check_sources(file: ScenarioFile, diagnosis: Diagnosis) -> None:
     """Note a fault for each input with two sources."""
-    seen: dict[str, str] = {}
+    sources: dict[str, str] = {}
     for k, connection in zip(file.places["connections"], file.scenario.connections, strict=True):
-        if connection.target in seen:
-            both = f"{seen[connection.target]} and {connection.source}"
-            diagnosis.note(("connections", k, "to"), f"two sources for {connection.target}: {both}; keep one")
-        seen.setdefault(connection.target, connection.source)
+        if (target := connection.target) in sources:
+            message = messages.SEVERAL_SOURCES(target=target, first=sources[target], second=connection.source)
+            diagnosis.note(("connections", k, "to"), message)
+        sources.setdefault(target, connection.source)
 
 
-def unconnected(file: ScenarioFile, components: Components) -> Iterator[str]:
+def connection_warnings(file: ScenarioFile, components: Components) -> Iterator[str]:
     """Yield a warning for each component with unconnected inputs.
 
     Inputs with a value in the scenario do not count.
     """
-    fed = {c.target for c in file.scenario.connections}
-    fed |= {target for event in file.scenario.events for target in event.set}
+    driven = {c.target for c in file.scenario.connections}
+    driven |= {target for event in file.scenario.events for target in event.set}
     for name, component in components.items():
         declared = file.scenario.components[name]
-        given = declared.start if isinstance(declared, FmuComponent) else {}
+        start = declared.start.keys() if isinstance(declared, FmuComponent) else set()
         free = [
-            s.name
+            f"{name}.{s.name}"
             for s in _signals(component, "inputs")
-            if fed.isdisjoint({f"{name}.{s.name}", f"{name}.{s.array}"}) and given.keys().isdisjoint({s.name, s.array})
+            if driven.isdisjoint({f"{name}.{s.name}", f"{name}.{s.array}"}) and start.isdisjoint({s.name, s.array})
         ]
-        if free and isinstance(declared, FixComponent):
-            yield f"not connected, so its fixes are of 0: {_some([f'{name}.{s}' for s in free])}"
-        elif free:
-            yield f"not connected, at the start value of the FMU: {_some([f'{name}.{s}' for s in free])}"
+        is_sensor = isinstance(declared, FixComponent)
+        template = messages.FIXES_NOT_CONNECTED if is_sensor else messages.INPUTS_NOT_CONNECTED
+        if free:
+            yield template(names=_some(free))

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from cosim.base.registry import ExtensionWarning, Verb, added_verbs
+from cosim.verbs import messages
 
 if TYPE_CHECKING:  # signatures of the functions, for type checkers
     from cosim.authoring.export import export_ssp as export_ssp
@@ -62,7 +63,6 @@ def verbs() -> Iterator[tuple[str, Verb]]:
     yield from VERBS.items()
     for name, verb in added_verbs():
         if name in VERBS:
-            message = f"{name}: an installed package registers a verb that cosim has; it is ignored"
-            warnings.warn(message, ExtensionWarning, stacklevel=2)
+            warnings.warn(messages.VERB_EXISTS(name=name), ExtensionWarning, stacklevel=2)
         else:
             yield name, verb

@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import Fault, refuse
 from cosim.fmi.native.platforms import PLATFORMS
+from cosim.verbs import messages
 from cosim.verbs.options import Json
 from cosim.verbs.terminal import say, say_json
 
@@ -53,17 +54,15 @@ def command(
     if native:
         from cosim.loading.build_native import build_native
 
-        asked = [name.strip() for name in platforms.split(",") if name.strip()]
-        native_fmus = build_native(out, model, nearest=nearest, fmi=fmi, platforms=asked)
-        for made in native_fmus:
-            say(made.sentence)
+        names = [name.strip() for name in platforms.split(",") if name.strip()]
+        fmus = build_native(out, model, nearest=nearest, fmi=fmi, platforms=names)
+        for fmu in fmus:
+            say(fmu.sentence)
         if as_json:
-            say_json({"built": [{"fmu": str(made.path), "platforms": dict(made.floors)} for made in native_fmus]})
+            say_json({"built": [{"fmu": str(fmu.path), "platforms": dict(fmu.floors)} for fmu in fmus]})
         return
-    only_native = [name for name, given in (("--fmi", fmi != 2), ("--platforms", bool(platforms))) if given]
-    if only_native:
-        message = "is of native FMUs; add --native, or leave it out"
-        raise InputError([Fault(Path(name), 0, 0, message) for name in only_native])
+    native_options = [name for name, is_set in (("--fmi", fmi != 2), ("--platforms", bool(platforms))) if is_set]
+    refuse(Fault(Path(name), 0, 0, messages.NATIVE_ONLY()) for name in native_options)
     built = list(build_fmus(out, model, nearest=nearest))
     for path in built:
         say(f"built {path}")

@@ -12,7 +12,18 @@ from typing import Annotated
 import typer
 
 from cosim.base.drafts import is_full
-from cosim.base.errors import Crashed, Fault, FmuError, InputError, Interrupted, NotExecuted, Signalled, Terminated
+from cosim.base.errors import (
+    Crashed,
+    Fault,
+    FmuError,
+    InputError,
+    Interrupted,
+    NotExecuted,
+    Signalled,
+    Terminated,
+    refuse,
+)
+from cosim.base.messages import Message, code_of
 from cosim.base.program import STOPPED
 from cosim.base.registry import resolve
 from cosim.base.settings import Files, ModelName
@@ -20,10 +31,11 @@ from cosim.storage import kinds
 from cosim.storage.artefact import Checking, kind_by_keys, of_kind
 from cosim.storage.files import FilePath
 from cosim.storage.yaml_file import YamlFile
+from cosim.verbs import messages
 from cosim.verbs.options import Compile, Json, Texts
 from cosim.verbs.terminal import say, say_json
 
-WANTED = "a scenario, study, sweep, protocol, model, log, SSP or FMU"
+CHECKED_KINDS = "a scenario, study, sweep, protocol, model, log, SSP or FMU"
 
 
 def check(
@@ -59,21 +71,19 @@ def check(
     lines: list[str] = []
     with compiling(compile):
         if permission.get() and not load:
-            message = "is to load FMUs, which --no-load (in Python load=False) forbids; leave one of them out"
-            raise InputError([Fault(Path("--compile"), 0, 0, message)])
+            raise InputError.at(Path("--compile"), messages.COMPILE_WITHOUT_LOAD())
         with Worker(*MODULES) if load else nullcontext() as worker:
             checking = Checking(model, dict(columns or {}), worker)
             for path in map(Path, [files] if isinstance(files, (str, os.PathLike)) else files):
                 try:
-                    lines += [f"{path}: {line}" for line in _checked(path, checking)]
+                    lines += [Message(f"{path}: {line}", code_of(line)) for line in _check_isolated(path, checking)]
                 except InputError as error:
                     faults += error.faults
-    if faults:
-        raise InputError(faults)
+    refuse(faults)
     return lines
 
 
-def _checked(path: Path, checking: Checking) -> list[str]:
+def _check_isolated(path: Path, checking: Checking) -> list[str]:
     """Check a file; execute named Python in the worker, or not at all without a worker."""
     from cosim.loading.file import without_execution
     from cosim.scenario.controller_design import ended
@@ -84,7 +94,7 @@ def _checked(path: Path, checking: Checking) -> list[str]:
             return _check(path, checking)
         except NotExecuted as code:
             if worker is None:
-                return [f"warning: {code} (--no-load); neither it nor what depends on it is checked"]
+                return [messages.NOT_EXECUTED(code=str(code)).after("warning: ")]
         except InputError:
             if worker is None or not skipped:  # else there may be more faults
                 raise
@@ -99,7 +109,7 @@ def _check(path: Path, checking: Checking) -> list[str]:
     """Return the notes of a file; raise InputError with its faults."""
     kind: str | None = kinds.CODE
     if not path.suffix.startswith(".py:"):  # FILE.py:Class
-        kinds.refuse_unreadable(path, WANTED)
+        kinds.refuse_unreadable(path, CHECKED_KINDS)
         kind = kinds.kind_by_form(path)
     if kind is None:
         root = YamlFile(path).root
@@ -107,8 +117,7 @@ def _check(path: Path, checking: Checking) -> list[str]:
         kind = kind_by_keys(root) or (kinds.STUDY if is_study else kinds.SCENARIO)
     declared = of_kind(kind)
     if declared is None or not declared.check:
-        message = f"is {kind}, in which there is nothing to check: {kinds.next_step(kind, path)}"
-        raise InputError([Fault(path, 0, 0, message)])
+        raise InputError.at(path, messages.NOTHING_TO_CHECK(kind=kind, cure=kinds.next_step(kind, path)))
     notes: list[str] = resolve(declared.check)(path, checking)
     return notes
 
@@ -140,18 +149,17 @@ def command(
 
     try:
         lines = check(files, model, load=load, compile=compile_, columns=renamed(column or (), files[0]))
-    except Signalled as ended:
-        raise FmuError(ended.reason) from None
-    except Terminated as ended:
-        raise FmuError(str(ended)) from None
+    except Signalled as error:
+        raise FmuError(error.reason) from None
+    except Terminated as error:
+        raise FmuError(str(error)) from None
     except (Interrupted, KeyboardInterrupt):
         raise typer.Exit(STOPPED) from None
     except OSError as error:
         if not is_full(error):
             raise
-        raise FmuError("the disk is full, so that no FMU can be tried; --no-load checks without") from None
-    for line in lines:
-        say(line)
+        raise FmuError(messages.NO_SPACE_TO_LOAD()) from None
+    say(*lines)
     say(f"no fault in {', '.join(map(str, files))}")
     if as_json:
         say_json({"files": [str(file) for file in files], "findings": lines, "faults": []})

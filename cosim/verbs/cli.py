@@ -20,12 +20,12 @@ from cosim.base.program import as_program
 from cosim.base.registry import ExtensionWarning, attempt
 from cosim.base.version import __version__
 from cosim.storage.files import check_text
-from cosim.verbs import verbs
+from cosim.verbs import messages, verbs
 from cosim.verbs.help import WHOLE_WIDTH, GroupedHelp, VerbHelp
 from cosim.verbs.manner import with_manner
 from cosim.verbs.outcome import say_partial
-from cosim.verbs.streams import echo, open_streams
-from cosim.verbs.terminal import say, say_error, say_failure, say_usage
+from cosim.verbs.streams import open_streams
+from cosim.verbs.terminal import say, say_error, say_failure, say_usage, warn
 
 app = typer.Typer(
     cls=GroupedHelp,
@@ -37,8 +37,8 @@ app = typer.Typer(
 )
 
 
-def _version(asked: bool) -> None:
-    if asked:
+def _show_version(value: bool) -> None:
+    if value:
         say(f"cosim {__version__} (FMU co-simulation; not the command of the Open Simulation Platform)")
         raise typer.Exit
 
@@ -46,7 +46,7 @@ def _version(asked: bool) -> None:
 @app.callback()
 def main(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
     ] = False,
 ) -> None:
     """Define the options before the verb."""
@@ -55,7 +55,7 @@ def main(
 def _show_warning(message: Warning | str, category: type[Warning], *place: Any, **options: Any) -> None:
     """Show a package that cannot be loaded as one line, other warnings as Python does."""
     if issubclass(category, ExtensionWarning):
-        echo(f"warning: {message}", err=True)
+        warn(message.args[0] if isinstance(message, Warning) else message)
     else:
         _python_shows(message, category, *place, **options)
 
@@ -81,10 +81,10 @@ def entry() -> None:
 def _run() -> None:
     """Run the command of this process; exit with its code."""
     try:
-        check_text([*sys.argv[1:], *_here(), os.environ.get("TMPDIR", "")])
+        check_text([*sys.argv[1:], *_current_folder(), os.environ.get("TMPDIR", "")])
         app(standalone_mode=True)
-    except SystemExit as ended:
-        say_usage(ended.__context__)
+    except SystemExit as end:
+        say_usage(end.__context__)
         raise
     except CosimError as error:
         say_error(error)
@@ -92,16 +92,20 @@ def _run() -> None:
         if isinstance(error, SimulationError) and error.left is not None:
             say_partial(error.left)
         sys.exit(error.exit_code)
-    except Terminated as ended:
-        echo(f"error: {ended}", err=True)
-        sys.exit(ended.exit_code)
+    except Terminated as end:
+        say_error(CosimError(messages.STOPPED(reason=end)))
+        sys.exit(end.exit_code)
     except MemoryError:
-        echo("error: there is not enough memory; run shorter, in longer steps or with less recorded", err=True)
+        say_error(CosimError(messages.NO_MEMORY()))
         sys.exit(4)
     except OSError as error:  # a folder that cannot be written, a disk that is full
-        where = f"{error.filename}: " if error.filename else ""
-        echo(f"error: {where}{'the disk is full' if is_full(error) else error.strerror or error}", err=True)
-        sys.exit(SimulationError.exit_code if is_full(error) else 2)
+        file = f"{error.filename}: " if error.filename else ""
+        reason = error.strerror or error
+        is_disk = is_full(error)
+        say_error(
+            CosimError(messages.DISK_FULL(file=file) if is_disk else messages.FILE_ERROR(file=file, reason=reason))
+        )
+        sys.exit(SimulationError.exit_code if is_disk else 2)
 
 
 @contextmanager
@@ -109,11 +113,11 @@ def _terminable() -> Iterator[None]:
     """Make the first signal that ends the process raise Terminated, so that unfinished files are removed."""
     numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
     before = {number: signal.getsignal(number) for number in numbers}
-    asked: list[int] = []
+    received: list[int] = []
 
     def terminate(number: int, frame: object) -> None:
-        asked.append(number)
-        if len(asked) == 1:
+        received.append(number)
+        if len(received) == 1:
             raise Terminated(signal.Signals(number).name)
 
     for number, handler in before.items():
@@ -126,7 +130,7 @@ def _terminable() -> Iterator[None]:
             signal.signal(number, handler or signal.SIG_DFL)
 
 
-def _here() -> list[str]:
+def _current_folder() -> list[str]:
     """Return the current folder, or nothing if it was removed."""
     try:
         return [os.getcwd()]

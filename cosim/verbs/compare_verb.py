@@ -11,13 +11,13 @@ from cosim.base.errors import CriterionMissed
 from cosim.base.settings import NotNegative
 from cosim.storage.files import FilePath
 from cosim.verbs.options import Force, Json, Open, Report, out_option
-from cosim.verbs.terminal import judged, say, say_json, show, some, table
+from cosim.verbs.terminal import colour, say, say_json, show, some, table
 
 if TYPE_CHECKING:
     from cosim.comparison.differences import Compared
     from cosim.simulation.run_signals import Signals
 
-SHOWN = 12  # signals on the terminal
+MAX_SIGNALS = 12  # on the terminal
 
 
 def compare(
@@ -49,13 +49,13 @@ def compare(
     """
     from cosim.comparison.workflow import compare as compare_runs
 
-    made, _ = compare_runs(
-        _ran(a), _ran(b), out, tolerance=tolerance, absolute=absolute, write=out is not None, force=force
+    comparison, _ = compare_runs(
+        _run_of(a), _run_of(b), out, tolerance=tolerance, absolute=absolute, write=out is not None, force=force
     )
-    return made
+    return comparison
 
 
-def _ran(side: FilePath | Signals) -> Any:
+def _run_of(side: FilePath | Signals) -> Any:
     from cosim.simulation.run_files import Ran, read_ran
     from cosim.simulation.run_signals import Run, Signals
 
@@ -93,35 +93,36 @@ def command(
 
     if absolute and tolerance is None:
         tolerance = 0.0
-    made, folder = compare_runs(
+    comparison, folder = compare_runs(
         read_ran(a), read_ran(b), out, tolerance=tolerance, absolute=absolute, report=report, force=force
     )
     if as_json:
-        say_json(made.as_json())
+        say_json(comparison.as_json())
     else:
-        for line in _lines(made):
-            say(line)
+        say(*_lines(comparison))
         say(f"differences: {folder / 'comparison.json'}")
         if report:
             say(f"report:      {folder / 'report.html'}")
-    show(folder / "report.html", asked=report and open_)
-    if made.judged and not made.same:
-        raise CriterionMissed("; ".join(made.reasons))
+    show(folder / "report.html", open_=report and open_)
+    if comparison.judged and not comparison.same:
+        raise CriterionMissed("; ".join(comparison.reasons))
 
 
-def _lines(made: Compared) -> list[str]:
+def _lines(comparison: Compared) -> list[str]:
     """Return the verdict, the signals with the largest differences, and those of one run alone."""
     from cosim.comparison.differences import sentence
-    from cosim.comparison.signals import shared, sized
+    from cosim.comparison.signals import format_share, format_size
 
-    ranked = [d for d in sorted(made.differences, key=lambda d: -d.share) if d.largest]
+    ranked = [d for d in comparison.ranked if d.largest]
     rows = []
-    for d in ranked[:SHOWN]:
-        verdict = ("beyond" if d.beyond else "within") if made.judged else ""
-        rows.append((f"  {d.name}", sized(d, d.largest), f"{d.at:.6g} s", sized(d, d.rms), shared(d), verdict, d.note))
+    for d in ranked[:MAX_SIGNALS]:
+        verdict = ("beyond" if d.beyond else "within") if comparison.judged else ""
+        sizes = format_size(d, d.largest), f"{d.at:.6g} s", format_size(d, d.rms), format_share(d)
+        rows.append((f"  {d.name}", *sizes, verdict, d.note))
     lines = table(("  signal", "largest", "at", "rms", "of its range", "", ""), rows) if rows else []
-    if len(ranked) > SHOWN:
-        lines.append(f"  … and {len(ranked) - SHOWN} more that differ")
-    for name, only in (("a", made.only_a), ("b", made.only_b)):
-        lines += [f"  only in {name}: {some(only, SHOWN)}"] if only else []
-    return [judged(made.same, sentence(made)) if made.judged else sentence(made), *lines]
+    if len(ranked) > MAX_SIGNALS:
+        lines.append(f"  … and {len(ranked) - MAX_SIGNALS} more that differ")
+    for name, only in (("a", comparison.only_a), ("b", comparison.only_b)):
+        lines += [f"  only in {name}: {some(only, MAX_SIGNALS)}"] if only else []
+    verdict = sentence(comparison)
+    return [colour(comparison.same, verdict) if comparison.judged else verdict, *lines]

@@ -10,7 +10,7 @@ import typer
 from cosim.storage.folder_lock import folder_locks
 from cosim.storage.folders import folder_named
 from cosim.verbs.options import Force, Json, Open, Report, out_option
-from cosim.verbs.terminal import judged, progress_bar, say, say_json, show, table
+from cosim.verbs.terminal import colour, progress_bar, say, say_json, show, table
 
 
 @folder_locks()
@@ -43,7 +43,7 @@ def command(
     with progress_bar("estimating") as progress:
         rows = over_runs(runs, steps, seed, progress)
     write(out, rows, steps, seed, report=report, keep=keep)
-    show(out / "report.html", asked=report and open_)
+    show(out / "report.html", open_=report and open_)
     if as_json:
         say_json([row.as_json() for row in rows])
         return
@@ -60,5 +60,5 @@ def command(
     head, *body = table(header, lines)
     say(head)
     for row, line in zip(rows, body, strict=True):
-        say(judged(row.result.verdict == CONSISTENT, line))
+        say(colour(row.result.verdict == CONSISTENT, line))
     say(f"numbers: {out / 'consistency.json'}" + (f"; report: {out / 'report.html'}" if report else ""))

@@ -56,11 +56,11 @@ def command(
 
     Example: cosim excite results/refine --limit angle=8deg
     """
-    from cosim.experiment.excite import excite as choose
+    from cosim.experiment.excite import excite as choose_input
 
     place = folder_named(name_of(model), "excitation") if out is None else out
     with stages() as progress, ending_when_stuck():
-        found = choose(
+        choice = choose_input(
             model,
             place,
             against or (),
@@ -74,17 +74,16 @@ def command(
             keep=out is None,
             progress=progress,
         )
-    say(found.headline)
-    if found.warning:
-        warn(found.warning)
-    for line in found.sentences:
-        say(line)
-    played = shlex.quote(str(place / "excitation.yaml"))
-    say(f"excitation: {place / 'excitation.csv'}, played by: cosim run {played}")
+    say(choice.headline)
+    if choice.warning:
+        warn(choice.warning)
+    say(*choice.sentences)
+    scenario = shlex.quote(str(place / "excitation.yaml"))
+    say(f"excitation: {place / 'excitation.csv'}, played by: cosim run {scenario}")
     if report:
         say(f"report: {place / 'report.html'}")
-    show(place / "report.html", asked=report and open_)
+    show(place / "report.html", open_=report and open_)
     if as_json:
-        apart = [{"pair": list(pair), "standard_deviations": distance} for pair, distance in found.apart.items()]
+        apart = [{"pair": list(pair), "standard_deviations": distance} for pair, distance in choice.apart.items()]
         files = {"excitation": str(place / "excitation.csv"), "scenario": str(place / "excitation.yaml")}
-        say_json({"apart": apart, "warning": found.warning, **files, **files_in(place)})
+        say_json({"apart": apart, "warning": choice.warning, **files, **files_in(place)})

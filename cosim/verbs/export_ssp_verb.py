@@ -29,8 +29,7 @@ def command(
     from cosim.authoring.export import export_ssp
 
     exported = export_ssp(scenario, out, tuple(set_ or ()), nearest=nearest)
-    for note in exported.notes:
-        say_note(note)
+    say_note(*exported.notes)
     say(f"wrote {exported.path}")
     if as_json:
         say_json({"ssp": str(exported.path), "notes": list(exported.notes)})

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import InputError
+from cosim.verbs import messages
 from cosim.verbs.options import Json, Open, Overrides
 from cosim.verbs.streams import echo
 from cosim.verbs.terminal import say, say_json, show
@@ -39,18 +40,19 @@ def command(
     from cosim.authoring.graph import check_picture, graph_of
     from cosim.storage.files import write_text
 
-    found = graph_of(scenario, set_ or ())
+    graph = graph_of(scenario, set_ or ())
     if mermaid:
-        say_json({"mermaid": found.mermaid()}) if as_json else echo(found.mermaid(), nl=False)
+        say_json({"mermaid": graph.mermaid()}) if as_json else echo(graph.mermaid(), nl=False)
         return
     path = Path(f"{scenario.stem}.svg") if out is None else out
-    if not path.parent.is_dir() or path.suffix.lower() not in (".svg", ".mmd"):
-        why = "name an .svg or .mmd file" if path.parent.is_dir() else "its folder is not there; make it first"
-        raise InputError([Fault(path, 0, 0, why)])
+    if not path.parent.is_dir():
+        raise InputError.at(path, messages.NO_FOLDER())
+    if path.suffix.lower() not in (".svg", ".mmd"):
+        raise InputError.at(path, messages.NOT_A_DIAGRAM_FILE())
     if not force:
-        check_picture(path, found)
-    write_text(path, found.mermaid() if path.suffix.lower() == ".mmd" else found.svg())
+        check_picture(path, graph)
+    write_text(path, graph.mermaid() if path.suffix.lower() == ".mmd" else graph.svg())
     say(f"graph: {path}")
     if as_json:
         say_json({"graph": str(path)})
-    show(path, asked=open_)
+    show(path, open_=open_)

@@ -14,10 +14,10 @@ from cosim.verbs.terminal import say, say_json, some, table
 if TYPE_CHECKING:
     from cosim.blocks.summary import Summary, Variable
 
-SHOWN = {"inputs": ("input",), "outputs": ("output",), "parameters": ("parameter", "structuralParameter")}
+SECTIONS = {"inputs": ("input",), "outputs": ("output",), "parameters": ("parameter", "structuralParameter")}
 UNITS = {"start": " s", "stop": " s", "step": " s", "tolerance": ""}  # of a default experiment
-MOST_NAMES = 8  # states, and items of an enumeration
-MOST = 60  # parameters in the table; --all shows every one
+MAX_NAMES = 8  # states, and items of an enumeration
+MAX_PARAMETERS = 60  # parameters in the table; --all shows every one
 
 
 def command(
@@ -31,13 +31,13 @@ def command(
     """
     from cosim.blocks.summary import summaries
 
-    found = summaries(fmus)
+    descriptions = summaries(fmus)
     if as_json:
-        say_json([s.as_json() for s in found] if len(found) > 1 else found[0].as_json())
+        contents = [s.as_json() for s in descriptions]
+        say_json(contents if len(contents) > 1 else contents[0])
         return
-    for number, summary in enumerate(found):
-        for line in ([""] if number else []) + [*_overview(summary), *_variables(summary, every=every)]:
-            say(line)
+    for number, summary in enumerate(descriptions):
+        say(*([""] if number else []), *_overview(summary), *_variables(summary, every=every))
 
 
 def _overview(s: Summary) -> list[str]:
@@ -51,16 +51,16 @@ def _overview(s: Summary) -> list[str]:
         f"  default experiment: {', '.join(experiment) or 'none'}",
         f"  platforms: {', '.join(s.platforms) or 'none'}{here}",
         *(f"  {way}: {', '.join(_flags(flags)) or 'no capability declared'}" for way, flags in s.capabilities.items()),
-        f"  states: {s.state_count}" + (f" ({some(s.states, MOST_NAMES)})" if s.states else ""),
+        f"  states: {s.state_count}" + (f" ({some(s.states, MAX_NAMES)})" if s.states else ""),
         *(f"  warning: {slip}" for slip in s.slips[:5]),
     ]
 
 
 def _variables(s: Summary, *, every: bool) -> list[str]:
     """Return the tables of variables; local variables are counted unless all are shown."""
-    lines = [line for title, causalities in SHOWN.items() for line in _section(title, s.of(*causalities), every)]
-    named = {"independent"}.union(*SHOWN.values())
-    others = [v for v in s.variables if v.causality not in named]
+    lines = [line for title, causalities in SECTIONS.items() for line in _section(title, s.of(*causalities), every)]
+    listed = {"independent"}.union(*SECTIONS.values())
+    others = [v for v in s.variables if v.causality not in listed]
     if every:
         return lines + _section("others", others, True)
     more = f"{len(others)} more: locals and calculated parameters (--all lists them)"
@@ -74,20 +74,13 @@ def _flags(flags: dict[str, object]) -> list[str]:
 def _section(title: str, variables: list[Variable], every: bool) -> list[str]:
     if not variables:
         return [f"{title}: none"] if title != "others" else []
-    shown = variables if every or title != "parameters" else variables[:MOST]
-    rows = [
-        (
-            f"  {v.name}{list(v.dimensions) if v.dimensions else ''}",
-            v.type,
-            v.unit,
-            _start(v),
-            _range(v),
-            v.description[:80],
-        )
-        for v in shown
-    ]
+    listed = variables if every or title != "parameters" else variables[:MAX_PARAMETERS]
+    rows = []
+    for v in listed:
+        name = f"  {v.name}{list(v.dimensions) if v.dimensions else ''}"
+        rows.append((name, v.type, v.unit, _start(v), _range(v), v.description[:80]))
     header = ("  name", "type", "unit", "start", "range", "description")
-    more = [f"  … and {len(variables) - len(shown)} more (--all)"] if len(shown) < len(variables) else []
+    more = [f"  … and {len(variables) - len(listed)} more (--all)"] if len(listed) < len(variables) else []
     return [f"{title}: {len(variables)}", *table(header, rows), *more]
 
 
@@ -98,5 +91,5 @@ def _start(v: Variable) -> str:
 
 def _range(v: Variable) -> str:
     if v.items:
-        return some([f"{number} {name}" for name, number in v.items.items()], MOST_NAMES)
+        return some([f"{number} {name}" for name, number in v.items.items()], MAX_NAMES)
     return "" if v.min is None and v.max is None else f"{v.min or '-∞'} … {v.max or '∞'}"

@@ -30,25 +30,25 @@ def command(
     from cosim.base.text import counted
 
     draft = write_draft(out, fmus)
-    found = draft.matches.found
+    matches = draft.matches
     if as_json:
         connections = [
-            {"from": text(m.source), "to": text(m.target), "guess": m.guess, "others": m.others} for m in found
+            {"from": text(m.source), "to": text(m.target), "guess": m.guess, "others": m.others}
+            for m in matches.connections
         ]
         content = {"scenario": str(out), "algorithm": draft.algorithm, "connections": connections}
-        unconnected = [text(port) for port, _ in draft.matches.left]
-        say_json({**content, "not_connected": unconnected, "choices": dict(draft.matches.choices)})
+        unconnected = [text(port) for port, _ in matches.unconnected]
+        say_json({**content, "not_connected": unconnected, "choices": dict(matches.choices)})
         return
-    for m in found:
+    for m in matches.connections:
         say(f"  {text(m.source)} → {text(m.target)}" + (f"   guess: {m.guess}" if m.guess else ""))
         for other in m.others:
             say(f"      or {other}")
-    for name, sources in draft.matches.choices.items():
+    for name, sources in matches.choices.items():
         say(f"  {name} is left open, for several fit alike: {', '.join(sources)}")
-    for warning in draft.warnings:
-        warn(warning)
-    guesses, choices = sum(bool(m.guess) for m in found), draft.matches.choices
-    parts = [counted(len(fmus), "FMU"), counted(len(found), "connection")]
+    warn(*draft.warnings)
+    guesses, choices = sum(bool(m.guess) for m in matches.connections), matches.choices
+    parts = [counted(len(fmus), "FMU"), counted(len(matches.connections), "connection")]
     parts += [f"{guesses} guessed (marked in the file)"] if guesses else []
     parts += [f"{counted(len(choices), 'input')} to choose for (in the file)"] if choices else []
     say(f"wrote {out}: {', '.join(parts)}")

@@ -88,33 +88,30 @@ def command(
         keep=out is None,
         compile=compile_,
     )
-    for note in outcome.notes:
-        warn(note)
+    warn(*outcome.notes)
     if as_json:
         from cosim.linearization.write import content
 
         say_json(content(outcome.name, outcome.title, outcome.linear, outcome.structure, outcome.notes))
     else:
-        _tell(outcome, place, report=report)
-    show(place / "report.html", asked=report and open_)
+        _say_outcome(outcome, place, report=report)
+    show(place / "report.html", open_=report and open_)
 
 
-def _names(given: list[str] | None) -> list[str]:
-    return [name.strip() for text in given or () for name in text.split(",") if name.strip()]
+def _names(texts: list[str] | None) -> list[str]:
+    return [name.strip() for text in texts or () for name in text.split(",") if name.strip()]
 
 
-def _tell(outcome: Outcome, out: Path, *, report: bool) -> None:
+def _say_outcome(outcome: Outcome, out: Path, *, report: bool) -> None:
     from cosim.linearization.descriptions import HEAD, headline, matrix_lines, pole_table
 
     m = outcome.first
     say(headline(outcome.structure, m))
-    for line in table(HEAD, pole_table(outcome.structure)):
-        say(line)
+    say(*table(HEAD, pole_table(outcome.structure)))
     for name in "ABCD":
         rows = m.states if name in "AB" else m.outputs
         header, *cells = matrix_lines(name, getattr(m, name), rows, m.states if name in "AC" else m.inputs) or [[name]]
-        for line in table(header, cells) if cells else []:
-            say(line)
+        say(*table(header, cells) if cells else [])
     count = len(outcome.linear)
     several = f", {count} times from {m.point.time:g} s on; above is the first" if count > 1 else ""
     say(f"by {m.method}{several}")

@@ -47,7 +47,7 @@ def with_manner(command: Callable[..., Any]) -> Callable[..., Any]:
     @wraps(command)
     def run(*arguments: Any, quiet: bool = False, verbose: bool = False, **options: Any) -> Any:
         MANNER.quiet, MANNER.verbose = quiet, verbose
-        MANNER.as_json, MANNER.told = bool(options.get("as_json")), False
+        MANNER.as_json, MANNER.has_json = bool(options.get("as_json")), False
         MANNER.messages.clear()
         return command(*arguments, **options)
 

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import CriterionMissed
 from cosim.storage.results import rows_in
-from cosim.verbs.terminal import MANNER, judged, say, say_json, say_more, show, table, warn
+from cosim.verbs import messages
+from cosim.verbs.terminal import MANNER, colour, say, say_json, say_more, show, table, warn
 
 if TYPE_CHECKING:
     from cosim.simulation.workflow import Outcome
     from cosim.storage.results import Results
 
-SHOWN = 12  # signals whose values are printed
+MAX_SIGNALS = 12  # signals whose values are printed
 
 
 def say_outcome(
@@ -25,32 +26,30 @@ def say_outcome(
 
     criteria: list[dict[str, Any]] = outcome.manifest["criteria"]
     page = outcome.folder / "report.html"
-    for warning in outcome.manifest["warnings"]:
-        warn(warning)
+    warn(*outcome.manifest["warnings"])
     if as_json:
         say_json(_content(outcome))
     else:
-        for line in lines:
-            say(line)
-        for criterion in criteria:
-            say(judged(criterion["met"], sentence(criterion)))
+        say(*lines)
+        say(*(colour(criterion["met"], sentence(criterion)) for criterion in criteria))
         timings = outcome.manifest["timings"]
         speed = f"simulated in {timings['simulate']:.2f} s ({timings['real_time_factor']:.3g} × real time)"
         say_more(f"order: {', '.join(outcome.manifest['order'])}; loaded in {timings['load']:.2f} s, {speed}")
         say(f"results: {outcome.file}")
         if report:
             say(f"report:  {page}")
-    show(page, asked=report and open_)
+    show(page, open_=report and open_)
     if outcome.missed:
-        which = ": " + "; ".join(map(sentence, outcome.missed)) if MANNER.quiet or as_json else ""
-        raise CriterionMissed(f"{len(outcome.missed)} of {len(criteria)} criteria missed{which}")
+        details = ": " + "; ".join(map(sentence, outcome.missed)) if MANNER.quiet or as_json else ""
+        counts = {"missed": len(outcome.missed), "count": len(criteria)}
+        raise CriterionMissed(messages.CRITERIA_MISSED(**counts, criteria=details))
 
 
 def say_partial(folder: Path) -> None:
     """Print the files of a run that stopped early."""
-    for what, path in (("rows so far:", rows_in(folder)), ("report:     ", folder / "report.html")):
+    for title, path in (("rows so far:", rows_in(folder)), ("report:     ", folder / "report.html")):
         if path is not None and path.is_file():
-            say(f"{what} {path}")
+            say(f"{title} {path}")
 
 
 def _content(outcome: Outcome) -> dict[str, Any]:
@@ -77,8 +76,8 @@ def value_lines(results: Results) -> list[str]:
     if not len(results.time):
         return []
     rows = []
-    for name in results.columns[:SHOWN]:
+    for name in results.columns[:MAX_SIGNALS]:
         v = results[name]
         rows.append((f"  {name}", results.units.get(name, ""), *(f"{x:.6g}" for x in (v[0], v[-1], v.min(), v.max()))))
-    more = [f"  … and {len(results.columns) - SHOWN} more signals"] if len(results.columns) > SHOWN else []
+    more = [f"  … and {len(results.columns) - MAX_SIGNALS} more signals"] if len(results.columns) > MAX_SIGNALS else []
     return [*table(("  signal", "unit", "first", "last", "least", "largest"), rows), *more]

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import InputError
 from cosim.base.program import ending_when_stuck
 from cosim.base.settings import Files
 from cosim.storage.files import FilePath
 from cosim.storage.folders import folder_of_file
+from cosim.verbs import messages
 from cosim.verbs.options import Force, InProcess, Json, Open, Report, out_option
 from cosim.verbs.terminal import files_in, say, say_json, show, stages, table, warn
 
@@ -64,13 +65,12 @@ def refine(
 
     if isinstance(study, (str, PathLike)):
         if logs or validation or settings:
-            cure = "write them into the study, or give an object in its place"
-            raise InputError([Fault(Path(study), 0, 0, f"logs, validation and settings stand in the file; {cure}")])
-        posed: Any = study
+            raise InputError.at(Path(study), messages.KEYS_OF_STUDY())
+        source: Any = study
     else:
-        posed = study_of(study, logs, validation, **(settings or {}))
-    done = refine_study(posed, out, progress, report=report, force=force, in_process=in_process)
-    return Refined(done.record, Path(out), done.refined)
+        source = study_of(study, logs, validation, **(settings or {}))
+    result = refine_study(source, out, progress, report=report, force=force, in_process=in_process)
+    return Refined(result.record, Path(out), result.refined)
 
 
 def command(
@@ -99,14 +99,13 @@ def command(
         result = refine_study(
             study, place, progress, report=report, force=force, keep=out is None, in_process=in_process
         )
-    for warning in result.study.warnings:
-        warn(warning)
+    warn(*result.study.warnings)
     _say_verdict(result, place, report=report)
     if as_json:
-        told_of = ("verdict", "sentence", "effects", "rivals", "error")
-        answer = {key: result.record[key] for key in told_of if key in result.record}
+        keys = ("verdict", "sentence", "effects", "rivals", "error")
+        answer = {key: result.record[key] for key in keys if key in result.record}
         say_json({**answer, **files_in(place, "refine.json", "model.yaml", "plant.fmu")})
-    show(place / "report.html", asked=report and open_)
+    show(place / "report.html", open_=report and open_)
     if result.record["verdict"] == "ambiguous" and not result.study.subject.static:
         from cosim.experiment.ranges import inputs_to_limit
 
@@ -121,23 +120,13 @@ def _say_verdict(result: Refinement, place: Path, *, report: bool) -> None:
     say(f"verdict: {result.record['verdict']}")
     say(" ".join(s for s in (str(result.record["sentence"]), second_sentence(result)) if s))
     for errors in error_tables(result)[-1:]:
-        claimed = result.verdict.claimed is not None
-        header = ("channel", "before", "recalibrated", "refined" if claimed else "", "nearest", "noise floor")
-        rows = [
-            (
-                r.channel,
-                r.before,
-                r.recalibrated,
-                r.after if claimed else "",
-                r.nearest if errors.nearest else "",
-                r.floor,
-            )
-            for r in errors.rows
-        ]
-        say(f"\n{errors.title}, root mean square error:")
-        for line in table(header, rows):
-            say(line)
-        say("")
+        has_claim = result.verdict.claimed is not None
+        header = ("channel", "before", "recalibrated", "refined" if has_claim else "", "nearest", "noise floor")
+        rows = []
+        for r in errors.rows:
+            after, nearest = r.after if has_claim else "", r.nearest if errors.nearest else ""
+            rows.append((r.channel, r.before, r.recalibrated, after, nearest, r.floor))
+        say(f"\n{errors.title}, root mean square error:", *table(header, rows), "")
     files = {"model": "model.yaml", "FMU": "plant.fmu", "nearest": "nearest.yaml", "report": "report.html"}
     for name, file in files.items():
         if (place / file).is_file() and (report or name != "report"):

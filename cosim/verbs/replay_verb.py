@@ -15,8 +15,7 @@ from cosim.storage.folders import folder_of_file
 from cosim.storage.results import rows_in
 from cosim.verbs.options import Compile, Force, Format, InProcess, Json, Open, Report, Texts, out_option
 from cosim.verbs.scratch_results import results_in
-from cosim.verbs.streams import echo
-from cosim.verbs.terminal import files_in, progress_bar, say, say_json, show, table
+from cosim.verbs.terminal import files_in, progress_bar, say, say_finding, say_json, show, table
 
 if TYPE_CHECKING:
     from cosim.residuals.compare import Comparison
@@ -76,8 +75,8 @@ def replay(
 
 
 def _pairs(columns: Given | None) -> Sequence[str]:
-    found = normalize_settings(columns, "columns")
-    return [f"{column}={variable}" for column, variable in found.items()] if isinstance(found, Mapping) else found
+    pairs = normalize_settings(columns, "columns")
+    return [f"{column}={variable}" for column, variable in pairs.items()] if isinstance(pairs, Mapping) else pairs
 
 
 def command(
@@ -130,17 +129,16 @@ def command(
         comparison = posed(log, place, plant, report=report, force=force, keep=out is None, format_=format_)
     for finding in comparison.findings:
         if finding.severity == "warning":
-            echo(finding.line, err=True)
+            say_finding(finding.line)
     say(verdict(comparison))
-    for line in _error_table(comparison):
-        say(line)
+    say(*_error_table(comparison))
     say(f"residual: {rows_in(place, 'residual')}" + (f", report: {place / 'report.html'}" if report else ""))
     if as_json:
         findings = [finding.line for finding in comparison.findings]
         content = {"sentence": verdict(comparison), "findings": findings, "channels": numbers(comparison)}
         rows = [path.name for stem in ("results", "residual") if (path := rows_in(place, stem))]
         say_json({**content, **files_in(place, *rows)})
-    show(place / "report.html", asked=report and open_)
+    show(place / "report.html", open_=report and open_)
 
 
 def _error_table(comparison: Comparison) -> list[str]:
@@ -149,14 +147,8 @@ def _error_table(comparison: Comparison) -> list[str]:
     from cosim.residuals.replay_sentences import horizon_name
 
     header = ("channel", "error (rms)", "over", "noise σ", "error / noise floor")
-    rows = [
-        (
-            c.name,
-            size(c.scores[c.measure].rmse, c.unit),
-            horizon_name(c.measure),
-            size(c.noise, c.unit),
-            plain(c.excess, 2),
-        )
-        for c in comparison.channels
-    ]
+    rows = []
+    for c in comparison.channels:
+        error = size(c.scores[c.measure].rmse, c.unit)
+        rows.append((c.name, error, horizon_name(c.measure), size(c.noise, c.unit), plain(c.excess, 2)))
     return table(header, rows)

@@ -27,4 +27,4 @@ def command(
     say(f"report:  {page}")
     if as_json:
         say_json({"report": str(page)})
-    show(page, asked=open_)
+    show(page, open_=open_)

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import InputError
 from cosim.base.scratch import temporary_folder
 from cosim.base.settings import Given, Seed, texts
 from cosim.storage.files import FilePath
+from cosim.verbs import messages
 from cosim.verbs.options import Compile, Force, Format, InProcess, Json, Nearest, Open, Overrides, Report, out_option
 from cosim.verbs.outcome import say_outcome
 from cosim.verbs.scratch_results import results_in
@@ -76,7 +77,7 @@ def run(
 
     overrides = [*texts(set)]
     overrides += [] if seed is None else [f"seed={seed}"]
-    with compiling(compile), results_in(out) as folder, _scenario_file(scenario, folder) as path:
+    with compiling(compile), results_in(out) as folder, _scenario_file(scenario) as path:
         steps = partial(run_file, in_process=in_process, progress=progress, observers=observers)
         leaves = partial(steps, report=report and out is not None, figures=figures and out is not None)
         outcome = leaves(path, folder, overrides, force=force, nearest=nearest, format_=format)
@@ -84,25 +85,25 @@ def run(
 
 
 @contextmanager
-def _scenario_file(scenario: FilePath | Mapping[str, Any], out: Path) -> Iterator[Path]:
+def _scenario_file(scenario: FilePath | Mapping[str, Any]) -> Iterator[Path]:
     """Yield the file of a scenario; the content of a mapping goes to a temporary file."""
     if not isinstance(scenario, Mapping):
         yield Path(scenario)
         return
     from cosim.scenario.scenario_file import from_here
 
-    told = Path("scenario")
+    label = Path("scenario")
     with temporary_folder("scenario") as scratch:
         path = scratch / "scenario.json"
         try:
             path.write_text(json.dumps(from_here(scenario)), encoding="utf-8")
         except (TypeError, ValueError) as error:
-            raise InputError([Fault(told, 0, 0, f"holds what no file can: {error}")]) from None
+            raise InputError.at(label, messages.NOT_JSON(reason=str(error))) from None
         try:
             yield path
         except InputError as error:
-            at_it = [replace(f, file=told, line=0, column=0) if f.file == path else f for f in error.faults]
-            raise InputError(at_it) from None
+            faults = [replace(f, file=label, line=0, column=0) if f.file == path else f for f in error.faults]
+            raise InputError(faults) from None
 
 
 def command(
@@ -147,6 +148,6 @@ def command(
 
         source = Path(outcome.manifest["source"])
         with compiling(compile_):
-            changed = coupling_error(source, overrides, nearest=nearest, in_process=in_process).sentence
-        echo(changed, err=True) if as_json else say(changed)
+            sentence = coupling_error(source, overrides, nearest=nearest, in_process=in_process).sentence
+        echo(sentence, err=True) if as_json else say(sentence)
     say_outcome(outcome, report=report, open_=open_, as_json=as_json)

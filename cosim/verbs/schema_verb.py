@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import InputError
 from cosim.base.registry import resolve
 from cosim.storage.artefact import artefacts
+from cosim.verbs import messages
 from cosim.verbs.terminal import say_json
 
 if TYPE_CHECKING:
@@ -32,44 +33,43 @@ def command(
 
 def schema_of(name: str) -> dict[str, Any]:
     """Return the JSON schema of a kind of file, each key with its meaning; raise InputError for an unknown kind."""
-    known = {a.schema_name: a for a in artefacts() if a.schema}
-    if name not in known:
-        allowed = ", ".join(sorted(known))
-        raise InputError([Fault(Path(name), 0, 0, f"is no kind of file that has a schema; give one of {allowed}")])
-    model: type[BaseModel] = resolve(known[name].schema)
+    kinds = {a.schema_name: a for a in artefacts() if a.schema}
+    if name not in kinds:
+        raise InputError.at(Path(name), messages.NO_SCHEMA(kinds=", ".join(sorted(kinds))))
+    model: type[BaseModel] = resolve(kinds[name].schema)
     schema = model.model_json_schema(by_alias=True)
     for part in (schema, *schema.get("$defs", {}).values()):
-        _described(part)
+        _move_descriptions(part)
     limits = schema.get("$defs", {}).get("Limits", {}).get("properties", {})
     for key, content in limits.items():  # 10 s, 2 GB
         limits[key] = {"description": content.get("description", ""), "type": ["number", "string", "null"]}
-    return {"$schema": DIALECT, **_switched(schema), "title": known[name].title}
+    return {"$schema": DIALECT, **_allow_on_and_off(schema), "title": kinds[name].title}
 
 
-def _described(part: dict[str, Any]) -> None:
+def _move_descriptions(part: dict[str, Any]) -> None:
     """Move the meaning of each key from the docstring (`key: meaning`) to the key."""
     keys: dict[str, Any] = part.get("properties", {})
-    kept, last = [], ""
+    rest, last = [], ""
     for line in str(part.get("description", "")).splitlines():
-        found = KEY.match(line)
-        if found and found[1] in keys:
-            last = found[1]
-            keys[last]["description"] = found[2]
+        match = KEY.match(line)
+        if match and match[1] in keys:
+            last = match[1]
+            keys[last]["description"] = match[2]
         elif last and line.strip():
             keys[last]["description"] += f" {line.strip()}"
         elif not last:
-            kept.append(line)
-    if kept:
-        part["description"] = "\n".join(kept).strip()
+            rest.append(line)
+    if rest:
+        part["description"] = "\n".join(rest).strip()
 
 
-def _switched(node: Any) -> Any:
+def _allow_on_and_off(node: Any) -> Any:
     """Allow `on` and `off`, as in YAML 1.1, in place of true and false."""
     if isinstance(node, list):
-        return [_switched(value) for value in node]
+        return [_allow_on_and_off(value) for value in node]
     if not isinstance(node, dict):
         return node
-    inner = {key: _switched(value) for key, value in node.items()}
+    inner = {key: _allow_on_and_off(value) for key, value in node.items()}
     if inner.get("type") != "boolean":
         return inner
     return {**{k: v for k, v in inner.items() if k != "type"}, "anyOf": [{"type": "boolean"}, {"enum": ["on", "off"]}]}

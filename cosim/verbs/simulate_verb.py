@@ -119,8 +119,7 @@ def command(
         steps = partial(simulate_fmu, stop=stop, step=step, in_process=in_process, progress=progress)
         leaves = partial(steps, report=report, force=force, format_=format_)
         outcome, notes = leaves(fmu, out, start=set_ or (), recorded=recorded, record=record or ())
-    for note in notes:
-        warn(note)
+    warn(*notes)
     if not as_json:
         say(f"scenario: {outcome.folder / 'scenario.yaml'} (change it, and `cosim run` it)")
     say_outcome(outcome, report=report, open_=open_, as_json=as_json, lines=value_lines(outcome.results))

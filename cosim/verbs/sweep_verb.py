@@ -13,7 +13,7 @@ import typer
 from cosim.verbs.options import Json, Open, Report, out_option
 from cosim.verbs.terminal import MANNER, progress_bar, say, say_json, say_more, show, warn
 
-EVERY = 10.0  # [s] between lines of those who asked for more
+LINE_INTERVAL = 10.0  # [s] between lines with -v
 
 
 def command(
@@ -42,46 +42,44 @@ def command(
 
     with _progress() as progress:
         swept = run_sweep(study, out, workers=workers, dask=dask, report=report, force=force, progress=progress)
-    for warning in swept.sweep.warnings:
-        warn(warning)
+    warn(*swept.sweep.warnings)
     if "DO NOT" in swept.record["check"]["sentence"]:
         warn(swept.record["check"]["sentence"])
     if as_json:
         say_json({**{k: v for k, v in swept.record.items() if k != "scenario"}, "made": swept.made})
     else:
-        for line in swept.sentences:
-            say(line)
+        say(*swept.sentences)
         if swept.made < swept.record["runs"]:
             say(f"made now: {swept.made}, there before: {swept.record['runs'] - swept.made}")
         say(f"runs:   {swept.folder / 'sweep.parquet'}")
         if report:
             say(f"report: {swept.folder / 'report.html'}")
-    show(swept.folder / "report.html", asked=report and open_)
+    show(swept.folder / "report.html", open_=report and open_)
 
 
 @contextmanager
 def _progress() -> Iterator[Callable[[int, int], None]]:
     """Show a progress bar on a terminal; with -v, lines elsewhere."""
     with progress_bar("sweeping") as bar:
-        begun = told = time.monotonic()
+        start = printed = time.monotonic()
         first: int | None = None
 
         def advance(done: int, total: int) -> None:
-            nonlocal told, first
+            nonlocal printed, first
             if bar is not None:
                 bar(done * 1000, total * 1000)  # a short sweep may take long
             now = time.monotonic()
-            if MANNER.verbose and (first is None or now - told >= EVERY or done == total):
-                say_more(f"{done} of {total} runs{left_in_words(done - (first or 0), total - done, now - begun)}")
-                told = now
+            if MANNER.verbose and (first is None or now - printed >= LINE_INTERVAL or done == total):
+                say_more(f"{done} of {total} runs{remaining_time(done - (first or 0), total - done, now - start)}")
+                printed = now
             first = done if first is None else first
 
         yield advance
 
 
-def left_in_words(made: int, left: int, elapsed: float) -> str:
+def remaining_time(done: int, remaining: int, elapsed: float) -> str:
     """Return the remaining time at the rate so far; "" before there is a rate."""
-    if made <= 0 or left <= 0:
+    if done <= 0 or remaining <= 0:
         return ""
-    seconds = elapsed * left / made
+    seconds = elapsed * remaining / done
     return f", about {seconds:.0f} s left" if seconds < 120 else f", about {seconds / 60:.0f} min left"

@@ -19,10 +19,11 @@ import typer
 from cosim.base.errors import CosimError, InputError, SimulationError
 from cosim.base.messages import code_of
 from cosim.storage.results import rows_in
+from cosim.verbs import messages
 from cosim.verbs.streams import echo
 
 LONG_RUN = 2000  # steps from which a progress bar is shown
-Numbered = Callable[[str], tuple[int, int]]
+StageNumber = Callable[[str], tuple[int, int]]
 
 
 @dataclass
@@ -33,24 +34,25 @@ class Manner:
         quiet: Whether to print problems only.
         verbose: Whether to print more.
         as_json: Whether to print the result as JSON.
-        told: Whether JSON has been printed.
+        has_json: Whether JSON has been printed.
         messages: Warnings and notes with a code.
     """
 
     quiet: bool = False
     verbose: bool = False
     as_json: bool = False
-    told: bool = False
+    has_json: bool = False
     messages: list[dict[str, str]] = field(default_factory=list)
 
 
 MANNER = Manner()  # of this process, set by the options -q and -v of any command
 
 
-def say(text: str) -> None:
-    """Print a line."""
-    if not MANNER.quiet and not MANNER.as_json:
-        echo(text)
+def say(*lines: str) -> None:
+    """Print lines and keep their codes for JSON."""
+    for line in map(_coded, lines):
+        if not MANNER.quiet and not MANNER.as_json:
+            echo(line)
 
 
 def say_more(text: str) -> None:
@@ -64,14 +66,14 @@ def say_json(value: Any) -> None:
     if isinstance(value, dict) and MANNER.messages:
         value = {**value, "messages": MANNER.messages}
     echo(json.dumps(value, indent=2, ensure_ascii=False))
-    MANNER.told = True
+    MANNER.has_json = True
 
 
 def say_failure(error: CosimError) -> None:
     """Print an error as JSON if --json is set and no JSON was printed."""
-    if MANNER.as_json and not MANNER.told:
+    if MANNER.as_json and not MANNER.has_json:
         faults = getattr(error, "faults", ())
-        about = _stopped(error) if isinstance(error, SimulationError) else {}
+        about = _describe_stop(error) if isinstance(error, SimulationError) else {}
         places = [
             {"file": str(f.file), "line": f.line, "column": f.column, "code": f.code, "message": f.message}
             for f in faults
@@ -93,21 +95,21 @@ def _with_code(text: str, code: str) -> str:
     return f"{text} [{code}]" if code and MANNER.verbose else text
 
 
-def _say_coded(kind: str, text: str) -> None:
-    """Print a warning or note on stderr and keep its code for JSON."""
+def _coded(text: str) -> str:
+    """Return a text for the terminal; keep its code for JSON."""
     if code := code_of(text):
         MANNER.messages.append({"code": code, "text": str(text)})
-    echo(f"{kind}: {_with_code(text, code)}", err=True)
+    return _with_code(text, code)
 
 
-def _stopped(error: SimulationError) -> dict[str, Any]:
+def _describe_stop(error: SimulationError) -> dict[str, Any]:
     """Return time and files of a stopped run; null for missing ones."""
     names = {"manifest": "manifest.json", "report": "report.html"}
     paths = {key: None if error.left is None else error.left / name for key, name in names.items()}
     paths["results"] = None if error.left is None else rows_in(error.left)
-    left = {key: str(path) if path is not None and path.is_file() else None for key, path in paths.items()}
+    files = {key: str(path) if path is not None and path.is_file() else None for key, path in paths.items()}
     time = error.time if math.isfinite(error.time) else None
-    return {"status": "failed", "component": error.component, "time": time, "reason": error.reason, **left}
+    return {"status": "failed", "component": error.component, "time": time, "reason": error.reason, **files}
 
 
 def say_usage(error: BaseException | None) -> None:
@@ -117,27 +119,34 @@ def say_usage(error: BaseException | None) -> None:
         say_json({"error": message(), "exit_code": getattr(error, "exit_code", 2), "faults": []})
 
 
-def say_note(text: str) -> None:
-    """Print a note on stderr."""
+def say_note(*texts: str) -> None:
+    """Print notes on stderr."""
     if not MANNER.quiet:
-        _say_coded("note", text)
+        for text in map(_coded, texts):
+            echo(f"note: {text}", err=True)
 
 
-def warn(text: str) -> None:
-    """Print a warning on stderr."""
-    _say_coded("warning", text)
+def warn(*texts: str) -> None:
+    """Print warnings on stderr."""
+    for text in map(_coded, texts):
+        echo(f"warning: {text}", err=True)
 
 
-def judged(met: bool, text: str) -> str:
+def say_finding(line: str) -> None:
+    """Print a line that names its severity on stderr, also with -q."""
+    echo(_coded(line), err=True)
+
+
+def colour(met: bool, text: str) -> str:
     """Return a line in green or red; without colour for NO_COLOR or without a terminal."""
     return text if os.environ.get("NO_COLOR") else typer.style(text, fg="green" if met else "red")
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     """Return the lines of a table; each column is as wide as its widest cell, empty columns are omitted."""
-    kept = [k for k in range(len(header)) if any(row[k] for row in rows)]
-    cells = [[line[k] for k in kept] for line in (header, *rows)]
-    widths = [max(len(line[k]) for line in cells) for k in range(len(kept))]
+    columns = [column for column in zip(header, *rows, strict=True) if any(column[1:])]
+    cells = [*zip(*columns, strict=True)]
+    widths = [max(map(len, column)) for column in columns]
     lines = ("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in cells)
     return [line.rstrip() for line in lines]
 
@@ -147,10 +156,10 @@ def some(names: Sequence[str], most: int) -> str:
     return ", ".join(names[:most]) + (", …" if len(names) > most else "")
 
 
-def show(report: Path, *, asked: bool) -> None:
+def show(report: Path, *, open_: bool) -> None:
     """Open a report in the browser on request."""
-    if asked and not webbrowser.open(report.resolve().as_uri()):
-        warn(f"no browser is found here; open {report}")
+    if open_ and not webbrowser.open(report.resolve().as_uri()):
+        warn(messages.NO_BROWSER(page=report))
 
 
 def files_in(folder: Path, *names: str) -> dict[str, str]:
@@ -159,7 +168,7 @@ def files_in(folder: Path, *names: str) -> dict[str, str]:
 
 
 @contextmanager
-def progress_bar(what: str = "simulating") -> Iterator[Callable[[int, int], None] | None]:
+def progress_bar(activity: str = "simulating") -> Iterator[Callable[[int, int], None] | None]:
     """Show a bar for long runs on a terminal."""
     if MANNER.quiet or not sys.stderr.isatty():
         yield None
@@ -167,7 +176,7 @@ def progress_bar(what: str = "simulating") -> Iterator[Callable[[int, int], None
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = TextColumn(what), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeRemainingColumn()
+    columns = TextColumn(activity), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeRemainingColumn()
     bar = Progress(*columns, console=Console(stderr=True), transient=True)
     task = None
 
@@ -177,7 +186,7 @@ def progress_bar(what: str = "simulating") -> Iterator[Callable[[int, int], None
             return
         if task is None:
             bar.start()
-            task = bar.add_task(what, total=total)
+            task = bar.add_task(activity, total=total)
         bar.update(task, completed=done)
 
     try:
@@ -187,7 +196,7 @@ def progress_bar(what: str = "simulating") -> Iterator[Callable[[int, int], None
 
 
 @contextmanager
-def stages(numbered: Numbered | None = None) -> Iterator[Callable[[str, float], None] | None]:
+def stages(numbered: StageNumber | None = None) -> Iterator[Callable[[str, float], None] | None]:
     """Show the current stage with its completed share and a clock on a terminal; with -v, one line per stage elsewhere.
 
     numbered: number of a stage and of all stages; a stage without a number belongs to the previous one
@@ -214,7 +223,7 @@ def stages(numbered: Numbered | None = None) -> Iterator[Callable[[str, float], 
         yield advance
 
 
-def _headings(numbered: Numbered | None) -> Callable[[str], str]:
+def _headings(numbered: StageNumber | None) -> Callable[[str], str]:
     """Return a function that formats `stage 3 of 10: words`; a repeated stage keeps the highest number so far."""
     reached = 0
 
@@ -231,12 +240,12 @@ def _headings(numbered: Numbered | None) -> Callable[[str], str]:
 
 def _lines(heading: Callable[[str], str]) -> Callable[[str, float], None]:
     """Return a function that prints each stage once, with the seconds since the start."""
-    began, last = time.monotonic(), ""
+    start, last = time.monotonic(), ""
 
-    def tell(stage: str, share: float) -> None:
+    def print_stage(stage: str, share: float) -> None:
         nonlocal last
         if share == 0.0 and stage != last:
-            say_more(f"{time.monotonic() - began:6.1f} s  {heading(stage)}")
+            say_more(f"{time.monotonic() - start:6.1f} s  {heading(stage)}")
             last = stage
 
-    return tell
+    return print_stage

@@ -50,4 +50,4 @@ def command(
     if as_json:
         said = {"sentences": list(outcome.sentences), "closing": outcome.closing(place), "warnings": outcome.warnings}
         say_json({**said, **files_in(place, "identify.json", "powertrain.yaml", "model.yaml")})
-    show(place / "report.html", asked=report and open_)
+    show(place / "report.html", open_=report and open_)

@@ -1,0 +1,102 @@
+"""Messages of a scenario's components, connections, schedule and events."""
+
+from cosim.base.messages import Template
+
+# Components
+NO_FMU = Template("E-SYS-001", "no such FMU: {path}{cure}")
+INTERFACE_NOT_OFFERED = Template("E-SYS-002", "{fmu} offers {interfaces} only")
+NO_VARIABLE = Template("E-SYS-003", '{component} has no variable "{name}"{hint}')
+NOT_SETTABLE = Template("E-SYS-004", "{name} is {kind}; it takes no start value")
+VALUE_MISFIT = Template("E-SYS-005", "{name} is {value!r}; {reason}")
+COUNT_NAME_TAKEN = Template(
+    "E-SYS-006", '"{name}" is the name under which their number goes out; give the signal another'
+)
+FIX_NAME_TAKEN = Template(
+    "E-SYS-007", '"{name}" is the name under which the fixes of another signal go out; give the signal another'
+)
+FIX_RATE_TOO_HIGH = Template(
+    "E-SYS-008",
+    "rate is {rate:g} Hz, communication points come at {fastest:g} Hz; use at most {fastest:g} Hz, or a shorter step",
+)
+UNKNOWN_COMPONENT = Template("E-SYS-009", 'no component "{name}"{hint}')
+NOTHING_RECORDED = Template(
+    "W-SYS-010", "{name} has no inputs and outputs, so nothing of it is recorded; record: [{name}.*] does so"
+)
+
+# Keys of the scenario
+RECORD_WITHOUT_COMPONENT = Template("E-SYS-011", 'no component "{name}"{hint}; write component.* or component.variable')
+RECORD_WITHOUT_VARIABLE = Template("E-SYS-012", 'no variable "{pattern}"{hint}')
+DESIGN_WITHOUT_FMU = Template("E-SYS-013", 'design is for component "{name}", which is no FMU of components')
+UNKNOWN_SIGNAL = Template("E-SYS-014", 'no signal "{name}"{hint}')
+RESULTS_TOO_LARGE = Template(
+    "E-SYS-015",
+    "leaves {rows:.3g} rows of {signals} signals, {gigabytes:.3g} GB, more than {limit:g} GB; run shorter or in longer "
+    "steps",
+)
+STEP_NOT_OF_SAMPLING = Template(
+    "E-SYS-016",
+    "step is {step:g} s; {component} is sampled at {sample:g} s ({parameter}): set "
+    "components.{component}.start.{parameter}, or step: {sample:g}",
+)
+
+# Events
+EVENT_OUTSIDE_RUN = Template("E-SYS-017", "{time:g} s is not within {start:g} … {end:g} s")
+TWO_VALUES = Template("E-SYS-018", "two values at {time:g} s: {first!r} and {second!r}; keep one")
+NO_FMU_OF_NAME = Template("E-SYS-019", 'no FMU "{name}" among the components{hint}')
+NOT_CHANGEABLE = Template(
+    "E-SYS-020", "{name} is a {variability} {causality}; inputs and tunable parameters change while it runs"
+)
+SET_AND_CONNECTED = Template(
+    "E-SYS-021", "{name} is connected, which decides its value; use faults: for what disturbs a connection"
+)
+
+# Schedule
+ALGEBRAIC_LOOP = Template(
+    "E-SYS-022",
+    "algebraic loop under {algorithm}: {cycle}; each needs the other's value of the same time. State their order "
+    "(order: [{names}]) or algorithm: {other}",
+)
+PLAN_INCOMPLETE = Template("E-SYS-023", "{algorithm} steps {order}; it must step each component once")
+STEP_NOT_A_MULTIPLE = Template(
+    "E-SYS-024", "step is {step:g} s, that of the scenario {base:g} s; use a whole multiple, {cure:g} s for one"
+)
+STEP_LONGER_THAN_RUN = Template("E-SYS-025", "step is {step:g} s, the run {duration:g} s: it would never step")
+LAST_STEP_INCOMPLETE = Template(
+    "W-SYS-026",
+    "{component}: step is {step:g} s; its last {rest:g} s of the run make no whole step: it stands still there",
+)
+ORDER_INCOMPLETE = Template("E-SYS-027", "order names every component with inputs once; missing: {missing}")
+
+# Connections
+NOT_AN_ITEM = Template("E-SYS-028", "{value:g}, which comes from {origin}, is none of its items: {items}")
+TYPE_MISMATCH = Template("E-SYS-029", "types do not agree: {source} is {source_type}, {target} is {target_type}")
+ITEM_MISMATCH = Template(
+    "E-SYS-030",
+    "enumerations of one name, {name}, with other items: {source} has {source_items}, {target} has {target_items}",
+)
+UNIT_MISMATCH = Template(
+    "E-SYS-031",
+    "unit mismatch: {source} [{source_unit}] to {target} [{target_unit}]; where they are the same all the same, say so "
+    "by factor: 1",
+)
+SIZE_MISMATCH = Template("E-SYS-032", "{source} to {target}: {count} values do not go to {target_count}")
+UNCHANGEABLE_TYPE = Template("E-SYS-033", "{source} to {target}: no {changes} on {type}")
+WRONG_END = Template("E-SYS-034", "{signal} is one of the {side} of {component}; an output goes to an input")
+ONLY_RECORDED = Template("E-SYS-035", "{signal} is recorded, but no output of {component}; an output goes to an input")
+UNKNOWN_END = Template("E-SYS-036", '{component} has no {side} "{name}"{hint} (its {side}s: {names})')
+SEVERAL_SOURCES = Template("E-SYS-037", "two sources for {target}: {first} and {second}; keep one")
+ASSUMED_UNIT = Template("W-SYS-038", "{target} {assumption}")
+INPUTS_NOT_CONNECTED = Template("W-SYS-039", "not connected, at the start value of the FMU: {names}")
+FIXES_NOT_CONNECTED = Template("W-SYS-040", "not connected, so its fixes are of 0: {names}")
+
+# Injected faults
+FAULT_NOT_ON_CONNECTION = Template("E-SYS-041", "no connection to {target}{hint}")
+FAULT_ON_OWN_STEP = Template(
+    "E-SYS-042",
+    "{target} is of a component with a step of its own; faults act on components that step with the scenario",
+)
+FAULT_WITHOUT_KEY = Template("E-SYS-043", "{kind} needs {key}; add it")
+FAULT_OUTSIDE_RUN = Template("E-SYS-044", "acts at no communication point of {start:g} … {end:g} s")
+DELAY_ROUNDED = Template(
+    "W-SYS-045", "a delay of {delay:g} s on {target} is no whole number of steps: it is {rounded:g} s"
+)
