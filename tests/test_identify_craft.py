@@ -13,7 +13,7 @@ from cosim.loading.file import read_model
 from cosim.model import Stepper
 from cosim.verbs.check_verb import check as check_files
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
-from plant.identification.rest_noise import squared, variance
+from plant.identification.rest_noise import square_unit, variance
 from plant.identification.workflow import identify
 from tests.logs import write_log
 from tests.tank import MODEL, OUTLET
@@ -109,7 +109,7 @@ def test_rows_that_follow_one_another_widen_the_interval() -> None:
 
 
 def test_units_are_squared() -> None:
-    assert [squared(u) for u in ("rad", "m/s2", "N.m", "rad/s", "1", "")] == [
+    assert [square_unit(u) for u in ("rad", "m/s2", "N.m", "rad/s", "1", "")] == [
         "rad2",
         "m2/s4",
         "N2.m2",

@@ -48,6 +48,6 @@ def command(
     if report:
         say(f"report: {place / 'report.html'}")
     if as_json:
-        said = {"sentences": list(outcome.sentences), "closing": outcome.closing(place), "warnings": outcome.warnings}
-        say_json({**said, **files_in(place, "identify.json", "powertrain.yaml", "model.yaml")})
+        texts = {"sentences": outcome.sentences, "closing": outcome.closing(place), "warnings": outcome.warnings}
+        say_json({**texts, **files_in(place, "identify.json", "powertrain.yaml", "model.yaml")})
     show(place / "report.html", asked=report and open_)
