@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from cosim.base.arrays import Array, Rows
+from cosim.base.arrays import Array
 from cosim.base.messages import Message
 from cosim.model.namespaces import arrays
 from plant.identification import messages
@@ -45,18 +45,13 @@ def analyse(m: Measurement, *, draw: bool = True) -> Result:
         rows = [[float(force(r)[r.rows(m.test.window)].mean()) for r in chosen[h][:count]] for h in (*heights, free)]
         return np.array(rows)
 
-    def gains(using: Cells) -> Array:
-        """Return pseudo-values of Γ, shape (repetitions, heights)."""
+    def gains(using: Cells, estimate: Callable[[Array], Array] = np.asarray) -> Array:
+        """Return pseudo-values of an estimate from Γ, by default Γ itself, shape (repetitions, heights)."""
         f = forces(lambda r: m.force(r, "z", using))
-        return pseudo_values(lambda rows: np.asarray(f[:-1, rows].mean(axis=1) / f[-1, rows].mean()), count)
+        return pseudo_values(lambda rows: estimate(f[:-1, rows].mean(axis=1) / f[-1, rows].mean()), count)
 
     def exponents(using: Cells) -> Array:
-        f = forces(lambda r: m.force(r, "z", using))
-
-        def exponent(rows: Rows) -> Array:
-            return np.array([fit(heights, f[:-1, rows].mean(axis=1) / f[-1, rows].mean(), radius, free)])
-
-        return pseudo_values(exponent, count)
+        return gains(using, lambda gain: np.array([fit(heights, gain, radius, free)]))
 
     raw = forces(lambda r: m.printed_force(r, "z"))
     thesis, dropped = _thesis(heights / radius, raw[:-1] / raw[-1])
@@ -71,7 +66,8 @@ def analyse(m: Measurement, *, draw: bool = True) -> Result:
     if dropped:
         result.notes.append(messages.RATIOS_WITHOUT_LOGARITHM(count=dropped, total=count * heights.size))
     model = _relative_gain(heights, radius, result.estimates[0].value, free)
-    result.warnings += _misfit(heights / radius, model, gains(m.cells), shifts_of(gains, m.cells, "z"))
+    each_gain = gains(m.cells)
+    result.warnings += _misfit(heights / radius, model, each_gain, shifts_of(gains, m.cells, "z", each_gain))
     result.details = {"heights_over_radius": (heights / radius).tolist(), "dropped": dropped}
     for chosen in others:
         f = forces(lambda r: m.force(r, "z"), chosen)
@@ -81,7 +77,7 @@ def analyse(m: Measurement, *, draw: bool = True) -> Result:
         result.details["validation_rmse"] = rms
         result.notes.append(messages.VALIDATION(duty=duty, rms=rms))
     if draw:
-        result.figures = _figures(result, heights / radius, forces(lambda r: m.force(r, "z")))
+        result.figures = _figures(result, heights / radius, forces(lambda r: m.force(r, "z")), each_gain)
     return result
 
 
@@ -148,7 +144,7 @@ def _thesis(ratios: Array, gains: Array) -> tuple[float, int]:
     return value, int((~good).sum())
 
 
-def _figures(result: Result, ratios: Array, forces: Array) -> list[Figure]:
+def _figures(result: Result, ratios: Array, forces: Array, gains: Array) -> list[Figure]:
     estimate = result.estimates[0]
     grid = np.linspace(0.5, 3.3, 90)
     single = forces[:-1] / forces[-1]
@@ -157,10 +153,7 @@ def _figures(result: Result, ratios: Array, forces: Array) -> list[Figure]:
     def curve(k: float) -> Array:
         return _gain(grid, 1.0, k)
 
-    n, free = forces.shape[1], forces[-1]
-    rest = free.sum() - free
-    pseudo = np.array([n * f.mean() / free.mean() - (n - 1) * (f.sum() - f) / rest for f in forces[:-1]]).T
-    mean, half, _, _ = interval(pseudo, np.zeros((0, ratios.size)))
+    mean, half, _, _ = interval(gains, np.zeros((0, ratios.size)))
     band = ("95 % of k", grid, curve(estimate.high), curve(estimate.low))
     several = [(f"k = {k:g}", grid, curve(k), f"s{n}") for n, k in enumerate((1.5, 1.75, 2.0, 2.25, 2.5))]
     readings = ("single ratios", z, single.ravel(), "dots")
