@@ -13,7 +13,7 @@ from cosim.loading.file import read_model
 from cosim.model import Stepper
 from cosim.verbs.check_verb import check as check_files
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
-from plant.identification.rest_noise import square_unit, variance
+from plant.identification.rest_noise import variance
 from plant.identification.workflow import identify
 from tests.logs import write_log
 from tests.tank import MODEL, OUTLET
@@ -106,17 +106,6 @@ def test_rows_that_follow_one_another_widen_the_interval() -> None:
     slow = np.convolve(white, [0.5, 0.5], mode="same")
     widths = [(e.high - e.low) / e.value for e in (variance("v", "V", [(time, v)]) for v in (white, slow))]
     assert widths[1] > 1.1 * widths[0]
-
-
-def test_units_are_squared() -> None:
-    assert [square_unit(u) for u in ("rad", "m/s2", "N.m", "rad/s", "1", "")] == [
-        "rad2",
-        "m2/s4",
-        "N2.m2",
-        "rad2/s2",
-        "1",
-        "1",
-    ]
 
 
 def test_a_tank_s_area_is_found_from_how_far_it_fell(tmp_path: Path) -> None:

@@ -6,7 +6,6 @@ count as noise; its interval accounts for correlated rows.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -14,6 +13,7 @@ import numpy as np
 from cosim.base.arrays import Array, Rows
 from cosim.base.errors import Fault
 from cosim.base.messages import Message
+from cosim.base.units import squared
 from cosim.logs.log import Log
 from cosim.model import Model
 from cosim.storage.yaml_file import YamlFile
@@ -58,12 +58,7 @@ def variance(name: str, unit: str, parts: Sequence[tuple[Array, Array]]) -> Esti
     free = max(2.0, freedom / per_row)
     low, high = (free * about_line / float(stats.chi2.ppf(p, free)) for p in (0.975, 0.025))
     spread, origin = about_line * float(np.sqrt(2.0 / free)), f"variance of {rows} rows at rest (5.44)"
-    return Estimate(name, square_unit(unit), about_mean, about_line, low, high, spread, 0.0, len(parts), origin)
-
-
-def square_unit(unit: str) -> str:
-    """Square a unit, `m/s2` → `m2/s4`."""
-    return re.sub(r"([^\W\d]+)(\d*)", lambda part: part[1] + str(2 * int(part[2] or 1)), unit) or "1"
+    return Estimate(name, squared(unit) or "1", about_mean, about_line, low, high, spread, 0.0, len(parts), origin)
 
 
 def rest_faults(yaml: YamlFile, logs: Sequence[Log], window: Window) -> Iterator[Fault]:
