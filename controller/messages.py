@@ -1,9 +1,8 @@
-"""Messages of controller design.
-
-Modules that go into an FMU do not import this one: they raise a plain ValueError, whose text becomes a `reason` here.
-"""
+"""Messages of controller design."""
 
 from cosim.base.messages import Template
+
+# Modules that go into an FMU do not import this one: they raise a plain ValueError, whose text is a `reason` here.
 
 ONE_SIDED_RANGE = Template(
     "E-CTL-001", "{name}={low:g}..{high:g}: the controller tilts both ways; give a range about 0"

@@ -147,7 +147,7 @@ def test_what_is_wrong_is_said_all_at_once(tmp_path: Path) -> None:
         assert part in text
     assert ":1:" in text  # with its place
     text = refused(protocol(tmp_path, rest={"files": ["short.csv", "moving.csv"]}), tmp_path / "out")
-    assert "26 rows of psi at rest, and it takes 50" in text
+    assert "26 rows of psi at rest, and 50 are needed" in text
     assert "psi moves by" in text
     assert "is empty" in refused(protocol(tmp_path, rest={"files": ["moving.csv"], "window": [3, 1]}), tmp_path / "out")
 

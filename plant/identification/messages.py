@@ -252,7 +252,7 @@ HEIGHT_IN_GROUND = Template(
 LOW_FREE_HEIGHT = Template(
     "E-IDN-067",
     "{height:g} m is no higher than the heights near the ground, up to {limit:.3g} m ({ratio:g} radii of {radius:g} "
-    "m); nothing is below from some 10 radii on",
+    "m); take 10 radii or more, where the ground has no effect",
 )
 VALIDATION_WITHOUT_THRUST = Template(
     "E-IDN-068", "{duty:g} % gives no thrust, which begins above {limit:.4g} %; write a higher one"
@@ -306,12 +306,12 @@ DROPOUTS = Template(
 )
 SHORT_RAMP = Template(
     "E-IDN-083",
-    "the ramp has too little thrust within the cell's range: no line has less than {rows} readings over {least:g} %; "
+    "the ramp has too little thrust within the cell's range: a line needs {rows} readings over {least:g} % of duty; "
     "let the window hold more of it",
 )
 RAMP_BEYOND_RANGE = Template(
     "E-IDN-084",
-    "the ramp has too little thrust within the cell's range: no line has less than {rows} readings over {least:g} %; "
+    "the ramp has too little thrust within the cell's range: a line needs {rows} readings over {least:g} % of duty; "
     "let the window hold more of it. The range ends with {value:.3g} V at {duty:.4g} %, {place}",
 )
 AT_RAIL = Template(
@@ -390,28 +390,30 @@ NO_FREE_HEIGHT = Template(
 )
 NO_LOW_HEIGHT = Template(
     "E-IDN-102",
-    "the lowest height is {height:.4g} m, above {ratio:g} radii of the propeller ({limit:.3g} m): there is no ground "
-    "effect to be seen; is the height in m, and `propeller_radius` right?",
+    "the lowest height is {height:.4g} m, above {ratio:g} radii of the propeller ({limit:.3g} m): the ground "
+    "effect is too small there; is the height in m, and `propeller_radius` right?",
 )
 TOO_FEW_LOW_HEIGHTS = Template("E-IDN-103", "two heights near the ground are needed at least; add runs")
-TOO_FEW_AT_HEIGHT = Template("E-IDN-104", "{count} recordings at {height:g} m are too few; {least} at least")
-TOO_FEW_AT_FREQUENCY = Template("E-IDN-105", "{count} recordings at {frequency:g} rad/s are too few; {least} at least")
+TOO_FEW_AT_HEIGHT = Template("E-IDN-104", "{count} recordings at {height:g} m are too few; record {least} at least")
+TOO_FEW_AT_FREQUENCY = Template(
+    "E-IDN-105", "{count} recordings at {frequency:g} rad/s are too few; record {least} at least"
+)
 
 # -- logs of a craft ------------------------------------------------------------------------
 
 NEITHER_REST_NOR_DISTANCE = Template("E-IDN-106", "holds neither rest nor distance; add one")
-NO_LOG = Template("E-IDN-107", "no such file: {name}")
+NO_LOG = Template("E-IDN-107", "no such file: {name}; correct the path")
 COPY_OF_LOG = Template("E-IDN-108", "{name} holds what {other} does; each is a recording of its own, so leave one out")
 NO_PARAMETER = Template("E-IDN-109", '{model} has no parameter "{name}"{hint}')
 NO_OUTPUT = Template("E-IDN-110", '{model} has no output "{name}"{hint}')
 TOO_FEW_RUNS = Template(
-    "E-IDN-111", "{count} are too few: the interval comes from scatter between {least} or more runs"
+    "E-IDN-111", "{count} are too few: the interval comes from scatter between {least} or more runs; add runs"
 )
 DISTANCES_UNLIKE_FILES = Template("E-IDN-112", "{distances} distances for {files} files; give one each, or one for all")
 NO_VALUE_OF_DISTANCE = Template("E-IDN-113", "{distance:g} is covered with no {parameter}: {reason}")
 NO_COMMAND = Template("E-IDN-114", "no command changes in it: nothing moves, and nothing can be matched; leave it out")
 TOO_FEW_ROWS_AT_REST = Template(
-    "E-IDN-115", "{rows} rows of {output} at rest, and it takes {least}; log longer (the thesis took 20 s)"
+    "E-IDN-115", "{rows} rows of {output} at rest, and {least} are needed; log longer (the thesis took 20 s)"
 )
 CONSTANT_OUTPUT = Template(
     "E-IDN-116", "{output} is {value:g} in every row: a dead channel; choose a window, or leave the log out"
@@ -469,13 +471,13 @@ LATE_STEP = Template(
 NOT_FIRST_ORDER = Template(
     "W-IDN-127",
     "the mean response misses the curve of first order by up to {miss:.2g} % of the step, more than the scatter of the "
-    "repetitions: it is not of first order, and the lag stands for none of its own; look at the cell, its range and "
+    "repetitions: it is not of first order, so the lag has no physical meaning; look at the cell, its range and "
     "the motor",
 )
 HUM = Template(
     "W-IDN-128",
     "the mean response misses the curve of first order by up to {miss:.2g} % of the step, more than the scatter of the "
-    "repetitions: it is not of first order, and the lag stands for none of its own; a sine of {frequency:.2g} Hz is "
+    "repetitions: it is not of first order, so the lag has no physical meaning; a sine of {frequency:.2g} Hz is "
     "on it, in rows of {rate:.3g} Hz to which faster ones fold: is it hum of the mains, or an oscillation? Shield or "
     "filter the cell",
 )
