@@ -13,10 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
+from controller import messages
 from controller.gains import Settings
 from controller.loop import Loop
 from cosim.base.arrays import Array
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import InputError
 from cosim.blocks.profile import Change, Profile, profile_function
 from cosim.experiment.rigs import FASTEST, SLOWEST, Axis, Ranges, Signals, Trial, played_lines, trial_of, within
 from cosim.fmi.fmu_build import build
@@ -59,8 +60,7 @@ class ClosedLoop:
         for name in self.commanded:
             low, high = self.ranges.get(name, (-math.inf, math.inf))
             if not low < 0.0 < high:
-                message = f"{name}={low:g}..{high:g}: the controller tilts both ways; give a range about 0"
-                raise InputError([Fault(Path("--range"), 0, 0, message)])
+                raise InputError.at(Path("--range"), messages.ONE_SIDED_RANGE(name=name, low=low, high=high))
             yield min(limits[name], -low, high)
 
     def play(self, model: Model, signals: Signals) -> Trial:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
+from controller import messages
 from controller.gains import ESTIMATORS, GAINS, Settings
 from controller.placement import POLES as PLACED
 from controller.variants import (
@@ -23,12 +24,12 @@ from cosim.model import Model, parameters_of
 from cosim.model.design import Judged, Objection, Option
 from plant.hovercraft import Hovercraft
 
-WEIGHTS = (
-    "weight_x",
-    "weight_vx",
-    "weight_psi",
-    "weight_psi_dot",
-)  # the predictive law has no fifth state
+LISTS = {  # option → start values of a predictive law, which has no fifth state
+    "Q": ("weight_x", "weight_vx", "weight_psi", "weight_psi_dot"),
+    "Q_lateral": ("weight_y", "weight_vy"),
+    "R": ("weight_tilt",),
+    "duty_limits": ("duty_min", "duty_max"),
+}
 DESIGN_NUMBERS = ("mass", "izz", "arm", "friction", "lag", "thrust_nominal", "yaw_damping")  # for `design_model`
 BY_WEIGHTS = ("", INTEGRAL, *PREDICTIONS)
 Place = tuple[str | int, ...]
@@ -71,7 +72,7 @@ class LqrDesigner:
         if model is None:
             return {p.name: getattr(Settings(), p.name) for p in parameters_of(Settings)}
         if not isinstance(model, Hovercraft):
-            raise ValueError(f"is a {model.title}; this controller flies the {Hovercraft.title} and nothing else")
+            raise ValueError(messages.OTHER_MODEL(model=model.title, craft=Hovercraft.title))
         owners = {"": model} | {f"{e.name}.": e for e in model.awake}
         return {
             prefix + p.name: getattr(owner, p.name) for prefix, owner in owners.items() for p in parameters_of(owner)
@@ -92,19 +93,20 @@ class LqrDesigner:
         from controller.placement import pole_faults
 
         declared = {p.name: p for p in parameters_of(_settings(law))}
-        found = []
-        for name, (about, value) in _becomes(options, law).items():
+        objections = []
+        for name, (about, value) in _values_of(options, law).items():
             low, high = declared[name].bounds
             if not low <= value <= high:
-                said = f"{value:g} lies outside [{low:g}, {high:g}] {declared[name].unit}".rstrip()
-                found.append(Objection(about, said))
+                unit = f" {declared[name].unit}".rstrip()
+                objections.append(
+                    Objection(about, messages.OPTION_OUT_OF_BOUNDS(value=value, low=low, high=high, unit=unit))
+                )
         if law == POLES:
             poles = [complex(pole) for pole in options["poles"]]
-            found += [Objection(("poles", k), said) for k, said in pole_faults(poles)]
+            objections += [Objection(("poles", k), message) for k, message in pole_faults(poles)]
         if law in PREDICTIONS and options["R"][0] != options["R"][1]:
-            said = f"{options['R']} weighs one tilt more; the predictive law takes one weight for both"
-            found.append(Objection(("R",), said))
-        return found
+            objections.append(Objection(("R",), messages.UNEQUAL_TILT_WEIGHTS(weights=options["R"])))
+        return objections
 
     def _gains(self, options: Mapping[str, Any], settings: Settings, law: str) -> dict[str, float]:
         """Return the designed gains."""
@@ -118,7 +120,7 @@ class LqrDesigner:
         self, options: Mapping[str, Any], model: Model | None, numbers: Mapping[str, float], law: str
     ) -> dict[str, float]:
         """Return weights, limits and craft parameters of a predictive law."""
-        values = {**numbers, **{name: float(value) for name, (_, value) in _becomes(options, law).items()}}
+        values = {**numbers, **{name: float(value) for name, (_, value) in _values_of(options, law).items()}}
         if isinstance(model, Hovercraft) and law == TIME_VARIANT:
             from controller.time_variant_settings import OF_CRAFT
 
@@ -139,13 +141,12 @@ class LqrDesigner:
                 from controller.time_variant_settings import craft_faults
 
                 faults += craft_faults(settings)
-            becomes = _becomes(options, law)
-            return Judged(
-                [
-                    Objection(next((becomes[n][0] for n in names if n in becomes), ()), said, names)
-                    for names, said in faults
-                ]
-            )
+            places = {name: place for name, (place, _) in _values_of(options, law).items()}
+            objections = []
+            for names, reason in faults:
+                place = next((places[name] for name in names if name in places), ())
+                objections.append(Objection(place, messages.INVALID_PARAMETERS(reason=reason), names))
+            return Judged(objections)
         from controller.judging import judged_gains
 
         return judged_gains(values, own, options, law)
@@ -174,25 +175,19 @@ def _settings(law: str) -> Any:
     return PredictiveSettings
 
 
-def _becomes(options: Mapping[str, Any], law: str) -> dict[str, tuple[Place, float]]:
+def _values_of(options: Mapping[str, Any], law: str) -> dict[str, tuple[Place, float]]:
     """Return start value → option place and number, for options used unchanged."""
-    found: dict[str, tuple[Place, float]] = {
-        name: ((name,), options[name]) for name in ("thrust_nominal", "lag") if options.get(name) is not None
-    }
+
+    def same(*names: str) -> dict[str, tuple[Place, float]]:
+        """Return options with the name of their start value."""
+        return {name: ((name,), options[name]) for name in names if options.get(name) is not None}
+
+    values = same("thrust_nominal", "lag")
     if law not in PREDICTIONS:
-        return found
-    found |= {name: (("Q", k), q) for k, (name, q) in enumerate(zip(WEIGHTS, options["Q"], strict=False))}
-    for option, names in (
-        ("Q_lateral", ("weight_y", "weight_vy")),
-        ("R", ("weight_tilt",)),
-        ("duty_limits", ("duty_min", "duty_max")),
-    ):
-        found |= {name: ((option, k), options[option][k]) for k, name in enumerate(names)}
-    found["weight_duty"] = ("R_duty",), options["R_duty"]
-    found["horizon"] = ("horizon",), options["horizon"]
-    if options["speed_max"] is not None:
-        found["speed_max"] = ("speed_max",), options["speed_max"]
-    return found
+        return values
+    for option, names in LISTS.items():
+        values |= {name: ((option, k), options[option][k]) for k, name in enumerate(names)}
+    return {**values, "weight_duty": (("R_duty",), options["R_duty"]), **same("horizon", "speed_max")}
 
 
 DESIGNER = LqrDesigner()

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from controller import messages
 from controller.design_model import Matrix, ModelNumbers
 from controller.gains import GAINS, Settings
 from controller.placement import POLES as PLACED
 from controller.placement import placed_gain
-from controller.stability import FlownLoop, swing_ratio, worst
+from controller.stability import FlownLoop, swing_ratio, worst_modes
 from controller.synthesis import Q_INTEGRAL, Q_THESIS, R_THESIS, integral_gain, lqr_gain
 from controller.variants import INTEGRAL, INTEGRALS, POLES, FullSettings, IntegralSettings
 from cosim.model import parameters_of
@@ -37,13 +38,13 @@ def designed_gains(options: Mapping[str, Any], p: ModelNumbers, law: str) -> tup
             return integral_gain(p, options["Q"], options["R"], options["Q_integral"])
         return lqr_gain(p, options["Q"], options["R"]), None
     except ValueError as error:
-        raise Undesigned(Objection(_place_of("forward", options, law)[:1], str(error))) from None
+        raise Undesigned(Objection(_place_of("forward", options, law)[:1], error.args[0])) from None
 
 
 def judged_gains(values: Mapping[str, Any], own: Mapping[str, Any], options: Mapping[str, Any], law: str) -> Judged:
     """Return the judgement of designed gains with a scenario's `own` values: bounds and stability."""
     objections = _too_large(values, options, law)
-    return Judged(objections) if objections else _judged_loop(values, own, options, law)
+    return Judged(objections) if objections else _judge_loop(values, own, options, law)
 
 
 def _too_large(values: Mapping[str, Any], options: Mapping[str, Any], law: str) -> list[Objection]:
@@ -52,73 +53,69 @@ def _too_large(values: Mapping[str, Any], options: Mapping[str, Any], law: str) 
     large = [p for p in gains if p.fault(values[p.name])]
     if not large:
         return []
-    size = max(abs(values[p.name]) for p in large)
-    said = f"asks for a gain of {size:.3g}, and the controller takes {large[0].bounds[1]:g} at most"
+    message = messages.LARGE_GAIN(size=max(abs(values[p.name]) for p in large), limit=large[0].bounds[1])
     axis = "turning" if large[0].name[-1] in TURNING else "forward"
-    return [Objection(_place_of(axis, options, law), said, tuple(p.name for p in large))]
+    return [Objection(_place_of(axis, options, law), message, tuple(p.name for p in large))]
 
 
-def _judged_loop(values: Mapping[str, Any], own: Mapping[str, Any], options: Mapping[str, Any], law: str) -> Judged:
+def _judge_loop(values: Mapping[str, Any], own: Mapping[str, Any], options: Mapping[str, Any], law: str) -> Judged:
     """Return the judgement of stability and damping in the sampled loop with lag and filter."""
     names = {p.name for p in parameters_of(FullSettings)} | {"estimator"}
     every = {**values, **own}
     try:
-        craft, p = (FullSettings(**{n: v for n, v in known.items() if n in names}) for known in (values, every))
+        craft, p = (FullSettings(**{n: v for n, v in numbers.items() if n in names}) for numbers in (values, every))
         loop = FlownLoop(craft, p)
     except (ValueError, np.linalg.LinAlgError):  # The FMU refuses such values with its own message.
         return Judged()
     K = np.array([every[name] for name in GAINS]).reshape(2, 5)
     K_i = np.array([every[name] for name in INTEGRALS]).reshape(2, 2) if law == INTEGRAL else None
     objections, warnings = [], []
-    for mode in worst(loop.modes(K, K_i)):
+    for mode in worst_modes(loop.modes(K, K_i)):
         place = _place_of(mode.axis, options, law)
         cure = "" if any(name in own for name in (*GAINS, *INTEGRALS)) else _cure(loop, craft, mode.axis, options, law)
-        flies = f"with the lag of {craft.lag:g} s, a sample of {p.sample_time:g} s and the estimator {p.estimator}"
-        where = f"the {mode.axis} axis has a pole at {_short(mode.pole)} rad/s"
+        fields = {"lag": craft.lag, "sample": p.sample_time, "estimator": p.estimator, "axis": mode.axis, "cure": cure}
+        fields["pole"] = _short(mode.pole)
         if mode.grows:
-            said = f"is not stable as it flies, {flies} {where}{cure}"
-            objections.append(Objection(place, said, (*GAINS, *INTEGRALS)))
+            objections.append(Objection(place, messages.UNSTABLE_LOOP(**fields), (*GAINS, *INTEGRALS)))
         else:
-            swing = f"damped by {mode.damping:.2g}: a swing keeps {100 * swing_ratio(mode.damping):.0f} % of its size"
-            warnings.append(f"design.{place[0]}: {flies} {where}, hardly {swing}{cure}")
+            swing = {"damping": mode.damping, "ratio": 100 * swing_ratio(mode.damping)}
+            warnings.append(messages.WEAK_DAMPING(option=place[0], **fields, **swing))
     return Judged(objections, warnings)
 
 
 def _place_of(axis: str, options: Mapping[str, Any], law: str) -> Place:
     """Return the option that determines an axis' speed: its fastest pole, or changed weights."""
     if law != POLES:
-        given = (name for name, ours in WEIGHTS.items() if options.get(name) not in (None, ours))
-        return (next(given, "Q"),)
+        changed = (name for name, ours in WEIGHTS.items() if options.get(name) not in (None, ours))
+        return (next(changed, "Q"),)
     return "poles", max(AXES[axis], key=lambda k: abs(complex(options["poles"][k])))
 
 
 def _cure(loop: FlownLoop, craft: Settings, axis: str, options: Mapping[str, Any], law: str) -> str:
     """Return the closest options with a damped axis, in words."""
     for factor in SLOWER_FIRST:
-        other, told = _scaled(options, axis, law, factor)
+        other, proposal = _scale_options(options, axis, law, factor)
         try:
             modes = loop.modes(*designed_gains({**options, **other}, craft, law))
         except ValueError:
             continue
-        if not any(mode.axis == axis for mode in worst(modes)):
-            return told
-    return (
-        f"; take poles nearer to {', '.join(f'{p:g}' for p in PLACED)}" if law == POLES else "; weigh the states less"
-    )
+        if not any(mode.axis == axis for mode in worst_modes(modes)):
+            return proposal
+    nearer = f"; take poles nearer to {', '.join(f'{p:g}' for p in PLACED)}"
+    return nearer if law == POLES else "; weigh the states less"
 
 
-def _scaled(options: Mapping[str, Any], axis: str, law: str, factor: float) -> tuple[dict[str, Any], str]:
+def _scale_options(options: Mapping[str, Any], axis: str, law: str, factor: float) -> tuple[dict[str, Any], str]:
     """Return options for a faster or slower axis, and a proposal in words."""
     if law != POLES:
-        weights = [_rounded(r / factor**2).real for r in options["R"]]
+        weights = [_round(r / factor**2).real for r in options["R"]]
         return {"R": weights}, f"; weigh the tilts more, R: [{', '.join(f'{r:.3g}' for r in weights)}] for one"
-    poles = [complex(p) for p in options["poles"]]
-    poles = [_rounded(p * factor) if k in AXES[axis] else p for k, p in enumerate(poles)]
-    shown = ", ".join(_short(poles[k]) for k in AXES[axis])
-    return {"poles": poles}, f"; take {'slower' if factor < 1 else 'faster'} poles there, {shown} for one"
+    poles = [_round(complex(p) * factor) if k in AXES[axis] else complex(p) for k, p in enumerate(options["poles"])]
+    numbers = ", ".join(_short(poles[k]) for k in AXES[axis])
+    return {"poles": poles}, f"; take {'slower' if factor < 1 else 'faster'} poles there, {numbers} for one"
 
 
-def _rounded(number: complex) -> complex:
+def _round(number: complex) -> complex:
     """Return the number rounded as displayed."""
     return complex(float(f"{number.real:.3g}"), float(f"{number.imag:.3g}"))
 

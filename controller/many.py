@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from controller import messages
 from controller.design_model import Matrix, measurement_matrix
 from controller.gains import Settings
 from controller.kalman import discrete_model
@@ -27,10 +28,10 @@ class Controllers:
 
     def fits(self, block: Any) -> bool:
         """Return True if the FMU has exactly these inputs, in any order, and outputs."""
-        given = [s.name for s in block.inputs]
-        if sorted(given) != sorted(INPUTS) or tuple(s.name for s in block.outputs) != OUTPUTS:
+        inputs = [s.name for s in block.inputs]
+        if sorted(inputs) != sorted(INPUTS) or tuple(s.name for s in block.outputs) != OUTPUTS:
             return False
-        self.order = [given.index(name) for name in INPUTS]
+        self.order = [inputs.index(name) for name in INPUTS]
         return True
 
     def pattern(self, given: Mapping[str, Any]) -> Hashable:
@@ -77,16 +78,16 @@ class ManyLoops:
     def advance(self, t: float, h: float) -> None:
         """Process one sample, eqs 5.37-5.41 and 6.1; P in Joseph form as in filterpy."""
         if np.any(np.abs(h - self.sample) > 1e-6 * self.sample):
-            raise ValueError(f"step of {h} s; the controller is sampled at {self.sample[0]} s (parameter sample_time)")
+            raise ValueError(messages.OTHER_STEP(step=h, sample=self.sample[0]))
         F, H = self.F, self.H
-        P = F @ self.P @ _transposed(F) + self.V
-        S = H @ P @ _transposed(H) + self.W
-        K = P @ _transposed(H) @ np.linalg.inv(S)
-        kept = np.eye(5) - K @ H
-        self.P = kept @ P @ _transposed(kept) + K @ self.W @ _transposed(K)
+        P = F @ self.P @ _transpose(F) + self.V
+        S = H @ P @ _transpose(H) + self.W
+        K = P @ _transpose(H) @ np.linalg.inv(S)
+        I_KH = np.eye(5) - K @ H
+        self.P = I_KH @ P @ _transpose(I_KH) + K @ self.W @ _transpose(K)
         z = np.array(self._rows()[:3])
-        x = _applied(F, self.x) + _applied(self.G, self.u)
-        self.x = x + _applied(K, z - _applied(H, x))
+        x = _apply(F, self.x) + _apply(self.G, self.u)
+        self.x = x + _apply(K, z - _apply(H, x))
         self._feed_back()
 
     def _feed_back(self) -> None:
@@ -94,7 +95,7 @@ class ManyLoops:
         *_, x_ref, psi_ref = self._rows()
         error[0] -= x_ref
         error[2] -= psi_ref
-        self.u = np.clip(-_applied(self.K, error), -self.limit, self.limit) + 0.0
+        self.u = np.clip(-_apply(self.K, error), -self.limit, self.limit) + 0.0
         y = self.outputs
         y[0] = y[1] = self.duty
         y[2:4], y[4:9] = self.u, self.x
@@ -108,11 +109,11 @@ def _at(values: Mapping[str, Any], k: int) -> dict[str, Any]:
     return {name: float(v[k]) if isinstance(v, np.ndarray) else v for name, v in values.items()}
 
 
-def _transposed(stack: Matrix) -> Matrix:
+def _transpose(stack: Matrix) -> Matrix:
     return np.swapaxes(stack, 1, 2)
 
 
-def _applied(stack: Matrix, columns: Matrix) -> Matrix:
+def _apply(stack: Matrix, columns: Matrix) -> Matrix:
     """Return each matrix times its column; a single matrix applies to all."""
     if len(stack) == 1:
         shared: Matrix = stack[0] @ columns

@@ -71,14 +71,14 @@ def sines(steps: int) -> Matrix:
 def manoeuvre(steps: int) -> Matrix:
     """Return the noise-free LQR commands for the manoeuvre of App. G."""
     loop, stepper = Loop(Settings(), (0.0,) * 5, *references(0.0)), Stepper(Hovercraft())
-    moment, dt, found = stepper.start(), loop.settings.sample_time, []
+    moment, dt, commands = stepper.start(), loop.settings.sample_time, []
     for k in range(steps):
         command = (*loop.law.duties, *loop.command)
-        found.append(command)
+        commands.append(command)
         moment = stepper.step(moment, command, dt)
         y = stepper.output(moment.t, moment.state, command)
         loop.step([float(y[j]) for j in SENSED_AT], *references((k + 1) * dt))
-    return np.array(found)
+    return np.array(commands)
 
 
 def references(t: float) -> tuple[float, float]:
@@ -136,7 +136,7 @@ def linear_truth(runs: int, u: Matrix, rng: np.random.Generator) -> Truth:
     for k in range(len(u)):
         x = x @ F.T + u[k, 2:] @ G.T + rng.normal(0.0, np.sqrt(p.process_variances), (runs, 5))
         states.append(x)
-    return _measured(np.array(states), np.array(states) @ H.T, np.array(states)[..., [0]], p, u, rng)
+    return _with_noise(np.array(states), np.array(states) @ H.T, np.array(states)[..., [0]], p, u, rng)
 
 
 def plant_truth(runs: int, u: Matrix, rng: np.random.Generator, *, disturbed: bool) -> Truth:
@@ -155,7 +155,7 @@ def plant_truth(runs: int, u: Matrix, rng: np.random.Generator, *, disturbed: bo
         sensors.append(np.stack([y[j] for j in SENSED_AT], axis=1))
     S = np.array(states)
     position = S[..., [STATES.index("x"), STATES.index("y")]]
-    return _measured(S, np.array(sensors), position, p, u, rng)
+    return _with_noise(S, np.array(sensors), position, p, u, rng)
 
 
 def squares_of(case: Case, runs: int, steps: int, rng: np.random.Generator) -> Squares:
@@ -170,12 +170,12 @@ def squares_of(case: Case, runs: int, steps: int, rng: np.random.Generator) -> S
             e, P = _error(estimator, truth.states[k, r])
             nees[r, k] = e @ np.linalg.solve(P, e)
             nis[r, k], fixed[r, k] = estimator.nis, estimator.fix_nis
-    kept, with_fix = slice(SETTLING, None), slice(SETTLING + FIX_EVERY - 1, None, FIX_EVERY)
+    settled, with_fix = slice(SETTLING, None), slice(SETTLING + FIX_EVERY - 1, None, FIX_EVERY)
     t = Settings().sample_time * np.arange(1.0, steps + 1.0)
-    found = {"NEES": (nees[:, kept], len(e), t[kept]), "NIS": (nis[:, kept], 3, t[kept])}
+    squares = {"NEES": (nees[:, settled], len(e), t[settled]), "NIS": (nis[:, settled], 3, t[settled])}
     if case.fixes:  # every fifth sample has a new fix
-        found["NIS of fixes"] = (fixed[:, with_fix], truth.fixes.shape[-1], t[with_fix])
-    return found
+        squares["NIS of fixes"] = (fixed[:, with_fix], truth.fixes.shape[-1], t[with_fix])
+    return squares
 
 
 _TRUTHS: Mapping[str, Callable[[int, Matrix, np.random.Generator], Truth]] = {
@@ -185,7 +185,7 @@ _TRUTHS: Mapping[str, Callable[[int, Matrix, np.random.Generator], Truth]] = {
 }
 
 
-def _measured(
+def _with_noise(
     states: Matrix,
     sensors: Matrix,
     position: Matrix,
@@ -194,8 +194,8 @@ def _measured(
     rng: np.random.Generator,
 ) -> Truth:
     """Return the truth with noise of sensors and fixes."""
-    seen = sensors + rng.normal(0.0, np.sqrt(p.measurement_variances), sensors.shape)
-    return Truth(states, seen, position + rng.normal(0.0, np.sqrt(p.fix_variances), position.shape), u)
+    readings = sensors + rng.normal(0.0, np.sqrt(p.measurement_variances), sensors.shape)
+    return Truth(states, readings, position + rng.normal(0.0, np.sqrt(p.fix_variances), position.shape), u)
 
 
 def _estimator(name: str) -> Any:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from controller import messages
 from controller.design_model import STATES, Matrix, ModelNumbers, design_model
+from cosim.base.messages import Message
 
 # Section 6.2 prints no poles. Forward: those of the LQR (-10.68, -3.39, -1.56), the slow ones moved slightly left;
 # turn: its pair (-4.26 ± 0.77j) made real. -4 occurs in both axes, but only once in each.
 POLES = (-2.0, -4.0, -11.0, -4.0, -5.0)
 # [rad/s] least distance of requested poles from the imaginary axis; closer poles would be indistinguishable from
 # growing ones within the rounding of the sampled loop (`GROWS` in `controller.stability`)
-LEFT = 1e-3
+MIN_DECAY = 1e-3
 FORWARD, TURN = (0, 1, 4), (2, 3)  # states (x, vx, a) and (psi, psi_dot)
 SIGNS = ((1.0, 1.0), (1.0, -1.0))  # signs of the tilts: common, or differential
 ALIKE = 1e-9  # relative distance below which poles are equal
@@ -32,11 +34,11 @@ def placed_gain(p: ModelNumbers, poles: Sequence[complex] = POLES) -> Matrix:
 
     A, B = design_model(p)
     check_controllable(A, B)
-    wanted = [complex(pole) for pole in poles]
-    if faults := pole_faults(wanted):
-        raise ValueError("; ".join(reason for _, reason in faults))
+    numbers = [complex(pole) for pole in poles]
+    if faults := pole_faults(numbers):
+        raise ValueError(messages.INVALID_POLES(reasons="; ".join(reason for _, reason in faults)))
     K = np.zeros((2, 5))
-    for states, own, signs in zip((FORWARD, TURN), (wanted[:3], wanted[3:]), SIGNS, strict=True):
+    for states, own, signs in zip((FORWARD, TURN), (numbers[:3], numbers[3:]), SIGNS, strict=True):
         axis = np.ix_(states, states)
         gain = place_poles(A[axis], B[list(states)] @ np.array(signs)[:, None], own).gain_matrix[0]
         K[:, states] = np.outer(signs, gain)
@@ -49,40 +51,32 @@ def check_controllable(A: Matrix, B: Matrix, names: Sequence[str] = STATES) -> N
     Raises:
         ValueError: A pole is uncontrollable; the message lists its states.
     """
-    poles, left = np.linalg.eig(A.T)
-    for pole, vector in zip(poles, left.T, strict=True):
+    poles, vectors = np.linalg.eig(A.T)
+    for pole, vector in zip(poles, vectors.T, strict=True):
         reach = np.hstack([pole * np.eye(len(A)) - A, B])
         scale = np.linalg.norm(reach, axis=1)[:, None]
         if np.linalg.matrix_rank(reach / np.where(scale > 0, scale, 1.0), tol=1e-9) < len(A):
-            seen = [n for n, v in zip(names, vector, strict=True) if abs(v) > 1e-6]
-            raise ValueError(f"no input moves the pole {format_pole(complex(pole))} rad/s, of {', '.join(seen)}")
+            states = ", ".join(n for n, v in zip(names, vector, strict=True) if abs(v) > 1e-6)
+            raise ValueError(messages.UNCONTROLLABLE_POLE(pole=format_pole(complex(pole)), states=states))
 
 
-def pole_faults(poles: Sequence[complex]) -> list[tuple[int, str]]:
+def pole_faults(poles: Sequence[complex]) -> list[tuple[int, Message]]:
     """Return index and fault of each invalid pole."""
     of_axes = ("forward", 0, poles[:3]), ("turning", 3, poles[3:])
     return [(first + k, reason) for axis, first, of in of_axes for k, reason in _faults(axis, of)]
 
 
-def _faults(axis: str, poles: Sequence[complex]) -> list[tuple[int, str]]:
-    numbered = list(enumerate(poles))
-    faults = [(k, _too_far_right(a)) for k, a in numbered if a.real > -LEFT]
-    for k, a in numbered:
+def _faults(axis: str, poles: Sequence[complex]) -> Iterator[tuple[int, Message]]:
+    for k, a in enumerate(poles):
+        pole = format_pole(a)
+        if a.real >= 0.0:
+            yield k, messages.UNSTABLE_POLE(pole=pole)
+        elif a.real > -MIN_DECAY:
+            yield k, messages.SLOW_POLE(pole=pole, time=1.0 / -a.real, least=MIN_DECAY)
         if any(abs(a - b) <= ALIKE * abs(a) for b in poles[:k]):
-            faults.append((k, f"{format_pole(a)} stands twice in the {axis} axis; one input places a pole once"))
+            yield k, messages.REPEATED_POLE(pole=pole, axis=axis)
         if a.imag and not any(abs(a.conjugate() - b) <= ALIKE * abs(a) for b in poles):
-            faults.append((k, f"{format_pole(a)} needs {format_pole(a.conjugate())} in the same axis"))
-    return faults
-
-
-def _too_far_right(pole: complex) -> str:
-    """Return the reason against a pole."""
-    if pole.real >= 0.0:
-        return f"{format_pole(pole)} rad/s is not stable; the real part of a pole is below 0"
-    return (
-        f"{format_pole(pole)} rad/s is too slow: what it moves takes {1.0 / -pole.real:.0f} s to fall to 37 %, and"
-        f" nearer to 0 than {LEFT:g} rad/s it cannot be told from one that grows; take {-LEFT:g} rad/s or further left"
-    )
+            yield k, messages.POLE_WITHOUT_CONJUGATE(pole=pole, conjugate=format_pole(a.conjugate()))
 
 
 def format_pole(pole: complex) -> str:

@@ -17,15 +17,14 @@ from controller.full_model import INPUTS, STATES, full_model
 from controller.kalman import kalman_filter
 from controller.variants import FullSettings
 
-# States moved by tilts and seen by the IMU. x is not measured and moves nothing; roll, y and thrusts do not depend on
-# tilts.
-MOVED = [STATES.index(name) for name in ("vx", "psi", "psi_dot", "tilt_right", "tilt_left")]
+# States that depend on the tilts and act on the IMU: not x, roll, y and thrusts.
+PREDICTED = [STATES.index(name) for name in ("vx", "psi", "psi_dot", "tilt_right", "tilt_left")]
 TILTS = [INPUTS.index(name) for name in ("tilt_right", "tilt_left")]
 PSI, PSI_DOT, RIGHT, LEFT = 1, 2, 3, 4  # indices among these states
 TURNING = {PSI, PSI_DOT, 5 + 2, 5 + 3, 10 + 1}  # indices among all states of the loop, without tilts
 GROWS = 1e-3  # [rad/s] poles further right grow; uncontrolled poles are at 0 within rounding
-LEAST_DAMPING = 0.1  # a swing keeps exp(-2π·0.1), more than half of its size, from one to the next
-SETTLED, MOST_UPDATES = 1e-9, 3000  # convergence of the filter gain
+MIN_DAMPING = 0.1  # a swing keeps exp(-2π·0.1), more than half of its size, from one to the next
+MAX_CHANGE, MAX_UPDATES = 1e-9, 3000  # convergence of the filter gain
 
 
 class Mode(NamedTuple):
@@ -60,39 +59,37 @@ class FlownLoop:
 
     def __init__(self, craft: FullSettings, p: FullSettings) -> None:
         A, B = full_model(craft)
-        A, B = A[np.ix_(MOVED, MOVED)], B[np.ix_(MOVED, TILTS)]
+        A, B = A[np.ix_(PREDICTED, PREDICTED)], B[np.ix_(PREDICTED, TILTS)]
         self.sample = p.sample_time
         self.craft = discretize(A, B, p.sample_time)
-        self.seen = np.vstack([np.eye(len(A))[[PSI, PSI_DOT]], A[:1]])  # a_x = v̇x
+        self.H = np.vstack([np.eye(len(A))[[PSI, PSI_DOT]], A[:1]])  # a_x = v̇x
         kf = kalman_filter(p, np.zeros(5))
         last = np.zeros((5, 3))
-        for _ in range(MOST_UPDATES):
+        for _ in range(MAX_UPDATES):
             kf.predict()
             kf.update(np.zeros(3))
-            if np.abs(kf.K - last).max() <= SETTLED:
+            if np.abs(kf.K - last).max() <= MAX_CHANGE:
                 break
             last = kf.K.copy()
-        self.filter, self.believed, self.correction = (kf.F, kf.B), kf.H, kf.K
+        self.filter, self.H_hat, self.correction = (kf.F, kf.B), kf.H, kf.K
 
     def matrix(self, K: Matrix, K_i: Matrix | None = None) -> Matrix:
         """Return the transition matrix of the craft's five states, x̂ and optional integrals of x and ψ."""
-        gains = [np.zeros((2, 5)), K, *([] if K_i is None else [K_i])]
-        u = -np.hstack(gains)
+        u = -np.hstack([np.zeros((2, 5)), K, *([] if K_i is None else [K_i])])
         n = u.shape[1]
         (F, G), (F_hat, G_hat), now = self.craft, self.filter, np.eye(n)
         x = F @ now[:5] + G @ u
         predicted = F_hat @ now[5:10] + G_hat @ u
-        x_hat = predicted + self.correction @ (self.seen @ x - self.believed @ predicted)
-        grown = now[10:] + self.sample * np.vstack([x_hat[:1], x[PSI : PSI + 1]]) if n > 10 else now[10:]
-        return np.vstack([x, x_hat, grown])
+        x_hat = predicted + self.correction @ (self.H @ x - self.H_hat @ predicted)
+        integrals = now[10:] + self.sample * np.vstack([x_hat[:1], x[PSI : PSI + 1]]) if n > 10 else now[10:]
+        return np.vstack([x, x_hat, integrals])
 
     def modes(self, K: Matrix, K_i: Matrix | None = None) -> list[Mode]:
         """Return all modes, fastest growth first."""
         values, vectors = np.linalg.eig(self.matrix(K, K_i))
-        found = [
-            Mode(cmath.log(z) / self.sample, _axis(v)) for z, v in zip(values.tolist(), vectors.T, strict=True) if z
-        ]
-        return sorted(found, key=lambda mode: -mode.pole.real)
+        pairs = zip(values.tolist(), vectors.T, strict=True)
+        modes = [Mode(cmath.log(z) / self.sample, _axis(vector)) for z, vector in pairs if z]
+        return sorted(modes, key=lambda mode: -mode.pole.real)
 
 
 def _axis(vector: Matrix) -> str:
@@ -102,13 +99,13 @@ def _axis(vector: Matrix) -> str:
     return "turning" if turning > 0.5 * weight.sum() else "forward"
 
 
-def worst(modes: Sequence[Mode]) -> list[Mode]:
+def worst_modes(modes: Sequence[Mode]) -> list[Mode]:
     """Return the worst growing or weakly damped mode of each axis."""
-    told: dict[str, Mode] = {}
+    by_axis: dict[str, Mode] = {}
     for mode in sorted(modes, key=lambda m: (not m.grows, -m.pole.real if m.grows else m.damping)):
-        if mode.grows or mode.damping < LEAST_DAMPING:
-            told.setdefault(mode.axis, mode)
-    return list(told.values())
+        if mode.grows or mode.damping < MIN_DAMPING:
+            by_axis.setdefault(mode.axis, mode)
+    return list(by_axis.values())
 
 
 def swing_ratio(damping: float) -> float:

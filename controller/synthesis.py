@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
+from controller import messages
 from controller.design_model import Matrix, ModelNumbers, design_model
 from cosim.model import SCALAR, Values
 from cosim.model.symbolic.linearize import LinearModel, linearize
@@ -102,18 +104,8 @@ def lqr_gain(p: ModelNumbers, Q: Sequence[float] = Q_THESIS, R: Sequence[float] 
         ValueError: No stabilising gain exists, or the weights are invalid.
     """
     if len(Q) != 5 or len(R) != 2 or min(Q) < 0 or min(R) <= 0:
-        raise ValueError("Q has five diagonal entries ≥ 0 and R two > 0")
-    import control  # 1 s to import: only where a gain is designed
-
-    A, B = design_model(p)
-    try:
-        K, _, poles = control.lqr(A, B, np.diag(Q), np.diag(R))
-    except np.linalg.LinAlgError as error:
-        raise ValueError(f"no stabilising gain for these weights: {error}") from error
-    # An integrator without weight remains uncontrolled, and the solver does not report it.
-    if max(np.real(poles)) > -STABLE:
-        raise ValueError(f"no stabilising gain for these weights: a pole stays at {max(np.real(poles)):.2g} rad/s")
-    return np.asarray(K, dtype=float)
+        raise ValueError(messages.INVALID_WEIGHTS())
+    return _lqr(*design_model(p), np.diag(Q), np.diag(R))
 
 
 def integral_gain(
@@ -130,18 +122,27 @@ def integral_gain(
         ValueError: No stabilising gain exists, or the weights are invalid.
     """
     if len(Q) != 5 or len(R) != 2 or len(Q_integral) != 2 or min(Q) < 0 or min(*R, *Q_integral) <= 0:
-        raise ValueError("Q has five diagonal entries ≥ 0, R two > 0 and Q_integral two > 0")
+        raise ValueError(messages.INVALID_INTEGRAL_WEIGHTS())
     import control
 
-    A, B = design_model(p)
-    measured = np.eye(5)[[0, 2]]
-    try:
-        K, _, poles = control.lqr(
-            control.ss(A, B, np.eye(5), 0), np.diag([*Q, *Q_integral]), np.diag(R), integral_action=measured
-        )
-    except np.linalg.LinAlgError as error:
-        raise ValueError(f"no stabilising gain for these weights: {error}") from error
-    if max(np.real(poles)) > -STABLE:
-        raise ValueError(f"no stabilising gain for these weights: a pole stays at {max(np.real(poles)):.2g} rad/s")
-    gain = np.asarray(K, dtype=float)
+    system = control.ss(*design_model(p), np.eye(5), 0)
+    gain = _lqr(system, np.diag([*Q, *Q_integral]), np.diag(R), integral_action=np.eye(5)[[0, 2]])
     return gain[:, :5], gain[:, 5:]
+
+
+def _lqr(*problem: Any, **options: Any) -> Matrix:
+    """Return the gain of `control.lqr`.
+
+    Raises:
+        ValueError: No stabilising gain exists.
+    """
+    import control  # 1 s to import: only where a gain is designed
+
+    try:
+        K, _, poles = control.lqr(*problem, **options)
+    except np.linalg.LinAlgError as error:
+        raise ValueError(messages.NO_STABILISING_GAIN(reason=str(error))) from error
+    # An integrator without weight remains uncontrolled, and the solver does not report it.
+    if (slowest := max(np.real(poles))) > -STABLE:
+        raise ValueError(messages.NO_STABILISING_GAIN(reason=f"a pole stays at {slowest:.2g} rad/s"))
+    return np.asarray(K, dtype=float)

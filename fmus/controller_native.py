@@ -110,9 +110,12 @@ def _design(place: dict[str, int]) -> str:
     for k, estimator in enumerate(ESTIMATORS):
         own = replace(settings, estimator=estimator)
         lines.append(f"{'} else ' if k else ''}if (strcmp(estimator, {quoted(estimator)}) == 0) {{")
-        lines += [f"    {line}" for line in (*_dynamics(own, places), *_matrix("d->H", _measured(own), places))]
-    known = ", ".join(ESTIMATORS)
-    lines.append(f'}} else return refuse(m, "estimator is %s; it is one of {known}", estimator);')
+        lines += [
+            f"    {line}"
+            for line in (*_dynamics(own, places), *_matrix("d->H", measurement_matrix(own, estimator), places))
+        ]
+    names = ", ".join(ESTIMATORS)
+    lines.append(f'}} else return refuse(m, "estimator is %s; it is one of {names}", estimator);')
     lines += _matrix("d->L", settings.gain_matrix, places)
     lines += _vector("d->V", settings.process_variances, places)
     lines += _vector("d->W", settings.measurement_variances, places)
@@ -134,10 +137,6 @@ def _dynamics(p: Settings, places: dict[Any, str]) -> Iterator[str]:
     yield from _matrix("A", A, places)
     yield from _matrix("B", B, places)
     yield f"hold({places[p.sample_time]}, A, B, d->F, d->G);"
-
-
-def _measured(p: Settings) -> Any:
-    return measurement_matrix(p, p.estimator)
 
 
 def _matrix(name: str, rows: Any, places: dict[Any, str]) -> Iterator[str]:

@@ -42,10 +42,9 @@ def jacobians() -> str:
     from plant.hovercraft import Hovercraft
 
     code = fingerprint(("cosim.model", "cosim.model.symbolic", "plant", "plant.effects"))
-    what = ("ax",), ("yaw_damping",)
-    return str(
-        load_or_make(f"jacobians of the hovercraft, {what} {code}", lambda: printed_jacobians(Hovercraft(), *what))
-    )
+    outputs, effects = ("ax",), ("yaw_damping",)
+    key = f"jacobians of the hovercraft, {(outputs, effects)} {code}"
+    return str(load_or_make(key, lambda: printed_jacobians(Hovercraft(), outputs, effects)))
 
 
 def _about(text: str, ports: Sequence[Port]) -> Description:

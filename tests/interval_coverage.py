@@ -9,9 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from plant.identification.estimates import Estimate
-from plant.identification.prepared import read_protocol
-from plant.identification.recordings import play_plain
-from plant.identification.workflow import played
+from tests.bench_runs import play_plain, read_protocol, simulate_seeds
 
 AT_ONCE = 20  # seeds
 
@@ -33,9 +31,9 @@ class Coverage:
 def coverage(path: Path, seeds: Sequence[int], tell: Callable[[int, int], None] | None = None) -> list[Coverage]:
     """Every number of a protocol over seeds; the bench is ours, whose truth is known."""
     protocol = read_protocol(path)
-    play, found = play_plain(protocol.known), dict[str, list[Estimate]]()
+    play, found = play_plain(protocol.bench), dict[str, list[Estimate]]()
     for first in range(0, len(seeds), AT_ONCE):
-        for outcome in played(protocol, play, seeds[first : first + AT_ONCE]):
+        for outcome in simulate_seeds(protocol, play, seeds[first : first + AT_ONCE]):
             for key, estimate in outcome.estimates.items():
                 found.setdefault(key, []).append(estimate)
         if tell is not None:
@@ -45,7 +43,10 @@ def coverage(path: Path, seeds: Sequence[int], tell: Callable[[int, int], None] 
 
 def _of(key: str, estimates: Sequence[Estimate]) -> Coverage:
     first, values = estimates[0], np.array([e.value for e in estimates])
-    share, thesis = float(np.mean([e.holds for e in estimates])), float(np.nanmean([e.thesis for e in estimates]))
+    share, thesis = (
+        float(np.mean([e.covers_truth for e in estimates])),
+        float(np.nanmean([e.thesis for e in estimates])),
+    )
     half = float(np.mean([0.5 * (e.high - e.low) for e in estimates]))
     spread = float(values.std(ddof=1)) if values.size > 1 else 0.0
     return Coverage(key, first.unit, first.truth, share, float(values.mean()), thesis, half, spread)

@@ -14,8 +14,9 @@ from cosim.loading.build import build
 from cosim.model import Stepper
 from cosim.model.namespaces import SCALAR, SymbolNamespace, arrays
 from plant.bench import Bench
-from plant.identification.recordings import FmuPlayer, Run, play_plain
+from plant.identification.recordings import FmuPlayer, Run
 from plant.powertrain import ground_effect, servo_angle, thrust_out_of_ground
+from tests.bench_runs import play_plain
 
 REST = (5.0, 7.5, 10.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 GRAM = 9.81e-3  # [N]

@@ -15,7 +15,7 @@ from controller.designer import DESIGNER
 from controller.gains import ESTIMATORS, Settings
 from controller.laws import IntegralFeedback, StateFeedback
 from controller.placement import POLES, placed_gain
-from controller.stability import LEAST_DAMPING, FlownLoop, Mode, swing_ratio, worst
+from controller.stability import MIN_DAMPING, FlownLoop, Mode, swing_ratio, worst_modes
 from controller.synthesis import integral_gain, lqr_gain
 from controller.variants import GAINS, INTEGRALS, FullSettings, integral_settings, mirrored
 from cosim.base.errors import InputError
@@ -84,17 +84,17 @@ def test_all_designs_of_the_thesis_and_ours_are_damped_as_printed_with_every_est
         p = FullSettings(estimator=estimator)
         loop = FlownLoop(p, p)
         every = [*loop.modes(lqr_gain(p)), *loop.modes(placed_gain(p)), *loop.modes(*integral_gain(p))]
-        assert worst(every) == []
+        assert worst_modes(every) == []
         assert min(mode.damping for mode in every) > 0.29
 
 
 def test_a_craft_without_friction_drifts_but_does_not_grow() -> None:
     p = FullSettings(friction=0.0)  # its speed is in no measurement: a pole at 0 that no gain moves
-    assert worst(FlownLoop(p, p).modes(lqr_gain(p))) == []
+    assert worst_modes(FlownLoop(p, p).modes(lqr_gain(p))) == []
 
 
 def test_a_swing_damped_by_a_tenth_keeps_half_of_its_size() -> None:
-    assert swing_ratio(LEAST_DAMPING) == pytest.approx(0.53, abs=0.005)
+    assert swing_ratio(MIN_DAMPING) == pytest.approx(0.53, abs=0.005)
 
 
 @pytest.fixture

@@ -25,11 +25,11 @@ from plant.identification.cells import cell_of
 from plant.identification.command_response import tilt_response
 from plant.identification.ground_effect import fit
 from plant.identification.lag import by_hand
-from plant.identification.prepared import read_protocol
 from plant.identification.protocol import StepTest
-from plant.identification.recordings import Recording, play_plain, read_recording, runs_of
+from plant.identification.recordings import Recording, read_recording, runs_of
 from plant.identification.workflow import identify
 from plant.powertrain import ground_effect
+from tests.bench_runs import play_plain, read_protocol
 from tests.interval_coverage import coverage
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -97,7 +97,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for c, loads in LOADS.items():
         content["cells"][c] |= {"loads": loads}
     protocol = read_protocol(written(folder, content, "truth.yaml"))
-    bench = protocol.known
+    bench = protocol.bench
     for name in ("thrust_line", "ground_effect", "step"):
         files = []
         for k, r in enumerate(play_plain(bench)(runs_of(protocol, name, 5))):
@@ -136,7 +136,7 @@ def test_the_bench_fmu_gives_its_own_numbers_back(found: tuple[Path, Any]) -> No
     wide = {k: e for k, e in outcome.estimates.items() if not abs(e.value - e.truth) <= 0.75 * (e.high - e.low)}
     assert len(outcome.estimates) == 9
     assert wide == {}  # within one and a half half-widths; `make seed` counts over 200 seeds
-    assert sum(e.holds for e in outcome.estimates.values()) >= 7
+    assert sum(e.covers_truth for e in outcome.estimates.values()) >= 7
 
 
 @pytest.mark.thorough
@@ -180,7 +180,7 @@ def test_test_1_says_that_its_cell_leaves_its_range(found: tuple[Path, Any]) -> 
 @pytest.mark.thorough
 def test_another_propeller_is_identified_from_its_csvs(measured: Path, tmp_path: Path) -> None:
     outcome = identify(measured / "protocol.yaml", tmp_path)
-    for name, e in outcome.chosen.items():
+    for name, e in outcome.estimates_by_name.items():
         assert e.truth != e.truth, "nobody knows the truth of what was measured"
         assert e.low <= OTHER[name] <= e.high, (name, e)
     assert read_model(tmp_path / "powertrain.yaml").parameters["propeller_radius"] == 0.1
@@ -219,13 +219,15 @@ def test_the_exponent_is_found_on_gains_that_have_no_logarithm() -> None:
 
 
 def test_test_5_moves_the_cell_by_few_steps(found: tuple[Path, Any]) -> None:
-    more = next(r.more for r in found[1].results if r.test == "moment")
+    more = next(r.details for r in found[1].results if r.test == "moment")
     assert more["steps_of_converter"] < 20  # 4 over 25°, 9 over 80°, beside noise
 
 
 def test_a_calibration_leaves_one_point_out_in_turn() -> None:
     volts = np.linspace(0.5, 3.0, 7)
-    assert np.abs(cell_of(4.0 - volts + 0.1 * volts**3 / 27, volts, 0.01).left_one_out).max() < 1e-9  # a cubic is exact
+    assert (
+        np.abs(cell_of(4.0 - volts + 0.1 * volts**3 / 27, volts, 0.01).cross_validation_errors).max() < 1e-9
+    )  # a cubic is exact
     with pytest.raises(ValueError, match="turns back"):
         cell_of([0, 1, 3, 2, 4], [0, 1, 2, 3, 4], 0.01)
 
@@ -371,7 +373,7 @@ def test_what_is_wrong_with_points_is_told_once(measured: Path, tmp_path: Path) 
 
     told = refused(changed(measured, tmp_path, text), tmp_path / "out")
     assert "cells.x.points.0.1 is 'a'" in told
-    assert "no loads and points" not in told
+    assert "neither loads nor points" not in told
     assert "has no files, and no bench is played" in told
     assert "too few" not in told
 

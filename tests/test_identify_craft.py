@@ -13,7 +13,7 @@ from cosim.loading.file import read_model
 from cosim.model import Stepper
 from cosim.verbs.check_verb import check as check_files
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
-from plant.identification.rest_noise import squared, variance
+from plant.identification.rest_noise import variance
 from plant.identification.workflow import identify
 from tests.logs import write_log
 from tests.tank import MODEL, OUTLET
@@ -108,17 +108,6 @@ def test_rows_that_follow_one_another_widen_the_interval() -> None:
     assert widths[1] > 1.1 * widths[0]
 
 
-def test_units_are_squared() -> None:
-    assert [squared(u) for u in ("rad", "m/s2", "N.m", "rad/s", "1", "")] == [
-        "rad2",
-        "m2/s4",
-        "N2.m2",
-        "rad2/s2",
-        "1",
-        "1",
-    ]
-
-
 def test_a_tank_s_area_is_found_from_how_far_it_fell(tmp_path: Path) -> None:
     (tmp_path / "tank.py").write_text(MODEL, encoding="utf-8")
     time, fallen = 0.5 * np.arange(81), []
@@ -158,7 +147,7 @@ def test_what_is_wrong_is_said_all_at_once(tmp_path: Path) -> None:
         assert part in text
     assert ":1:" in text  # with its place
     text = refused(protocol(tmp_path, rest={"files": ["short.csv", "moving.csv"]}), tmp_path / "out")
-    assert "26 rows of psi at rest, and it takes 50" in text
+    assert "26 rows of psi at rest, and 50 are needed" in text
     assert "psi moves by" in text
     assert "is empty" in refused(protocol(tmp_path, rest={"files": ["moving.csv"], "window": [3, 1]}), tmp_path / "out")
 

@@ -10,10 +10,8 @@ import pytest
 
 from cosim.base.errors import InputError
 from cosim.verbs.check_verb import check as check_files
-from plant.identification.prepared import read_protocol
-from plant.identification.recordings import play_plain
 from plant.identification.thrust_line import dead_end
-from plant.identification.workflow import played
+from tests.bench_runs import play_plain, read_protocol, simulate_seeds
 from tests.test_identify import PROTOCOL, short, written
 
 RAMP = [[0, 5, 0], [2, 5, 0], [17, 6.5, 0], [20, 5, 0]]  # the motor begins to turn at 5.77 %
@@ -116,7 +114,7 @@ def test_a_ramp_over_the_dead_end_or_the_cell_s_end_gives_the_line_of_its_thrust
 ) -> None:
     content = short(thrust_line={"phases": phases, "rest": [1, 1.9], "window": window, "repetitions": 6})
     protocol = read_protocol(written(tmp_path, content))
-    (outcome,) = played(protocol, play_plain(protocol.known), [1])
+    (outcome,) = simulate_seeds(protocol, play_plain(protocol.bench), [1])
     for e in outcome.estimates.values():
         assert abs(e.value - e.truth) <= 0.75 * (e.high - e.low), (e.name, e.value)  # one and a half half-widths
         assert e.high - e.low < 0.12 * abs(e.truth)

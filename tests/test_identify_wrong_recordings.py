@@ -17,9 +17,9 @@ from cosim.verbs.check_verb import check as check_files
 from plant.identification.columns import COLUMNS
 from plant.identification.equal_readings import equal_readings
 from plant.identification.misfit import misfit, odd_group
-from plant.identification.prepared import read_protocol
-from plant.identification.recordings import play_plain, read_recording, runs_of
+from plant.identification.recordings import read_recording, runs_of
 from plant.identification.workflow import identify
+from tests.bench_runs import play_plain, read_protocol
 from tests.test_identify import LOADS, short, written
 
 HEADER = ["time", *COLUMNS]
@@ -41,7 +41,7 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], dict
     tables = {}
     played = ("phases", "repetitions", "heights", "amplitude", "validation_duty")
     for name, _ in protocol.file.tests.named_tests():
-        runs = play_plain(protocol.known)(runs_of(protocol, name, 5))
+        runs = play_plain(protocol.bench)(runs_of(protocol, name, 5))
         files = [f"{name}{k}.csv" for k in range(len(runs))]
         for file, r in zip(files, runs, strict=True):
             tables[file] = np.column_stack([r.time, r.duty, r.servo_duty, r.height, *(r.volts[c] for c in "zxm")])
@@ -49,7 +49,7 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], dict
         content["tests"][name] = kept | {"files": files}
     for cell, loads in LOADS.items():
         unit = 1.0 if cell == "m" else 9.81e-3
-        curve = [getattr(protocol.known, f"{cell}_{power}") for power in ("zero", "slope", "square", "cube")]
+        curve = [getattr(protocol.bench, f"{cell}_{power}") for power in ("zero", "slope", "square", "cube")]
         volts = [float(np.polynomial.polynomial.polyval(load * unit, curve)) for load in loads]
         content["cells"][cell] = content["cells"][cell] | {"points": [list(p) for p in zip(loads, volts, strict=True)]}
         del content["cells"][cell]["loads"]
@@ -518,7 +518,7 @@ def test_decimal_commas_are_one_line_a_file(tmp_path: Path) -> None:
 def test_white_noise_is_a_misfit_or_a_group_as_seldom_as_is_said() -> None:
     rng = np.random.default_rng(1)
     found = [misfit(rng.standard_normal((4, 30)), np.zeros((0, 30)), 0) for _ in range(2000)]
-    assert sum(f is not None and f.significant for f in found) <= 10  # 2 are expected
+    assert sum(f is not None and f.is_significant for f in found) <= 10  # 2 are expected
     groups = [odd_group([rng.standard_normal(6)])[1] for _ in range(500)]
     assert sum(map(bool, groups)) <= 5
     assert odd_group([np.array([1.0, 1.01, 3.0, 1.02, 0.99, 1.0])]) == (0, [2])

@@ -25,11 +25,11 @@ from cosim.linearization.workflow import linearize
 from cosim.model import SCALAR
 from plant.bench import Bench
 from plant.hovercraft import Hovercraft
-from plant.identification.cells import calibrated
-from plant.identification.prepared import read_protocol
-from plant.identification.recordings import load_runs, play_plain, runs_of
+from plant.identification.cells import calibrate
+from plant.identification.recordings import load_runs, runs_of
 from plant.identification.workflow import analyse
 from plant.powertrain import ground_effect, lag, servo_angle, thrust_out_of_ground
+from tests.bench_runs import play_plain, read_protocol
 
 TESTS = Path(__file__).resolve().parent
 ROOT = TESTS.parent
@@ -197,8 +197,8 @@ def test_tares_are_estimated_and_not_copied(tmp_path: Path) -> None:
     content["tests"] = {n: content["tests"][n] | {"repetitions": 3} for n in ("step", "projection")}
     (tmp_path / "protocol.yaml").write_text(json.dumps(content))
     protocol = read_protocol(tmp_path / "protocol.yaml")
-    play, found = play_plain(protocol.known), []
-    cells = calibrated(protocol, {c: play(runs) for c, runs in load_runs(protocol, 1).items()})
+    play, found = play_plain(protocol.bench), []
+    cells = calibrate(protocol, {c: play(runs) for c, runs in load_runs(protocol, 1).items()})
     runs = {name: play(runs_of(protocol, name, 1)) for name, _ in protocol.file.tests.named_tests()}
     for off in (0.0, 0.1):
         moved = {n: [replace(r, volts={c: v + off for c, v in r.volts.items()}) for r in rs] for n, rs in runs.items()}

@@ -16,22 +16,22 @@ SYMBOLS = {quantity.name: quantity.symbol for quantity in QUANTITIES}
 
 def belief_sentence(craft: Craft) -> str | None:
     """Warn if only the estimate has settled."""
-    seen = belief(craft)
-    if seen is None or not seen.wanders:
+    end = belief(craft)
+    if end is None or not end.wanders:
         return None
     sentences = [
         "The estimator believes it has settled; the craft has not.",
-        f"At the end of the run x̂ lay {length(seen.estimated)} from its target and the craft {length(seen.true)}.",
+        f"At the end of the run x̂ lay {length(end.estimated)} from its target and the craft {length(end.true)}.",
     ]
     if craft.estimate("x") is None:
         sentences.append(
             "Heading, yaw rate and acceleration carry no information about the position: x is unobservable, and its"
             " error is not corrected."
         )
-    if seen.sigma > 0:
-        outside = seen.apart > 2 * seen.sigma
+    if end.sigma > 0:
+        outside = end.apart > 2 * end.sigma
         verdict = "outside" if outside else "within"
-        sentences.append(f"That is {verdict} the ±2σ band of the estimator, ±{length(2 * seen.sigma)} by then.")
+        sentences.append(f"That is {verdict} the ±2σ band of the estimator, ±{length(2 * end.sigma)} by then.")
     return " ".join(sentences)
 
 

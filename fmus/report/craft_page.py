@@ -6,8 +6,6 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from cosim.base.text import MISSING, plain
 from cosim.report.chart_data import rounded
 from cosim.report.drawing import Drawing
@@ -96,11 +94,8 @@ def readout(panel: Panel, plot: Plot) -> Readout:
     """Return truth, estimate and reference of a state, if recorded."""
     cells = []
     for style in ("true", "estimate", "reference"):
-        found = [
-            (curve.key, trace) for curve, trace in zip(plot.curves, panel.traces, strict=True) if trace.style == style
-        ]
-        finite = [float(v) for _, trace in found for v in trace.values[-1:] if np.isfinite(v)]
-        cells.append(
-            (found[0][0] if found else "", plain(finite[0]) if finite and not math.isnan(finite[0]) else MISSING)
-        )
+        pairs = zip(plot.curves, panel.traces, strict=True)
+        key, trace = next(((curve.key, trace) for curve, trace in pairs if trace.style == style), ("", None))
+        value = float(trace.values[-1]) if trace is not None and trace.values.size else math.nan
+        cells.append((key, plain(value) if math.isfinite(value) else MISSING))
     return Readout(panel.symbol, panel.title, panel.unit, tuple(cells))

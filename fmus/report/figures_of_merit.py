@@ -18,7 +18,7 @@ from fmus.report.lines import QUANTITIES
 from fmus.report.roles import SIDES, Craft
 
 SI = {"x": "m", "psi": "rad", "vx": "m/s", "psi_dot": "rad/s"}
-MOST_RESPONSES = 16
+MAX_RESPONSES = 16
 SETTLING = "settling_time"  # kind of criterion
 
 
@@ -38,33 +38,32 @@ class ResponseRow:
 
 def tiles(run: Run, crafts: Sequence[Craft]) -> list[Row]:
     """Return the key figures of the first craft."""
-    found: list[Row] = []
+    rows: list[Row] = []
     for variable in ("x", "psi"):
         answers = responses(crafts[0], variable) if crafts and not failed(run) else []
         if answers:
-            found.append(_settling_asked(run, crafts[0], variable) or _settling_here(answers[-1]))
-    if found and crafts and (answers := responses(crafts[0], "x")):
-        found.append(
-            Row("Final error of x", length(answers[-1].final).replace("less than", "<"), "craft against reference")
-        )
+            rows.append(_settling_of_criterion(run, crafts[0], variable) or _settling_of_step(answers[-1]))
+    if rows and (answers := responses(crafts[0], "x")):
+        error = length(answers[-1].final).replace("less than", "<")
+        rows.append(Row("Final error of x", error, "craft against reference"))
     shares = [saturation(craft, side) for craft in crafts[:1] for side in SIDES]
     if shares and all(map(math.isfinite, shares)):
-        found.append(Row("Tilt at its limit", percent(max(shares)), "of the time, busier side"))
-    return found
+        rows.append(Row("Tilt at its limit", percent(max(shares)), "of the time, busier side"))
+    return rows
 
 
-def _settling_asked(run: Run, craft: Craft, variable: str) -> Row | None:
+def _settling_of_criterion(run: Run, craft: Craft, variable: str) -> Row | None:
     """Return the settling time of a signal's last criterion."""
     column = f"{craft.name}.{variable}"
-    asked = [c for c in mappings(run.manifest.get("criteria")) if (c.get("kind"), c.get("of")) == (SETTLING, column)]
-    if not asked:
+    criteria = [c for c in mappings(run.manifest.get("criteria")) if (c.get("kind"), c.get("of")) == (SETTLING, column)]
+    if not criteria:
         return None
-    value, band = asked[-1].get("value"), amount(number(asked[-1].get("band")), SI[variable], None)
-    told = amount(number(value), "s") if value is not None else f"not within ±{band}"
-    return Row(f"Settling of {SYMBOLS[variable]}", told, f"last criterion, ±{band}")
+    value, band = criteria[-1].get("value"), amount(number(criteria[-1].get("band")), SI[variable], None)
+    time = amount(number(value), "s") if value is not None else f"not within ±{band}"
+    return Row(f"Settling of {SYMBOLS[variable]}", time, f"last criterion, ±{band}")
 
 
-def _settling_here(answer: Response) -> Row:
+def _settling_of_step(answer: Response) -> Row:
     unit = "m" if answer.variable == "x" else "rad"
     return Row(
         f"Settling of {SYMBOLS[answer.variable]}", _settling(answer.settling, unit), f"last step, ±{BAND:g} {unit}"
@@ -81,7 +80,7 @@ def _settling(value: float, unit: str) -> str:
 def response_rows(craft: Craft) -> list[ResponseRow]:
     """Return the last responses of x and ψ."""
     answers = sorted((r for v in ("x", "psi") for r in responses(craft, v)), key=lambda r: (r.time, r.variable != "x"))
-    return [_response_row(answer) for answer in answers[-MOST_RESPONSES:]]
+    return [_response_row(answer) for answer in answers[-MAX_RESPONSES:]]
 
 
 def _response_row(answer: Response) -> ResponseRow:

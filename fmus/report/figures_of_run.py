@@ -17,7 +17,7 @@ from fmus.report.roles import Craft
 
 BAND = 0.02  # m and rad: 2 % of the thesis' unit steps
 MERGE = 0.1  # s; changes of a reference closer than this are one ramp
-WANDERED = 0.05  # m; a craft farther from its target has not settled
+MAX_SETTLED_DISTANCE = 0.05  # m; a craft farther from its target has not settled
 
 
 @dataclass(frozen=True)
@@ -77,23 +77,22 @@ def responses(craft: Craft, variable: str) -> list[Response]:
         return []
     estimate = craft.estimate(f"{variable}_hat")
     rows = [line[good] for line in (craft.run.time, signal, reference)]
-    seen = None if estimate is None else estimate[good]
+    estimate = None if estimate is None else estimate[good]
     steps = reference_steps(rows[0], rows[2])
     # A start on target is a response only if the reference never changes.
     if len(steps) > 1 and abs(rows[1][0] - rows[2][0]) <= BAND:
         steps = steps[1:]
-    return [_response(variable, rows, seen, step) for step in steps]
+    return [_response(variable, rows, estimate, step) for step in steps]
 
 
 def _response(variable: str, rows: list[Array], estimate: Array | None, step: Step) -> Response:
     time, signal, reference = (line[step.begin : step.end] for line in rows)
-    held = slice(step.arrived, step.end)
-    target = float(reference[-1])
+    after, target = slice(step.arrived, step.end), float(reference[-1])
     moving = step.end - step.arrived < 2  # an unfinished ramp, or a change in the last row
-    settling = math.nan if moving else metrics.settling_time(rows[0][held], rows[1][held], target, BAND)
-    believed = math.nan
-    if estimate is not None and not moving:
-        believed = metrics.settling_time(rows[0][held], estimate[held], target, BAND)
+    settling, believed = (
+        math.nan if line is None or moving else metrics.settling_time(rows[0][after], line[after], target, BAND)
+        for line in (rows[1], estimate)
+    )
     before = float(rows[2][step.begin - 1]) if step.begin else float(signal[0])
     ramp = float(rows[0][step.arrived] - rows[0][step.begin]) if step.is_ramp else 0.0
     errors = metrics.rms_error(signal, reference), metrics.final_error(signal, reference)
@@ -126,9 +125,9 @@ def saturation(craft: Craft, side: str) -> float:
     command, limit, time = craft.command(f"tilt_{side}"), craft.tilt_limit, craft.run.time
     if command is None or limit is None or time.size < 2:
         return math.nan
-    held = np.diff(time)
+    steps = np.diff(time)
     at_limit = np.abs(command[:-1]) >= limit * (1 - 1e-6)
-    return float(held[at_limit].sum() / held.sum())
+    return float(steps[at_limit].sum() / steps.sum())
 
 
 @dataclass(frozen=True)
@@ -143,7 +142,7 @@ class Belief:
     @property
     def wanders(self) -> bool:
         """Return whether the craft is off target, and over twice as far as its estimate."""
-        return self.true > max(WANDERED, 2 * self.estimated)
+        return self.true > max(MAX_SETTLED_DISTANCE, 2 * self.estimated)
 
 
 def belief(craft: Craft) -> Belief | None:
@@ -162,12 +161,12 @@ def belief(craft: Craft) -> Belief | None:
     begin = max(float(time[arrived]), float(time[-1]) - max(1.0, 0.1 * float(time[-1] - time[0])))
     last = time >= begin
     sigma = craft.estimate("x_sigma")
-    claimed = math.nan if sigma is None else float(sigma[good][-1])
+    final_sigma = math.nan if sigma is None else float(sigma[good][-1])
     true, estimated, apart = (
         float(np.median(np.abs(one - other)[last])) for one, other in ((x, target), (x_hat, target), (x, x_hat))
     )
     # By the rule of the settling time, a craft with its last sample inside the band has settled.
-    return Belief(min(true, float(np.abs(x - target)[-1])), estimated, apart, claimed)
+    return Belief(min(true, float(np.abs(x - target)[-1])), estimated, apart, final_sigma)
 
 
 def inside_band(craft: Craft, variable: str) -> float:

@@ -89,13 +89,13 @@ def tilt_panels(craft: Craft) -> list[Panel]:
 
 def shown_columns(crafts: Sequence[Craft]) -> set[str]:
     """Return the result columns in the crafts' sections."""
-    shown: set[str] = set()
+    columns: set[str] = set()
     for craft in crafts:
         for quantity in QUANTITIES:
-            shown.add(f"{craft.name}.{quantity.name}")
-            shown.update(f"{craft.estimator}.{quantity.name}_{end}" for end in ("hat", "sigma", "ref"))
-            shown.add(craft.reference_column(quantity.name) or "")
+            columns.add(f"{craft.name}.{quantity.name}")
+            columns.update(f"{craft.estimator}.{quantity.name}_{end}" for end in ("hat", "sigma", "ref"))
+            columns.add(craft.reference_column(quantity.name) or "")
         for side in SIDES:
-            shown.update((f"{craft.name}.tilt_{side}", f"{craft.name}.tilt_{side}_actual"))
-            shown.add(f"{craft.estimator}.tilt_{side}")
-    return shown
+            columns.update((f"{craft.name}.tilt_{side}", f"{craft.name}.tilt_{side}_actual"))
+            columns.add(f"{craft.estimator}.tilt_{side}")
+    return columns

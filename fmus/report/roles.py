@@ -60,8 +60,8 @@ class Craft:
         """
         if self.estimator is None:
             return None
-        wanted = f"{self.estimator}.{variable}_ref"
-        columns = (self.run.source(wanted), wanted)
+        own = f"{self.estimator}.{variable}_ref"
+        columns = (self.run.source(own), own)
         return next((column for column in columns if column is not None and column in self.run.results), None)
 
     def reference(self, variable: str) -> Array | None:
@@ -69,8 +69,8 @@ class Craft:
         column = self.reference_column(variable)
         if column is not None:
             return self.run.results[column]
-        told = number(self.run.start(self.estimator).get(f"{variable}_ref"))
-        return np.full(self.run.time.size, told) if np.isfinite(told) else None
+        value = number(self.run.start(self.estimator).get(f"{variable}_ref"))
+        return np.full(self.run.time.size, value) if np.isfinite(value) else None
 
     def command(self, variable: str) -> Array | None:
         """Return a tilt command of the craft or controller."""
@@ -83,9 +83,9 @@ class Craft:
 
         Without a start value, the default applies if no command exceeds it.
         """
-        told = angle(self.run.start(self.estimator).get("tilt_max"))
-        if np.isfinite(told) and told > 0:
-            return told
+        limit = angle(self.run.start(self.estimator).get("tilt_max"))
+        if np.isfinite(limit) and limit > 0:
+            return limit
         commands = [self.command(f"tilt_{side}") for side in SIDES]
         if self.estimator is None or any(c is None for c in commands):
             return None
@@ -99,17 +99,17 @@ def find_crafts(run: Run) -> list[Craft]:
     estimators = [name for name, has in run.variables.items() if {"x_hat", "x_sigma"} <= has]
     # A single craft and a single estimator belong together, even without connections in the manifest.
     alone = len(names) == len(estimators) == 1
-    return [Craft(run, name, estimators[0] if alone else _reached(run, name, estimators, names)) for name in names]
+    return [Craft(run, name, estimators[0] if alone else _downstream(run, name, estimators, names)) for name in names]
 
 
-def _reached(run: Run, start: str, wanted: Iterable[str], blocked: Iterable[str]) -> str | None:
-    """Return the first of `wanted` downstream of `start`, without a path through `blocked` ones."""
+def _downstream(run: Run, start: str, names: Iterable[str], blocked: Iterable[str]) -> str | None:
+    """Return the first of `names` downstream of `start`, without a path through `blocked` ones."""
     edges = [(source.partition(".")[0], target.partition(".")[0]) for source, target in run.links]
-    seen, front = {start, *blocked}, [start]
+    visited, front = {start, *blocked}, [start]
     while front:
-        front = list(dict.fromkeys(target for source, target in edges if source in front and target not in seen))
-        seen.update(front)
+        front = list(dict.fromkeys(target for source, target in edges if source in front and target not in visited))
+        visited.update(front)
         for component in front:
-            if component in wanted:
+            if component in names:
                 return component
     return None

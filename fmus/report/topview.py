@@ -24,10 +24,10 @@ from plant.hovercraft import Hovercraft
 CRAFT = Hovercraft()
 ARM, RADIUS = CRAFT.arm, CRAFT.propeller_radius  # [m], defaults of the start values
 MARGIN = 0.42  # m around the path: half a craft and a margin
-NARROWEST, WIDEST = 1.25, 1.9  # width / height of the picture
-SMALLEST = 0.06  # of the picture's width; a smaller craft is magnified
+MIN_RATIO, MAX_RATIO = 1.25, 1.9  # width / height of the picture
+MIN_SIZE = 0.06  # of the picture's width; a smaller craft is magnified
 ARROW = 250  # mm, about the length of the longest arrow
-FARTHEST = 1e9  # m; larger whole millimetres do not fit
+MAX_COORDINATE = 1e9  # m; larger whole millimetres do not fit
 ON_TARGET = 0.02  # m; largest initial distance of the craft from a reference path
 
 
@@ -91,9 +91,9 @@ class View:
 
 
 def make_track(x: Array, y: Array, psi: Array) -> Track:
-    """Return a track with NaN for poses beyond FARTHEST."""
-    gone = ~(np.maximum(np.maximum(np.abs(x), np.abs(y)), np.abs(psi)) < FARTHEST)
-    return Track(*(np.where(gone, np.nan, line) for line in (x, y, psi)))
+    """Return a track with NaN for poses beyond MAX_COORDINATE."""
+    far = ~(np.maximum(np.maximum(np.abs(x), np.abs(y)), np.abs(psi)) < MAX_COORDINATE)
+    return Track(*(np.where(far, np.nan, line) for line in (x, y, psi)))
 
 
 def true_track(craft: Craft) -> Track:
@@ -105,7 +105,7 @@ def true_track(craft: Craft) -> Track:
 def estimated_track(craft: Craft) -> Track | None:
     """Return the estimated track: estimated distance along the estimated heading."""
     x_hat, psi_hat = craft.estimate("x_hat"), craft.estimate("psi_hat")
-    return None if x_hat is None or psi_hat is None else _laid_out(craft, x_hat, psi_hat)
+    return None if x_hat is None or psi_hat is None else _lay_out(craft, x_hat, psi_hat)
 
 
 def reference_track(craft: Craft) -> Track | None:
@@ -113,15 +113,15 @@ def reference_track(craft: Craft) -> Track | None:
     x, x_ref, psi_ref = craft.signal("x"), craft.reference("x"), craft.reference("psi")
     if x is None or x_ref is None or psi_ref is None or not x.size or not abs(x_ref[0] - x[0]) <= ON_TARGET:
         return None
-    return _laid_out(craft, x_ref, psi_ref)
+    return _lay_out(craft, x_ref, psi_ref)
 
 
-def _laid_out(craft: Craft, way: Array, heading: Array) -> Track:
+def _lay_out(craft: Craft, way: Array, heading: Array) -> Track:
     """Return the track of a distance along a heading, from the craft's start."""
     begin, x = true_track(craft), craft.signal("x")
-    moved = np.diff(way, prepend=way[0] if x is None else x[0])
-    along, left = np.cumsum(moved * np.cos(heading)), np.cumsum(moved * np.sin(heading))
-    return make_track(begin.x[0] + along, begin.y[0] + left, heading)
+    steps = np.diff(way, prepend=way[0] if x is None else x[0])
+    ahead, aside = np.cumsum(steps * np.cos(heading)), np.cumsum(steps * np.sin(heading))
+    return make_track(begin.x[0] + ahead, begin.y[0] + aside, heading)
 
 
 def horizontal_thrust(craft: Craft, side: str) -> Array | None:
@@ -185,7 +185,7 @@ def make_view(crafts: Sequence[Craft], rows: Rows) -> View | None:
     across = make_axis(-(left + width) / 1000, -left / 1000, 6)
     up = make_axis(-(top + height) / 1000, -top / 1000, 4)
     bar = round_step(width / 1000 / 8)
-    magnified = max(1.0, SMALLEST * width / (2000 * (ARM + RADIUS)))
+    magnified = max(1.0, MIN_SIZE * width / (2000 * (ARM + RADIUS)))
     every = _mark_interval(crafts[0])
     bodies = tuple(_body(craft, rows, every) for craft in crafts)
     note, marks = _thrust_note(crafts[0]), f"a dot every {every:g} s" if bodies[0].marks else ""
@@ -197,25 +197,25 @@ def _companions(craft: Craft) -> list[Track | None]:
     true = true_track(craft)
     own = extent([true.x, true.y]) or (0.0, 0.0)
     reach = 2 * (own[1] - own[0]) + 2
-    kept = []
+    tracks = []
     for track in (estimated_track(craft), reference_track(craft)):
         span = extent([track.x, track.y]) if track is not None else None
         near = span is not None and span[0] > own[0] - reach and span[1] < own[1] + reach
-        kept.append(track if near else None)
-    return kept
+        tracks.append(track if near else None)
+    return tracks
 
 
 def _box(tracks: Sequence[Track]) -> tuple[int, int, int, int]:
     """Return the box of a picture of all tracks.
 
-    Left, top, width and height are in mm. The ratio of width to height is between NARROWEST and WIDEST.
+    Left, top, width and height are in mm. The ratio of width to height is between MIN_RATIO and MAX_RATIO.
     """
     nowhere = (0.0, 0.0)
     x, y = extent([track.x for track in tracks]) or nowhere, extent([track.y for track in tracks]) or nowhere
     height, width = x[1] - x[0] + 2 * MARGIN, y[1] - y[0] + 2 * MARGIN
     room = 0.03 * max(width, height) if max(width, height) > 4 else 0.0
     height, width = height + 2 * room, width + 2 * room
-    width, height = max(width, NARROWEST * height), max(height, width / WIDEST)
+    width, height = max(width, MIN_RATIO * height), max(height, width / MAX_RATIO)
     left, top = -(y[0] + y[1]) / 2 - width / 2, -(x[0] + x[1]) / 2 - height / 2
     return math.floor(1000 * left), math.floor(1000 * top), math.ceil(1000 * width), math.ceil(1000 * height)
 
@@ -247,8 +247,8 @@ def _body(craft: Craft, rows: Rows, every: float) -> Body:
 
 
 def _millimetres(start: Any, name: str, usual: float) -> int:
-    told = number(start.get(name), usual)
-    return round(1000 * (told if 0 < told < 100 else usual))
+    size = number(start.get(name), usual)
+    return round(1000 * (size if 0 < size < 100 else usual))
 
 
 def _mark_interval(craft: Craft) -> float:

@@ -7,10 +7,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from cosim.base.arrays import Array, Flags
+from plant.identification import messages
 from plant.identification.cells import Cells
 from plant.identification.command_response import LAGS
 from plant.identification.commanded import BEFORE
-from plant.identification.estimates import Measured, Result, shifts_of
+from plant.identification.estimates import Measurement, Result, shifts_of
 from plant.identification.misfit import SHARE, Misfit, is_quieter, misfit, residuals
 from plant.identification.recordings import Recording
 
@@ -19,51 +20,37 @@ DELAYS = np.linspace(-BEFORE, BEFORE, 61)  # [s] delays to try
 Response = Callable[[Recording], Array]  # force of a run's commands, one column for each of LAGS
 
 
-def judge(m: Measured, result: Result, channel: str, response: Response, rows: Sequence[Flags]) -> None:
+def judge(m: Measurement, result: Result, channel: str, response: Response, rows: Sequence[Flags]) -> None:
     """Add a fault for a force before its command, and a warning for another shape."""
     # rows of each run nearest to the slowest clock
     slowest = max(m.recordings, key=lambda r: r.step)
     clock = slowest.time[rows[m.recordings.index(slowest)]]
     places = [np.clip(np.searchsorted(r.time, clock - 0.5 * r.step), 0, r.time.size - 1) for r in m.recordings]
-    tables: dict[bytes, Array] = {}
+    tau, end = result.estimates[0].value, (0.5 * (m.test.at + m.test.window[1]), m.test.window[1])
+    volts = [[r.volts[channel][r.rows(window)] for r in m.recordings] for window in (m.test.rest, end)]
+    if is_quieter(*volts):
+        result.warnings.append(messages.NOISE_FALLS(cell=channel))
 
-    def table(r: Recording) -> Array:
-        key = r.time.tobytes() + r.duty.tobytes() + r.servo_duty.tobytes()
-        if key not in tables:
-            tables[key] = response(r)
-        return tables[key]
-
-    tau = result.estimates[0].value
-    if is_quieter(
-        [r.volts[channel][r.rows(m.test.rest)] for r in m.recordings],
-        [r.volts[channel][r.rows((0.5 * (m.test.at + m.test.window[1]), m.test.window[1]))] for r in m.recordings],
-    ):
-        result.warnings.append(
-            f"volts_{channel} has less noise after the step than at rest: the cell or its amplifier is at its end; "
-            "take a larger range or a smaller step"
-        )
-
-    def missed(using: Cells) -> Array:
+    def shape_residuals(using: Cells) -> Array:
         """Return the residuals of the shape, shape (repetitions, rows)."""
-        found = []
+        values = []
         for r, place in zip(m.recordings, places, strict=True):
-            values, slope = _at_lag(table(r)[place], tau)
-            basis = np.column_stack((np.ones(place.size), values, slope))
-            found.append(residuals(m.force(r, channel, using)[place], basis))
-        return np.array(found)
+            basis = np.column_stack((np.ones(place.size), *_at_lag(response(r)[place], tau)))
+            values.append(residuals(m.force(r, channel, using)[place], basis))
+        return np.array(values)
 
-    each = missed(m.cells)
-    found = misfit(each, shifts_of(missed, m.cells, channel, each), PARAMETERS)
-    if found is None or not found.significant:
+    each = shape_residuals(m.cells)
+    shape = misfit(each, shifts_of(shape_residuals, m.cells, channel, each), PARAMETERS)
+    if shape is None or not shape.is_significant:
         return
     force = np.mean([m.force(r, channel)[place] for r, place in zip(m.recordings, places, strict=True)], axis=0)
     first = m.recordings[0]
 
     def later(delay: float) -> Array:
         """Return the delayed response on the clock, one column for each of LAGS."""
-        return np.array([np.interp(clock - delay, first.time, column) for column in table(first).T]).T
+        return np.array([np.interp(clock - delay, first.time, column) for column in response(first).T]).T
 
-    _explain(result, found, force, clock, m.test.at, later)
+    _explain(result, shape, force, clock, m.test.at, later)
 
 
 def _at_lag(table: Array, lag: float) -> tuple[Array, Array]:
@@ -74,51 +61,37 @@ def _at_lag(table: Array, lag: float) -> tuple[Array, Array]:
 
 
 def _explain(
-    result: Result, found: Misfit, force: Array, clock: Array, at: float, later: Callable[[float], Array]
+    result: Result, shape: Misfit, force: Array, clock: Array, at: float, later: Callable[[float], Array]
 ) -> None:
     """Add the explanation of a misfit: a delay, a sine, or its size."""
-    size = float(np.ptp(_fitted(force, later(0.0))[0]))
     # the same response, shifted: the best of all lags and delays
-    best: tuple[float, float, float, Array] | None = None
-    for delay in DELAYS:
-        fitted, k = _fitted(force, later(float(delay)))
-        miss = force - fitted
-        if best is None or float(miss @ miss) < best[0]:
-            best = float(miss @ miss), float(delay), float(LAGS[k]), miss
-    assert best is not None
-    _, delay, lag, miss = best
-    whole = found.size()
-    explained = whole - found.size(miss)
-    largest = 100.0 * float(np.abs(found.mean).max()) / max(size, 1e-300)
-    missed = f"the mean answer misses the curve of first order by up to {largest:.2g} % of the step"
-    missed += ", more than the scatter of the repetitions"
-    delayed = explained > SHARE * whole and found.is_significant(explained, 1.0)
-    if delayed and delay < 0.0 and _moves_before(found, clock, at):
-        result.faults.append(
-            f"the force moves some {-delay:.2g} s before its command: the cells are ahead of the commands by as much; "
-            "record both by one clock, or shift the columns of volts"
-        )
-    elif delayed and delay > 0.0:
-        result.warnings.append(
-            f"{missed}: the force answers some {delay:.2g} s late, as a pure delay does, and with that delay the lag "
-            f"is {lag:.2g} s; look at the clocks of commands and cells"
-        )
+    fits = [(delay, *_fit_column(force, later(delay))) for delay in DELAYS.tolist()]
+    delay, fitted, k = min(fits, key=lambda fit: float((force - fit[1]) @ (force - fit[1])))
+    size = float(np.ptp(_fit_column(force, later(0.0))[0]))
+    explained = shape.size() - shape.size(force - fitted)
+    miss = 100.0 * float(np.abs(shape.mean).max()) / max(size, 1e-300)
+    is_delay = explained > SHARE * shape.size() and shape.exceeds_chance(explained, 1.0)
+    is_early = _moves_before(shape, clock, at)
+    if is_delay and delay < 0.0 and is_early:
+        result.faults.append(messages.EARLY_STEP(delay=-delay))
+    elif is_delay and delay > 0.0:
+        result.warnings.append(messages.LATE_STEP(miss=miss, delay=delay, lag=LAGS[k]))
+    elif is_early and (frequency := _frequency(shape.mean, step := float(np.median(np.diff(clock))))):
+        result.warnings.append(messages.HUM(miss=miss, frequency=frequency, rate=1.0 / step))
     else:
-        text = f"{missed}: it is not of first order, and the lag stands for none of its own"
-        sine = _sine(found.mean, clock) if _moves_before(found, clock, at) else ""
-        result.warnings.append(text + (sine or "; look at the cell, its range and the motor"))
+        result.warnings.append(messages.NOT_FIRST_ORDER(miss=miss))
 
 
-def _moves_before(found: Misfit, clock: Array, at: float) -> bool:
+def _moves_before(shape: Misfit, clock: Array, at: float) -> bool:
     """Return whether the mean residual moves before the command beyond its scatter."""
     before = clock < at - 1e-9
     if before.sum() < 2:
         return False
-    values = np.where(before, found.mean - found.mean[before].mean(), 0.0)
-    return found.is_significant(found.size(values), float(before.sum()) - 1.0)
+    values = np.where(before, shape.mean - shape.mean[before].mean(), 0.0)
+    return shape.exceeds_chance(shape.size(values), float(before.sum()) - 1.0)
 
 
-def _fitted(force: Array, table: Array) -> tuple[Array, int]:
+def _fit_column(force: Array, table: Array) -> tuple[Array, int]:
     """Return offset plus the best scaled column for a force, and the column's index."""
     shape = table - table.mean(axis=0)
     norm = np.sqrt((shape**2).sum(axis=0))
@@ -127,14 +100,9 @@ def _fitted(force: Array, table: Array) -> tuple[Array, int]:
     return force.mean() + along[k] / (norm[k] or 1.0) * shape[:, k], k
 
 
-def _sine(values: Array, clock: Array) -> str:
-    """Name the frequency of a sinusoidal residual."""
+def _frequency(values: Array, step: float) -> float:
+    """Return the frequency [Hz] of a sinusoidal residual, 0 for another one."""
     power = np.abs(np.fft.rfft(values - values.mean())) ** 2
     k = int(np.argmax(power))
-    if not power[max(0, k - 1) : k + 2].sum() > SHARE * power.sum() or k < 2:
-        return ""
-    step = float(np.median(np.diff(clock)))
-    return (
-        f"; a sine of {k / values.size / step:.2g} Hz is on it, in rows of {1.0 / step:.3g} Hz to which faster ones "
-        "fold: is it hum of the mains, or an oscillation? Shield or filter the cell"
-    )
+    is_sine = power[max(0, k - 1) : k + 2].sum() > SHARE * power.sum() and k >= 2
+    return k / values.size / step if is_sine else 0.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from cosim.storage.artefact import Checking
-from plant.identification.cells import calibrated
+from plant.identification.cells import calibrate
 from plant.identification.craft import read_craft
 from plant.identification.input_kind import craft_file
 from plant.identification.prepared import prepare
@@ -27,5 +27,5 @@ def check_protocol(path: Path, checking: Checking) -> list[str]:
     protocol, measured = ready.protocol, ready.measured
     if not measured or not all(cell.points for cell in protocol.file.cells.values()):
         return []
-    results = checked_results(protocol, calibrated(protocol, {}), measured, draw=False)
-    return [f"warning: {r.test}: {text}" for r in results for text in r.warnings]
+    results = checked_results(protocol, calibrate(protocol, {}), measured, draw=False)
+    return [message.after(f"warning: {r.test}: ") for r in results for message in r.warnings]

@@ -13,17 +13,17 @@ from plant.powertrain import servo_angle, servo_rate
 LAGS = np.geomspace(0.01, 0.6, 83)  # [s] lags to try, 5 % apart
 
 
-def tilt_response(known: Bench, time: Array, servo_duty: Array, lags: Array) -> Array:
+def tilt_response(bench: Bench, time: Array, servo_duty: Array, lags: Array) -> Array:
     """Return the tilt [rad], shape (rows, lags), with dead band and rate limit, settled at the start."""
     m, lags = arrays(), np.asarray(lags, float)
-    target = servo_angle(servo_duty, known.servo_neutral, known.servo_slope)
+    target = servo_angle(servo_duty, bench.servo_neutral, bench.servo_slope)
     h = float(np.median(np.diff(time)))
-    n = substeps(h, known.substep)
+    n = substeps(h, bench.substep)
     tilt = np.empty((time.size, lags.size))
     tilt[0] = target[0]
 
     def rate(t: float, x: tuple[Array, ...], u: tuple[float, ...]) -> tuple[Array, ...]:
-        return (servo_rate(m, u[0], x[0], lags, known.servo_dead_band, known.servo_speed),)
+        return (servo_rate(m, u[0], x[0], lags, bench.servo_dead_band, bench.servo_speed),)
 
     for k in range(1, time.size):
         state = (tilt[k - 1],)

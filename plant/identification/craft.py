@@ -16,15 +16,17 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from cosim.base.errors import Fault, InputError, NotExecuted, refuse
+from cosim.base.messages import Message
 from cosim.base.registry import BASE
 from cosim.loading.file import LoadedModel, load_model
 from cosim.logs.log import Log, read_log
 from cosim.storage.yaml_file import NotNegative, Number, Part, YamlFile, did_you_mean
+from plant.identification import messages
 from plant.identification.distance import matching_faults
 from plant.identification.estimates import Estimate, Result
 from plant.identification.rest_noise import rest_faults
 
-LEAST = 3  # runs over the distance: the interval comes from the scatter between them
+MIN_RUNS = 3  # runs over the distance: the interval comes from the scatter between them
 
 
 class RestFile(Part):
@@ -64,11 +66,11 @@ class Craft:
     runs: Sequence[Log] = ()
 
     @property
-    def covered(self) -> list[float]:
+    def distances(self) -> list[float]:
         """Return the distance of each run."""
         assert self.file.distance is not None
-        told = self.file.distance.covered
-        return list(told) if isinstance(told, list) else [told] * len(self.runs)
+        covered = self.file.distance.covered
+        return covered if isinstance(covered, list) else [covered] * len(self.runs)
 
     @property
     def files(self) -> list[Path]:
@@ -98,7 +100,7 @@ class CraftOutcome:
         return [*lines, *(note for r in self.results for note in r.notes)]
 
     @property
-    def warnings(self) -> list[str]:
+    def warnings(self) -> list[Message]:
         """Return the warnings about the estimates."""
         return [text for r in self.results for text in r.warnings]
 
@@ -117,7 +119,7 @@ def read_craft(yaml: YamlFile) -> Craft:
     if content is None:
         raise InputError(faults)
     if content.rest is None and content.distance is None:
-        faults.append(yaml.fault((), "holds neither rest nor distance; add one", key=True))
+        faults.append(yaml.fault((), messages.NEITHER_REST_NOR_DISTANCE(), key=True))
     try:
         loaded = load_model(content.model, yaml.path.parent, yaml)
     except InputError as error:
@@ -127,7 +129,7 @@ def read_craft(yaml: YamlFile) -> Craft:
             raise InputError(faults) from None
         raise
     if content.distance is not None:
-        faults += _names(yaml, content.distance, loaded)
+        faults += _distance_faults(yaml, content.distance, loaded)
     model = loaded.model
     rest = _logs(yaml, "rest", content.rest, lambda path: read_log(path, (), model.outputs), faults)
     runs = _logs(yaml, "distance", content.distance, lambda path: read_log(path, model.inputs, model.outputs), faults)
@@ -142,21 +144,20 @@ def read_craft(yaml: YamlFile) -> Craft:
 def _logs(
     yaml: YamlFile,
     part: str,
-    asked: RestFile | DistanceFile | None,
+    content: RestFile | DistanceFile | None,
     read: Callable[[Path], Log],
     faults: list[Fault],
 ) -> list[Log]:
     """Return the logs of a part of the file, and extend `faults`."""
-    logs, contents = list[Log](), dict[bytes, str]()
-    for k, name in enumerate(asked.files if asked else ()):
+    logs, names = list[Log](), dict[bytes, str]()
+    for k, name in enumerate(content.files if content else ()):
         path, place = yaml.path.parent / name, (part, "files", k)
         if not path.is_file():
-            faults.append(yaml.fault(place, f"no such file: {name}"))
-        elif (content := path.read_bytes()) in contents:
-            told = f"{name} holds what {contents[content]} does; each is a recording of its own, so leave one out"
-            faults.append(yaml.fault(place, told))
+            faults.append(yaml.fault(place, messages.NO_LOG(name=name)))
+        elif (bytes_ := path.read_bytes()) in names:
+            faults.append(yaml.fault(place, messages.COPY_OF_LOG(name=name, other=names[bytes_])))
         else:
-            contents[content] = f"file {k + 1}, {name}"
+            names[bytes_] = f"file {k + 1}, {name}"
             try:
                 logs.append(read(path))
             except InputError as error:
@@ -164,19 +165,19 @@ def _logs(
     return logs
 
 
-def _names(yaml: YamlFile, asked: DistanceFile, loaded: LoadedModel) -> Iterator[Fault]:
-    model = loaded.model
-    numbers = [n for n, p in model.declared.items() if not isinstance(p.default, bool)]
-    outputs = [q.name for q in model.outputs]
-    if asked.parameter not in numbers:
-        message = f'{model.title} has no parameter "{asked.parameter}"{did_you_mean(asked.parameter, numbers)}'
+def _distance_faults(yaml: YamlFile, distance: DistanceFile, loaded: LoadedModel) -> Iterator[Fault]:
+    title, name, output = loaded.model.title, distance.parameter, distance.output
+    numbers = [n for n, p in loaded.model.declared.items() if not isinstance(p.default, bool)]
+    outputs = [q.name for q in loaded.model.outputs]
+    count, covered = len(distance.files), distance.covered
+    if name not in numbers:
+        message = messages.NO_PARAMETER(model=title, name=name, hint=did_you_mean(name, numbers))
         yield yaml.fault(("distance", "parameter"), message)
-    if asked.output not in outputs:
-        message = f'{model.title} has no output "{asked.output}"{did_you_mean(asked.output, outputs)}'
+    if output not in outputs:
+        message = messages.NO_OUTPUT(model=title, name=output, hint=did_you_mean(output, outputs))
         yield yaml.fault(("distance", "output"), message)
-    if len(asked.files) < LEAST:
-        message = f"{len(asked.files)} are too few: the interval comes from scatter between {LEAST} or more runs"
-        yield yaml.fault(("distance", "files"), message)
-    if isinstance(asked.covered, list) and len(asked.covered) != len(asked.files):
-        message = f"{len(asked.covered)} distances for {len(asked.files)} files; give one each, or one for all"
+    if count < MIN_RUNS:
+        yield yaml.fault(("distance", "files"), messages.TOO_FEW_RUNS(count=count, least=MIN_RUNS))
+    if isinstance(covered, list) and len(covered) != count:
+        message = messages.DISTANCES_UNLIKE_FILES(distances=len(covered), files=count)
         yield yaml.fault(("distance", "covered"), message)

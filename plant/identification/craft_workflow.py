@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from cosim.storage.files import check_writable
 from cosim.storage.yaml_file import YamlFile
@@ -32,21 +30,15 @@ def identify_craft(yaml: YamlFile, out: Path, *, report: bool = True, keep: bool
     if file.rest is not None:
         outcome.results.append(noise(craft.rest, craft.loaded.model, file.rest.window))
     if file.distance is not None:
-        asked = file.distance
-        outcome.results.append(distance(craft.runs, craft.loaded, asked.parameter, asked.output, craft.covered))
-    write(
-        out,
-        (FILES[0], _model(outcome)),
-        {"name": file.name},
-        outcome.results,
-        (lambda: page(outcome)) if report else None,
-        keep=keep,
-    )
+        parameter, output = file.distance.parameter, file.distance.output
+        outcome.results.append(distance(craft.runs, craft.loaded, parameter, output, craft.distances))
+    draw = (lambda: page(outcome)) if report else None
+    write(out, (FILES[0], _model(outcome)), {"name": file.name}, outcome.results, draw, keep=keep)
     return outcome
 
 
 def _model(outcome: CraftOutcome) -> str:
     loaded = outcome.craft.loaded
-    found = {e.name: e for r in outcome.results if r.test == "distance" for e in r.estimates}
-    values: Mapping[str, Any] = {**loaded.parameters, **{n: e.value for n, e in found.items()}}
-    return model_text(loaded.source, values, loaded.sensors, found, "runs")
+    identified = {e.name: e for r in outcome.results if r.test == "distance" for e in r.estimates}
+    values = {**loaded.parameters, **{n: e.value for n, e in identified.items()}}
+    return model_text(loaded.source, values, loaded.sensors, identified, "runs")

@@ -17,7 +17,7 @@ from plant.identification.recordings import Recording
 MIRRORED_ROWS = 12  # rows before the first one, the mirrored rest, so that the first rows have neighbours
 
 NEAR_ROWS = 15  # rows before and after a reading that show the response to a jump
-LEAST_RESPONSE = 0.25  # least size of a response, as a share of the range of all readings
+MIN_RESPONSE = 0.25  # least size of a response, as a share of the range of all readings
 
 
 @dataclass(frozen=True)
@@ -29,13 +29,13 @@ class Dropout:
     distance: float
 
 
-def dropouts(known: Bench, r: Recording) -> Iterator[Dropout]:
+def dropouts(bench: Bench, r: Recording) -> Iterator[Dropout]:
     """Yield the dropouts of each channel by the rule for logs, `cosim.logs.spikes`.
 
     A sharp reading directly after a jump of a command may be genuine, unless its distance from the other readings of
     the response exceeds the size of the response.
     """
-    log = _log(known, r)
+    log = _log(bench, r)
     unlike_neighbours = find_spikes(log, lambda _: {})  # no model: each suspect counts
     unexplained = find_spikes(log)
     for channel, rows in unlike_neighbours.items():
@@ -51,11 +51,11 @@ def _outside(values: Array, row: int, suspects: Rows) -> bool:
     """Return True for a reading outside the range of the response about it by more than the size of the response."""
     others = np.delete(np.arange(values.size), suspects)
     near = values[others[np.abs(others - row) <= NEAR_ROWS]]
-    size = max(float(np.ptp(near)), LEAST_RESPONSE * float(np.ptp(values[others])))
+    size = max(float(np.ptp(near)), MIN_RESPONSE * float(np.ptp(values[others])))
     return bool(values[row] < near.min() - size or values[row] > near.max() + size)
 
 
-def _log(known: Bench, r: Recording) -> Log:
+def _log(bench: Bench, r: Recording) -> Log:
     """Return the recording as a log after its mirrored first rows."""
     rng = np.random.default_rng(0)
 
@@ -66,7 +66,7 @@ def _log(known: Bench, r: Recording) -> Log:
         """Return readings with rounding noise, since rounding hides the noise of a quiet cell."""
         changes = np.abs(np.diff(volts))
         step = max(
-            known.converter_range / known.converter_levels, float(np.min(changes[changes > 0.0], initial=np.inf))
+            bench.converter_range / bench.converter_levels, float(np.min(changes[changes > 0.0], initial=np.inf))
         )
         return volts + (step if np.isfinite(step) else 0.0) * rng.uniform(-0.5, 0.5, volts.size)
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from cosim.base.arrays import Array, Rows
+from cosim.base.messages import Message
 from plant.bench import Bench
-from plant.identification.cells import Cell, Cells, force_of
+from plant.identification import messages
+from plant.identification.cells import Cells, force_of
+from plant.identification.command_response import tilt_response
 from plant.identification.misfit import odd_group
 from plant.identification.recordings import Recording
 
@@ -39,7 +42,7 @@ class Estimate:
         return 0.5 * (self.high - self.low)
 
     @property
-    def holds(self) -> bool:
+    def covers_truth(self) -> bool:
         """Return True if the interval contains the true value."""
         return bool(self.low <= self.truth <= self.high)
 
@@ -64,28 +67,29 @@ class Result:
 
     test: str
     estimates: list[Estimate]
-    notes: list[str] = field(default_factory=list)
+    notes: list[Message] = field(default_factory=list)
     figures: list[Figure] = field(default_factory=list)
-    more: dict[str, Any] = field(default_factory=dict)
-    warnings: list[str] = field(default_factory=list)
-    faults: list[str] = field(default_factory=list)
-    odd: list[str] = field(default_factory=list)  # outlying recordings
+    details: dict[str, Any] = field(default_factory=dict)
+    warnings: list[Message] = field(default_factory=list)
+    faults: list[Message] = field(default_factory=list)
+    outliers: list[Message] = field(default_factory=list)  # warnings about recordings
 
 
 @dataclass(frozen=True)
-class Measured:
+class Measurement:
     """The recordings of a test, and the known bench; `truth` if the bench is simulated."""
 
     recordings: Sequence[Recording]
     cells: Cells
-    known: Bench
+    bench: Bench
     test: Any
     truth: Bench | None = None
+    tilts: dict[bytes, Array] = field(default_factory=dict)  # tilt by command; simulated repetitions share commands
 
     @property
     def gram(self) -> float:
         """Return gram-force per newton at the bench's gravity."""
-        return 1000.0 / self.known.gravity
+        return 1000.0 / self.bench.gravity
 
     def force(self, r: Recording, channel: str, using: Cells | None = None) -> Array:
         """Return the force of a cell without its tare."""
@@ -94,6 +98,12 @@ class Measured:
     def printed_force(self, r: Recording, channel: str) -> Array:
         """Return the force of a cell as in the thesis, tare included."""
         return force_of(r, self.cells, channel, None)
+
+    def tilt(self, r: Recording) -> Array:
+        """Return the tilt [rad] of a run by the equations."""
+        if (key := r.servo_duty.tobytes()) not in self.tilts:
+            self.tilts[key] = tilt_response(self.bench, r.time, r.servo_duty, np.array([self.bench.lag]))[:, 0]
+        return self.tilts[key]
 
     def true(self, name: str) -> float:
         """Return the true value, NaN if unknown."""
@@ -105,8 +115,8 @@ class Measured:
         return [r for r in self.recordings if r.rows(self.test.window).sum() == count]
 
 
-def out_of_line(groups: Sequence[tuple[str, Sequence[Recording], Array]]) -> list[str]:
-    """Return sentences about outlying recordings.
+def outlier_warnings(groups: Sequence[tuple[str, Sequence[Recording], Array]]) -> list[Message]:
+    """Return a warning about outlying recordings, if any.
 
     Args:
         groups: Name of the values, recordings and their values; all groups have equal scatter.
@@ -114,11 +124,11 @@ def out_of_line(groups: Sequence[tuple[str, Sequence[Recording], Array]]) -> lis
     place, chosen = odd_group([values for _, _, values in groups])
     if not chosen:
         return []
-    what, recordings, values = groups[place]
-    names = ", ".join(recordings[k].label for k in chosen)
-    told = f"{names} {'is' if len(chosen) == 1 else 'are'} out of line: {what} is {values[chosen].mean():.4g}, and "
-    told += f"{np.delete(values, chosen).mean():.4g} in the others"
-    return [f"{told}; look at height, battery, cell and clock of these runs"]
+    name, recordings, values = groups[place]
+    fields = {"name": name, "value": values[chosen].mean(), "others": np.delete(values, chosen).mean()}
+    if len(chosen) == 1:
+        return [messages.OUTLIER(recording=recordings[chosen[0]].label, **fields)]
+    return [messages.OUTLIERS(recordings=", ".join(recordings[k].label for k in chosen), **fields)]
 
 
 PerRepetition = Callable[[Cells], Array]  # → shape (repetitions, numbers)
@@ -148,17 +158,12 @@ def shifts_of(per_repetition: PerRepetition, cells: Cells, channels: Sequence[st
     """Return the change of the means by one standard deviation of each calibration point."""
     base = (per_repetition(cells) if each is None else each).mean(axis=0)
     rows = [
-        per_repetition(moved(cells, c, k)).mean(axis=0) - base
+        per_repetition({**cells, c: cells[c].shift_load(k)}).mean(axis=0) - base
         for c in channels
         for k in range(cells[c].loads.size)
         if cells[c].error > 0 and cells[c].loads[k] != 0  # zero load is exact
     ]
     return np.array(rows) if rows else np.zeros((0, base.size))
-
-
-def moved(cells: Cells, channel: str, point: int) -> Mapping[str, Cell]:
-    """Return the cells with one changed load."""
-    return {**cells, channel: cells[channel].moved(point, cells[channel].error)}
 
 
 def make_estimates(
@@ -181,16 +186,15 @@ def make_estimates(
 def pseudo_values(estimate: Callable[[Rows], Array], n: int) -> Array:
     """Return jackknife pseudo-values, shape (n, p), of an estimate from selected repetitions."""
     whole = estimate(np.arange(n))
-    left = np.array([estimate(np.delete(np.arange(n), k)) for k in range(n)])
-    return np.asarray(n * whole - (n - 1) * left)
+    others = np.array([estimate(np.delete(np.arange(n), k)) for k in range(n)])
+    return np.asarray(n * whole - (n - 1) * others)
 
 
 def least(grid: Array, cost: Array) -> Array:
-    """Return the minimum of each row of costs over a grid, refined by a parabola."""
+    """Return the minimum of each row of costs over a logarithmic grid, refined by a parabola."""
     k = np.clip(np.argmin(cost, axis=1), 1, grid.size - 2)
     rows = np.arange(cost.shape[0])
     before, here, after = cost[rows, k - 1], cost[rows, k], cost[rows, k + 1]
-    # grids are logarithmic
     x, h = np.log(grid), np.log(grid[1] / grid[0])
     curvature = before - 2.0 * here + after
     offset = np.divide(before - after, 2.0 * curvature, out=np.zeros_like(here), where=curvature > 0)

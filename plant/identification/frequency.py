@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from cosim.base.arrays import Array
-from plant.bench import Bench
+from plant.identification import messages
 from plant.identification.cells import Cells
 from plant.identification.command_response import LAGS, low_pass, tilt_response
 from plant.identification.commanded import frequency_of
-from plant.identification.estimates import Figure, Measured, Result, interval, least, make_estimates, shifts_of
-from plant.identification.misfit import Misfit, misfit, residuals
+from plant.identification.estimates import Figure, Measurement, Result, interval, least, make_estimates, shifts_of
+from plant.identification.misfit import Misfit, misfit, residuals, sine_basis
 from plant.identification.protocol import SineTest
 from plant.identification.recordings import Recording
 
@@ -20,19 +21,20 @@ SMOOTHING = 9  # rows of the mean in App. D.3.4
 DECIBEL, DEGREE = 20.0, 180.0 / np.pi
 
 
-def analyse(m: Measured, *, draw: bool = True) -> Result:
+def analyse(m: Measurement, *, draw: bool = True) -> Result:
     """Return τ from sines fitted at known frequencies, compared with the bench equations."""
-    test, by_frequency = m.test, grouped(m.recordings, m.test)
+    test, by_frequency = m.test, group_by_frequency(m.recordings, m.test)
     frequencies = np.array(sorted(by_frequency))
-    count = min(len(found) for found in by_frequency.values())
+    count = min(map(len, by_frequency.values()))
     chosen = [[(by_frequency[w][k], w) for w in frequencies] for k in range(count)]
-    tables = np.array([_table(by_frequency[w][0], w, m.known, test) for w in frequencies])  # frequency, lag
+    firsts = [by_frequency[w][0] for w in frequencies]
+    tables = np.array([sine(r, _response(m, r, LAGS), w, test) for r, w in zip(firsts, frequencies, strict=True)])
 
     def amplitudes(using: Cells) -> Array:
         return np.array([[sine(r, m.force(r, "x", using), w, test) for r, w in row] for row in chosen])
 
     def scale(c: Array) -> Array:
-        """Return the force per sine of the tilt at each lag, shape (repetitions, lags)."""
+        """Return the force per sine of the tilt at each lag, shape (repetitions, lags); tables by frequency and lag."""
         along = (np.conj(tables).T[None] * c[:, None, :]).sum(axis=2).real
         return np.asarray(along / (np.abs(tables) ** 2).sum(axis=0))
 
@@ -57,15 +59,12 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
     none = np.zeros((0, frequencies.size))
     means = [interval(values, none)[:2] for values in ours]
     smoothing = DECIBEL * np.log10(abs(_mean_of_nine(frequencies[-1], m.recordings[0].step)))
-    result.more = {"frequency": frequencies.tolist()}
+    result.details = {"frequency": frequencies.tolist()}
     for name, (mean, half) in zip(("magnitude_db", "phase_deg"), means, strict=True):
-        result.more |= {name: mean.tolist(), f"{name}_half": half.tolist()}
+        result.details |= {name: mean.tolist(), f"{name}_half": half.tolist()}
     for name, values in zip(("magnitude_db", "phase_deg"), thesis, strict=True):
-        result.more[f"thesis_{name}"] = values.mean(axis=0).tolist()
-    result.notes.append(
-        f"The mean of nine rows costs the thesis' points {-smoothing:.2f} dB at {frequencies[-1]:g} rad/s. Ours are "
-        "held against the same commands through the bench's equations: hold, dead band, sine of the angle."
-    )
+        result.details[f"thesis_{name}"] = values.mean(axis=0).tolist()
+    result.notes.append(messages.THESIS_SINES(loss=-smoothing, frequency=frequencies[-1]))
     _judge(m, result, chosen, c, tables)
     if draw:
         result.figures = _figures(frequencies, tau, thesis, ours, means)
@@ -73,7 +72,7 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
 
 
 def _judge(
-    m: Measured, result: Result, chosen: Sequence[Sequence[tuple[Recording, float]]], c: Array, tables: Array
+    m: Measurement, result: Result, chosen: Sequence[Sequence[tuple[Recording, float]]], c: Array, tables: Array
 ) -> None:
     """Add a warning for an early or late force, or a response that is not of first order.
 
@@ -94,41 +93,22 @@ def _judge(
     )
     basis = np.column_stack((np.ones(frequencies.size), slopes.real))
     size = misfit(np.array([residuals(s, basis) for s in ratio.real]), np.zeros((0, frequencies.size)), 2)
-    if phase is not None and phase.significant:
+    if phase is not None and phase.is_significant:
         both = np.column_stack((slopes.imag, -frequencies)) * weights[:, None]
         delay = float(np.linalg.lstsq(both, ratio.imag.mean(axis=0) * weights, rcond=None)[0][1])
-        text = f"phases miss those of first order by up to {DEGREE * float(np.abs(phase.mean / weights).max()):.2g}°"
-        if delay < 0.0:
-            result.warnings.append(
-                f"{text}, more than the scatter: the force is some {-delay:.2g} s ahead of the sines, so look at the "
-                "clocks of commands and cells"
-            )
-        else:
-            result.warnings.append(
-                f"{text}, more than the scatter: the force answers some {delay:.2g} s late, as a pure delay does; look "
-                "at the clocks of commands and cells"
-            )
-    if size is not None and size.significant:
-        most = 100.0 * float(np.abs(size.mean).max())
-        result.warnings.append(
-            f"sizes of the sines miss those of first order by up to {most:.2g} %, more than the scatter: is cell x or "
-            "its amplifier at its end, or does the battery sag?"
-        )
-    clipped = harmonics(m, chosen, result.estimates[0].value)
-    if clipped is not None and clipped.significant:
-        worst = float(np.abs(clipped.mean).max())
-        result.warnings.append(
-            f"the force has harmonics of the sines that the tilt has not, up to {worst:.2g} gf, beyond the scatter: is "
-            "cell x or its amplifier at its end, or loose?"
-        )
+        miss = DEGREE * float(np.abs(phase.mean / weights).max())
+        template = messages.EARLY_SINES if delay < 0.0 else messages.LATE_SINES
+        result.warnings.append(template(miss=miss, delay=abs(delay)))
+    if size is not None and size.is_significant:
+        result.warnings.append(messages.WRONG_SIZES(miss=100.0 * float(np.abs(size.mean).max())))
+    beyond = harmonics(m, chosen, result.estimates[0].value)
+    if beyond is not None and beyond.is_significant:
+        result.warnings.append(messages.HARMONICS(size=float(np.abs(beyond.mean).max())))
 
 
-def harmonics(m: Measured, chosen: Sequence[Sequence[tuple[Recording, float]]], tau: float) -> Misfit | None:
+def harmonics(m: Measurement, chosen: Sequence[Sequence[tuple[Recording, float]]], tau: float) -> Misfit | None:
     """Return second and third harmonics [gf] beyond the response at a lag."""
-    shapes = [
-        low_pass(np.sin(tilt_response(m.known, r.time, r.servo_duty, np.array([tau])))[:, 0], r.step, m.test.low_pass)
-        for r, _ in chosen[0]
-    ]
+    shapes = [_response(m, r, np.array([tau]))[:, 0] for r, _ in chosen[0]]
 
     def averages(using: Cells) -> Array:
         rows = []
@@ -142,8 +122,8 @@ def harmonics(m: Measured, chosen: Sequence[Sequence[tuple[Recording, float]]], 
                 use = times >= m.test.lead + m.test.skip
                 angle = w * (times[use] - m.test.lead)
                 basis = [f(k * angle) for k in (1, 2, 3) for f in (np.sin, np.cos)]
-                left = np.linalg.lstsq(np.column_stack((*basis, np.ones_like(angle))), rest[use], rcond=None)[0]
-                values.append(left[2:6] * np.sqrt(use.sum() / longest))
+                sizes = np.linalg.lstsq(np.column_stack((*basis, np.ones_like(angle))), rest[use], rcond=None)[0]
+                values.append(sizes[2:6] * np.sqrt(use.sum() / longest))
             rows.append(np.concatenate(values))
         return np.array(rows)
 
@@ -152,34 +132,31 @@ def harmonics(m: Measured, chosen: Sequence[Sequence[tuple[Recording, float]]], 
     return misfit(each, shifts_of(averages, m.cells, "x", each), 0)
 
 
-def grouped(recordings: Sequence[Recording], test: SineTest) -> dict[float, list[Recording]]:
+def group_by_frequency(recordings: Sequence[Recording], test: SineTest) -> dict[float, list[Recording]]:
     """Return recordings by the protocol's closest frequency."""
-    found: dict[float, list[Recording]] = {}
+    groups: dict[float, list[Recording]] = {}
     for r in recordings:
-        found.setdefault(frequency_of(r, test), []).append(r)
-    return found
+        groups.setdefault(frequency_of(r, test), []).append(r)
+    return groups
 
 
-def sine(r: Recording, values: Array, w: float, test: SineTest) -> complex:
-    """Return the complex amplitude of a sine with known frequency, plus constant, after the skipped part."""
+def sine(r: Recording, values: Array, w: float, test: SineTest) -> Any:
+    """Return the complex amplitude of a sine with known frequency, plus constant, after the skipped part.
+
+    Values of shape (rows, n) give n amplitudes.
+    """
     rows = r.time >= test.lead + test.skip
-    t = r.time[rows] - test.lead
-    basis = np.column_stack((np.sin(w * t), np.cos(w * t), np.ones_like(t)))
+    basis = sine_basis(w * (r.time[rows] - test.lead))
     a, b, _ = np.linalg.lstsq(basis, values[rows], rcond=None)[0]
-    return complex(a, b)
+    return a + 1j * b
 
 
-def _table(r: Recording, w: float, known: Bench, test: SineTest) -> Array:
-    """Return the same amplitude of sin α by the equations, one per lag."""
-    shapes = low_pass(np.sin(tilt_response(known, r.time, r.servo_duty, LAGS)), r.step, test.low_pass)
-    rows = r.time >= test.lead + test.skip
-    t = r.time[rows] - test.lead
-    basis = np.column_stack((np.sin(w * t), np.cos(w * t), np.ones_like(t)))
-    a, b, _ = np.linalg.lstsq(basis, shapes[rows], rcond=None)[0]
-    return np.asarray(a + 1j * b)
+def _response(m: Measurement, r: Recording, lags: Array) -> Array:
+    """Return sin α by the equations, as the cells read it, one column for each lag."""
+    return low_pass(np.sin(tilt_response(m.bench, r.time, r.servo_duty, lags)), r.step, m.test.low_pass)
 
 
-def _by_hand(chosen: Sequence[Sequence[tuple[Recording, float]]], m: Measured) -> tuple[Array, Array]:
+def _by_hand(chosen: Sequence[Sequence[tuple[Recording, float]]], m: Measurement) -> tuple[Array, Array]:
     """Return magnitude [dB] and phase [°] from extremes.
 
     Values are relative to the lowest frequency.
@@ -219,7 +196,7 @@ def _figures(
     response = control.frequency_response(control.tf([1.0], [tau, 1.0]), grid)
     curves = DECIBEL * np.log10(np.abs(response.complex)), np.angle(response.complex) * DEGREE
     x, apart = np.repeat(w[None], ours[0].shape[0], axis=0).ravel(), 10**0.012  # offset for visibility
-    found = []
+    figures = []
     for k, (title, unit) in enumerate((("magnitude", "dB"), ("phase", "°"))):
         mean, half = means[k]
         axes, line = ("frequency [rad/s]", unit), (f"first order, τ = {1000 * tau:.1f} ms", grid, curves[k], "true")
@@ -230,7 +207,7 @@ def _figures(
         ]
         averaged = [("thesis' estimator, mean", w, thesis[k].mean(axis=0), "s1"), line]
         bars = [(w, mean - half, mean + half)]
-        found.append(Figure(f"Tilt response, {title}: single tests", *axes, single, counterpart="Fig 4.17", log=True))
+        figures.append(Figure(f"Tilt response, {title}: single tests", *axes, single, counterpart="Fig 4.17", log=True))
         title = f"Tilt response, {title}: means with 95 % intervals"
-        found.append(Figure(title, *axes, averaged, bars=bars, counterpart="Fig 4.18", log=True))
-    return found
+        figures.append(Figure(title, *axes, averaged, bars=bars, counterpart="Fig 4.18", log=True))
+    return figures

@@ -6,16 +6,18 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from cosim.base.arrays import Array, Rows
+from cosim.base.arrays import Array
+from cosim.base.messages import Message
 from cosim.model.namespaces import arrays
+from plant.identification import messages
 from plant.identification.cells import Cells
 from plant.identification.estimates import (
     Figure,
-    Measured,
+    Measurement,
     Result,
     interval,
     make_estimates,
-    out_of_line,
+    outlier_warnings,
     pseudo_values,
     shifts_of,
 )
@@ -27,7 +29,7 @@ CHEESEMAN_BENNETT = 2.0
 MISFIT_CHANCE = 1e-3  # false alarm probability if eq 4.28 is correct
 
 
-def analyse(m: Measured, *, draw: bool = True) -> Result:
+def analyse(m: Measurement, *, draw: bool = True) -> Result:
     """Return the exponent k by least squares on Γ.
 
     The thesis uses ln((Γ−1)/Γ) (4.24), which is undefined for Γ ≤ 1.
@@ -36,28 +38,20 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
     heights = np.array(sorted(h for h in main if h < m.test.free_height))
     free = max(main)
     count = min(len(main[h]) for h in main)
-    radius = m.known.propeller_radius
+    radius = m.bench.propeller_radius
 
     def forces(force: Callable[[Recording], Array], chosen: dict[float, list[Recording]] = main) -> Array:
         """Return mean forces, shape (heights, repetitions), free height last."""
         rows = [[float(force(r)[r.rows(m.test.window)].mean()) for r in chosen[h][:count]] for h in (*heights, free)]
         return np.array(rows)
 
-    def modelled(exponent: float) -> Array:
-        return _gain(heights, radius, exponent) / _gain(np.array([free]), radius, exponent)
-
-    def gains(using: Cells) -> Array:
-        """Return pseudo-values of Γ, shape (repetitions, heights)."""
+    def gains(using: Cells, estimate: Callable[[Array], Array] = np.asarray) -> Array:
+        """Return pseudo-values of an estimate from Γ, by default Γ itself, shape (repetitions, heights)."""
         f = forces(lambda r: m.force(r, "z", using))
-        return pseudo_values(lambda rows: np.asarray(f[:-1, rows].mean(axis=1) / f[-1, rows].mean()), count)
+        return pseudo_values(lambda rows: estimate(f[:-1, rows].mean(axis=1) / f[-1, rows].mean()), count)
 
     def exponents(using: Cells) -> Array:
-        f = forces(lambda r: m.force(r, "z", using))
-
-        def of(rows: Rows) -> Array:
-            return np.array([fit(heights, f[:-1, rows].mean(axis=1) / f[-1, rows].mean(), radius, free)])
-
-        return pseudo_values(of, count)
+        return gains(using, lambda gain: np.array([fit(heights, gain, radius, free)]))
 
     raw = forces(lambda r: m.printed_force(r, "z"))
     thesis, dropped = _thesis(heights / radius, raw[:-1] / raw[-1])
@@ -66,57 +60,48 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
     shifts = shifts_of(exponents, m.cells, "z", each)
     result = Result("ground_effect", make_estimates(names, each, shifts, "Test 2, fit on Γ, 1/Z̄"))
     rows = {h: np.array([m.force(r, "z")[r.rows(m.test.window)].mean() for r in main[h]]) for h in main}
-    result.odd += out_of_line(
+    result.outliers += outlier_warnings(
         [(f"at {h:.4g} m the force over its mean", main[h], v / v.mean()) for h, v in rows.items() if v.size > 1]
     )
     if dropped:
-        result.notes.append(
-            f"{dropped} of {count * heights.size} single ratios are Γ ≤ 1, where ln((Γ−1)/Γ) has no value: the thesis' "
-            "estimator leaves them out and is biased by it."
-        )
-    model = modelled(result.estimates[0].value)
-    result.warnings += _misfit(heights / radius, model, gains(m.cells), shifts_of(gains, m.cells, "z"))
-    result.more = {"heights_over_radius": (heights / radius).tolist(), "dropped": dropped}
+        result.notes.append(messages.RATIOS_WITHOUT_LOGARITHM(count=dropped, total=count * heights.size))
+    model = _relative_gain(heights, radius, result.estimates[0].value, free)
+    each_gain = gains(m.cells)
+    result.warnings += _misfit(heights / radius, model, each_gain, shifts_of(gains, m.cells, "z", each_gain))
+    result.details = {"heights_over_radius": (heights / radius).tolist(), "dropped": dropped}
     for chosen in others:
         f = forces(lambda r: m.force(r, "z"), chosen)
         run = chosen[free][0]
         duty = float(np.median(run.duty[run.rows(m.test.window)]))
         rms = float(np.sqrt(np.mean((f[:-1].mean(axis=1) / f[-1].mean() - model) ** 2)))
-        result.more["validation_rmse"] = rms
-        result.notes.append(f"Validation at {duty:g} % of duty, not used in the fit: Γ is missed by {rms:.4f} (rms).")
+        result.details["validation_rmse"] = rms
+        result.notes.append(messages.VALIDATION(duty=duty, rms=rms))
     if draw:
-        result.figures = _figures(result, heights / radius, forces(lambda r: m.force(r, "z")))
+        result.figures = _figures(result, heights / radius, forces(lambda r: m.force(r, "z")), each_gain)
     return result
 
 
-def _misfit(ratios: Array, model: Array, each: Array, shifts: Array) -> list[str]:
+def _misfit(ratios: Array, model: Array, each: Array, shifts: Array) -> list[Message]:
     """Return a warning if eq 4.28 misses the measured Γ beyond scatter and calibration."""
     from scipy import stats
 
     count, places = each.shape
     variance = each.var(axis=0, ddof=1).mean() / count + (shifts**2).sum(axis=0)
-    missed = each.mean(axis=0) - model
-    test = float((missed**2 / variance).sum()) / (places - 1)
+    residual = each.mean(axis=0) - model
+    test = float((residual**2 / variance).sum()) / (places - 1)
     if test < float(stats.f.ppf(1.0 - MISFIT_CHANCE, places - 1, places * (count - 1))):
         return []
-    worst = int(np.argmax(missed**2 / variance))
-    return [
-        f"Γ is {each.mean(axis=0)[worst]:.3f} at {ratios[worst]:.2f} radii where the fitted exponent gives "
-        f"{model[worst]:.3f}, more than the scatter explains: look at `propeller_radius` and at the heights, which are "
-        "those of the propeller over the ground"
-    ]
+    worst = int(np.argmax(residual**2 / variance))
+    fields = {"value": each.mean(axis=0)[worst], "ratio": ratios[worst], "model": model[worst]}
+    return [messages.WRONG_GROUND_EFFECT(**fields)]
 
 
 def fit(heights: Array, gains: Array, radius: float, free: float) -> float:
     """Return the best k for measured Γ with weights 1/Z̄ (4.27), by Gauss-Newton."""
     k, weights = CHEESEMAN_BENNETT, radius / heights
-
-    def model(exponent: float) -> Array:
-        return _gain(heights, radius, exponent) / _gain(np.array([free]), radius, exponent)
-
     for _ in range(12):
-        here = model(k)
-        slope = (model(k + 1e-6) - here) / 1e-6
+        here = _relative_gain(heights, radius, k, free)
+        slope = (_relative_gain(heights, radius, k + 1e-6, free) - here) / 1e-6
         step = float((weights * slope * (gains - here)).sum() / (weights * slope**2).sum())
         k = float(np.clip(k + np.clip(step, -0.5, 0.5), 0.3, 6.0))
         if abs(step) < 1e-10:
@@ -129,14 +114,22 @@ def _gain(heights: Array, radius: float, exponent: float) -> Array:
     return gain
 
 
+def _relative_gain(heights: Array, radius: float, exponent: float, free: float) -> Array:
+    """Return Γ relative to that at the free height."""
+    return _gain(heights, radius, exponent) / _gain(np.array([free]), radius, exponent)
+
+
+def height_of(r: Recording, test: HeightTest) -> float:
+    """Return the height of a run [m]; heights above `free_height` are equal."""
+    return min(round(float(np.median(r.height[r.rows(test.window)])), 4), test.free_height)
+
+
 def _sets(recordings: Sequence[Recording], test: HeightTest) -> list[dict[float, list[Recording]]]:
-    """Return recordings by duty, largest set first, then by height; heights above `free_height` are equal."""
+    """Return recordings by duty, largest set first, then by height."""
     sets: dict[float, dict[float, list[Recording]]] = {}
     for r in recordings:
-        rows = r.rows(test.window)
-        duty = round(float(np.median(r.duty[rows])), 3)
-        height = min(round(float(np.median(r.height[rows])), 4), test.free_height)
-        sets.setdefault(duty, {}).setdefault(height, []).append(r)
+        duty = round(float(np.median(r.duty[r.rows(test.window)])), 3)
+        sets.setdefault(duty, {}).setdefault(height_of(r, test), []).append(r)
     validation = None if test.validation_duty is None else round(test.validation_duty, 3)
     order = sorted(sets, key=lambda d: (d == validation, -sum(map(len, sets[d].values()))))
     return [sets[d] for d in order]
@@ -144,15 +137,14 @@ def _sets(recordings: Sequence[Recording], test: HeightTest) -> list[dict[float,
 
 def _thesis(ratios: Array, gains: Array) -> tuple[float, int]:
     """Return k by ln((Γ−1)/Γ) = k·ln(1/(4Z̄)) with weights 1/Z̄, and the number of undefined ratios."""
-    z = np.repeat(ratios[:, None], gains.shape[1], axis=1)
     good = gains > 1.0
-    if not good.any():
-        return float("nan"), int((~good).sum())
-    x, y, w = np.log(1.0 / (4.0 * z[good])), np.log((gains[good] - 1.0) / gains[good]), 1.0 / z[good]
-    return float((w * x * y).sum() / (w * x * x).sum()), int((~good).sum())
+    z, g = np.repeat(ratios[:, None], gains.shape[1], axis=1)[good], gains[good]
+    x, y, w = np.log(1.0 / (4.0 * z)), np.log((g - 1.0) / g), 1.0 / z
+    value = float((w * x * y).sum() / (w * x * x).sum()) if good.any() else float("nan")
+    return value, int((~good).sum())
 
 
-def _figures(result: Result, ratios: Array, forces: Array) -> list[Figure]:
+def _figures(result: Result, ratios: Array, forces: Array, gains: Array) -> list[Figure]:
     estimate = result.estimates[0]
     grid = np.linspace(0.5, 3.3, 90)
     single = forces[:-1] / forces[-1]
@@ -161,10 +153,7 @@ def _figures(result: Result, ratios: Array, forces: Array) -> list[Figure]:
     def curve(k: float) -> Array:
         return _gain(grid, 1.0, k)
 
-    n, free = forces.shape[1], forces[-1]
-    rest = free.sum() - free
-    pseudo = np.array([n * f.mean() / free.mean() - (n - 1) * (f.sum() - f) / rest for f in forces[:-1]]).T
-    mean, half, _, _ = interval(pseudo, np.zeros((0, ratios.size)))
+    mean, half, _, _ = interval(gains, np.zeros((0, ratios.size)))
     band = ("95 % of k", grid, curve(estimate.high), curve(estimate.low))
     several = [(f"k = {k:g}", grid, curve(k), f"s{n}") for n, k in enumerate((1.5, 1.75, 2.0, 2.25, 2.5))]
     readings = ("single ratios", z, single.ravel(), "dots")

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from cosim.base.messages import Message
 from cosim.storage.kinds import as_typed
 from plant.identification.cells import Cells
 from plant.identification.estimates import Estimate, Result
@@ -30,18 +31,17 @@ class Outcome:
         return {f"{r.test}.{e.name}": e for r in self.results for e in r.estimates}
 
     @property
-    def chosen(self) -> dict[str, Estimate]:
+    def estimates_by_name(self) -> dict[str, Estimate]:
         """Return estimates by name; a step test has priority for the lag."""
-        found: dict[str, Estimate] = {}
-        for r in self.results:
-            for e in r.estimates:
-                found.setdefault(e.name, e)
-        return found
+        by_name: dict[str, Estimate] = {}
+        for e in self.estimates.values():
+            by_name.setdefault(e.name, e)
+        return by_name
 
     @property
-    def warnings(self) -> list[str]:
+    def warnings(self) -> list[Message]:
         """Return the warnings with their tests."""
-        return [f"{r.test}: {text}" for r in self.results for text in r.warnings]
+        return [message.after(f"{r.test}: ") for r in self.results for message in r.warnings]
 
     def closing(self, out: Path) -> str:
         """Return the power-train's place and build command."""

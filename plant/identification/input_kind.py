@@ -21,7 +21,7 @@ def craft_file(path: Path) -> YamlFile | None:
 def results_of(path: Path) -> Path:
     """Return the results folder, named after the file's `name` or the file."""
     try:
-        named = YamlFile(path).root.get("name")
+        name = YamlFile(path).root.get("name")
     except InputError:  # reported by the reader
-        named = None
-    return folder_named(named if isinstance(named, str) else path.stem)
+        name = None
+    return folder_named(name if isinstance(name, str) else path.stem)

@@ -5,11 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from cosim.base.arrays import Array, Flags
-from plant.identification import answer
+from plant.identification import answer, messages
 from plant.identification.cells import Cells
 from plant.identification.command_response import LAGS, held_lag, low_pass, tilt_response
 from plant.identification.commanded import BEFORE
-from plant.identification.estimates import Figure, Measured, Result, least, make_estimates, out_of_line, shifts_of
+from plant.identification.estimates import (
+    Figure,
+    Measurement,
+    Result,
+    least,
+    make_estimates,
+    outlier_warnings,
+    shifts_of,
+)
 from plant.identification.protocol import StepTest
 from plant.identification.recordings import Recording
 
@@ -17,17 +25,25 @@ SETTLED = (0.68, 0.88)  # [s] after the step, window of the end value in App. D.
 SMOOTH = np.exp(-0.5 * (np.arange(-1, 2) / 10.0) ** 2) / np.exp(-0.5 * (np.arange(-1, 2) / 10.0) ** 2).sum()
 
 
-def analyse(m: Measured, *, draw: bool = True, thrust: bool = False) -> Result:
+def analyse(m: Measurement, *, draw: bool = True, thrust: bool = False) -> Result:
     """Return τ from a fit of F_x(t), and by 63 %, rise time and slope (§4.3.4)."""
     channel, name, title = ("z", "lag_of_thrust", "thrust") if thrust else ("x", "lag", "horizontal force")
     # simulated repetitions share commands; measured ones have their own
     rows = [r.rows((m.test.at - BEFORE, m.test.window[1])) for r in m.recordings]
+    tables: dict[bytes, Array] = {}
     shapes: dict[bytes, Array] = {}
 
+    def key_of(r: Recording) -> bytes:
+        return r.time.tobytes() + (r.duty if thrust else r.servo_duty).tobytes()
+
+    def response(r: Recording) -> Array:
+        if (key := key_of(r)) not in tables:
+            tables[key] = _response(m, r, LAGS, thrust=thrust)
+        return tables[key]
+
     def shape(r: Recording, chosen: Flags) -> Array:
-        key = (r.duty if thrust else r.servo_duty).tobytes() + chosen.tobytes()
-        if key not in shapes:
-            table = _response(m, r, LAGS, thrust=thrust)[chosen]
+        if (key := key_of(r) + chosen.tobytes()) not in shapes:
+            table = response(r)[chosen]
             table = table - table.mean(axis=0)
             shapes[key] = table / np.sqrt((table**2).sum(axis=0))
         return shapes[key]
@@ -42,54 +58,44 @@ def analyse(m: Measured, *, draw: bool = True, thrust: bool = False) -> Result:
 
     each = lags(m.cells)
     hand = np.array([by_hand(r, m.printed_force(r, channel), m.test) for r in m.recordings])
-    names = [(name, "s", _mean(hand[:, 0]), m.true("lag"))]
+    names = [(name, "s", _mean_and_half(hand[:, 0])[0], m.true("lag"))]
     shifts, origin = shifts_of(lags, m.cells, channel, each), f"Test 4, fit of the {title} after a step"
     result = Result("thrust_step" if thrust else "step", make_estimates(names, each, shifts, origin))
-    told = []
+    ways = []
     for k, way in enumerate(("63 %", "rise time", "slope")):
-        mean, half = _mean(hand[:, k]), 1.96 * _deviation(hand[:, k])
-        result.more[way] = {"mean": mean, "half_width_of_one": half}
-        told.append(f"{1000 * mean:.1f} ± {1000 * half:.1f} ms by {way}")
-    result.more["single_fits"] = {"mean": float(each.mean()), "half_width_of_one": float(1.96 * each.std(ddof=1))}
-    result.notes.append(
-        f"As the thesis reads it: {', '.join(told)}; single fits {1000 * each.mean():.1f} ± "
-        f"{1960 * each.std(ddof=1):.1f} ms (± is 1.96 σ of one test)."
-    )
-    step = max(r.step for r in m.recordings)
-    if step > result.estimates[0].value:
-        result.warnings.append(
-            f"rows are {step:.3g} s apart, more than the lag of {result.estimates[0].value:.3g} s: nothing of its "
-            "shape is in them, and the number rests on the equation of first order; record faster"
-        )
-    result.odd += out_of_line([("the lag [s]", m.recordings, each[:, 0])])
-    answer.judge(m, result, channel, lambda r: _response(m, r, LAGS, thrust=thrust), rows)
+        mean, half = _mean_and_half(hand[:, k])
+        result.details[way] = {"mean": mean, "half_width_of_one": half}
+        ways.append(f"{1000 * mean:.1f} ± {1000 * half:.1f} ms by {way}")
+    mean, half = float(each.mean()), float(1.96 * each.std(ddof=1))
+    result.details["single_fits"] = {"mean": mean, "half_width_of_one": half}
+    result.notes.append(messages.THESIS_STEPS(ways=", ".join(ways), mean=1000 * mean, half=1000 * half))
+    step, tau = max(r.step for r in m.recordings), result.estimates[0].value
+    if step > tau:
+        result.warnings.append(messages.SLOW_ROWS(step=step, lag=tau))
+    result.outliers += outlier_warnings([("the lag [s]", m.recordings, each[:, 0])])
+    answer.judge(m, result, channel, response, rows)
     if not thrust and m.truth:
-        result.notes.append("63 % of sin α after 25° comes at 0.961 τ, for the sine bends before the angle settles.")
+        result.notes.append(messages.SINE_BENDS())
     if draw:
-        result.figures = [_figure(m, result.estimates[0].value, thrust=thrust)]
+        result.figures = [_figure(m, tau, thrust=thrust)]
     return result
 
 
-def _response(m: Measured, r: Recording, lags: Array, *, thrust: bool) -> Array:
+def _response(m: Measurement, r: Recording, lags: Array, *, thrust: bool) -> Array:
     """Return normalised forces, shape (rows, lags)."""
     if thrust:
-        effective = np.maximum(r.duty, -m.known.thrust_offset / m.known.thrust_slope)
+        effective = np.maximum(r.duty, -m.bench.thrust_offset / m.bench.thrust_slope)
         table = np.stack([held_lag(effective, r.step, tau) for tau in lags], axis=1)
     else:
-        table = np.sin(tilt_response(m.known, r.time, r.servo_duty, lags))
+        table = np.sin(tilt_response(m.bench, r.time, r.servo_duty, lags))
     return low_pass(table, r.step, m.test.low_pass)
 
 
-def _mean(values: Array) -> float:
-    """Return the mean of finite values."""
+def _mean_and_half(values: Array) -> tuple[float, float]:
+    """Return the mean of finite values and 1.96 σ, NaN without values."""
     finite = values[np.isfinite(values)]
-    return float(finite.mean()) if finite.size else float("nan")
-
-
-def _deviation(values: Array) -> float:
-    """Return the standard deviation of finite values."""
-    finite = values[np.isfinite(values)]
-    return float(finite.std(ddof=1)) if finite.size > 1 else float("nan")
+    mean = float(finite.mean()) if finite.size else float("nan")
+    return mean, 1.96 * float(finite.std(ddof=1)) if finite.size > 1 else float("nan")
 
 
 def by_hand(r: Recording, force: Array, test: StepTest) -> tuple[float, float, float]:
@@ -102,7 +108,7 @@ def by_hand(r: Recording, force: Array, test: StepTest) -> tuple[float, float, f
     end = float(y[(t >= SETTLED[0]) & (t <= SETTLED[1])].mean()) if (t[-1] >= SETTLED[1]) else float(y[-10:].mean())
     y = y / end
 
-    def reached(level: float) -> float:
+    def time_of(level: float) -> float:
         above = np.flatnonzero(y >= level)
         if not above.size or above[0] == 0:
             return float("nan")
@@ -110,10 +116,10 @@ def by_hand(r: Recording, force: Array, test: StepTest) -> tuple[float, float, f
         return float(t[k] - (t[k] - t[k - 1]) * (y[k] - level) / (y[k] - y[k - 1]))
 
     slope = float(np.polyfit(t[:3], y[:3], 1)[0])
-    return reached(0.63), (reached(0.9) - reached(0.1)) / 2.2, 1.0 / slope if slope > 0 else float("nan")
+    return time_of(0.63), (time_of(0.9) - time_of(0.1)) / 2.2, 1.0 / slope if slope > 0 else float("nan")
 
 
-def _figure(m: Measured, tau: float, *, thrust: bool) -> Figure:
+def _figure(m: Measurement, tau: float, *, thrust: bool) -> Figure:
     channel, window = "z" if thrust else "x", (m.test.at - 0.1, m.test.at + 0.9)
     x, y = [], []
     for r in m.recordings:
@@ -127,7 +133,8 @@ def _figure(m: Measured, tau: float, *, thrust: bool) -> Figure:
     slope, offset = np.polyfit(shape, np.mean(forces, axis=0), 1)
     tests = (f"{len(m.recordings)} tests", np.array(x), np.array(y), "s0")
     fit = (f"fit, τ = {1000 * tau:.1f} ms", r.time[rows] - m.test.at, offset + slope * shape, "true")
-    what, like = ("Thrust after a step of the duty", "")
-    if not thrust:
-        what, like = "Horizontal force after a step of the tilt", "Fig 4.16"
-    return Figure(f"{what}: tests and fit", "time after the step [s]", "gf", [tests, fit], counterpart=like)
+    title = (
+        f"{'Thrust after a step of the duty' if thrust else 'Horizontal force after a step of the tilt'}: tests and fit"
+    )
+    counterpart = "" if thrust else "Fig 4.16"
+    return Figure(title, "time after the step [s]", "gf", [tests, fit], counterpart=counterpart)

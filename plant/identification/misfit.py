@@ -14,7 +14,7 @@ import numpy as np
 from cosim.base.arrays import Array
 
 FALSE_ALARM = 1e-3  # false alarm probability of each test
-LEAST_FREEDOM = 4  # degrees of freedom for a test of one group or two
+MIN_FREEDOM = 4  # degrees of freedom for a test of one group or two
 DRAWS = 20_000  # normal samples for the quantile at `FALSE_ALARM`
 SHARE = 0.5  # share of a misfit that a single cause must explain
 
@@ -38,7 +38,7 @@ class Misfit:
         values = self.mean if residual is None else residual
         return float(values @ np.linalg.solve(self.covariance, values))
 
-    def is_significant(self, size: float, freedom: float) -> bool:
+    def exceeds_chance(self, size: float, freedom: float) -> bool:
         """Return whether a size exceeds chance."""
         from scipy import stats
 
@@ -46,9 +46,9 @@ class Misfit:
         return size / freedom > float(stats.f.ppf(1.0 - FALSE_ALARM, freedom, spare))
 
     @property
-    def significant(self) -> bool:
+    def is_significant(self) -> bool:
         """Return True if the mean response misses the fit beyond its scatter."""
-        return self.size() > 0.0 and self.is_significant(self.size(), self.freedom)
+        return self.size() > 0.0 and self.exceeds_chance(self.size(), self.freedom)
 
 
 def misfit(each: Array, shifts: Array, parameters: int) -> Misfit | None:
@@ -69,7 +69,7 @@ def misfit(each: Array, shifts: Array, parameters: int) -> Misfit | None:
     if variance <= 0.0:
         return None
     covariance = variance / count * np.eye(rows) + shifts.T @ shifts
-    return Misfit(mean, covariance, max(1.0, freedom / _correlated(scatter, 2.0)), count)
+    return Misfit(mean, covariance, max(1.0, freedom / _correlation_factor(scatter, 2.0)), count)
 
 
 def residuals(values: Array, basis: Array) -> Array:
@@ -77,19 +77,24 @@ def residuals(values: Array, basis: Array) -> Array:
     return np.asarray(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0])
 
 
+def sine_basis(angle: Array) -> Array:
+    """Return sine, cosine and constant, one column each."""
+    return np.column_stack((np.sin(angle), np.cos(angle), np.ones_like(angle)))
+
+
 @dataclass(frozen=True)
 class Drift:
     """A coefficient of each recording, 0 without drift, and its standard error by noise.
 
     Attributes:
-        above_noise: True if the mean exceeds the noise of the readings.
-        significant: True if the mean also exceeds scatter and calibration error.
+        is_above_noise: True if the mean exceeds the noise of the readings.
+        is_significant: True if the mean also exceeds scatter and calibration error.
     """
 
     each: Array
     errors: Array
-    above_noise: bool
-    significant: bool
+    is_above_noise: bool
+    is_significant: bool
 
     @property
     def worst(self) -> int:
@@ -115,9 +120,9 @@ def drift(values: Sequence[Array], bases: Sequence[Array], calibration: float = 
         if y.size <= basis.shape[1] + 1:
             return None
         free = residuals(basis[:, -1], basis[:, :-1])
-        left = residuals(y, basis)
+        rest = residuals(y, basis)
         spare = y.size - basis.shape[1]
-        variance = float(left @ left) / spare * _correlated(left[None], 1.0)
+        variance = float(rest @ rest) / spare * _correlation_factor(rest[None], 1.0)
         if variance <= 0.0 or not free @ free > 0.0:
             return None
         each.append(float(free @ y / (free @ free)))
@@ -127,14 +132,14 @@ def drift(values: Sequence[Array], bases: Sequence[Array], calibration: float = 
     coefficients, noise = np.array(each), np.array(errors)
     mean = abs(float(coefficients.mean()))
     by_noise = float(np.sqrt((noise**2).sum())) / count
-    above_noise = mean > stats.t.ppf(1.0 - FALSE_ALARM / 2.0, freedom) * by_noise
+    is_above_noise = mean > stats.t.ppf(1.0 - FALSE_ALARM / 2.0, freedom) * by_noise
     if count < 2:
-        return Drift(coefficients, noise, bool(above_noise), significant=False)
+        return Drift(coefficients, noise, bool(is_above_noise), is_significant=False)
     scatter = float(coefficients.var(ddof=1)) / count
     variance = scatter + calibration**2
     spare = min((count - 1) * variance**2 / max(scatter**2, 1e-300), 1e6)  # Welch and Satterthwaite
     beyond = mean > stats.t.ppf(1.0 - FALSE_ALARM / 2.0, spare) * np.sqrt(variance)
-    return Drift(coefficients, noise, bool(above_noise), bool(above_noise and beyond))
+    return Drift(coefficients, noise, bool(is_above_noise), bool(is_above_noise and beyond))
 
 
 def is_quieter(before: Sequence[Array], after: Sequence[Array]) -> bool:
@@ -155,7 +160,7 @@ def odd_group(groups: Sequence[Array]) -> tuple[int, list[int]]:
     All groups have equal scatter. The statistic is the scatter after the best split of one group relative to that
     without a split, compared with its quantile for normal values.
     """
-    if sum(v.size - 1 for v in groups) < LEAST_FREEDOM or not any(np.ptp(v) > 0.0 for v in groups):
+    if sum(v.size - 1 for v in groups) < MIN_FREEDOM or not any(np.ptp(v) > 0.0 for v in groups):
         return 0, []
     rng = np.random.default_rng(0)
     normal, _, _ = _split([rng.standard_normal((DRAWS, v.size)) for v in groups])
@@ -184,7 +189,7 @@ def _split(groups: Sequence[Array]) -> tuple[Array, Array, Array]:
     return 1.0 - np.array(gains)[place, rows] / total, place, np.array(sizes)[place, rows]
 
 
-def _correlated(scatter: Array, power: float) -> float:
+def _correlation_factor(scatter: Array, power: float) -> float:
     """Return the number of correlated rows that count as one, 1 for white noise.
 
     Args:

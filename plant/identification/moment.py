@@ -8,26 +8,22 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.model.namespaces import arrays
+from plant.identification import messages
 from plant.identification.cells import Cells
-from plant.identification.command_response import low_pass, tilt_response
-from plant.identification.estimates import Figure, Measured, Result, make_estimates, out_of_line, shifts_of
+from plant.identification.command_response import low_pass
+from plant.identification.estimates import Figure, Measurement, Result, make_estimates, outlier_warnings, shifts_of
 from plant.identification.misfit import drift
 from plant.identification.recordings import Recording
 from plant.powertrain import assembly_moment, servo_angle
 
 
-def analyse(m: Measured, *, draw: bool = True) -> Result:
+def analyse(m: Measurement, *, draw: bool = True) -> Result:
     """Return the arm l [m] of M = m_PA·g·l·sin α, with an offset for each test."""
-    known, window = m.known, m.test.window
-    shapes: dict[bytes, Array] = {}
+    bench, window = m.bench, m.test.window
 
     def shape(r: Recording) -> Array:
-        key = r.servo_duty.tobytes()
-        if key not in shapes:
-            tilt = tilt_response(known, r.time, r.servo_duty, np.array([known.lag]))[:, 0]
-            moment = assembly_moment(arrays(), tilt, known.assembly_mass, known.gravity, 1.0)
-            shapes[key] = low_pass(moment, r.step, m.test.low_pass)
-        return shapes[key][r.rows(window)]
+        moment = assembly_moment(arrays(), m.tilt(r), bench.assembly_mass, bench.gravity, 1.0)
+        return low_pass(np.asarray(moment), r.step, m.test.low_pass)[r.rows(window)]
 
     def arms(using: Cells) -> Array:
         rows = []
@@ -41,31 +37,28 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
     top = bottom = 0.0
     for r in m.recordings:
         w = r.rows(window)
-        alpha = servo_angle(r.servo_duty[w], known.servo_neutral, known.servo_slope)
-        basis = assembly_moment(arrays(), alpha, known.assembly_mass, known.gravity, 1.0)
+        alpha = servo_angle(r.servo_duty[w], bench.servo_neutral, bench.servo_slope)
+        basis = assembly_moment(arrays(), alpha, bench.assembly_mass, bench.gravity, 1.0)
         top += float(basis @ m.printed_force(r, "m")[w])
         bottom += float(basis @ basis)
     names = [("assembly_arm", "m", top / bottom, m.true("assembly_arm"))]
     result = Result(
         "moment", make_estimates(names, each, shifts_of(arms, m.cells, "m", each), "Test 5, with an offset a test")
     )
-    result.odd += out_of_line([("the arm [m]", m.recordings, each[:, 0])])
+    result.outliers += outlier_warnings([("the arm [m]", m.recordings, each[:, 0])])
     _judge(m, result, shape)
-    step = known.converter_range / known.converter_levels
+    step = bench.converter_range / bench.converter_levels
     volts = m.recordings[0].volts["m"][m.recordings[0].rows(window)]
     twentieths = [volts[k * volts.size // 20 : (k + 1) * volts.size // 20] for k in range(20)]
-    moved = float(np.ptp([np.median(part) for part in twentieths]))
-    result.more = {"steps_of_converter": moved / step}
-    result.notes.append(
-        f"Over the whole tilt the cell moves by {moved / step:.1f} steps of the converter ({1000 * moved:.1f} mV): "
-        "noise and the low pass, not its resolution, let it be read."
-    )
+    change = float(np.ptp([np.median(part) for part in twentieths]))
+    result.details = {"steps_of_converter": change / step}
+    result.notes.append(messages.CONVERTER_STEPS(steps=change / step, change=1000 * change))
     if draw:
         result.figures = _figures(result, m)
     return result
 
 
-def _judge(m: Measured, result: Result, shape: Callable[[Recording], Array]) -> None:
+def _judge(m: Measurement, result: Result, shape: Callable[[Recording], Array]) -> None:
     """Add a fault for a cell without response to the sweep, and a warning for drift."""
     window = m.test.window
     times = [r.time[r.rows(window)] - window[0] for r in m.recordings]
@@ -73,43 +66,35 @@ def _judge(m: Measured, result: Result, shape: Callable[[Recording], Array]) -> 
     shapes = [shape(r) for r in m.recordings]
     constant = [np.ones_like(t) for t in times]
     sweep = drift(moments, [np.column_stack(pair) for pair in zip(constant, shapes, strict=True)])
-    if sweep is not None and not sweep.above_noise:
-        result.faults.append(
-            "volts_m does not answer the sweep of the tilt, beyond its noise: look at the cell, its plug and its wires"
-        )
+    if sweep is not None and not sweep.is_above_noise:
+        result.faults.append(messages.NO_MOMENT())
         return
     bases = [np.column_stack(row) for row in zip(constant, shapes, times, strict=True)]
 
     def slopes(using: Cells) -> Array:
         """Return the residual slope of each recording."""
-        rows = []
-        for r, basis in zip(m.recordings, bases, strict=True):
-            rows.append(np.linalg.lstsq(basis, m.force(r, "m", using)[r.rows(window)], rcond=None)[0][-1:])
-        return np.array(rows)
+        forces = [m.force(r, "m", using)[r.rows(window)] for r in m.recordings]
+        return np.array([np.linalg.lstsq(b, y, rcond=None)[0][-1:] for b, y in zip(bases, forces, strict=True)])
 
     calibration = shifts_of(slopes, m.cells, "m")
-    found = drift(moments, bases, float(np.sqrt((calibration**2).sum())))
-    if found is None or not found.significant:
+    trend = drift(moments, bases, float(np.sqrt((calibration**2).sum())))
+    if trend is None or not trend.is_significant:
         return
     # change of the arm by the drift, from its projection on the shape
-    moved = [
+    changes = [
         float((s - s.mean()) @ t / ((s - s.mean()) @ (s - s.mean()))) * slope
-        for s, t, slope in zip(shapes, times, found.each, strict=True)
+        for s, t, slope in zip(shapes, times, trend.each, strict=True)
     ]
-    arm, shift = result.estimates[0].value, float(np.mean(moved))
-    file = m.recordings[found.worst].label
-    result.warnings.append(
-        f"cell m drifts by {found.mean * (window[1] - window[0]):.2g} N·m over the sweep (most beyond its noise in "
-        f"{file}), by which the arm is off some {shift:.2g} m of {arm:.3g} m: let the bench warm up, sweep faster, or "
-        "sweep there and back"
-    )
+    fields = {"drift": trend.mean * (window[1] - window[0]), "recording": m.recordings[trend.worst].label}
+    shift, arm = float(np.mean(changes)), result.estimates[0].value
+    result.warnings.append(messages.DRIFTING_MOMENT(**fields, shift=shift, arm=arm))
 
 
-def _figures(result: Result, m: Measured) -> list[Figure]:
-    first, same, known = m.recordings[0], m.alike(), m.known
-    alpha = servo_angle(first.servo_duty[first.rows(m.test.window)], known.servo_neutral, known.servo_slope)
+def _figures(result: Result, m: Measurement) -> list[Figure]:
+    first, same, bench = m.recordings[0], m.alike(), m.bench
+    alpha = servo_angle(first.servo_duty[first.rows(m.test.window)], bench.servo_neutral, bench.servo_slope)
     angle, arm = np.degrees(alpha), result.estimates[0].value
-    model = 1000.0 * assembly_moment(arrays(), alpha, known.assembly_mass, known.gravity, arm)
+    model = 1000.0 * assembly_moment(arrays(), alpha, bench.assembly_mass, bench.gravity, arm)
     data = 1000.0 * np.array([m.force(r, "m")[r.rows(m.test.window)] for r in same])
     some, bars = slice(None, None, max(1, angle.size // 90)), slice(None, None, max(1, angle.size // 12))
     spread = 1.96 * np.sqrt(((data - model) ** 2).sum(axis=0) / max(1, len(same) - 1))

@@ -10,41 +10,41 @@ from cosim.base.errors import Fault
 from cosim.base.text import counted
 from cosim.storage.yaml_file import YamlFile
 from plant.bench import REST_DUTY, Bench
+from plant.identification import messages
 from plant.identification.columns import MIN_HEIGHT_RATIO
-from plant.identification.commanded import LEAST_ROWS, ROWS_PER_PERIOD, lacks, windows_of
-from plant.identification.protocol import BENCH, LONGEST, HeightTest, ProtocolFile, SineTest, Test
+from plant.identification.commanded import MIN_ROWS, ROWS_PER_PERIOD, lacks, windows_of
+from plant.identification.protocol import BENCH, MAX_RUN_TIME, HeightTest, ProtocolFile, SineTest, Test
 from plant.identification.recordings import Recording, commands
 
-MOST_ROWS = 1_000_000  # rows of a run
+MAX_ROWS = 1_000_000  # rows of a run
 
 
-def planned_faults(yaml: YamlFile, content: ProtocolFile, known: Bench) -> list[Fault]:
+def planned_faults(yaml: YamlFile, content: ProtocolFile, bench: Bench) -> list[Fault]:
     """Return every fault of the simulated tests with valid keys and values."""
     tests = [(n, t) for n, t in content.tests.named_tests() if not t.files]
     if faults := list(_step_faults(yaml, content, tests)):
         return faults
     own = content.bench == BENCH
-    return [fault for name, test in tests for fault in _faults(yaml, content, name, test, known, own)]
+    return [fault for name, test in tests for fault in _faults(yaml, content, name, test, bench, own)]
 
 
 def _step_faults(yaml: YamlFile, content: ProtocolFile, tests: list[tuple[str, Test]]) -> Iterator[Fault]:
     """Yield a fault of a step too long for windows and sines, or too short to simulate."""
     step = content.step
-    if step < LONGEST / MOST_ROWS and (longest := max((_end(t) for _, t in tests), default=0.0)) / step > MOST_ROWS:
-        rows, least_step = f"{longest / step:.3g}", f"{longest / MOST_ROWS:.1g}"
-        message = f"a run of {longest:g} s has {rows} rows, {MOST_ROWS} at most; {least_step} s or more"
-        yield yaml.fault(("step",), message)
+    if step < MAX_RUN_TIME / MAX_ROWS and (longest := max((_end(t) for _, t in tests), default=0.0)) / step > MAX_ROWS:
+        rows, least = longest / step, longest / MAX_ROWS
+        yield yaml.fault(("step",), messages.SHORT_STEP(time=longest, rows=rows, limit=MAX_ROWS, least=least))
         return
-    least = []
+    limits = []
     for n, t in tests:
-        least += [((end - start) / LEAST_ROWS, f"tests.{n}.{key}") for key, (start, end) in windows_of(t).items()]
+        limits += [((end - start) / MIN_ROWS, f"tests.{n}.{key}") for key, (start, end) in windows_of(t).items()]
         for w in t.frequencies if isinstance(t, SineTest) else ():
-            least.append((2.0 * np.pi / w / ROWS_PER_PERIOD, f"a period of tests.{n} at {w:g} rad/s"))
-    short = sorted(pair for pair in least if pair[0] < step * (1.0 - 1e-9))
+            limits.append((2.0 * np.pi / w / ROWS_PER_PERIOD, f"a period of tests.{n} at {w:g} rad/s"))
+    short = sorted(pair for pair in limits if pair[0] < step * (1.0 - 1e-9))
     if len(short) > 1:
-        others = f"{short[0][1]} and {counted(len(short) - 1, 'other')}"
-        message = f"{step:g} s is too long: {others} need {LEAST_ROWS} rows; {short[0][0]:.3g} s or less"
-        yield yaml.fault(("step",), message)
+        (limit, place), others = short[0], counted(len(short) - 1, "other")
+        fields = {"step": step, "place": place, "others": others, "least": MIN_ROWS, "limit": limit}
+        yield yaml.fault(("step",), messages.LONG_STEP(**fields))
 
 
 def _end(test: Test) -> float:
@@ -54,58 +54,55 @@ def _end(test: Test) -> float:
     return test.phases[-1][0] if test.phases else 0.0
 
 
-def _faults(yaml: YamlFile, content: ProtocolFile, name: str, test: Test, known: Bench, own: bool) -> Iterator[Fault]:
+def _faults(yaml: YamlFile, content: ProtocolFile, name: str, test: Test, bench: Bench, own: bool) -> Iterator[Fault]:
     at = ("tests", name)
-    validation = True
+    validation_faults: list[Fault] = []
     if isinstance(test, HeightTest):
-        yield from _height_faults(yaml, test, known)
+        yield from _height_faults(yaml, test, bench)
         if test.validation_duty is not None:
-            wrong = list(_validation_faults(yaml, test, known, own))
-            validation = not wrong
-            yield from wrong
+            validation_faults += _validation_faults(yaml, test, test.validation_duty, bench, own)
+            yield from validation_faults
     if isinstance(test, SineTest):
         yield from _sine_faults(yaml, content, test)
-    told: set[tuple[str, str]] = set()
-    for label, time, duty, servo_duty, height in commands(test, known, content.step):
-        if label.endswith("validation") and not validation:
+    earlier: set[tuple[str, str]] = set()
+    for label, time, duty, servo_duty, height in commands(test, bench, content.step):
+        if label.endswith("validation") and validation_faults:
             continue
         run = Recording(name + label, time, duty, servo_duty, np.full(time.size, height), {})
-        for lack in lacks(known, name, test, run, ".".join(at), own=own):
-            if (lack.key, lack.plan) not in told:
-                told.add((lack.key, lack.plan))
-                yield yaml.fault((*at, lack.key), f"{lack.what}; {lack.plan}")
+        for key, _, message in lacks(bench, name, test, run, ".".join(at), own=own):
+            if (mark := (key, message.fields["cure"])) not in earlier:
+                earlier.add(mark)
+                yield yaml.fault((*at, key), message)
 
 
-def _height_faults(yaml: YamlFile, test: HeightTest, known: Bench) -> Iterator[Fault]:
-    at, radius = ("tests", "ground_effect"), known.propeller_radius
+def _height_faults(yaml: YamlFile, test: HeightTest, bench: Bench) -> Iterator[Fault]:
+    at, radius = ("tests", "ground_effect"), bench.propeller_radius
     for k, height in enumerate(test.heights):
         if height in test.heights[:k]:
-            yield yaml.fault((*at, "heights", k), f"{height:g} stands twice; repetitions are more runs at each height")
+            yield yaml.fault((*at, "heights", k), messages.REPEATED_HEIGHT(height=height))
         elif height < MIN_HEIGHT_RATIO:
-            message = f"{height:g} radii: the ground effect of eq 4.28 ends at {MIN_HEIGHT_RATIO:g}; write that or more"
-            yield yaml.fault((*at, "heights", k), message)
-    if test.free_height <= max(test.heights) * radius:
-        message = f"{test.free_height:g} m is no higher than the heights near the ground, up to "
-        message += f"{max(test.heights) * radius:.3g} m ({max(test.heights):g} radii of {radius:g} m); nothing is below"
-        yield yaml.fault((*at, "free_height"), f"{message} from some 10 radii on")
+            yield yaml.fault((*at, "heights", k), messages.HEIGHT_IN_GROUND(height=height, least=MIN_HEIGHT_RATIO))
+    ratio = max(test.heights)
+    if test.free_height <= ratio * radius:
+        fields = {"height": test.free_height, "limit": ratio * radius, "ratio": ratio, "radius": radius}
+        yield yaml.fault((*at, "free_height"), messages.LOW_FREE_HEIGHT(**fields))
 
 
-def _validation_faults(yaml: YamlFile, test: HeightTest, known: Bench, own: bool) -> Iterator[Fault]:
-    duty, top = test.validation_duty or 0.0, max(p[1] for p in test.phases)
-    idle = -known.thrust_offset / known.thrust_slope if own else REST_DUTY
+def _validation_faults(yaml: YamlFile, test: HeightTest, duty: float, bench: Bench, own: bool) -> Iterator[Fault]:
+    idle = -bench.thrust_offset / bench.thrust_slope if own else REST_DUTY
     at = ("tests", "ground_effect", "validation_duty")
     if duty <= idle:
-        yield yaml.fault(at, f"{duty:g} % gives no thrust, which begins above {idle:.4g} %; write a higher one")
-    elif duty == top:
-        yield yaml.fault(at, f"{duty:g} % is that of the phases; a validation set has another duty, or leave it out")
+        yield yaml.fault(at, messages.VALIDATION_WITHOUT_THRUST(duty=duty, limit=idle))
+    elif duty == max(p[1] for p in test.phases):
+        yield yaml.fault(at, messages.VALIDATION_DUTY_OF_PHASES(duty=duty))
 
 
 def _sine_faults(yaml: YamlFile, content: ProtocolFile, test: SineTest) -> Iterator[Fault]:
+    limit = 2.0 * np.pi / ROWS_PER_PERIOD / content.step
     for k, w in enumerate(test.frequencies):
         place = ("tests", "frequency", "frequencies", k)
         if w in test.frequencies[:k]:
-            yield yaml.fault(place, f"{w:g} rad/s stands twice; repetitions are more runs at each frequency")
+            yield yaml.fault(place, messages.REPEATED_FREQUENCY(frequency=w))
         elif w * content.step > 2.0 * np.pi / ROWS_PER_PERIOD * (1.0 + 1e-9):
-            most = 2.0 * np.pi / ROWS_PER_PERIOD / content.step
-            message = f"{w:g} rad/s at a step of {content.step:g} s is less than {ROWS_PER_PERIOD} rows a period"
-            yield yaml.fault(place, f"{message}; {most:.3g} rad/s or less, or a shorter `step`")
+            fields = {"frequency": w, "step": content.step, "least": ROWS_PER_PERIOD, "limit": limit}
+            yield yaml.fault(place, messages.HIGH_FREQUENCY(**fields))

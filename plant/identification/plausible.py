@@ -7,7 +7,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from cosim.base.errors import Fault
+from cosim.base.messages import Message
 from plant.bench import Bench
+from plant.identification import messages
 from plant.identification.command_response import LAGS
 from plant.identification.estimates import Estimate, Result
 from plant.identification.protocol import Protocol
@@ -37,14 +39,10 @@ def result_faults(protocol: Protocol, results: Sequence[Result]) -> list[Fault]:
     """Return faults of results and impossible numbers; add interval warnings to the results."""
     faults = []
     for result in results:
-        for e in result.estimates:
-            if reason := _impossible(e):
-                cure = CURES["lag" if e.name.startswith("lag") else e.name]
-                text = "; ".join([f"{e.name} {reason}; {cure}", *result.odd])
-                faults.append(protocol.yaml.fault(("tests", result.test), text, key=True))
-        faults += [protocol.yaml.fault(("tests", result.test), text, key=True) for text in result.faults]
-        result.warnings += result.odd
-        result.warnings += [text for e in result.estimates for text in _doubtful(e)]
+        reasons = [reason for e in result.estimates if (reason := _reason_against(e, result.outliers))]
+        faults += [protocol.yaml.fault(("tests", result.test), text, key=True) for text in [*reasons, *result.faults]]
+        result.warnings += result.outliers
+        result.warnings += [text for e in result.estimates for text in _doubts(e)]
     return faults
 
 
@@ -52,30 +50,27 @@ def _unit(e: Estimate) -> str:
     return "" if e.unit == "1" else f" {e.unit}"
 
 
-def _impossible(e: Estimate) -> str:
-    """Return the reason why a number is impossible, else ""."""
+def _reason_against(e: Estimate, outliers: Sequence[str]) -> Message | None:
+    """Return the message on an impossible number, with outlying recordings as its possible cause, else None."""
     low, high = bounds_of(e.name)
-    if not np.isfinite([e.value, e.low, e.high]).all():
-        if np.isfinite(e.value):
-            return f"comes out as {e.value:.4g}{_unit(e)} without an interval: the recordings do not determine it"
-        return "has no value: the recordings do not determine it"
-    if e.name.startswith("lag") and not LAGS[0] * 1.001 < e.value < LAGS[-1] / 1.001:
-        return f"is {e.value:.4g} s, an end of the {LAGS[0]:g} to {LAGS[-1]:g} s that are tried"
-    if not low <= e.value <= high:
-        return f"comes out as {e.value:.4g}{_unit(e)}, and {low:g} to {high:g}{_unit(e)} is possible"
-    return ""
+    is_lag = e.name.startswith("lag")
+    cure = "; ".join([CURES["lag" if is_lag else e.name], *outliers])
+    fields = {"name": e.name, "value": e.value, "unit": _unit(e), "cure": cure}
+    if not np.isfinite(e.value):
+        return messages.NO_VALUE(name=e.name, cure=cure)
+    if not np.isfinite([e.low, e.high]).all():
+        return messages.NO_INTERVAL(**fields)
+    if is_lag and not LAGS[0] * 1.001 < e.value < LAGS[-1] / 1.001:
+        return messages.LAG_AT_LIMIT(name=e.name, value=e.value, low=LAGS[0], high=LAGS[-1], cure=cure)
+    return None if low <= e.value <= high else messages.IMPOSSIBLE_VALUE(**fields, low=low, high=high)
 
 
-def _doubtful(e: Estimate) -> Iterator[str]:
+def _doubts(e: Estimate) -> Iterator[Message]:
     """Yield doubts about a possible number."""
     low, high = bounds_of(e.name)
     if e.low < low or e.high > high:
-        yield (
-            f"the interval of {e.name}, {e.low:.4g} to {e.high:.4g}{_unit(e)}, contains impossible values "
-            f"({low:g} to {high:g}{_unit(e)} is possible): the recordings determine it poorly; look for one that "
-            "differs, or record more"
-        )
-    half = 0.5 * (e.high - e.low)
+        yield messages.WIDE_INTERVAL(name=e.name, first=e.low, last=e.high, unit=_unit(e), low=low, high=high)
+    half = e.half_width
     if e.name.endswith("_projection") and abs(e.value - 1.0) > FACTOR_HALF_WIDTHS * half:
-        function = "cosine" if e.name.startswith("vertical") else "sine"
-        yield f"{e.name} is {e.value:.4g} ± {half:.2g}, not 1, so the {function} does not project it; {CURES[e.name]}"
+        fields = {"function": "cosine" if e.name.startswith("vertical") else "sine", "cure": CURES[e.name]}
+        yield messages.WRONG_PROJECTION(name=e.name, value=e.value, half=half, **fields)

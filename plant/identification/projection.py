@@ -5,33 +5,26 @@ from __future__ import annotations
 import numpy as np
 
 from cosim.base.arrays import Array
+from plant.identification import messages
 from plant.identification.cells import Cells
-from plant.identification.command_response import low_pass, tilt_response
-from plant.identification.estimates import Figure, Measured, Result, make_estimates, shifts_of
-from plant.identification.recordings import Recording
+from plant.identification.command_response import low_pass
+from plant.identification.estimates import Figure, Measurement, Result, make_estimates, shifts_of
 from plant.powertrain import servo_angle
 
 BIN = np.radians(2.5)
 
 
-def analyse(m: Measured, *, draw: bool = True) -> Result:
+def analyse(m: Measurement, *, draw: bool = True) -> Result:
     """Return factors on cos α and sin α in F_z and F_x, ideally 1.
 
     Forces are relative to the thrust held upright.
     """
-    recordings, known, test = m.recordings, m.known, m.test
-    tilts: dict[bytes, Array] = {}
-
-    def tilt(r: Recording) -> Array:
-        key = r.servo_duty.tobytes()
-        if key not in tilts:
-            tilts[key] = tilt_response(known, r.time, r.servo_duty, np.array([known.lag]))[:, 0]
-        return tilts[key]
+    recordings, test = m.recordings, m.test
 
     def factors(using: Cells) -> Array:
         rows = []
         for r in recordings:
-            w, alpha = r.rows(test.window), tilt(r)
+            w, alpha = r.rows(test.window), m.tilt(r)
             fz, fx = (m.force(r, c, using) for c in "zx")
             total = fz[r.rows(test.hold)].mean()
             cos, sin = (low_pass(f(alpha), r.step, test.low_pass)[w] for f in (np.cos, np.sin))
@@ -50,33 +43,30 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
     for k, (c, f) in enumerate((("z", np.cos), ("x", np.sin))):
         measured = []
         for r in recordings:
-            w, alpha = r.rows(test.window), tilt(r)
+            w, alpha = r.rows(test.window), m.tilt(r)
             force = m.force(r, c)[w] / m.force(r, "z")[r.rows(test.hold)].mean()
             off = force - low_pass(f(alpha), r.step, test.low_pass)[w]
             place = np.digitize(alpha[w], edges)
             measured.append([off[place == j].mean() if (place == j).any() else np.nan for j in range(1, edges.size)])
         with np.errstate(all="ignore"):
-            seen = np.isfinite(np.array(measured)).all(axis=0)
-        deviation["VH"[k]] = np.array(measured)[:, seen].mean(axis=0)
+            filled = np.isfinite(np.array(measured)).all(axis=0)
+        deviation["VH"[k]] = np.array(measured)[:, filled].mean(axis=0)
     largest = {name: float(np.abs(v).max()) for name, v in deviation.items()}
-    result.more = {"largest_deviation": largest}
-    result.notes.append(
-        f"V(α) is off cos α by {largest['V']:.4f} at most, H(α) off sin α by {largest['H']:.4f}, "
-        "in bins of 2.5°: sine and cosine project it."
-    )
+    result.details = {"largest_deviation": largest}
+    result.notes.append(messages.PROJECTIONS(vertical=largest["V"], horizontal=largest["H"]))
     if draw:
-        result.figures = _figures(m, tilt(recordings[0]))
+        result.figures = _figures(m, m.tilt(recordings[0]))
     return result
 
 
-def _thesis(m: Measured) -> tuple[float, float]:
+def _thesis(m: Measurement) -> tuple[float, float]:
     """Return the thesis' factors: five rows of the fifth test, commanded angle, no tare."""
     fifth = m.recordings[min(4, len(m.recordings) - 1)]
     total = float(m.printed_force(fifth, "z")[fifth.rows(m.test.window)][:5].mean())
     top, bottom = np.zeros(2), np.zeros(2)
     for r in m.recordings:
         w = r.rows(m.test.window)
-        alpha = servo_angle(r.servo_duty[w], m.known.servo_neutral, m.known.servo_slope)
+        alpha = servo_angle(r.servo_duty[w], m.bench.servo_neutral, m.bench.servo_slope)
         for k, (c, f) in enumerate((("z", np.cos), ("x", np.sin))):
             top[k] += m.printed_force(r, c)[w] @ f(alpha)
             bottom[k] += f(alpha) @ f(alpha)
@@ -84,8 +74,8 @@ def _thesis(m: Measured) -> tuple[float, float]:
     return float(v), float(h)
 
 
-def _figures(m: Measured, alpha: Array) -> list[Figure]:
-    window, same, found = m.test.window, m.alike(), []
+def _figures(m: Measurement, alpha: Array) -> list[Figure]:
+    window, same, figures = m.test.window, m.alike(), []
     angle = np.degrees(alpha[m.recordings[0].rows(window)])
     some, bars = slice(None, None, max(1, angle.size // 120)), slice(None, None, max(1, angle.size // 10))
     order = np.argsort(angle)
@@ -98,16 +88,8 @@ def _figures(m: Measured, alpha: Array) -> list[Figure]:
         line = (f"T·{f.__name__} α", angle[order], model[order], "true")
         ends = [(angle[bars], (model - spread)[bars], (model + spread)[bars])]
         title, axes = f"{name} force", ("tilt [°]", "gf")
-        found.append(
-            Figure(f"{title} over the tilt: readings and model", *axes, [readings, line], counterpart="Fig 4.14")
-        )
-        found.append(
-            Figure(
-                f"{title} over the tilt: range of 95 % of the readings",
-                *axes,
-                [line],
-                bars=ends,
-                counterpart="Fig 4.15",
-            )
-        )
-    return found
+        heading = f"{title} over the tilt: readings and model"
+        figures.append(Figure(heading, *axes, [readings, line], counterpart="Fig 4.14"))
+        heading = f"{title} over the tilt: range of 95 % of the readings"
+        figures.append(Figure(heading, *axes, [line], bars=ends, counterpart="Fig 4.15"))
+    return figures

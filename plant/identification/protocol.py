@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -30,15 +30,16 @@ from cosim.storage.yaml_file import (
     did_you_mean,
 )
 from plant.bench import FREE_HEIGHT, REST_DUTY, Bench
+from plant.identification import messages
 from plant.identification.artefacts import PROTOCOL
 
-LEAST = 3  # repetitions: intervals come from the scatter between them
+MIN_REPETITIONS = 3  # repetitions: intervals come from the scatter between them
 CHANNELS = {"z": "N", "x": "N", "m": "N.m"}  # cell → SI unit
 BENCH = "bench"  # the bench of this package
 MAX_OVERLOAD = 1.5  # largest calibration load, as a multiple of full scale
 MIN_SPAN = 10.0  # least range of calibration loads, as a multiple of a load's error
 WINDOWS = ("rest", "window", "hold")  # windows of a test
-LONGEST = 3600.0  # [s] of a simulated run
+MAX_RUN_TIME = 3600.0  # [s] of a simulated run
 
 Metres = Annotated[Positive, InUnit("m")]
 Volts = Annotated[NotNegative, InUnit("V", difference=True)]
@@ -209,11 +210,11 @@ class ProtocolFile(Part):
 
 @dataclass(frozen=True)
 class Protocol:
-    """A protocol; `known` is the bench with the stated parameters, exact for a simulated one."""
+    """A protocol; `bench` is the bench with the stated parameters, exact for a simulated one."""
 
     yaml: YamlFile
     file: ProtocolFile
-    known: Bench
+    bench: Bench
 
     @property
     def folder(self) -> Path:
@@ -221,12 +222,12 @@ class Protocol:
         return self.yaml.path.parent
 
     @property
-    def true_known(self) -> bool:
+    def is_simulated(self) -> bool:
         """Return True for the simulated bench."""
         return self.file.bench == BENCH
 
 
-def partly_read(path: Path) -> tuple[Protocol, list[Fault]]:
+def read_partly(path: Path) -> tuple[Protocol, list[Fault]]:
     """Return a protocol and its faults.
 
     Raises:
@@ -245,10 +246,9 @@ def partly_read(path: Path) -> tuple[Protocol, list[Fault]]:
     faults += _cell_faults(yaml, content)
     faults += [fault for name, test in content.tests.named_tests() for fault in _test_faults(yaml, content, name, test)]
     if not any(True for _ in content.tests.named_tests()):
-        faults.append(yaml.fault(("tests",), f"holds no test; known are {', '.join(Tests.model_fields)}", key=True))
+        faults.append(yaml.fault(("tests",), messages.NO_TEST(names=", ".join(Tests.model_fields)), key=True))
     if content.bench not in (None, BENCH) and not (path.parent / str(content.bench)).is_file():
-        message = f"no such FMU: {content.bench}; write {BENCH} for the one that is built here, or the path of yours"
-        faults.append(yaml.fault(("bench",), message))
+        faults.append(yaml.fault(("bench",), messages.NO_FMU(name=content.bench, bench=BENCH)))
     if faults:
         return Protocol(yaml, content, bench), faults
     return Protocol(yaml, content, bench.with_values(content.parameters)), []
@@ -257,109 +257,94 @@ def partly_read(path: Path) -> tuple[Protocol, list[Fault]]:
 def _parameter_faults(yaml: YamlFile, content: ProtocolFile, bench: Bench) -> Iterator[Fault]:
     for name, value in content.parameters.items():
         if name not in bench.declared:
-            yield yaml.fault(
-                ("parameters", name), f'a bench has no "{name}"{did_you_mean(name, bench.declared)}', key=True
-            )
-        elif fault := bench.declared[name].fault(value):
-            yield yaml.fault(("parameters", name), fault)
+            message = messages.UNKNOWN_PARAMETER(name=name, hint=did_you_mean(name, bench.declared))
+            yield yaml.fault(("parameters", name), message, key=True)
+        elif reason := bench.declared[name].fault(value):
+            yield yaml.fault(("parameters", name), reason)
 
 
 def _cell_faults(yaml: YamlFile, content: ProtocolFile) -> Iterator[Fault]:
+    names = ", ".join(CHANNELS)
     for name in CHANNELS.keys() - content.cells.keys():
-        yield yaml.fault(("cells",), f'cell "{name}" is missing; a bench has {", ".join(CHANNELS)}', key=True)
+        yield yaml.fault(("cells",), messages.NO_CELL(name=name, names=names), key=True)
     for name, cell in content.cells.items():
         if name not in CHANNELS:
-            yield yaml.fault(("cells", name), f"no such cell; a bench has {', '.join(CHANNELS)}", key=True)
+            yield yaml.fault(("cells", name), messages.UNKNOWN_CELL(names=names), key=True)
             continue
         if factor(cell.unit, CHANNELS[name]) is None:
-            message = f"{cell.unit} is no unit of {CHANNELS[name]}{_force_unit(cell.unit)}"
+            mass = cell.unit in ("g", "kg")
+            hint = f"; a mass that is hung is a force: write {cell.unit}f" if mass else ""
+            message = messages.WRONG_UNIT(unit=cell.unit, wanted=CHANNELS[name], hint=hint)
             yield yaml.fault(("cells", name, "unit"), message)
-        written = yaml.root["cells"][name]
+        source = yaml.root["cells"][name]
         if bool(cell.loads) != bool(cell.points):
             yield from _calibration_faults(yaml, content, name, cell)
-        elif cell.loads or not (written.get("loads") or written.get("points")):  # unreadable values are reported
-            cure = "give `loads` to hang on the bench that is played, or `points` [load, voltage] as measured"
-            yield yaml.fault(("cells", name), f"has {'both' if cell.loads else 'no'} loads and points; {cure}")
+        elif cell.loads or not (source.get("loads") or source.get("points")):  # unreadable values are reported
+            yield yaml.fault(("cells", name), (messages.LOADS_AND_POINTS if cell.loads else messages.NO_LOADS)())
 
 
 def _calibration_faults(yaml: YamlFile, content: ProtocolFile, name: str, cell: CellFile) -> Iterator[Fault]:
     """Yield faults of calibration loads or points."""
     at, unit, key = ("cells", name), cell.unit, "loads" if cell.loads else "points"
     if cell.loads and content.bench is None:
-        yield yaml.fault((*at, key), "no bench is played; give `points` [load, voltage] as measured")
+        yield yaml.fault((*at, key), messages.LOADS_WITHOUT_BENCH())
         return
-    if twice := [k for k, load in enumerate(cell.loads) if load in cell.loads[:k]]:
-        for k in twice:
-            yield yaml.fault((*at, key, k), f"{cell.loads[k]:g} is hung twice; hang each load once")
+    if places := [k for k, load in enumerate(cell.loads) if load in cell.loads[:k]]:
+        for k in places:
+            yield yaml.fault((*at, key, k), messages.REPEATED_LOAD(load=cell.loads[k]))
         return
     loads = np.array(cell.loads or [load for load, _ in cell.points], float)
     beyond = np.flatnonzero(np.abs(loads) > MAX_OVERLOAD * cell.full_scale).tolist()
     span, error = float(np.ptp(loads)), cell.error * cell.full_scale
     if len(loads) < 4:
-        yield yaml.fault((*at, key), "a curve needs four points at least; measure more")
+        yield yaml.fault((*at, key), messages.TOO_FEW_LOADS())
     elif beyond:
-        message = f"{loads[beyond[0]]:g} {unit} is beyond the cell's full_scale of {cell.full_scale:g} {unit}"
-        yield yaml.fault((*at, key, beyond[0]), f"{message}; correct the unit, the load or full_scale")
+        message = messages.LOAD_BEYOND_SCALE(load=loads[beyond[0]], unit=unit, limit=cell.full_scale)
+        yield yaml.fault((*at, key, beyond[0]), message)
     elif span < MIN_SPAN * error:
-        message = f"the loads span {span:.3g} {unit}, where the error of each is {error:.3g} {unit}"
-        cure = "correct the unit, or hang larger loads"
-        yield yaml.fault(at, f"{message} (`error` of `full_scale`); {cure}", key=True)
-
-
-def _force_unit(unit: str) -> str:
-    """Return a hint for a mass unit."""
-    return f"; a mass that is hung is a force: write {unit}f" if unit in ("g", "kg") else ""
+        yield yaml.fault(at, messages.NARROW_LOADS(span=span, unit=unit, error=error), key=True)
 
 
 def _test_faults(yaml: YamlFile, content: ProtocolFile, name: str, test: Test) -> Iterator[Fault]:
     at = ("tests", name)
+    windows = {key: window for key in WINDOWS if (window := getattr(test, key, None)) is not None}
     if test.files:
         yield from _file_faults(yaml, at, test.files)
     elif content.bench is None:
-        cure = "name the bench that is to be played as `bench:`, or the recordings as `files:`"
-        yield yaml.fault(at, f"has no files, and no bench is played; {cure}", key=True)
+        yield yaml.fault(at, messages.NO_FILES(), key=True)
     else:
-        yield from _phase_faults(yaml, at, test)
-    for key in WINDOWS:
-        window = getattr(test, key, None)
-        if window is not None and window[0] >= window[1]:
-            yield yaml.fault((*at, key), f"{window[0]:g} … {window[1]:g} s is empty; write its start, then its end")
+        yield from _phase_faults(yaml, at, test, windows)
+    for key, (start, end) in windows.items():
+        if start >= end:
+            yield yaml.fault((*at, key), messages.EMPTY_WINDOW(start=start, end=end))
     if isinstance(test, SineTest) and len(test.periods) != len(test.frequencies):
-        yield yaml.fault((*at, "periods"), f"{len(test.periods)} for {len(test.frequencies)} frequencies; one each")
+        counts = {"periods": len(test.periods), "frequencies": len(test.frequencies)}
+        yield yaml.fault((*at, "periods"), messages.PERIODS_UNLIKE_FREQUENCIES(**counts))
     if isinstance(test, HeightTest) and not test.files and len(test.heights) < 2:
-        yield yaml.fault((*at, "heights"), "two heights at least")
+        yield yaml.fault((*at, "heights"), messages.TOO_FEW_HEIGHTS())
 
 
 def _file_faults(yaml: YamlFile, at: tuple[str, ...], files: list[str]) -> Iterator[Fault]:
-    if len(files) < LEAST:
-        few = f"{counted(len(files), 'recording')}, too few"
-        yield yaml.fault((*at, "files"), f"{few}: intervals come from scatter between {LEAST} or more")
+    if len(files) < MIN_REPETITIONS:
+        message = messages.TOO_FEW_FILES(recordings=counted(len(files), "recording"), least=MIN_REPETITIONS)
+        yield yaml.fault((*at, "files"), message)
     for k, file in enumerate(files):
         if file in files[:k]:
-            yield yaml.fault((*at, "files", k), f"{file} is named twice; a repetition is a run of its own")
+            yield yaml.fault((*at, "files", k), messages.REPEATED_FILE(name=file))
 
 
-def _phase_faults(yaml: YamlFile, at: tuple[str, ...], test: Test) -> Iterator[Fault]:
+def _phase_faults(yaml: YamlFile, at: tuple[str, ...], test: Test, windows: Mapping[str, Window]) -> Iterator[Fault]:
     if not test.phases and not isinstance(test, SineTest):
-        yield yaml.fault(at, "has neither phases to play nor files; give either", key=True)
-    if test.repetitions < LEAST:
-        message = f"{test.repetitions} are too few: intervals come from scatter between {LEAST} or more"
+        yield yaml.fault(at, messages.NO_PHASES(), key=True)
+    if test.repetitions < MIN_REPETITIONS:
+        message = messages.TOO_FEW_REPETITIONS(count=test.repetitions, least=MIN_REPETITIONS)
         yield yaml.fault((*at, "repetitions"), message)
     times = [p[0] for p in test.phases]
-    if times != sorted(times) or (times and times[-1] > LONGEST):
-        yield yaml.fault((*at, "phases"), f"times of phases increase, up to {LONGEST:g} s")
+    if times != sorted(times) or (times and times[-1] > MAX_RUN_TIME):
+        yield yaml.fault((*at, "phases"), messages.WRONG_TIMES_OF_PHASES(limit=MAX_RUN_TIME))
     elif times and not isinstance(test, SineTest):
-        yield from _missing_phases(yaml, at, test, times[-1])
-
-
-def _missing_phases(yaml: YamlFile, at: tuple[str, ...], test: Test, end: float) -> Iterator[Fault]:
-    for key in WINDOWS:
-        window = getattr(test, key, None)
-        if window is not None and window[1] > end + 1e-9:
-            yield yaml.fault((*at, key), f"ends at {window[1]:g} s, the phases at {end:g} s; move it or add a phase")
-    duty = [p[1] for p in test.phases if p[0] <= test.rest[1]]
-    if duty and duty[0] > REST_DUTY:
-        message = (
-            f"begins with duty {duty[0]:g} %: a phase at rest is missing ({REST_DUTY:g} % or less), cells have no tare"
-        )
-        yield yaml.fault((*at, "phases"), message)
+        for key, (_, end) in windows.items():
+            if end > times[-1] + 1e-9:
+                yield yaml.fault((*at, key), messages.WINDOW_AFTER_PHASES(end=end, last=times[-1]))
+        if times[0] <= test.rest[1] and (duty := test.phases[0][1]) > REST_DUTY:
+            yield yaml.fault((*at, "phases"), messages.THRUST_AT_START(duty=duty, limit=REST_DUTY))

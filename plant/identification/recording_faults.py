@@ -2,30 +2,33 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
 import numpy as np
 
 from cosim.base.arrays import Array, Flags
 from cosim.base.errors import Fault
+from cosim.base.messages import Message
 from cosim.base.text import counted
+from plant.identification import messages
 from plant.identification.cells import Cells, at_rail, force_of
 from plant.identification.columns import MAX_LOWEST_HEIGHT_RATIO, out_of_range, wrong_height
 from plant.identification.command_response import held_lag
 from plant.identification.commanded import frequency_of, lacks
 from plant.identification.dropouts import dropouts
 from plant.identification.equal_readings import EqualReadings, equal_readings
-from plant.identification.estimates import Measured
-from plant.identification.protocol import CHANNELS, HeightTest, Protocol, SineTest, Test
+from plant.identification.estimates import Measurement
+from plant.identification.frequency import group_by_frequency, sine
+from plant.identification.ground_effect import height_of
+from plant.identification.protocol import CHANNELS, MIN_REPETITIONS, HeightTest, Protocol, SineTest, Test
 from plant.identification.recordings import Recording
-from plant.identification.thrust_line import LEAST_DUTY, LEAST_ROWS, first_beyond, rows_with_thrust
+from plant.identification.thrust_line import MIN_DUTY_RANGE, MIN_ROWS, first_beyond, rows_with_thrust
 from plant.powertrain import servo_angle
 
-SWAPPED = "are the channels swapped? Change their names"
-MOST_AT_RAIL = {"thrust_line": 1.0 - 0.2, "projection": 0.5}  # share of saturated readings in a window; default 0.05
-WANTED = {"thrust_line": "z", "ground_effect": "z", "thrust_step": "z", "projection": "zx", "moment": "m"}  # required
-LEAST_FORCE = 3.0  # standard deviations of one reading at rest
+MAX_RAIL_SHARE = {"thrust_line": 0.8, "projection": 0.5}  # share of saturated readings in a window; default 0.05
+CHANNELS_OF = {"thrust_line": "z", "ground_effect": "z", "thrust_step": "z", "projection": "zx", "moment": "m"}
+MIN_FORCE_RATIO = 3.0  # standard deviations of one reading at rest
 PROJECTION = (0.4, 2.5)  # plausible factors on sin α; outside, the column is wrong
 OPPOSITE = 130.0  # [°] from the tilt with the assumed lag; lags differ by less than 90°, a mirrored cell by 180°
 MAX_TARE = 0.25  # largest tare as a share of the calibration voltages
@@ -41,279 +44,252 @@ def recording_faults(
     Args:
         whole: True if all files of the test are readable, for joint checks.
     """
-    test: Test = getattr(protocol.file.tests, name)
-    faults: list[Fault] = []
-    for r in recordings:
-        found = [] if r.path is None else _out_of_range(protocol, r)
-        if r.path is not None and not found:  # planned phases are checked before
-            found = [*_missing(protocol, name, test, r), *_wrong_height(protocol, name, test, r)]
-        found = found or list(_dropouts(protocol, r))
-        faults += found or list(_cells_at_fault(protocol, name, test, r, cells))
+    faults = [fault for r in recordings for fault in _Check(protocol, name, r, cells).faults()]
     if whole and not faults:
-        faults += _of_all(protocol, name, test, recordings)
+        test: Test = getattr(protocol.file.tests, name)
+        faults += _joint_faults(protocol, name, test, recordings)
         if name == "thrust_line":
-            faults += _short_ramp(protocol, Measured(recordings, cells, protocol.known, test))
+            faults += _short_ramp(protocol, Measurement(recordings, cells, protocol.bench, test))
     return faults
 
 
-def _dropouts(protocol: Protocol, r: Recording) -> Iterator[Fault]:
-    """Yield channels with single readings far off their neighbours."""
-    if r.path is None:
-        return
-    for dropout in dropouts(protocol.known, r):
-        c, row, others = dropout.channel, int(dropout.rows[0]), dropout.rows.size - 1
-        message = f"volts_{c} is {r.volts[c][row]:.4g} V here, and the readings beside it are not"
-        message += f" (up to {dropout.distance:.3g} V off)"
-        message += f"; so are {counted(others, 'other reading')} of this file" if others else ""
-        cure = "delete such rows (single missing rows are filled in), or look at the wires and record it anew"
-        yield _at(protocol, r, f"{message}: a dropout; {cure}", row)
+class _Check:
+    """The checks of a recording by its test; a recording without a file is simulated."""
 
+    def __init__(self, protocol: Protocol, name: str, r: Recording, cells: Cells) -> None:
+        self.protocol, self.bench, self.name, self.run, self.cells = protocol, protocol.bench, name, r, cells
+        self.test: Test = getattr(protocol.file.tests, name)
+        self.rest = r.rows(self.test.rest)
+        sines = isinstance(self.test, SineTest)
+        self.window: Flags = r.time >= self.test.lead + self.test.skip if sines else r.rows(self.test.window)
+        self.channels = CHANNELS_OF.get(name, "x")
 
-def _short_ramp(protocol: Protocol, m: Measured) -> Iterator[Fault]:
-    """Yield a fault if the ramps have too little thrust within the range of the cell."""
-    if rows_with_thrust(m).enough:
-        return
-    message = f"the ramp has too little thrust within the cell's range: no line has less than {LEAST_ROWS} readings "
-    message += f"over {LEAST_DUTY:g} %; let the window hold more of it"
-    if (beyond := first_beyond(m)) is not None:
-        r, row = m.recordings[beyond.recording], beyond.row
-        place = f"{r.label}:{int(r.lines[row])}" if r.lines.size else r.label
-        message += f". The range ends with {r.volts['z'][row]:.3g} V at {r.duty[row]:.4g} %, {place}"
-    yield protocol.yaml.fault(("tests", "thrust_line", "window"), message)
+    def faults(self) -> list[Fault]:
+        """Return the faults of the first check that has any."""
+        if self.run.path is None:  # planned phases are checked before
+            return list(self.cell_faults())
+        return (
+            list(self.range_faults())
+            or [*self.command_faults(), *self.height_faults()]
+            or list(self.dropout_faults())
+            or list(self.cell_faults())
+        )
 
+    def fault(self, message: Message, row: int = 0) -> Fault:
+        """Return a fault at a row of the recording."""
+        if self.run.path is not None:
+            return Fault(self.run.path, int(self.run.lines[row]), 1, message)
+        message = message.after(f"{self.run.label}: ")
+        return Fault(self.protocol.yaml.path, 0, 0, message)
 
-def _at(protocol: Protocol, r: Recording, message: str, row: int | None = None) -> Fault:
-    if r.path is None:
-        return Fault(protocol.yaml.path, 0, 0, f"{r.label}: {message}")
-    line = 0 if row is None or not r.lines.size else int(r.lines[row])
-    return Fault(Path(r.path), line, 1 if line else 0, message)
+    def force(self, channel: str) -> Array:
+        """Return the force of a cell without tare."""
+        return force_of(self.run, self.cells, channel, self.test.rest)
 
+    def angle(self) -> Array:
+        """Return the commanded angle of the servo."""
+        return np.asarray(servo_angle(self.run.servo_duty, self.bench.servo_neutral, self.bench.servo_slope))
 
-def _out_of_range(protocol: Protocol, r: Recording) -> list[Fault]:
-    values = {"duty": r.duty, "servo_duty": r.servo_duty, "height": r.height}
-    values |= {f"volts_{c}": r.volts[c] for c in CHANNELS}
-    return [_at(protocol, r, value.message, value.row) for value in out_of_range(protocol.known, values)]
+    def delayed_angle(self) -> Array:
+        """Return the angle of the servo after the assumed lag."""
+        return np.asarray(held_lag(self.angle(), self.run.step, self.bench.lag))
 
+    def range_faults(self) -> Iterator[Fault]:
+        """Yield values outside the range of their column."""
+        r = self.run
+        values = {"duty": r.duty, "servo_duty": r.servo_duty, "height": r.height}
+        values |= {f"volts_{c}": r.volts[c] for c in CHANNELS}
+        for row, message in out_of_range(self.bench, values):
+            yield self.fault(message, row)
 
-def _wrong_height(protocol: Protocol, name: str, test: Test, r: Recording) -> Iterator[Fault]:
-    if (window := _window(test, r)).any():
-        for value in wrong_height(protocol.known, name, test, r.height, window):
-            yield _at(protocol, r, value.message, value.row)
+    def command_faults(self) -> Iterator[Fault]:
+        """Yield deficiencies of the commands."""
+        place = f"{self.protocol.yaml.path.name}: tests.{self.name}"
+        for lack in lacks(self.bench, self.name, self.test, self.run, place, own=False):
+            yield self.fault(lack.message, lack.row)
 
+    def height_faults(self) -> Iterator[Fault]:
+        """Yield wrong heights."""
+        if self.window.any():
+            for row, message in wrong_height(self.bench, self.name, self.test, self.run.height, self.window):
+                yield self.fault(message, row)
 
-def _window(test: Test, r: Recording) -> Flags:
-    return np.asarray(r.time >= test.lead + test.skip) if isinstance(test, SineTest) else r.rows(test.window)
+    def dropout_faults(self) -> Iterator[Fault]:
+        """Yield channels with single readings far off their neighbours."""
+        for dropout in dropouts(self.bench, self.run):
+            c, row, others = dropout.channel, int(dropout.rows[0]), dropout.rows.size - 1
+            fields = {"cell": c, "value": self.run.volts[c][row], "distance": dropout.distance}
+            if others:
+                yield self.fault(messages.DROPOUTS(**fields, others=counted(others, "other reading")), row)
+            else:
+                yield self.fault(messages.DROPOUT(**fields), row)
 
+    def cell_faults(self) -> Iterator[Fault]:
+        """Yield swapped, mirrored, saturated, stuck and coarse channels."""
+        r, window = self.run, self.window
+        for c in self.channels:
+            volts, rail = r.volts[c], at_rail(self.bench, r.volts[c])
+            share = (rail & window).sum() / window.sum()
+            if share > MAX_RAIL_SHARE.get(self.name, 0.05):
+                row = int(np.flatnonzero(rail & window)[0])
+                yield self.fault(messages.AT_RAIL(cell=c, value=volts[row], share=100 * share), row)
+                return
+            if r.path is None:
+                if np.ptp(volts[window]) == 0.0:
+                    yield self.fault(messages.CONSTANT_VOLTAGE(cell=c, value=volts[window][0]))
+                    return
+                continue
+            equal = equal_readings(volts, window, self.rest, rail)
+            if equal and (equal.kind != "repeated" or self.name in TIMED):
+                yield self.fault(self.equal_message(c, equal), equal.row)
+                return
+        faults = [] if self.name == "moment" else list(self.channel_faults())
+        yield from faults or self.tare_faults()
 
-def _missing(protocol: Protocol, name: str, test: Test, r: Recording) -> Iterator[Fault]:
-    place = f"{protocol.yaml.path.name}: tests.{name}"
-    for lack in lacks(protocol.known, name, test, r, place, own=False):
-        yield _at(protocol, r, f"{lack.what}; {lack.record}", lack.row)
+    def equal_message(self, channel: str, equal: EqualReadings) -> Message:
+        """Return the message about equal readings."""
+        if equal.kind == "repeated":
+            return messages.REPEATED_READINGS(cell=channel, count=equal.value, time=equal.value * self.run.step)
+        if equal.kind == "coarse":
+            return messages.COARSE_READINGS(cell=channel, value=equal.value, count=equal.count)
+        template = messages.STUCK if equal.kind == "stuck" else messages.CLIPPED
+        return template(cell=channel, value=equal.value, readings=counted(equal.count, "reading"))
 
-
-def _cells_at_fault(protocol: Protocol, name: str, test: Test, r: Recording, cells: Cells) -> Iterator[Fault]:
-    """Yield swapped, mirrored, saturated, stuck and coarse channels."""
-    window = _window(test, r)
-    wanted, at_most = WANTED.get(name, "x"), MOST_AT_RAIL.get(name, 0.05)
-    known = protocol.known
-    for c in wanted:
-        rail = at_rail(known, r.volts[c]) & window
-        share = rail.sum() / window.sum()
-        if share > at_most:
-            row = int(np.flatnonzero(rail)[0])
-            cure = "take a cell of a larger range, or less thrust"
-            where = f"{r.volts[c][row]:.3g} V, at {100 * share:.0f} % of the readings, first in this row"
-            yield _at(protocol, r, f"volts_{c} is at the end of its range, {where}; {cure}", row)
+    def channel_faults(self) -> Iterator[Fault]:
+        """Yield channels that do not follow the commands."""
+        change = {}
+        for c in CHANNELS:
+            force = self.force(c)
+            force -= force[self.rest].mean()
+            most, least = (float(np.quantile(np.abs(force[rows]), 0.99)) for rows in (self.window, self.rest))
+            change[c] = (most - least) / float(np.ptp(self.cells[c].loads))
+        if self.name in ("thrust_line", "ground_effect", "thrust_step"):
+            other = max("xm", key=lambda c: change[c])
+            if change[other] > max(0.2, change["z"]):
+                yield self.fault(messages.THRUST_IN_OTHER_CELL(cell=other))
+            elif self.force("z")[self.window].mean() < 0:
+                yield self.fault(messages.NEGATIVE_THRUST())
             return
-        if r.path is None and np.ptp(r.volts[c][window]) == 0.0:
-            yield _at(protocol, r, f"volts_{c} stands still at {r.volts[c][window][0]:.4g} V; does the bench move it?")
+        if self.name in ("step", "frequency") and change["m"] > max(0.2, change["x"]):
+            yield self.fault(messages.TILT_IN_MOMENT_CELL())
+        elif self.name == "step" and (faults := list(self.end_faults())):
+            yield from faults
             return
-        if r.path is None:
-            continue
-        found = equal_readings(r.volts[c], window, r.rows(test.rest), at_rail(known, r.volts[c]))
-        if found and (found.kind != "repeated" or name in TIMED):
-            yield _at(protocol, r, f"volts_{c} {_describe(found, r)}", found.row)
+        yield from self.projection_faults()
+
+    def end_of_step(self) -> Flags:
+        """Return the last rows of the window."""
+        return self.run.rows((self.test.window[1] - 0.3, self.test.window[1]))
+
+    def end_faults(self) -> Iterator[Fault]:
+        """Yield wrong sizes of the forces at the end of a step."""
+        after = self.end_of_step()
+        fz, fx = (float(self.force(c)[after].mean()) for c in "zx")
+        angle = float(np.mean(self.angle()[after]))
+        noise = float(self.force("z")[self.rest].std())
+        if max(abs(fz), abs(fx)) < MIN_FORCE_RATIO * noise:  # noise alone identifies no channel
+            yield self.fault(messages.NO_FORCE(angle=np.degrees(angle)), int(np.flatnonzero(after)[0]))
+        elif abs(angle) < np.radians(40) and abs(fx) > 1.2 * abs(fz):
+            yield self.fault(messages.LARGE_HORIZONTAL_FORCE(angle=np.degrees(angle)))
+
+    def projection_faults(self) -> Iterator[Fault]:
+        """Yield a horizontal force that differs from thrust times sine in sign or size."""
+        rows = self.end_of_step() if self.name == "step" else self.window
+        if isinstance(self.test, SineTest) and (w := frequency_of(self.run, self.test)) > min(self.test.frequencies):
+            yield from self.phase_faults(self.test, w)  # an unknown lag changes the phase
             return
-    faults = list(_channels_at_fault(protocol, name, test, r, cells))
-    yield from faults or _other_cell(protocol, test, r, cells, wanted)
+        angle = self.delayed_angle()[rows]
+        along = [self.force(c)[rows] @ f(angle) / (f(angle) @ f(angle)) for c, f in (("x", np.sin), ("z", np.cos))]
+        factor, row = float(along[0] / along[1]), int(np.flatnonzero(rows)[0])
+        least, most = PROJECTION
+        if -most <= factor <= -least:
+            yield self.fault(messages.MIRRORED_FORCE(factor=factor, slope=-self.bench.servo_slope), row)
+        elif not least <= factor <= most:
+            yield self.fault(messages.WRONG_HORIZONTAL_FORCE(factor=factor), row)
+
+    def phase_faults(self, test: SineTest, w: float) -> Iterator[Fault]:
+        """Yield a horizontal force in opposite phase to the commanded sine."""
+        force = self.force("x")
+        size = sine(self.run, force, w, test)
+        error = float(force[self.rest].std()) * float(np.sqrt(2.0 / self.window.sum()))
+        phase = float(np.degrees(np.angle(size / sine(self.run, np.sin(self.delayed_angle()), w, test))))
+        if abs(size) > MIN_FORCE_RATIO * error and abs(phase) > OPPOSITE:
+            row = int(np.flatnonzero(self.window)[0])
+            yield self.fault(messages.OPPOSITE_PHASE(phase=phase, frequency=w), row)
+
+    def tare_faults(self) -> Iterator[Fault]:
+        """Yield a channel whose rest voltage is far from the unloaded cell's."""
+        for c in self.channels:
+            volts, cell = float(self.run.volts[c][self.rest].mean()), self.cells[c]
+            if abs(volts - cell.zero) > MAX_TARE * float(np.ptp(cell.volts)):
+                yield self.fault(messages.OTHER_CELL(cell=c, value=volts, zero=cell.zero))
 
 
-def _describe(found: EqualReadings, r: Recording) -> str:
-    """Return a sentence about equal readings, with the cure."""
-    if found.kind == "stuck":
-        told = f"stands still at {found.value:.4g} V from this row on, for {counted(found.count, 'reading')}"
-        return f"{told}; readings have noise, so look at the cell and its wires, and record it anew"
-    if found.kind == "clipped":
-        told = f"is exactly {found.value:.4g} V, its extreme, at {counted(found.count, 'reading')}, first in this row"
-        told += ": the cell or its amplifier is at its end, or stuck"
-        return f"{told}; take a larger range or less force, end `window` before, or look at the wires"
-    if found.kind == "repeated":
-        told = f"repeats each reading {found.value:.2g} times, every {found.value * r.step:.2g} s"
-        return f"{told}; record at the rate at which the cell is read, for a time is read off it"
-    told = f"is recorded in steps of {found.value:.3g} V and moves by {found.count} of them from rest to `window`"
-    return f"{told}; record more digits, or more gain"
-
-
-def _channels_at_fault(protocol: Protocol, name: str, test: Test, r: Recording, cells: Cells) -> Iterator[Fault]:
-    """Yield channels that do not follow the commands."""
-    if name == "moment":
-        return
-    known, window = protocol.known, _window(test, r)
-    change, rest = {}, r.rows(test.rest)
-    for c in CHANNELS:
-        force = force_of(r, cells, c, test.rest)
-        force -= force[rest].mean()
-        change[c] = (_nearly_all(force[window]) - _nearly_all(force[rest])) / float(np.ptp(cells[c].loads))
-    upright = name in ("thrust_line", "ground_effect", "thrust_step")
-    if upright:
-        other = max("xm", key=lambda c: change[c])
-        if change[other] > max(0.2, change["z"]):
-            message = f"volts_{other} follows the thrust and volts_z does not, upright: {SWAPPED}"
-            yield _at(protocol, r, message, 0)
-        elif (force_of(r, cells, "z", test.rest)[window].mean()) < 0:
-            message = "the vertical force falls with the duty: volts_z is unplugged, or has the wrong sign or another "
-            message += "calibration; look at its plug and at the points of cell z"
-            yield _at(protocol, r, message, 0)
-    elif name in ("step", "frequency") and change["m"] > max(0.2, change["x"]):
-        yield _at(protocol, r, f"volts_m follows the tilt and volts_x does not: {SWAPPED}", 0)
-    elif name == "step":
-        after = r.rows((test.window[1] - 0.3, test.window[1]))
-        fz, fx = (float(force_of(r, cells, c, test.rest)[after].mean()) for c in "zx")
-        angle = float(np.mean(servo_angle(r.servo_duty[after], known.servo_neutral, known.servo_slope)))
-        one = float(force_of(r, cells, "z", test.rest)[rest].std())
-        if max(abs(fz), abs(fx)) < LEAST_FORCE * one:  # noise alone identifies no channel
-            told = f"neither volts_z nor volts_x has a force at {np.degrees(angle):.0f}°"
-            cure = "beyond what a reading scatters; did the motor run? Record it under thrust"
-            yield _at(protocol, r, f"{told}, {cure}", int(np.flatnonzero(after)[0]))
-            return
-        if abs(angle) < np.radians(40) and abs(fx) > 1.2 * abs(fz):
-            message = f"at {np.degrees(angle):.0f}° volts_x says more than volts_z: {SWAPPED}"
-            yield _at(protocol, r, message, 0)
-            return
-    if not upright:
-        yield from _projected(protocol, name, test, r, cells)
-
-
-def _nearly_all(values: Array) -> float:
-    """Return the 99 % quantile of sizes."""
-    return float(np.quantile(np.abs(values), 0.99))
-
-
-def _projected(protocol: Protocol, name: str, test: Test, r: Recording, cells: Cells) -> Iterator[Fault]:
-    """Yield a horizontal force that differs from thrust times sine in sign or size."""
-    known, rows = protocol.known, _window(test, r)
-    if isinstance(test, SineTest):
-        if (w := frequency_of(r, test)) > min(test.frequencies):  # an unknown lag changes the phase
-            yield from _against_sine(protocol, test, r, cells, w)
-            return
-    elif name == "step":
-        rows = r.rows((test.window[1] - 0.3, test.window[1]))
-    angle = held_lag(servo_angle(r.servo_duty, known.servo_neutral, known.servo_slope), r.step, known.lag)
-    sine, cosine = np.sin(angle[rows]), np.cos(angle[rows])
-    fz, fx = (force_of(r, cells, c, test.rest)[rows] for c in "zx")
-    factor = float((fx @ sine) / (sine @ sine) / ((fz @ cosine) / (cosine @ cosine)))
-    row = int(np.flatnonzero(rows)[0])
-    least, most = PROJECTION
-    if -most <= factor <= -least:
-        told = f"the horizontal force leans against the commanded tilt (factor {factor:.3g} on sin α, 1 is right)"
-        cure = "the servo or cell x is mirrored: turn the sign of `servo_slope` under `parameters`, "
-        cure += f"{-known.servo_slope:g}, or of the loads of cell x"
-        yield _at(protocol, r, f"{told}; {cure}", row)
-    elif not least <= factor <= most:
-        told = f"the horizontal force is {factor:.3g} times the thrust of volts_z times sin α, and 1 is right"
-        cure = f"look at the plug of cell x, the points and units of cells z and x, and at `servo_slope`; {SWAPPED}"
-        yield _at(protocol, r, f"{told}; {cure}", row)
-
-
-def _against_sine(protocol: Protocol, test: SineTest, r: Recording, cells: Cells, w: float) -> Iterator[Fault]:
-    """Yield a horizontal force in opposite phase to the commanded sine."""
-    from plant.identification.frequency import sine
-
-    known, rows = protocol.known, _window(test, r)
-    angle = held_lag(servo_angle(r.servo_duty, known.servo_neutral, known.servo_slope), r.step, known.lag)
-    force = force_of(r, cells, "x", test.rest)
-    size = sine(r, force, w, test)
-    error = float(force[r.rows(test.rest)].std()) * float(np.sqrt(2.0 / rows.sum()))
-    phase = float(np.degrees(np.angle(size / sine(r, np.sin(angle), w, test))))
-    if abs(size) > LEAST_FORCE * error and abs(phase) > OPPOSITE:
-        told = f"the horizontal force leans against the commanded tilt (phase {phase:.0f}° at {w:g} rad/s)"
-        cure = "the servo or cell x is mirrored in this run, or its clock is late; look at plug and clock"
-        yield _at(protocol, r, f"{told}; {cure}", int(np.flatnonzero(rows)[0]))
-
-
-def _other_cell(protocol: Protocol, test: Test, r: Recording, cells: Cells, wanted: str) -> Iterator[Fault]:
-    """Yield a channel whose rest voltage is far from the unloaded cell's."""
-    for c in wanted:
-        volts, cell = float(r.volts[c][r.rows(test.rest)].mean()), cells[c]
-        if abs(volts - cell.zero) > MAX_TARE * float(np.ptp(cell.volts)):
-            told = f"volts_{c} is {volts:.4g} V at rest, and cell {c} without load {cell.zero:.4g} V"
-            cure = f"calibrate it anew, or {SWAPPED}"
-            yield _at(protocol, r, f"{told}, more than a quarter of its calibration off; {cure}", 0)
-
-
-def repeated(recordings: Sequence[Recording]) -> list[Fault]:
+def copy_faults(recordings: Sequence[Recording]) -> list[Fault]:
     """Return a fault for each recording with the noise of an earlier one, a copy.
 
     Cut, shifted or rounded copies have the same noise too.
     """
-    faults = []
+    faults: list[Fault] = []
     for k, r in enumerate(recordings):
-        before = next((q for q in recordings[:k] if q.path != r.path and _same_noise(q, r)), None)
-        if before is not None and r.path is not None:
-            told = f"holds the readings of {before.label} once more; a repetition is a run of its own, so leave one out"
-            faults.append(Fault(Path(r.path), 0, 0, told))
+        earlier = next((q for q in recordings[:k] if q.path != r.path and _has_noise_of(q, r)), None)
+        if earlier is not None and r.path is not None:
+            faults.append(Fault(r.path, 0, 0, messages.COPY(name=earlier.label)))
     return faults
 
 
-def _same_noise(one: Recording, other: Recording) -> bool:
+def _has_noise_of(one: Recording, other: Recording) -> bool:
     """Return True if all varying cells have the same noise or equal values."""
     size = min(one.time.size, other.time.size)
     if abs(one.time.size - other.time.size) > 0.5 * size:
         return False
-    alike = []
+    correlations = []
     for c in CHANNELS:
-        a, b = (_rough(q.volts[c][:size]) for q in (one, other))
+        a, b = (_noise(q.volts[c][:size]) for q in (one, other))
         if scale := float(np.sqrt((a @ a) * (b @ b))):
-            alike.append(float(a @ b) / scale)
+            correlations.append(float(a @ b) / scale)
         elif np.array_equal(one.volts[c][:size], other.volts[c][:size]):
-            alike.append(1.0)
-    return bool(alike) and float(np.median(alike)) > SAME_NOISE
+            correlations.append(1.0)
+    return bool(correlations) and float(np.median(correlations)) > SAME_NOISE
 
 
-def _rough(values: Array) -> Array:
+def _noise(values: Array) -> Array:
     """Return clipped fourth differences, mostly noise."""
-    rough = np.diff(values, 4)
-    limit = 3.0 * float(np.median(np.abs(rough)))
-    return np.asarray(np.clip(rough, -limit, limit) if limit else rough)
+    differences = np.diff(values, 4)
+    limit = 3.0 * float(np.median(np.abs(differences)))
+    return np.asarray(np.clip(differences, -limit, limit) if limit else differences)
 
 
-def _of_all(protocol: Protocol, name: str, test: Test, recordings: Sequence[Recording]) -> Iterator[Fault]:
+def _short_ramp(protocol: Protocol, m: Measurement) -> Iterator[Fault]:
+    """Yield a fault if the ramps have too little thrust within the range of the cell."""
+    if rows_with_thrust(m).is_sufficient:
+        return
+    message = messages.SHORT_RAMP(rows=MIN_ROWS, least=MIN_DUTY_RANGE)
+    if (beyond := first_beyond(m)) is not None:
+        r, row = m.recordings[beyond.recording], beyond.row
+        place = f"{r.label}:{int(r.lines[row])}" if r.lines.size else r.label
+        fields = {"value": r.volts["z"][row], "duty": r.duty[row], "place": place}
+        message = messages.RAMP_BEYOND_RANGE(rows=MIN_ROWS, least=MIN_DUTY_RANGE, **fields)
+    yield protocol.yaml.fault(("tests", "thrust_line", "window"), message)
+
+
+def _joint_faults(protocol: Protocol, name: str, test: Test, recordings: Sequence[Recording]) -> Iterator[Fault]:
     """Yield faults of a test's recordings as a whole."""
-    from plant.identification.frequency import grouped
-    from plant.identification.protocol import LEAST
-
-    place = ("tests", name, "files") if test.files else ("tests", name)
+    fault, place = protocol.yaml.fault, ("tests", name, "files") if test.files else ("tests", name)
     if isinstance(test, HeightTest):
-        heights: dict[float, int] = {}
-        for r in recordings:
-            h = min(round(float(np.median(r.height[r.rows(test.window)])), 4), test.free_height)
-            heights[h] = heights.get(h, 0) + 1
+        heights = Counter(height_of(r, test) for r in recordings)
         if max(heights) < test.free_height:
-            cure = f"add runs at {test.free_height:g} m or more, or lower free_height"
-            yield protocol.yaml.fault(place, f"the runs with nothing below are missing; {cure}")
-        near, limit = min(heights), MAX_LOWEST_HEIGHT_RATIO * protocol.known.propeller_radius
-        if near > limit and len(heights) > 1:
-            what = f"the lowest height is {near:.4g} m, above {MAX_LOWEST_HEIGHT_RATIO:g} radii of the propeller"
-            cure = "there is no ground effect to be seen; is the height in m, and `propeller_radius` right?"
-            yield protocol.yaml.fault(place, f"{what} ({limit:.3g} m): {cure}")
+            yield fault(place, messages.NO_FREE_HEIGHT(height=test.free_height))
+        limit = MAX_LOWEST_HEIGHT_RATIO * protocol.bench.propeller_radius
+        if (near := min(heights)) > limit and len(heights) > 1:
+            yield fault(place, messages.NO_LOW_HEIGHT(height=near, ratio=MAX_LOWEST_HEIGHT_RATIO, limit=limit))
         if len(heights) < 3:
-            yield protocol.yaml.fault(place, "two heights near the ground are needed at least")
+            yield fault(place, messages.TOO_FEW_LOW_HEIGHTS())
         for h, count in heights.items():
-            if count < LEAST:
-                yield protocol.yaml.fault(place, f"{count} recordings at {h:g} m are too few; {LEAST} at least")
+            if count < MIN_REPETITIONS:
+                yield fault(place, messages.TOO_FEW_AT_HEIGHT(count=count, height=h, least=MIN_REPETITIONS))
     if isinstance(test, SineTest):
-        found = grouped(recordings, test)
+        by_frequency = group_by_frequency(recordings, test)
         for w in test.frequencies:
-            if len(found.get(w, ())) < LEAST:
-                message = f"{len(found.get(w, ()))} recordings at {w:g} rad/s are too few; {LEAST} at least"
-                yield protocol.yaml.fault(place, message)
+            if (count := len(by_frequency.get(w, ()))) < MIN_REPETITIONS:
+                yield fault(place, messages.TOO_FEW_AT_FREQUENCY(count=count, frequency=w, least=MIN_REPETITIONS))

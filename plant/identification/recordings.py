@@ -1,4 +1,4 @@
-"""Runs of a protocol and their recordings: simulated by an FMU, by plain functions, or measured."""
+"""Runs of a protocol and their recordings: simulated by an FMU, or measured."""
 
 from __future__ import annotations
 
@@ -15,16 +15,14 @@ from cosim.base.text import counted
 from cosim.base.units import factor
 from cosim.blocks.description import read_description
 from cosim.blocks.restartable import RestartableFmu
-from cosim.model import Stepper
-from cosim.model.namespaces import arrays
 from cosim.storage.table import read_table
 from cosim.storage.table_columns import Column, Faults, Heading
 from cosim.storage.yaml_file import did_you_mean
 from plant.bench import FREE_HEIGHT, NEUTRAL_DUTY, REST_DUTY, Bench
-from plant.identification.columns import COLUMNS, PULSE
+from plant.identification import messages
+from plant.identification.columns import COLUMNS
 from plant.identification.protocol import CHANNELS, HeightTest, Protocol, SineTest, Test
 
-LANES = 1000  # simultaneous runs
 SECONDS = 1.0  # duration of a calibration load
 SAME_STEP = 0.1  # share of a step by which an even clock varies
 MAX_MISSING = 0.02  # largest share of single missing rows, which are interpolated
@@ -74,22 +72,22 @@ class Recording:
 # -- commands of a protocol ---------------------------------------------------------------
 
 
-def commands(test: Test, known: Bench, step: float) -> list[tuple[str, Array, Array, Array, float]]:
+def commands(test: Test, bench: Bench, step: float) -> list[tuple[str, Array, Array, Array, float]]:
     """Return label, time, duty, servo duty and height of each different run of a test."""
     if isinstance(test, SineTest):
-        return [_sine(test, known, step, *pair) for pair in zip(test.frequencies, test.periods, strict=True)]
+        return [_sine(test, bench, step, *pair) for pair in zip(test.frequencies, test.periods, strict=True)]
     sets = [("", test.height, test.phases)]
     if isinstance(test, HeightTest):
-        places = [test.free_height, *(h * known.propeller_radius for h in test.heights)]
+        places = [test.free_height, *(h * bench.propeller_radius for h in test.heights)]
         sets = [(f" at {h:g} m", h, test.phases) for h in places]
         if test.validation_duty is not None:
             top = max(p[1] for p in test.phases)
             other = [(t, test.validation_duty if d == top else d, a) for t, d, a in test.phases]
             sets += [(f" at {h:g} m, validation", h, other) for h in places]
-    return [(label, *_played(phases, known, step), height) for label, height, phases in sets]
+    return [(label, *_interpolate(phases, bench, step), height) for label, height, phases in sets]
 
 
-def _played(phases: Sequence[tuple[float, float, float]], known: Bench, step: float) -> tuple[Array, Array, Array]:
+def _interpolate(phases: Sequence[tuple[float, float, float]], bench: Bench, step: float) -> tuple[Array, Array, Array]:
     """Return straight lines between phases; two phases at one time make a step."""
     times, duty, angle = np.array(phases, float).T
     time = step * np.arange(round(times[-1] / step) + 1)
@@ -97,35 +95,31 @@ def _played(phases: Sequence[tuple[float, float, float]], known: Bench, step: fl
     gap = times[k + 1] - times[k]
     share = np.clip(np.divide(time - times[k], gap, out=np.ones_like(time), where=gap > 0), 0.0, 1.0)
     duty, angle = (v[k] + share * (v[k + 1] - v[k]) for v in (duty, angle))
-    return time, duty, known.servo_neutral + angle * DEGREE / known.servo_slope
+    return time, duty, bench.servo_neutral + angle * DEGREE / bench.servo_slope
 
 
 def _sine(
-    test: SineTest, known: Bench, step: float, w: float, periods: float
+    test: SineTest, bench: Bench, step: float, w: float, periods: float
 ) -> tuple[str, Array, Array, Array, float]:
     end = test.lead + max(2.0 * np.pi * periods / w, test.skip + 1.0)
     time = np.asarray(step * np.arange(round(end / step) + 1), dtype=np.float64)
-    duty = np.asarray(
-        np.interp(time, [1.0 / 3.0 * test.lead, 2.0 / 3.0 * test.lead], [REST_DUTY, test.duty]), dtype=np.float64
-    )
+    duty: Array = np.interp(time, [1.0 / 3.0 * test.lead, 2.0 / 3.0 * test.lead], [REST_DUTY, test.duty])
     angle = np.where(time >= test.lead, test.amplitude * np.sin(w * (time - test.lead)), 0.0)
-    return f" at {w:g} rad/s", time, duty, known.servo_neutral + angle * DEGREE / known.servo_slope, test.height
+    return f" at {w:g} rad/s", time, duty, bench.servo_neutral + angle * DEGREE / bench.servo_slope, test.height
 
 
 def runs_of(protocol: Protocol, name: str, seed: int) -> list[Run]:
     """Return the runs of a test with random variation, reproducible by the seed."""
     file, runs = protocol.file, []
     number = list(type(file.tests).model_fields).index(name)
-    for k, (label, time, duty, servo_duty, height) in enumerate(
-        commands(getattr(file.tests, name), protocol.known, file.step)
-    ):
-        test = getattr(file.tests, name)
+    test = getattr(file.tests, name)
+    for k, (label, time, duty, servo_duty, height) in enumerate(commands(test, protocol.bench, file.step)):
         for repetition in range(test.repetitions):
             rng = np.random.default_rng([seed, number, k, repetition])
-            factor_ = 1.0 + file.draws.thrust * rng.standard_normal()
+            thrust = max(0.1, 1.0 + file.draws.thrust * rng.standard_normal())
             noise = _noise(protocol, rng, time.size)
-            label_ = f"{name}{label}, repetition {repetition + 1}"
-            runs.append(Run(label_, time, duty, servo_duty, height, test.low_pass, noise, thrust=max(0.1, factor_)))
+            name_of_run = f"{name}{label}, repetition {repetition + 1}"
+            runs.append(Run(name_of_run, time, duty, servo_duty, height, test.low_pass, noise, thrust=thrust))
     return runs
 
 
@@ -138,38 +132,34 @@ def _noise(protocol: Protocol, rng: np.random.Generator, rows: int, *, tare: boo
 
 def load_runs(protocol: Protocol, seed: int) -> dict[str, list[Run]]:
     """Return calibration runs of one second per load, with random load errors."""
-    file, found = protocol.file, dict[str, list[Run]]()
+    file, by_channel = protocol.file, dict[str, list[Run]]()
     time = np.asarray(file.step * np.arange(round(SECONDS / file.step) + 1), dtype=np.float64)
     at_rest = np.full_like(time, REST_DUTY), np.full_like(time, NEUTRAL_DUTY)
-    for place, (channel, unit) in enumerate(CHANNELS.items()):
+    for place, channel in enumerate(CHANNELS):
         cell, rng = file.cells[channel], np.random.default_rng([seed, 100 + place])
-        to_si = (factor(cell.unit, unit) or 1.0) * _of_bench(cell.unit, protocol.known)
+        to_si = load_in_si(protocol, channel)
         off = cell.error * cell.full_scale * rng.standard_normal(len(cell.loads)) * (np.array(cell.loads) != 0)
-        found[channel] = []
+        by_channel[channel] = []
         for load, e in zip(cell.loads, off, strict=True):
             noise = _noise(protocol, rng, time.size, tare=False)
             loads = tuple((load + e) * to_si * (c == channel) for c in CHANNELS)
-            found[channel].append(Run(f"load {load:g} {cell.unit}", time, *at_rest, FREE_HEIGHT, 0.0, noise, loads))
-    return found
-
-
-def _of_bench(unit: str, known: Bench) -> float:
-    """Return the correction of gram-force for the bench's gravity, as in the thrust line."""
-    return known.gravity / 9.80665 if unit == "gf" else 1.0
+            by_channel[channel].append(
+                Run(f"load {load:g} {cell.unit}", time, *at_rest, FREE_HEIGHT, 0.0, noise, loads)
+            )
+    return by_channel
 
 
 def load_in_si(protocol: Protocol, channel: str) -> float:
-    """Return the load unit of a cell in N or N m."""
+    """Return the load unit of a cell in N or N m; a gram-force is by the bench's gravity, as in the thrust line."""
     unit = protocol.file.cells[channel].unit
-    return (factor(unit, CHANNELS[channel]) or 1.0) * _of_bench(unit, protocol.known)
+    gravity = protocol.bench.gravity / 9.80665 if unit == "gf" else 1.0
+    return (factor(unit, CHANNELS[channel]) or 1.0) * gravity
 
 
 # -- simulation ---------------------------------------------------------------------------
 
-Play = Callable[[Sequence[Run]], list[Recording]]
 
-
-def recorded(run: Run, volts: Array) -> Recording:
+def to_recording(run: Run, volts: Array) -> Recording:
     """Return a run with its voltages, shape (rows, cells)."""
     by_cell = dict(zip(CHANNELS, np.ascontiguousarray(volts.T), strict=True))
     return Recording(run.label, run.time, run.duty, run.servo_duty, np.full(run.time.size, run.height), by_cell)
@@ -184,10 +174,10 @@ class FmuPlayer:
         self.parameters, self.progress, self.steps = dict(parameters), progress, 0
         self.block = RestartableFmu("bench", fmu, read_description(fmu), {}, frozenset(q.name for q in Bench.inputs))
         inputs, outputs = [s.name for s in self.block.inputs], [s.name for s in self.block.outputs]
-        wanted, cure = [*(q.name for q in Bench.inputs), *(f"volts_{c}" for c in CHANNELS)], ", ".join(inputs + outputs)
-        lacking = [n for n in wanted if n not in inputs and n not in outputs]
-        refuse(Fault(fmu, 0, 0, f'is no bench: it lacks "{n}"; it has {cure}') for n in lacking)
-        self.order = [[q.name for q in Bench.inputs].index(n) for n in inputs]
+        own, names = [q.name for q in Bench.inputs], ", ".join(inputs + outputs)
+        missing = [n for n in (*own, *(f"volts_{c}" for c in CHANNELS)) if n not in (*inputs, *outputs)]
+        refuse(Fault(fmu, 0, 0, messages.NO_BENCH(name=n, names=names)) for n in missing)
+        self.order = [own.index(n) for n in inputs]
         self.read = [len(inputs) + outputs.index(f"volts_{c}") for c in CHANNELS]
         self.row = (ctypes.c_double * (len(inputs) + len(outputs)))()
         self.block.bind(self.row, 0)
@@ -222,7 +212,7 @@ class FmuPlayer:
         self.steps += time.size
         if self.progress is not None:
             self.progress(self.steps)
-        return recorded(run, volts)
+        return to_recording(run, volts)
 
     def close(self) -> None:
         """Free the FMU."""
@@ -238,42 +228,6 @@ def _inputs(run: Run) -> Array:
     )
 
 
-def play_plain(known: Bench) -> Play:
-    """Return a simulator of runs by plain equations, with equal commands in parallel."""
-
-    def play(runs: Sequence[Run]) -> list[Recording]:
-        groups: dict[tuple[object, ...], list[int]] = {}
-        for k, run in enumerate(runs):
-            key = (run.duty.tobytes(), run.servo_duty.tobytes(), run.height, run.low_pass)
-            groups.setdefault(key, []).append(k)
-        played: dict[int, Recording] = {}
-        for group in groups.values():
-            for first in range(0, len(group), LANES):
-                chosen = group[first : first + LANES]
-                for k, recording in zip(chosen, _together(known, [runs[k] for k in chosen]), strict=True):
-                    played[k] = recording
-        return [played[k] for k in range(len(runs))]
-
-    return play
-
-
-def _together(known: Bench, runs: Sequence[Run]) -> list[Recording]:
-    m, first = arrays(), runs[0]
-    values = {"thrust_factor": np.array([r.thrust for r in runs]), "filter_time": first.low_pass}
-    stepper = Stepper(known.with_values(values), m)
-    noise = np.stack([r.noise for r in runs], axis=2)  # cell, row, lane
-    loads = tuple(np.array([r.loads[k] for r in runs]) for k in range(3))
-    moment, volts = stepper.start(float(first.time[0])), np.empty((first.time.size, 3, len(runs)))
-    step = float(np.median(np.diff(first.time)))
-    for k in range(first.time.size):
-        before = max(k - 1, 0)
-        command = (float(first.duty[before]), float(first.servo_duty[before]), first.height, *loads, *noise[:, k])
-        if k:
-            moment = stepper.step(moment, command, step)
-        volts[k] = stepper.output(moment.t, moment.state, command)[:3]
-    return [recorded(run, volts[:, :, j]) for j, run in enumerate(runs)]
-
-
 # -- measured recordings ------------------------------------------------------------------
 
 
@@ -286,53 +240,44 @@ def read_recording(path: Path) -> Recording:
     faults = Faults(path)
 
     def choose(heading: Heading) -> Column | None:
-        if heading.name == "time":
-            if (scale := factor(heading.unit, "s")) is None:
-                faults.note(
-                    heading.line, heading.cell, f"{heading.unit} is no unit of time; write time [s] or time [ms]"
-                )
-            return Column(heading, scale or 1.0, known="the time")
-        if heading.name not in COLUMNS:
+        name, unit = heading.name, heading.unit
+        if name != "time" and name not in COLUMNS:
             return None
-        wanted = COLUMNS[heading.name].unit
-        scale = factor(heading.unit, wanted)
-        if scale is None:
-            cure = f"; write it in %, {PULSE}" if factor(heading.unit, "s") and wanted == "%" else ""
-            faults.note(heading.line, heading.cell, f"{heading.unit} is no unit of {heading.name} [{wanted}]{cure}")
-        return Column(heading, scale or 1.0, known="a column of the bench")
+        wanted = "s" if name == "time" else COLUMNS[name].unit
+        if (scale := factor(unit, wanted)) is None:
+            if name == "time":
+                message = messages.NO_UNIT_OF_TIME(unit=unit)
+            elif wanted == "%" and factor(unit, "s"):
+                message = messages.TIME_FOR_DUTY(unit=unit, column=name)
+            else:
+                message = messages.NO_UNIT_OF_COLUMN(unit=unit, column=name, wanted=wanted)
+            faults.note(heading.line, heading.cell, message)
+        return Column(heading, scale or 1.0, known="the time" if name == "time" else "a column of the bench")
 
     table = read_table(faults, choose, ", ".join(COLUMNS), "leave out rows")
     if any(kind.endswith("with a decimal comma") for _, kind in faults.counts):  # cause of all other faults
-        message = "numbers have decimal commas; write decimals with a point, and separate cells with commas"
-        raise InputError([Fault(path, table.header + 1, 1, message)])
+        raise InputError([Fault(path, table.header + 1, 1, messages.DECIMAL_COMMAS())])
     if table.whole:
         for name in (n for n in COLUMNS if n not in table.columns):
             hint = did_you_mean(name, table.columns)
-            faults.note(table.header, 1, f'column "{name}" [{COLUMNS[name].unit}] is missing{hint}; add it')
+            faults.note(table.header, 1, messages.NO_COLUMN(name=name, unit=COLUMNS[name].unit, hint=hint))
         if table.rows < 10:
-            faults.note(0, 0, f"holds {counted(table.rows, 'row')}; a run has ten at least")
+            faults.note(0, 0, messages.SHORT_RECORDING(rows=counted(table.rows, "row")))
     faults.raise_any()
     time, lines = table["time"], np.array(table.lines)
     values = np.column_stack([table[name] for name in COLUMNS])
-    time, values, lines = _with_single_rows(time, values, lines)
+    time, values, lines = _fill_single_rows(time, values, lines)
     gaps = np.diff(time)
     if gaps.max() > 1.5 * np.median(gaps):
         row, step = int(np.argmax(gaps)) + 1, float(np.median(gaps))
-        message = (
-            f"{gaps.max():.3g} s pass before this row, {step:.3g} s before others; rows are missing, or the clock "
-        )
-        message += f"is uneven: resample to rows {step:.3g} s apart, volts by straight lines, duties held"
-        raise InputError([Fault(path, int(lines[row]), 1, message)])
+        raise InputError([Fault(path, int(lines[row]), 1, messages.UNEVEN_CLOCK(gap=gaps.max(), step=step))])
     duty, servo_duty, height, *volts = np.ascontiguousarray(values.T)
     by_cell = dict(zip(CHANNELS, volts, strict=True))
     return Recording(path.name, time, duty, servo_duty, height, by_cell, path, lines)
 
 
-def _with_single_rows(time: Array, values: Array, lines: Array) -> tuple[Array, Array, Array]:
-    """Return rows with single gaps filled.
-
-    Commands are held, voltages interpolated.
-    """
+def _fill_single_rows(time: Array, values: Array, lines: Array) -> tuple[Array, Array, Array]:
+    """Return rows with single gaps filled: commands held, voltages interpolated."""
     gaps = np.diff(time)
     step = float(np.median(gaps))
     missing = np.flatnonzero(np.abs(gaps - 2.0 * step) < SAME_STEP * step)
@@ -353,10 +298,10 @@ def _with_single_rows(time: Array, values: Array, lines: Array) -> tuple[Array, 
 def read_recordings(protocol: Protocol, name: str) -> tuple[list[Recording], list[Fault]]:
     """Return the readable recordings of a test, and the faults of the others."""
     faults: list[Fault] = []
-    found = []
+    recordings = []
     for text in getattr(protocol.file.tests, name).files:
         try:
-            found.append(read_recording(protocol.folder / text))
+            recordings.append(read_recording(protocol.folder / text))
         except InputError as error:
             faults += error.faults
-    return found, faults
+    return recordings, faults

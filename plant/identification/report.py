@@ -38,20 +38,20 @@ def page(outcome: Outcome) -> str:
     """Return a self-contained page."""
     protocol = outcome.protocol
     runs = sum(map(len, outcome.recordings.values()))
-    known = [e for e in outcome.estimates.values() if not np.isnan(e.truth)]
+    testable = [e for e in outcome.estimates.values() if not np.isnan(e.truth)]
     charts = Charts()
     badges = [Badge(counted(len(outcome.results), "test")), Badge(counted(runs, "recording"))]
     return render(
         TEMPLATE,
         {
             "name": protocol.file.name,
-            "headline": _headline(outcome, known),
-            "tone": "good" if known and all(e.holds for e in known) else "plain",
+            "headline": _headline(outcome, testable),
+            "tone": "good" if testable and all(e.covers_truth for e in testable) else "plain",
             "description": "Tests of a power-train on a testing bench. Each number has an unbiased estimate with a "
             "95 % interval, from the scatter of repetitions and the calibration, beside the thesis' estimate.",
             "badges": badges,
             "rows": [_row(key, e) for key, e in outcome.estimates.items()],
-            "known": bool(known),
+            "known": bool(testable),
             "calibration": [plot_of(_calibration(outcome, c), charts) for c in CHANNELS],
             "cells": [_cell(outcome, c) for c in CHANNELS],
             "tests": [
@@ -70,14 +70,14 @@ def page(outcome: Outcome) -> str:
     )
 
 
-def _headline(outcome: Outcome, known: Sequence[Estimate]) -> str:
+def _headline(outcome: Outcome, testable: Sequence[Estimate]) -> str:
     """Return the number of correct intervals, or the least certain estimate.
 
     An interval is correct if the true value is inside. Without true values, the widest relative interval is named.
     """
     every = list(outcome.estimates.values())
-    if known:
-        return f"{sum(e.holds for e in known)} of {len(known)} intervals of 95 % contain the true value."
+    if testable:
+        return f"{sum(e.covers_truth for e in testable)} of {len(testable)} intervals of 95 % contain the true value."
     widths = {e.name: e.half_width / abs(e.value) for e in every if e.value and np.isfinite(e.half_width)}
     opening = f"{counted(len(every), 'number')} identified from {counted(len(outcome.results), 'test')}"
     if not widths:
@@ -104,7 +104,7 @@ def _row(key: str, e: Estimate) -> Mapping[str, Any]:
         "name": e.name,
         "test": TITLES[key.partition(".")[0]],
         "interval": f"{shown['low']} … {shown['high']}",
-        "holds": e.holds,
+        "holds": e.covers_truth,
         "places": _places(e),
         "scatter": number(e.scatter, e.unit, e.scatter),
         "calibration": number(e.calibration, e.unit, e.calibration),
@@ -134,12 +134,12 @@ def _calibration(outcome: Outcome, channel: str) -> Figure:
 def _cell(outcome: Outcome, channel: str) -> Mapping[str, str]:
     cell: Cell = outcome.cells[channel]
     unit, name = load_in_si(outcome.protocol, channel), outcome.protocol.file.cells[channel].unit
-    rail = ", ".join(f"{f / unit:g}" for f in cell.left_out)
+    rail = ", ".join(f"{f / unit:g}" for f in cell.saturated_loads)
     return {
         "name": f"volts_{channel}",
         "points": counted(cell.loads.size, "point"),
         "error": joined(plain(cell.error / unit, 3), written(name)),
-        "left": joined(plain(float(np.sqrt(np.mean(cell.left_one_out**2))) / unit, 3), written(name)),
+        "left": joined(plain(float(np.sqrt(np.mean(cell.cross_validation_errors**2))) / unit, 3), written(name)),
         "rail": joined(rail, written(name)) if rail else MISSING,
     }
 

@@ -6,19 +6,21 @@ count as noise; its interval accounts for correlated rows.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from cosim.base.arrays import Array, Rows
 from cosim.base.errors import Fault
+from cosim.base.messages import Message
+from cosim.base.units import squared
 from cosim.logs.log import Log
 from cosim.model import Model
 from cosim.storage.yaml_file import YamlFile
+from plant.identification import messages
 from plant.identification.estimates import Estimate, Figure, Result
 
-FEWEST = 50  # rows: below, the 95 % interval of a variance spans more than 0.7 to 1.55 of it
+MIN_ROWS = 50  # rows: below, the 95 % interval of a variance spans more than 0.7 to 1.55 of it
 DRIFTS = 1.1  # ratio to the variance about a line from which a mean hides a drift
 MOVING = 5.0  # standard deviations between the halves of a log beyond which it was not at rest
 AT_ENDS = 0.05  # share of rows at the extreme values beyond which a sensor is saturated
@@ -30,14 +32,13 @@ def noise(logs: Sequence[Log], model: Model, window: Window = None) -> Result:
     """Return the variance of every output measured at rest."""
     units = {q.name: q.unit for q in model.outputs}
     names = [q.name for q in model.outputs if any(q.name in log.outputs for log in logs)]
-    estimates, notes, figures = [], list[str](), list[Figure]()
+    estimates, notes, figures = [], list[Message](), list[Figure]()
     for name in names:
         parts = [(log.time[rows], log.outputs[name][rows]) for log, rows in _rows(logs, name, window)]
         estimate = variance(name, units[name], parts)
         estimates.append(estimate)
         if estimate.thesis > DRIFTS * estimate.value:
-            share = estimate.thesis / estimate.value
-            notes.append(f"{name} drifts: its variance about the mean is {share:.3g} times that about a straight line")
+            notes.append(messages.DRIFTING_OUTPUT(output=name, ratio=estimate.thesis / estimate.value))
         time, values = parts[0]
         figures.append(Figure(f"{name} at rest", "time [s]", units[name], [("measured", time, values, "true")]))
     return Result("rest", estimates, notes, figures)
@@ -49,56 +50,47 @@ def variance(name: str, unit: str, parts: Sequence[tuple[Array, Array]]) -> Esti
 
     rows = sum(v.size for _, v in parts)
     about_mean = sum(float(np.sum((v - v.mean()) ** 2)) for _, v in parts) / (rows - len(parts))
-    left = [v - np.polyval(np.polyfit(t - t.mean(), v, 1), t - t.mean()) for t, v in parts]
+    rests = [v - np.polyval(np.polyfit(t - t.mean(), v, 1), t - t.mean()) for t, v in parts]
     freedom = rows - 2 * len(parts)
-    about_line = sum(float(np.sum(r**2)) for r in left) / freedom
+    about_line = sum(float(np.sum(r**2)) for r in rests) / freedom
     # correlated rows count as fewer: for squares, 1 + 2·Σρ² (Bartlett)
-    follows = 1.0 + 2.0 * sum(_correlation(left, lag) ** 2 for lag in range(1, 6))
-    free = max(2.0, freedom / follows)
+    per_row = 1.0 + 2.0 * sum(_correlation(rests, lag) ** 2 for lag in range(1, 6))
+    free = max(2.0, freedom / per_row)
     low, high = (free * about_line / float(stats.chi2.ppf(p, free)) for p in (0.975, 0.025))
     spread, origin = about_line * float(np.sqrt(2.0 / free)), f"variance of {rows} rows at rest (5.44)"
-    return Estimate(name, squared(unit), about_mean, about_line, low, high, spread, 0.0, len(parts), origin)
-
-
-def squared(unit: str) -> str:
-    """Square a unit, `m/s2` → `m2/s4`."""
-    return re.sub(r"([^\W\d]+)(\d*)", lambda part: part[1] + str(2 * int(part[2] or 1)), unit) or "1"
+    return Estimate(name, squared(unit) or "1", about_mean, about_line, low, high, spread, 0.0, len(parts), origin)
 
 
 def rest_faults(yaml: YamlFile, logs: Sequence[Log], window: Window) -> Iterator[Fault]:
     """Yield faults of short or moving logs."""
     if window is not None and window[0] >= window[1]:
-        yield yaml.fault(("rest", "window"), f"{window[0]:g} … {window[1]:g} s is empty; write its start, then its end")
+        yield yaml.fault(("rest", "window"), messages.EMPTY_WINDOW(start=window[0], end=window[1]))
         return
     for log in logs:
-        for name, values in log.outputs.items():
-            chosen = next(iter(_rows([log], name, window)))[1]
-            if chosen.size < FEWEST:
-                told = f"{chosen.size} rows of {name} at rest, and it takes {FEWEST}; log longer (the thesis took 20 s)"
-                yield Fault(log.path, 0, 0, told)
-                continue
-            first, last = np.array_split(values[chosen], 2)
-            noise_ = float(np.std(np.diff(values[chosen]))) / np.sqrt(2.0)
-            if reason := _unusable(values[chosen]):
-                yield Fault(log.path, 0, 0, f"{name} {reason}; choose a window, or leave the log out")
-                continue
-            if abs(last.mean() - first.mean()) > MOVING * max(noise_, 1e-300) and noise_ > 0.0:
-                told = f"{name} moves by {last.mean() - first.mean():.3g} from the first half to the second"
-                yield Fault(log.path, 0, 0, f"{told}: not at rest; choose a window, or leave the log out")
+        for name in log.outputs:
+            ((_, rows),) = _rows([log], name, window)
+            if message := _reason_against(name, log.outputs[name][rows]):
+                yield Fault(log.path, 0, 0, message)
 
 
-def _unusable(values: Array) -> str:
-    """Return the reason against rows, or ""."""
+def _reason_against(name: str, values: Array) -> Message | None:
+    """Return the message against rows of an output, or None."""
+    if values.size < MIN_ROWS:
+        return messages.TOO_FEW_ROWS_AT_REST(rows=values.size, output=name, least=MIN_ROWS)
     low, high = float(values.min()), float(values.max())
     if low == high:
-        return f"is {low:g} in every row: a dead channel"
+        return messages.CONSTANT_OUTPUT(output=name, value=low)
     ends = float(np.mean((values == low) | (values == high)))
     if ends > AT_ENDS:
-        return f"is {low:g} or {high:g} in {ends:.0%} of its rows: saturated, or coarser than its noise"
+        return messages.SATURATED_OUTPUT(output=name, low=low, high=high, share=ends)
     steps, spread = float(np.mean(np.diff(values) ** 2)) / 2.0, float(np.var(values))
     if steps < SLOW * spread and _turns(values) > 2:
-        return f"swings slowly, {spread / steps:.3g} times the variance from row to row: not at rest"
-    return ""
+        return messages.SWINGING_OUTPUT(output=name, ratio=spread / steps)
+    first, last = np.array_split(values, 2)
+    change, noise_level = last.mean() - first.mean(), float(np.std(np.diff(values))) / np.sqrt(2.0)
+    if abs(change) > MOVING * max(noise_level, 1e-300) and noise_level > 0.0:
+        return messages.MOVING_OUTPUT(output=name, change=change)
+    return None
 
 
 def _turns(values: Array) -> int:

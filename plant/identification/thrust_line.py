@@ -9,11 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cosim.base.arrays import Array, Flags
+from cosim.base.messages import Message
 from cosim.model.namespaces import arrays
 from plant.bench import Bench
+from plant.identification import messages
 from plant.identification.cells import Cell, Cells, at_rail
 from plant.identification.command_response import held_lag, low_pass
-from plant.identification.estimates import Figure, Measured, Result, make_estimates, out_of_line, shifts_of
+from plant.identification.estimates import Figure, Measurement, Result, make_estimates, outlier_warnings, shifts_of
 from plant.identification.misfit import drift
 from plant.identification.protocol import Test
 from plant.identification.recordings import Recording
@@ -22,7 +24,7 @@ from plant.powertrain import ground_effect
 DEGREES = (1, 2, 3)
 MARGIN = 0.02  # [%] margin of duty to the cell's range and to zero thrust, since a low pass has memory
 MEMORY = 5.0  # lags and low passes after which a higher duty is forgotten to 1 %
-LEAST_ROWS, LEAST_DUTY = 50, 0.1  # rows of a repetition, [%] of its ramp with thrust, for a line
+MIN_ROWS, MIN_DUTY_RANGE = 50, 0.1  # rows of a repetition, [%] of its ramp with thrust, for a line
 
 
 @dataclass(frozen=True)
@@ -31,39 +33,39 @@ class Rows:
 
     end: float
     dead_end: float
-    kept: Sequence[Flags]
+    chosen: Sequence[Flags]
     delayed: Sequence[Array]
     idle: int
     whole: int
 
     @property
-    def enough(self) -> bool:
+    def is_sufficient(self) -> bool:
         """Return True for sufficient ramps."""
-        return all(d.size >= LEAST_ROWS and np.ptp(d) >= LEAST_DUTY for d in self.delayed)
+        return all(d.size >= MIN_ROWS and np.ptp(d) >= MIN_DUTY_RANGE for d in self.delayed)
 
 
-def rows_with_thrust(m: Measured) -> Rows:
+def rows_with_thrust(m: Measurement) -> Rows:
     """Return rows in the window and the cell's range where T = max(0, a + b·δ), eq 4.20, is positive.
 
     Selection is by command only: zero thrust ends at the kink of the equation fitted to all readings.
     """
-    known, test, end = m.known, m.test, highest_duty(m)
-    kept = [r.rows(test.window) & (recent <= end) for r, recent in _recent(m)]
-    thrust = [_thrust(m, r, k) for r, k in zip(m.recordings, kept, strict=True)]
-    delayed = [_delayed(r, known, test, -np.inf)[k] for r, k in zip(m.recordings, kept, strict=True)]
-    if min(d.size for d in delayed) < LEAST_ROWS:
-        return Rows(end, -np.inf, kept, delayed, 0, sum(d.size for d in delayed))
+    bench, test, end = m.bench, m.test, highest_duty(m)
+    inside = [r.rows(test.window) & (recent <= end) for r, recent in _recent_duty(m)]
+    thrust = [_thrust(m, r, k) for r, k in zip(m.recordings, inside, strict=True)]
+    delayed = [_delay_duty(r, bench, test, -np.inf)[k] for r, k in zip(m.recordings, inside, strict=True)]
+    if min(d.size for d in delayed) < MIN_ROWS:
+        return Rows(end, -np.inf, inside, delayed, 0, sum(d.size for d in delayed))
     begins = dead_end(np.concatenate(delayed), np.concatenate(thrust))
-    following = [_delayed(r, known, test, begins) for r in m.recordings]
-    above = [k & (d > begins + MARGIN) for k, d in zip(kept, following, strict=True)]
-    whole = sum(int(k.sum()) for k in kept)
+    following = [_delay_duty(r, bench, test, begins) for r in m.recordings]
+    above = [k & (d > begins + MARGIN) for k, d in zip(inside, following, strict=True)]
+    whole = sum(int(k.sum()) for k in inside)
     idle = whole - sum(int(k.sum()) for k in above)
     return Rows(end, begins, above, [d[k] for d, k in zip(following, above, strict=True)], idle, whole)
 
 
-def _thrust(m: Measured, r: Recording, rows: Flags, using: Cells | None = None) -> Array:
+def _thrust(m: Measurement, r: Recording, rows: Flags, using: Cells | None = None) -> Array:
     """Return the thrust [gf] without the ground effect."""
-    return m.gram * m.force(r, "z", using)[rows] / _gain(r, rows, m.known)
+    return m.gram * m.force(r, "z", using)[rows] / _gain(r, rows, m.bench)
 
 
 def dead_end(duty: Array, thrust: Array) -> float:
@@ -102,15 +104,15 @@ def dead_end(duty: Array, thrust: Array) -> float:
     return middle + here
 
 
-def analyse(m: Measured, *, draw: bool = True) -> Result:
+def analyse(m: Measurement, *, draw: bool = True) -> Result:
     """Return the line a + b·δ [gf, gf/%], and the lowest sufficient degree of one to three."""
-    cells, known, test = m.cells, m.known, m.test
+    cells, bench, test = m.cells, m.bench, m.test
     rows = rows_with_thrust(m)
-    own, delayed = list(zip(m.recordings, rows.kept, strict=True)), rows.delayed
-    bowed = [np.zeros_like(d) for d in delayed]  # [gf] error of a reading on a ramp
+    own, delayed = list(zip(m.recordings, rows.chosen, strict=True)), rows.delayed
+    bows = [np.zeros_like(d) for d in delayed]  # [gf] error of a reading on a ramp
 
     def thrusts(using: Cells) -> list[Array]:
-        return [_thrust(m, r, k, using) - bow for (r, k), bow in zip(own, bowed, strict=True)]
+        return [_thrust(m, r, k, using) - bow for (r, k), bow in zip(own, bows, strict=True)]
 
     def lines(using: Cells) -> Array:
         return np.array([np.polyfit(d, y, 1)[::-1] for d, y in zip(delayed, thrusts(using), strict=True)])
@@ -124,23 +126,23 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
         ("thrust_slope", "gf/%", float(slope), m.true("thrust_slope")),
     ]
     line = lines(cells).mean(axis=0)
-    bowed = [_bow(r, line, cells["z"], known, test, rows.dead_end)[k] for r, k in own]
+    bows = [_bow(r, line, cells["z"], bench, test, rows.dead_end)[k] for r, k in own]
     if rows.idle and line[1] > 0:  # the first estimate of zero thrust came from uncorrected ramps
         line = lines(cells).mean(axis=0)
         begins = -line[0] / line[1]
-        delayed = [_delayed(r, known, test, begins)[k] for r, k in own]
-        bowed = [_bow(r, line, cells["z"], known, test, begins)[k] for r, k in own]
+        delayed = [_delay_duty(r, bench, test, begins)[k] for r, k in own]
+        bows = [_bow(r, line, cells["z"], bench, test, begins)[k] for r, k in own]
     each = lines(cells)
     shifts = shifts_of(lines, cells, "z", each)
     result = Result("thrust_line", make_estimates(names, each, shifts, "Test 1, line by repetition"))
     thrust = thrusts(cells)
-    result.odd += out_of_line([("the mean thrust [gf]", m.recordings, np.array([y.mean() for y in thrust]))])
+    result.outliers += outlier_warnings([("the mean thrust [gf]", m.recordings, np.array([y.mean() for y in thrust]))])
     degree, errors = least_degree(delayed, thrust)
     r2 = float(np.corrcoef(duty, raw)[0, 1] ** 2)
-    result.more = {"degree": degree, "rmse_left_out_gf": errors, "r2": r2}
-    result.more |= {"highest_duty": rows.end, "readings_without_thrust": rows.idle}
-    result.notes.append(f"r² = {r2:.4f} (eq 4.22); lowest degree within one standard error of the best: {degree}")
-    _tell_of_rows(result, m, rows)
+    result.details = {"degree": degree, "rmse_left_out_gf": errors, "r2": r2}
+    result.details |= {"highest_duty": rows.end, "readings_without_thrust": rows.idle}
+    result.notes.append(messages.DEGREE(r2=r2, degree=degree))
+    _add_notes(result, m, rows)
     result.warnings += _second_tare(m, rows.dead_end, result.estimates[1].value)
     if degree > 1:
         _bend(result, degree, errors, np.concatenate(delayed), np.concatenate(thrust))
@@ -149,43 +151,34 @@ def analyse(m: Measured, *, draw: bool = True) -> Result:
     return result
 
 
-def _tell_of_rows(result: Result, m: Measured, rows: Rows) -> None:
+def _add_notes(result: Result, m: Measurement, rows: Rows) -> None:
     """Add notes on excluded readings and their reasons."""
     if rows.idle:
-        result.warnings.append(
-            f"{rows.idle} of {rows.whole} readings are without thrust, which begins at {rows.dead_end:.2f} %: T = "
-            "max(0, a + b·δ) is no line there, and they are left out"
-        )
+        result.warnings.append(messages.IDLE_READINGS(idle=rows.idle, total=rows.whole, duty=rows.dead_end))
     top = max(float(r.duty[r.rows(m.test.window)].max()) for r in m.recordings)
     if rows.end < top - 1e-9:
-        result.notes.append(
-            f"The vertical cell leaves its range above {rows.end + MARGIN:.2f} %; samples below {rows.end:.2f} % are "
-            f"used, not up to {top:.2f} %: a cell of a larger range would show the rest."
-        )
+        result.notes.append(messages.SHORT_RANGE(limit=rows.end + MARGIN, end=rows.end, top=top))
 
 
-def _second_tare(m: Measured, dead_end: float, slope: float) -> list[str]:
+def _second_tare(m: Measurement, dead_end: float, slope: float) -> list[Message]:
     """Return a warning if a cell without thrust reads differently after the window."""
-    values, bases, taken_off = [], [], [0.0]
+    values, bases, corrections = [], [], [0.0]
     for r in m.recordings:
-        delayed = _delayed(r, m.known, m.test, dead_end)
+        delayed = _delay_duty(r, m.bench, m.test, dead_end)
         rest = r.rows(m.test.rest)
         end = (r.time > m.test.window[1]) & (r.duty <= dead_end) & (delayed <= dead_end + MARGIN)
         if not end.any():
             return []
-        thrust = slope * (delayed - dead_end) / m.gram * _gain(r, np.ones(r.time.size, dtype=bool), m.known)
-        taken_off.append(float(thrust[end].mean()))  # the correction is as uncertain as large
+        thrust = slope * (delayed - dead_end) / m.gram * _gain(r, np.ones(r.time.size, dtype=bool), m.bench)
+        corrections.append(float(thrust[end].mean()))  # each as uncertain as large
         both = rest | end
         values.append((m.force(r, "z") - np.where(end, thrust, 0.0))[both])
         bases.append(np.column_stack((np.ones(both.sum()), end[both])))
-    found = drift(values, bases, max(taken_off))
-    if found is None or not found.significant:
+    tare = drift(values, bases, max(corrections))
+    if tare is None or not tare.is_significant:
         return []
-    return [
-        f"cell z reads {m.gram * found.mean:.3g} gf more at the end, without thrust again, than at rest (most in "
-        f"{m.recordings[found.worst].label}, {m.gram * found.each[found.worst]:.3g} gf): it drifts, and offset and "
-        "slope are off by as much; record shorter ramps, or with a warm cell"
-    ]
+    fields = {"drift": m.gram * tare.mean, "most": m.gram * tare.each[tare.worst]}
+    return [messages.DRIFTING_TARE(**fields, recording=m.recordings[tare.worst].label)]
 
 
 def _bend(result: Result, degree: int, errors: dict[int, float], duty: Array, thrust: Array) -> None:
@@ -194,35 +187,32 @@ def _bend(result: Result, degree: int, errors: dict[int, float], duty: Array, th
     grid = np.linspace(duty.min(), duty.max(), 101)
     slopes = curve.deriv()(grid - 6.0)
     spans = {"thrust_slope": slopes, "thrust_offset": curve(grid - 6.0) - slopes * grid}
-    told = f"the thrust bends: degree {degree} misses repetitions left out by {errors[degree]:.3g} gf, a line by "
-    told += f"{errors[1]:.3g} gf"
+    reason = f"the thrust bends: degree {degree} misses repetitions left out by {errors[degree]:.3g} gf, a line by "
+    reason += f"{errors[1]:.3g} gf"
     for k, e in enumerate(result.estimates):
         low, high = min(e.low, float(spans[e.name].min())), max(e.high, float(spans[e.name].max()))
-        origin = f"{e.origin}; {told}, so the interval reaches over the tangents"
+        origin = f"{e.origin}; {reason}, so the interval reaches over the tangents"
         result.estimates[k] = replace(e, low=low, high=high, origin=origin)
-    result.warnings.append(
-        f"{told}. The intervals of thrust_offset and thrust_slope reach over the tangents from {duty.min():.2f} to "
-        f"{duty.max():.2f} %; choose a `window` about the duty that is flown, and look at the cell's calibration"
-    )
+    result.warnings.append(messages.BENT_THRUST(reason=reason, low=duty.min(), high=duty.max()))
 
 
-def _gain(r: Recording, rows: Flags, known: Bench) -> Array:
-    gain: Array = ground_effect(arrays(), r.height[rows], known.propeller_radius, known.ground_effect_exponent)
+def _gain(r: Recording, rows: Flags, bench: Bench) -> Array:
+    gain: Array = ground_effect(arrays(), r.height[rows], bench.propeller_radius, bench.ground_effect_exponent)
     return gain
 
 
-def _delayed(r: Recording, known: Bench, test: Test, dead_end: float) -> Array:
+def _delay_duty(r: Recording, bench: Bench, test: Test, dead_end: float) -> Array:
     """Return the duty after lag and low pass, at least that of zero thrust."""
-    return low_pass(held_lag(np.maximum(r.duty, dead_end), r.step, known.lag), r.step, test.low_pass)
+    return low_pass(held_lag(np.maximum(r.duty, dead_end), r.step, bench.lag), r.step, test.low_pass)
 
 
-def _bow(r: Recording, line: Array, cell: Cell, known: Bench, test: Test, dead_end: float) -> Array:
+def _bow(r: Recording, line: Array, cell: Cell, bench: Bench, test: Test, dead_end: float) -> Array:
     """Return the error [gf] of a line's thrust on ramps by the low pass and the cell's curve."""
-    effective = held_lag(np.maximum(r.duty, dead_end), r.step, known.lag)
+    effective = held_lag(np.maximum(r.duty, dead_end), r.step, bench.lag)
     steady = line[0] + line[1] * effective
     everywhere = np.ones(r.time.size, dtype=bool)
-    gain, gram = _gain(r, everywhere, known), 1000.0 / known.gravity
-    grid = np.linspace(0.0, known.converter_range, 4001)
+    gain, gram = _gain(r, everywhere, bench), 1000.0 / bench.gravity
+    grid = np.linspace(0.0, bench.converter_range, 4001)
     forces = cell.force(grid)
     order = np.argsort(forces)
     volts = np.interp(steady * gain / gram, forces[order], grid[order])
@@ -230,16 +220,15 @@ def _bow(r: Recording, line: Array, cell: Cell, known: Bench, test: Test, dead_e
     return np.asarray(read - low_pass(steady, r.step, test.low_pass))
 
 
-def _recent(m: Measured) -> Iterator[tuple[Recording, Array]]:
+def _recent_duty(m: Measurement) -> Iterator[tuple[Recording, Array]]:
     """Yield each recording with the highest duty still in the memory of its readings."""
-    found: dict[bytes, Array] = {}
+    highest: dict[bytes, Array] = {}
     for r in m.recordings:
-        key = r.duty.tobytes()
-        if key not in found:
-            count = math.ceil(MEMORY * (m.known.lag + m.test.low_pass) / r.step)
+        if (key := r.duty.tobytes()) not in highest:
+            count = math.ceil(MEMORY * (m.bench.lag + m.test.low_pass) / r.step)
             before = np.pad(r.duty, (count, 0), mode="edge")
-            found[key] = np.lib.stride_tricks.sliding_window_view(before, count + 1).max(axis=1)
-        yield r, found[key]
+            highest[key] = np.lib.stride_tricks.sliding_window_view(before, count + 1).max(axis=1)
+        yield r, highest[key]
 
 
 @dataclass(frozen=True)
@@ -251,19 +240,19 @@ class Beyond:
     duty: float
 
 
-def first_beyond(m: Measured) -> Beyond | None:
+def first_beyond(m: Measurement) -> Beyond | None:
     """Return the reading beyond the range of the cell at the lowest duty, or None."""
     first, cell = None, m.cells["z"]
-    for k, (r, recent) in enumerate(_recent(m)):
+    for k, (r, recent) in enumerate(_recent_duty(m)):
         v = r.volts["z"]
-        beyond = at_rail(m.known, v) | (v < cell.volts[0]) | (v > cell.volts[-1] + 0.1 * np.ptp(cell.volts))
+        beyond = at_rail(m.bench, v) | (v < cell.volts[0]) | (v > cell.volts[-1] + 0.1 * np.ptp(cell.volts))
         rows = np.flatnonzero(r.rows(m.test.window) & beyond)
         if rows.size and (duty := float(recent[rows].min())) < (first.duty if first else np.inf):
             first = Beyond(k, int(rows[np.argmin(recent[rows])]), duty)
     return first
 
 
-def highest_duty(m: Measured) -> float:
+def highest_duty(m: Measurement) -> float:
     """Return the highest duty within all cells' ranges.
 
     Selection is by command, equal for all: selection by value would bias the line.
@@ -313,7 +302,5 @@ def _figures(result: Result, duty: Array, raw: Array, each: Array, shifts: Array
     lines = [readings, unbiased, estimator]
     return [
         Figure("Thrust over duty: readings and fitted lines", *axes, lines, counterpart="Fig 4.10"),
-        Figure(
-            "Thrust over duty: line with its 95 % band", *axes, banded, band=band, bars=bars, counterpart="Fig 4.11"
-        ),
+        Figure("Thrust over duty: line with its 95 % band", *axes, banded, band, bars, counterpart="Fig 4.11"),
     ]

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cosim.base.errors import InputError, refuse
+from cosim.base.errors import refuse
 from cosim.base.registry import model_entry, resolve
 from cosim.base.scratch import temporary_folder
 from cosim.base.settings import Seed
@@ -21,17 +21,17 @@ from cosim.storage.kinds import check_given
 from plant.bench import Bench
 from plant.identification import frequency, ground_effect, lag, moment, projection, thrust_line
 from plant.identification.artefacts import PROTOCOL
-from plant.identification.cells import Cells, calibrated
+from plant.identification.cells import Cells, calibrate
 from plant.identification.craft import CraftOutcome
 from plant.identification.craft_workflow import identify_craft
-from plant.identification.estimates import Estimate, Measured, Result
+from plant.identification.estimates import Estimate, Measurement, Result
 from plant.identification.identified import Outcome
 from plant.identification.input_kind import craft_file
 from plant.identification.plausible import result_faults
-from plant.identification.prepared import cell_fault, prepare
-from plant.identification.protocol import BENCH, CHANNELS, Protocol
+from plant.identification.prepared import prepare
+from plant.identification.protocol import BENCH, Protocol
 from plant.identification.recording_faults import recording_faults
-from plant.identification.recordings import FmuPlayer, Play, Recording, Run, load_runs, runs_of
+from plant.identification.recordings import FmuPlayer, Recording, Run, load_runs, runs_of
 from plant.identification.write import RECORD, REPORT, model_text, write
 
 FILES = ("powertrain.yaml", RECORD, REPORT)
@@ -92,14 +92,8 @@ def identify(
 
         return page(outcome)
 
-    write(
-        out,
-        (FILES[0], powertrain(outcome, ready.model)),
-        _record(outcome),
-        outcome.results,
-        page if report else None,
-        keep=keep,
-    )
+    model = (FILES[0], powertrain(outcome, ready.model))
+    write(out, model, _record(outcome), outcome.results, page if report else None, keep=keep)
     return outcome
 
 
@@ -108,19 +102,16 @@ def _outcome(
 ) -> Outcome:
     """Simulate unmeasured tests and return the results."""
     hung: dict[str, list[Recording]] = {}
-    played: dict[str, list[Recording]] = {}
+    simulated: dict[str, list[Recording]] = {}
     if protocol.file.bench is not None:
         tests = [name for name, _ in protocol.file.tests.named_tests() if name not in measured]
         runs = {name: runs_of(protocol, name, seed) for name in tests}
-        hung, played = _on_fmu(protocol, load_runs(protocol, seed), runs, progress=progress)
-    try:
-        cells = calibrated(protocol, hung)
-    except ValueError as error:
-        raise InputError([cell_fault(protocol, error)]) from None
-    refuse(fault for name, found in played.items() for fault in recording_faults(protocol, name, found, cells))
+        hung, simulated = _on_fmu(protocol, load_runs(protocol, seed), runs, progress=progress)
+    cells = calibrate(protocol, hung)
+    refuse(fault for name, runs in simulated.items() for fault in recording_faults(protocol, name, runs, cells))
     if progress is not None:
         progress("analysing", 0.0)
-    recordings = {**measured, **played}
+    recordings = {**measured, **simulated}
     return Outcome(protocol, cells, checked_results(protocol, cells, recordings), recordings)
 
 
@@ -155,21 +146,21 @@ def analyse(
 
     Unknown numbers come from earlier tests, else from the protocol.
     """
-    known, truth = protocol.known, protocol.known if protocol.true_known else None
+    bench, truth = protocol.bench, protocol.bench if protocol.is_simulated else None
     if truth is not None:  # estimated parameters must not be known
         blank = Bench()
-        known = known.with_values(
+        bench = bench.with_values(
             {n: getattr(blank, n) for n in ("thrust_offset", "thrust_slope", "lag", "assembly_arm")}
         )
     results = []
     for name in (n for n in ANALYSES if n in recordings):
-        measured = Measured(recordings[name], cells, known, getattr(protocol.file.tests, name), truth)
+        measured = Measurement(recordings[name], cells, bench, getattr(protocol.file.tests, name), truth)
         result = ANALYSES[name](measured, draw=draw)
         results.append(result)
         # the lag of a step test has priority over that of sines
-        fresh = {e.name: _within(known, e) for e in result.estimates if e.name in known.declared}
+        fresh = {e.name: _in_bounds(bench, e) for e in result.estimates if e.name in bench.declared}
         if not (name == "frequency" and "step" in recordings):
-            known = known.with_values(fresh)
+            bench = bench.with_values(fresh)
     return results
 
 
@@ -186,36 +177,9 @@ def checked_results(
     return results
 
 
-def _within(known: Bench, e: Estimate) -> float:
-    low, high = known.declared[e.name].bounds
+def _in_bounds(bench: Bench, e: Estimate) -> float:
+    low, high = bench.declared[e.name].bounds
     return float(np.clip(e.value, low, high))
-
-
-def played(protocol: Protocol, play: Play, seeds: Sequence[int]) -> list[Outcome]:
-    """Return whole protocols, one per seed, by plain functions, without figures, in parallel."""
-    names = [n for n, _ in protocol.file.tests.named_tests()]
-    hung: list[dict[str, list[Recording]]] = [{} for _ in seeds]
-    found: list[dict[str, list[Recording]]] = [{} for _ in seeds]
-    per_seed = [load_runs(protocol, seed) for seed in seeds]
-    for channel in CHANNELS:
-        for own, batch in zip(hung, _dealt(play, [runs[channel] for runs in per_seed]), strict=True):
-            own[channel] = batch
-    for name in names:
-        for own, batch in zip(found, _dealt(play, [runs_of(protocol, name, seed) for seed in seeds]), strict=True):
-            own[name] = batch
-    outcomes = []
-    for own_hung, own in zip(hung, found, strict=True):
-        cells = calibrated(protocol, own_hung)
-        outcomes.append(Outcome(protocol, cells, analyse(protocol, cells, own, draw=False)))
-    return outcomes
-
-
-def _dealt(play: Play, groups: Sequence[Sequence[Any]]) -> Iterable[list[Recording]]:
-    whole = play([run for group in groups for run in group])
-    first = 0
-    for group in groups:
-        yield whole[first : first + len(group)]
-        first += len(group)
 
 
 # -- results ------------------------------------------------------------------------------
@@ -229,8 +193,8 @@ def _record(outcome: Outcome) -> dict[str, Any]:
                 "loads": cell.loads.tolist(),
                 "volts": cell.volts.tolist(),
                 "error": cell.error,
-                "left_one_out": cell.left_one_out.tolist(),
-                "at_the_rail": list(cell.left_out),
+                "left_one_out": cell.cross_validation_errors.tolist(),
+                "at_the_rail": list(cell.saturated_loads),
             }
             for c, cell in outcome.cells.items()
         },
@@ -242,7 +206,7 @@ def powertrain(outcome: Outcome, model: Model) -> str:
     protocol = outcome.protocol
     declared = {p.name for p in model.parameters}
     values = {n: v for n, v in protocol.file.parameters.items() if n in declared}
-    chosen = {n: e for n, e in outcome.chosen.items() if n in declared}
+    chosen = {n: e for n, e in outcome.estimates_by_name.items() if n in declared}
     values |= {n: e.value for n, e in chosen.items()}
     values |= _hovering(model, values)
     return model_text(protocol.file.model, values, {}, chosen, "repetitions")

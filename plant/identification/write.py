@@ -39,7 +39,7 @@ def write(
         "version": __version__,
         **record,
         "estimates": {f"{r.test}.{e.name}": plain_values(vars(e)) for r in results for e in r.estimates},
-        "tests": {r.test: plain_values({**r.more, "notes": r.notes, "warnings": r.warnings}) for r in results},
+        "tests": {r.test: plain_values({**r.details, "notes": r.notes, "warnings": r.warnings}) for r in results},
     }
     texts = [model, (RECORD, json.dumps(whole, indent=1, ensure_ascii=False, allow_nan=False) + "\n")]
     if page is not None:

@@ -1,0 +1,87 @@
+"""Protocols of a bench played by plain functions, many runs at once: the same numbers as by the bench's FMU, sooner."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from cosim.base.errors import refuse
+from cosim.model import Stepper
+from cosim.model.namespaces import arrays
+from plant.bench import Bench
+from plant.identification.cells import calibrate
+from plant.identification.identified import Outcome
+from plant.identification.planned import planned_faults
+from plant.identification.protocol import Protocol, read_partly
+from plant.identification.recordings import Recording, Run, load_runs, runs_of, to_recording
+from plant.identification.workflow import analyse
+
+LANES = 1000  # simultaneous runs
+Play = Callable[[Sequence[Run]], list[Recording]]
+
+
+def read_protocol(path: Path) -> Protocol:
+    """Read a protocol and check its phases."""
+    protocol, faults = read_partly(path)
+    refuse(faults or planned_faults(protocol.yaml, protocol.file, protocol.bench))
+    return protocol
+
+
+def play_plain(bench: Bench) -> Play:
+    """Return a simulator of runs by plain equations, with equal commands in parallel."""
+
+    def play(runs: Sequence[Run]) -> list[Recording]:
+        groups: dict[tuple[object, ...], list[int]] = {}
+        for k, run in enumerate(runs):
+            key = (run.duty.tobytes(), run.servo_duty.tobytes(), run.height, run.low_pass)
+            groups.setdefault(key, []).append(k)
+        recordings: dict[int, Recording] = {}
+        for group in groups.values():
+            for first in range(0, len(group), LANES):
+                chosen = group[first : first + LANES]
+                for k, recording in zip(chosen, _play_lanes(bench, [runs[k] for k in chosen]), strict=True):
+                    recordings[k] = recording
+        return [recordings[k] for k in range(len(runs))]
+
+    return play
+
+
+def _play_lanes(bench: Bench, runs: Sequence[Run]) -> list[Recording]:
+    m, first = arrays(), runs[0]
+    values = {"thrust_factor": np.array([r.thrust for r in runs]), "filter_time": first.low_pass}
+    stepper = Stepper(bench.with_values(values), m)
+    noise = np.stack([r.noise for r in runs], axis=2)  # cell, row, lane
+    loads = tuple(np.array([r.loads[k] for r in runs]) for k in range(3))
+    moment, volts = stepper.start(float(first.time[0])), np.empty((first.time.size, 3, len(runs)))
+    step = float(np.median(np.diff(first.time)))
+    for k in range(first.time.size):
+        before = max(k - 1, 0)
+        command = (float(first.duty[before]), float(first.servo_duty[before]), first.height, *loads, *noise[:, k])
+        if k:
+            moment = stepper.step(moment, command, step)
+        volts[k] = stepper.output(moment.t, moment.state, command)[:3]
+    return [to_recording(run, volts[:, :, j]) for j, run in enumerate(runs)]
+
+
+def simulate_seeds(protocol: Protocol, play: Play, seeds: Sequence[int]) -> list[Outcome]:
+    """Return whole protocols, one per seed, by plain functions, without figures; equal runs of all seeds together."""
+    names = [name for name, _ in protocol.file.tests.named_tests()]
+    loads = _play_groups(play, [load_runs(protocol, seed) for seed in seeds])
+    tests = _play_groups(play, [{name: runs_of(protocol, name, seed) for name in names} for seed in seeds])
+    outcomes = []
+    for hung, recordings in zip(loads, tests, strict=True):
+        cells = calibrate(protocol, hung)
+        outcomes.append(Outcome(protocol, cells, analyse(protocol, cells, recordings, draw=False)))
+    return outcomes
+
+
+def _play_groups(play: Play, groups: Sequence[dict[str, list[Run]]]) -> list[dict[str, list[Recording]]]:
+    """Return the recordings of each group by name; one name of all groups is played at once."""
+    recordings: list[dict[str, list[Recording]]] = [{} for _ in groups]
+    for name in groups[0]:
+        batch = iter(play([run for group in groups for run in group[name]]))
+        for group, own in zip(groups, recordings, strict=True):
+            own[name] = [next(batch) for _ in group[name]]
+    return recordings
