@@ -16,7 +16,7 @@ import numpy as np
 
 from cosim.base.errors import Fault, InputError
 from cosim.estimation.fit import Fit
-from cosim.estimation.per_log import not_per_log
+from cosim.estimation.per_log import drop_own_parameters
 from cosim.estimation.posing import build_problem, coarsened, varied_inputs
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import at_rest, noise_warnings, sensor_noise
@@ -171,7 +171,7 @@ def _refuse_runaway(study: Study, problem: Problem) -> None:
 def _on_trial(study: Study) -> list[Candidate]:
     """Return the candidates named by the study, or all."""
     subject, named = study.subject, study.content.candidates
-    every = list(not_per_log(subject.candidates(varied_inputs(subject, study.logs)), study.settings.per_log))
+    every = list(drop_own_parameters(subject.candidates(varied_inputs(subject, study.logs)), study.settings.per_log))
     return every if named is None else [c for c in every if c.name in named]
 
 

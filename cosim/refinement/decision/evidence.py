@@ -19,10 +19,10 @@ import numpy as np
 
 from cosim.base.arrays import Array, Rows
 from cosim.estimation.data import unscored
-from cosim.estimation.expected import unseen
+from cosim.estimation.expected import fit_for_held_out
 from cosim.estimation.fit import Fit, fit, inverse, scores
 from cosim.estimation.parallel import in_parallel
-from cosim.estimation.posing import halved
+from cosim.estimation.posing import halve_log
 from cosim.estimation.problem import Problem, Scored
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.search.fits import SCREEN_ITERATIONS, Search
@@ -107,7 +107,7 @@ def held_out(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[flo
     little excitation leaves these parameters open. Open-loop predictions use nothing of the held-out log. A single log
     is halved.
     """
-    problem = search.problem if len(search.problem.logs) > 1 else halved(search.problem)
+    problem = search.problem if len(search.problem.logs) > 1 else halve_log(search.problem)
     count = len(problem.logs)
     both = set(better.names) & set(worse.names)
     names = {f.name for c in (*better.candidates, *worse.candidates) if c.name not in both for f in c.free}
@@ -135,13 +135,13 @@ def held_out(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[flo
 
 def predicts(problem: Problem, horizon: float, better: Fit, worse: Fit) -> float:
     """Return the open-loop gain per scatter on held-out logs."""
-    problem = problem if len(problem.logs) > 1 else halved(problem)
+    problem = problem if len(problem.logs) > 1 else halve_log(problem)
     logs = range(len(problem.logs))
 
     def one(left_out: int) -> list[Array]:
         others = [k for k in logs if k != left_out]
         learnt = [fit(problem, f.free, f.values, f.noise, others, SCREEN_ITERATIONS) for f in (worse, better)]
-        known = [unseen(problem, f, left_out) for f in learnt]
+        known = [fit_for_held_out(problem, f, left_out) for f in learnt]
         return [open_loop(problem, horizon, f.values, f, left_out) for f in known]
 
     return in_scatter(_nearer(in_parallel(one, list(logs))))
@@ -176,7 +176,7 @@ def learnt_without(search: Search, problem: Problem, h: Hypothesis, left_out: in
         others = [k for k in range(len(problem.logs)) if k != left_out]
         free = search.free(h.candidates)
         learnt = fit(problem, free, h.fit.values, h.fit.noise, others, SCREEN_ITERATIONS)
-        search.learnt[key] = unseen(problem, learnt, left_out)
+        search.learnt[key] = fit_for_held_out(problem, learnt, left_out)
     return search.learnt[key]
 
 
@@ -236,7 +236,7 @@ def as_given(problem: Problem, base: Fit, left_out: int | None = None) -> Fit:
     others = [k for k in range(len(problem.logs)) if k != left_out]
     known = {**problem.values, **{f.name: base.values[f.name] for f in problem.own}}
     learnt = fit(problem, problem.own, known, given.noise, others, SCREEN_ITERATIONS, sensing=False)
-    return learnt if left_out is None else unseen(problem, learnt, left_out)
+    return learnt if left_out is None else fit_for_held_out(problem, learnt, left_out)
 
 
 def scatter(problem: Problem, f: Fit) -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cosim.estimation.fit import Fit
-from cosim.estimation.posing import halved
+from cosim.estimation.posing import halve_log
 from cosim.refinement.decision.evidence import as_given, learnt_without, open_loop
 from cosim.refinement.decision.trust import size
 from cosim.refinement.search.fits import Search
@@ -24,7 +24,7 @@ def nearest(search: Search, a: Attribution, best: Sequence[Hypothesis]) -> Hypot
     Args:
         best: Hypotheses close to a claim, simplest first.
     """
-    problem = search.problem if len(search.problem.logs) > 1 else halved(search.problem)
+    problem = search.problem if len(search.problem.logs) > 1 else halve_log(search.problem)
     logs = range(len(problem.logs))
     found: list[tuple[float, Hypothesis | None]] = []
 

@@ -78,7 +78,7 @@ def per_log_faults(
             continue
         if full in seen:
             yield places.fault(place, f"{name} stands there twice; keep one")
-        elif apart and full in subject.only_known:
+        elif apart and full in subject.inestimable:
             text = f"{name} cannot be learnt while the filter runs, as it would be on {apart[0]}"
             yield places.fault(place, f"{text}; put {apart[0]} in a group with a log of estimation")
         seen.add(full)
