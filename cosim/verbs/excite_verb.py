@@ -75,8 +75,8 @@ def command(
             progress=progress,
         )
     say(found.headline)
-    if found.warning:
-        warn(found.warning)
+    for warning in found.warnings:
+        warn(warning)
     for line in found.sentences:
         say(line)
     played = shlex.quote(str(place / "excitation.yaml"))
@@ -87,4 +87,4 @@ def command(
     if as_json:
         apart = [{"pair": list(pair), "standard_deviations": distance} for pair, distance in found.apart.items()]
         files = {"excitation": str(place / "excitation.csv"), "scenario": str(place / "excitation.yaml")}
-        say_json({"apart": apart, "warning": found.warning, **files, **files_in(place)})
+        say_json({"apart": apart, "warning": "; ".join(found.warnings), **files, **files_in(place)})
