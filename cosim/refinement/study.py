@@ -24,9 +24,9 @@ from cosim.isolation.limits import Limits
 from cosim.loading.file import LoadedModel, load_model
 from cosim.loading.substep import with_substep
 from cosim.logs.gate import gate, gate_faults
-from cosim.logs.holes import filled
+from cosim.logs.holes import fill_holes
 from cosim.logs.log import Log, read_log, stretches
-from cosim.logs.spikes import find_spikes, without
+from cosim.logs.spikes import drop_outliers, find_spikes
 from cosim.refinement.search.groups import Places, full_name, group_of, per_log_faults
 from cosim.residuals.windows import SKIPPED
 from cosim.storage.artefact import Checking, kind_by_keys
@@ -182,7 +182,7 @@ class Study:
             read_log(path, subject.inputs, subject.outputs, table=subject.static, columns=self.content.columns)
             for path in paths
         )
-        return tuple(s for log in logs for s in judged(without(log, _spikes(log, subject)), subject.horizon))
+        return tuple(s for log in logs for s in judged(drop_outliers(log, _spikes(log, subject)), subject.horizon))
 
 
 def check_study(path: Path, checking: Checking) -> list[str]:
@@ -330,12 +330,12 @@ def _read_logs(
         spikes = _spikes(log, subject)
         findings = gate(log, subject.rate, traits=traits, spikes=spikes)
         faults += gate_faults(log, findings)
-        log = without(log, spikes)
+        log = drop_outliers(log, spikes)
         warnings += [_left_out(name, channel, rows.size) for channel, rows in spikes.items()]
         whole = judged(log, subject.horizon)
         faults += [] if whole else [_too_short(log, subject.horizon)]
         told = [f for f in findings if f.severity == "warning" and f.kind != "outliers"]
-        warnings += [f"{name}: {f.whole}" for f in told]
+        warnings += [f.whole.after(f"{name}: ") for f in told]
         if left := 0 if log.table else len(stretches(log)) - len(whole):
             warnings.append(f"{name}: {counted(left, 'piece')} between pauses too short to be used")
         logs[part] += whole
@@ -391,7 +391,7 @@ def judged(log: Log, horizon: float) -> list[Log]:
     if log.table:
         return [log]
     least = least_duration(log, horizon) - 0.5 * log.step
-    return [filled(s) for s in stretches(log) if s.outputs and s.time[-1] - s.time[0] >= least]
+    return [fill_holes(s) for s in stretches(log) if s.outputs and s.time[-1] - s.time[0] >= least]
 
 
 def _left_out(log: str, channel: str, count: int) -> str:
