@@ -19,7 +19,7 @@ from controller.loop import Loop
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.blocks.profile import Change, Profile, profile_function
-from cosim.experiment.rigs import FASTEST, SLOWEST, Axis, Ranges, Signals, Trial, played_lines, trial_of, within
+from cosim.experiment.rigs import FASTEST, SLOWEST, Axis, Ranges, Signals, Trial, clip, played_lines, trial_of
 from cosim.fmi.fmu_build import build
 from cosim.model import Model, Values
 from cosim.storage.table import write_columns
@@ -68,8 +68,8 @@ class ClosedLoop:
         x_ref = signals["x_ref"] + signals["tilt_common"] / self.settings.k_1_1
         psi_ref = signals["psi_ref"] + signals["tilt_difference"] / self.settings.k_1_3
         rest = self.settings.duty_nominal
-        right = within(rest + signals["duty_common"] + signals["duty_difference"], "duty_right", self.ranges)
-        left = within(rest + signals["duty_common"] - signals["duty_difference"], "duty_left", self.ranges)
+        right = clip(rest + signals["duty_common"] + signals["duty_difference"], "duty_right", self.ranges)
+        left = clip(rest + signals["duty_common"] - signals["duty_difference"], "duty_left", self.ranges)
         loop = Loop(self.settings, [0.0] * 5, float(x_ref[0]), float(psi_ref[0]))
         names = [q.name for q in model.outputs]
         sensors = [names.index(name) for name in self.sensors]

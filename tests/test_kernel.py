@@ -16,7 +16,7 @@ import pytest
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.estimation.data import as_data
+from cosim.estimation.data import data_of
 from cosim.estimation.posing import start_state
 from cosim.fmi.native.compiler import compiler
 from cosim.kernel import backend
@@ -63,7 +63,7 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Data:
     columns["psi"][40:60] = np.nan
     columns["ax"][1::2] = np.nan
     log = log_of(tmp_path_factory.mktemp("log") / "a.csv", columns)
-    return as_data(
+    return data_of(
         ModelSubject.of(Hovercraft()),
         log,
         Layout((), (), tuple(q.name for q in Hovercraft.inputs), tuple(IMU), (), ()),
@@ -129,7 +129,7 @@ def test_a_filter_waits_as_long_as_the_lags_of_its_model_need(craft: Generated, 
     assert generate(table, [table.outputs[0].name]).layout.driven == ()
     log = log_of(tmp_path / "a.csv", measured(fly(times(3.0)), IMU))
     waits = [settling(replace(model, lag=lag), driven) for lag in (0.5 * model.lag, model.lag, 0.3)]
-    rows = [as_data(ModelSubject.of(model), log, layout, wait).settle for wait in waits]
+    rows = [data_of(ModelSubject.of(model), log, layout, wait).settle for wait in waits]
     assert rows == [20, 40, 50]  # by when the log is scored no filter waits any longer
 
 

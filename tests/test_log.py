@@ -13,7 +13,7 @@ import pytest
 from cosim.base.errors import InputError
 from cosim.base.units import alternatives, factor
 from cosim.logs.gate import gate
-from cosim.logs.log import Log, read_log, renamed
+from cosim.logs.log import Log, read_column_names, read_log
 from cosim.model.traits import rate_of
 from cosim.residuals.drive import model_signals
 from cosim.storage import csv_source
@@ -222,10 +222,10 @@ def test_columns_may_be_mapped_to_names_of_the_model(tmp_path: Path) -> None:
 
 
 def test_texts_of_columns_are_a_column_and_a_variable(tmp_path: Path) -> None:
-    assert renamed(["left = duty_left", "t=time"], tmp_path) == {"left": "duty_left", "t": "time"}
+    assert read_column_names(["left = duty_left", "t=time"], tmp_path) == {"left": "duty_left", "t": "time"}
     wrong = ["left", "=duty_left", "left=", " = ", "="]
     with pytest.raises(InputError) as refused:
-        renamed(["t=time", *wrong], tmp_path)
+        read_column_names(["t=time", *wrong], tmp_path)
     assert {f.message for f in refused.value.faults} == {
         f'--column "{text}" is not COLUMN=VARIABLE, as in measured_speed=motor.w' for text in wrong
     }

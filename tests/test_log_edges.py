@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 
 from cosim.base.arrays import Array
+from cosim.base.messages import Message
 from cosim.logs.channel_noise import noise_level, surprise
 from cosim.logs.finding import Finding
-from cosim.logs.frames import frames
+from cosim.logs.frames import frame_findings
 from cosim.logs.gate import gate, gate_faults
-from cosim.logs.holes import filled
-from cosim.logs.log import Log, _absurd, _continuous, slowness, stretches, usual_step
-from cosim.logs.planar_motion import mirrored
+from cosim.logs.holes import fill_holes
+from cosim.logs.log import Log, _absurd_rows, _unwrap, slowness, stretches, usual_step
+from cosim.logs.planar_motion import axis_findings
 from cosim.logs.spikes import _neighbours_agree, find_spikes, out_of_line
 from cosim.logs.static_table import table_findings
 
@@ -277,7 +278,7 @@ def test_lost_rows_are_put_on_the_line_of_an_input_that_runs_smoothly_and_held_o
     k = np.arange(60)
     smooth, held = 0.5 * k + np.sin(k / 9.0), np.repeat(np.arange(12.0), 5)
     log = without(log_of(0.02 * k, {"u": smooth, "v": held}, {"y": 1.0 * k}), [20, 41, 42, 43])
-    found = filled(log)
+    found = fill_holes(log)
     assert found.time == pytest.approx(0.02 * k)
     assert found.inputs["v"][[20, 41, 42, 43]].tolist() == [3, 8, 8, 8]
     assert found.inputs["u"][20] == pytest.approx(0.5 * (smooth[19] + smooth[21]))
@@ -286,10 +287,10 @@ def test_lost_rows_are_put_on_the_line_of_an_input_that_runs_smoothly_and_held_o
     )
     assert np.flatnonzero(np.isnan(found.outputs["y"])).tolist() == [20, 41, 42, 43]
     whole = log_of(0.02 * k, {"u": smooth}, {"y": 1.0 * k})
-    assert filled(whole) is whole
-    assert filled(without(whole, [58])).time == pytest.approx(0.02 * k)
+    assert fill_holes(whole) is whole
+    assert fill_holes(without(whole, [58])).time == pytest.approx(0.02 * k)
     only_held = without(log_of(0.02 * k, {"v": held}, {"y": 1.0 * k}), [20])
-    assert filled(only_held) is only_held
+    assert fill_holes(only_held) is only_held
 
 
 def test_a_log_is_cut_where_rows_or_readings_pause() -> None:
@@ -342,18 +343,18 @@ def test_marks_of_a_logger_are_far_beyond_the_rest() -> None:
         ([1e28] * 9 + [2e30], [9]),
         ([math.nan] * 4, []),
     ):
-        assert _absurd(np.array(values)).tolist() == rows
+        assert _absurd_rows(np.array(values)).tolist() == rows
 
 
 def test_jumps_of_a_turn_are_undone_and_an_angle_of_many_turns_is_left_alone() -> None:
     steady = np.linspace(3.0, 5.0, 21)
     wrapped = (steady + np.pi) % (2 * np.pi) - np.pi
-    angle, jumps = _continuous(wrapped)
+    angle, jumps = _unwrap(wrapped)
     assert angle - angle[0] == pytest.approx(steady - steady[0])
     assert jumps.tolist() == [2]
-    assert _continuous(steady)[1].size == 0
+    assert _unwrap(steady)[1].size == 0
     turns = np.array([0.0, 4.0, 0.0, 7.0])
-    assert _continuous(turns)[0] is turns
+    assert _unwrap(turns)[0] is turns
 
 
 # -- frames -----------------------------------------------------------------------------------------
@@ -383,7 +384,7 @@ def turning(scale: float = 1.0, bias: float = 0.0, **more: Any) -> Log:
     ],
 )
 def test_a_rate_is_the_slope_of_its_angle(scale: float, kind: str | None, channel: str) -> None:
-    found = {f.kind: f for f in frames(turning(scale)) if f.kind != "drift"}
+    found = {f.kind: f for f in frame_findings(turning(scale)) if f.kind != "drift"}
     assert [*found] == ([kind] if kind else [])
     assert kind is None or found[kind].channel == channel
     if kind == "scale":
@@ -391,26 +392,26 @@ def test_a_rate_is_the_slope_of_its_angle(scale: float, kind: str | None, channe
 
 
 def test_a_bias_of_the_rate_is_noted_with_its_sign() -> None:
-    (drift,) = frames(turning(bias=0.05))
+    (drift,) = frame_findings(turning(bias=0.05))
     assert drift.kind == "drift"
     assert drift.numbers["drift"] == pytest.approx(-0.05, rel=0.03)
     assert drift.sentence.startswith("is 2.9")
-    assert list(frames(turning(bias=1e-5))) == []
+    assert list(frame_findings(turning(bias=1e-5))) == []
 
 
 def test_angles_that_no_one_turns_are_taken_for_degrees() -> None:
     t = 0.02 * np.arange(1000)
     for size, told in ((6.2, False), (6.4, True)):
         log = log_of(t, {"tilt": size * np.sin(t)}, {}, units={"tilt": "rad"})
-        assert [f.kind for f in frames(log)] == (["degrees"] if told else [])
-        assert [f.kind for f in frames(replace(log, written={"tilt": "rad"}))] == []
+        assert [f.kind for f in frame_findings(log)] == (["degrees"] if told else [])
+        assert [f.kind for f in frame_findings(replace(log, written={"tilt": "rad"}))] == []
     for size, told in ((125.0, False), (126.5, True)):
         log = log_of(t, {}, {"psi": size * t / t[-1]}, units={"psi": "rad"})
-        assert [f.kind for f in frames(log)] == (["degrees"] if told else [])
+        assert [f.kind for f in frame_findings(log)] == (["degrees"] if told else [])
     jumpy = log_of(t, {}, {"psi": np.where(t >= 5.0, 3.2, 0.0)}, units={"psi": "rad"})
-    (found,) = frames(jumpy)
+    (found,) = frame_findings(jumpy)
     assert (found.kind, found.numbers) == ("jumps", {"count": 1.0, "first": pytest.approx(5.0)})
-    assert list(frames(replace(jumpy, outputs={"psi": np.where(t >= 5.0, 3.1, 0.0)}))) == []
+    assert list(frame_findings(replace(jumpy, outputs={"psi": np.where(t >= 5.0, 3.1, 0.0)}))) == []
 
 
 def test_a_body_that_moves_where_its_mirror_image_points_is_mirrored() -> None:
@@ -421,7 +422,7 @@ def test_a_body_that_moves_where_its_mirror_image_points_is_mirrored() -> None:
 
     def found(sign: float, rows: int = 2000) -> int:
         outputs = {"x": x[:rows], "y": sign * y[:rows], "psi": heading[:rows]}
-        return len(list(mirrored(log_of(t[:rows], {}, outputs), frame)))
+        return len(list(axis_findings(log_of(t[:rows], {}, outputs), frame)))
 
     assert (found(1.0), found(-1.0)) == (0, 1)
     assert (found(-1.0, 191), found(-1.0, 190)) == (1, 0)  # every 10th row: 20 places, 19
@@ -459,9 +460,11 @@ def test_columns_of_a_table_that_stand_still_or_go_together_are_named() -> None:
 
 def test_a_fault_of_a_log_has_the_cell_of_its_column() -> None:
     log = replace(moving(), header=3, cells={"y": 7})
-    faults = gate_faults(log, [Finding("fault", "sign", "y", "is wrong"), Finding("warning", "x", "y", "is not")])
+    faults = gate_faults(
+        log, [Finding("fault", "sign", "y", Message("is wrong")), Finding("warning", "x", "y", Message("is not"))]
+    )
     assert [(f.line, f.column, f.message) for f in faults] == [(3, 7, "y: is wrong")]
-    assert gate_faults(log, [Finding("fault", "rate", "", "is slow")])[0].column == 1
+    assert gate_faults(log, [Finding("fault", "rate", "", Message("is slow"))])[0].column == 1
 
 
 @pytest.mark.parametrize(("seconds", "told"), [(3.6, False), (4.6, True)])
@@ -469,14 +472,14 @@ def test_a_sign_takes_eight_blocks_of_half_a_second_and_an_angle_that_moves(seco
     log = turning(-1.0)
     rows = round(seconds / 0.02)
     short = {name: values[:rows] for name, values in log.outputs.items()}
-    found = [f.kind for f in frames(replace(log, time=log.time[:rows], outputs=short)) if f.kind == "sign"]
+    found = [f.kind for f in frame_findings(replace(log, time=log.time[:rows], outputs=short)) if f.kind == "sign"]
     assert found == (["sign"] if told else [])
     t = log.time
     for outputs in (
         {"psi": 1e-10 * np.sin(0.9 * t), "psi_dot": 0.45 * np.cos(0.9 * t)},  # rounding
         {"psi": 0.5 * np.sin(0.9 * t), "psi_dot": 0.0 * t},
     ):
-        assert list(frames(replace(log, outputs=outputs))) == []
+        assert list(frame_findings(replace(log, outputs=outputs))) == []
 
 
 @pytest.mark.parametrize(("size", "answers"), [(0.04, False), (0.06, True)])

@@ -12,11 +12,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from cosim.base.errors import InputError
-from cosim.estimation.expected import expected, unseen
+from cosim.estimation.expected import expected_value, fit_for_held_out
 from cosim.estimation.fit import Fit, fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.per_log import own, own_parameters, spread
-from cosim.estimation.posing import build_problem, halved
+from cosim.estimation.posing import build_problem, halve_log
 from cosim.estimation.problem import Settings
 from cosim.loading.file import load_model
 from cosim.logs.log import read_log
@@ -213,7 +213,7 @@ def test_what_is_expected_of_a_further_group_is_wider_the_fewer_are_known(folder
         free = tuple(own_parameters(ModelSubject.of(model), [NAME], list(values), {NAME: 0.0}, {}))
         noise = Noise(np.zeros(0), 0.0, np.zeros(0), np.zeros(0))
         found = {own(NAME, group): v for group, v in values.items()}
-        return expected(Fit(found, noise, free, (0.0,), 0.0, 1e8 * np.eye(len(free)), 1, True), NAME)
+        return expected_value(Fit(found, noise, free, (0.0,), 0.0, 1e8 * np.eye(len(free)), 1, True), NAME)
 
     assert spreads({"a": 0.05}) == (0.05, 0.02)  # of one, the usual size
     mean, two = spreads({"a": 0.04, "b": 0.06})
@@ -230,15 +230,15 @@ def test_a_log_left_out_has_no_say_in_its_own_value(folder: Path) -> None:
     groups = dict(zip((log.path for log in logs), ("day1", "day1", "day2", "day3"), strict=True))
     problem = build_problem(ModelSubject.of(model), logs, settings=Settings(per_log=(NAME,), groups=groups))
     learnt = fit(problem, problem.own, problem.values, problem.plain, [0, 1, 2], sensing=False)
-    kept = unseen(problem, learnt, 3)
+    kept = fit_for_held_out(problem, learnt, 3)
     mean = 0.5 * (learnt.values[own(NAME, "day1")] + learnt.values[own(NAME, "day2")])
     assert kept.values[own(NAME, "day3")] == pytest.approx(mean)
     assert kept.values[spread(NAME, "day3")] > 0.09 / math.sqrt(2.0)  # as day 1 and day 2 scatter, at least
-    assert unseen(problem, learnt, 1) is learnt
+    assert fit_for_held_out(problem, learnt, 1) is learnt
     alone = build_problem(ModelSubject.of(model), logs[3:], settings=Settings(per_log=(NAME,), groups=groups))
-    halves = halved(alone)
+    halves = halve_log(alone)
     learnt = fit(halves, halves.own, halves.values, halves.plain, [0], sensing=False)
-    assert unseen(halves, learnt, 1) is learnt
+    assert fit_for_held_out(halves, learnt, 1) is learnt
     assert learnt.values[own(NAME, "day3")] == pytest.approx(OFFSETS["e4"], abs=1e-3)
     states = halves.run(learnt.values, learnt.noise, 1, states=True).states
     errors = halves.run(learnt.values, learnt.noise, 1).errors[:10]

@@ -14,7 +14,7 @@ from cosim.loading.file import load_model
 from cosim.loading.own_run import predicted_outputs
 from cosim.loading.substep import with_substep
 from cosim.logs.log import Log, read_log
-from cosim.logs.spikes import find_spikes, without
+from cosim.logs.spikes import drop_outliers, find_spikes
 from cosim.refinement.study import read_study
 from cosim.residuals.drive import model_signals
 from cosim.residuals.workflow import write_replay
@@ -34,7 +34,7 @@ def log_of(values: Array, step: float) -> Log:
 def left_out(values: Array, step: float = 0.005) -> list[int]:
     log = log_of(values, step)
     spikes = find_spikes(log)
-    gone = np.flatnonzero(np.isfinite(values) & np.isnan(without(log, spikes).outputs["y"])).tolist()
+    gone = np.flatnonzero(np.isfinite(values) & np.isnan(drop_outliers(log, spikes).outputs["y"])).tolist()
     assert {n: rows.tolist() for n, rows in spikes.items()} == ({"y": gone} if gone else {})
     return gone
 

@@ -189,12 +189,12 @@ def test_a_slow_sensor_is_looked_for_further_away_but_not_beyond_two_seconds() -
     time = seconds(8.0)
     log = log_of(time, y=time)
     slow = np.arange(0, 301, 25)  # each half second
-    assert slow[starts._near(log, slow, 300, 0.5)].tolist() == [225, 250, 275, 300]
+    assert slow[starts._rows_near(log, slow, 300, 0.5)].tolist() == [225, 250, 275, 300]
     slower = np.arange(0, 301, 40)  # 1.6 s, 0.8 s … before 280
-    assert slower[starts._near(log, slower, 300, 0.5)].tolist() == [200, 240, 280]
-    assert starts._near(log, np.arange(0, 150), 300, 0.5).size == 0
+    assert slower[starts._rows_near(log, slower, 300, 0.5)].tolist() == [200, 240, 280]
+    assert starts._rows_near(log, np.arange(0, 150), 300, 0.5).size == 0
     fast = np.arange(0, 301)
-    assert starts._near(log, fast, 300, 0.5).size == 26
+    assert starts._rows_near(log, fast, 300, 0.5).size == 26
 
 
 def test_the_noise_of_a_channel_without_any_is_its_rounding() -> None:
@@ -303,13 +303,13 @@ def test_velocities_of_the_world_are_turned_into_the_axes_of_the_body() -> None:
     carrier = {"X": zero, "Y": zero, "heading": zero, "forward": zero, "right": zero}
     state = dict.fromkeys(carrier, 0.0)
     sigma = dict.fromkeys(log.outputs, 1e-4)
-    corrected = starts._corrected(SimpleNamespace(log=log, frame=frame), carrier, sigma, state, 50, np.arange(51))
+    corrected = starts._corrections(SimpleNamespace(log=log, frame=frame), carrier, sigma, state, 50, np.arange(51))
     assert corrected.keys() == {"X", "Y", "heading", "forward", "right"}
     assert (corrected["forward"], corrected["right"]) == (pytest.approx(forward), pytest.approx(right))
     assert corrected["X"] == pytest.approx(world[0] * time[50])
     assert corrected["heading"] == pytest.approx(heading)
     seen = SimpleNamespace(log=log_of(time, **log.outputs, forward=zero), frame=frame)  # which is measured itself
-    corrected = starts._corrected(seen, carrier, sigma | {"forward": 1e-4}, state, 50, np.arange(51))
+    corrected = starts._corrections(seen, carrier, sigma | {"forward": 1e-4}, state, 50, np.arange(51))
     assert corrected["forward"] == pytest.approx(0.0)
 
 

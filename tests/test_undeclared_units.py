@@ -10,6 +10,7 @@ import pytest
 
 import cosim
 from cosim.base.errors import InputError
+from cosim.base.messages import Message
 from cosim.base.units import SYMBOLS, Taken, assume_si, coherent, factor, parse
 from cosim.blocks.component import Signal
 from cosim.blocks.sources import playback
@@ -87,7 +88,7 @@ def test_a_unit_that_says_nothing_changes_nothing_and_is_told(tmp_path: Path, un
     assert f"inflow has no unit in the model, and {why}" in found.whole
 
 
-def test_an_angle_of_an_undeclared_unit_is_made_continuous(tmp_path: Path) -> None:
+def test_an_angle_of_an_undeclared_unit_is_made_unwrap(tmp_path: Path) -> None:
     rows = "".join(f"{k},0,{(100 * k) % 360}\n" for k in range(20))
     (tmp_path / "a.csv").write_text(f"time,u,turned [deg]\n{rows}")
     log = read_log(tmp_path / "a.csv", [Signal("u")], [Signal("turned")])
@@ -291,7 +292,7 @@ def test_a_fault_of_a_column_stands_at_its_cell_behind_columns_that_are_not_read
     rows = "".join(f"{k},A,{k % 7},{k % 5}\n" for k in range(60))
     (tmp_path / "a.csv").write_text(f"time,mode,inflow,level\n{rows}")
     log = read_log(tmp_path / "a.csv", *NO_UNIT)
-    (fault,) = gate_faults(log, [Finding("fault", "sign", "level", "is wrong")])
+    (fault,) = gate_faults(log, [Finding("fault", "sign", "level", Message("is wrong"))])
     assert (fault.line, fault.column) == (1, 4)
 
 

@@ -14,6 +14,7 @@ import pytest
 from scipy import stats
 
 from cosim.base.arrays import Array
+from cosim.base.messages import Message
 from cosim.base.text import listed
 from cosim.base.units import read_quantity
 from cosim.logs.finding import Finding
@@ -100,10 +101,10 @@ def test_after_a_pause_a_chain_settles_as_long_as_is_skipped_at_the_start() -> N
 def test_an_output_counts_once_it_was_measured_for_as_long_as_is_skipped() -> None:
     y = np.where(seconds(10.0) < 3.0 - 1e-9, np.nan, 1.0)
     log = log_of(seconds(10.0), outputs={"y": y, "z": 0.0 * y + np.nan})
-    assert windows._known_from(log, "y", [100, 200, 250, 300]) == 250
-    assert windows._known_from(log, "y", [249, 251]) == 251
-    assert windows._known_from(log, "y", [100]) == log.rows
-    assert windows._known_from(log, "z", [100]) == log.rows
+    assert windows._first_predicted(log, "y", [100, 200, 250, 300]) == 250
+    assert windows._first_predicted(log, "y", [249, 251]) == 251
+    assert windows._first_predicted(log, "y", [100]) == log.rows
+    assert windows._first_predicted(log, "z", [100]) == log.rows
 
 
 class Counter:
@@ -259,10 +260,10 @@ def test_what_rounding_makes_is_not_astray() -> None:
     model = np.sin(np.arange(1000.0))
     for size, found in ((0.9e-4, 0.0), (1.1e-4, 1.1e-4)):
         spread = size * float(np.std(model))
-        assert floor._astray(model, model + spread) == pytest.approx(found * float(np.std(model)))
-    assert floor._astray(1e6 + 0 * model, 1e6 + 0.9e-3 + 0 * model) == 0.0
-    assert floor._astray(1e6 + 0 * model, 1e6 + 1.5e-3 + 0 * model) == pytest.approx(1.5e-3, rel=1e-3)
-    assert floor._astray(model * np.nan, model) == 0.0
+        assert floor._restart_error(model, model + spread) == pytest.approx(found * float(np.std(model)))
+    assert floor._restart_error(1e6 + 0 * model, 1e6 + 0.9e-3 + 0 * model) == 0.0
+    assert floor._restart_error(1e6 + 0 * model, 1e6 + 1.5e-3 + 0 * model) == pytest.approx(1.5e-3, rel=1e-3)
+    assert floor._restart_error(model * np.nan, model) == 0.0
 
 
 # -- against a model --------------------------------------------------------------------------------
@@ -388,7 +389,7 @@ def test_the_verdict_is_the_first_that_applies() -> None:
 
 def test_the_cause_is_a_delay_of_more_than_a_row_or_a_command_that_stands_out() -> None:
     def late(name: str, by: float, error: float = 0.001) -> Finding:
-        return Finding("warning", "delay", name, f"trails by {by} s", {"delay": by, "error": error})
+        return Finding("warning", "delay", name, Message(f"trails by {by} s"), {"delay": by, "error": error})
 
     far = channel("y", 5.0), channel("x", 4.0)
     assert "No command stands out" in said(*far)
@@ -414,7 +415,7 @@ def test_words_for_whiteness_inputs_and_the_log() -> None:
     assert input_words(channel()) == "no command moves"
     assert input_words(channel(inputs=(follows(1.5),))) == "none (u comes closest, 1.5 times the band)"
     assert input_words(channel(inputs=(follows(3.0),))) == "u, 3.0 times the band"
-    warning, note = (Finding(s, "k", "y", "is") for s in ("warning", "note"))  # type: ignore[arg-type]
+    warning, note = (Finding(s, "k", "y", Message("is")) for s in ("warning", "note"))  # type: ignore[arg-type]
     assert quality([note]) == "Clock, units, signs and channels of the log are in order."
     assert quality([warning, note, warning]).startswith("2 warnings about the log")
     names = ([], ["a"], ["a", "b"], ["a", "b", "c"], ["a", "b", "c", "d", "e"])

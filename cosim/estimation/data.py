@@ -17,7 +17,7 @@ MOST_ROWS, FOLDS = 40, 20  # rows of all tables up to which each is held out alo
 JITTER = 0.01  # share of a row from which rows are not equally spaced
 
 
-def as_data(
+def data_of(
     subject: Subject, log: Log, layout: Layout, settle: float, interpolated: frozenset[str] = frozenset()
 ) -> Data:
     """Return a log in equal steps.
@@ -28,32 +28,34 @@ def as_data(
         settle: Time until lags have forgotten an unknown start [s], see `settling`.
     """
     if log.table:
-        return _as_table(log, layout)
-    measured = layout.outputs
+        return _data_of_table(log, layout)
     grid = log.grid
     rows = int(grid[-1]) + 1
-    held = np.searchsorted(grid, np.arange(rows), side="right") - 1
-    u = np.column_stack([log.inputs[name][held] for name in layout.inputs])
-    y = np.full((rows, len(measured)), np.nan)
-    for j, name in enumerate(measured):
-        if name in log.outputs:
-            y[grid, j] = log.outputs[name]
-    away = np.zeros((rows, 1))
-    away[grid, 0] = grid - (log.time - log.time[0]) / log.step  # rows by which a reading is older than its row
-    late = None
-    if np.max(np.abs(away)) > JITTER:
-        late = np.repeat(away, len(measured), axis=1)
-        u = _as_acted(log, u, grid)
-    data = Data(log.step, float(log.time[0]), u, y, subject.substeps(log.step), 0, interpolated, late)
+    last = np.searchsorted(grid, np.arange(rows), side="right") - 1
+    u = np.column_stack([log.inputs[name][last] for name in layout.inputs])
+    y = np.full((rows, len(layout.outputs)), np.nan)
+    y[grid] = _outputs(log, layout)
+    late = np.zeros_like(y)
+    late[grid] = (grid - (log.time - log.time[0]) / log.step)[:, None]  # rows by which a reading is older than its row
+    is_jittery = bool((np.abs(late) > JITTER).any())
+    if is_jittery:
+        u = _mean_commands(log, u, grid)
+    data = Data(
+        log.step, float(log.time[0]), u, y, subject.substeps(log.step), 0, interpolated, late if is_jittery else None
+    )
     return replace(data, settle=int(min(settle / log.step, unscored(data))))
 
 
-def _as_table(log: Log, layout: Layout) -> Data:
+def _data_of_table(log: Log, layout: Layout) -> Data:
     """Return a table, in which outputs depend on the inputs of their own row."""
     u = np.column_stack([log.inputs[name] for name in layout.inputs])
+    return Data(log.step, 0.0, u, _outputs(log, layout), 1, interpolated=frozenset(layout.inputs), table=True)
+
+
+def _outputs(log: Log, layout: Layout) -> Array:
+    """Return the measurements of all outputs, NaN for an output that the log lacks."""
     nothing = np.full(log.rows, np.nan)
-    y = np.column_stack([log.outputs.get(name, nothing) for name in layout.outputs])
-    return Data(log.step, 0.0, u, y, 1, interpolated=frozenset(layout.inputs), table=True)
+    return np.column_stack([log.outputs.get(name, nothing) for name in layout.outputs])
 
 
 def folds(logs: Sequence[Data]) -> list[Data]:
@@ -70,19 +72,19 @@ def folds(logs: Sequence[Data]) -> list[Data]:
     return parts
 
 
-def _as_acted(log: Log, u: Array, grid: Rows) -> Array:
+def _mean_commands(log: Log, u: Array, grid: Rows) -> Array:
     """Return the mean command over each equal step.
 
     The integral of a command is exact if the command changes within a step.
     """
     edges = np.arange(len(u) + 1, dtype=np.float64)
-    given = (log.time - log.time[0]) / log.step
+    rows = (log.time - log.time[0]) / log.step
     commands = u[grid]
-    lasting = np.vstack([np.zeros(u.shape[1]), np.cumsum(commands[:-1] * np.diff(given)[:, None], axis=0)])
+    integral = np.vstack([np.zeros(u.shape[1]), np.cumsum(commands[:-1] * np.diff(rows)[:, None], axis=0)])
     # The last command continues, and the first command also acts before its row.
-    times = np.concatenate([[min(0.0, given[0]) - 1.0], given, [edges[-1] + 1.0]])
-    before, after = (lasting[k] + commands[k] * (times[k] - given[k]) for k in (0, -1))
-    total = np.vstack([before, lasting, after])
+    times = np.concatenate([[min(0.0, rows[0]) - 1.0], rows, [edges[-1] + 1.0]])
+    before, after = (integral[k] + commands[k] * (times[k] - rows[k]) for k in (0, -1))
+    total = np.vstack([before, integral, after])
     return np.column_stack([np.diff(np.interp(edges, times, column)) for column in total.T])
 
 

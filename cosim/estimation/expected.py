@@ -16,10 +16,10 @@ from cosim.logs.channel_noise import NORMAL_95
 
 def means(f: Fit) -> dict[str, float]:
     """Return each parameter per log averaged over the groups."""
-    return {name: expected(f, name)[0] for name in dict.fromkeys(x.parameter for x in f.free if x.group)}
+    return {name: expected_value(f, name)[0] for name in dict.fromkeys(x.parameter for x in f.free if x.group)}
 
 
-def expected(f: Fit, name: str, besides: str = "") -> tuple[float, float]:
+def expected_value(f: Fit, name: str, besides: str = "") -> tuple[float, float]:
     """Return a parameter's mean over groups and its spread for a new group.
 
     For estimates θ̂ of n groups with scatter s, the spread is t·s·√(1 + 1/n), with Student's t for few groups (95 % of
@@ -30,38 +30,40 @@ def expected(f: Fit, name: str, besides: str = "") -> tuple[float, float]:
         besides: Group to ignore.
     """
     every = [x for x in f.free if x.parameter == name]
-    seen = [x for x in every if x.group != besides]
+    others = [x for x in every if x.group != besides]
     mean, prior = every[0].prior or (f.values[name], every[0].size)
-    values = [f.values[x.name] for x in seen]
+    values = [f.values[x.name] for x in others]
     if len(values) < 2:
         return (values[0] if values else mean), prior
     from scipy.special import stdtrit
 
     n = len(values)
-    s = max(float(np.std(values, ddof=1)), float(np.sqrt(np.mean([f.sigma(x.name) ** 2 for x in seen]))))
+    s = max(float(np.std(values, ddof=1)), float(np.sqrt(np.mean([f.sigma(x.name) ** 2 for x in others]))))
     return float(np.mean(values)), float(stdtrit(n - 1, 0.975)) / NORMAL_95 * s * math.sqrt(1.0 + 1.0 / n)
 
 
-def as_expected(f: Fit, group: str) -> dict[str, float]:
+def expected_values(f: Fit, group: str) -> dict[str, float]:
     """Return the expected values of a group with their spread, from the other groups."""
     values = {}
     for name in dict.fromkeys(x.parameter for x in f.free if x.group):
-        values[own(name, group)], values[spread(name, group)] = expected(f, name, group)
+        values[own(name, group)], values[spread(name, group)] = expected_value(f, name, group)
     return values
 
 
-def unseen(problem: Problem, f: Fit, left_out: int) -> Fit:
+def fit_for_held_out(problem: Problem, f: Fit, index: int) -> Fit:
     """Return a fit to the other logs, with expected parameters for an unknown group."""
     if not problem.own:
         return f
-    group = problem.origins[left_out].group
-    if any(o.group == group for k, o in enumerate(problem.origins) if k != left_out):
+    groups = [origin.group for origin in problem.origins]
+    if groups.count(groups[index]) > 1:
         return f
-    return replace(f, values={**f.values, **as_expected(f, group)})
+    return replace(f, values={**f.values, **expected_values(f, groups[index])})
 
 
-def of_every_log(f: Fit, groups: Iterable[str]) -> dict[str, float]:
+def group_values(f: Fit, groups: Iterable[str]) -> dict[str, float]:
     """Return fitted or expected parameters of each group."""
-    fitted = {x.name: f.values[x.name] for x in f.free if x.group}
-    known = {x.group for x in f.free if x.group}
-    return {**{k: v for g in dict.fromkeys(groups) if g not in known for k, v in as_expected(f, g).items()}, **fitted}
+    values: dict[str, float] = {}
+    for group in dict.fromkeys(groups):
+        if all(x.group != group for x in f.free):
+            values |= expected_values(f, group)
+    return values | {x.name: f.values[x.name] for x in f.free if x.group}

@@ -76,8 +76,8 @@ class Fit:
         """Return the marginal information of some parameters (Schur complement)."""
         F = self.information
         own = np.isin([f.name for f in self.free] + [""] * (len(F) - len(self.free)), names)
-        mended = F[np.ix_(own, ~own)] @ inverse(F[np.ix_(~own, ~own)]) @ F[np.ix_(~own, own)]
-        return np.asarray(F[np.ix_(own, own)] - mended)
+        shared = F[np.ix_(own, ~own)] @ inverse(F[np.ix_(~own, ~own)]) @ F[np.ix_(~own, own)]
+        return np.asarray(F[np.ix_(own, own)] - shared)
 
     def sigma(self, name: str) -> float:
         """Return the standard deviation of an estimate.
@@ -89,7 +89,7 @@ class Fit:
         return float(np.sqrt(max(0.0, variance, self.scattered[k, k] if self.scattered is not None else 0.0)))
 
 
-def unfitted(problem: Problem) -> Fit:
+def initial_fit(problem: Problem) -> Fit:
     """Return the given model as an unfitted result.
 
     If its innovations are far larger than their standard deviations, the unknown inputs start at the most likely of
@@ -159,18 +159,16 @@ class _Scoring:
         sensing: bool,
     ) -> None:
         self.problem, self.free, self.only = problem, free, only
-        self.known = {**problem.values, **start}
-        limits, count = problem.limits, len(noise.power)
-        self.noise, self.fixed = noise, noise.vector
-        self.moved = limits.free if sensing else limits.free[limits.free < count]
-        self.low = np.array([f.low for f in free] + [*limits.low[self.moved]])
-        self.high = np.array([f.high for f in free] + [*limits.high[self.moved]])
-        self.size = np.array([f.size for f in free] + [1.0] * len(self.moved))
-        self.difference = self.size * np.array([DIFFERENCE] * len(free) + [NOISE_DIFFERENCE] * len(self.moved))
-        here = [*(self.known[f.name] for f in free), *self.fixed[self.moved]]
+        self.start = {**problem.values, **start}
+        self.noise, self.noise_start, limits = noise, noise.vector, problem.limits
+        self.free_noise = limits.free if sensing else limits.free[limits.free < len(noise.power)]
+        self.low = np.array([f.low for f in free] + [*limits.low[self.free_noise]])
+        self.high = np.array([f.high for f in free] + [*limits.high[self.free_noise]])
+        self.size = np.array([f.size for f in free] + [1.0] * len(self.free_noise))
+        self.difference = self.size * np.array([DIFFERENCE] * len(free) + [NOISE_DIFFERENCE] * len(self.free_noise))
         places = {f.name: k for k, f in enumerate(free)}
-        self.ordered = [(k, places[f.above]) for k, f in enumerate(free) if f.above in places]
-        self.theta = self._within(np.array(here))
+        self.order = [(k, places[f.above]) for k, f in enumerate(free) if f.above in places]
+        self.theta = self._within(np.array([*(self.start[f.name] for f in free), *self.noise_start[self.free_noise]]))
         self.damping = 1e-3
         self.enough = CONVERGED if sensing else NEARLY
 
@@ -182,10 +180,10 @@ class _Scoring:
         if not np.isfinite(self.scored.nll):
             limit = 0  # The filter diverges at the start values.
         while done < limit and not converged:
-            gradient, found = self.derivatives(*self.sensitivities())
-            if not (np.isfinite(gradient).all() and np.isfinite(found).all()):
+            gradient, curvature = self.derivatives(*self.sensitivities())
+            if not (np.isfinite(gradient).all() and np.isfinite(curvature).all()):
                 break  # The model diverges near this point, so no search direction exists.
-            information = found
+            information = curvature
             before = self._objective(self.theta, self.scored)
             hope = PROMISE * 0.5 * float(gradient @ least_squares(information, gradient))
             limit = iterations
@@ -201,21 +199,21 @@ class _Scoring:
         return Fit(*self._unpack(self.theta), self.free, self.scored.by_log, penalty, unscaled, done, converged)
 
     def _unpack(self, theta: Array) -> tuple[dict[str, float], Noise]:
-        moved = {f.name: float(v) for f, v in zip(self.free, theta[: len(self.free)], strict=True)}
-        return {**self.known, **moved}, self.noise.like(self._noise_vector(theta))
+        values = {f.name: float(v) for f, v in zip(self.free, theta[: len(self.free)], strict=True)}
+        return {**self.start, **values}, self.noise.like(self._noise_vector(theta))
 
     def _noise_vector(self, theta: Array) -> Array:
         """Return the complete noise vector."""
-        vector = self.fixed.copy()
-        vector[self.moved] = theta[len(self.free) :]
+        vector = self.noise_start.copy()
+        vector[self.free_noise] = theta[len(self.free) :]
         return vector
 
     def _within(self, theta: Array) -> Array:
         """Return θ clipped to limits and order constraints."""
-        there = np.clip(theta, self.low, self.high)
-        for upper, lower in self.ordered:
-            there[upper] = max(there[upper], there[lower])
-        return np.asarray(there)
+        clipped: Array = np.clip(theta, self.low, self.high)
+        for upper, lower in self.order:
+            clipped[upper] = max(clipped[upper], clipped[lower])
+        return clipped
 
     def _evaluate(self, theta: Array) -> Scored:
         return self.problem.scored(*self._unpack(theta), self.only)
@@ -244,7 +242,7 @@ class _Scoring:
             h = self.difference[i]
             h = h if self.theta[i] + h <= self.high[i] else -h
             back = h if both and self.low[i] <= self.theta[i] - h <= self.high[i] else 0.0
-            ahead, behind = self._beside(i, h), self._beside(i, -back) if back else self.scored
+            ahead, behind = self._evaluate_step(i, h), self._evaluate_step(i, -back) if back else self.scored
             with np.errstate(invalid="ignore", divide="ignore"):  # A diverged filter gives NaN.
                 de[i] = (ahead.errors - behind.errors) / (h + back) * self.size[i]
                 dls[i] = np.log(ahead.variances / behind.variances) / (h + back) * self.size[i]
@@ -252,11 +250,11 @@ class _Scoring:
         in_parallel(row, range(len(self.theta)))
         return np.nan_to_num(de, posinf=0.0, neginf=0.0), np.nan_to_num(dls, posinf=0.0, neginf=0.0)
 
-    def _beside(self, i: int, h: float) -> Scored:
+    def _evaluate_step(self, i: int, h: float) -> Scored:
         """Filter with component `i` of θ moved by `h`."""
-        there = self.theta.copy()
-        there[i] += h
-        return self._evaluate(there)
+        theta = self.theta.copy()
+        theta[i] += h
+        return self._evaluate(theta)
 
     def derivatives(self, de: Array, dls: Array) -> tuple[Array, Array]:
         """Return the gradient ∂NLL/∂θ and the information, priors included, for scaled θ."""
@@ -269,7 +267,7 @@ class _Scoring:
                 gradient[i] += weight * f.size * (self.theta[i] - f.prior[0]) / f.prior[1] ** 2
                 information[i, i] += weight * (f.size / f.prior[1]) ** 2
         limits = self.problem.limits
-        for i, place in enumerate(self.moved, len(self.free)):
+        for i, place in enumerate(self.free_noise, len(self.free)):
             gradient[i] += weight * (self.theta[i] - limits.mean[place]) / limits.sigma[place] ** 2
             information[i, i] += weight * limits.sigma[place] ** -2
         return gradient, information
@@ -284,11 +282,11 @@ class _Scoring:
             F = information[np.ix_(rest, rest)]
             step = np.zeros_like(self.theta)
             step[rest] = -least_squares(F + self.damping * np.diag(np.diag(F) + 1e-12), gradient[rest])
-            there = self._within(self.theta + step * self.size)
-            scored = self._evaluate(there)
-            after = self._objective(there, scored)
+            theta = self._within(self.theta + step * self.size)
+            scored = self._evaluate(theta)
+            after = self._objective(theta, scored)
             if after < before:
-                self.theta, self.scored, self.damping = there, scored, max(self.damping / 5, 1e-6)
+                self.theta, self.scored, self.damping = theta, scored, max(self.damping / 5, 1e-6)
                 return before - after
             self.damping *= 10
         return 0.0

@@ -74,13 +74,12 @@ class NoiseLimits:
     @property
     def free(self) -> Rows:
         """Return the indices of free values."""
-        places: Rows = np.flatnonzero(self.low < self.high)
-        return places
+        return np.flatnonzero(self.low < self.high)
 
     def penalty(self, vector: Array) -> float:
         """Return ½ Σ ((v − mean)/sigma)²."""
-        held = np.isfinite(self.sigma)
-        return float(0.5 * np.sum(((vector[held] - self.mean[held]) / self.sigma[held]) ** 2))
+        has_prior = np.isfinite(self.sigma)
+        return float(0.5 * np.sum(((vector[has_prior] - self.mean[has_prior]) / self.sigma[has_prior]) ** 2))
 
 
 def noise_range(variances: Callable[[Array, bool], Array], count: int) -> NoiseRange:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from itertools import count
 from threading import Semaphore, Thread
 from typing import TypeVar
 
@@ -22,31 +21,27 @@ def in_parallel(work: Callable[[Item], Result], items: Sequence[Item]) -> list[R
     """Return the results of `work` in the order of the items; raise the first error."""
     results: dict[int, Result] = {}
     faults: dict[int, BaseException] = {}
-    numbers = count()
+    numbers = iter(range(len(items)))  # shared by the threads
 
-    def done() -> bool:
-        """Process the next item; return True if none remains."""
-        k = next(numbers)
-        if k >= len(items) or faults:
-            return True
+    def process(k: int) -> None:
+        if faults:
+            return
         try:
             results[k] = work(items[k])
         except BaseException as error:
             faults[k] = error
-        return False
 
     def help_out() -> None:
-        while not done():
-            pass
+        for k in numbers:
+            process(k)
         _idle.release()
 
     helpers: list[Thread] = []
-    for left in range(len(items), 0, -1):
-        if left > 1 and _idle.acquire(blocking=False):
+    for k in numbers:
+        if k + 1 < len(items) and _idle.acquire(blocking=False):
             helpers.append(Thread(target=help_out, daemon=True))
             helpers[-1].start()
-        if done():
-            break
+        process(k)
     _wait(helpers)
     if faults:
         raise faults[min(faults)]

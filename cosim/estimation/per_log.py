@@ -29,7 +29,7 @@ class Origin:
     """Group of a log, and states with an initial reading → outputs, by index."""
 
     group: str
-    shown: Mapping[int, int]
+    initial: Mapping[int, int]
 
 
 def own(name: str, group: str) -> str:
@@ -59,7 +59,7 @@ def own_parameters(
             yield Free(own(name, group), *p.bounds, min(usual_size(p), sigma), prior, parameter=name, group=group)
 
 
-def not_per_log(candidates: Sequence[Candidate], names: Sequence[str]) -> Iterator[Candidate]:
+def drop_own_parameters(candidates: Sequence[Candidate], names: Sequence[str]) -> Iterator[Candidate]:
     """Yield candidates without parameters per log, which are free in every hypothesis."""
     for c in candidates:
         if free := tuple(f for f in c.free if f.name not in names):
@@ -67,42 +67,42 @@ def not_per_log(candidates: Sequence[Candidate], names: Sequence[str]) -> Iterat
             yield replace(c, free=free, starts=starts)
 
 
-def started(
-    kernel: Kernel, data: Data, p: Array, x0: Array, known: Mapping[str, tuple[float, float]], shown: Mapping[int, int]
+def start_of_log(
+    kernel: Kernel, data: Data, p: Array, x0: Array, own: Mapping[str, tuple[float, float]], initial: Mapping[int, int]
 ) -> tuple[Array, Array]:
     """Return the start state of a log and its covariance factor L.
 
     L·L' adds to P0. Shape of L: (stochastic states, constants).
 
     Args:
-        known: Parameter → value and standard deviation.
-        shown: As in `Origin`.
+        own: Parameter → value and standard deviation.
+        initial: As in `Origin`.
     """
     layout = kernel.layout
-    places = [layout.constants[name] for name in known]
-    x, spreads = x0.copy(), np.array([s for _, s in known.values()])
-    x[places] = [value for value, _ in known.values()]
-    moved = np.zeros((len(x), len(places)))
-    moved[places, range(len(places))] = spreads
-    if shown:
-        first, memory, outputs = data.rows(0, 1), np.zeros(layout.memory), list(shown.values())
+    places = [layout.constants[name] for name in own]
+    x, spreads = x0.copy(), np.array([s for _, s in own.values()])
+    x[places] = [value for value, _ in own.values()]
+    factor = np.zeros((len(x), len(places)))
+    factor[places, range(len(places))] = spreads
+    if initial:
+        first, memory, outputs = data.rows(0, 1), np.zeros(layout.memory), list(initial.values())
 
         def read(state: Array) -> Array:
             return np.asarray(kernel.simulate(first, p, state, memory).outputs[0, outputs])
 
-        here, states = read(x), list(shown)
-        inside = pseudo_inverse(_slopes(read, x, states, here))
-        moved[states] = -inside @ _slopes(read, x, places, here) * spreads
-        x[states] += inside @ (x0[states] - here)
-    return x, moved[list(layout.stochastic)]
+        y, states = read(x), list(initial)
+        gain = pseudo_inverse(_slopes(read, x, states, y))
+        factor[states] = -gain @ _slopes(read, x, places, y) * spreads
+        x[states] += gain @ (x0[states] - y)
+    return x, factor[list(layout.stochastic)]
 
 
-def _slopes(read: Callable[[Array], Array], x: Array, places: Sequence[int], here: Array) -> Array:
+def _slopes(read: Callable[[Array], Array], x: Array, places: Sequence[int], y: Array) -> Array:
     """Return the derivatives of readings by some states, shape (readings, states)."""
     columns = []
     for place in places:
         step = STEP * max(1.0, abs(float(x[place])))
-        there = x.copy()
-        there[place] += step
-        columns.append((read(there) - here) / step)
+        moved = x.copy()
+        moved[place] += step
+        columns.append((read(moved) - y) / step)
     return np.column_stack(columns)

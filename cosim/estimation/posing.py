@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.estimation.data import as_data, folds, unscored
+from cosim.estimation.data import data_of, folds, unscored
 from cosim.estimation.per_log import Origin, own_parameters
 from cosim.estimation.problem import Problem, Settings
 from cosim.estimation.readings import readings_of, readings_of_table
@@ -42,35 +42,28 @@ def build_problem(
     kernel = subject.kernel(measured, unnamed=unnamed, constant=settings.per_log)
     layout = kernel.layout
     settle = subject.settling([layout.states[k] for k in layout.driven])
-    data = [as_data(subject, log, layout, settle, settings.interpolated) for log in logs]
+    data = [data_of(subject, log, layout, settle, settings.interpolated) for log in logs]
     if subject.static:
         data = folds(data)
         readings = readings_of_table([d.y for d in data])
     else:
         readings = [readings_of(d.y, unscored(d)) for d in data]
     values = {**dict.fromkeys(layout.parameters, 0.0), **subject.values}
-    values[MEMORY] = USUAL_MEMORY * max(slowness(d.step) for d in data)
     begins = origins(subject, layout, logs, data, settings)
-    groups = [origin.group for origin in begins]
-    own = tuple(own_parameters(subject, settings.per_log, groups, values, settings.tolerance))
+    values[MEMORY] = USUAL_MEMORY * max(slowness(d.step) for d in data)
+    own = tuple(
+        own_parameters(subject, settings.per_log, [begin.group for begin in begins], values, settings.tolerance)
+    )
     values |= {f.name: values[f.parameter] for f in own}
     x0, P0 = [start_state(subject, d, measured, layout.states) for d in data], np.empty((0, 0))
-    r, late = np.array([_variance(subject, name, noise) for name in measured]), _late(subject, measured)
+    variances = {**dict.fromkeys(measured, 1.0), **subject.sensor_variance, **{n: s * s for n, s in noise.items()}}
+    r = np.array([variances[name] for name in measured])
+    late = {name: [measured.index(n) for n in of if n in measured] for name, of in subject.late.items()}
     stated, adjusted = np.isin(measured, [*subject.sensor_variance]), ~np.isin(measured, [*noise])
     problem = Problem(
         kernel, data, readings, x0, P0, r, values, settle, settings, late, stated, adjusted, own=own, origins=begins
     )
     return replace(problem, P0=start_covariance(subject, problem))
-
-
-def _variance(subject: Subject, output: str, noise: Mapping[str, float]) -> float:
-    """Return a sensor variance from the study, the subject, or the default 1."""
-    return noise[output] * noise[output] if output in noise else subject.sensor_variance.get(output, 1.0)
-
-
-def _late(subject: Subject, measured: Sequence[str]) -> dict[str, list[int]]:
-    """Return the output indices of each latency."""
-    return {name: [measured.index(n) for n in of if n in measured] for name, of in subject.late.items()}
 
 
 def start_state(subject: Subject, data: Data, measured: Sequence[str], states: Sequence[str]) -> Array:
@@ -85,12 +78,11 @@ def origins(
     """Return group and start of each log; empty without parameters per log."""
     if not settings.per_log:
         return []
-    states, outputs = layout.states, layout.outputs
-    found = []
+    states, outputs, begins = layout.states, layout.outputs, []
     for log, d in zip(logs, data, strict=True):
-        shown = {states.index(n): outputs.index(n) for n in _first_measured(subject, d, outputs) if n in states}
-        found.append(Origin(settings.groups[log.path], shown))
-    return found
+        initial = {states.index(n): outputs.index(n) for n in _first_measured(subject, d, outputs) if n in states}
+        begins.append(Origin(settings.groups[log.path], initial))
+    return begins
 
 
 def start_covariance(subject: Subject, problem: Problem) -> Array:
@@ -101,23 +93,22 @@ def start_covariance(subject: Subject, problem: Problem) -> Array:
     """
     layout = problem.layout
     measured = _measured_at_start(subject, problem)
-    known = {n: 10 * v for n, v in zip(layout.outputs, problem.r.tolist(), strict=True) if n in measured}
-    known = {**subject.start_variance, **known}
-    later = {layout.states[k] for k in layout.carrying}  # derived from a constant, known to the same degree
-    names = [n for n in layout.uncertain if not n.startswith((DISTURBANCE, CONSTANT)) and n not in later]
-    if not known.keys() >= set(names):
+    variances = {n: 10 * v for n, v in zip(layout.outputs, problem.r.tolist(), strict=True) if n in measured}
+    variances = {**subject.start_variance, **variances}
+    derived = {layout.states[k] for k in layout.carrying}  # from a constant, with the uncertainty of the constant
+    names = [n for n in layout.uncertain if not n.startswith((DISTURBANCE, CONSTANT)) and n not in derived]
+    if not variances.keys() >= set(names):
         ranges = dict(zip(layout.states, _range(problem).tolist(), strict=True))
-        known = {name: ranges[name] ** 2 or 1.0 for name in names} | known
-    return np.diag([known.get(name, 0.0) if name not in later else 0.0 for name in layout.uncertain])
+        variances = {name: ranges[name] ** 2 or 1.0 for name in names} | variances
+    return np.diag([variances.get(name, 0.0) if name not in derived else 0.0 for name in layout.uncertain])
 
 
 def with_equations_trusted(subject: Subject, problem: Problem) -> Problem:
     """Return the problem without unknown inputs; free runs start from the first readings."""
     P0 = problem.P0.copy()
     if math.isinf(subject.horizon):
-        for k, name in enumerate(problem.layout.uncertain):
-            if name in _measured_at_start(subject, problem):
-                P0[k, k] = 0.0
+        fixed = np.isin(problem.layout.uncertain, [*_measured_at_start(subject, problem)])
+        P0[fixed, fixed] = 0.0
     return replace(problem, trusted=True, sensing=None, P0=P0)
 
 
@@ -134,10 +125,10 @@ def _range(problem: Problem) -> Array:
     """
     runs = [own_run(problem, index) for index in range(len(problem.logs))]
     for log, run in zip(problem.logs, runs, strict=True):
-        there = np.isfinite(log.y)
-        apart = np.abs(np.where(there, run.outputs - np.where(there, log.y, 0.0), 0.0)).max(axis=0)
-        span = np.where(there, log.y, -np.inf).max(axis=0) - np.where(there, log.y, np.inf).min(axis=0)
-        if not np.all((apart <= span) | ~there.any(axis=0)):  # also true after overflow
+        measured = np.isfinite(log.y)
+        error = np.abs(np.where(measured, run.outputs - np.where(measured, log.y, 0.0), 0.0)).max(axis=0)
+        span = np.where(measured, log.y, -np.inf).max(axis=0) - np.where(measured, log.y, np.inf).min(axis=0)
+        if not np.all((error <= span) | ~measured.any(axis=0)):  # also true after overflow
             return np.zeros(len(problem.layout.states))
     low, high = np.percentile(np.vstack([run.states for run in runs]), (1, 99), axis=0)
     return np.asarray(high - low)
@@ -151,11 +142,11 @@ def own_run(problem: Problem, index: int) -> Simulated:
 
 def _first_measured(subject: Subject, data: Data, measured: Sequence[str]) -> dict[str, float]:
     """Return state → first measurement near the start."""
-    shown, first = subject.shown, {}
+    states, first = subject.measured_states, {}
     early = data.y[: round(STARTING * slowness(data.step) / data.step) + 1]
     for j, name in enumerate(measured):
         column = early[:, j][~np.isnan(early[:, j])]
-        if name in shown and len(column):
+        if name in states and len(column):
             first[name] = float(column[0])
     return first
 
@@ -181,7 +172,7 @@ def coarsened(problem: Problem, values: Mapping[str, float] | None = None) -> Pr
     return problem
 
 
-def halved(problem: Problem) -> Problem:
+def halve_log(problem: Problem) -> Problem:
     """Return one log as two halves; the second starts from the filtered state."""
     (log,), (x0,) = problem.logs, problem.x0
     half = len(log.u) // 2
@@ -190,10 +181,9 @@ def halved(problem: Problem) -> Problem:
     run = following.run(problem.values, following.plain, 0, states=True)
     reached = problem.undisturbed(run.states[half])
     readings = [readings_of(d.y, unscored(d)) for d in halves]
-    begins = list(problem.origins) * 2
     for origin in problem.origins:
         # A start from a reading depends on the group's parameter value.
         p, memory = problem.numbers(problem.of_log(problem.values, 0)), np.zeros(problem.layout.memory)
         read, y = problem.kernel.simulate(halves[1].rows(0, 1), p, reached, memory).outputs[0], halves[1].y[0]
-        reached[list(origin.shown)] = np.where(np.isfinite(y), y, read)[list(origin.shown.values())]
-    return replace(problem, logs=halves, readings=readings, x0=[x0, reached], origins=begins)
+        reached[list(origin.initial)] = np.where(np.isfinite(y), y, read)[list(origin.initial.values())]
+    return replace(problem, logs=halves, readings=readings, x0=[x0, reached], origins=[*problem.origins] * 2)

@@ -14,7 +14,7 @@ import numpy as np
 from cosim.base.arrays import Array, Flags, Rows
 from cosim.estimation.data import UNSCORED, unscored
 from cosim.estimation.noise_model import Noise, NoiseLimits, NoiseRange, noise_range
-from cosim.estimation.per_log import Origin, own, spread, started
+from cosim.estimation.per_log import Origin, own, spread, start_of_log
 from cosim.estimation.readings import Readings, readings_of
 from cosim.kernel.kernel import MEMORY, Data, Filtered, Kernel, Layout
 from cosim.logs.log import slowness
@@ -137,13 +137,13 @@ class Problem:
         logs = [log.rows(0, rows) for log in self.logs]
         measured = [np.isfinite(log.y).any(axis=0) for log in logs]
         # the first log, and logs with further outputs
-        taken = [k for k in range(len(logs)) if k == 0 or np.any(measured[k] & ~measured[0])]
+        chosen = [k for k in range(len(logs)) if k == 0 or np.any(measured[k] & ~measured[0])]
         short = replace(
             self,
-            logs=[logs[k] for k in taken],
-            readings=[readings_of(logs[k].y, unscored(logs[k])) for k in taken],
-            x0=[self.x0[k] for k in taken],
-            origins=[self.origins[k] for k in taken if self.origins],
+            logs=[logs[k] for k in chosen],
+            readings=[readings_of(logs[k].y, unscored(logs[k])) for k in chosen],
+            x0=[self.x0[k] for k in chosen],
+            origins=[self.origins[k] for k in chosen if self.origins],
             sensing=None,  # limits must not depend on fitted noise
         )
         lasting = float(np.log(self.longest_memory)) if self.layout.coloured else None
@@ -218,25 +218,24 @@ class Problem:
 
     def of_log(self, values: Mapping[str, float], index: int) -> Mapping[str, float]:
         """Return the parameter values of a log's group."""
-        known = {name: value for name, (value, _) in self._own(values, index).items()}
-        return {**values, **known} if known else values
+        return {**values, **{name: value for name, (value, _) in self._own(values, index).items()}}
 
     def start(self, values: Mapping[str, float], index: int) -> tuple[Array, Array]:
         """Return the start state of a log and L; L·L' adds to P0."""
-        known, x0 = self._own(values, index), self.x0[index]
-        if not known:
+        own, x0 = self._own(values, index), self.x0[index]
+        if not own:
             return x0, np.zeros((len(self.layout.stochastic), 0))
-        p = self.numbers({**values, **{name: value for name, (value, _) in known.items()}})
-        return started(self.kernel, self.logs[index], p, x0, known, self.origins[index].shown)
+        p = self.numbers(self.of_log(values, index))
+        return start_of_log(self.kernel, self.logs[index], p, x0, own, self.origins[index].initial)
 
     def _own(self, values: Mapping[str, float], index: int) -> dict[str, tuple[float, float]]:
         """Return parameter per log → value, standard deviation."""
-        known = {}
+        constants = {}
         for name in self.layout.constants:
             group = self.origins[index].group
             value = next(v[n] for n in (own(name, group), name) for v in (values, self.values) if n in v)
-            known[name] = value, values.get(spread(name, group), 0.0)
-        return known
+            constants[name] = value, values.get(spread(name, group), 0.0)
+        return constants
 
     def densities(self, noise: Noise) -> Array:
         """Return q of every stochastic state [unit²/s].
@@ -277,14 +276,11 @@ class Problem:
         speed = self.readings[index].slopes / self.logs[index].step
         return np.asarray(r + np.exp(noise.timing) * speed**2)
 
-    def run(self, values: Mapping[str, float], noise: Noise, index: int, *, states: bool = False) -> Filtered:
-        """Filter one log."""
-        return self.filtered(self.data(values, index), values, noise, index, states=states)
-
-    def filtered(
-        self, data: Data, values: Mapping[str, float], noise: Noise, index: int, *, states: bool = False
+    def run(
+        self, values: Mapping[str, float], noise: Noise, index: int, *, states: bool = False, data: Data | None = None
     ) -> Filtered:
-        """Filter measurements in place of a log's."""
+        """Filter one log, or other measurements in place of the log's."""
+        data = self.data(values, index) if data is None else data
         lasting = {MEMORY: float(np.exp(noise.memory))} if self.layout.coloured else {}
         x0, more = self.start(values, index)
         p, P0 = self.numbers({**self.of_log(values, index), **lasting}), self.P0 + more @ more.T
@@ -302,18 +298,19 @@ class Problem:
         A late reading arrives after the row of its measurement. States in `rows` use only readings available by then.
         Readings that arrive while another requested state is computed are also ignored; few are, and long past.
         """
-        filtered = self.filtered(data, values, noise, index, states=True)
+        filtered = self.run(values, noise, index, states=True, data=data)
         late = {k: n for k, by in self.lateness(values, index).items() if (n := round(by)) > 0}
         if not late or not rows:
             return filtered
-        apart, states = min(np.diff(rows), default=len(data.u)), filtered.states.copy()
-        runs = min(len(rows), math.ceil(APART * max(late.values()) / apart))
+        spacing, states = min(np.diff(rows), default=len(data.u)), filtered.states.copy()
+        runs = min(len(rows), math.ceil(APART * max(late.values()) / spacing))
         for first in range(runs):
-            asked, y = list(rows[first::runs]), data.y.copy()
-            for row in asked:
+            requested, y = list(rows[first::runs]), data.y.copy()
+            for row in requested:
                 for k, n in late.items():
                     y[max(0, row - n + 1) : row + 1, k] = np.nan
-            states[asked] = self.filtered(replace(data, y=y), values, noise, index, states=True).states[asked]
+            run = self.run(values, noise, index, states=True, data=replace(data, y=y))
+            states[requested] = run.states[requested]
         return replace(filtered, states=states)
 
     def innovations(self, values: Mapping[str, float], noise: Noise, index: int) -> tuple[Array, Array]:

@@ -33,8 +33,7 @@ class Readings:
     @cached_property
     def places(self) -> Rows:
         """Return the flat indices of scored readings."""
-        places: Rows = np.flatnonzero(self.scored)
-        return places
+        return np.flatnonzero(self.scored)
 
     @cached_property
     def rows(self) -> Rows:
@@ -57,12 +56,11 @@ def readings_of(y: Array, unscored: int) -> Readings:
     """Return the readings of a log without scores in the first rows."""
     scored = np.isfinite(y)
     scored[:unscored] = False
-    columns = list(y.T)
     return Readings(
         scored,
-        np.column_stack([_slopes(column) for column in columns]) if columns else np.zeros_like(y),
-        np.array([_resolution(column) for column in columns]),
-        np.array([float(np.nanstd(c)) if np.isfinite(c).any() else 0.0 for c in columns]),
+        np.column_stack([_slopes(column) for column in y.T]),
+        np.array([_resolution(column) for column in y.T]),
+        np.array([float(np.nanstd(c)) if np.isfinite(c).any() else 0.0 for c in y.T]),
     )
 
 

@@ -67,30 +67,33 @@ class ScoreTest:
         self.values = {**problem.values, **at.values}
         self.noise = at.noise
         self.scored = problem.scored(self.values, self.noise)
-        priors = [f for f in at.free if f.prior]
-        self.held = {f.name: k for k, f in enumerate(priors)}
-        self.sigma = np.array([f.prior[1] for f in priors if f.prior]) / np.sqrt(problem.scatter)
+        priors = {f.name: f.prior for f in at.free if f.prior}
+        self.priors = {name: k for k, name in enumerate(priors)}
+        self.sigma = np.array([sigma for _, sigma in priors.values()]) / np.sqrt(problem.scatter)
         e, s = self.scored.errors, self.scored.variances
-        off = np.array([self.values[f.name] - f.prior[0] for f in priors if f.prior])
-        residual = np.concatenate([e / np.sqrt(s), (1.0 - e * e / s) / np.sqrt(2), off / self.sigma])
+        offsets = np.array([self.values[name] - mean for name, (mean, _) in priors.items()])
+        residual = np.concatenate([e / np.sqrt(s), (1.0 - e * e / s) / np.sqrt(2), offsets / self.sigma])
         on_trial = {name for c in parts for name in c.parameters}
         moves: list[tuple[dict[str, float], Noise | None, float]] = [
             ({f.name: DIFFERENCE * f.size}, None, DIFFERENCE) for f in at.free if f.name not in on_trial
         ]
         moves += [({}, self._noisier(k), NOISE_DIFFERENCE) for k in problem.limits.free]
-        known = in_parallel(lambda move: self._row(move[0], move[1]) / move[2], moves)
-        self.basis = orthonormal(np.array(known).reshape(len(moves), residual.size).T)
-        self.residual = residual - self.basis @ (self.basis.T @ residual)
+        rows = in_parallel(lambda move: self._row(move[0], move[1]) / move[2], moves)
+        self.basis = orthonormal(np.array(rows).reshape(len(moves), residual.size).T)
+        self.residual = self._project(residual)
 
     def _noisier(self, place: int) -> Noise:
         vector = self.noise.vector
         vector[place] += NOISE_DIFFERENCE
         return self.noise.like(vector)
 
+    def _project(self, row: Array) -> Array:
+        """Return the part of a row orthogonal to the rows of the free parameters."""
+        return row - self.basis @ (self.basis.T @ row)
+
     def row(self, steps: Mapping[str, float]) -> Array:
         """Return the projected change for finite parameter steps."""
-        row = self._row(steps)
-        return row - self.basis @ (self.basis.T @ row)
+        return self._project(self._row(steps))
 
     def gain_without(self, rows: Sequence[Array], part: int) -> float:
         """Return the joint gain of terms on all logs but one, or without a half of a single log."""
@@ -104,19 +107,18 @@ class ScoreTest:
     def gain(self, rows: Sequence[Array]) -> tuple[float, Array]:
         """Return joint gain and optimal multiples of terms."""
         detected = np.array([r if r @ r > NOTHING * (self.residual @ self.residual) else 0.0 * r for r in rows])
-        taken = -least_squares(detected.T, self.residual, rcond=1e-8)
-        fitted = detected.T @ taken
-        return 0.5 * float(fitted @ fitted), taken
+        multiples = -least_squares(detected.T, self.residual, rcond=1e-8)
+        fitted = detected.T @ multiples
+        return 0.5 * float(fitted @ fitted), multiples
 
     def terms(self, c: Candidate) -> Terms:
         """Return a candidate's terms at the fit, or at neutral towards the usual size."""
-        if c.kind == "parameter" and c.parameters[0] in self.held:
-            return self._loosened(c)
+        if c.kind == "parameter" and c.parameters[0] in self.priors:
+            return self._terms_without_prior(c)
         at_neutral = all(f.neutral is None or self.values[f.name] == f.neutral for f in c.free)
-        apart = {n: c.starts[0][n] - self.values[n] for n in c.parameters}
-        away = {n: d for n, d in apart.items() if d}
-        if away and at_neutral and c.kind != "parameter":
-            return self._toward_usual_size(c, away)
+        distances = {n: d for n in c.parameters if (d := c.starts[0][n] - self.values[n])}
+        if distances and at_neutral and c.kind != "parameter":
+            return self._toward_usual_size(c, distances)
         return self._away_from_fit(c, SHARE if at_neutral else DIFFERENCE)
 
     def _away_from_fit(self, c: Candidate, share: float) -> Terms:
@@ -129,13 +131,13 @@ class ScoreTest:
             steps.append({f.name: SHARE / share * step})
         return self._make_terms(c, rows, steps)
 
-    def _toward_usual_size(self, c: Candidate, away: Mapping[str, float]) -> Terms:
+    def _toward_usual_size(self, c: Candidate, distances: Mapping[str, float]) -> Terms:
         """Return a candidate's terms from neutral towards the usual size, joint and single."""
-        steps = [{n: SHARE * d for n, d in away.items()}]
-        if len(away) > 1:
-            steps += [{n: SHARE * d} for n, d in away.items()]
+        steps = [{n: SHARE * d for n, d in distances.items()}]
+        if len(distances) > 1:
+            steps += [{n: SHARE * d} for n, d in distances.items()]
         rows = [self.row(s) for s in steps]
-        jump = self.row({n: TINY * d for n, d in away.items()})
+        jump = self.row({n: TINY * d for n, d in distances.items()})
         switched = float(jump @ jump) > max(DETECTED, JUMP * float(rows[0] @ rows[0]))
         return self._make_terms(c, rows, steps, switched)
 
@@ -143,27 +145,24 @@ class ScoreTest:
         self, c: Candidate, rows: Sequence[Array], steps: Sequence[Mapping[str, float]], switched: bool = False
     ) -> Terms:
         """Return terms with detectability in the innovations."""
-        read = [r[: len(self.scored.errors)] for r in rows]
-        identifiable = max((float(r @ r) for r in read), default=0.0) / SHARE**2
+        innovations = [r[: len(self.scored.errors)] for r in rows]
+        identifiable = max((float(r @ r) for r in innovations), default=0.0) / SHARE**2
         return Terms(c, np.array(rows), tuple(steps), identifiable, switched)
 
-    def _loosened(self, c: Candidate) -> Terms:
+    def _terms_without_prior(self, c: Candidate) -> Terms:
         """Return the terms of a base parameter on trial, which loses its prior."""
         (name,) = c.parameters
         row = np.zeros(self.residual.size)
-        row[len(row) - len(self.held) + self.held[name]] = 1.0
-        row -= self.basis @ (self.basis.T @ row)
-        return Terms(c, row[None, :], ({name: 0.0},), np.inf)
+        row[len(row) - len(self.priors) + self.priors[name]] = 1.0
+        return Terms(c, self._project(row)[None, :], ({name: 0.0},), np.inf)
 
     def _row(self, steps: Mapping[str, float], noise: Noise | None = None) -> Array:
         moved = {**self.values, **{name: self.values[name] + d for name, d in steps.items()}}
         other = self.problem.scored(moved, noise or self.noise)
         e, s = self.scored.errors, self.scored.variances
-        held = np.zeros(len(self.held))
-        for name in steps.keys() & self.held.keys():
-            held[self.held[name]] = steps[name] / self.sigma[self.held[name]]
+        offsets = np.array([steps.get(name, 0.0) for name in self.priors]) / self.sigma
         with np.errstate(invalid="ignore", over="ignore"):
-            row = np.concatenate([(other.errors - e) / np.sqrt(s), np.log(other.variances / s) / np.sqrt(2), held])
+            row = np.concatenate([(other.errors - e) / np.sqrt(s), np.log(other.variances / s) / np.sqrt(2), offsets])
         return np.asarray(np.nan_to_num(row, posinf=0.0, neginf=0.0))
 
 
@@ -171,16 +170,16 @@ class Choice:
     """Predicted gain of any set of candidates at a fit, from the inner products of their terms.
 
     Attributes:
-        standing: Parts of the fit by name.
+        parts: Parts of the fit by name.
         neutral: Values without any candidate.
     """
 
     def __init__(
-        self, test: ScoreTest, every: Iterable[Terms], standing: Sequence[Candidate], neutral: Mapping[str, float]
+        self, test: ScoreTest, every: Iterable[Terms], parts: Sequence[Candidate], neutral: Mapping[str, float]
     ) -> None:
         self.test, self.neutral = test, neutral
         self.terms = {t.candidate.name: t for t in every if len(t.rows)}
-        self.standing = {c.name: c for c in standing}
+        self.parts = {c.name: c for c in parts}
         edges = accumulate((len(t.rows) for t in self.terms.values()), initial=0)
         self.places = {name: range(*ends) for name, ends in zip(self.terms, pairwise(edges), strict=True)}
         rows = np.vstack([t.rows for t in self.terms.values()]) if self.terms else np.zeros((0, test.residual.size))
@@ -192,8 +191,7 @@ class Choice:
 
         The gain is negative for a set without the fit's parts. An estimate beyond a limit counts as invalid.
         """
-        gone = [name for name in self.standing if name not in names]
-        back = self._back(gone)
+        back = self._steps_to_neutral([name for name in self.parts if name not in names])
         places = [k for name in names for k in self.places[name]]
         # r without the removed parts: r + R·back
         against = self.against + self.products @ back
@@ -201,29 +199,29 @@ class Choice:
         G, b = self.products[np.ix_(places, places)], against[places]
         scale = np.sqrt(np.diag(G).clip(min=1e-300))
         scaled = least_squares(G / np.outer(scale, scale), -b / scale, rcond=1e-8) / scale
-        left = square + 2.0 * float(b @ scaled) + float(scaled @ G @ scaled)
-        taken = dict(zip(places, scaled.tolist(), strict=True))
+        remaining = square + 2.0 * float(b @ scaled) + float(scaled @ G @ scaled)
+        multiples = dict(zip(places, scaled.tolist(), strict=True))
         sigma = np.sqrt(np.diag(pseudo_inverse(G / np.outer(scale, scale))).clip(min=0.0)) / scale
         spread = dict(zip(places, sigma.tolist(), strict=True))
-        values, within = self._values(names, taken, spread)
-        return Promise(0.5 * (self.square - left), values, within)
+        values, within = self._values(names, multiples, spread)
+        return Promise(0.5 * (self.square - remaining), values, within)
 
-    def beside(self, names: Sequence[str]) -> dict[str, Promise]:
+    def extensions(self, names: Sequence[str]) -> dict[str, Promise]:
         """Return the prediction with each other candidate added."""
         promises = {n: self.promise([*names, n]) for n in self.terms if n not in names}
         return dict(sorted(promises.items(), key=lambda item: -item[1].gain))
 
-    def _back(self, gone: Sequence[str]) -> Array:
+    def _steps_to_neutral(self, names: Sequence[str]) -> Array:
         """Return the steps from fitted values to neutral."""
         back = np.zeros(len(self.against))
-        for name in gone:
+        for name in names:
             for k, step in zip(self.places[name], self.terms[name].steps, strict=True):
                 ((parameter, size),) = step.items()
                 back[k] = (self.neutral[parameter] - self.test.values[parameter]) / size
         return back
 
     def _values(
-        self, names: Sequence[str], taken: Mapping[int, float], spread: Mapping[int, float]
+        self, names: Sequence[str], multiples: Mapping[int, float], spread: Mapping[int, float]
     ) -> tuple[dict[str, float], bool]:
         values: dict[str, float] = {}
         within = True
@@ -233,13 +231,13 @@ class Choice:
             sigma = dict.fromkeys(estimates, 0.0)
             for k, step in zip(self.places[name], terms.steps, strict=True):
                 for parameter, size in step.items():
-                    estimates[parameter] += taken[k] * size
+                    estimates[parameter] += multiples[k] * size
                     sigma[parameter] += spread[k] * abs(size)
             for f in terms.candidate.free:
                 slack = BEYOND * sigma[f.name]
                 low = max(f.low, estimates.get(f.above, f.low))
-                there = f.neutral is None or low - slack <= estimates[f.name] <= f.high + slack
+                is_valid = f.neutral is None or low - slack <= estimates[f.name] <= f.high + slack
                 # An effect of the model may be removed completely; a larger removal stops at zero.
-                within = within and (there or self.neutral[f.name] != f.neutral)
+                within = within and (is_valid or self.neutral[f.name] != f.neutral)
                 values[f.name] = float(np.clip(estimates[f.name], low, f.high))
         return values, within

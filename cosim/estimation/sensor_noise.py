@@ -8,7 +8,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from cosim.base.arrays import Array, Flags
-from cosim.base.text import plain
+from cosim.base.messages import Message
+from cosim.base.text import listed, plain
+from cosim.estimation import messages
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.posing import own_run
@@ -31,18 +33,18 @@ def sensor_noise(problem: Problem) -> dict[str, float]:
     levels = {}
     runs = [own_run(problem, index).outputs for index in range(len(problem.logs))]
     if problem.table:  # A table has no neighbours, so the first guess is the residual of the given model.
-        left = np.vstack([log.y - run for log, run in zip(problem.logs, runs, strict=True)])
-        return dict(zip(problem.layout.outputs, np.sqrt(np.nanmean(left**2, axis=0)).tolist(), strict=True))
+        residuals = np.vstack([log.y - run for log, run in zip(problem.logs, runs, strict=True)])
+        return dict(zip(problem.layout.outputs, np.sqrt(np.nanmean(residuals**2, axis=0)).tolist(), strict=True))
     for j, name in enumerate(problem.layout.outputs):
         columns = [log.y[:, j] for log in problem.logs]
-        alike = [np.where(np.isfinite(y), run[:, j], np.nan) for y, run in zip(columns, runs, strict=True)]
-        measured, motion = (white_noise(np.concatenate([surprise(y) for y in each])) for each in (columns, alike))
+        simulated = [np.where(np.isfinite(y), run[:, j], np.nan) for y, run in zip(columns, runs, strict=True)]
+        measured, motion = (white_noise(np.concatenate([surprise(y) for y in each])) for each in (columns, simulated))
         if motion < SMOOTH * measured:
             levels[name] = math.sqrt(measured**2 - motion**2)
     return levels
 
 
-def stamps_err(problem: Problem, at: Fit) -> Flags:
+def erring_stamps(problem: Problem, at: Fit) -> Flags:
     """Return outputs whose time stamps seem to err.
 
     Innovations then grow with the rate of change. Rao's score test of a variance τ²·ẏ² at τ = 0:
@@ -60,35 +62,29 @@ def stamps_err(problem: Problem, at: Fit) -> Flags:
         scores += 0.5 * np.sum(share * spread, axis=0)
         information += 0.5 * np.sum(share**2, axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
-        found: Flags = (scores / np.sqrt(information) > STAMPS_ERR) & ~np.isfinite(at.noise.timing) & problem.adjusted
-    return found
+        is_significant = scores / np.sqrt(information) > STAMPS_ERR
+    return np.asarray(is_significant & ~np.isfinite(at.noise.timing) & problem.adjusted)
 
 
-def noise_warnings(problem: Problem, found: Noise, subject: Subject) -> tuple[str, ...]:
+def noise_warnings(problem: Problem, noise: Noise, subject: Subject) -> tuple[Message, ...]:
     """Return warnings about noise different from the stated noise, or not stated."""
-    names, units = problem.layout.outputs, {q.name: q.unit for q in subject.outputs}
-    known = dict(zip(names, np.sqrt(problem.r).tolist(), strict=True))
-    levels = zip(names, np.exp(0.5 * found.sensors).tolist(), problem.adjusted, strict=True)
-    estimated = {name: level for name, level, adjusted in levels if adjusted}
-    unknown = {n: level for n, level in estimated.items() if n not in subject.sensor_variance}
-    stated = {n: level for n, level in estimated.items() if n not in unknown}
-    off = {n: level for n, level in stated.items() if not known[n] / OFF <= level <= OFF * known[n]}
+    stated, units = np.sqrt(problem.r).tolist(), {q.name: q.unit for q in subject.outputs}
+    levels = zip(problem.layout.outputs, np.exp(0.5 * noise.sensors).tolist(), stated, problem.adjusted, strict=True)
+    different, unstated, comparisons = {}, {}, []
+    for name, level, expected, adjusted in levels:
+        if not adjusted:
+            continue
+        if name not in subject.sensor_variance:
+            unstated[name] = level
+        elif not expected / OFF <= level <= OFF * expected:
+            different[name] = level
+            comparisons.append(f"{name} {plain(level, 2)}, not {plain(expected, 2)} {units[name]}")
     warnings = []
-    if off:
-        warnings.append(
-            f"the noise in the logs is not the model's ({_beside(off, known, units)}); "
-            f"that of the logs is used, as {_line(off)} in the study would say"
-        )
-    if unknown:
-        warnings.append(
-            f"how much noise {' and '.join(unknown)} has, the model does not say (sensor_variance); "
-            f"the logs say {_line(unknown)}, unless the study says another"
-        )
+    if different:
+        warnings.append(messages.DIFFERENT_NOISE(levels="; ".join(comparisons), line=_line(different)))
+    if unstated:
+        warnings.append(messages.UNSTATED_NOISE(outputs=listed([*unstated]), line=_line(unstated)))
     return tuple(warnings)
-
-
-def _beside(levels: Mapping[str, float], known: Mapping[str, float], units: Mapping[str, str]) -> str:
-    return "; ".join(f"{n} {plain(v, 2)}, not {plain(known[n], 2)} {units[n]}" for n, v in levels.items())
 
 
 def _line(levels: Mapping[str, float]) -> str:
@@ -100,10 +96,10 @@ def at_rest(problem: Problem) -> bool:
     if problem.table:
         return not np.ptp(np.vstack([log.u for log in problem.logs]), axis=0).any()
     return all(
-        not np.ptp(log.u, axis=0).any() and all(_noise_alone(column[np.isfinite(column)]) for column in log.y.T)
+        not np.ptp(log.u, axis=0).any() and all(_is_noise(column[np.isfinite(column)]) for column in log.y.T)
         for log in problem.logs
     )
 
 
-def _noise_alone(values: Array) -> bool:
+def _is_noise(values: Array) -> bool:
     return values.size == 0 or float(np.std(values)) <= REST * noise_level(values)

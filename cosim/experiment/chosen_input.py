@@ -7,14 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cosim.base.messages import Message
 from cosim.base.text import counted
+from cosim.experiment import messages
 from cosim.experiment.question import Question
 from cosim.experiment.rigs import Rig, Trial
 from cosim.experiment.separation import Pair
 
-SEPARATED = 3.0  # standard deviations between rivals from which a log decides
-CURE = "try a wider --limit, a longer --duration or more outputs --measured"
-LISTED = 5  # pairs listed before the rest is counted
+MIN_SEPARATION = 3.0  # standard deviations between rivals from which a log decides
+MAX_LISTED_PAIRS = 5  # pairs listed before the rest is counted
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,7 @@ class Excitation:
 
     Attributes:
         apart, usual: Distance of each pair for this and for the usual input [standard deviations].
-        usually: Trial with the usual input.
+        usual_trial: Trial with the usual input.
     """
 
     question: Question
@@ -32,19 +33,22 @@ class Excitation:
     rivals: Mapping[str, Trial]
     apart: Mapping[Pair, float]
     usual: Mapping[Pair, float]
-    usually: Trial
+    usual_trial: Trial
 
     @property
     def score(self) -> tuple[int, float]:
         """Return the merit, reduced by the rivals' excess over the limits."""
-        return merit_of(self.apart, max([1.0, *(f.beyond(self.question.limits) for f in self.rivals.values())]))
+        return merit_of(self.apart, max([1.0, *(trial.excess(self.question.limits) for trial in self.rivals.values())]))
 
     @property
     def headline(self) -> str:
         """Return the number of separated pairs and the hardest pair."""
-        count, pairs = sum(distance >= SEPARATED for distance in self.apart.values()), counted(len(self.apart), "pair")
+        count, pairs = (
+            sum(distance >= MIN_SEPARATION for distance in self.apart.values()),
+            counted(len(self.apart), "pair"),
+        )
         hardest = self.hardest_first[0]
-        least = f"{self.apart[hardest]:.1f} standard deviations apart, {SEPARATED:g} are needed"
+        least = f"{self.apart[hardest]:.1f} standard deviations apart, {MIN_SEPARATION:g} are needed"
         return f"The input separates {count} of {pairs} of rivals; {hardest[0]} and {hardest[1]} are {least}."
 
     @property
@@ -59,38 +63,29 @@ class Excitation:
     def sentences(self) -> list[str]:
         """Return distances, hardest first, and excursions of model and rivals."""
         lines = self.distances
-        if len(lines) > LISTED + 1:
-            least = self.apart[self.hardest_first[LISTED]]
-            rest = counted(len(lines) - LISTED, "more pair")
-            lines[LISTED:] = [f"and {rest}, {least:.1f} standard deviations apart at least"]
+        if len(lines) > MAX_LISTED_PAIRS + 1:
+            least = self.apart[self.hardest_first[MAX_LISTED_PAIRS]]
+            rest = counted(len(lines) - MAX_LISTED_PAIRS, "more pair")
+            lines[MAX_LISTED_PAIRS:] = [f"and {rest}, {least:.1f} standard deviations apart at least"]
         lines.append(f"excursion: {self._ranges(self.trial)}")
         for name, trial in self.rivals.items():
-            if trial.beyond(self.question.limits) > 1.0:
+            if trial.excess(self.question.limits) > 1.0:
                 lines.append(f"beyond its limits if {name} is true: {self._ranges(trial)}")
         return lines
 
     @property
-    def warning(self) -> str:
-        """Return a warning about inseparable pairs and a better input beyond the limits."""
-        return "; ".join(filter(None, (self._inseparable, self._surpassed)))
-
-    @property
-    def _surpassed(self) -> str:
-        """Return a note on a better usual input beyond the limits."""
-        beyond = self.usually.beyond(self.question.limits)
-        if not 1.0 < beyond < np.inf or merit_of(self.usual) <= merit_of(self.apart):
-            return ""
-        (count, least), pairs = merit_of(self.usual), counted(len(self.apart), "pair")
-        what = f"{count} of {pairs}, the nearest {least:.1f} standard deviations apart"
-        return f"{self.rig.usual} separates better ({what}) but goes {beyond:.1f} times as far as --limit allows"
-
-    @property
-    def _inseparable(self) -> str:
-        if not (left := [pair for pair in self.hardest_first if self.apart[pair] < SEPARATED]):
-            return ""
-        named = [f"{a} from {b}" for a, b in left[:LISTED]] + ([f"{len(left) - LISTED} more"] if left[LISTED:] else [])
-        what = f"the best input found does not tell {', '.join(named)}"
-        return f"{what} (less than {SEPARATED:g} standard deviations apart); {CURE}"
+    def warnings(self) -> list[Message]:
+        """Return warnings about inseparable pairs and about a better usual input beyond the limits."""
+        warnings = []
+        if pairs := [f"{a} from {b}" for a, b in self.hardest_first if self.apart[a, b] < MIN_SEPARATION]:
+            pairs[MAX_LISTED_PAIRS:] = [f"{len(pairs) - MAX_LISTED_PAIRS} more"] if pairs[MAX_LISTED_PAIRS:] else []
+            warnings.append(messages.INSEPARABLE_RIVALS(pairs=", ".join(pairs), needed=MIN_SEPARATION))
+        excess, (count, least) = self.usual_trial.excess(self.question.limits), merit_of(self.usual)
+        if 1.0 < excess < np.inf and (count, least) > merit_of(self.apart):
+            text = messages.USUAL_INPUT_IS_BETTER
+            every = counted(len(self.apart), "pair")
+            warnings.append(text(usual=self.rig.usual, count=count, pairs=every, distance=least, excess=excess))
+        return warnings
 
     @property
     def hardest_first(self) -> list[Pair]:
@@ -98,18 +93,16 @@ class Excitation:
         return sorted(self.apart, key=lambda pair: self.apart[pair])
 
     def _ranges(self, trial: Trial) -> str:
-        model = self.question.loaded.model
-        units = {q.name: q.unit for q in model.outputs}
-        shown = [n for n in units if n in self.question.limits] or list(self.question.measured)
-        ranges = ((n, *trial.excursion(n)) for n in shown)
-        return ", ".join(f"{n} {low:.3g} to {high:.3g} {units[n]}" for n, low, high in ranges)
+        units = {q.name: q.unit for q in self.question.loaded.model.outputs}
+        names = [n for n in units if n in self.question.limits] or self.question.measured
+        return ", ".join(f"{n} {trial.outputs[n].min():.3g} to {trial.outputs[n].max():.3g} {units[n]}" for n in names)
 
 
-def merit_of(apart: Mapping[Pair, float], beyond: float = 1.0) -> tuple[int, float]:
+def merit_of(apart: Mapping[Pair, float], excess: float = 1.0) -> tuple[int, float]:
     """Return the number of separated pairs and the smallest of their distances.
 
     Without separated pairs, the largest distance counts.
     """
-    distances = [distance / beyond for distance in apart.values()]
-    separated = [distance for distance in distances if distance >= SEPARATED]
+    distances = [distance / excess for distance in apart.values()]
+    separated = [distance for distance in distances if distance >= MIN_SEPARATION]
     return len(separated), min(separated, default=max(distances))

@@ -11,21 +11,21 @@ from cosim.base.arrays import Array
 from cosim.experiment.rigs import Axis
 
 TONES = 12
-MOST_PARTS = 6  # parts of a trial in which an axis moves or rests
-MOVES = 0.75  # probability that an axis moves in a part
-SHARE = (0.3, 1.0)  # share of an axis' amplitude
+MAX_PARTS = 6  # parts of a trial in which an axis moves or rests
+MOVE_PROBABILITY = 0.75  # probability that an axis moves in a part
+AMPLITUDE_SHARE = (0.3, 1.0)  # share of an axis' amplitude
 KINDS = ("multisine", "chirp", "steps", "ramps")
 
 
 def draw_signals(rng: np.random.Generator, axes: Sequence[Axis], time: Array) -> dict[str, Array]:
     """Return random signals of one experiment for all axes."""
-    parts = int(rng.integers(1, MOST_PARTS + 1))
+    parts = int(rng.integers(1, MAX_PARTS + 1))
     part = np.minimum((time / time[-1] * parts).astype(int), parts - 1)
     signals = {}
     for axis in axes:
         kind = str(rng.choice(KINDS))
-        size = axis.amplitude * rng.uniform(*SHARE)
-        moves = rng.random(parts) < MOVES
+        size = axis.amplitude * rng.uniform(*AMPLITUDE_SHARE)
+        moves = rng.random(parts) < MOVE_PROBABILITY
         signals[axis.name] = size * _wave(rng, kind, axis, time) * moves[part]
     return signals
 

@@ -15,10 +15,11 @@ import numpy as np
 
 from cosim.base import registry
 from cosim.base.arrays import Array
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import InputError
 from cosim.base.settings import Count, ModelName, PositiveSeconds, Seed
 from cosim.estimation.posing import build_problem
-from cosim.experiment.chosen_input import CURE, Excitation, merit_of
+from cosim.experiment import messages
+from cosim.experiment.chosen_input import Excitation, merit_of
 from cosim.experiment.excitation import draw_signals
 from cosim.experiment.question import Question, ask, refinement_folder
 from cosim.experiment.rigs import OpenLoop, Rig, Trial
@@ -32,9 +33,11 @@ from cosim.subject.model_subject import ModelSubject
 
 EXPERIMENTS = 48
 DURATION, SHORTEST, LONGEST = 40.0, 5.0, 600.0  # [s] for a model with a step of 50 ms or less
-FEW = 4  # rivals up to which each is simulated for every preferred experiment; more are simulated at the end
-SLACK = 0.95  # share of the allowed excursion for a second attempt
-UNSEEN = 1.0  # standard deviations below which noise hides the difference
+MAX_RIVALS_PER_TRIAL = (
+    4  # rivals up to which each is simulated for every preferred experiment; more are simulated at the end
+)
+EXCURSION_SHARE = 0.95  # share of the allowed excursion for a second attempt
+MIN_DISTANCE = 1.0  # standard deviations below which noise hides the difference
 REPORT = "report.html"
 Progress = Callable[[str, float], None]
 
@@ -86,98 +89,98 @@ def excite(
     model = question.loaded.model
     time = _times(text, model.rate, duration)
     rig: Rig = registry.rig_of(type(model), OpenLoop)(model, question.limits, question.ranges, float(time[-1]))
-    written = ("excitation.csv", "excitation.yaml", "plant.fmu", REPORT, *rig.files)
+    files = ("excitation.csv", "excitation.yaml", "plant.fmu", REPORT, *rig.files)
     check_left(folder, "cosim excite", force=force, keep=keep)
-    check_writable(folder, written, [found_in / "plant.fmu"] if (found_in := refinement_folder(text)) else [])
-    found = _choose(question, rig, time, seed, experiments, show_stage)
-    if found is None:
-        message = f"none of {experiments} experiments stays within the limits; widen --limit or shorten --duration"
-        raise InputError([Fault(Path(text), 0, 0, message)])
-    if max(found.apart.values()) < UNSEEN:
-        message = f"none of {experiments} experiments drives any two rivals a standard deviation apart; {CURE}"
-        raise InputError([Fault(Path(text), 0, 0, message)])
+    check_writable(folder, files, [source / "plant.fmu"] if (source := refinement_folder(text)) else [])
+    excitation = _choose(question, rig, time, seed, experiments, show_stage)
+    if excitation is None:
+        raise InputError.at(Path(text), messages.NONE_WITHIN_LIMITS(count=experiments))
+    if max(excitation.apart.values()) < MIN_DISTANCE:
+        raise InputError.at(Path(text), messages.NONE_SEPARATES(count=experiments))
     show_stage("building the FMUs", 0.0)
     if keep:
         keep_earlier(folder, "cosim excite", rig.files)
-    _write(folder, found, seed)
+    _write(folder, excitation, seed)
     (folder / REPORT).unlink(missing_ok=True)
     if report:
         from cosim.experiment.report import page
 
-        write_text(folder / REPORT, page(found, folder / "excitation.yaml"))
-    return found
+        write_text(folder / REPORT, page(excitation, folder / "excitation.yaml"))
+    return excitation
 
 
 def _times(text: str, step: float, duration: float | None) -> Array:
     """Return the rows of an experiment; slow models need longer ones."""
-    slow = slowness(step)
-    lasts = DURATION * slow if duration is None else duration
-    if not SHORTEST * slow <= lasts <= LONGEST * slow:
-        between = f"between {SHORTEST * slow:g} and {LONGEST * slow:g} s for a step of {step:g} s"
-        raise InputError([Fault(Path(text), 0, 0, f"--duration {lasts:g}: an experiment lasts {between}")])
-    rows: Array = step * np.arange(round(lasts / step) + 1, dtype=np.float64)
-    return rows
+    default, shortest, longest = (slowness(step) * seconds for seconds in (DURATION, SHORTEST, LONGEST))
+    duration = default if duration is None else duration
+    if not shortest <= duration <= longest:
+        limits = {"shortest": shortest, "longest": longest, "step": step}
+        raise InputError.at(Path(text), messages.DURATION_OUT_OF_RANGE(duration=duration, **limits))
+    return step * np.arange(round(duration / step) + 1, dtype=np.float64)
 
 
 def _choose(question: Question, rig: Rig, time: Array, seed: int, count: int, report: Progress) -> Excitation | None:
     """Return the best of `count` experiments, None if all exceed the limits."""
     model, subject = question.loaded.model, ModelSubject(question.base)
-    usually = rig.play(model, rig.usual_signals(time))
-    log = usually.log(model, question.measured)
+    usual_trial = rig.play(model, rig.usual_signals(time))
+    log = usual_trial.log(model, question.measured)
     problem = build_problem(subject, [log], noise=question.noise)
     separation = Separation(subject, problem, question.rivals, question.pairs)
     usual = separation.of(log)
     best: Excitation | None = None
     for k in range(-1, count):  # the usual input first, so that a worse one is never preferred
         report("trying experiments", max(0, k) / count)
-        drawn = k >= 0 and draw_signals(np.random.default_rng([seed, k]), rig.axes, time)
-        trial = _within(question, rig, drawn) if drawn else usually
-        if trial is None or trial.beyond(question.limits) > 1.0:
+        trial, apart = usual_trial, usual
+        if k >= 0:
+            trial = _play(question, rig, draw_signals(np.random.default_rng([seed, k]), rig.axes, time))
+        if trial.excess(question.limits) > 1.0:
             continue
-        apart = separation.of(trial.log(model, question.measured)) if drawn else usual
+        if k >= 0:
+            apart = separation.of(trial.log(model, question.measured))
         if best is None or merit_of(apart) > best.score:
-            rivals = _rivals_played(question, rig, trial) if len(question.rivals) <= FEW else {}
-            other = Excitation(question, rig, trial, rivals, apart, usual, usually)
+            rivals = _play_rivals(question, rig, trial) if len(question.rivals) <= MAX_RIVALS_PER_TRIAL else {}
+            other = Excitation(question, rig, trial, rivals, apart, usual, usual_trial)
             best = other if best is None or other.score > best.score else best
-    return best and replace(best, rivals=_rivals_played(question, rig, best.trial))
+    return best and replace(best, rivals=_play_rivals(question, rig, best.trial))
 
 
-def _rivals_played(question: Question, rig: Rig, trial: Trial) -> dict[str, Trial]:
+def _play_rivals(question: Question, rig: Rig, trial: Trial) -> dict[str, Trial]:
     """Return trials of rivals with the same signals."""
     models = {r.name: question.model_if(r) for r in question.rivals}
     return {name: rig.play(m, trial.signals) for name, m in models.items() if m != question.loaded.model}
 
 
-def _within(question: Question, rig: Rig, signals: Mapping[str, Array]) -> Trial | None:
-    """Return a trial within the limits, scaled down once if necessary, or None."""
+def _play(question: Question, rig: Rig, signals: Mapping[str, Array]) -> Trial:
+    """Return a trial, scaled down once if the first one exceeds the limits."""
     trial = rig.play(question.loaded.model, signals)
-    if (beyond := trial.beyond(question.limits)) <= 1.0:
+    if (excess := trial.excess(question.limits)) <= 1.0:
         return trial
-    smaller = {name: signal * SLACK / beyond for name, signal in signals.items()}
-    trial = rig.play(question.loaded.model, smaller)
-    return trial if trial.beyond(question.limits) <= 1.0 else None
+    return rig.play(
+        question.loaded.model, {name: signal * EXCURSION_SHARE / excess for name, signal in signals.items()}
+    )
 
 
 # -- files --------------------------------------------------------------------------------------
 
 
-def _write(folder: Path, found: Excitation, seed: int) -> None:
+def _write(folder: Path, excitation: Excitation, seed: int) -> None:
     """Write excitation.csv, excitation.yaml and the FMUs."""
     from cosim.fmi.fmu_build import build
 
-    trial, model = found.trial, found.question.loaded.model
-    write_columns(folder / "excitation.csv", trial.time, trial.inputs, {q.name: q.unit for q in model.inputs})
-    build(found.question.loaded.recipe(), folder / "plant.fmu")
-    found.rig.write(folder, trial)
-    write_text(folder / "excitation.yaml", "\n".join(_scenario(found, seed)) + "\n")
+    trial, loaded = excitation.trial, excitation.question.loaded
+    write_columns(folder / "excitation.csv", trial.time, trial.inputs, {q.name: q.unit for q in loaded.model.inputs})
+    build(loaded.recipe(), folder / "plant.fmu")
+    excitation.rig.write(folder, trial)
+    write_text(folder / "excitation.yaml", "\n".join(_scenario(excitation, seed)) + "\n")
 
 
-def _scenario(found: Excitation, seed: int) -> Iterator[str]:
+def _scenario(excitation: Excitation, seed: int) -> Iterator[str]:
     """Yield the lines of the scenario."""
-    trial, model, rig = found.trial, found.question.loaded.model, found.rig
+    trial, question, rig = excitation.trial, excitation.question, excitation.rig
+    model = question.loaded.model
     yield "name: excitation"
-    yield f'description: "To separate {", ".join(r.name for r in found.question.rivals)}."'
-    yield from (f"# {line}" for line in found.distances)
+    yield f'description: "To separate {", ".join(r.name for r in question.rivals)}."'
+    yield from (f"# {line}" for line in excitation.distances)
     yield f"duration: {trial.time[-1]:.9g}"
     yield f"step: {model.rate:.9g}"
     yield f"seed: {seed}"
@@ -188,5 +191,5 @@ def _scenario(found: Excitation, seed: int) -> Iterator[str]:
     yield from rig.components()
     yield ""
     yield "connections:"
-    stated = {name: sigma**2 for name, sigma in found.question.noise.items()}
-    yield from rig.connections(model, trial, {**model.sensor_variance, **stated})
+    variances = {name: sigma**2 for name, sigma in question.noise.items()}
+    yield from rig.connections(model, trial, {**model.sensor_variance, **variances})

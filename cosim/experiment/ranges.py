@@ -6,7 +6,11 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 
+import numpy as np
+
+from cosim.base.messages import Message
 from cosim.base.units import NUMBER, conversion
+from cosim.experiment import messages
 from cosim.experiment.rigs import Ranges
 from cosim.logs.log import Log
 from cosim.model.model import Model
@@ -19,20 +23,17 @@ RANGE = re.compile(rf"(?P<name>[^=]+)=\s*(?P<low>{NUMBER})\s*\.\.\s*(?P<high>{NU
 
 def inputs_to_limit(model: Model | Subject) -> tuple[str, ...]:
     """Return inputs without a declared limit."""
-    return tuple(q.name for q in model.inputs if q.name not in model.excursion and not _whole(q.bounds))
+    return tuple(q.name for q in model.inputs if q.name not in model.excursion and not _is_bounded(q.bounds))
 
 
-def seen_in(logs: Sequence[Log]) -> dict[str, tuple[float, float]]:
+def logged_ranges(logs: Sequence[Log]) -> dict[str, tuple[float, float]]:
     """Return input → least and largest command in some logs."""
-    names = logs[0].inputs if logs else ()
-    return {
-        n: (min(float(log.inputs[n].min()) for log in logs), max(float(log.inputs[n].max()) for log in logs))
-        for n in names
-    }
+    commands = {n: np.concatenate([log.inputs[n] for log in logs]) for n in (logs[0].inputs if logs else ())}
+    return {name: (float(values.min()), float(values.max())) for name, values in commands.items()}
 
 
-def allowed(
-    model: Model, limits: Sequence[str], ranges: Sequence[str], seen: Ranges, faults: list[str]
+def limits_and_ranges(
+    model: Model, limits: Sequence[str], ranges: Sequence[str], logged: Ranges, faults: list[Message]
 ) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
     """Return the allowed excursions of signals and the ranges of inputs; extend `faults`.
 
@@ -40,67 +41,62 @@ def allowed(
     counts.
     """
     spans = {q.name: q.bounds for q in model.inputs}
-    faults += _narrowed(model, ranges, spans)
-    found, starts = _limits(model, limits, faults), dict(zip(spans, model.start_command(), strict=True))
+    faults += _narrow_ranges(model, ranges, spans)
+    reaches, starts = _limits(model, limits, faults), dict(zip(spans, model.start_command(), strict=True))
     for q in model.inputs:
-        if q.name in found:
+        if q.name in reaches:
             continue
-        low, high = _filled(spans[q.name], seen.get(q.name))
+        pairs = zip(spans[q.name], logged.get(q.name, spans[q.name]), strict=True)
+        low, high = (end if math.isfinite(end) else logged_end for end, logged_end in pairs)
         reach = max(high - starts[q.name], starts[q.name] - low)
         if math.isfinite(reach) and reach > 0.0:
-            spans[q.name], found[q.name] = (low, high), reach
+            spans[q.name], reaches[q.name] = (low, high), reach
         else:
-            how = f"Say --limit {q.name}=VALUE or --range {q.name}=MIN..MAX [{q.unit}]"
-            faults.append(f"how far from {q.start:g} may {q.name} go? {how}")
-    return found, {name: span for name, span in spans.items() if any(map(math.isfinite, span))}
+            faults.append(messages.NO_LIMIT(start=q.start, name=q.name, unit=q.unit))
+    return reaches, {name: span for name, span in spans.items() if any(map(math.isfinite, span))}
 
 
-def _limits(model: Model, given: Sequence[str], faults: list[str]) -> dict[str, float]:
+def _read_items(pattern: re.Pattern[str], texts: Sequence[str]) -> Iterator[tuple[str, str, re.Match[str] | None]]:
+    """Yield each text, the name in it, and its match, None for a text of another form."""
+    for text in texts:
+        yield text, text.partition("=")[0].strip(), pattern.fullmatch(text.strip())
+
+
+def _limits(model: Model, texts: Sequence[str], faults: list[Message]) -> dict[str, float]:
     """Return excursion limits: the model's, overridden by NAME=VALUE with unit."""
     units = {q.name: q.unit for q in (*model.outputs, *model.inputs)}
     limits = dict(model.excursion)
-    for item in given:
-        read = LIMIT.fullmatch(item.strip())
-        name = read["name"].strip() if read else item.partition("=")[0].strip()
+    for text, name, match in _read_items(LIMIT, texts):
         if name not in units:
-            faults.append(f'--limit {item}: no input or output "{name}"{did_you_mean(name, units)}')
-        elif (
-            read is None
-            or (by := conversion(read["unit"].strip(), units[name], difference=True)) is None
-            or not (size := by(float(read["number"]))) > 0
-        ):
-            faults.append(f"--limit {item}: say how far {name} may go, above 0 [{units[name]}], such as {name}=0.1")
-        else:
+            cure = did_you_mean(name, units)
+            faults.append(messages.LIMIT_OF_UNKNOWN_SIGNAL(text=text, name=name, cure=cure))
+            continue
+        convert = conversion(match["unit"].strip(), units[name], difference=True) if match else None
+        size = convert(float(match["number"])) if match and convert else math.nan
+        if size > 0:
             limits[name] = size
+        else:
+            faults.append(messages.LIMIT_NOT_A_DISTANCE(text=text, name=name, unit=units[name]))
     return limits
 
 
-def _narrowed(model: Model, given: Sequence[str], spans: dict[str, tuple[float, float]]) -> Iterator[str]:
+def _narrow_ranges(model: Model, texts: Sequence[str], spans: dict[str, tuple[float, float]]) -> Iterator[Message]:
     """Narrow declared ranges by NAME=MIN..MAX with unit, and yield faults."""
     units = {q.name: q.unit for q in model.inputs}
-    for item in given:
-        read = RANGE.fullmatch(item.strip())
-        name = read["name"].strip() if read else item.partition("=")[0].strip()
+    for text, name, match in _read_items(RANGE, texts):
         if name not in units:
-            yield f'--range {item}: no input "{name}"{did_you_mean(name, units)} (inputs: {", ".join(units)})'
+            cure, inputs = did_you_mean(name, units), ", ".join(units)
+            yield messages.RANGE_OF_UNKNOWN_INPUT(text=text, name=name, cure=cure, inputs=inputs)
             continue
-        by = conversion(read["unit"].strip(), units[name]) if read else None
-        asked = (by(float(read["low"])), by(float(read["high"]))) if read and by else (1.0, 0.0)
-        if not asked[0] < asked[1]:
-            yield f"--range {item}: say between what {name} stays, lower end first [{units[name]}], as {name}=0..10"
-            continue
-        low, high = max(asked[0], spans[name][0]), min(asked[1], spans[name][1])
-        if not low < high:
-            yield f"--range {item}: the model declares {spans[name][0]:g}..{spans[name][1]:g} {units[name]} of {name}"
+        convert, (low, high) = conversion(match["unit"].strip(), units[name]) if match else None, spans[name]
+        lower, upper = (convert(float(match[end])) if match and convert else math.nan for end in ("low", "high"))
+        if not lower < upper:
+            yield messages.RANGE_NOT_AN_INTERVAL(text=text, name=name, unit=units[name])
+        elif not max(lower, low) < min(upper, high):
+            yield messages.RANGE_OUTSIDE_BOUNDS(text=text, low=low, high=high, unit=units[name], name=name)
         else:
-            spans[name] = low, high
+            spans[name] = max(lower, low), min(upper, high)
 
 
-def _filled(span: tuple[float, float], seen: tuple[float, float] | None) -> tuple[float, float]:
-    """Return a range, completed from the logs."""
-    low, high = seen or (-math.inf, math.inf)
-    return (span[0] if math.isfinite(span[0]) else low), (span[1] if math.isfinite(span[1]) else high)
-
-
-def _whole(span: tuple[float, float]) -> bool:
+def _is_bounded(span: tuple[float, float]) -> bool:
     return all(map(math.isfinite, span))

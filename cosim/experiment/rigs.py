@@ -50,16 +50,13 @@ class Trial:
         outputs = {name: self.outputs[name] for name in measured}
         return Log(Path("trial.csv"), self.time, self.inputs, outputs, units, model.rate, units, {})
 
-    def excursion(self, name: str) -> tuple[float, float]:
-        """Return the least and largest value of an output."""
-        return float(np.min(self.outputs[name])), float(np.max(self.outputs[name]))
-
-    def beyond(self, limits: Mapping[str, float]) -> float:
+    def excess(self, limits: Mapping[str, float]) -> float:
         """Return the largest excursion relative to its limit, infinite after divergence."""
         if not all(np.isfinite(values).all() for values in self.outputs.values()):
             return math.inf
-        seen = (np.abs(self.outputs[n] - self.outputs[n][0]).max() / v for n, v in limits.items() if n in self.outputs)
-        return float(max(seen, default=0.0))
+        limited = {n: limit for n, limit in limits.items() if n in self.outputs}
+        shares = (np.abs(self.outputs[n] - self.outputs[n][0]).max() / limit for n, limit in limited.items())
+        return float(max(shares, default=0.0))
 
 
 class Rig(Protocol):
@@ -108,23 +105,16 @@ class OpenLoop:
 
     def play(self, model: Model, signals: Signals) -> Trial:
         """Return the response to inputs clipped to their ranges."""
-        rest = model.start_command()
-        moved = [start + signals[q.name] for q, start in zip(model.inputs, rest, strict=True)]
-        u = np.column_stack(
-            [within(values, q.name, self.ranges) for q, values in zip(model.inputs, moved, strict=True)]
-        )
-        rows = [tuple(row) for row in u.tolist()]
+        starts = {q.name: start for q, start in zip(model.inputs, model.start_command(), strict=True)}
+        commands = [clip(start + signals[name], name, self.ranges).tolist() for name, start in starts.items()]
+        rows = [*zip(*commands, strict=True)]
         return trial_of(model, len(rows), lambda k, y: rows[k], signals, {})
 
     def usual_signals(self, time: Array) -> Signals:
         """Return a half-amplitude pulse of each input in turn, in both directions."""
         place = time / time[-1] * len(self.axes)
-        return {
-            a.name: 0.5
-            * a.amplitude
-            * (((place >= k) & (place < k + 0.5)) * 1.0 - ((place >= k + 0.5) & (place < k + 1)))
-            for k, a in enumerate(self.axes)
-        }
+        waves = ((place >= k) * 1.0 - 2.0 * (place >= k + 0.5) + (place >= k + 1) for k in range(len(self.axes)))
+        return {axis.name: 0.5 * axis.amplitude * wave for axis, wave in zip(self.axes, waves, strict=True)}
 
     def write(self, folder: Path, trial: Trial) -> None:
         """Write nothing."""
@@ -138,7 +128,7 @@ class OpenLoop:
         yield from played_lines(q.name for q in model.inputs)
 
 
-def within(values: Array, name: str, ranges: Ranges) -> Array:
+def clip(values: Array, name: str, ranges: Ranges) -> Array:
     """Return commands of an input clipped to its range."""
     return np.clip(values, *ranges.get(name, (-math.inf, math.inf)))
 
@@ -153,8 +143,7 @@ def trial_of(
 ) -> Trial:
     """Simulate a model; `command` returns the inputs from row index and outputs."""
     stepper = Stepper(model)
-    moment = stepper.start()
-    u: Values = model.start_command()
+    moment, u = stepper.start(), model.start_command()
     inputs, outputs = np.full((count, len(model.inputs)), np.nan), np.full((count, len(model.outputs)), np.nan)
     try:
         for k in range(count):

@@ -19,7 +19,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.linear_algebra import least_squares
-from cosim.estimation.data import as_data, unscored
+from cosim.estimation.data import data_of, unscored
 from cosim.estimation.fit import DIFFERENCE
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.posing import coarsened, start_state
@@ -31,7 +31,7 @@ from cosim.subject.base_parameters import base_parameters
 from cosim.subject.candidates import Candidate, Free
 from cosim.subject.interface import Subject
 
-WRONG_BY = 0.2  # relative error of a wrong base parameter; suspect parameters use the size of their fits
+PARAMETER_ERROR = 0.2  # relative error of a wrong base parameter; suspect parameters use the size of their fits
 Pair = tuple[str, str]
 
 
@@ -44,7 +44,7 @@ class Rival:
     free: tuple[Free, ...]
 
 
-def at_typical(subject: Subject, candidate: Candidate) -> Rival:
+def typical_rival(subject: Subject, candidate: Candidate) -> Rival:
     """Return a candidate at a clearly detectable size.
 
     An effect is `typical` away from neutral, a base parameter 20 % wrong.
@@ -52,13 +52,13 @@ def at_typical(subject: Subject, candidate: Candidate) -> Rival:
     if candidate.kind == "parameter":
         (free,) = candidate.free
         value = subject.values[free.name]
-        wrong = WRONG_BY * abs(value) if free.name in subject.calibrated else free.size
+        wrong = PARAMETER_ERROR * abs(value) if free.name in subject.calibrated else free.size
         return Rival(candidate.name, {free.name: value + wrong}, candidate.free)
-    values = {name: _plainly_seen(subject.declared[name]) for name in candidate.parameters}
+    values = {name: _detectable_value(subject.declared[name]) for name in candidate.parameters}
     return Rival(candidate.name, values, candidate.free)
 
 
-def _plainly_seen(p: Parameter) -> float:
+def _detectable_value(p: Parameter) -> float:
     return float(p.default) if p.neutral is None or p.typical is None else p.neutral + p.typical
 
 
@@ -72,8 +72,7 @@ class Separation:
 
     Args:
         problem: Fitting problem with the kernel.
-        rivals: Hypotheses.
-        pairs: Pairs to separate.
+        pairs: Pairs of `rivals` to separate.
     """
 
     def __init__(self, subject: Subject, problem: Problem, rivals: Sequence[Rival], pairs: Sequence[Pair]) -> None:
@@ -85,38 +84,38 @@ class Separation:
     def of(self, log: Log) -> dict[Pair, float]:
         """Return the distance of each pair on a noise-free log [standard deviations]."""
         layout = self.problem.layout
-        data = replace(as_data(self.subject, log, layout, self.problem.settle), substeps=self.substeps)
+        data = replace(data_of(self.subject, log, layout, self.problem.settle), substeps=self.substeps)
         start = start_state(self.subject, data, layout.outputs, layout.states)
         readings = [readings_of(data.y, unscored(data))]
-        seen = _Innovations(replace(self.problem, logs=[data], readings=readings, x0=[start]), self.noise)
-        shift = {name: seen.at(r.values) for name, r in self.rivals.items()}
-        own = {name: seen.slopes(r.free, r.values, shift[name]) for name, r in self.rivals.items()}
-        base = seen.slopes(self.base, {}, np.zeros(seen.count))
-        return {
-            pair: min(self._adapted(shift[a] - shift[b], own[b], base, self.rivals[b]) for a, b in self._ways(pair))
-            for pair in self.pairs
-        }
+        innovations = _Innovations(replace(self.problem, logs=[data], readings=readings, x0=[start]), self.noise)
+        shift = {name: innovations.at(r.values) for name, r in self.rivals.items()}
+        own = {name: innovations.slopes(r.free, r.values, shift[name]) for name, r in self.rivals.items()}
+        base = innovations.slopes(self.base, {}, np.zeros(innovations.count))
 
-    def _ways(self, pair: Pair) -> list[Pair]:
+        def distance(truth: str, adapted: str) -> float:
+            return self._remaining_distance(shift[truth] - shift[adapted], own[adapted], base, self.rivals[adapted])
+
+        return {pair: min(distance(*way) for way in self._adaptations(*pair)) for pair in self.pairs}
+
+    def _adaptations(self, a: str, b: str) -> list[Pair]:
         """Return (truth, adapted); only the simpler hypothesis is adapted.
 
         A richer hypothesis could always imitate the simpler one.
         """
-        a, b = pair
-        more = len(self.rivals[a].free) - len(self.rivals[b].free)
-        return [*([(a, b)] if more >= 0 else []), *([(b, a)] if more <= 0 else [])]
+        counts = {name: len(self.rivals[name].free) for name in (a, b)}
+        return [(truth, adapted) for truth, adapted in ((a, b), (b, a)) if counts[truth] >= counts[adapted]]
 
-    def _adapted(self, apart: Array, own: Array, base: Array, adapted: Rival) -> float:
+    def _remaining_distance(self, difference: Array, own: Array, base: Array, adapted: Rival) -> float:
         """Return the remaining distance after adaptation of one hypothesis and the base."""
-        loose = {f.name for f in adapted.free}
-        kept = [k for k, f in enumerate(self.base) if f.name not in loose]
-        slopes = np.vstack([own, base[kept]]).T
+        names = {f.name for f in adapted.free}
+        others = [k for k, f in enumerate(self.base) if f.name not in names]
+        slopes = np.vstack([own, base[others]]).T
         # one row per prior, δ in units of the parameter's size
-        priors = np.zeros((len(kept), slopes.shape[1]))
-        for row, k in enumerate(kept):
+        priors = np.zeros((len(others), slopes.shape[1]))
+        for row, k in enumerate(others):
             if prior := self.base[k].prior:
                 priors[row, len(own) + row] = self.base[k].size / prior[1]
-        A, b = np.vstack([slopes, priors]), np.concatenate([apart, np.zeros(len(kept))])
+        A, b = np.vstack([slopes, priors]), np.concatenate([difference, np.zeros(len(others))])
         return float(np.linalg.norm(b - A @ least_squares(A, b)))
 
 
@@ -134,15 +133,15 @@ class _Innovations:
         errors = self.problem.scored({**self.problem.values, **values}, self.noise).errors
         return np.asarray(np.nan_to_num((errors - self.errors) / self.sigma, nan=0.0, posinf=0.0, neginf=0.0))
 
-    def slopes(self, free: Sequence[Free], values: Mapping[str, float], there: Array) -> Array:
+    def slopes(self, free: Sequence[Free], values: Mapping[str, float], shift: Array) -> Array:
         """Return the derivatives by scaled parameters, shape (parameters, measurements).
 
         Args:
-            there: Innovations at `values`.
+            shift: Change of the innovations at `values`.
         """
         rows = np.empty((len(free), self.count))
         for row, f in zip(rows, free, strict=True):
-            here = values.get(f.name, self.problem.values[f.name])
-            h = DIFFERENCE * f.size if here + DIFFERENCE * f.size <= f.high else -DIFFERENCE * f.size
-            row[:] = (self.at({**values, f.name: here + h}) - there) * (f.size / h)
+            value = values.get(f.name, self.problem.values[f.name])
+            h = DIFFERENCE * f.size if value + DIFFERENCE * f.size <= f.high else -DIFFERENCE * f.size
+            row[:] = (self.at({**values, f.name: value + h}) - shift) * (f.size / h)
         return rows

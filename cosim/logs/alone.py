@@ -11,15 +11,14 @@ import numpy as np
 
 from cosim.base.text import counted
 from cosim.base.units import assume_si, parse
+from cosim.logs import messages
 from cosim.logs.finding import Finding
 from cosim.logs.gate import gate, refuse_faults
 from cosim.logs.log import Log, LogReader
 from cosim.storage.table_columns import Column, Heading
 
-WITHOUT_MODEL = "checked without a model: --model FILE:CLASS holds names, units and signs against one"
 
-
-def findings_alone(path: Path, columns: Mapping[str, str] = MappingProxyType({})) -> list[str]:
+def findings_without_model(path: Path, columns: Mapping[str, str] = MappingProxyType({})) -> list[str]:
     """Return the findings on a log without a model, one line each.
 
     Raises:
@@ -42,12 +41,12 @@ class _AloneReader(LogReader):
 
     def _column(self, heading: Heading) -> Column | None:
         if heading.cell > 1:
-            heading = replace(heading, name=self.called.get(heading.name, heading.name))
+            heading = replace(heading, name=self.renamings.get(heading.name, heading.name))
             if not heading.name:
-                self.faults.note(heading.line, heading.cell, "the column has no name; name it or delete it")
+                self.faults.note(heading.line, heading.cell, messages.UNNAMED_COLUMN())
                 return None
             unit = assume_si(heading.unit).unit if heading.unit else ""
-            self.outputs[heading.name] = self.known[heading.name] = self.units[heading.name] = unit
+            self.outputs[heading.name] = self.signals[heading.name] = self.units[heading.name] = unit
             if heading.unit and parse(heading.unit) is None:
                 self.unknown[heading.name] = heading.unit
         return super()._column(heading)
@@ -55,7 +54,7 @@ class _AloneReader(LogReader):
     def _check_header(self) -> None:
         """Note a fault if nothing is measured."""
         if not self.outputs:
-            self.faults.note(self.table.header, 1, "holds no column beside the time; a log holds what was measured")
+            self.faults.note(self.table.header, 1, messages.ONLY_TIME())
 
     def _check_values(self) -> None:
         for name, column in list(self.table.columns.items()):
@@ -77,9 +76,8 @@ class _AloneReader(LogReader):
         """Yield notes on text columns and unknown units."""
         for name, unit in self.unknown.items():
             if name in log.outputs:
-                text = f'"{unit}" is no unit known here: its numbers are taken as they are'
-                yield Finding("warning", "undeclared", name, text)
-        if self.text:
-            text = f"{counted(len(self.text), 'column')} of text not read: {', '.join(self.text)}"
-            yield Finding("note", "unread", "", text, {"columns": len(self.text)})
-        yield Finding("note", "alone", "", WITHOUT_MODEL)
+                yield Finding("warning", "undeclared", name, messages.UNKNOWN_UNIT(unit=unit))
+        if count := len(self.text):
+            message = messages.TEXT_COLUMNS(count=counted(count, "column"), names=", ".join(self.text))
+            yield Finding("note", "unread", "", message, {"columns": count})
+        yield Finding("note", "alone", "", messages.NO_MODEL())

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from cosim.base.messages import Message
+
 Severity = Literal["note", "warning", "fault"]
 
 
@@ -22,15 +24,15 @@ class Finding:
     severity: Severity
     kind: str
     channel: str
-    sentence: str
+    sentence: Message
     numbers: Mapping[str, float] = field(default_factory=dict)
 
     @property
-    def whole(self) -> str:
+    def whole(self) -> Message:
         """Return the sentence with its subject."""
-        return self.sentence if self.channel in ("", "time") else f"{self.channel} {self.sentence}"
+        return self.sentence if self.channel in ("", "time") else self.sentence.after(f"{self.channel} ")
 
     @property
-    def line(self) -> str:
+    def line(self) -> Message:
         """Return the line of the command line output."""
-        return f"{self.severity}: {self.whole}"
+        return self.whole.after(f"{self.severity}: ")

@@ -10,9 +10,10 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.linear_algebra import least_squares
 from cosim.base.text import amount, counted, plain
+from cosim.logs import messages
 from cosim.logs.finding import Finding, Severity
 from cosim.logs.log import TURN, Log
-from cosim.logs.planar_motion import mirrored
+from cosim.logs.planar_motion import axis_findings
 from cosim.model.traits import Traits, rate_of
 
 STILL = 1e-9  # [unit of the signal] change below which only rounding is visible
@@ -21,29 +22,28 @@ PAUSE = 0.2  # [s] without a reading
 BLOCK = 0.5  # [s] over which a signal's change is compared with the integral of its rate
 
 
-def frames(log: Log, traits: Traits | None = None) -> Iterator[Finding]:
+def frame_findings(log: Log, traits: Traits | None = None) -> Iterator[Finding]:
     """Yield findings on degrees, jumps of a turn, wrong rates and mirrored frames.
 
     Args:
         traits: Signal properties of the model; without a model, rates are guessed from names and give only warnings.
     """
-    sure = traits is not None
-    named = {name: rate for name in log.outputs if (rate := rate_of(name, log.outputs))}
-    rates, bounds = (traits.rates, traits.bounds) if traits else (named, {})
+    rates_by_name = {name: rate for name in log.outputs if (rate := rate_of(name, log.outputs))}
+    rates, bounds = (traits.rates, traits.bounds) if traits else (rates_by_name, {})
     for name, rate in rates.items():
         if name in log.outputs and rate in log.outputs:
-            yield from _against_rate(log, name, rate, "fault" if sure else "warning")
+            yield from _against_rate(log, name, rate, declared=traits is not None)
     for name, values in (*log.inputs.items(), *log.outputs.items()):
         if log.units[name] == "rad":
             yield from _magnitude(log, name, values, bounds.get(name))
     for name, times in log.unwrapped.items():
-        text = f"has {counted(len(times), 'jump')} of a turn, first at t = {times[0]:.6g} s; undone, it is continuous"
-        yield Finding("note", "wrapped", name, text, {"count": float(len(times)), "first": times[0]})
+        message = messages.UNWRAPPED_ANGLE(count=counted(len(times), "jump"), first=times[0])
+        yield Finding("note", "wrapped", name, message, {"count": float(len(times)), "first": times[0]})
     if traits and traits.planar:
-        yield from mirrored(log, traits.planar)
+        yield from axis_findings(log, traits.planar)
 
 
-def _against_rate(log: Log, name: str, rate: str, severity: Severity) -> Iterator[Finding]:
+def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator[Finding]:
     """Compare a signal with the integral of its rate, Δy = s·∫ẏ dt + b·T over blocks.
 
     With consistent units, signs and sensors, s is 1 and b is 0.
@@ -54,35 +54,34 @@ def _against_rate(log: Log, name: str, rate: str, severity: Severity) -> Iterato
     rho = float(np.corrcoef(change, integral)[0, 1])
     design = np.column_stack((integral, length))
     slope, drift = least_squares(design, change)
-    left = change - design @ (slope, drift)
-    sigma = math.sqrt(float(left @ left) / (change.size - 2))
+    residual = change - design @ (slope, drift)
+    sigma = math.sqrt(float(residual @ residual) / (change.size - 2))
     error_slope, error_drift = sigma * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
     numbers = {"slope": float(slope), "correlation": rho, "drift": float(drift)}
     if abs(rho) < 0.9:
         return
+    severity: Severity = "fault" if declared else "warning"
     if slope < 0.0:
-        cure = "turn one of them round: the rate is positive where the signal grows"
-        text = f"has the opposite sign of d {name}/dt (slope {plain(float(slope))}); {cure}"
-        yield Finding(severity, "sign", rate, text, numbers)
+        template = messages.OPPOSITE_RATE if declared else messages.OPPOSITE_RATE_BY_NAME
+        yield Finding(severity, "sign", rate, template(name=name, slope=plain(float(slope))), numbers)
     elif any(0.7 < slope / scale < 1.4 for scale in (DEGREES, 1.0 / DEGREES)):
         degrees, other, unit = (name, rate, "deg") if slope > 1.0 else (rate, name, "deg/s")
-        times, cure = plain(float(max(slope, 1 / slope)), 3), _unit_of(log, degrees, other, unit)
-        text = f"is {times} times what {other} says: one is in degrees, the other in radians. {cure}"
-        yield Finding(severity, "degrees", degrees, text, numbers)
+        ratio, cure = plain(float(max(slope, 1 / slope)), 3), _unit_cure(log, degrees, other, unit)
+        template = messages.DEGREES if declared else messages.DEGREES_BY_NAME
+        yield Finding(severity, "degrees", degrees, template(factor=ratio, other=other, cure=cure), numbers)
     elif abs(slope - 1.0) > max(0.03, 5.0 * error_slope):
-        text = f"integrates to {plain(float(1 / slope), 3)} times the change of {name}: a scale is off"
-        yield Finding("warning", "scale", rate, text, numbers)
+        message = messages.SCALED_RATE(factor=plain(float(1 / slope), 3), name=name)
+        yield Finding("warning", "scale", rate, message, numbers)
     if slope > 0.0 and abs(drift) > 5.0 * error_drift and abs(drift) > 0.003 * float(np.nanstd(log.outputs[rate])):
         bias = amount(float(-drift / slope), log.units[rate], 2)
-        text = f"is {bias} above d {name}/dt throughout: a bias of one of the sensors"
-        yield Finding("note", "drift", rate, text, numbers)
+        yield Finding("note", "drift", rate, messages.BIASED_RATE(bias=bias, name=name), numbers)
 
 
-def _unit_of(log: Log, degrees: str, other: str, unit: str) -> str:
+def _unit_cure(log: Log, degrees: str, other: str, unit: str) -> str:
     """Return the cure for a column in degrees, according to the headers."""
-    said = " and ".join(f'"{name} [{log.written[name]}]"' for name in (degrees, other) if log.written.get(name))
+    headers = " and ".join(f'"{name} [{log.written[name]}]"' for name in (degrees, other) if log.written.get(name))
     if log.written.get(degrees):
-        return f"The header says {said}: one of the units is wrong"
+        return f"The header says {headers}: one of the units is wrong"
     return f'Give the unit in the header, "{degrees} [{unit}]"'
 
 
@@ -102,7 +101,7 @@ def _blocks(log: Log, values: Array, rates: Array) -> tuple[Array, Array, Array]
     return change[whole], integral[whole], length[whole]
 
 
-def degrees_or(log: Log, name: str) -> str:
+def angle_cure(log: Log, name: str) -> str:
     """Return the cure for a large angle."""
     if written := log.written.get(name):
         return f'its header says "{written}": is it so, and may the model not go there?'
@@ -117,16 +116,15 @@ def _magnitude(log: Log, name: str, values: Array, bounds: tuple[float, float] |
     """
     good = values[np.isfinite(values)]
     size, numbers = float(np.abs(good).max()), {"largest": float(np.abs(good).max())}
-    cure, stated = degrees_or(log, name), bool(log.written.get(name))
+    cure, stated = angle_cure(log, name), bool(log.written.get(name))
     if bounds and not bounds[0] <= float(good.min()) <= float(good.max()) <= bounds[1]:
-        least, most = (plain(v) for v in bounds)
-        text = f"reaches {plain(size)} rad, beyond what the model allows ({least} to {most}); {cure}"
-        yield Finding("fault", "degrees", name, text, numbers)
+        low, high = (plain(v) for v in bounds)
+        message = messages.ANGLE_BEYOND_BOUNDS(size=plain(size), low=low, high=high, cure=cure)
+        yield Finding("fault", "degrees", name, message, numbers)
     elif not stated and ((name in log.inputs and size > TURN) or size > 20.0 * TURN):
-        yield Finding("warning", "degrees", name, f"reaches {plain(size)} rad; {cure}", numbers)
+        yield Finding("warning", "degrees", name, messages.LARGE_ANGLE(size=plain(size), cure=cure), numbers)
     jumps = np.flatnonzero(np.abs(np.diff(good)) > math.pi)
     if jumps.size and name in log.outputs and size <= 20.0 * TURN:
         first = float(log.time[np.isfinite(values)][jumps[0] + 1])
-        place = f"jumps by more than half a turn {counted(jumps.size, 'time')}, first at t = {first:.6g} s"
-        numbers = {"count": float(jumps.size), "first": first}
-        yield Finding("warning", "jumps", name, f"{place}; an angle is continuous", numbers)
+        message = messages.JUMPING_ANGLE(count=counted(jumps.size, "time"), first=first)
+        yield Finding("warning", "jumps", name, message, {"count": float(jumps.size), "first": first})

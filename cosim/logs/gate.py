@@ -10,12 +10,13 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import Fault, InputError
 from cosim.base.text import amount, counted, percent, plain
+from cosim.logs import messages
 from cosim.logs.channel_noise import noise_level
-from cosim.logs.finding import Finding, Severity
-from cosim.logs.frames import frames
-from cosim.logs.log import MISSING, Log, named
+from cosim.logs.finding import Finding
+from cosim.logs.frames import frame_findings
+from cosim.logs.log import MISSING, Log, name_list
 from cosim.logs.spikes import Spikes, find_spikes, out_of_line
-from cosim.logs.static_table import alike, table_findings
+from cosim.logs.static_table import alike_inputs, table_findings
 from cosim.model.traits import Traits
 
 ORDER = ("fault", "warning", "note")
@@ -42,8 +43,8 @@ def gate(
         findings = list(table_findings(log, traits))
     else:
         clock = [*_timing(log), *_rate(log, rate, strict)]
-        wild = outliers(log, find_spikes(log) if spikes is None else spikes)
-        findings = [*clock, *_inputs(log), *_outputs(log), *wild, *frames(log, traits)]
+        channels = [*_inputs(log), *_outputs(log), *outliers(log, find_spikes(log) if spikes is None else spikes)]
+        findings = [*clock, *channels, *frame_findings(log, traits)]
         if any(f.severity == "fault" for f in clock):  # a wrong clock unit causes the scale error
             findings = [f for f in findings if f.kind != "scale"]
     return sorted((*findings, *_undeclared(log), *_unread(log)), key=lambda f: ORDER.index(f.severity))
@@ -60,25 +61,25 @@ def gate_faults(log: Log, findings: Sequence[Finding]) -> list[Fault]:
     faults = []
     for f in findings:
         if f.severity == "fault":
-            text = f"{f.channel}: {f.sentence}" if f.channel else f.sentence
-            faults.append(Fault(log.path, log.header, log.cells.get(f.channel, 1), text))
+            message = f.sentence.after(f"{f.channel}: ") if f.channel else f.sentence
+            faults.append(Fault(log.path, log.header, log.cells.get(f.channel, 1), message))
     return faults
 
 
 def _undeclared(log: Log) -> Iterator[Finding]:
     """Warn of columns with an undeclared unit."""
-    for name, said in log.undeclared.items():
-        yield Finding("warning", "undeclared", name, said)
+    for name, text in log.undeclared.items():
+        yield Finding("warning", "undeclared", name, messages.UNDECLARED_UNIT(text=text))
 
 
 def _unread(log: Log) -> Iterator[Finding]:
     """Note unread columns; warn of each with a similar name in the model."""
-    for name, hint in ((n, h) for n, h in log.unread.items() if h):
-        yield Finding("warning", "unread", name, f"is not read: the model has none of this name{hint}")
-    others = [name or "one without a name" for name, hint in log.unread.items() if not hint]
-    if others:
-        text = f"{counted(len(others), 'column')} not read, for the model has none of this name: {named(others)}"
-        yield Finding("note", "unread", "", text, {"columns": len(others)})
+    for name, hint in log.unread.items():
+        if hint:
+            yield Finding("warning", "unread", name, messages.SIMILAR_COLUMN(cure=hint))
+    if others := [name or "one without a name" for name, hint in log.unread.items() if not hint]:
+        message = messages.UNREAD_COLUMNS(count=counted(len(others), "column"), names=name_list(others))
+        yield Finding("note", "unread", "", message, {"columns": len(others)})
 
 
 # -- clock --------------------------------------------------------------------------------------
@@ -90,12 +91,10 @@ def _timing(log: Log) -> Iterator[Finding]:
     regular = ratio[ratio <= MISSING]
     spread, worst = float(np.std(regular)), float(np.max(np.abs(regular - 1.0), initial=0.0))
     if worst > 0.01:
-        severity: Severity = "warning" if spread > 0.1 else "note"
-        text = (
-            f"rows are {amount(log.step, 's')} apart, give or take {percent(spread)} (at most {percent(worst)}); "
-            "replays step at their times, the filter of `cosim refine` at equal ones"
-        )
-        yield Finding(severity, "jitter", "time", text, {"step": log.step, "spread": spread, "worst": worst})
+        template = messages.STRONG_JITTER if spread > 0.1 else messages.JITTER
+        message = template(step=amount(log.step, "s"), spread=percent(spread), worst=percent(worst))
+        numbers = {"step": log.step, "spread": spread, "worst": worst}
+        yield Finding("warning" if spread > 0.1 else "note", "jitter", "time", message, numbers)
     holes = np.flatnonzero(ratio > MISSING)
     missing = np.maximum(1.0, np.rint(ratio[holes]) - 1.0)
     gaps = dt[holes] > log.pause
@@ -103,31 +102,31 @@ def _timing(log: Log) -> Iterator[Finding]:
         places = holes[chosen]
         if places.size:
             rows, first, longest = int(missing[chosen].sum()), float(log.time[places[0]]), float(dt[places].max())
-            text = (
-                f"{counted(rows, 'row')} missing in {counted(places.size, 'place')}, first after t = {first:.6g} s, "
-                f"the longest {amount(longest, 's')}; commands are held over them, so what was commanded in between is "
-                "not replayed"
+            message = messages.MISSING_ROWS(
+                rows=counted(rows, "row"),
+                places=counted(places.size, "place"),
+                first=first,
+                longest=amount(longest, "s"),
             )
             numbers = {"rows": rows, "places": places.size, "first": first, "longest": longest}
-            yield Finding("warning", kind, "time", text, numbers)
+            yield Finding("warning", kind, "time", message, numbers)
     duration = float(log.time[-1] - log.time[0])
     if duration < SHORT * log.slowness:
-        text = f"the log lasts {amount(duration, 's')}; {plain(2.0 * SHORT * log.slowness)} s and more tell more"
-        yield Finding("warning", "short", "time", text, {"duration": duration})
+        message = messages.SHORT_LOG(duration=amount(duration, "s"), usual=plain(2.0 * SHORT * log.slowness))
+        yield Finding("warning", "short", "time", message, {"duration": duration})
     if abs(start := float(log.time[0])) > 1e6:
-        text = f"time starts at {start:.0f} s; a model whose effects depend on time takes it as it is"
-        yield Finding("note", "epoch", "time", text, {"start": start})
+        yield Finding("note", "epoch", "time", messages.LATE_START(start=start), {"start": start})
 
 
-def _unit_meant(log: Log, ratio: float) -> str | None:
+def _probable_unit(log: Log, ratio: float) -> str | None:
     """Return the probable unit of the time, None if stated or seconds.
 
     A log in minutes seems to last only seconds; otherwise rows really are minutes apart.
     """
     if log.written.get("time"):
         return None
-    lasts = float(log.time[-1] - log.time[0])
-    units = (("ms", 1e3), ("us", 1e6), *((("min", 1.0 / 60.0),) if lasts < SHORT else ()))
+    duration = float(log.time[-1] - log.time[0])
+    units = (("ms", 1e3), ("us", 1e6), *((("min", 1.0 / 60.0),) if duration < SHORT else ()))
     return next((unit for unit, factor in units if 0.5 < ratio / factor < 2.0), None)
 
 
@@ -135,22 +134,20 @@ def _rate(log: Log, rate: float | None, strict: bool) -> Iterator[Finding]:
     if rate is None:
         return
     ratio, numbers = log.step / rate, {"step": log.step, "rate": rate}
-    place = f"rows are {plain(log.step)}\u00a0s apart, the model is made for {plain(rate)}\u00a0s"
-    if unit := _unit_meant(log, ratio):
-        cure = f'"time [{unit}]", or "time [s]" if it is not'
-        yield Finding("fault", "rate", "time", f"{place}; is the time in {unit}? Then call it {cure}", numbers)
+    place = {"step": plain(log.step), "rate": plain(rate)}
+    if unit := _probable_unit(log, ratio):
+        yield Finding("fault", "rate", "time", messages.UNIT_OF_TIME(unit=unit, **place), numbers)
     elif strict and ratio > SLOWER:
-        yield Finding("fault", "rate", "time", f"{place}; commands in between are lost; log every command", numbers)
+        yield Finding("fault", "rate", "time", messages.LOST_COMMANDS(**place), numbers)
     elif ratio > SLOWER:
-        lost = "what was commanded between two rows is not in the log, and no command but that of a row acts"
-        yield Finding("warning", "rate", "time", f"{place}; {lost}", numbers)
+        yield Finding("warning", "rate", "time", messages.SLOW_ROWS(**place), numbers)
     elif ratio < 1.0 / FASTER:
-        fewer = "each row is a step, and takes its time; fewer would do"
-        yield Finding("warning", "rate", "time", f"{place}: {fewer}", numbers)
+        yield Finding("warning", "rate", "time", messages.FAST_ROWS(**place), numbers)
     elif abs(1.0 / ratio - round(1.0 / ratio)) > 0.02:
-        yield Finding("note", "rate", "time", f"{place}, no whole number of rows a step", numbers)
+        yield Finding("note", "rate", "time", messages.UNEVEN_ROWS(**place), numbers)
     elif abs(ratio - 1.0) > 0.02:
-        yield Finding("note", "rate", "time", f"{place}: {counted(round(1.0 / ratio), 'row')} a step", numbers)
+        message = messages.ROWS_PER_STEP(count=counted(round(1.0 / ratio), "row"), **place)
+        yield Finding("note", "rate", "time", message, numbers)
 
 
 # -- inputs -------------------------------------------------------------------------------------
@@ -160,15 +157,14 @@ def _inputs(log: Log) -> Iterator[Finding]:
     moving = {}
     for name, values in log.inputs.items():
         if np.count_nonzero(np.diff(values)) < 3 or np.ptp(values) <= 1e-9 * np.abs(values).max():
-            where = amount(float(np.median(values)), log.units[name])
-            text = f"stands at {where}: it excites nothing, and what acts through it alone cannot be identified"
-            yield Finding("note", "constant", name, text, {"rms": float(values.std())})
+            message = messages.CONSTANT_INPUT(value=amount(float(np.median(values)), log.units[name]))
+            yield Finding("note", "constant", name, message, {"rms": float(values.std())})
         else:
             moving[name] = values
             yield _excitation(log, name, values)
     if log.inputs and not moving:
-        yield Finding("warning", "no_excitation", "", "no input moves: such a log says next to nothing about a model")
-    yield from alike(moving, "moves")
+        yield Finding("warning", "no_excitation", "", messages.NO_EXCITATION())
+    yield from alike_inputs(moving, "moves")
 
 
 def _excitation(log: Log, name: str, values: Array) -> Finding:
@@ -180,13 +176,11 @@ def _excitation(log: Log, name: str, values: Array) -> Finding:
     low, high, slack = float(values.min()), float(values.max()), 1e-6 * float(np.ptp(values))
     ends = [int(np.count_nonzero(np.abs(values - end) <= slack)) for end in (low, high)]
     share = sum(ends) / values.size if max(ends) > 2 else 0.0
-    unit, there = log.units[name], f", there {percent(share)} of the rows" if share else ""
-    text = (
-        f"moves {amount(rms, unit)} (rms) with 95 % of its power below {amount(bandwidth, 'Hz', 2)}, "
-        f"between {amount(low, unit)} and {amount(high, unit)}{there}"
-    )
+    sizes = {key: amount(value, log.units[name]) for key, value in (("rms", rms), ("low", low), ("high", high))}
+    at_ends = f", there {percent(share)} of the rows" if share else ""
+    message = messages.EXCITATION(bandwidth=amount(bandwidth, "Hz", 2), share=at_ends, **sizes)
     numbers = {"rms": rms, "bandwidth": bandwidth, "saturated": share, "low": low, "high": high}
-    return Finding("note", "excitation", name, text, numbers)
+    return Finding("note", "excitation", name, message, numbers)
 
 
 # -- outputs ------------------------------------------------------------------------------------
@@ -195,17 +189,17 @@ def _excitation(log: Log, name: str, values: Array) -> Finding:
 def _outputs(log: Log) -> Iterator[Finding]:
     for name, values in log.outputs.items():
         good = np.isfinite(values)
-        seen = values[good]
+        readings = values[good]
         share = float(good.mean())
         if share < 1.0:
-            every = float(np.median(np.diff(log.time[good]))) if seen.size > 1 else math.nan
-            text = f"measured in {percent(share)} of the rows, every {amount(every, 's')}"
-            yield Finding("note", "missing", name, text, {"share": share, "every": every})
-        if np.ptp(seen) <= 1e-12 * max(1.0, float(np.abs(seen).max())):
-            text = f"stands at {amount(float(seen[0]), log.units[name])} throughout: is the sensor connected?"
-            yield Finding("warning", "constant", name, text, {"value": float(seen[0])})
+            interval = float(np.median(np.diff(log.time[good]))) if readings.size > 1 else math.nan
+            message = messages.SPARSE_OUTPUT(share=percent(share), interval=amount(interval, "s"))
+            yield Finding("note", "missing", name, message, {"share": share, "every": interval})
+        if np.ptp(readings) <= 1e-12 * max(1.0, float(np.abs(readings).max())):
+            message = messages.CONSTANT_OUTPUT(value=amount(float(readings[0]), log.units[name]))
+            yield Finding("warning", "constant", name, message, {"value": float(readings[0])})
         else:
-            yield from _repeats(log, name, log.time[good], seen)
+            yield from _repeats(log, name, log.time[good], readings)
 
 
 def _repeats(log: Log, name: str, time: Array, values: Array) -> Iterator[Finding]:
@@ -215,25 +209,18 @@ def _repeats(log: Log, name: str, time: Array, values: Array) -> Iterator[Findin
     usual = float(np.median(runs))
     noise, span = noise_level(values), float(np.ptp(values))
     if usual >= 2.0 and np.mean(np.abs(runs - usual) <= 1.0) > 0.8:
-        cure = "Leave the cells in between empty, or the hold passes for a delay"
-        text = f"changes only every {usual:.0f} rows: a slower sensor, held. {cure}"
-        yield Finding("warning", "held", name, text, {"rows": usual})
+        yield Finding("warning", "held", name, messages.SLOWER_SENSOR(rows=usual), {"rows": usual})
     elif usual == 1.0 and runs.max() * log.step > 0.2 and runs.max() >= 10 and noise > 1e-5 * span:
         k = int(np.argmax(runs))
         value, first = amount(float(values[starts[k]]), log.units[name]), float(time[starts[k]])
-        place = f"repeats {value} for {runs[k]} rows from t = {first:.6g} s"
-        text = f"{place}, at its noise that is no measurement: frozen, or at the end of its range"
-        yield Finding("warning", "frozen", name, text, {"rows": float(runs[k]), "first": first})
+        message = messages.FROZEN_SENSOR(value=value, rows=runs[k], first=first)
+        yield Finding("warning", "frozen", name, message, {"rows": float(runs[k]), "first": first})
 
 
 def outliers(log: Log, spikes: Spikes) -> Iterator[Finding]:
     """Warn of each channel with outliers."""
     for name, rows in spikes.items():
-        off = out_of_line(log, log.outputs[name])[rows]
-        first, worst = float(log.time[rows[0]]), float(off.max())
-        text = (
-            f"has {counted(rows.size, 'reading')} that its neighbours and the model do not explain, first at "
-            f"t = {first:.6g} s, the farthest off by {amount(worst, log.units[name])}; `cosim refine` leaves such "
-            "readings out, other commands take them as they are: leave the cells empty"
-        )
-        yield Finding("warning", "outliers", name, text, {"count": float(rows.size), "first": first, "worst": worst})
+        first, worst = float(log.time[rows[0]]), float(out_of_line(log, log.outputs[name])[rows].max())
+        count, deviation = counted(rows.size, "reading"), amount(worst, log.units[name])
+        message = messages.OUTLIERS(count=count, first=first, worst=deviation)
+        yield Finding("warning", "outliers", name, message, {"count": float(rows.size), "first": first, "worst": worst})

@@ -12,7 +12,7 @@ from cosim.logs.log import Log
 SMOOTH = 0.5  # share of the error of holding up to which interpolation is the better guess
 
 
-def filled(log: Log) -> Log:
+def fill_holes(log: Log) -> Log:
     """Return the log with lost rows inserted if an input is smooth.
 
     Each input is held or interpolated, whichever predicts the existing rows better.
@@ -22,27 +22,27 @@ def filled(log: Log) -> Log:
     smooth = {name for name, values in log.inputs.items() if _is_smooth(values, grid)}
     if not lost.size or not smooth:
         return log
-    place = np.searchsorted(grid, lost)
-    after, before = np.minimum(place, log.rows - 1), place - 1
-    share = (lost - grid[before]) / np.maximum(1, grid[after] - grid[before])
+    after = np.searchsorted(grid, lost)  # the last row is never lost
+    before = after - 1
+    share = (lost - grid[before]) / (grid[after] - grid[before])
     times = log.time[before] + share * (log.time[after] - log.time[before])
     order = np.argsort(np.concatenate([grid, lost]), kind="stable")
 
-    def joined(values: Array, added: Array) -> Array:
+    def join(values: Array, added: Array) -> Array:
         return np.asarray(np.concatenate([values, added])[order])
 
     inputs = {}
     for name, values in log.inputs.items():
         rise = values[after] - values[before] if name in smooth else 0.0
-        inputs[name] = joined(values, values[before] + share * rise)
+        inputs[name] = join(values, values[before] + share * rise)
     nothing = np.full(lost.size, np.nan)
-    outputs = {name: joined(values, nothing) for name, values in log.outputs.items()}
-    return replace(log, time=joined(log.time, times), inputs=inputs, outputs=outputs)
+    outputs = {name: join(values, nothing) for name, values in log.outputs.items()}
+    return replace(log, time=join(log.time, times), inputs=inputs, outputs=outputs)
 
 
 def _is_smooth(values: Array, grid: Rows) -> bool:
     """Return True if interpolation predicts better than holding."""
     whole = (np.diff(grid)[:-1] == 1) & (np.diff(grid)[1:] == 1)
     first, middle, last = values[:-2][whole], values[1:-1][whole], values[2:][whole]
-    held, line = float(np.sum((middle - first) ** 2)), float(np.sum((middle - 0.5 * (first + last)) ** 2))
-    return line < SMOOTH * held
+    hold, line = float(np.sum((middle - first) ** 2)), float(np.sum((middle - 0.5 * (first + last)) ** 2))
+    return line < SMOOTH * hold

@@ -17,8 +17,9 @@ from typing import Protocol
 import numpy as np
 
 from cosim.base.arrays import Array, Rows
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import Fault, refuse
 from cosim.base.units import Conversion, alternatives, assume_si, conversion
+from cosim.logs import messages
 from cosim.storage.table import read_table
 from cosim.storage.table_columns import Column, Faults, Heading
 from cosim.storage.yaml_file import closest, did_you_mean, short
@@ -36,10 +37,6 @@ HINTS, SHOWN = 50, 40  # columns with a suggestion, and names in a message
 DRIFT = 2.0  # steps by which the last row of a log may be off before rows count as missing
 SHORT = 5.0  # percentile of the spacings of an irregular clock [%]
 MISSING = 1.5  # steps between rows from which a row is missing
-OTHER_MODEL = (
-    "a log of another model is checked with --model FILE:CLASS and replayed with --plant FMU; "
-    "where columns have other names, --column COLUMN=VARIABLE, or `columns` of a study, says which is which"
-)
 
 
 class SignalLike(Protocol):
@@ -134,8 +131,8 @@ def read_log(
     Raises:
         InputError: Every fault of the file.
     """
-    known = {s.name: s.unit for s in inputs}, {s.name: s.unit for s in outputs}
-    return LogReader(path, *known, not table, columns, alone).log()
+    units = {s.name: s.unit for s in inputs}, {s.name: s.unit for s in outputs}
+    return LogReader(path, *units, not table, columns, alone).log()
 
 
 class LogReader:
@@ -150,17 +147,17 @@ class LogReader:
         columns: Mapping[str, str],
         alone: bool = False,
     ) -> None:
-        self.inputs, self.outputs, self.known, self.timed = inputs, outputs, inputs | outputs, timed
-        self.called, self.alone = columns, alone
-        self.units = dict(self.known)  # units of the values after reading
+        self.inputs, self.outputs, self.signals, self.timed = inputs, outputs, inputs | outputs, timed
+        self.renamings, self.alone = columns, alone
+        self.units = dict(self.signals)  # units of the values after reading
         self.faults = Faults(path)
         self.timeless: dict[str, str] = {}  # unneeded time of a table, without a unit
         self.unread: dict[str, str] = {}
         self.undeclared: dict[str, str] = {}
-        self.seen: dict[str, int] = {}  # column → its cell
+        self.cells: dict[str, int] = {}  # column → its cell
         shorter = "cut it into pieces and list them as logs of one study"
-        names = frozenset((*self.known, *columns))
-        times = [name for name, meant in columns.items() if meant == "time"]
+        names = frozenset((*self.signals, *columns))
+        times = [column for column, name in columns.items() if name == "time"]
         self.table = read_table(
             self.faults, self._column, "inputs and outputs", shorter, timed=timed, names=names, times=times
         )
@@ -181,17 +178,17 @@ class LogReader:
         units, unwrapped = {n: self.units[n] for n in columns}, dict[str, tuple[float, ...]]()
         outputs = {n: values for n, values in columns.items() if n in self.outputs}
         if self.timed:
-            outputs, unwrapped = _unwrapped(outputs, units, time)
+            outputs, unwrapped = _unwrap_angles(outputs, units, time)
         inputs, step = {name: columns[name] for name in self.inputs}, usual_step(time)
         cells = {name: column.cell for name, column in self.table.columns.items()}
         written = {name: column.heading.unit for name, column in self.table.columns.items()} | self.timeless
-        path, header, unread, called = self.faults.path, self.table.header, self._unread(), dict(self.called)
-        known = (path, time, inputs, outputs, units, step, written, unwrapped)
-        return Log(*known, header, unread, called, self.undeclared, cells, table=not self.timed)
+        path, header, unread, called = self.faults.path, self.table.header, self._unread(), dict(self.renamings)
+        names = (header, unread, called, self.undeclared, cells)
+        return Log(path, time, inputs, outputs, units, step, written, unwrapped, *names, table=not self.timed)
 
     def _unread(self) -> dict[str, str]:
         """Return unread columns with suggested names."""
-        missing = [name for name in self.known if name not in self.table.columns]
+        missing = [name for name in self.signals if name not in self.table.columns]
         close = (
             closest(name, missing, ALIKE) or closest(name.rpartition(".")[2], missing, ALIKE)
             for name in islice(self.unread, HINTS)
@@ -203,73 +200,73 @@ class LogReader:
 
     def _column(self, heading: Heading) -> Column | None:
         """Return the conversion of a column to the model's unit, None for unread columns."""
-        self.seen.setdefault(heading.name, heading.cell)
-        written, heading = heading.name, replace(heading, name=self.called.get(heading.name, heading.name))
+        self.cells.setdefault(heading.name, heading.cell)
+        written, heading = heading.name, replace(heading, name=self.renamings.get(heading.name, heading.name))
         name, is_time = heading.name, self.timed and heading.cell == 1
         if not self.timed and name == "time":
             self.timeless = {"time": ""}
             return None
-        if not is_time and name not in self.known:
+        if not is_time and name not in self.signals:
             self.unread[written] = ""
             return None
-        known = "the time" if is_time else "an input" if name in self.inputs else ""
-        wanted = "s" if is_time else self.known[name]
+        role = "the time" if is_time else "an input" if name in self.inputs else ""
+        wanted = "s" if is_time else self.signals[name]
         if heading.unit and not wanted:
-            found = assume_si(heading.unit)
-            self.units[name] = found.unit
-            if found.sentence:
-                self.undeclared[name] = found.sentence
-            return Column(heading, found.factor, known, offset=found.offset)
+            assumed = assume_si(heading.unit)
+            self.units[name] = assumed.unit
+            if assumed.sentence:
+                self.undeclared[name] = assumed.sentence
+            return Column(heading, assumed.factor, role, offset=assumed.offset)
         by = conversion(heading.unit, wanted)
         if by is None:
-            offered = ", ".join(alternatives(wanted))
-            message = f'"{heading.unit}" is no unit of {name}, which is in {wanted}; known here: {offered}'
+            units = ", ".join(alternatives(wanted))
+            message = messages.WRONG_UNIT(unit=heading.unit, name=name, wanted=wanted, alternatives=units)
             self.faults.note(heading.line, heading.cell, message)
         by = by or Conversion()
-        return Column(heading, by.factor, known, offset=by.offset)
+        return Column(heading, by.factor, role, offset=by.offset)
 
     def _check_header(self) -> None:
         """Note faults of missing inputs and outputs."""
-        self._check_called()
+        self._check_renamed_columns()
         line, columns = self.table.header, self.table.columns
         missing = [name for name in self.inputs if name not in columns]
-        if missing and not self._about_the_model():
-            self.faults.note(line, 1, f"holds none of the columns of the model: {named(self.known)}; {OTHER_MODEL}")
+        if missing and not self._is_of_model():
+            self.faults.note(line, 1, messages.OTHER_MODEL(names=name_list(self.signals)))
             return
+        kind, inputs = self._kind, name_list(self.inputs)
         for name in missing:
-            what = "log" if self.timed else "table"
-            every = f"a {what} holds every input of the model: {named(self.inputs)}"
             if close := closest(name, self.unread):
-                message = (
-                    f'"{close}" is no column of the model; did you mean "{name}", which is missing? {every[:1].upper()}'
-                )
-                self.faults.note(line, self.seen[close], message + every[1:])
+                message = messages.SIMILAR_INPUT(column=close, name=name, kind=kind, inputs=inputs)
+                self.faults.note(line, self.cells[close], message)
             else:
-                self.faults.note(line, 1, f'input "{name}" is missing; {every}')
+                self.faults.note(line, 1, messages.MISSING_INPUT(name=name, kind=kind, inputs=inputs))
         if not missing and not any(name in columns for name in self.outputs):
-            hints = "".join(dict.fromkeys(self._unread().values()))
-            one = f"at least one of {named(self.outputs)} is measured"
-            self.faults.note(line, 1, f"holds no output of the model{hints}; {one}")
+            cure = "".join(dict.fromkeys(self._unread().values()))
+            self.faults.note(line, 1, messages.NO_OUTPUT(cure=cure, outputs=name_list(self.outputs)))
 
-    def _check_called(self) -> None:
+    @property
+    def _kind(self) -> str:
+        return "log" if self.timed else "table"
+
+    def _check_renamed_columns(self) -> None:
         """Note faults of renamed columns."""
         line, first = self.table.header, self.table.first
-        for name, meant in self.called.items():
-            if meant == "time" and self.timed:
-                if name != first:
-                    self.faults.note(line, 1, f'"{name}" is to be the time, which is the first column, "{first}"')
-            elif meant not in self.known:
-                message = f'"{name}" is to be {meant}, which the model does not have{did_you_mean(meant, self.known)}'
-                self.faults.note(line, 1, f"{message} (it has {named(self.known)})")
-            elif name not in self.seen and (self.alone or meant not in self.table.columns):
-                message = f'has no column "{name}"{did_you_mean(name, self.seen)} (it is to be {meant})'
-                self.faults.note(line, 1, message)
+        for column, name in self.renamings.items():
+            if name == "time" and self.timed:
+                if column != first:
+                    self.faults.note(line, 1, messages.TIME_NOT_FIRST(column=column, first=first))
+            elif name not in self.signals:
+                cure, names = did_you_mean(name, self.signals), name_list(self.signals)
+                self.faults.note(line, 1, messages.UNKNOWN_VARIABLE(column=column, name=name, cure=cure, names=names))
+            elif column not in self.cells and (self.alone or name not in self.table.columns):
+                cure = did_you_mean(column, self.cells)
+                self.faults.note(line, 1, messages.UNKNOWN_COLUMN(column=column, cure=cure, name=name))
 
-    def _about_the_model(self) -> bool:
+    def _is_of_model(self) -> bool:
         """Return True if some column matches the model."""
-        if self.called or len(self.unread) > HINTS or any(name in self.table.columns for name in self.known):
+        if self.renamings or len(self.unread) > HINTS or any(name in self.table.columns for name in self.signals):
             return True
-        return any(closest(name, self.unread) for name in self.known)
+        return any(closest(name, self.unread) for name in self.signals)
 
     # -- rows ---------------------------------------------------------------------------------
 
@@ -277,10 +274,8 @@ class LogReader:
         """Note faults of whole columns: too few rows, no measurement, absurd values."""
         table, counts = self.table, self.faults.counts
         if table.rows < 2 and not counts:
-            seen = "no row" if table.rows == 0 else "one row"
-            what = "a log has at least two, and some hundred" if self.timed else "a table has at least two, and a dozen"
-            message = f"holds {seen}; {what} to be of use"
-            self.faults.note(table.header + 1, 1, message)
+            count, usual = "no row" if table.rows == 0 else "one row", "some hundred" if self.timed else "a dozen"
+            self.faults.note(table.header + 1, 1, messages.TOO_FEW_ROWS(count=count, kind=self._kind, usual=usual))
             return
         if not table.rows:
             return
@@ -288,47 +283,44 @@ class LogReader:
         for name, column in table.columns.items():
             values = table[name]
             if name in self.outputs and column.cell not in faulty and np.isnan(values).all():
-                message = f'column "{name}" holds no value (NaN in every row); delete the column'
-                self.faults.note(table.header, column.cell, message)
+                self.faults.note(table.header, column.cell, messages.EMPTY_COLUMN(name=name))
             self._check_sizes(column, values)
 
     def _check_sizes(self, column: Column, values: Array) -> None:
         name, cure = column.name, "leave the row out" if column.known else "leave the cell empty"
-        for row in _absurd(values):
-            message = f'{name} is {values[row]:g} here, far beyond the rest: a mark for "invalid"? Then {cure}'
-            self.faults.note_cell(self.table.lines[row], column.cell, f"cells of {name} far beyond the rest", message)
+        kind = f"cells of {name} far beyond the rest"
+        for row in _absurd_rows(values):
+            message = messages.ABSURD_VALUE(name=name, value=values[row], cure=cure)
+            self.faults.note_cell(self.table.lines[row], column.cell, kind, message)
 
 
-def renamed(texts: Sequence[str], log: Path) -> dict[str, str]:
+def read_column_names(texts: Sequence[str], log: Path) -> dict[str, str]:
     """Return column → name in the model for texts such as `measured_speed=motor.w` or `stamp=time`.
 
     Raises:
         InputError: A text has another form.
     """
     parts = [(text, *text.partition("=")) for text in texts]
-    if wrong := [t for t, name, sign, meant in parts if not (name.strip() and sign and meant.strip())]:
-        cure = "is not COLUMN=VARIABLE, as in measured_speed=motor.w"
-        raise InputError([Fault(log, 0, 0, f'--column "{short(t)}" {cure}') for t in wrong])
-    return {name.strip(): meant.strip() for _, name, _, meant in parts}
+    wrong = [text for text, column, sign, name in parts if not (column.strip() and sign and name.strip())]
+    refuse(Fault(log, 0, 0, messages.COLUMN_OPTION(text=short(text))) for text in wrong)
+    return {column.strip(): name.strip() for _, column, _, name in parts}
 
 
-def named(names: Collection[str]) -> str:
+def name_list(names: Collection[str]) -> str:
     """Return names in a line, shortened if very many."""
     more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
     return ", ".join(islice(names, SHOWN)) + more
 
 
-def _absurd(values: Array) -> Rows:
+def _absurd_rows(values: Array) -> Rows:
     """Return rows of absurd values, such as a logger's 3.4e38 for `invalid`."""
     size = np.abs(values)
-    seen = size[~np.isnan(size)]
-    if not seen.size:
+    if np.isnan(size).all():
         return np.zeros(0, np.intp)
-    limit = min(max(BEYOND * float(np.median(seen)), ORDINARY), NEVER)
-    return np.flatnonzero(size > limit)
+    return np.flatnonzero(size > min(max(BEYOND * float(np.nanmedian(size)), ORDINARY), NEVER))
 
 
-def _continuous(angle: Array) -> tuple[Array, Rows]:
+def _unwrap(angle: Array) -> tuple[Array, Rows]:
     """Return the continuous angle and its jumps.
 
     An angle that spans more than a turn is unchanged.
@@ -343,14 +335,14 @@ def _continuous(angle: Array) -> tuple[Array, Rows]:
     return smooth, jumps
 
 
-def _unwrapped(
+def _unwrap_angles(
     outputs: Mapping[str, Array], units: Mapping[str, str], time: Array
 ) -> tuple[dict[str, Array], dict[str, tuple[float, ...]]]:
     """Return the outputs with continuous angles, and the times of removed jumps."""
     smooth, jumps = dict(outputs), dict[str, tuple[float, ...]]()
     for name in outputs:
         if units[name] == "rad":
-            smooth[name], rows = _continuous(outputs[name])
+            smooth[name], rows = _unwrap(outputs[name])
             jumps |= {name: tuple(time[rows].tolist())} if rows.size else {}
     return smooth, jumps
 
@@ -384,21 +376,21 @@ def slowness(step: float) -> int:
     return max(1, math.ceil(step / USUAL - 0.1))
 
 
-def _measuring(log: Log, first: int, end: int) -> list[tuple[int, int]]:
+def _measured_ranges(log: Log, first: int, end: int) -> list[tuple[int, int]]:
     """Return measured ranges (first, end) without pauses, relative to `first`; all rows without measurement.
 
     A pause exceeds the usual spacing of measurements too, so a slow sensor is no pause.
     """
-    seen = np.zeros(end - first, bool)
+    measured = np.zeros(end - first, bool)
     for values in log.outputs.values():
-        seen |= np.isfinite(values[first:end])
-    rows = np.flatnonzero(seen)
+        measured |= np.isfinite(values[first:end])
+    rows = np.flatnonzero(measured)
     if not rows.size:
         return [(0, end - first)]
     time = log.time[first:end]
-    apart = np.diff(time[rows])
-    limit = max(log.pause, USUALLY * float(np.median(apart))) if apart.size else log.pause
-    edges = np.flatnonzero(apart > limit)
+    intervals = np.diff(time[rows])
+    limit = max(log.pause, USUALLY * float(np.median(intervals))) if intervals.size else log.pause
+    edges = np.flatnonzero(intervals > limit)
     # Commands before the first and after the last measurement belong to the range, except after a pause.
     start = 0 if time[rows[0]] - time[0] <= limit else rows[0]
     stop = end - first if time[-1] - time[rows[-1]] <= limit else rows[-1] + 1
@@ -414,14 +406,14 @@ def stretches(log: Log) -> list[Log]:
     pieces = [
         (first + a, first + b)
         for first, end in pairwise([0, *(np.flatnonzero(np.diff(log.time) > log.pause) + 1).tolist(), log.rows])
-        for a, b in _measuring(log, first, end)
+        for a, b in _measured_ranges(log, first, end)
     ]
     if pieces == [(0, log.rows)]:
         return [log]
-    found = []
-    for first, end in pieces:
-        rows = slice(first, end)
+    logs = []
+    for piece in pieces:
+        rows = slice(*piece)
         outputs = {name: values[rows] for name, values in log.outputs.items() if not np.isnan(values[rows]).all()}
         inputs = {name: values[rows] for name, values in log.inputs.items()}
-        found.append(replace(log, time=log.time[rows], inputs=inputs, outputs=outputs))
-    return found
+        logs.append(replace(log, time=log.time[rows], inputs=inputs, outputs=outputs))
+    return logs

@@ -12,10 +12,10 @@ from cosim.loading.file import LoadedModel, load_model
 from cosim.loading.model_check import substep_notes
 from cosim.loading.own_run import predicted_outputs
 from cosim.loading.substep import with_substep
-from cosim.logs.alone import findings_alone
+from cosim.logs.alone import findings_without_model
 from cosim.logs.gate import gate, refuse_faults
 from cosim.logs.log import read_log
-from cosim.logs.spikes import find_spikes, without
+from cosim.logs.spikes import drop_outliers, find_spikes
 from cosim.model.traits import Traits
 from cosim.storage.artefact import Checking
 from cosim.storage.table import read_header
@@ -27,12 +27,12 @@ def check_log(path: Path, checking: Checking) -> list[str]:
     The log is compared with the named model, else with the base model if an input matches, else with none.
     """
     if checking.model is None and not is_model(BASE):
-        return findings_alone(path, checking.columns)
+        return findings_without_model(path, checking.columns)
     loaded = load_model(checking.model or BASE, Path())
     if checking.model is None:
         names = {checking.columns.get(name, name) for name in read_header(path)}
         if names and names.isdisjoint(q.name for q in loaded.model.inputs):
-            return findings_alone(path, checking.columns)
+            return findings_without_model(path, checking.columns)
     return log_findings(path, loaded, checking.columns)
 
 
@@ -48,4 +48,4 @@ def log_findings(path: Path, loaded: LoadedModel, columns: Mapping[str, str] = M
     spikes = {} if log.table else find_spikes(log, partial(predicted_outputs, stepping, log))
     findings = gate(log, model.rate, traits=Traits.of(model), spikes=spikes)
     refuse_faults(log, findings)
-    return [*(f.line for f in findings), *substep_notes(loaded, [without(log, spikes)])]
+    return [*(f.line for f in findings), *substep_notes(loaded, [drop_outliers(log, spikes)])]

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from cosim.logs import messages
 from cosim.logs.finding import Finding
 from cosim.logs.log import Log
 from cosim.model.planar import PlanarFrame
@@ -15,7 +16,7 @@ LEAST = 20  # positions
 SPACING = 0.2  # [s] between positions
 
 
-def mirrored(log: Log, frame: PlanarFrame) -> Iterator[Finding]:
+def axis_findings(log: Log, frame: PlanarFrame) -> Iterator[Finding]:
     """Warn of a reversed axis: only the mirror image moves where it points."""
     if not {frame.x, frame.y, frame.heading} <= log.outputs.keys():
         return
@@ -26,6 +27,5 @@ def mirrored(log: Log, frame: PlanarFrame) -> Iterator[Finding]:
     dx, dy, pointing = np.diff(x[good]), np.diff(y[good]), 0.5 * (heading[good][1:] + heading[good][:-1])
     ways = {sign: float(np.sum((dx * np.sin(pointing) - sign * dy * np.cos(pointing)) ** 2)) for sign in (1.0, -1.0)}
     if ways[1.0] > TURNED * ways[-1.0]:
-        cure = f"world Y points left and {frame.heading} is positive to the left"
-        text = f"the body moves sideways unless {frame.y}, or {frame.heading}, is turned round: {cure}"
-        yield Finding("warning", "mirrored", frame.y, text, {"ratio": ways[1.0] / ways[-1.0]})
+        message = messages.REVERSED_AXIS(y=frame.y, heading=frame.heading)
+        yield Finding("warning", "mirrored", frame.y, message, {"ratio": ways[1.0] / ways[-1.0]})

@@ -39,17 +39,17 @@ def find_spikes(log: Log, predict: Prediction | None = None) -> dict[str, Rows]:
     if not suspects:
         return {}
     model = {} if predict is None else predict(suspects)
-    answering = _answering(log)
+    after_jumps = _rows_after_jumps(log)
     spikes = {}
     for name, rows in suspects.items():
         values = log.outputs[name]
-        genuine = answering[rows] if predict is None else _moves_too(values, model.get(name), rows)
+        genuine = after_jumps[rows] if predict is None else _is_motion(values, model.get(name), rows)
         if not genuine.all():
             spikes[name] = rows[~genuine]
     return spikes
 
 
-def without(log: Log, spikes: Spikes) -> Log:
+def drop_outliers(log: Log, spikes: Spikes) -> Log:
     """Return the log without outliers."""
     outputs = dict(log.outputs)
     for name, rows in spikes.items():
@@ -63,9 +63,9 @@ def out_of_line(log: Log, values: Array) -> Array:
     place = np.concatenate(([0], np.cumsum(np.minimum(np.diff(log.grid), 5))))
     whole = np.full(place[-1] + 1, np.nan)
     whole[place] = values  # readings beyond a pause are no neighbours
-    seen = np.pad(np.isfinite(whole), 2)
-    beside = np.lib.stride_tricks.sliding_window_view(seen, 5).all(axis=1)  # a slower sensor may miss motion
-    return np.asarray(SCALE * np.abs(np.nan_to_num(np.where(beside, surprise(whole), 0.0)[place])))
+    measured = np.pad(np.isfinite(whole), 2)
+    complete = np.lib.stride_tricks.sliding_window_view(measured, 5).all(axis=1)  # a slower sensor may miss motion
+    return np.asarray(SCALE * np.abs(np.nan_to_num(np.where(complete, surprise(whole), 0.0)[place])))
 
 
 def _suspects(log: Log, values: Array) -> Rows:
@@ -73,82 +73,82 @@ def _suspects(log: Log, values: Array) -> Rows:
     level = noise_level(values) * SCALE
     if not level > 0.0:
         return np.zeros(0, np.intp)
-    kept = values.copy()
-    kept[_close_together(values, WILD * level)] = np.nan
-    off = out_of_line(log, kept)
-    around = np.max([np.roll(off, k) for k in (-2, -1, 1, 2)], axis=0)
-    peaks = np.flatnonzero((off > WILD * level) & (off >= around))
-    kept[[k for k in peaks.tolist() if _neighbours_agree(kept, k, WILD * level)]] = np.nan
-    return np.flatnonzero(np.isfinite(values) & np.isnan(kept))
+    limit = WILD * level
+    rest = values.copy()
+    rest[_outlier_groups(values, limit)] = np.nan
+    deviation = out_of_line(log, rest)
+    around = np.max([np.roll(deviation, k) for k in (-2, -1, 1, 2)], axis=0)
+    peaks = np.flatnonzero((deviation > limit) & (deviation >= around))
+    rest[[k for k in peaks.tolist() if _neighbours_agree(rest, k, limit)]] = np.nan
+    return np.flatnonzero(np.isfinite(values) & np.isnan(rest))
 
 
-def _moves_too(values: Array, model: Array | None, rows: Rows) -> Flags:
+def _is_motion(values: Array, model: Array | None, rows: Rows) -> Flags:
     """Return True for each row near which the model moves as sharply."""
     if model is None:
         return np.zeros(rows.size, bool)
-    there = np.isfinite(values)
-    moved = _off_neighbours(np.where(there & np.isfinite(model), model, np.nan))
-    near = np.lib.stride_tricks.sliding_window_view(np.pad(moved, LATENESS), 2 * LATENESS + 1).max(axis=1)
-    return np.asarray(UNCERTAINTY * near[rows] >= _off_neighbours(values)[rows])
+    motion = _deviation_from_neighbours(np.where(np.isfinite(values) & np.isfinite(model), model, np.nan))
+    near = np.lib.stride_tricks.sliding_window_view(np.pad(motion, LATENESS), 2 * LATENESS + 1).max(axis=1)
+    return np.asarray(UNCERTAINTY * near[rows] >= _deviation_from_neighbours(values)[rows])
 
 
-def _off_neighbours(values: Array) -> Array:
+def _deviation_from_neighbours(values: Array) -> Array:
     """Return the deviation from the four nearest readings."""
     return SCALE * np.nan_to_num(np.abs(surprise(values)))
 
 
-def _close_together(values: Array, apart: float) -> list[int]:
+def _outlier_groups(values: Array, limit: float) -> list[int]:
     """Return rows of groups of outliers.
 
     In a stretch of deviating readings, the outliers are those off the cubic through three readings on each side.
     """
     rows = np.flatnonzero(np.isfinite(values))
-    off_line = np.nan_to_num(np.abs(surprise(values[rows]))) * SCALE
-    astray = off_line > ASTRAY * apart
+    deviation = np.nan_to_num(np.abs(surprise(values[rows]))) * SCALE
+    astray = deviation > ASTRAY * limit
     astray[1:-1] |= astray[:-2] & astray[2:]
     edges = np.flatnonzero(np.diff(np.concatenate(([False], astray, [False])).astype(int)))
     usual = float(np.median(np.diff(rows))) if rows.size > 1 else 1.0
-    found: list[int] = []
+    outliers: list[int] = []
     for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        if off_line[first:last].max() < apart or last - first > REACH or not SIDE <= first < last <= rows.size - SIDE:
+        if deviation[first:last].max() < limit or last - first > REACH or not SIDE <= first < last <= rows.size - SIDE:
             continue
         stretch = rows[first - SIDE : last + SIDE]
         if np.diff(stretch).max() > 3.0 * usual:  # readings beyond a pause are no neighbours
             continue
-        wild = _off_the_others(values[stretch], stretch, apart)
+        wild = _rows_off_cubic(values[stretch], stretch, limit)
         runs = np.split(wild, np.flatnonzero(np.diff(wild) > 1) + 1)
         if 0 < wild.size <= MOST and max(run.size for run in runs) <= ADJACENT:
-            found += wild.tolist()
-    return found
+            outliers += wild.tolist()
+    return outliers
 
 
-def _off_the_others(y: Array, rows: Rows, apart: float) -> Rows:
+def _rows_off_cubic(y: Array, rows: Rows, limit: float) -> Rows:
     """Return rows off the cubic through SIDE readings on each side, none for a step."""
     time = (rows - rows[0]).astype(np.float64)
     sides = [slice(None, SIDE), slice(-SIDE, None)]
     around = np.concatenate([np.arange(y.size)[s] for s in sides])
     inside = np.arange(SIDE, y.size - SIDE)
     cubic = np.polyfit(time[around], y[around], 3)
-    off = np.abs(y[inside] - np.polyval(cubic, time[inside]))
+    deviation = np.abs(y[inside] - np.polyval(cubic, time[inside]))
     (t0, t1), (y0, y1) = ([float(v[s].mean()) for s in sides] for v in (time, y))
     slope = np.mean([np.polyfit(time[s], y[s], 1)[0] for s in sides])
-    if abs(y1 - y0 - slope * (t1 - t0)) > 0.5 * off.max():  # a step, not an outlier
+    if abs(y1 - y0 - slope * (t1 - t0)) > 0.5 * deviation.max():  # a step, not an outlier
         return rows[:0]
-    return np.asarray(rows[inside[(off > apart) & (off > 0.5 * off.max())]])
+    return np.asarray(rows[inside[(deviation > limit) & (deviation > 0.5 * deviation.max())]])
 
 
-def _neighbours_agree(values: Array, k: int, apart: float) -> bool:
+def _neighbours_agree(values: Array, k: int, limit: float) -> bool:
     """Return True if two readings on each side change evenly without the middle one."""
     if not 2 <= k < values.size - 2:
         return False
-    left, right = values[k - 2 : k], values[k + 1 : k + 3]
-    slope = (right[0] - left[1]) / 2.0
-    bends = (left[1] - left[0] - slope, right[1] - right[0] - slope)
-    middle = abs(values[k] - 0.5 * (left[1] + right[0]))
-    return bool(max(map(abs, bends)) < 0.5 * min(middle, apart) or max(map(abs, bends)) < 0.25 * middle)
+    before, after = values[k - 2 : k], values[k + 1 : k + 3]
+    slope = (after[0] - before[1]) / 2.0
+    bends = (before[1] - before[0] - slope, after[1] - after[0] - slope)
+    middle = abs(values[k] - 0.5 * (before[1] + after[0]))
+    return bool(max(map(abs, bends)) < 0.5 * min(middle, limit) or max(map(abs, bends)) < 0.25 * middle)
 
 
-def _answering(log: Log) -> Flags:
+def _rows_after_jumps(log: Log) -> Flags:
     """Return rows directly after a jump of an input."""
     jumps = np.zeros(log.rows)
     for values in log.inputs.values():

@@ -13,7 +13,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic.json_schema import GenerateJsonSchema
 
 from cosim.base.version import __version__
-from cosim.estimation.expected import expected
+from cosim.estimation.expected import expected_value
 from cosim.estimation.fit import Fit
 from cosim.estimation.per_log import own
 from cosim.estimation.problem import Problem
@@ -394,7 +394,7 @@ def per_log(study: Study, f: Fit, ends: Mapping[str, float]) -> dict[str, PerLog
     """Return every parameter per log."""
     declared, entries = study.subject.declared, {}
     for name in study.settings.per_log:
-        unit, (mean, sd) = declared[name].unit, expected(f, name)
+        unit, (mean, sd) = declared[name].unit, expected_value(f, name)
         groups = {x.group: _estimate(f, x.name, unit) for x in f.free if x.parameter == name}
         sealed = dict.fromkeys(g for g in study.settings.groups.values() if g not in groups)
         followed = {g: Followed(value=ends[own(name, g)], expected=mean, spread=sd) for g in sealed}

@@ -25,9 +25,9 @@ from cosim.isolation.limits import Limits
 from cosim.loading.file import LoadedModel, load_model
 from cosim.loading.substep import with_substep
 from cosim.logs.gate import gate, gate_faults
-from cosim.logs.holes import filled
+from cosim.logs.holes import fill_holes
 from cosim.logs.log import Log, read_log, stretches
-from cosim.logs.spikes import find_spikes, without
+from cosim.logs.spikes import drop_outliers, find_spikes
 from cosim.refinement import messages
 from cosim.refinement.search.groups import Places, full_name, group_of, per_log_faults
 from cosim.residuals.windows import SKIPPED
@@ -182,7 +182,7 @@ class Study:
         return tuple(
             stretch
             for log in logs
-            for stretch in _usable_stretches(without(log, _spikes(log, self.subject)), self.subject.horizon)
+            for stretch in _usable_stretches(drop_outliers(log, _spikes(log, self.subject)), self.subject.horizon)
         )
 
 
@@ -316,7 +316,7 @@ def _read_logs(
         spikes = _spikes(log, subject)
         findings = gate(log, subject.rate, traits=subject.traits, spikes=spikes)
         faults += gate_faults(log, findings)
-        log = without(log, spikes)
+        log = drop_outliers(log, spikes)
         warnings += [
             messages.READINGS_LEFT_OUT(log=name, readings=counted(rows.size, "reading"), output=output)
             for output, rows in spikes.items()
@@ -386,7 +386,7 @@ def _usable_stretches(log: Log, horizon: float) -> list[Log]:
     if log.table:
         return [log]
     least = _min_duration(log, horizon) - 0.5 * log.step
-    return [filled(s) for s in stretches(log) if s.outputs and s.time[-1] - s.time[0] >= least]
+    return [fill_holes(s) for s in stretches(log) if s.outputs and s.time[-1] - s.time[0] >= least]
 
 
 def _short_log(log: Log, horizon: float) -> Fault:

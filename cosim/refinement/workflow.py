@@ -16,7 +16,7 @@ import numpy as np
 
 from cosim.base.errors import Fault, refuse
 from cosim.estimation.fit import Fit
-from cosim.estimation.per_log import not_per_log
+from cosim.estimation.per_log import drop_own_parameters
 from cosim.estimation.posing import build_problem, coarsened, varied_inputs
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import at_rest, noise_warnings, sensor_noise
@@ -181,7 +181,9 @@ def _divergences(study: Study, problem: Problem) -> Iterator[Fault]:
 def _candidates(study: Study) -> list[Candidate]:
     """Return the candidates named by the study, or all."""
     subject, named = study.subject, study.content.candidates
-    candidates = list(not_per_log(subject.candidates(varied_inputs(subject, study.logs)), study.settings.per_log))
+    candidates = list(
+        drop_own_parameters(subject.candidates(varied_inputs(subject, study.logs)), study.settings.per_log)
+    )
     return candidates if named is None else [c for c in candidates if c.name in named]
 
 

@@ -13,32 +13,37 @@ from cosim.base.text import amount, plain
 from cosim.base.units import alternatives, factor
 from cosim.logs.finding import Finding
 from cosim.logs.log import Log
+from cosim.residuals import messages
 from cosim.residuals.residual_statistics import correlation_at_lags
 
 SLOW = 1.0  # [s] slower changes carry no information about a delay
 LONGEST_DELAY = 0.5  # [s]
 LIKE = 0.85  # correlation of a signal with its model beyond chance
 TELLING = 0.6  # least correlation with the model for a delay estimate
+REGULAR = "or, the motion being so regular, a wrong friction or inertia"
 FASTER = 1.15  # ratio of mean frequencies from which fast changes are independent evidence
 
 
 def delays(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
     """Yield findings on channels with a delay of half a row or more; slow channels are too uncertain."""
-    found = {n: d for n, y in log.outputs.items() if n in model and (d := delay(log, y, model[n])) is not None}
-    fastest = max((d.frequency for d in found.values()), default=0.0)
-    for name, (time, error, rho, frequency) in found.items():
+    estimates = {n: d for n, y in log.outputs.items() if n in model and (d := delay(log, y, model[n])) is not None}
+    fastest = max((d.frequency for d in estimates.values()), default=0.0)
+    for name, (time, error, rho, frequency) in estimates.items():
         if frequency < 0.6 * fastest or abs(time) < max(4.0 * error, 0.4 * log.step):
             continue
-        sure = _same_when_faster(log, log.outputs[name], model[name], found[name])
-        if sure is False:
+        confirmed = _same_when_faster(log, log.outputs[name], model[name], estimates[name])
+        if confirmed is False:
             continue
-        which = "trails" if time > 0 else "leads"
-        why = "a delay, a slower actuator" if time > 0 else "a faster actuator, a command logged late"
-        doubt = "or clocks that differ" if sure else "or, the motion being so regular, a wrong friction or inertia"
-        by = f"{amount(abs(time) * 1000, 'ms', 2)} ± {amount(error * 1000, 'ms', 1)}"
+        serious = confirmed and abs(time) > log.step
+        message = (messages.DELAY if serious else messages.POSSIBLE_DELAY)(
+            direction="trails" if time > 0 else "leads",
+            delay=amount(abs(time) * 1000, "ms", 2),
+            error=amount(error * 1000, "ms", 1),
+            cause="a delay, a slower actuator" if time > 0 else "a faster actuator, a command logged late",
+            doubt="or clocks that differ" if confirmed else REGULAR,
+        )
         numbers = {"delay": time, "error": error, "correlation": rho}
-        sentence = f"{which} the model by {by}: {why}, {doubt}"
-        yield Finding("warning" if sure and abs(time) > log.step else "note", "delay", name, sentence, numbers)
+        yield Finding("warning" if serious else "note", "delay", name, message, numbers)
 
 
 def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
@@ -55,18 +60,12 @@ def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
         rho, slope = both / size, both / float(ref[good] @ ref[good])
         numbers = {"slope": slope, "correlation": rho}
         if rho < -LIKE:
-            against = f"moves against the model (correlation {plain(rho, 2)})"
-            yield Finding("warning", "sign", name, f"{against}: it, or a command, has the wrong sign", numbers)
-        elif rho > LIKE and _unconverted(log, name, slope):
-            written = log.written[name]
-            cure = f'leave "[{written}]" out of the header, so that nothing is converted'
-            sentence = f"moves as the model does in {written}, which declares no unit: {cure}"
-            yield Finding("fault", "unit", name, sentence, numbers)
+            yield Finding("warning", "sign", name, messages.WRONG_SIGN(correlation=plain(rho, 2)), numbers)
+        elif rho > LIKE and _is_converted_wrongly(log, name, slope):
+            yield Finding("fault", "unit", name, messages.CONVERTED_UNIT(unit=log.written[name]), numbers)
         elif rho > LIKE and (unit := _other_unit(log.units[name], slope)):
-            cure = f'is it in {unit}? Then call the column "{name} [{unit}]"'
-            yield Finding(
-                "fault", "unit", name, f"moves as the model does, but {plain(slope)} times as far: {cure}", numbers
-            )
+            message = messages.PROBABLE_UNIT(ratio=plain(slope), unit=unit, name=name)
+            yield Finding("fault", "unit", name, message, numbers)
 
 
 def _other_unit(unit: str, slope: float) -> str | None:
@@ -75,7 +74,7 @@ def _other_unit(unit: str, slope: float) -> str | None:
     return next((u for u, f in sizes.items() if f and 0.7 < slope * f < 1.4 and not 0.2 < slope < 5.0), None)
 
 
-def _unconverted(log: Log, name: str, slope: float) -> bool:
+def _is_converted_wrongly(log: Log, name: str, slope: float) -> bool:
     """Return True if an undeclared unit was converted, but the model uses the header's unit."""
     by = factor(log.written[name], log.units[name]) if name in log.undeclared else None
     return by is not None and not 0.2 < by < 5.0 and 0.7 < slope / by < 1.4
@@ -136,10 +135,9 @@ def _fast(log: Log, values: Array) -> Array:
     half = max(1, round(0.5 * SLOW * log.slowness / log.step))
     out = np.full(values.size, np.nan)
     if values.size > 2 * half:
-        seen = np.isfinite(values)
-        sums, counts = (
-            np.concatenate(([0.0], np.cumsum(v))) for v in (np.where(seen, values, 0.0), seen.astype(np.float64))
-        )
+        finite = np.isfinite(values)
+        parts = np.where(finite, values, 0.0), finite.astype(np.float64)
+        sums, counts = (np.concatenate(([0.0], np.cumsum(part))) for part in parts)
         width = 2 * half + 1
         count = counts[width:] - counts[:-width]
         middle = slice(half, values.size - half)

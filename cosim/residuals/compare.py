@@ -7,10 +7,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from cosim.base.text import plain, size
-from cosim.logs.channel_noise import noise_beside
+from cosim.logs.channel_noise import least_noise_level
 from cosim.logs.finding import Finding
 from cosim.logs.gate import ORDER, refuse_faults
 from cosim.logs.log import Log
+from cosim.residuals import messages
 from cosim.residuals.against import delays, scales
 from cosim.residuals.drive import Drive
 from cosim.residuals.floor import EXACT, Floor, draws, floors
@@ -70,8 +71,8 @@ class ChannelSummary:
     @property
     def exact(self) -> bool:
         """Return True for an error at rounding level, or nothing to compare."""
-        found = self.scores[self.measure]
-        return found.rows == 0 or found.rmse == 0.0 or found.fit > 100.0 * (1.0 - EXACT)
+        score = self.scores[self.measure]
+        return score.rows == 0 or score.rmse == 0.0 or score.fit > 100.0 * (1.0 - EXACT)
 
     @property
     def matched(self) -> bool:
@@ -120,7 +121,7 @@ def compare(drive: Drive, free: Replay, findings: Sequence[Finding] = ()) -> Com
             replays[horizon] = windowed
     floor = floors(drive, parameters, free, replays.get(measure, free))
     channels = tuple(_summary(log, replays, name, measure, floor[name]) for name in log.outputs)
-    everything = sorted((*findings, *against, *_lost(channels)), key=lambda f: ORDER.index(f.severity))
+    everything = sorted((*findings, *against, *_hidden_states(channels)), key=lambda f: ORDER.index(f.severity))
     return Comparison(log, drive, replays, channels, tuple(everything))
 
 
@@ -129,12 +130,11 @@ def steps_of(log: Log) -> int:
     return log.rows * (1 + len(HORIZONS) + 1 + draws(log, horizons(log)[-1]))
 
 
-def _lost(channels: Sequence[ChannelSummary]) -> Iterator[Finding]:
-    for c in (c for c in channels if c.lost):
-        error = f"{size(c.floor.astray, c.unit)} over {plain(c.horizon)}\u00a0s"
-        why = "it keeps a state that no output shows, and only the free run measures it"
-        sentence = f"is missed by {error} where the FMU is restarted from its own outputs: {why}"
-        yield Finding("warning", "hidden_state", c.name, sentence, {"rmse": c.floor.astray, "noise": c.floor.rmse})
+def _hidden_states(channels: Sequence[ChannelSummary]) -> Iterator[Finding]:
+    for c in channels:
+        if c.lost:
+            message = messages.HIDDEN_STATE(error=size(c.floor.astray, c.unit), horizon=plain(c.horizon))
+            yield Finding("warning", "hidden_state", c.name, message, {"rmse": c.floor.astray, "noise": c.floor.rmse})
 
 
 def _summary(log: Log, replays: Mapping[float, Replay], name: str, horizon: float, floor: Floor) -> ChannelSummary:
@@ -142,6 +142,6 @@ def _summary(log: Log, replays: Mapping[float, Replay], name: str, horizon: floa
     scores = {horizon: score(measured, r.outputs[name]) for horizon, r in sorted(replays.items())}
     residual = measured - replays[min(replays)].outputs[name]
     lags = lags_of(log.rows, log.step)
-    noise = noise_beside(measured, replays[FREE_RUN].outputs[name])
+    noise = least_noise_level(measured, replays[FREE_RUN].outputs[name])
     inputs = input_correlations(residual, log.inputs, lags)
     return ChannelSummary(name, log.units[name], horizon, noise, floor, scores, whiteness(residual, lags), inputs)

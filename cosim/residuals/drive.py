@@ -15,6 +15,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import Fault, FmuError, InputError, SimulationError, refuse
+from cosim.base.messages import Message
 from cosim.base.units import Conversion, conversion
 from cosim.blocks.component import Signal
 from cosim.blocks.description import takes_any_step
@@ -23,8 +24,9 @@ from cosim.blocks.restartable import RestartableFmu
 from cosim.fmi.annotation import traits_of
 from cosim.fmi.state import Memory, Own
 from cosim.isolation.rows import ADVANCE, GET, OTHER, PUT, Rows
-from cosim.logs.log import Log, SignalLike, read_log
+from cosim.logs.log import Log, read_log
 from cosim.model.planar import PlanarFrame
+from cosim.residuals import messages
 from cosim.storage.kinds import FMU, LOG, check_given
 from cosim.storage.yaml_file import did_you_mean
 
@@ -64,16 +66,16 @@ def check_files(log: Path, fmu: Path | None) -> None:
         InputError: A file is of another kind, or both files have faults.
     """
     faults: list[Fault] = []
-    for given, kind in ((log, LOG), (fmu, FMU)):
+    for path, kind in ((log, LOG), *([(fmu, FMU)] if fmu else [])):
         try:
-            if given is not None:
-                check_given(given, kind)
-                if faults:
-                    read_description(given)
+            check_given(path, kind)
+            if faults:
+                read_description(path)
         except InputError as error:
             faults += error.faults
         except FmuError as error:
-            faults.append(Fault(Path(given or ""), 0, 0, str(error).removeprefix(f"{given} "), error.exit_code))
+            message = Message(str(error).removeprefix(f"{path} "), error.code)
+            faults.append(Fault(path, 0, 0, message, error.exit_code))
     refuse(faults)
 
 
@@ -90,8 +92,7 @@ def log_of_fmu(path: Path, fmu: Path, columns: Mapping[str, str] = MappingProxyT
     check_files(path, fmu)
     signals = model_signals(fmu)
     if (traits := traits_of(fmu)) is not None and traits.static:
-        cure = "list the table in a study, `cosim refine` holds each row against the model"
-        raise InputError([Fault(fmu, 0, 0, f"has no states, so there is no time over which to replay a log; {cure}")])
+        raise InputError.at(fmu, messages.NO_STATES())
     return read_log(path, *signals, columns=columns, alone=True)
 
 
@@ -361,20 +362,21 @@ class Drive:
         faults = []
         sides = (("input", self.log.inputs, self.block.inputs), ("output", self.log.outputs, self.block.outputs))
         for kind, names, signals in sides:
-            known: dict[str, SignalLike] = {s.name: s for s in signals}
+            units = {s.name: s.unit for s in signals}
             for name in names:
-                if name not in known:
-                    message = f'has no {kind} "{name}", which {self.log.path.name} holds{did_you_mean(name, known)}'
-                    faults.append(Fault(self.fmu, 0, 0, f"{message} (its {kind}s: {', '.join(known) or 'none'})"))
-                elif conversion(self.log.units[name], known[name].unit) != Conversion():
-                    units = f"{known[name].unit} here and in {self.log.units[name]} in the log as it was read"
-                    faults.append(Fault(self.fmu, 0, 0, f"{name} is in {units}; read the log for this FMU"))
-        refuse(faults)
+                if name not in units:
+                    cure, every = did_you_mean(name, units), ", ".join(units) or "none"
+                    log = self.log.path.name
+                    faults.append(messages.UNKNOWN_SIGNAL(kind=kind, name=name, log=log, cure=cure, names=every))
+                elif conversion(self.log.units[name], units[name]) != Conversion():
+                    other = self.log.units[name]
+                    faults.append(messages.OTHER_UNIT(name=name, unit=units[name], other=other))
+        refuse(Fault(self.fmu, 0, 0, message) for message in faults)
 
     def _check_start(self, start: Mapping[str, Any]) -> None:
-        unknown = start.keys() - self.variables
-        hints = {name: did_you_mean(name, self.variables) for name in unknown}
-        refuse(Fault(self.fmu, 0, 0, f'has no parameter "{name}"{hint}') for name, hint in hints.items())
+        cures = {name: did_you_mean(name, self.variables) for name in start.keys() - self.variables}
+        faults = (messages.UNKNOWN_PARAMETER(name=name, cure=cure) for name, cure in cures.items())
+        refuse(Fault(self.fmu, 0, 0, message) for message in faults)
 
 
 def rows_of(log: Log, first: int, seconds: float) -> int:

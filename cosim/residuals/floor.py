@@ -12,7 +12,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
 from cosim.fmi.state import Memory
-from cosim.logs.channel_noise import noise_beside
+from cosim.logs.channel_noise import least_noise_level
 from cosim.logs.log import Log
 from cosim.residuals.drive import Drive, as_columns
 from cosim.residuals.residual_statistics import FREE_RUN, pooled, rmse
@@ -53,30 +53,30 @@ def floors(drive: Drive, parameters: Mapping[str, StartParameter], free: Replay,
     noise comes from a state that no output shows.
     """
     log, horizon = drive.log, measured.horizon
-    alike = {n: np.where(np.isfinite(v), free.outputs[n], np.nan) for n, v in log.outputs.items()}
-    levels = {name: noise_beside(values, free.outputs[name]) for name, values in log.outputs.items()}
+    sampled = {n: np.where(np.isfinite(v), free.outputs[n], np.nan) for n, v in log.outputs.items()}
+    levels = {name: least_noise_level(values, free.outputs[name]) for name, values in log.outputs.items()}
 
-    freely = _linear_in_starts(drive, parameters, free, levels) if horizon == FREE_RUN else drive
+    run_drive = _linearize(drive, parameters, free, levels) if horizon == FREE_RUN else drive
 
-    def predicted(seen: Mapping[str, Array]) -> Mapping[str, Array]:
+    def predict(readings: Mapping[str, Array]) -> Mapping[str, Array]:
         if horizon == FREE_RUN:  # A start without measurement is unchanged.
-            if not parameters.keys() & seen.keys():
+            if not parameters.keys() & readings.keys():
                 return free.outputs
-            other = freely.on(replace(log, outputs=seen))
+            other = run_drive.on(replace(log, outputs=readings))
             return as_columns(other.run(0, log.rows - 1, first_start(other, parameters)), drive.outputs)
-        found = self_started(drive.on(replace(log, outputs=seen)), parameters, free, horizon)
-        return {} if found is None else found.outputs
+        replayed = self_started(drive.on(replace(log, outputs=readings)), parameters, free, horizon)
+        return {} if replayed is None else replayed.outputs
 
-    restarted, errors = predicted(alike), []
+    restarted, errors = predict(sampled), []
     for draw in range(count := draws(log, horizon)):
         rng = np.random.default_rng([SEED, draw])
         noise = {n: (0.0 if math.isnan(s) else s) * rng.standard_normal(log.rows) for n, s in levels.items()}
-        noisy = predicted({n: values + noise[n] for n, values in alike.items()})
-        errors.append({n: alike[n] + noise[n] - (noisy[n] - (restarted[n] - free.outputs[n])) for n in alike})
-    found, starts = pooled(errors), sorted(measured.starts)
-    squares = {n: np.concatenate([_mean_squares(e[n], starts) for e in errors]) for n in alike}
-    astray = {n: 0.0 if horizon == FREE_RUN else _astray(v, restarted[n]) for n, v in alike.items()}
-    return {n: Floor(found[n], _limit(squares[n], count), astray[n]) for n in alike}
+        noisy = predict({n: values + noise[n] for n, values in sampled.items()})
+        errors.append({n: sampled[n] + noise[n] - (noisy[n] - (restarted[n] - free.outputs[n])) for n in sampled})
+    totals, starts = pooled(errors), sorted(measured.starts)
+    squares = {n: np.concatenate([_mean_squares(e[n], starts) for e in errors]) for n in sampled}
+    astray = {n: 0.0 if horizon == FREE_RUN else _restart_error(v, restarted[n]) for n, v in sampled.items()}
+    return {n: Floor(totals[n], _limit(squares[n], count), astray[n]) for n in sampled}
 
 
 class _LinearDrive(Drive):
@@ -102,12 +102,12 @@ class _LinearDrive(Drive):
     ) -> Array:
         """Return the linearized outputs from the first row on."""
         assert first == 0, "only the run from the first row is known"
-        away = {name: start[name] - value for name, value in self._about.items() if name in start}
-        table = self._run + sum(change * self._slopes[name] for name, change in away.items())
+        changes = {name: start[name] - value for name, value in self._about.items() if name in start}
+        table = self._run + sum(change * self._slopes[name] for name, change in changes.items())
         return np.asarray(table[: last + 1])
 
 
-def _linear_in_starts(
+def _linearize(
     drive: Drive, parameters: Mapping[str, StartParameter], free: Replay, levels: Mapping[str, float]
 ) -> Drive:
     """Return the drive linearized in its start values.
@@ -115,16 +115,16 @@ def _linear_in_starts(
     Each start value needs one FMU run, instead of five runs per draw. If a run fails, the drive itself is returned.
     """
     table = np.column_stack([free.outputs[name] for name in drive.outputs])
-    given = free.starts[0]
-    about = {p.name: float(given.get(p.name, p.value(free.outputs[name][0]))) for name, p in parameters.items()}
+    start = free.starts[0]
+    about = {p.name: float(start.get(p.name, p.value(free.outputs[name][0]))) for name, p in parameters.items()}
     slopes = {}
     try:
         for name, p in parameters.items():
             level = levels.get(name, math.nan)
             step = level / abs(p.gain) if level > 0.0 else STEP * max(1.0, abs(about[p.name]))
             step = step if about[p.name] + step <= p.high else -step
-            moved = drive.run(0, drive.log.rows - 1, {**given, **about, p.name: about[p.name] + step})
-            slopes[p.name] = (moved - table) / step
+            outputs = drive.run(0, drive.log.rows - 1, {**start, **about, p.name: about[p.name] + step})
+            slopes[p.name] = (outputs - table) / step
     except SimulationError:
         return drive
     return _LinearDrive(drive, about, table, slopes)
@@ -132,10 +132,10 @@ def _linear_in_starts(
 
 def _mean_squares(error: Array, starts: Sequence[int]) -> Array:
     """Return the mean squared error of each window."""
-    seen = np.isfinite(error)
-    window = np.searchsorted(starts, np.flatnonzero(seen), side="left")
+    finite = np.isfinite(error)
+    window = np.searchsorted(starts, np.flatnonzero(finite), side="left")
     counts = np.bincount(window, minlength=len(starts) + 1)
-    sums = np.bincount(window, error[seen] ** 2, minlength=counts.size)
+    sums = np.bincount(window, error[finite] ** 2, minlength=counts.size)
     return np.asarray(sums[counts > 0] / counts[counts > 0])
 
 
@@ -154,8 +154,9 @@ def _limit(squares: Array, count: int) -> float:
     return max(AT_LEAST, math.sqrt(float(fdtri(freedom, freedom * count, 1.0 - BY_CHANCE))))
 
 
-def _astray(model: Array, restarted: Array) -> float:
+def _restart_error(model: Array, restarted: Array) -> float:
+    """Return the RMSE of a restarted model, 0 at rounding level."""
     error = model - restarted
-    seen = model[np.isfinite(error)]
-    least = max(EXACT * float(np.std(seen)), ROUNDING * float(np.max(np.abs(seen)))) if seen.size else math.inf
-    return found if (found := rmse(error)) > least else 0.0
+    values = model[np.isfinite(error)]
+    least = max(EXACT * float(np.std(values)), ROUNDING * float(np.max(np.abs(values)))) if values.size else math.inf
+    return size if (size := rmse(error)) > least else 0.0

@@ -15,7 +15,7 @@ from cosim.base.errors import SimulationError
 from cosim.base.scratch import Held, scratch
 from cosim.blocks.compiling import with_permission
 from cosim.fmi.state import Memory, Own
-from cosim.isolation import worker as here
+from cosim.isolation import worker as own_process
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import OTHER, Rows, allocate, mapped_table, read_table
@@ -42,27 +42,27 @@ class Loaded:
     table: Path
 
 
-def load(asked: Loaded) -> None:
+def load(loaded: Loaded) -> None:
     """Prepare a drive without loading its FMU."""
-    drive = Drive(asked.log, asked.fmu, interpolated=asked.interpolated, given=asked.given)
-    here.overheard(drive.block)
-    drive._new_rows = partial(_mapped, asked.table)
-    _drives[asked.number] = drive
+    drive = Drive(loaded.log, loaded.fmu, interpolated=loaded.interpolated, given=loaded.given)
+    own_process.overheard(drive.block)
+    drive._new_rows = partial(_map_rows, loaded.table)
+    _drives[loaded.number] = drive
 
 
-def _mapped(path: Path, rows: int, columns: int) -> Rows:
-    return Rows(mapped_table(path, rows, columns), made=here.progress.made, doing=here.progress.doing)
+def _map_rows(path: Path, rows: int, columns: int) -> Rows:
+    return Rows(mapped_table(path, rows, columns), made=own_process.progress.made, doing=own_process.progress.doing)
 
 
 def ask(number: int, method: str, *arguments: Any) -> Any:
     """Call a method of a drive."""
-    here.progress.doing[0] = OTHER
+    own_process.progress.doing[0] = OTHER
     return getattr(_drives[number], method)(*arguments)
 
 
 def unload(number: int) -> None:
     """Free the FMU of a drive."""
-    here.progress.doing[0] = OTHER
+    own_process.progress.doing[0] = OTHER
     _drives.pop(number).block.close()
 
 
@@ -186,8 +186,8 @@ class DriveApart(Drive):
         self._worker.take_along(self._file.parent)
         allocate(self._file, 8 * self._most * len(self.outputs))
         between = frozenset(name for name in self.inputs if name in self._interpolated)
-        asked = Loaded(self._number, self._full, self.fmu.resolve(), between, dict(self.given), self._file)
-        self._worker.call(with_permission, self.block.compiles, load, asked, watch=self._watch(()))
+        loaded = Loaded(self._number, self._full, self.fmu.resolve(), between, dict(self.given), self._file)
+        self._worker.call(with_permission, self.block.compiles, load, loaded, watch=self._watch(()))
         self._process = self._worker.starts
 
     def _watch(self, times: Any) -> Watch:

@@ -111,11 +111,11 @@ def _cause(comparison: Comparison, channels: Sequence[ChannelSummary]) -> str:
             "No command stands out in the residual: the cause may be an effect that depends on the motion, "
             "a disturbance or a sensor. `cosim refine` distinguishes them."
         )
-    channel, found = max(pairs, key=lambda pair: pair[1].strength)
-    rho = plain(float(found.rho[found.peak]), 2)
-    why = "" if found.ahead else ", or the loop answers a disturbance"
+    channel, follows = max(pairs, key=lambda pair: pair[1].strength)
+    rho = plain(float(follows.rho[follows.peak]), 2)
+    why = "" if follows.ahead else ", or the loop answers a disturbance"
     return (
-        f"The residual of {channel.name} follows {found.name} (correlation {rho}): "
+        f"The residual of {channel.name} follows {follows.name} (correlation {rho}): "
         f"the model's answer to that command is wrong or incomplete{why}."
     )
 
@@ -134,10 +134,9 @@ def input_words(channel: ChannelSummary) -> str:
     """Return the dominant command in words, if any."""
     if not channel.inputs:
         return "no command moves"
-    found = channel.inputs[0]
-    if not found.stands_out:
-        return f"none ({found.name} comes closest, {plain(found.strength, 2)} times the band)"
-    return f"{found.name}, {plain(found.strength, 2)} times the band"
+    first = channel.inputs[0]
+    distance = f"{plain(first.strength, 2)} times the band"
+    return f"{first.name}, {distance}" if first.stands_out else f"none ({first.name} comes closest, {distance})"
 
 
 def quality(findings: Sequence[Finding]) -> str:

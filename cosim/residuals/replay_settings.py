@@ -9,6 +9,7 @@ from typing import Any
 
 from cosim.base.errors import Fault, refuse
 from cosim.blocks.description import read_description
+from cosim.residuals import messages
 from cosim.scenario.start_values import NOT_NUMBERS, Misfit, settable, typed
 from cosim.storage.yaml_file import did_you_mean, short
 
@@ -40,7 +41,7 @@ def start_values(fmu: Path, texts: Sequence[str]) -> dict[str, float | int | boo
         else:
             value = typed(description, variable, _read(written, variable.type))
         if isinstance(value, Misfit):
-            faults.append(Fault(fmu, 0, 0, f'--start "{short(text)}": {value.reason}'))
+            faults.append(Fault(fmu, 0, 0, messages.START_OPTION(text=short(text), reason=value.reason)))
         else:
             values[name] = value
     refuse(faults)

@@ -32,7 +32,7 @@ def read_replay(folder: Path, *, kept: bool = True) -> Replay | None:
         return None
     record = left_by_replay(folder)
     units = record.get("units")
-    known = {n: str(u) for n, u in units.items()} if isinstance(units, dict) else {}
-    rows, missed = (read_results(file or folder / "results.csv", known) for file in files)
+    texts = {n: str(u) for n, u in units.items()} if isinstance(units, dict) else {}
+    rows, missed = (read_results(file or folder / "results.csv", texts) for file in files)
     place = folder if kept else None
     return Replay("replay", rows, place, Signals("residual", missed, place), str(record.get("sentence", "")))

@@ -53,8 +53,8 @@ def _command(log: Log, drive: Drive, passing: bool) -> list[str]:
     options = [] if passing else ["--plant", str(drive.fmu)]
     for name, value in drive.given.items():
         options += ["--start", f"{name}={str(value).lower() if isinstance(value, bool) else value}"]
-    for name, meant in log.called.items():
-        options += ["--column", f"{name}={meant}"]
+    for column, name in log.called.items():
+        options += ["--column", f"{column}={name}"]
     return ["cosim", "replay", str(log.path), *options]
 
 
@@ -66,7 +66,7 @@ def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, An
     windowed, measure = comparison.measure in comparison.replays, comparison.measure
     skipped = SKIPPED * log.slowness
     horizons = sorted(comparison.replays)
-    found = comparison.findings
+    findings = comparison.findings
     headline, details = parted(words.verdict(comparison))
     return {
         "name": log.path.name,
@@ -89,9 +89,9 @@ def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, An
         "autocorrelation": _autocorrelation(comparison, charts),
         "inputs": _input_correlation(comparison, charts),
         "rows": [_row(c, horizons) for c in comparison.channels],
-        "quality": words.quality(found),
-        "warnings": [f.whole for f in found if f.severity != "note"],
-        "notes": [Row(f.channel or "log", f.sentence) for f in found if f.severity == "note"],
+        "quality": words.quality(findings),
+        "warnings": [f.whole for f in findings if f.severity != "note"],
+        "notes": [Row(f.channel or "log", f.sentence) for f in findings if f.severity == "note"],
         "starts": [_start(drive, n, v) for n, v in comparison.replays[FREE_RUN].starts[0].items()],
         "provenance": _provenance(comparison),
         "repeat": shlex.join(_command(log, drive, passing)),
@@ -150,9 +150,9 @@ def _residual_panels(comparison: Comparison) -> list[Panel]:
 def _command_panels(log: Log) -> list[Panel]:
     panels = []
     for unit, names in by_unit(log.inputs, log.units.__getitem__, log.inputs.__getitem__):
-        shown, factor = display(unit)
+        unit_text, factor = display(unit)
         traces = [Trace(n, log.inputs[n] * factor, f"s{i}", held=True) for i, n in enumerate(names)]
-        panels.append(Panel(", ".join(names), shown or "1", traces))
+        panels.append(Panel(", ".join(names), unit_text or "1", traces))
     return panels
 
 

@@ -84,9 +84,9 @@ class InputCorrelation:
 
 def rmse(*errors: Array) -> float:
     """Return the pooled RMSE of finite values."""
-    kept = np.concatenate([e[np.isfinite(e)] for e in errors]) if errors else np.zeros(0)
+    finite = np.concatenate([e[np.isfinite(e)] for e in errors]) if errors else np.zeros(0)
     with np.errstate(over="ignore"):  # A diverging model overflows.
-        return math.sqrt(float(np.mean(kept * kept))) if kept.size else math.nan
+        return math.sqrt(float(np.mean(finite * finite))) if finite.size else math.nan
 
 
 def excess_left(before: float, after: float, floor: float) -> float:
@@ -117,9 +117,9 @@ def whiteness(residual: Array, lags: int) -> Whiteness:
     """
     from scipy.special import gammaincc
 
-    z, seen = _centred(residual)
-    count = int(seen.sum())
-    rho, pairs = _correlation(z, seen, z, seen, lags)
+    z, weight = _centre(residual)
+    count = int(weight.sum())
+    rho, pairs = _correlation(z, weight, z, weight, lags)
     rho, pairs = rho[lags:], pairs[lags:]
     used = [k for k in range(1, min(LJUNG_BOX_LAGS, lags) + 1) if pairs[k] > 0 and math.isfinite(rho[k])]
     if not used:
@@ -135,27 +135,28 @@ def input_correlations(residual: Array, inputs: Mapping[str, Array], lags: int) 
 
     The band is Bartlett's, 1.96·√(Σ_k ρ_r(k)·ρ_u(k) / n), because slow signals correlate by chance.
     """
-    z, seen = _centred(residual)
-    count, reach = int(seen.sum()), max(lags, residual.size // 4)
+    z, weight = _centre(residual)
+    count, reach = int(weight.sum()), max(lags, residual.size // 4)
     everywhere = np.ones(residual.size)
-    found = []
+    correlations = []
     for name, values in inputs.items():
         u = values - values.mean()
         if count < 3 or np.ptp(values) <= 1e-9 * max(1.0, float(np.abs(values).max())) or not np.any(z):
             continue
-        own_r, own_u = _correlation(z, seen, z, seen, reach)[0], _correlation(u, everywhere, u, everywhere, reach)[0]
-        alike = float(np.nansum(own_r * own_u))
-        rho, _ = _correlation(u, everywhere, z, seen, lags)
-        band = NORMAL_95 * math.sqrt(max(1.0, alike) / count)
-        found.append(InputCorrelation(name, np.arange(-lags, lags + 1), rho, band))
-    return tuple(sorted(found, key=lambda c: -c.strength))
+        own_r, own_u = (
+            _correlation(z, weight, z, weight, reach)[0],
+            _correlation(u, everywhere, u, everywhere, reach)[0],
+        )
+        overlap = float(np.nansum(own_r * own_u))
+        rho, _ = _correlation(u, everywhere, z, weight, lags)
+        band = NORMAL_95 * math.sqrt(max(1.0, overlap) / count)
+        correlations.append(InputCorrelation(name, np.arange(-lags, lags + 1), rho, band))
+    return tuple(sorted(correlations, key=lambda c: -c.strength))
 
 
 def correlation_at_lags(before: Array, after: Array, lags: int) -> Array:
     """Return the correlation of `after` with `before` −lags … lags rows earlier."""
-    a, seen_a = _centred(before)
-    b, seen_b = _centred(after)
-    return _correlation(a, seen_a, b, seen_b, lags)[0]
+    return _correlation(*_centre(before), *_centre(after), lags)[0]
 
 
 def lags_of(rows: int, step: float, seconds: float = 1.0) -> int:
@@ -172,17 +173,17 @@ def pooled(errors: Iterable[Mapping[str, Array]]) -> dict[str, float]:
     return {name: rmse(*parts) for name, parts in channels.items()}
 
 
-def _centred(values: Array) -> tuple[Array, Array]:
+def _centre(values: Array) -> tuple[Array, Array]:
     """Return centred values and a validity mask."""
-    seen = np.isfinite(values)
-    mean = float(values[seen].mean()) if seen.any() else 0.0
-    return np.where(seen, values - mean, 0.0), seen.astype(np.float64)
+    finite = np.isfinite(values)
+    mean = float(values[finite].mean()) if finite.any() else 0.0
+    return np.where(finite, values - mean, 0.0), finite.astype(np.float64)
 
 
-def _correlation(a: Array, seen_a: Array, b: Array, seen_b: Array, lags: int) -> tuple[Array, Array]:
+def _correlation(a: Array, weight_a: Array, b: Array, weight_b: Array, lags: int) -> tuple[Array, Array]:
     """Return ρ(k) of b(t + k) with a(t), k = −lags … lags, and the number of pairs."""
-    products, pairs = _lagged(a, b, lags), np.rint(_lagged(seen_a, seen_b, lags))
-    counts = float(seen_a.sum()), float(seen_b.sum())
+    products, pairs = _lagged_products(a, b, lags), np.rint(_lagged_products(weight_a, weight_b, lags))
+    counts = float(weight_a.sum()), float(weight_b.sum())
     scale = math.sqrt(float(a @ a) / counts[0] * float(b @ b) / counts[1]) if min(counts) > 0.0 else 0.0
     usable = pairs > 0 if scale > 0.0 else np.zeros(pairs.size, dtype=bool)
     rho = np.full(2 * lags + 1, np.nan)
@@ -190,7 +191,7 @@ def _correlation(a: Array, seen_a: Array, b: Array, seen_b: Array, lags: int) ->
     return rho, pairs
 
 
-def _lagged(a: Array, b: Array, lags: int) -> Array:
+def _lagged_products(a: Array, b: Array, lags: int) -> Array:
     """Return Σ_t a(t)·b(t + k) for k = −lags … lags, by FFT."""
     size = 1 << (a.size + lags).bit_length()
     whole = np.fft.irfft(np.conj(np.fft.rfft(a, size)) * np.fft.rfft(b, size), size)

@@ -20,7 +20,7 @@ from cosim.base.arrays import Array, Rows
 from cosim.base.errors import SimulationError
 from cosim.base.linear_algebra import least_squares
 from cosim.fmi.state import MEMORY, STATE, Memory, Own
-from cosim.logs.channel_noise import noise_beside, noise_level
+from cosim.logs.channel_noise import least_noise_level, noise_level
 from cosim.logs.log import Log
 from cosim.model.namespaces import SCALAR
 from cosim.model.planar import local_vector, world_velocity
@@ -65,30 +65,33 @@ def start_parameters(drive: Drive) -> dict[str, StartParameter]:
     `angle` and `angle_actual` may be set by `angle_start`. Parameters without proportional output are ignored.
     """
     variables = {v.name: v for v in drive.description.modelVariables if v.type == "Real" and v.causality == "parameter"}
-    found = {}
+    parameters = {}
     for output in drive.outputs:
         names = (f"{output}_start", f"{output.removesuffix('_actual')}_start")
         variable = next((variables[n] for n in names if n in variables), None)
-        if variable is not None and (parameter := _tried(drive, output, variable)) is not None:
-            found[output] = parameter
-    return _with_places(drive, found)
+        if variable is not None and (parameter := _try_parameter(drive, output, variable)) is not None:
+            parameters[output] = parameter
+    return _with_places(drive, parameters)
 
 
-def _with_places(drive: Drive, found: dict[str, StartParameter]) -> dict[str, StartParameter]:
+def _with_places(drive: Drive, parameters: dict[str, StartParameter]) -> dict[str, StartParameter]:
     """Return start parameters with the state indices that each one moves, if readable."""
-    if not found or not drive.has_readable_state:
-        return found
-    tried = {p.name: p.tried[0] for p in found.values()}
+    if not parameters or not drive.has_readable_state:
+        return parameters
+    tried = {p.name: p.tried[0] for p in parameters.values()}
     try:
         before = drive.own(tried)[STATE]
-        after = {output: drive.own(tried | {p.name: p.tried[1]})[STATE] for output, p in found.items()}
+        after = {output: drive.own(tried | {p.name: p.tried[1]})[STATE] for output, p in parameters.items()}
     except (SimulationError, ValueError, KeyError, TypeError):
-        return found
-    moved = {n: tuple(k for k, a in enumerate(s) if a != before[k]) for n, s in after.items()}
-    return {n: replace(p, places=moved[n]) for n, p in found.items()} if all(moved.values()) else found
+        return parameters
+    places = {n: tuple(k for k, a in enumerate(s) if a != before[k]) for n, s in after.items()}
+    if not all(places.values()):
+        return parameters
+    return {n: replace(p, places=places[n]) for n, p in parameters.items()}
 
 
-def _tried(drive: Drive, output: str, variable: Any) -> StartParameter | None:
+def _try_parameter(drive: Drive, output: str, variable: Any) -> StartParameter | None:
+    """Return the start parameter of an output, None for a variable without proportional effect."""
     default, (low, high) = float(variable.start or 0.0), _limits(variable)
     width = 0.1 * max(1.0, abs(default))
     tries = [
@@ -97,11 +100,11 @@ def _tried(drive: Drive, output: str, variable: Any) -> StartParameter | None:
     if len(tries) < 2:
         return None
     try:
-        shown = [drive.initial({variable.name: v}, 0)[output] for v in tries[:2]]
+        outputs = [drive.initial({variable.name: v}, 0)[output] for v in tries[:2]]
     except SimulationError:
         return None
-    gain = (shown[1] - shown[0]) / (tries[1] - tries[0])
-    proportional = abs(shown[0] - gain * tries[0]) <= 1e-6 * max(map(abs, shown))
+    gain = (outputs[1] - outputs[0]) / (tries[1] - tries[0])
+    proportional = abs(outputs[0] - gain * tries[0]) <= 1e-6 * max(map(abs, outputs))
     if not proportional or abs(gain) <= 1e-9:
         return None
     return StartParameter(variable.name, gain, low, high, (tries[0], tries[1]))
@@ -118,16 +121,18 @@ def first_start(drive: Drive, parameters: Mapping[str, StartParameter]) -> dict[
     Unmeasured states keep the FMU's start values.
     """
     log = drive.log
-    seen = {name: values[np.isfinite(values)] for name, values in log.outputs.items() if name in parameters}
-    given = {p.name: drive.given[p.name] for p in parameters.values() if p.name in drive.given}
-    start = {parameters[name].name: parameters[name].value(float(values[0])) for name, values in seen.items()} | given
+    measured = {name: values[np.isfinite(values)] for name, values in log.outputs.items() if name in parameters}
+    fixed = {p.name: drive.given[p.name] for p in parameters.values() if p.name in drive.given}
+    start = {
+        parameters[name].name: parameters[name].value(float(values[0])) for name, values in measured.items()
+    } | fixed
     sigma = noise_levels(log)
     last = max(rows_of(log, 0, FIRST * log.slowness), min(FEWEST, log.rows - 1))
-    for _ in range(PASSES if seen else 0):
+    for _ in range(PASSES if measured else 0):
         carrier = as_columns(drive.run(0, last, start), drive.outputs)
         state = {name: float(carrier[name][0]) for name in parameters}
-        corrected = _corrected(drive, carrier, sigma, state, 0, np.arange(last + 1))
-        start = start | {parameters[n].name: parameters[n].value(value) for n, value in corrected.items()} | given
+        corrected = _corrections(drive, carrier, sigma, state, 0, np.arange(last + 1))
+        start = start | {parameters[n].name: parameters[n].value(value) for n, value in corrected.items()} | fixed
     return start
 
 
@@ -146,7 +151,7 @@ def window_start(
     log = drive.log
     state = {name: float(carrier[name][k]) for name in parameters}
     oldest = int(np.searchsorted(log.time, log.time[k] - OLDEST * log.slowness))
-    corrected = _corrected(drive, carrier, sigma, state, k, np.arange(max(since, oldest), k + 1))
+    corrected = _corrections(drive, carrier, sigma, state, k, np.arange(max(since, oldest), k + 1))
     state = corrected if readable(parameters) else state | corrected
     return {parameters[name].name: parameters[name].value(value) for name, value in state.items()}
 
@@ -163,12 +168,12 @@ def readable(parameters: Mapping[str, StartParameter]) -> bool:
 
 def remaining_memory(own: Own, parameters: Mapping[str, StartParameter], start: Mapping[str, float]) -> Memory:
     """Return the state without the start values' part."""
-    given = {(STATE, k) for p in parameters.values() if p.name in start for k in p.places}
+    started = {(STATE, k) for p in parameters.values() if p.name in start for k in p.places}
     whole = {(part, k): value for part in (STATE, MEMORY) for k, value in enumerate(own[part])}
-    return {place: value for place, value in whole.items() if place not in given}
+    return {place: value for place, value in whole.items() if place not in started}
 
 
-def _corrected(
+def _corrections(
     drive: Drive,
     carrier: Mapping[str, Array],
     sigma: Mapping[str, float],
@@ -217,7 +222,7 @@ def _parabola(log: Log, errors: Sequence[Error], at: int, rows: Rows) -> tuple[f
     The longest stretch that fits within the noise counts, so a poor model is extrapolated less.
     """
     ahead = bool(rows.size and rows[-1] > at)
-    found: tuple[float | None, float | None] = None, None
+    estimate: tuple[float | None, float | None] = None, None
     for reach in REACHES:
         design, side = _equations(log, errors, at, rows, reach * log.slowness * (FIRST if ahead else PAST))
         order = 3 if side.size >= FEWEST else 2 if side.size >= 3 else 1
@@ -225,11 +230,11 @@ def _parabola(log: Log, errors: Sequence[Error], at: int, rows: Rows) -> tuple[f
             break
         design = design[:, :order]
         value, *rest = least_squares(design, side)
-        found = float(value), float(rest[0]) if rest else None
-        left = side - design @ (value, *rest)
-        if float(left @ left) <= FITS * max(1, side.size - order):
+        estimate = float(value), float(rest[0]) if rest else None
+        residual = side - design @ (value, *rest)
+        if float(residual @ residual) <= FITS * max(1, side.size - order):
             break
-    return found
+    return estimate
 
 
 def _equations(log: Log, errors: Sequence[Error], at: int, rows: Rows, reach: float) -> tuple[Array, Array]:
@@ -237,7 +242,7 @@ def _equations(log: Log, errors: Sequence[Error], at: int, rows: Rows, reach: fl
     designs, sides = [], []
     for error, sigma, derived in errors:
         good = np.isfinite(error)
-        near, values = _near(log, rows[good], at, reach), error[good]
+        near, values = _rows_near(log, rows[good], at, reach), error[good]
         tau = log.time[rows[good]][near] - log.time[at]
         one, zero = np.ones(tau.size), np.zeros(tau.size)
         designs.append(np.column_stack((zero, one, tau) if derived else (one, tau, 0.5 * tau**2)) / sigma)
@@ -245,18 +250,18 @@ def _equations(log: Log, errors: Sequence[Error], at: int, rows: Rows, reach: fl
     return np.vstack(designs), np.concatenate(sides)
 
 
-def _near(log: Log, rows: Rows, at: int, reach: float) -> Rows:
+def _rows_near(log: Log, rows: Rows, at: int, reach: float) -> Rows:
     """Return the rows within `reach` seconds of row `at`, or the nearest few."""
-    away = np.abs(log.time[rows] - log.time[at])
-    near: Rows = np.flatnonzero(away <= reach + 1e-9)
+    distance = np.abs(log.time[rows] - log.time[at])
+    near: Rows = np.flatnonzero(distance <= reach + 1e-9)
     if near.size < LEAST:
-        nearest = np.argsort(away, kind="stable")[:LEAST]
-        near = np.sort(nearest[away[nearest] <= OLDEST * log.slowness])
+        nearest = np.argsort(distance, kind="stable")[:LEAST]
+        near = np.sort(nearest[distance[nearest] <= OLDEST * log.slowness])
     return near
 
 
 def sigma_of(values: Array, model: Array | None = None) -> float:
     """Return the noise level of a channel."""
-    level = noise_level(values) if model is None else noise_beside(values, model)
+    level = noise_level(values) if model is None else least_noise_level(values, model)
     floor = 1e-6 * float(np.nanmax(np.abs(values)))
     return max(floor, 1e-12) if math.isnan(level) else max(level, floor, 1e-12)

@@ -117,12 +117,12 @@ def self_started(drive: Drive, parameters: Mapping[str, StartParameter], free: R
     The free run provides the start of each chain. An output first measured later is predicted from then on. The result
     is None if the FMU or the log allows no windows.
     """
-    log, found = drive.log, chains(drive.log, horizon)
-    if not found or not parameters.keys() & log.outputs.keys():
+    log, runs = drive.log, chains(drive.log, horizon)
+    if not runs or not parameters.keys() & log.outputs.keys():
         return None
     table, starts, sigma = np.full((log.rows, len(drive.outputs)), np.nan), {}, noise_levels(log, free.outputs)
     carried = table.copy()
-    for chain in found:
+    for chain in runs:
         own, carrier, since = free.states.get(chain.rows[0]), free.outputs, 0
         for first, last in pairwise(chain.rows):
             start = window_start(drive, parameters, sigma, carrier, since, first)
@@ -134,14 +134,14 @@ def self_started(drive: Drive, parameters: Mapping[str, StartParameter], free: R
                 table[first + 1 : last + 1] = carried[first + 1 : last + 1]
     for j, name in enumerate(drive.outputs):
         if name in log.outputs:
-            table[: _known_from(log, name, list(starts)) + 1, j] = np.nan
+            table[: _first_predicted(log, name, list(starts)) + 1, j] = np.nan
     return Replay(log.time, horizon, starts, as_columns(table, drive.outputs), drive.units)
 
 
-def _known_from(log: Log, name: str, starts: Sequence[int]) -> int:
+def _first_predicted(log: Log, name: str, starts: Sequence[int]) -> int:
     """Return the first window with sufficient past measurements of an output."""
-    seen = log.time[np.isfinite(log.outputs[name])]
-    begins = [k for k in starts if seen.size and log.time[k] >= seen[0] + SKIPPED * log.slowness - 1e-6 * log.step]
+    times = log.time[np.isfinite(log.outputs[name])]
+    begins = [k for k in starts if times.size and log.time[k] >= times[0] + SKIPPED * log.slowness - 1e-6 * log.step]
     return min(begins, default=log.rows)
 
 
@@ -155,7 +155,7 @@ def chains(log: Log, horizon: float) -> list[Chain]:
 
     After a pause, the state settles in short windows.
     """
-    found, skipped = [], SKIPPED * log.slowness
+    result, skipped = [], SKIPPED * log.slowness
     for part in stretches(log):
         first = int(np.searchsorted(log.time, part.time[0]))
         if rows := window_rows(part, horizon, skipped):
@@ -163,8 +163,8 @@ def chains(log: Log, horizon: float) -> list[Chain]:
                 k for k in window_rows(part, PAST * log.slowness, 0.0 if first else FIRST * log.slowness) if k < rows[0]
             ]
             edges = (*settle, *rows, rows_of(part, rows[-1], horizon))
-            found.append(Chain(tuple(first + k for k in edges), first + rows[0]))
-    return found
+            result.append(Chain(tuple(first + k for k in edges), first + rows[0]))
+    return result
 
 
 def window_rows(log: Log, horizon: float, skipped: float = SKIPPED) -> list[int]:

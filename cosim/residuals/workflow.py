@@ -22,9 +22,10 @@ from cosim.isolation.process import Worker
 from cosim.loading.file import load_model
 from cosim.logs.finding import Finding
 from cosim.logs.gate import gate, outliers, refuse_faults
-from cosim.logs.log import Log, renamed
+from cosim.logs.log import Log, read_column_names
 from cosim.logs.spikes import find_spikes
 from cosim.report.template import render
+from cosim.residuals import messages
 from cosim.residuals.compare import Comparison, compare, steps_of
 from cosim.residuals.drive import PLANT, Drive, StoppedReplay, as_columns, check_files, log_of_fmu
 from cosim.residuals.remote_drive import MODULES, DriveApart
@@ -96,7 +97,7 @@ def replay(
             worker.start()  # The worker starts while files are read.
         scratch = stack.enter_context(temporary_folder("replay"))
         driven = Path(fmu) if fmu else build_fmu(load_model(BASE, Path()).recipe(), scratch / "plant.fmu")
-        read = log_of_fmu(Path(log), driven, renamed(columns, Path(log)))
+        read = log_of_fmu(Path(log), driven, read_column_names(columns, Path(log)))
         return write_replay(
             place,
             read,
@@ -147,15 +148,11 @@ def write_replay(
     total = steps_of(log)
     rows_file, residual_file = (folder / rows_name(stem, format_) for stem in ("results", "residual"))
 
-    def tell(done: int) -> None:
-        if progress is not None:
-            progress(min(done, total), total)
-
-    told = None if progress is None else tell
-    apart = None if worker is None else DriveApart(worker, log, fmu, told, limits=limits, given=given)
-    with apart or Drive(log, fmu, told, given=given) as drive:
+    report_step = None if progress is None else lambda done: progress(min(done, total), total)
+    remote = None if worker is None else DriveApart(worker, log, fmu, report_step, limits=limits, given=given)
+    with remote or Drive(log, fmu, report_step, given=given) as drive:
         findings = gate(log, rate or drive.rate, strict=rate is not None, traits=drive.traits, spikes={})
-        findings += _older(drive)
+        findings += _version_findings(drive)
         refuse_faults(log, findings)
         check_writable(folder, (rows_file.name, residual_file.name, REPLAY, "report.html"), (log.path, fmu))
         if keep:
@@ -169,11 +166,11 @@ def write_replay(
             release_stops()
             findings += outliers(log, find_spikes(log, lambda _: free.outputs))
             comparison = compare(drive, free, findings)
-            left = residuals(comparison)
-            left.write(residual_file)
-            units = {**results(drive, comparison.replays[FREE_RUN].outputs).units, **left.units}
-            of = {"log": str(log.path), "fmu": "" if passing else str(fmu)}
-            _record(folder, {**of, "sentence": verdict(comparison), "units": units})
+            errors = residuals(comparison)
+            errors.write(residual_file)
+            units = {**results(drive, comparison.replays[FREE_RUN].outputs).units, **errors.units}
+            sources = {"log": str(log.path), "fmu": "" if passing else str(fmu)}
+            _record(folder, {**sources, "sentence": verdict(comparison), "units": units})
             if report:
                 write_text(folder / "report.html", render(TEMPLATE, context(comparison, passing=passing)))
         except OSError as error:
@@ -199,9 +196,9 @@ def _free_run(drive: Drive, start: Mapping[str, Any] | None, file: Path) -> Repl
     except (KeyboardInterrupt, Terminated) as stop:
         if drive.left is None:
             raise
-        made = results(drive, as_columns(drive.left, drive.outputs))
-        _write_rows(made, file)
-        error = stopped(stop, made.time[-1] if made.time.size else drive.log.time[0], "the replay")
+        rows = results(drive, as_columns(drive.left, drive.outputs))
+        _write_rows(rows, file)
+        error = stopped(stop, rows.time[-1] if rows.time.size else drive.log.time[0], "the replay")
         error.left = file.parent
         raise error from None
     _write_rows(results(drive, free.outputs), file)
@@ -211,25 +208,25 @@ def _free_run(drive: Drive, start: Mapping[str, Any] | None, file: Path) -> Repl
 def _full(file: Path, residual: Path, log: Log) -> DiskFull:
     """Return the error of a full disk."""
     missing = "no report" if residual.exists() else f"no {residual.name} and no report"
-    reason = f"the disk is full: all {log.rows} rows are in {file.name}, there is {missing}"
+    reason = messages.FULL_DISK_AFTER_RUN(rows=log.rows, file=file.name, missing=missing)
     return DiskFull("the replay", float(log.time[-1]), reason)
 
 
-def _write_rows(made: Results, file: Path) -> None:
+def _write_rows(rows: Results, file: Path) -> None:
     """Write the rows, with units in replay.json; raise DiskFull after a partial write."""
     try:
-        _record(file.parent, {"units": dict(made.units)})
-        made.write(file)
+        _record(file.parent, {"units": dict(rows.units)})
+        rows.write(file)
     except OSError as error:
         if not is_full(error):
             raise
         try:
             file.unlink(missing_ok=True)  # an earlier file, whose space is needed
-            count = made.write_what_fits(file)
+            count = rows.write_what_fits(file)
         except OSError:
             count = 0
-        told = f"the disk is full: {count} of {len(made.time)} rows are in {file.name}"
-        raise DiskFull("the replay", made.time[max(0, count - 1)].item(), told) from None
+        reason = messages.FULL_DISK(count=count, rows=len(rows.time), file=file.name)
+        raise DiskFull("the replay", rows.time[max(0, count - 1)].item(), reason) from None
 
 
 def _record(folder: Path, content: Mapping[str, Any]) -> None:
@@ -237,12 +234,10 @@ def _record(folder: Path, content: Mapping[str, Any]) -> None:
     write_json(folder / REPLAY, {"schema_version": SCHEMA_VERSION, **content}, indent=1)
 
 
-def _older(drive: Drive) -> Iterator[Finding]:
+def _version_findings(drive: Drive) -> Iterator[Finding]:
     """Yield a warning for an FMU built by an earlier version, treated as a foreign one."""
     if drive.traits is None and drive.description.author == AUTHOR:
-        older = f"{drive.fmu.name} was built by an earlier version, which says nothing of frame, limits and state"
-        worse = "the log is checked less and windows start worse; build it again"
-        yield Finding("warning", "older", "", f"{older}: {worse}")
+        yield Finding("warning", "older", "", messages.OLD_FMU(fmu=drive.fmu.name))
 
 
 def results(drive: Drive, outputs: Mapping[str, Array]) -> Results:
@@ -250,8 +245,8 @@ def results(drive: Drive, outputs: Mapping[str, Array]) -> Results:
     log, rows = drive.log, len(next(iter(outputs.values())))
     columns = {f"{PLANT}.{n}": v[:rows] for n, v in (*log.inputs.items(), *outputs.items())}
     columns |= {f"{MEASURED}.{n}": v[:rows] for n, v in log.outputs.items()}
-    known = drive.units | dict(log.units)  # the log's units where the FMU declares none
-    units = {name: known.get(name.partition(".")[2], "") for name in columns}
+    declared = drive.units | dict(log.units)  # the log's units where the FMU declares none
+    units = {name: declared.get(name.partition(".")[2], "") for name in columns}
     return Results(log.time[:rows], tuple(columns), np.column_stack(list(columns.values())), units)
 
 

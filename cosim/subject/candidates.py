@@ -50,28 +50,15 @@ def effect(
         above: Parameter → lower-bound parameter of the same effect.
     """
 
-    def whole(own: str) -> str:
-        return f"{name}.{own}"
-
-    free = tuple(
-        Free(
-            whole(p.name),
-            *p.bounds,
-            usual_size(p),
-            neutral=p.neutral,
-            above=whole(above[p.name]) if above and p.name in above else "",
-        )
-        for p in declared
-    )
-    first = {whole(p.name): _start(p, values[whole(p.name)]) for p in declared}
-    others = ({whole(own): value for own, value in start.items()} for start in starts)
-    return Candidate(name, kind, free, (first, *others), gain)
-
-
-def _start(p: Parameter, value: float) -> float:
-    """Return a detectable start for one-sided parameters, else the given value."""
-    one_sided = p.neutral is not None and p.neutral == p.bounds[0]
-    return p.typical if one_sided and p.typical else value
+    lower = {own: f"{name}.{bound}" for own, bound in (above or {}).items()}
+    free, first = [], {}
+    for p in declared:
+        full = f"{name}.{p.name}"
+        free.append(Free(full, *p.bounds, usual_size(p), neutral=p.neutral, above=lower.get(p.name, "")))
+        is_one_sided = p.neutral is not None and p.neutral == p.bounds[0]
+        first[full] = p.typical if is_one_sided and p.typical else values[full]  # detectable if one-sided
+    others = ({f"{name}.{own}": value for own, value in start.items()} for start in starts)
+    return Candidate(name, kind, tuple(free), (first, *others), gain)
 
 
 def usual_size(p: Parameter) -> float:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Generator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from cosim.fmi.state import MEMORY, Memory
@@ -19,38 +19,34 @@ from cosim.residuals.windows import Replay, row_by_row, windows
 from cosim.subject.interface import Replayer, Start, Workplace
 
 
+@dataclass
 class FmuReplayer(Replayer):
     """A model's FMU in a worker process.
 
-    Args:
+    Attributes:
         parameters: Values to set on the FMU if different from its defaults.
     """
 
-    def __init__(
-        self,
-        model: Model,
-        fmu: Path,
-        place: Workplace,
-        through: str,
-        parameters: Mapping[str, Any] = MappingProxyType({}),
-    ) -> None:
-        self.model, self.fmu, self.place = model, fmu, place
-        self.through, self.parameters = through, dict(parameters)  # a worker needs a picklable dict
+    model: Model
+    fmu: Path
+    place: Workplace
+    through: str
+    parameters: Mapping[str, Any] = field(default_factory=dict)
 
     def replays(
         self, log: Log, data: Data, values: Mapping[str, float], starts: Mapping[float, Mapping[int, Start]]
     ) -> Generator[Replay, None, None]:
         """Yield one replay for each horizon, with one load of the FMU."""
         worker, limits = self.place.worker, self.place.limits
-        apart = worker and DriveApart(worker, log, self.fmu, interpolated=data.interpolated, limits=limits)
-        with apart or Drive(log, self.fmu, interpolated=data.interpolated) as drive:
+        remote = worker and DriveApart(worker, log, self.fmu, interpolated=data.interpolated, limits=limits)
+        with remote or Drive(log, self.fmu, interpolated=data.interpolated) as drive:
             if log.table:
                 yield row_by_row(drive, self.parameters)
                 return
             for horizon, begins in starts.items():
-                given = {k: {**self.parameters, **start_values(self.model, start)} for k, start in begins.items()}
-                memories = {k: on_its_way(self.model, values, log, data, k) for k in begins}
-                yield windows(drive, given, horizon, memories)
+                numbers = {k: {**self.parameters, **start_values(self.model, start)} for k, start in begins.items()}
+                memories = {k: delayed_commands(self.model, values, log, data, k) for k in begins}
+                yield windows(drive, numbers, horizon, memories)
 
 
 def start_values(model: Model, start: Start) -> dict[str, float]:
@@ -59,28 +55,25 @@ def start_values(model: Model, start: Start) -> dict[str, float]:
     Delays are excluded, and so are sensor errors, which the plant lacks.
     """
     awake, plant = {e.name for e in model.awake}, model.declared
-    found = {name: value for name, value in start.per_log.items() if name in plant}
+    values = {name: value for name, value in start.per_log.items() if name in plant}
     for name, value in start.states.items():
         if not name.startswith(CONSTANT) and ("." not in name or name.split(".")[0] in awake):
-            found[f"{name}_start"] = value
-    k = 0
-    for effect in _shaping(model.catalogue):
-        if effect.delay:  # see on_its_way
-            continue
-        for q in effect.memory:
-            if effect.name in awake:
-                found[f"{effect.name}.{q.name}_start"] = float(start.memory[k])
-            k += 1
-    return found
+            values[f"{name}_start"] = value
+    # for the memory of a delay see `delayed_commands`
+    places = [(e.name, q.name) for e in shaping_effects(model.catalogue) if not e.delay for q in e.memory]
+    for (effect, memory), value in zip(places, start.memory, strict=False):
+        if effect in awake:
+            values[f"{effect}.{memory}_start"] = float(value)
+    return values
 
 
 @functools.cache
-def _shaping(catalogue: tuple[type[Effect], ...]) -> tuple[Any, ...]:
-    """Return the shaping effects of a catalogue in order."""
+def shaping_effects(catalogue: tuple[type[Effect], ...]) -> tuple[Any, ...]:
+    """Return the effects of a catalogue that shape commands, in order."""
     return tuple(overrides(tuple(kind() for kind in catalogue), "shape", Effect))
 
 
-def on_its_way(model: Model, values: Mapping[str, float], log: Log, data: Data, k: int) -> Memory:
+def delayed_commands(model: Model, values: Mapping[str, float], log: Log, data: Data, k: int) -> Memory:
     """Return commands still in a delay at row k, (start time, command), oldest first."""
     shaping = overrides(model.awake, "shape", Effect)
     waiting: dict[tuple[int, int], Any] = {}

@@ -15,7 +15,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
 from cosim.base.arrays import Array, Rows
 from cosim.isolation.limits import Limits
@@ -46,23 +46,17 @@ class Start:
     per_log: Mapping[str, float] = field(default_factory=dict)
 
 
-class Workplace:
+class Workplace(ExitStack):
     """Context with a folder for files, limits of calls, and a worker process started on demand."""
 
     def __init__(self, folder: Path, limits: Limits | None = None, *, in_process: bool = False) -> None:
+        super().__init__()
         self.folder, self.limits, self.in_process = folder, limits, in_process
-        self._open = ExitStack()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *raised: Any) -> None:
-        self._open.__exit__(*raised)
 
     @cached_property
     def worker(self) -> Worker | None:
         """Return the process of the FMUs; None to load them into this process."""
-        return None if self.in_process else self._open.enter_context(Worker(*MODULES))
+        return None if self.in_process else self.enter_context(Worker(*MODULES))
 
 
 class Replayer(Protocol):
@@ -109,7 +103,7 @@ class Subject(Protocol):
         excursion: Signal → allowed deviation from its start in an experiment.
         told_apart_by: Rivals → experiment that separates them, in words.
         drawn_against: Candidate → signals for plots.
-        only_known: Parameters that a filter cannot estimate, such as a delay of commands.
+        inestimable: Parameters that a filter cannot estimate, such as a delay of commands.
         static: True without states; a log is a table without time.
         source: Origin, for the provenance.
     """
@@ -132,7 +126,7 @@ class Subject(Protocol):
     excursion: Mapping[str, float] = {}
     told_apart_by: Mapping[frozenset[str], str] = {}
     drawn_against: Mapping[str, tuple[str, ...]] = {}
-    only_known: frozenset[str] = frozenset()
+    inestimable: frozenset[str] = frozenset()
     static: bool = False
     source: str = "an object of Python"
 
@@ -193,8 +187,8 @@ class Subject(Protocol):
         return Traits(static=self.static)
 
     @property
-    def shown(self) -> frozenset[str]:
-        """Return states shown unchanged by an output."""
+    def measured_states(self) -> frozenset[str]:
+        """Return states that an output of the same name measures."""
         return frozenset(q.name for q in self.states) & {q.name for q in self.outputs}
 
     def substeps(self, step: float) -> int:

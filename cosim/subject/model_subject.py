@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from shutil import copyfile
 from typing import Any
@@ -23,13 +23,13 @@ from cosim.loading.refined import NEAREST, REFINED
 from cosim.logs.log import Log
 from cosim.model.gain import Gain
 from cosim.model.integrate import substeps
-from cosim.model.model import Effect, Model, overrides
+from cosim.model.model import Model
 from cosim.model.quantities import Parameter, parameters_of
 from cosim.model.symbolic.symbols import symbolic
 from cosim.model.traits import Traits
 from cosim.subject.base_parameters import base_parameter
 from cosim.subject.candidates import Candidate, Kind, effect
-from cosim.subject.fmu_replayer import FmuReplayer
+from cosim.subject.fmu_replayer import FmuReplayer, shaping_effects
 from cosim.subject.interface import Predict, Subject, Workplace
 
 FILES = {"refined": REFINED, "nearest": NEAREST}
@@ -53,25 +53,23 @@ class ModelSubject(Subject):
         self.parameters, self.calibrated, self.sensors = model.parameters, model.calibrated, model.sensors
         own = {p.name for p in model.parameters}
         self.candidate_parameters = {n: p for n, p in model.declared.items() if n not in own}
-        self._declared = model.declared | model.sensor_parameters
         self.values = {**neutral_values(model), **loaded.values}
         self.sensor_variance, self.start_variance = model.sensor_variance, model.start_variance
         self.present = frozenset(e.name for e in model.awake)
         self.excursion = model.excursion
         self.told_apart_by, self.drawn_against = model.told_apart_by, model.drawn_against
-        shaping = overrides(tuple(kind() for kind in model.catalogue), "shape", Effect)
-        unlearnt = (*shaping, *(kind for kind in model.sensors if kind.late))
-        self.only_known = frozenset(f"{e.name}.{p.name}" for e in unlearnt for p in parameters_of(e))
+        effects = (*shaping_effects(model.catalogue), *(kind for kind in model.sensors if kind.late))
+        self.inestimable = frozenset(f"{e.name}.{p.name}" for e in effects for p in parameters_of(e))
 
     @classmethod
     def of(cls, model: Model) -> ModelSubject:
         """Return the subject of a bare model."""
         return cls(LoadedModel(model, ""))
 
-    @property
+    @cached_property
     def declared(self) -> Mapping[str, Parameter]:
-        """Return every parameter by name, cached for fits."""
-        return self._declared
+        """Return every parameter by name."""
+        return self.model.declared | self.model.sensor_parameters
 
     @property
     def traits(self) -> Traits:
@@ -79,30 +77,23 @@ class ModelSubject(Subject):
         return Traits.of(self.model)
 
     @property
-    def shown(self) -> frozenset[str]:
-        """Return states shown by outputs of the same name, tested at one state."""
+    def measured_states(self) -> frozenset[str]:
+        """Return states that an output of the same name measures, tested at one state."""
         return frozenset(shown_states(self.model))
 
     def candidates(self, varied: Sequence[str]) -> list[Candidate]:
         """Return effects, sensor errors and base parameters as candidates."""
-        return [*self._effects(), *self._suspects(varied)]
+        return [*map(self._candidate, (*self.model.catalogue, *self.model.sensors)), *self._suspects(varied)]
 
-    def _effects(self) -> Iterator[Candidate]:
-        model, values = self.model, self.values
-        for kind in (*model.catalogue, *model.sensors):
-            of: Kind = "sensor" if kind in model.sensors else "effect"
-            c = effect(
-                kind.name,
-                parameters_of(kind),
-                values,
-                kind=of,
-                starts=kind.starts,
-                above=kind.at_least,
-                gain=issubclass(kind, Gain),
-            )
-            if any(type(e) is kind for e in model.awake):  # an effect of the model is recalibrated from its values
-                c = replace(c, starts=({name: values[name] for name in c.parameters},))
-            yield c
+    def _candidate(self, kind: type[Any]) -> Candidate:
+        """Return an effect or sensor error as a candidate."""
+        of: Kind = "sensor" if kind in self.model.sensors else "effect"
+        above, gain = kind.at_least, issubclass(kind, Gain)
+        c = effect(kind.name, parameters_of(kind), self.values, kind=of, starts=kind.starts, above=above, gain=gain)
+        if c.name not in self.present:
+            return c
+        # an effect of the model is recalibrated from its values
+        return replace(c, starts=({name: self.values[name] for name in c.parameters},))
 
     def _suspects(self, varied: Sequence[str]) -> Iterator[Candidate]:
         """Yield base parameters, suspect ones only if a required input varies."""
@@ -140,9 +131,10 @@ class ModelSubject(Subject):
         if basis is None:
             return None
         symbols = [s.time, *s.state[: len(self.model.base_states)], *s.command]
-        called = ["time", *(q.name for q in self.model.base_states), *(f"command {q.name}" for q in self.inputs)]
-        within = sympy.sympify(basis).free_symbols
-        free = [name for name, symbol in zip(called, symbols, strict=True) if symbol in within]
+        names = ["time", *(q.name for q in self.model.base_states), *(f"command {q.name}" for q in self.inputs)]
+        free = [
+            name for name, symbol in zip(names, symbols, strict=True) if symbol in sympy.sympify(basis).free_symbols
+        ]
         return sympy.lambdify(symbols, basis, "numpy"), free
 
     def refined(self, claims: Mapping[str, float]) -> ModelSubject:
@@ -156,8 +148,8 @@ class ModelSubject(Subject):
     def replayer(self, place: Workplace) -> FmuReplayer:
         """Return a replayer of the Python FMU."""
         if self.fmu is None or not self.fmu.is_file():
-            taken = sum(1 for _ in place.folder.glob("replayed*.fmu"))
-            self.fmu = build(self.loaded.recipe(), place.folder / f"replayed{taken}.fmu")
+            count = len([*place.folder.glob("replayed*.fmu")])
+            self.fmu = build(self.loaded.recipe(), place.folder / f"replayed{count}.fmu")
         return FmuReplayer(self.model, self.fmu, place, "python")
 
     def quick_replayer(self, place: Workplace) -> FmuReplayer:
@@ -165,7 +157,7 @@ class ModelSubject(Subject):
         fmu = place.folder / "class.fmu"
         if not fmu.is_file():
             class_fmu(self.loaded, fmu)
-        return FmuReplayer(self.model, fmu, place, "native", self.loaded.parameters)
+        return FmuReplayer(self.model, fmu, place, "native", dict(self.loaded.parameters))  # a worker pickles it
 
     def write(self, scratch: Path, folder: Path, name: str) -> Sequence[Path]:
         """Write model.yaml and plant.fmu, or nearest.yaml and nearest.fmu."""

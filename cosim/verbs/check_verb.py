@@ -145,10 +145,10 @@ def command(
 
     Example: cosim check scenario.yaml build/*.fmu
     """
-    from cosim.logs.log import renamed
+    from cosim.logs.log import read_column_names
 
     try:
-        lines = check(files, model, load=load, compile=compile_, columns=renamed(column or (), files[0]))
+        lines = check(files, model, load=load, compile=compile_, columns=read_column_names(column or (), files[0]))
     except Signalled as error:
         raise FmuError(error.reason) from None
     except Terminated as error:

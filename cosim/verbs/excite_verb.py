@@ -75,8 +75,8 @@ def command(
             progress=progress,
         )
     say(choice.headline)
-    if choice.warning:
-        warn(choice.warning)
+    for warning in choice.warnings:
+        warn(warning)
     say(*choice.sentences)
     scenario = shlex.quote(str(place / "excitation.yaml"))
     say(f"excitation: {place / 'excitation.csv'}, played by: cosim run {scenario}")
@@ -86,4 +86,4 @@ def command(
     if as_json:
         apart = [{"pair": list(pair), "standard_deviations": distance} for pair, distance in choice.apart.items()]
         files = {"excitation": str(place / "excitation.csv"), "scenario": str(place / "excitation.yaml")}
-        say_json({"apart": apart, "warning": choice.warning, **files, **files_in(place)})
+        say_json({"apart": apart, "warning": "; ".join(choice.warnings), **files, **files_in(place)})

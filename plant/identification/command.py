@@ -48,12 +48,6 @@ def command(
     if report:
         say(f"report: {place / 'report.html'}")
     if as_json:
-<<<<<<< HEAD
-        said = {"sentences": list(outcome.sentences), "closing": outcome.closing(place), "warnings": outcome.warnings}
-        say_json({**said, **files_in(place, "identify.json", "powertrain.yaml", "model.yaml")})
-    show(place / "report.html", open_=report and open_)
-=======
-        texts = {"sentences": outcome.sentences, "closing": outcome.closing(place), "warnings": outcome.warnings}
+        texts = {"sentences": list(outcome.sentences), "closing": outcome.closing(place), "warnings": outcome.warnings}
         say_json({**texts, **files_in(place, "identify.json", "powertrain.yaml", "model.yaml")})
-    show(place / "report.html", asked=report and open_)
->>>>>>> r-craft
+    show(place / "report.html", open_=report and open_)

@@ -19,10 +19,10 @@ import numpy as np
 
 from cosim.base.arrays import Array, Rows
 from cosim.estimation.data import unscored
-from cosim.estimation.expected import unseen
+from cosim.estimation.expected import fit_for_held_out
 from cosim.estimation.fit import Fit, fit, inverse, scores
 from cosim.estimation.parallel import in_parallel
-from cosim.estimation.posing import halved
+from cosim.estimation.posing import halve_log
 from cosim.estimation.problem import Problem, Scored
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.search.fits import SCREEN_ITERATIONS, Search
@@ -101,7 +101,7 @@ def held_out_gains(search: Search, better: Hypothesis, worse: Hypothesis) -> tup
     little excitation leaves these parameters open. Open-loop predictions use nothing of the held-out log. A single log
     is halved.
     """
-    problem = search.problem if len(search.problem.logs) > 1 else halved(search.problem)
+    problem = search.problem if len(search.problem.logs) > 1 else halve_log(search.problem)
     both = set(better.names) & set(worse.names)
     names = {f.name for c in (*better.candidates, *worse.candidates) if c.name not in both for f in c.free}
     shared = tuple(c for c in better.candidates if c.name in both)
@@ -128,13 +128,15 @@ def held_out_gains(search: Search, better: Hypothesis, worse: Hypothesis) -> tup
 
 def open_loop_gain(problem: Problem, horizon: float, better: Fit, worse: Fit) -> float:
     """Return the open-loop gain per scatter on held-out logs."""
-    problem = problem if len(problem.logs) > 1 else halved(problem)
+    problem = problem if len(problem.logs) > 1 else halve_log(problem)
     logs = list(range(len(problem.logs)))
 
     def errors(log: int) -> list[Array]:
         others = [k for k in logs if k != log]
         fits = [fit(problem, f.free, f.values, f.noise, others, SCREEN_ITERATIONS) for f in (worse, better)]
-        return [open_loop(problem, horizon, f.values, f, log) for f in (unseen(problem, f, log) for f in fits)]
+        return [
+            open_loop(problem, horizon, f.values, f, log) for f in (fit_for_held_out(problem, f, log) for f in fits)
+        ]
 
     return sum_per_scatter(_error_decreases(in_parallel(errors, logs)))
 
@@ -156,7 +158,7 @@ def error_ratios(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple
     A single log is halved. A log on which both predictions are exact is omitted.
     """
     problem, horizon = search.problem, search.subject.horizon
-    problem = problem if len(problem.logs) > 1 else halved(problem)
+    problem = problem if len(problem.logs) > 1 else halve_log(problem)
 
     def log_ratio(log: int) -> float:
         fits = [fit_without(search, problem, h, log) for h in (better, worse)]
@@ -194,7 +196,7 @@ def fit_without(search: Search, problem: Problem, h: Hypothesis, log: int) -> Fi
     if key not in search.cross_fits:
         others = [k for k in range(len(problem.logs)) if k != log]
         refit = fit(problem, search.free(h.candidates), h.fit.values, h.fit.noise, others, SCREEN_ITERATIONS)
-        search.cross_fits[key] = unseen(problem, refit, log)
+        search.cross_fits[key] = fit_for_held_out(problem, refit, log)
     return search.cross_fits[key]
 
 
@@ -258,7 +260,7 @@ def fit_given_model(problem: Problem, base: Fit, left_out: int | None = None) ->
     others = [k for k in range(len(problem.logs)) if k != left_out]
     values = {**problem.values, **{f.name: base.values[f.name] for f in problem.own}}
     refit = fit(problem, problem.own, values, fixed.noise, others, SCREEN_ITERATIONS, sensing=False)
-    return refit if left_out is None else unseen(problem, refit, left_out)
+    return refit if left_out is None else fit_for_held_out(problem, refit, left_out)
 
 
 def scatter_ratio(problem: Problem, f: Fit) -> float:

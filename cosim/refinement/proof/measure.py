@@ -16,7 +16,7 @@ import numpy as np
 
 from cosim.base.arrays import Array, Rows
 from cosim.base.linear_algebra import square_roots
-from cosim.estimation.data import as_data, unscored
+from cosim.estimation.data import data_of, unscored
 from cosim.estimation.per_log import own, spread
 from cosim.estimation.posing import origins, start_covariance, start_state
 from cosim.estimation.problem import Problem
@@ -47,7 +47,7 @@ def filter_problem(problem: Problem, subject: Subject, logs: Sequence[Log]) -> P
     The kernel of `problem` takes all parameters, including those of the variant.
     """
     layout = problem.layout
-    data = [as_data(subject, log, layout, problem.settle, problem.settings.interpolated) for log in logs]
+    data = [data_of(subject, log, layout, problem.settle, problem.settings.interpolated) for log in logs]
     x0 = [start_state(subject, d, layout.outputs, layout.states) for d in data]
     readings = [readings_of(d.y, unscored(d)) for d in data]
     begins = origins(subject, layout, logs, data, problem.settings)

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.estimation.posing import halved
+from cosim.estimation.posing import halve_log
 from cosim.refinement.decision.evidence import fit_given_model, fit_without, log_error
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis
@@ -26,7 +26,7 @@ def nearest(search: Search, a: Attribution, best: Sequence[Hypothesis]) -> Hypot
     Args:
         best: Hypotheses close to a claim.
     """
-    problem = search.problem if len(search.problem.logs) > 1 else halved(search.problem)
+    problem = search.problem if len(search.problem.logs) > 1 else halve_log(search.problem)
 
     def errors(h: Hypothesis | None) -> Array:
         """Return the log error on each held-out log."""

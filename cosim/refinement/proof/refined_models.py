@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from cosim.base.arrays import Array
-from cosim.estimation.expected import means, of_every_log
+from cosim.estimation.expected import group_values, means
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.problem import Settings
@@ -65,4 +65,4 @@ def with_log_noise(after: Variant, a: Attribution, claimed: Hypothesis | None, s
 
 def variant_of(subject: Subject, settings: Settings, f: Fit) -> Variant:
     """Return a subject with the noise of a fit."""
-    return Variant(subject, {**subject.values, **of_every_log(f, settings.groups.values())}, f.noise)
+    return Variant(subject, {**subject.values, **group_values(f, settings.groups.values())}, f.noise)

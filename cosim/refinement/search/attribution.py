@@ -19,7 +19,7 @@ from cosim.estimation.parallel import in_parallel
 from cosim.estimation.posing import coarsened
 from cosim.estimation.problem import Problem
 from cosim.estimation.screen import Choice, ScoreTest, Terms
-from cosim.estimation.sensor_noise import stamps_err
+from cosim.estimation.sensor_noise import erring_stamps
 from cosim.refinement.decision.evidence import scatter_ratio
 from cosim.refinement.decision.judgement import SIGNIFICANT, loss_without
 from cosim.refinement.search.fits import SCREEN_ITERATIONS, Progress, Search, SearchResult, Trial, key_of
@@ -131,7 +131,7 @@ class Attributor:
         """Refit with time stamp errors if indicated."""
         search = self.search
         problem, noise = search.problem, h.fit.noise
-        late = stamps_err(problem, h.fit)
+        late = erring_stamps(problem, h.fit)
         if not late.any():
             return h
         usual = 2.0 * np.log(USUAL_STAMP * max(d.step for d in problem.logs))
@@ -170,7 +170,7 @@ class Attributor:
     def _sets(self, choice: Choice, best: Hypothesis) -> Iterator[tuple[str, ...]]:
         """Yield sets around a hypothesis."""
         others = [name for name in choice.terms if name not in best.names]
-        promises = choice.beside(best.names)
+        promises = choice.extensions(best.names)
         ranked = list(promises)
         yield from ((*best.names, name) for name in ranked if promises[name].within)
         for count in range(2, 3 if best.names else TOGETHER + 1):
@@ -258,7 +258,7 @@ class Attributor:
             without = search.hypothesis(rest, best.fit, SCREEN_ITERATIONS, sensing=False)
             test = ScoreTest(search.problem, without.fit)
             terms = [t for t in in_parallel(test.terms, others) if not t.switched]
-            promises = Choice(test, terms, (), search.problem.values).beside(())
+            promises = Choice(test, terms, (), search.problem.values).extensions(())
             likely = [name for name in promises if promises[name].within][:REPLACING]
             for c in (c for c in others if c.name in likely):
                 yield (*rest, c), {**without.fit.values, **promises[c.name].values}

@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.estimation.fit import FAIR, Fit, Patience, fit, unfitted
+from cosim.estimation.fit import FAIR, Fit, Patience, fit, initial_fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
@@ -110,7 +110,7 @@ class Search:
             patient: Allow more iterations while the objective exceeds that of a contained hypothesis.
         """
         problem, free = self.problem, self.free(parts)
-        start = start or unfitted(problem)
+        start = start or initial_fit(problem)
         # Only parameters free in this fit keep their start; parts of another hypothesis return to neutral.
         moved = {f.name for f in start.free} & {f.name for f in free}
         base = {**problem.values, **{name: start.values[name] for name in moved}}

@@ -72,7 +72,7 @@ def per_log_faults(
             continue
         if full in full_names:
             yield places.fault(place, messages.PARAMETER_TWICE(name=name))
-        elif alone and full in subject.only_known:
+        elif alone and full in subject.inestimable:
             yield places.fault(place, messages.LOG_WITHOUT_VALUE(name=name, log=alone[0]))
         full_names.add(full)
     for k, name in enumerate(on_trial):

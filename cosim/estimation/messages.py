@@ -1,0 +1,14 @@
+"""Messages of fits."""
+
+from cosim.base.messages import Template
+
+DIFFERENT_NOISE = Template(
+    "W-FIT-001",
+    "the noise in the logs differs from the model's ({levels}); the noise of the logs is used. "
+    "Write {line} into the study to state it",
+)
+UNSTATED_NOISE = Template(
+    "W-FIT-002",
+    "the model does not state the noise of {outputs} (sensor_variance); the logs show {line}, which is used. "
+    "Write it into the study to state another",
+)

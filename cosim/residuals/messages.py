@@ -1,0 +1,43 @@
+"""Messages of replays."""
+
+from cosim.base.messages import Template
+
+NO_STATES = Template(
+    "E-RES-001",
+    "has no states, so there is no time over which to replay a log; "
+    "list the table in a study, `cosim refine` holds each row against the model",
+)
+UNKNOWN_SIGNAL = Template("E-RES-002", 'has no {kind} "{name}", which {log} holds{cure} (its {kind}s: {names})')
+OTHER_UNIT = Template(
+    "E-RES-003", "{name} is in {unit} here and in {other} in the log as it was read; read the log for this FMU"
+)
+UNKNOWN_PARAMETER = Template("E-RES-004", 'has no parameter "{name}"{cure}')
+START_OPTION = Template("E-RES-005", '--start "{text}": {reason}')
+FULL_DISK = Template("E-RES-006", "the disk is full: {count} of {rows} rows are in {file}")
+FULL_DISK_AFTER_RUN = Template("E-RES-007", "the disk is full: all {rows} rows are in {file}, there is {missing}")
+OLD_FMU = Template(
+    "W-RES-008",
+    "{fmu} was built by an earlier version, which says nothing of frame, limits and state: "
+    "the log is checked less and windows start worse; build it again",
+)
+HIDDEN_STATE = Template(
+    "W-RES-009",
+    "is missed by {error} over {horizon}\u00a0s where the FMU is restarted from its own outputs: "
+    "it keeps a state that no output shows, and only the free run measures it",
+)
+_DELAY = "{direction} the model by {delay} ± {error}: {cause}, {doubt}"
+DELAY = Template("W-RES-010", _DELAY)
+POSSIBLE_DELAY = Template("N-RES-011", _DELAY)
+WRONG_SIGN = Template(
+    "W-RES-012",
+    "moves against the model (correlation {correlation}): it, or a command, has the wrong sign",
+)
+CONVERTED_UNIT = Template(
+    "E-RES-013",
+    "moves as the model does in {unit}, which declares no unit: "
+    'leave "[{unit}]" out of the header, so that nothing is converted',
+)
+PROBABLE_UNIT = Template(
+    "E-RES-014",
+    'moves as the model does, but {ratio} times as far: is it in {unit}? Then call the column "{name} [{unit}]"',
+)
