@@ -13,7 +13,7 @@ import numpy as np
 from cosim.base.drafts import is_full
 from cosim.base.errors import CosimError, DiskFull, SimulationError, Terminated, stopped
 from cosim.base.scratch import Held, scratch
-from cosim.blocks.component import EndedEarly
+from cosim.blocks.component import EarlyEnd
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
@@ -75,9 +75,9 @@ def _feed(observers: Sequence[Observer], system: System, steps: int, h: float) -
     return Feed(observers, Observed(system.columns, steps + 1, system.start, h), time)
 
 
-def _early(system: System, h: float, done: int) -> EndedEarly:
+def _early(system: System, h: float, done: int) -> EarlyEnd:
     """Return the early end requested by an observer."""
-    return EndedEarly("an observer", _reached(system, h, done), "it asked for the end")
+    return EarlyEnd("an observer", _reached(system, h, done), "it asked for the end")
 
 
 def _reached(system: System, h: float, made: int) -> float:

@@ -11,10 +11,10 @@ from typing import Any
 from cosim.base.errors import SimulationError
 from cosim.base.units import Taken, assume_si
 from cosim.blocks.component import Component, Signal
-from cosim.blocks.faults import Added, Linked, Scaled, disturbed, points, whole
-from cosim.blocks.fmi_types import goes
+from cosim.blocks.faults import Addition, LinkFunction, Scaling, fault_function, points, whole_steps
+from cosim.blocks.fmi_types import is_compatible
 from cosim.blocks.noise import gaussian, stream
-from cosim.blocks.stepping import Does, Link, link
+from cosim.blocks.stepping import Link, LinkKind, link
 from cosim.scenario.diagnosis import Diagnosis, Place
 from cosim.scenario.scenario import (
     Connection,
@@ -92,19 +92,19 @@ class Transfer:
             return None
         return gaussian(stream(seed, self.name), self.noise.variance, self.noise.bias, count)
 
-    def through(self, seed: int, start: float, step: float, count: int) -> tuple[Linked, ...]:
+    def through(self, seed: int, start: float, step: float, count: int) -> tuple[LinkFunction, ...]:
         """Return the value's conversions in order: unit, noise, faults."""
-        chain: list[Linked] = []
+        chain: list[LinkFunction] = []
         if self.factor != 1.0 or self.offset != 0.0:
-            chain.append(Scaled(self.factor, self.offset))
+            chain.append(Scaling(self.factor, self.offset))
         if (samples := self.samples(seed, count)) is not None:
-            chain.append(Added(samples))
+            chain.append(Addition(samples))
         for number, fault in enumerate(self.faults):
             window = points(fault.begin, fault.end, start, step, count)
             rng = stream(seed, f"{self.name} {fault.kind} {number}")
-            delay = 0 if fault.delay is None else whole(fault.delay, step)
+            delay = 0 if fault.delay is None else whole_steps(fault.delay, step)
             given = {"value": fault.value, "probability": fault.probability, "delay": delay}
-            chain.append(disturbed(fault.kind, window, count, rng, **given))  # type: ignore[arg-type]
+            chain.append(fault_function(fault.kind, window, count, rng, **given))  # type: ignore[arg-type]
         if self.items is not None:
             chain.append(_Checked(self, start, step))
         return tuple(chain)
@@ -123,10 +123,10 @@ class _Checked:
 
     def link(self) -> Link:
         items = array("d", (self.transfer.items or {}).values())
-        return link(Does.ITEMS, values=items, count=len(items))
+        return link(LinkKind.ITEMS, values=items, count=len(items))
 
 
-def through(chain: Sequence[Linked]) -> Callable[[int, Any], Any]:
+def through(chain: Sequence[LinkFunction]) -> Callable[[int, Any], Any]:
     """Return the composition of a chain as a single function."""
 
     def value(k: int, v: Any) -> Any:
@@ -170,14 +170,14 @@ def taken_for(file: ScenarioFile, connection: Connection, source: Signal, target
     """
     component = file.scenario.components.get(connection.source.partition(".")[0])
     written = isinstance(component, ReferenceComponent | PlaybackComponent) and source.unit
-    if not written or target.unit or target.whole or connection.conversion is not None:
+    if not written or target.unit or target.is_whole or connection.conversion is not None:
         return None
     return assume_si(source.unit, "its FMU", f"give {connection.source} no unit")
 
 
 def _misfit(connection: Connection, source: Signal, target: Signal) -> str:
     """Return the objection to a connection, or ""."""
-    if not goes(source.kind, target.kind):
+    if not is_compatible(source.kind, target.kind):
         what = f"{connection.source} is {source.kind or 'a number'}, {connection.target} is {target.kind}"
         return f"types do not agree: {what}"
     if source.declared and source.declared == target.declared and source.items != target.items:
@@ -317,7 +317,7 @@ def _check_faults(file: ScenarioFile, diagnosis: Diagnosis) -> None:
         needed = needs.get(fault.kind)
         if needed is not None and getattr(fault, needed) is None:
             diagnosis.note(("faults", k), f"{fault.kind} needs {needed}")
-        made = 0.0 if fault.delay is None else whole(fault.delay, scenario.step) * scenario.step
+        made = 0.0 if fault.delay is None else whole_steps(fault.delay, scenario.step) * scenario.step
         if fault.delay is not None and abs(made - fault.delay) > 1e-9 * made:
             rounded = f"no whole number of steps: it is {made:g} s"
             diagnosis.warnings.append(f"a delay of {fault.delay:g} s on {fault.on} is {rounded}")
