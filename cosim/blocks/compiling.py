@@ -87,7 +87,7 @@ def compile_library(folder: Path, description: Any, identifier: str) -> Path:
         entry = ENTRY[description.fmiVersion[0]].format(identifier=identifier)
         paths = sorted(path for path in (folder / SOURCES).rglob("*") if path.is_file())
         files = {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
-        binary = library_of(files, last, command, [entry], libraries=libraries, limit=LIMIT)
+        binary = library_of(files, last, command, [entry], libraries=libraries, limit=LIMIT).read_bytes()
     except NoCompiler as error:
         raise FmuError(messages.NO_COMPILER(reason=str(error))) from None
     except CompilerFailed as error:

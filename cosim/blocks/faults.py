@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -57,11 +58,12 @@ class LinkFunction(Protocol):
         """Return the C equivalent, continuing from the last point."""
 
 
+@dataclass(frozen=True)
 class Scaling:
     """v·factor + offset."""
 
-    def __init__(self, factor: float, offset: float) -> None:
-        self.factor, self.offset = factor, offset
+    factor: float
+    offset: float
 
     def __call__(self, k: int, v: Any) -> Any:
         return v * self.factor + self.offset
@@ -70,11 +72,11 @@ class Scaling:
         return link(LinkKind.AFFINE, a=self.factor, b=self.offset)
 
 
+@dataclass(frozen=True)
 class Addition:
     """v + samples[k]."""
 
-    def __init__(self, samples: array[float]) -> None:
-        self.samples = samples
+    samples: array[float]
 
     def __call__(self, k: int, v: Any) -> Any:
         return v + self.samples[k]

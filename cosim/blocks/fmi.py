@@ -59,17 +59,13 @@ class Calls(ABC):
     def load(self, folder: Path, library: Path) -> None:
         """Load the library; failures raise bare Exceptions."""
         # FMPy derives the library's path from the identifier, and uses the identifier otherwise only in FMI 1.0.
-        self.fmu = self._class()(
-            guid=self.description.guid,
-            modelIdentifier=library.stem,
-            unzipDirectory=str(folder),
-            instanceName=self.name,
-        )
+        self._make(folder, modelIdentifier=library.stem)
 
-    def _class(self) -> Any:
-        """Return FMPy's class for the FMU; its import takes time."""
+    def _make(self, folder: Path, **library: str) -> None:
+        """Make FMPy's object of the FMU; the import takes time."""
         module, _, name = self.fmpy_class.partition(".")
-        return getattr(import_module(f"fmpy.{module}"), name)
+        kind = getattr(import_module(f"fmpy.{module}"), name)
+        self.fmu = kind(guid=self.description.guid, unzipDirectory=str(folder), instanceName=self.name, **library)
 
     def instantiate(self, listen: Listen, logging: bool) -> None:
         """Make the instance."""
@@ -162,13 +158,7 @@ class Version1(Calls):
     readable_before_start = False
 
     def load(self, folder: Path, library: Path) -> None:
-        self.fmu = self._class()(
-            guid=self.description.guid,
-            modelIdentifier=self.identifier,  # prefix of the function names
-            unzipDirectory=str(folder),
-            instanceName=self.name,
-            libraryPath=str(library),
-        )
+        self._make(folder, modelIdentifier=self.identifier, libraryPath=str(library))  # prefix of function names
 
     def instantiate(self, listen: Listen, logging: bool) -> None:
         self.fmu.instantiate(functions=_callbacks1(listen), loggingOn=logging)

@@ -132,13 +132,10 @@ class FmuBlock:
 
     @cached_property
     def _feeding(self) -> tuple[frozenset[int], bool]:
-        """Return ids of variables feeding outputs, and completeness.
-
-        Completeness means declared dependencies for every output.
-        """
         return self._feeding_of(None)
 
     def _feeding_of(self, outputs: Collection[str] | None) -> tuple[frozenset[int], bool]:
+        """Return ids of variables feeding outputs, and whether every output declares its dependencies."""
         dependencies = [
             unknown.dependencies
             for unknown in self.description.outputs

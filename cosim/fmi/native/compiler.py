@@ -139,8 +139,10 @@ def library_of(
     *,
     libraries: Sequence[str] = ("-lm",),
     limit: float = LIMIT,
-) -> bytes:
-    """Return a compiled shared library, possibly cached.
+) -> Path:
+    """Return the cached path of a compiled shared library.
+
+    Its name ends with a hash of the content, because a damaged library could crash.
 
     Args:
         files: Contents by path below the compiler's folder.
@@ -149,21 +151,6 @@ def library_of(
 
     Raises:
         CompilerFailed: Compilation failed.
-    """
-    return _library(files, main, command, exports, libraries, limit).read_bytes()
-
-
-def _library(
-    files: Mapping[str, bytes],
-    main: str,
-    command: Sequence[str],
-    exports: Sequence[str] = (),
-    libraries: Sequence[str] = ("-lm",),
-    limit: float = LIMIT,
-) -> Path:
-    """Return the cached path of a compiled library.
-
-    Its name ends with a hash of the content, because a damaged library could crash.
     """
     content = hashlib.sha256(repr((sorted(files.items()), main, list(command), *libraries)).encode()).hexdigest()
     stem = cached(content, "")
@@ -223,12 +210,12 @@ def load_library(source: str, *headers: Path) -> ctypes.CDLL:
     for command in compilers():
         full = [*command, *OPTIONS, *_position()]
         try:
-            library = _library(files, "model.c", full)
+            library = library_of(files, "model.c", full)
             try:
                 return ctypes.CDLL(str(library))
             except OSError:
                 library.unlink(missing_ok=True)
-                return ctypes.CDLL(str(_library(files, "model.c", full)))
+                return ctypes.CDLL(str(library_of(files, "model.c", full)))
         except (CompilerFailed, OSError) as error:
             reason = reason or error
     if reason is None:

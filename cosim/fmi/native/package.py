@@ -104,7 +104,7 @@ def build_native(native: Native, path: Path, fmi: int = 2, platforms: Sequence[s
         members["model.png" if fmi == 2 else "terminalsAndIcons/icon.png"] = icon.read_bytes()
     floors = {}
     for platform, command in targets.items():
-        library = library_of(sources, "all.c", command, EXPORTS[fmi])
+        library = library_of(sources, "all.c", command, EXPORTS[fmi]).read_bytes()
         members[f"binaries/{platform.folder(fmi)}/{identifier}{platform.suffix}"] = library
         floors[platform.name] = glibc_floor(library)
     members["modelDescription.xml"] = description(guid)
