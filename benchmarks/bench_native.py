@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.fmi.native.compiler import compiler, loaded
+from cosim.fmi.native.compiler import compiler, load_library
 from cosim.loading.build_native import build_native
 from cosim.master.master import PROGRESS_EVERY, simulate
 from cosim.scenario.scenario_file import ScenarioFile
@@ -162,7 +162,7 @@ class _Part(ctypes.Structure):
 
 def c_seconds(craft: Mapping[str, Unpacked]) -> float:
     """Return the seconds of an independent C loop."""
-    drive = loaded(DRIVER.read_text(encoding="utf-8")).drive
+    drive = load_library(DRIVER.read_text(encoding="utf-8")).drive
     drive.argtypes = [*[ctypes.POINTER(_Part)] * 2, ctypes.c_long, ctypes.c_double, ctypes.c_void_p]
     table = np.zeros((STEPS + 1, 20))
     with craft["plant"].started() as plant, craft["controller"].started() as controller:

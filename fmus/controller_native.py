@@ -11,7 +11,7 @@ from controller.gains import ESTIMATORS, Settings
 from controller.kalman import discrete_model
 from cosim.fmi.native.layout import Layout
 from cosim.fmi.native.package import Native, part
-from cosim.fmi.native.printing import LANGUAGE, Sources, quoted, variable_tables
+from cosim.fmi.native.printing import LANGUAGE, Sources, quote, variable_tables
 from cosim.model import parameters_of
 from fmus.craft_ports import ESTIMATE
 from fmus.recipes import controller_recipe
@@ -109,7 +109,7 @@ def _design(place: dict[str, int]) -> str:
     lines = ["const double *p = m->values;", "const char *estimator = m->text[0];"]
     for k, estimator in enumerate(ESTIMATORS):
         own = replace(settings, estimator=estimator)
-        lines.append(f"{'} else ' if k else ''}if (strcmp(estimator, {quoted(estimator)}) == 0) {{")
+        lines.append(f"{'} else ' if k else ''}if (strcmp(estimator, {quote(estimator)}) == 0) {{")
         lines += [
             f"    {line}"
             for line in (*_dynamics(own, places), *_matrix("d->H", measurement_matrix(own, estimator), places))

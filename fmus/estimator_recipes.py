@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cosim.fmi.documentation import documented
+from cosim.fmi.documentation import docstrings_html
 from cosim.fmi.fmu_build import Recipe
 from cosim.fmi.model_description import Description
 from cosim.fmi.ports import Port
@@ -18,7 +18,7 @@ def filter_recipe() -> Recipe:
     from fmus.estimator_fmu import HovercraftFilter
 
     about = _about("Estimators of the hovercraft: three Kalman filters, double integration", HovercraftFilter.ports)
-    text = documented(LinearFilter, discrete_model, DoubleIntegration, HovercraftFilter)
+    text = docstrings_html(LinearFilter, discrete_model, DoubleIntegration, HovercraftFilter)
     slave = ("fmus.estimator_fmu", "HovercraftFilter")
     return Recipe(slave, PACKAGES, about, text)
 
@@ -29,7 +29,7 @@ def extended_recipe() -> Recipe:
     from fmus.estimator_fmu import HovercraftEkf
 
     about = _about("Extended Kalman filter of the hovercraft on the plant's equations", HovercraftEkf.ports)
-    text = documented(ExtendedFilter, Craft, HovercraftEkf)
+    text = docstrings_html(ExtendedFilter, Craft, HovercraftEkf)
     slave = ("fmus.estimator_fmu", "HovercraftEkf")
     printed = (("controller.printed", jacobians()),)
     return Recipe(slave, PACKAGES, about, text, printed=printed)

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from cosim.fmi.documentation import documented, model_text
-from cosim.fmi.fmu_build import Recipe, about_model, ordered
+from cosim.fmi.documentation import docstrings_html, model_text
+from cosim.fmi.fmu_build import Recipe, about_model, sort_values
 from cosim.fmi.model_description import Description
 from fmus import PACKAGES
 
@@ -32,8 +32,8 @@ def plant_recipe(values: Mapping[str, float | bool] | None = None) -> Recipe:
         model.with_values(values or {}),
         "Thrust-vectoring hovercraft on an air table: two tilting propellers with lag and ground effect",
     )
-    text = f"<p>An unconnected plant hovers.</p>{model_text(model)}{documented(craft, planar)}"
-    return Recipe(("fmus.plant_fmu", "HovercraftPlant"), PACKAGES, about, text, ordered(values))
+    text = f"<p>An unconnected plant hovers.</p>{model_text(model)}{docstrings_html(craft, planar)}"
+    return Recipe(("fmus.plant_fmu", "HovercraftPlant"), PACKAGES, about, text, sort_values(values))
 
 
 def heavy_recipe() -> Recipe:
@@ -106,7 +106,7 @@ def _controller(
     times = {"step": slave.settings.sample_time, "stop": 10.0, "variable_step": False, "sampled": "sample_time"}
     description = Description(about, slave.ports, *dependencies, **times, law=law)
     own = () if law == TIME_VARIANT else (discrete_model,)
-    text = documented(Loop, *own, *more, slave)
+    text = docstrings_html(Loop, *own, *more, slave)
     return Recipe((slave.__module__, slave.__name__), PACKAGES, description, text)
 
 
@@ -119,5 +119,5 @@ def bench_recipe(values: Mapping[str, float | bool] | None = None) -> Recipe:
         model.with_values(values or {}),
         "Testing bench: one tilting propeller on three load cells, converted by 12 bit and low-passed",
     )
-    text = f"<p>An unconnected bench is at rest.</p>{model_text(model)}{documented(bench)}"
-    return Recipe(("fmus.bench_fmu", "PropellerBench"), PACKAGES, about, text, ordered(values))
+    text = f"<p>An unconnected bench is at rest.</p>{model_text(model)}{docstrings_html(bench)}"
+    return Recipe(("fmus.bench_fmu", "PropellerBench"), PACKAGES, about, text, sort_values(values))

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from cosim.base.errors import SimulationError, TimedOut
-from cosim.blocks.component import EndedEarly
+from cosim.blocks.component import EarlyEnd
 from cosim.blocks.sources import Source
 from cosim.isolation import watch
 from cosim.isolation.limits import Limits
@@ -58,8 +58,8 @@ def test_halved_steps_announce_the_component_whose_state_they_save(monkeypatch: 
     rows = rows_for(system, 2)
     for block in blocks:
         block.instance = SimpleNamespace(  # type: ignore[attr-defined]
-            saved=lambda name=block.name: seen.append((name, rows.doing[0])),
-            take_back=lambda state, name=block.name: seen.append((name, rows.doing[0])),
+            save_state=lambda name=block.name: seen.append((name, rows.doing[0])),
+            restore_state=lambda state, name=block.name: seen.append((name, rows.doing[0])),
         )
     Halved(system, 2, 0.1, None, rows).results()
     assert {name for name, _ in seen} == {*NAMES}
@@ -96,14 +96,14 @@ def test_the_difference_of_halves_is_that_of_the_values(monkeypatch: pytest.Monk
     monkeypatch.setattr("cosim.master.halving.FmuBlock", Block)
     block = Squares("a", [], ["y"], lambda t, h, u: [block.total])
     block.instance = SimpleNamespace(  # type: ignore[attr-defined]
-        saved=lambda: block.total, take_back=lambda state: setattr(block, "total", state)
+        save_state=lambda: block.total, restore_state=lambda state: setattr(block, "total", state)
     )
     system = system_of([block], {})
     results = Halved(system, 3, 0.4, None, rows_for(system, 3)).results()
     assert results["a.y"].tolist() == pytest.approx([0.0, 0.08, 0.08, 0.08])
     assert block.total == pytest.approx(3 * 0.16)  # the run goes on from the whole steps
 
-    block.instance.take_back = lambda state: None  # type: ignore[attr-defined]
+    block.instance.restore_state = lambda state: None  # type: ignore[attr-defined]
     with pytest.raises(StoppedRun, match=r"a at t = 0 s: it does not come back to the state"):
         Halved(system, 3, 0.4, None, rows_for(system, 3)).results()
 
@@ -146,7 +146,7 @@ def test_an_fmu_that_ends_the_run_alone_leaves_a_row_of_its_time(
             super().advance(t, h)
             if len(self.steps) == 3:
                 self._at = t + 0.25 * h, h
-                raise EndedEarly(self.name, t + 0.25 * h, "it has landed", readable=readable)
+                raise EarlyEnd(self.name, t + 0.25 * h, "it has landed", readable=readable)
 
     block = Ends("a", [], ["y"], lambda t, h, u: [t])
     results = simulate(system_of([block], {}, fmus=dict.fromkeys(fmus)), 9, 1.0)

@@ -21,9 +21,9 @@ import cosim.fmi.native
 from controller.gains import Settings
 from controller.loop import Loop
 from cosim.base.errors import InputError
-from cosim.fmi.native.compiler import can_cross, compiler, fmi_headers, loaded
+from cosim.fmi.native.compiler import can_cross, compiler, fmi_headers, load_library
 from cosim.fmi.native.compiler import commands as compilers
-from cosim.fmi.native.platforms import glibc_floor, here
+from cosim.fmi.native.platforms import glibc_floor, this_platform
 from cosim.fmi.ports import model_ports
 from cosim.fmi.state import MEMORY as MEMORY_PART
 from cosim.fmi.state import STATE, own_of, with_memory
@@ -260,7 +260,7 @@ def test_a_native_fmu_is_valid_and_runs_without_a_tool(name: str, native_fmus: P
         assert archive.read("modelDescription.xml").decode().count('<File name="all.c" />') == len(ways)
         assert "2-Clause BSD" in archive.read("sources/fmi2Functions.h").decode()
         page = archive.read("documentation/index.html").decode()
-    machine = here()
+    machine = this_platform()
     assert machine is not None
     assert f"Libraries for {machine.name}; none for" in page
     assert description.guid in page
@@ -438,7 +438,7 @@ void powers(int count, const double *from, const double *to, const double *expon
 
 
 def test_a_series_near_a_point_gives_what_the_c_library_gives() -> None:
-    library = loaded((Path(cosim.fmi.native.__file__).parent / "near.h").read_text(encoding="utf-8") + SERIES)
+    library = load_library((Path(cosim.fmi.native.__file__).parent / "near.h").read_text(encoding="utf-8") + SERIES)
     rng, count = np.random.default_rng(1), 20_000
     spread = 10.0 ** rng.uniform(-9, 0.5, count) * rng.choice([-1.0, 1.0], count)  # within its reach and beyond
 

@@ -9,7 +9,7 @@ import pytest
 from fmpy.validation import validate_fmu
 
 from cosim.base.errors import InputError
-from cosim.fmi.native.check import check
+from cosim.fmi.native.check import Check
 from cosim.fmi.native.printing import Printer
 from cosim.fmi.ports import model_ports
 from cosim.kernel.backend import kernel
@@ -172,7 +172,7 @@ def test_names_that_are_not_structured_are_said_to_be_flat(tmp_path: Path) -> No
 @pytest.mark.parametrize("name", ["", "tanks.py:Tanks", "quarter_car.py:QuarterCar", "drive_train.py:DriveTrain"])
 def test_what_is_printed_says_what_the_python_says(name: str) -> None:
     model: Model = load_model(str(PLANTS / name), Path()).model if name else Hovercraft()
-    check(model, Printer(model, model_ports(model)))
+    Check(model, Printer(model, model_ports(model))).run()
 
 
 @pytest.mark.parametrize(

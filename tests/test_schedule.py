@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.blocks.faults import MOST, Delayed, Held, disturbed, points, steps_in, whole
+from cosim.blocks.faults import MOST, Delay, Hold, fault_function, points, steps_in, whole_steps
 from cosim.coupling.algorithms import OWN, Algorithm, Plan
 from cosim.coupling.order import AlgebraicLoop, order_by_dependencies
 from cosim.master.master import simulate
@@ -235,7 +235,7 @@ def passed(fault: Any) -> list[float]:
 
 
 def made(kind: str, window: tuple[int, int] = (2, 4), **more: Any) -> list[float]:
-    return passed(disturbed(kind, window, POINTS, np.random.default_rng(1), **more))
+    return passed(fault_function(kind, window, POINTS, np.random.default_rng(1), **more))
 
 
 def test_a_fault_acts_from_the_first_to_the_last_point_of_its_window_and_nowhere_else() -> None:
@@ -253,15 +253,15 @@ def test_a_fault_acts_from_the_first_to_the_last_point_of_its_window_and_nowhere
 def test_what_is_lost_or_hit_by_chance_is_as_often_as_its_probability_says() -> None:
     count, rng = 20_000, np.random.default_rng(3)
     for kind, share in (("dropout", 0.25), ("spike", 0.25)):
-        fault = disturbed(kind, (0, count), count, rng, value=0.5, probability=share)
+        fault = fault_function(kind, (0, count), count, rng, value=0.5, probability=share)
         values = np.array([fault(k, float(k)) for k in range(count)])
         changed = np.mean(values != np.arange(count))
         assert changed == pytest.approx(share, abs=4 * math.sqrt(share * (1 - share) / count))
-    assert passed(Held((0, 7), bytearray(8 * [1]))) == [0] * 8  # what comes first is always there
+    assert passed(Hold((0, 7), bytearray(8 * [1]))) == [0] * 8  # what comes first is always there
 
 
 def test_a_delay_keeps_no_more_than_it_needs() -> None:
-    fault = Delayed((0, 99), 3)
+    fault = Delay((0, 99), 3)
     for k in range(50):
         fault(k, float(k))
     assert len(fault._past) == 4
@@ -286,7 +286,7 @@ def test_steps_in_a_time_are_its_length_and_never_more_than_a_double_counts() ->
     assert steps_in(1.0, 0.25) == 4.0
     assert (steps_in(1e300, 1e-300), steps_in(-1e300, 1e-300)) == (MOST, -MOST)
     assert MOST < 2**63  # a communication point is counted in 64 bits, in C too
-    assert [whole(time, 0.1) for time in (0.0, 0.04, 0.14, 0.16, 1.0)] == [1, 1, 1, 2, 10]
+    assert [whole_steps(time, 0.1) for time in (0.0, 0.04, 0.14, 0.16, 1.0)] == [1, 1, 1, 2, 10]
 
 
 # -- figures of merit -------------------------------------------------------------------------------

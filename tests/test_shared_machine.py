@@ -152,8 +152,8 @@ PLANTED = """
 import os, sys
 from pathlib import Path
 import cosim.storage.cache as cache
-from cosim.fmi.native.compiler import compiler, loaded
-print(loaded("int answer(void) { return 42; }").answer())
+from cosim.fmi.native.compiler import compiler, load_library
+print(load_library("int answer(void) { return 42; }").answer())
 print(cache.cache_folder())
 """
 

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from cosim.base.errors import SimulationError
-from cosim.blocks.component import EndedEarly, Signal
+from cosim.blocks.component import EarlyEnd, Signal
 from cosim.blocks.derivatives import slopes_at
-from cosim.blocks.fmi_types import FMI1, FMI2, FMI3, Exchange, element_names, goes, kinds_of
+from cosim.blocks.fmi_types import FMI1, FMI2, FMI3, Exchange, element_names, is_compatible, kinds_of
 from cosim.blocks.model_exchange import MOST_EVENTS, ModelExchange2
 from cosim.blocks.noise import samples_of, stream
 from cosim.blocks.profile import Change, Profile, profile_function
@@ -118,7 +118,7 @@ def test_an_event_of_state_stops_the_solver_and_an_event_of_step_is_asked_for_af
 
 
 def test_an_fmu_ends_the_simulation_at_the_time_that_it_has_come_to() -> None:
-    with pytest.raises(EndedEarly) as ended:
+    with pytest.raises(EarlyEnd) as ended:
         exchange(Fmu(ends_at=0.1), Solver([0.125]), completed=True).stepping()(None, 0.0, 0.5, 1)
     assert (ended.value.reached, ended.value.readable) == (0.125, False)
 
@@ -276,10 +276,10 @@ def test_noise_is_of_its_variance_and_bias_and_each_source_has_a_stream_of_its_o
 )  # fmt: skip
 def test_a_type_of_fmi_holds_its_numbers_and_no_others(kind: str, value: float, sound: bool) -> None:
     if sound:
-        assert FMI3[kind].encoded(value) == value
+        assert FMI3[kind].encode(value) == value
     else:
         with pytest.raises(ValueError, match=r"outside|no whole number"):
-            FMI3[kind].encoded(value)
+            FMI3[kind].encode(value)
 
 
 def test_values_stand_beside_the_row_where_no_double_holds_them() -> None:
@@ -287,9 +287,9 @@ def test_values_stand_beside_the_row_where_no_double_holds_them() -> None:
     assert {name for name, kind in FMI2.items() if kind.beside} == {"String"}
     assert [ctypes.sizeof(FMI3[name].ctype) for name in ("Int8", "UInt16", "Int32", "UInt64")] == [1, 2, 4, 8]
     assert [kinds_of(version) for version in ("1.0", "2.0", "3.0")] == [FMI1, FMI2, FMI3]
-    assert goes("Int8", "Float64")
-    assert not goes("Float64", "Int8")
-    assert not goes("Clock", "Float64")
+    assert is_compatible("Int8", "Float64")
+    assert not is_compatible("Float64", "Int8")
+    assert not is_compatible("Clock", "Float64")
 
 
 def test_elements_of_an_array_go_by_their_indices_from_one() -> None:
@@ -367,27 +367,27 @@ class Bent:
         self.asked.append([float(x), float(u)])
         return np.array([x * x * u, x + 3.0 * u])
 
-    def given_slopes(self) -> Any:
+    def directional_slopes(self) -> Any:
         return np.array([[7.0, 7.0], [7.0, 7.0]])
 
 
 @pytest.mark.parametrize(("x", "u"), [(0.5, -0.25), (4.0, 100.0)])
 def test_slopes_are_central_differences_by_a_share_of_the_value_or_of_one(x: float, u: float) -> None:
     block: Any = Bent()
-    slopes, here, after = slopes_at(block, 0.0, np.array([x]), np.array([u]), 1e-3, given=False)
+    slopes, here, after = slopes_at(block, 0.0, np.array([x]), np.array([u]), 1e-3, directional=False)
     assert slopes == pytest.approx(np.array([[2 * x * u, x * x], [1.0, 3.0]]), rel=1e-9)
     assert here == pytest.approx([x * x * u, x + 3.0 * u])
     assert after.tolist() == [x]
     size_x, size_u = 1e-3 * max(1.0, abs(x)), 1e-3 * max(1.0, abs(u))
     asked = [[x, u], [x + size_x, u], [x - size_x, u], [x, u + size_u], [x, u - size_u], [x, u]]
     assert np.array(block.asked) == pytest.approx(np.array(asked))
-    assert slopes_at(block, 0.0, np.array([x]), np.array([u]), 1e-3, given=True)[0].tolist() == [[7, 7], [7, 7]]
+    assert slopes_at(block, 0.0, np.array([x]), np.array([u]), 1e-3, directional=True)[0].tolist() == [[7, 7], [7, 7]]
 
 
 def test_slopes_that_are_not_finite_are_told() -> None:
     block: Any = Bent()
     with pytest.raises(SimulationError, match="its derivatives or outputs are not finite there"):
-        slopes_at(block, 0.0, np.array([math.inf]), np.array([1.0]), 1e-3, given=False)
-    block.given_slopes = lambda: np.array([[math.nan]])
+        slopes_at(block, 0.0, np.array([math.inf]), np.array([1.0]), 1e-3, directional=False)
+    block.directional_slopes = lambda: np.array([[math.nan]])
     with pytest.raises(SimulationError, match="its slopes are not finite there"):
-        slopes_at(block, 0.0, np.array([1.0]), np.array([1.0]), 1e-3, given=True)
+        slopes_at(block, 0.0, np.array([1.0]), np.array([1.0]), 1e-3, directional=True)

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from cosim.base.errors import SimulationError, Terminated
-from cosim.blocks.component import EndedEarly
+from cosim.blocks.component import EarlyEnd
 from cosim.blocks.fmi import CoSimulation1, CoSimulation2, CoSimulation3
 from cosim.blocks.instance import LONGEST_MESSAGE, Instance
 
@@ -21,8 +21,8 @@ def instance(ended: float | None = None, logging: bool = False) -> Any:
     made: Any = object.__new__(Instance)
     made.name, made.time, made.fmu, made.log = "m", 1.5, object(), deque(maxlen=3)
     made._words = ""
-    made.step_name, made._logging, made._stopped = "fmi2DoStep", logging, None
-    made.calls = SimpleNamespace(ended=lambda t: ended)
+    made.step_name, made._logging, made._stop = "fmi2DoStep", logging, None
+    made.calls = SimpleNamespace(end_time=lambda t: ended)
     return made
 
 
@@ -46,16 +46,16 @@ def test_a_warning_is_remembered_and_the_run_goes_on() -> None:
 
 def test_a_step_that_is_discarded_to_end_the_run_is_no_failure() -> None:
     made = instance(ended=1.75)
-    with pytest.raises(EndedEarly, match=r"returned Discard: the FMU ended the simulation early$") as end:
+    with pytest.raises(EarlyEnd, match=r"returned Discard: the FMU ended the simulation early$") as end:
         made.judge("fmi2DoStep", DISCARD)
     assert (end.value.reached, end.value.readable, end.value.component) == (1.75, True, "m")
     for function, status in (("fmi2GetReal", DISCARD), ("fmi2DoStep", ERROR)):
         with pytest.raises(SimulationError) as failed:
             made.judge(function, status)
-        assert not isinstance(failed.value, EndedEarly)
+        assert not isinstance(failed.value, EarlyEnd)
     with pytest.raises(SimulationError) as failed:
         instance(ended=None).judge("fmi2DoStep", DISCARD)
-    assert not isinstance(failed.value, EndedEarly)
+    assert not isinstance(failed.value, EarlyEnd)
 
 
 def test_messages_below_a_warning_are_kept_where_debugging_is_asked_for() -> None:
@@ -74,12 +74,12 @@ def test_messages_below_a_warning_are_kept_where_debugging_is_asked_for() -> Non
 
 def test_what_stops_the_process_while_an_fmu_speaks_is_kept_until_the_call_is_over() -> None:
     made = instance()
-    made.raise_stopped()
+    made.raise_stop()
     made.remember = lambda text: (_ for _ in ()).throw(Terminated())
     made.listen(WARNING, b"hot")
     with pytest.raises(Terminated):
-        made.raise_stopped()
-    made.raise_stopped()
+        made.raise_stop()
+    made.raise_stop()
 
 
 def ended_by(terminated: Any, last: Any) -> float | None:
@@ -93,7 +93,7 @@ def ended_by(terminated: Any, last: Any) -> float | None:
         getBooleanStatus=lambda kind: answer(terminated) if kind == 3 else None,
         getRealStatus=lambda kind: answer(last) if kind == 2 else None,
     )
-    return calls.ended(1.0)
+    return calls.end_time(1.0)
 
 
 def test_the_time_to_which_an_fmu_came_is_what_it_says_and_not_before_the_step() -> None:
@@ -102,7 +102,7 @@ def test_the_time_to_which_an_fmu_came_is_what_it_says_and_not_before_the_step()
     assert ended_by(True, RuntimeError("not there")) == 1.0
     assert ended_by(False, 1.25) is None
     assert ended_by(RuntimeError("not there"), 1.25) is None
-    assert CoSimulation1("m", None).ended(1.0) is None
+    assert CoSimulation1("m", None).end_time(1.0) is None
 
 
 @pytest.mark.parametrize(
@@ -127,7 +127,7 @@ def test_fmi_3_ends_by_a_flag_of_its_step(status: int, terminate: bool, early: b
     if reached is None:
         assert calls.stepping()(ctypes.c_void_p(), 1.0, 0.5, 1) == status
     else:
-        with pytest.raises(EndedEarly) as end:
+        with pytest.raises(EarlyEnd) as end:
             calls.stepping()(ctypes.c_void_p(), 1.0, 0.5, 1)
         assert end.value.reached == reached
 

@@ -21,13 +21,13 @@ import yaml
 from benchmarks.bench_native import native_figures
 from cosim.base.errors import InputError, Interrupted
 from cosim.blocks.description import read_description
-from cosim.blocks.faults import disturbed
+from cosim.blocks.faults import fault_function
 from cosim.blocks.fmi import EXCHANGE, STEP2
 from cosim.blocks.fmi_types import FMI2, FMI3, Exchange
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.profile import Change, Profile, profile_function
 from cosim.blocks.sources import Recorded
-from cosim.blocks.stepping import Does, Loop, Slot, Transfer, Why, fmu_slot, library, link, move, transfer
+from cosim.blocks.stepping import LinkKind, Loop, Slot, StopReason, Transfer, fmu_slot, library, link, move, transfer
 from cosim.coupling.algorithms import OWN
 from cosim.fmi.native import compiler as native_compiler
 from cosim.isolation.rows import Rows
@@ -81,14 +81,14 @@ class Counter:
 
 def loop_of(slots: list[tuple[Slot, list[Transfer]]], held: list[Transfer], row: Any, steps: int) -> tuple[Loop, Any]:
     table, made, doing = np.zeros((steps + 1, len(row))), array("q", [1]), array("q", [-1])
-    return Loop(slots, held, row, table, begin=0.0, h=0.5, made=made, doing=doing), (table, made, doing)
+    return Loop(slots, held, row, table, begin=0.0, h=0.5, counter=made, doing=doing), (table, made, doing)
 
 
 def test_a_step_puts_steps_gets_transfers_and_keeps_the_row() -> None:
     row, calls = (ctypes.c_double * 4)(), list[Any]()
     a, b = Counter(row, 0, calls), Counter(row, 2, calls)
     loop, (table, made, _) = loop_of([(a.slot, []), (b.slot, [transfer(row, 1, 2)])], [transfer(row, 3, 0)], row, 2)
-    assert loop.run(2) == Why.FINISHED
+    assert loop.run(2) == StopReason.FINISHED
     one = [("set", 0.0), ("step", 0.0, 0.5), ("get",), ("set", 1.0), ("step", 0.0, 0.5), ("get",)]
     assert calls == [*one, ("set", 2.0), ("step", 0.5, 0.5), ("get",), ("set", 4.0), ("step", 0.5, 0.5), ("get",)]
     assert table.tolist() == [[0, 0, 0, 0], [2, 1, 1, 2], [6, 4, 4, 6]]
@@ -101,10 +101,10 @@ def test_what_was_judged_is_not_called_again(what: str, place: int) -> None:
     steps_before = 1 if what == "set" else 2  # of the second point
     counter = Counter(row, 0, calls, **{what: steps_before})
     loop, (table, made, _) = loop_of([(counter.slot, [])], [], row, 3)
-    assert loop.run(3) == Why.STATUS
+    assert loop.run(3) == StopReason.STATUS
     assert (loop.plan.status, loop.plan.called, loop.plan.next, made[0]) == (1, place, 2, 2)
     assert len(calls) == 3 + 1 + place
-    assert loop.run(3) == Why.FINISHED
+    assert loop.run(3) == StopReason.FINISHED
     assert [call[0] for call in calls] == ["set", "step", "get"] * 3
     assert table[:, 1].tolist() == [0, 1, 2, 3]
 
@@ -112,7 +112,7 @@ def test_what_was_judged_is_not_called_again(what: str, place: int) -> None:
 def test_an_output_that_is_not_finite_stops_before_its_row() -> None:
     row, calls = (ctypes.c_double * 2)(), list[Any]()
     loop, (table, made, _) = loop_of([(Counter(row, 0, calls, nan=2).slot, [])], [], row, 3)
-    assert (loop.run(3), made[0], loop.plan.place) == (Why.NOT_FINITE, 2, 0)
+    assert (loop.run(3), made[0], loop.plan.place) == (StopReason.NOT_FINITE, 2, 0)
     assert np.isnan(row[1])
     assert table[2].tolist() == [0, 0]
 
@@ -120,9 +120,9 @@ def test_an_output_that_is_not_finite_stops_before_its_row() -> None:
 def test_python_is_asked_before_a_row_is_kept_and_may_change_it() -> None:
     row, calls = (ctypes.c_double * 2)(), list[Any]()
     loop, (table, made, _) = loop_of([(Counter(row, 0, calls).slot, [])], [], row, 3)
-    assert (loop.run(3, pause=2), made[0]) == (Why.PAUSED, 2)
+    assert (loop.run(3, pause=2), made[0]) == (StopReason.PAUSED, 2)
     row[1] = 20.0
-    assert loop.run(3) == Why.FINISHED
+    assert loop.run(3) == StopReason.FINISHED
     assert table[:, 1].tolist() == [0, 1, 20, 3]
 
 
@@ -135,9 +135,9 @@ def test_prepared_values_and_longer_steps() -> None:
     slow.slot.every = 2
     loop, (table, _, _) = loop_of([(source, []), (slow.slot, [transfer(row, 1, 2)])], [], row, 4)
     loop.prepare(0, values[:3], 1)
-    assert loop.run(3) == Why.FINISHED
+    assert loop.run(3) == StopReason.FINISHED
     loop.prepare(0, values[3:], 4)
-    assert loop.run(4) == Why.FINISHED
+    assert loop.run(4) == StopReason.FINISHED
     assert table[:, :2].tolist() == [[0, 0], *values.tolist()]
     assert calls == [("set", 20.0), ("step", 0.0, 1.0), ("get",), ("set", 40.0), ("step", 1.0, 1.0), ("get",)]
 
@@ -145,9 +145,9 @@ def test_prepared_values_and_longer_steps() -> None:
 def test_a_value_that_is_no_item_stops_where_it_comes() -> None:
     row, calls = (ctypes.c_double * 4)(), list[Any]()
     counter, other = Counter(row, 0, calls), Counter(row, 2, [])
-    items = link(Does.ITEMS, values=array("d", [1.0, 2.0]), count=2)
+    items = link(LinkKind.ITEMS, values=array("d", [1.0, 2.0]), count=2)
     loop, (_, made, _) = loop_of([(counter.slot, []), (other.slot, [transfer(row, 1, 2, [items])])], [], row, 4)
-    assert (loop.run(4), made[0], loop.plan.place, row[1]) == (Why.NO_ITEM, 3, 1, 3.0)
+    assert (loop.run(4), made[0], loop.plan.place, row[1]) == (StopReason.NO_ITEM, 3, 1, 3.0)
 
 
 @pytest.mark.parametrize(
@@ -166,12 +166,12 @@ def test_every_type_goes_to_an_fmu_and_back_as_python_takes_it(name: str) -> Non
         row[0], row[1] = value, -7.0
         loop, _ = loop_of([(slot, [])], [], row, 1)
         try:
-            exchange.buffer[0] = kind.encoded(float(value))
+            exchange.buffer[0] = kind.encode(float(value))
         except (ValueError, OverflowError):
-            assert loop.run(1) == Why.UNFIT
+            assert loop.run(1) == StopReason.UNFIT
         else:
-            assert loop.run(1) == Why.FINISHED
-            assert row[1] == float(exchange.decoded()[0]) or np.isnan(value)
+            assert loop.run(1) == StopReason.FINISHED
+            assert row[1] == float(exchange.decode()[0]) or np.isnan(value)
 
 
 @pytest.mark.parametrize("kind", ["bias", "scale", "stuck", "spike", "delay", "dropout", "freeze"])
@@ -180,7 +180,7 @@ def test_a_fault_in_c_is_that_in_python_bit_for_bit(kind: str) -> None:
     steps, rng = 60, np.random.default_rng(4)
     values = rng.standard_normal((steps, 1))
     for window in ((0, steps), (2, 20), (17, 17), (30, 200)):
-        first, second = (disturbed(kind, window, steps + 1, np.random.default_rng(5), **given) for _ in range(2))  # type: ignore[arg-type]
+        first, second = (fault_function(kind, window, steps + 1, np.random.default_rng(5), **given) for _ in range(2))  # type: ignore[arg-type]
         for fault in (first, second):  # as initialization does, more than once
             fault(0, 1.7), fault(0, 0.6)
         row = (ctypes.c_double * 2)()
@@ -188,7 +188,7 @@ def test_a_fault_in_c_is_that_in_python_bit_for_bit(kind: str) -> None:
         source.row = ctypes.addressof(row)
         loop, (table, _, _) = loop_of([(source, [])], [transfer(row, 0, 1, [first.link()])], row, steps)
         loop.prepare(0, values, 1)
-        assert loop.run(steps) == Why.FINISHED
+        assert loop.run(steps) == StopReason.FINISHED
         assert table[1:, 1].tolist() == [second(k, v) for k, v in enumerate(values[:, 0].tolist(), 1)]
 
 
@@ -531,8 +531,8 @@ def test_what_stops_the_process_while_an_fmu_speaks_is_raised_behind_it(
     monkeypatch.setattr(block.instance, "remember", stop)
     block.instance.listen(1, b"a word")  # called by C, out of which no exception leads
     with pytest.raises(KeyboardInterrupt):
-        block.came_to(1.0)
-    block.came_to(1.0)
+        block.set_time(1.0)
+    block.set_time(1.0)
 
 
 def test_the_benchs_native_lines_say_so_where_there_is_no_compiler(

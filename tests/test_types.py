@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from cosim.base.errors import FmuError, InputError
-from cosim.blocks.fmi import _routed
+from cosim.blocks.fmi import _route
 from cosim.master.master import StoppedRun, simulate
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.coupling import coupling_error
@@ -598,8 +598,8 @@ def test_a_message_reaches_the_instance_that_it_names_whoever_was_made_last() ->
             self.heard.append(message)
 
     tank, controller = Instance(), Instance()
-    _routed("tank", tank.listen)
-    logger = _routed("controller", controller.listen)  # the one that pythonfmu keeps
+    _route("tank", tank.listen)
+    logger = _route("controller", controller.listen)  # the one that pythonfmu keeps
     for name, message in ((b"tank", b"division by zero"), (None, b"no name"), (b"stranger", b"another")):
         logger(None, name, 4, b"", message)
     assert tank.heard == [b"division by zero"]

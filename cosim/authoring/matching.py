@@ -10,7 +10,7 @@ from difflib import SequenceMatcher
 from types import MappingProxyType
 
 from cosim.blocks.component import Signal
-from cosim.blocks.fmi_types import goes
+from cosim.blocks.fmi_types import is_compatible
 
 WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 IGNORED_WORDS = {"in", "out", "input", "output", "signal", "value"}
@@ -177,7 +177,7 @@ def fits(source: Port, target: Port, sizes: Mapping[str, int]) -> bool:
     """Return whether types, dimensions and array sizes agree."""
     a, b = source[1], target[1]
     same_size = sizes.get(text(source), 1) == sizes.get(text(target), 1)
-    return same_size and goes(a.kind, b.kind) and a.conversion(b) is not None
+    return same_size and is_compatible(a.kind, b.kind) and a.conversion(b) is not None
 
 
 def similarity(a: str, b: str) -> float:

@@ -15,12 +15,13 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from cosim.base.errors import FmuError
+from cosim.blocks import messages
 from cosim.blocks.description import CPP, C, library_file
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, fmi_headers, library_command, library_of
 
 SOURCES = "sources"
 LIMIT = 300.0  # time limit [s] of the compiler per FMU
-SHOWN_LINES, SHOWN_WIDTH = 20, 200  # shown part of the compiler output: lines, characters per line
+MAX_LINES, MAX_WIDTH = 20, 200  # excerpt of the compiler output: lines, characters per line
 OPTIMIZED = ("-O3", "-DNDEBUG", "-w")
 PLAIN_NAMES = ("-DFMI2_OVERRIDE_FUNCTION_PREFIX", "-DFMI3_OVERRIDE_FUNCTION_PREFIX")  # names as in a shared library
 LANGUAGES = (
@@ -79,42 +80,42 @@ def compile_library(folder: Path, description: Any, identifier: str) -> Path:
         sources = _sources_of(folder / SOURCES, description, identifier)
         options = [f"-std={sources.standard}"] if sources.standard else []
         options += [f"-D{text}" for text in sources.definitions]
-        options += [
-            f"-I{part}" for part in (SOURCES, *(f"{SOURCES}/{name}" for name in sources.includes), fmi_headers())
-        ]
-        command = [*library_command(), *OPTIMIZED, *PLAIN_NAMES, *options]
-        *others, last = (f"{SOURCES}/{name}" for name in sources.files)
+        includes = (SOURCES, *(f"{SOURCES}/{name}" for name in sources.includes), fmi_headers())
+        *first, last = (f"{SOURCES}/{name}" for name in sources.files)
+        command = [*library_command(), *OPTIMIZED, *PLAIN_NAMES, *options, *(f"-I{part}" for part in includes), *first]
         libraries = ["-lm", *(["-lstdc++"] if any(name.lower().endswith(CPP) for name in sources.files) else [])]
         entry = ENTRY[description.fmiVersion[0]].format(identifier=identifier)
-        files = {p.relative_to(folder).as_posix(): p.read_bytes() for p in _files_in(folder / SOURCES)}
-        made = library_of(files, last, [*command, *others], [entry], libraries=libraries, limit=LIMIT)
+        paths = sorted(path for path in (folder / SOURCES).rglob("*") if path.is_file())
+        files = {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
+        binary = library_of(files, last, command, [entry], libraries=libraries, limit=LIMIT).read_bytes()
     except NoCompiler as error:
-        raise FmuError(f"its sources cannot be compiled: {error}") from None
+        raise FmuError(messages.NO_COMPILER(reason=str(error))) from None
     except CompilerFailed as error:
-        raise FmuError(f"its sources do not compile: {error}{_shown(error.output)}") from None
+        raise FmuError(messages.COMPILER_ERROR(reason=str(error), output=_excerpt(error.output))) from None
     library = library_file(folder, description, identifier)
     library.parent.mkdir(parents=True, exist_ok=True)
     draft = library.with_name(f".{library.name}.{os.getpid()}")
-    draft.write_bytes(made)
+    draft.write_bytes(binary)
     return draft.replace(library)
 
 
 def _sources_of(folder: Path, description: Any, identifier: str) -> Sources:
     """Return the listed sources, else `all.c`, else all sources."""
-    listed = _listed(description, identifier)
-    if listed is None:
+    sources = _declared_sources(description, identifier)
+    if sources is None:
         names = (p.name for p in folder.glob("*") if p.suffix.lower() in (*C, *CPP))
-        listed = Sources(("all.c",) if (folder / "all.c").is_file() else tuple(sorted(names)))
-    for name in (*listed.files, *listed.includes):
+        sources = Sources(("all.c",) if (folder / "all.c").is_file() else tuple(sorted(names)))
+    for name in (*sources.files, *sources.includes):
         if not (folder / name).resolve().is_relative_to(folder.resolve()):
-            raise FmuError(f'its sources cannot be compiled: "{name[:60]}" lies outside its folder')
-    missing = [name for name in listed.files if not (folder / name).is_file()]
-    if missing or not listed.files:
-        raise FmuError(f"its sources cannot be compiled: it lists {', '.join(missing) or 'none'}, which is not there")
-    return listed
+            raise FmuError(messages.SOURCE_OUTSIDE(name=name[:60]))
+    if not sources.files:
+        raise FmuError(messages.NO_SOURCES())
+    if missing := [name for name in sources.files if not (folder / name).is_file()]:
+        raise FmuError(messages.MISSING_SOURCES(names=", ".join(missing)))
+    return sources
 
 
-def _listed(description: Any, identifier: str) -> Sources | None:
+def _declared_sources(description: Any, identifier: str) -> Sources | None:
     """Return the sources in the library's build description.
 
     The first build description replaces a missing one; the result is None without any.
@@ -126,32 +127,28 @@ def _listed(description: Any, identifier: str) -> Sources | None:
     return Sources(
         files=tuple(dict.fromkeys(name for part in sets for name in part.sourceFiles)),
         standard=_standard(part.language for part in sets),
-        definitions=tuple(dict.fromkeys(_defined(d) for part in sets for d in part.preprocessorDefinitions)),
+        definitions=tuple(dict.fromkeys(_definition(d) for part in sets for d in part.preprocessorDefinitions)),
         includes=tuple(dict.fromkeys(name for part in sets for name in part.includeDirectories)),
     )
 
 
 def _standard(languages: Iterable[str | None]) -> str:
     """Return the last language standard as compilers name it."""
-    asked = [language for language in languages if language]
-    for language in asked:
+    standard = ""
+    for language in filter(None, languages):
         if language not in STANDARDS:
-            known = ", ".join(STANDARDS)
-            raise FmuError(f"its sources cannot be compiled: they are in {language}; known are {known}")
-    return STANDARDS[asked[-1]] if asked else ""
+            raise FmuError(messages.UNKNOWN_LANGUAGE(language=language, languages=", ".join(STANDARDS)))
+        standard = STANDARDS[language]
+    return standard
 
 
-def _defined(definition: Any) -> str:
+def _definition(definition: Any) -> str:
     value = definition.value
     return str(definition.name) if value is None else f"{definition.name}={value}"
 
 
-def _files_in(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.rglob("*") if path.is_file())
-
-
-def _shown(output: str) -> str:
+def _excerpt(output: str) -> str:
     """Return the first lines of compiler output, indented."""
     lines = output.splitlines()
-    more = [f"… and {len(lines) - SHOWN_LINES} lines more"] if len(lines) > SHOWN_LINES else []
-    return "".join(f"\n  {line[:SHOWN_WIDTH]}" for line in [*lines[:SHOWN_LINES], *more])
+    more = [f"… and {len(lines) - MAX_LINES} lines more"] if len(lines) > MAX_LINES else []
+    return "".join(f"\n  {line[:MAX_WIDTH]}" for line in [*lines[:MAX_LINES], *more])

@@ -16,7 +16,7 @@ PUT, ADVANCE, GET = range(3)  # calls counted in `doing`
 SI = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
 
-class EndedEarly(SimulationError):
+class EarlyEnd(SimulationError):
     """A simulation ended on request of an FMU at time `reached` [s], not a failure.
 
     Attributes:
@@ -55,7 +55,7 @@ class Signal:
     declared: str = ""
 
     @property
-    def whole(self) -> bool:
+    def is_whole(self) -> bool:
         """Return whether all values are whole numbers."""
         return self.kind not in {"", "Real", "Float32", "Float64"}
 
@@ -120,7 +120,7 @@ class Component(Protocol):
         """Write the outputs to the row."""
 
     def advance(self, t: float, h: float) -> None:
-        """Step from `t` to `t + h` [s]; raise EndedEarly if the component ends the simulation."""
+        """Step from `t` to `t + h` [s]; raise EarlyEnd if the component ends the simulation."""
 
     def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
         """Return a function of (t, h) for put, advance and get.
@@ -130,6 +130,30 @@ class Component(Protocol):
 
     def close(self) -> None:
         """Free all resources; repeated calls are harmless."""
+
+
+class RowComponent(Component):
+    """Base of a component with all its signals in the row; `get` or `advance` reads the inputs."""
+
+    nominal_step = True
+    inputs: tuple[Signal, ...] = ()
+    exact_inputs: tuple[Signal, ...] = ()
+    exact_outputs: tuple[Signal, ...] = ()
+
+    def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
+        self._row, self._first = row, first
+
+    def start(self) -> None:
+        """Do nothing."""
+
+    def put(self) -> None:
+        """Do nothing."""
+
+    def close(self) -> None:
+        """Do nothing."""
+
+    def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
+        return in_turn(self, doing, first, puts=False)
 
 
 def in_turn(

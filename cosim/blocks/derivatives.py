@@ -13,6 +13,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
+from cosim.blocks import messages
 from cosim.blocks.description import unit_of
 from cosim.blocks.fmi_types import element_names
 from cosim.blocks.fmu import FmuBlock
@@ -28,8 +29,8 @@ def states_of(description: Any) -> list[Any]:
 
     The list is empty if the FMU does not declare them.
     """
-    found = [unknown.variable.derivative for unknown in description.derivatives]
-    return [] if any(v is None for v in found) else found
+    states = [unknown.variable.derivative for unknown in description.derivatives]
+    return [] if None in states else states
 
 
 def hides_states(description: Any) -> bool:
@@ -46,9 +47,9 @@ def name_states(path: Path, description: Any, references: Sequence[int]) -> None
 
     root = ElementTree.fromstring(zipfile.ZipFile(path).read(DESCRIPTION))
     aliases = {v.get("name") for v in root.iter("ScalarVariable") if v.get("alias", "noAlias") != "noAlias"}
-    own = {v.valueReference: v for v in description.modelVariables if v.type == "Real" and v.name not in aliases}
+    variables = {v.valueReference: v for v in description.modelVariables if v.type == "Real" and v.name not in aliases}
     for k, reference in enumerate(references, 1):
-        state = own.get(reference) or ModelVariable(name=f"state[{k}]", valueReference=reference, type="Real")
+        state = variables.get(reference) or ModelVariable(name=f"state[{k}]", valueReference=reference, type="Real")
         rate = ModelVariable(name=f"der({state.name})", type="Real")
         rate.derivative = state
         description.derivatives.append(Unknown(variable=rate))
@@ -56,8 +57,8 @@ def name_states(path: Path, description: Any, references: Sequence[int]) -> None
 
 def reals(description: Any, causality: str) -> list[Any]:
     """Return real inputs or outputs, of inputs continuous ones only."""
-    found = [v for v in description.modelVariables if v.causality == causality and v.type in REALS]
-    return [v for v in found if causality != "input" or v.variability in (None, "continuous")]
+    variables = [v for v in description.modelVariables if v.causality == causality and v.type in REALS]
+    return [v for v in variables if causality != "input" or v.variability in (None, "continuous")]
 
 
 def scalars(variables: Sequence[Any]) -> tuple[str, ...]:
@@ -78,7 +79,7 @@ class DifferentiableFmu(FmuBlock):
     ) -> None:
         super().__init__(name, path, description, start, connected, way="model-exchange")
         self._states = states_of(description)
-        self._fed, self._shown = reals(description, "input"), reals(description, "output")
+        self._inputs, self._outputs = reals(description, "input"), reals(description, "output")
         self._rates = [unknown.variable for unknown in description.derivatives]
         self.order = len(scalars(self._states))
 
@@ -94,7 +95,7 @@ class DifferentiableFmu(FmuBlock):
         about = ElementTree.fromstring(zipfile.ZipFile(self.path).read(DESCRIPTION)).find("ModelExchange")
         # FMPy reads the attribute of FMI 2.0 only; FMI 3.0 has a plural s.
         flags = [] if about is None else [about.get(f"providesDirectionalDerivative{s}") for s in ("", "s")]
-        plain = all(not v.shape for v in (*self._states, *self._fed, *self._shown))
+        plain = all(not v.shape for v in (*self._states, *self._inputs, *self._outputs))
         return plain and any(flag in ("true", "1") for flag in flags)
 
     def state_references(self) -> list[int]:
@@ -102,9 +103,9 @@ class DifferentiableFmu(FmuBlock):
         assert isinstance(self._calls, ModelExchange1)
         return self._calls.state_references()
 
-    def here(self) -> tuple[Array, Array]:
+    def current_point(self) -> tuple[Array, Array]:
         """Return the current states and inputs."""
-        return self._continuous(), self._read(self._fed)
+        return self._continuous(), self._read(self._inputs)
 
     def move(self, t: float, states: Array, inputs: Array) -> Array:
         """Move to a time, states and inputs, and handle events.
@@ -112,45 +113,46 @@ class DifferentiableFmu(FmuBlock):
         Returns:
             The states after the events.
         """
-        with self.instance.failing():
+        with self.instance.checked():
             self.instance.fmu.setTime(t)
             self._put_states(states)
             calls = self._calls
             assert isinstance(calls, ModelExchange2)
-            calls.event(lambda: self._write_reals(self._fed, inputs))
+            calls.event(lambda: self._write_reals(self._inputs, inputs))
         return self._continuous()
 
     def rates(self, states: Array, inputs: Array) -> Array:
         """Return derivatives and outputs in the current mode."""
-        with self.instance.failing():
+        with self.instance.checked():
             self._put_states(states)
-            self._write_reals(self._fed, inputs)
-            found = (ctypes.c_double * max(1, self.order))()
-            if self.order:
-                derivatives_of(self.instance.fmu)(ctypes.cast(found, DOUBLES), self.order)
-        return np.concatenate([np.array(found[: self.order]), self._read(self._shown)])
+            self._write_reals(self._inputs, inputs)
+        rates = self._vector(derivatives_of(self.instance.fmu))
+        return np.concatenate([rates, self._read(self._outputs)])
 
-    def given_slopes(self) -> Array:
+    def directional_slopes(self) -> Array:
         """Return slopes from the FMU's directional derivatives.
 
         Rows are derivatives and outputs, columns states and inputs.
         """
-        knowns = [v.valueReference for v in (*self._states, *self._fed)]
-        unknowns = [v.valueReference for v in (*self._rates, *self._shown)]
-        columns = []
-        with self.instance.failing():
-            for known in knowns:
-                columns.append(self.instance.fmu.getDirectionalDerivative(unknowns, [known], [1.0]))
+        knowns = [v.valueReference for v in (*self._states, *self._inputs)]
+        unknowns = [v.valueReference for v in (*self._rates, *self._outputs)]
+        slope = self.instance.fmu.getDirectionalDerivative
+        with self.instance.checked():
+            columns = [slope(unknowns, [reference], [1.0]) for reference in knowns]
         return np.array(columns, float).T.reshape(len(unknowns), len(knowns))
 
     # -- internal -------------------------------------------------------------------------------
 
     def _continuous(self) -> Array:
-        found = (ctypes.c_double * max(1, self.order))()
+        return self._vector(self.instance.fmu.getContinuousStates)
+
+    def _vector(self, function: Any) -> Array:
+        """Return the numbers, one per state, that a function of the FMU writes."""
+        values = np.zeros(self.order)
         if self.order:
-            with self.instance.failing():
-                self.instance.fmu.getContinuousStates(ctypes.cast(found, DOUBLES), self.order)
-        return np.array(found[: self.order])
+            with self.instance.checked():
+                function(values.ctypes.data_as(DOUBLES), self.order)
+        return values
 
     def _put_states(self, states: Array) -> None:
         if self.order:
@@ -161,7 +163,7 @@ class DifferentiableFmu(FmuBlock):
         if not variables:
             return np.zeros(0)
         references = [v.valueReference for v in variables]
-        with self.instance.failing():
+        with self.instance.checked():
             if self.instance.fmi3:
                 return np.array(self.instance.fmu.getFloat64(references, nValues=len(scalars(variables))), float)
             return np.array(self.instance.fmu.getReal(references), float)
@@ -173,7 +175,7 @@ class DifferentiableFmu(FmuBlock):
 
 
 def slopes_at(
-    block: DifferentiableFmu, t: float, states: Array, inputs: Array, step: float, *, given: bool
+    block: DifferentiableFmu, t: float, states: Array, inputs: Array, step: float, *, directional: bool
 ) -> tuple[Array, Array, Array]:
     """Return slopes, rates with outputs, and states at a point.
 
@@ -181,18 +183,18 @@ def slopes_at(
 
     Args:
         step: Step of the central differences, relative to max(1, |value|).
-        given: Whether to use the FMU's directional derivatives.
+        directional: Whether to use the FMU's directional derivatives.
 
     Raises:
         SimulationError: A result is not finite.
     """
     after = block.move(t, states, inputs)
     z, n = np.concatenate([after, inputs]), len(after)
-    here = block.rates(after, inputs)
-    if not np.isfinite(here).all():
-        raise SimulationError(block.name, t, "its derivatives or outputs are not finite there")
-    if given:
-        slopes = block.given_slopes()
+    rates = block.rates(after, inputs)
+    if not np.isfinite(rates).all():
+        raise SimulationError(block.name, t, messages.RATES_NOT_FINITE())
+    if directional:
+        slopes = block.directional_slopes()
     else:
         columns = []
         for k in range(z.size):
@@ -201,8 +203,8 @@ def slopes_at(
             ahead[k], behind[k] = z[k] + h, z[k] - h
             difference = block.rates(ahead[:n], ahead[n:]) - block.rates(behind[:n], behind[n:])
             columns.append(difference / (ahead[k] - behind[k]))
-        slopes = np.array(columns).T.reshape(here.size, z.size)
+        slopes = np.array(columns).T.reshape(rates.size, z.size)
         block.rates(after, inputs)
     if not np.isfinite(slopes).all():
-        raise SimulationError(block.name, t, "its slopes are not finite there")
-    return slopes, here, after
+        raise SimulationError(block.name, t, messages.SLOPES_NOT_FINITE())
+    return slopes, rates, after

@@ -10,6 +10,9 @@ from typing import Any, Literal
 from weakref import WeakKeyDictionary
 
 from cosim.base.errors import FmuError
+from cosim.base.messages import Message
+from cosim.blocks import messages
+from cosim.blocks.component import SI
 from cosim.blocks.guard import check_fmu_file, check_identifiers, check_numbers, reason_of
 
 Way = Literal["co-simulation", "model-exchange"]
@@ -38,23 +41,19 @@ def read_description(path: Path) -> Any:
         except fmpy.model_description.ValidationError as error:
             description, slips = fmpy.read_model_description(str(path), validate=False), tuple(error.problems)
     except Exception as error:  # FMPy raises bare Exceptions, lxml its own.
-        raise FmuError(f"{path} is not a valid FMU: {reason_of(error)}") from None
+        raise FmuError(messages.INVALID_FMU(file=path, reason=reason_of(error))) from None
     check_identifiers(path, description)
     if slips:
         check_numbers(path, description)
     for variable in description.modelVariables:
         if variable.shape and not 0 <= math.prod(variable.shape) <= MOST_ELEMENTS:
             size = "×".join(map(str, variable.shape))
-            raise FmuError(
-                f"{path} is not a valid FMU: its array {variable.name} is {size}, not 0 … {MOST_ELEMENTS:g} elements"
-            )
+            text = messages.ARRAY_TOO_LARGE(file=path, variable=variable.name, size=size, limit=MOST_ELEMENTS)
+            raise FmuError(text)
     if not ways(description):
-        raise FmuError(f"{path} is {_kind(description)}; {RUNS}")
+        raise FmuError(messages.UNSUPPORTED_INTERFACE(file=path, interface=_kind(description)))
     _slips[description] = slips
     return description
-
-
-RUNS = "FMI 1.0, 2.0 and 3.0 for co-simulation or model exchange are run here"
 
 
 def slips_of(description: Any) -> tuple[str, ...]:
@@ -65,13 +64,10 @@ def slips_of(description: Any) -> tuple[str, ...]:
 def ways(description: Any) -> tuple[Way, ...]:
     """Return the usable interfaces, the preferred one first."""
     version = description.fmiVersion
-    found: list[Way] = []
-    if version in {"1.0", "2.0"} or version == "3.0" or version.startswith("3.0."):
-        if description.coSimulation is not None:
-            found.append("co-simulation")
-        if description.modelExchange is not None:
-            found.append("model-exchange")
-    return tuple(found)
+    if version not in {"1.0", "2.0", "3.0"} and not version.startswith("3.0."):
+        return ()
+    parts: dict[Way, Any] = {"co-simulation": description.coSimulation, "model-exchange": description.modelExchange}
+    return tuple(way for way, part in parts.items() if part is not None)
 
 
 def state_names(description: Any) -> list[str]:
@@ -98,8 +94,8 @@ def _kind(description: Any) -> str:
         "model exchange": description.modelExchange,
         "scheduled execution": description.scheduledExecution,
     }
-    named = ", ".join(name for name, part in parts.items() if part is not None)
-    return f"FMI {description.fmiVersion} for {named or 'nothing'}"
+    names = ", ".join(name for name, part in parts.items() if part is not None)
+    return f"FMI {description.fmiVersion} for {names or 'nothing'}"
 
 
 def platform_of(description: Any) -> str:
@@ -112,17 +108,19 @@ def platform_of(description: Any) -> str:
 def platforms_among(names: Sequence[str]) -> list[str]:
     """Return the platforms of an FMU by its file names. The list ends with `c-code` if C or C++ sources exist."""
     parts = (n.removeprefix(PLATFORMS).partition("/") for n in names if n.startswith(PLATFORMS))
-    found = {platform for platform, _, file in parts if file.endswith(LIBRARIES)}
+    platforms = {platform for platform, _, file in parts if file.endswith(LIBRARIES)}
     sources = any(n.startswith(SOURCES) and n.lower().endswith((*C, *CPP)) for n in names)
-    return [*sorted(found), *([C_CODE] if sources else [])]
+    return [*sorted(platforms), *([C_CODE] if sources else [])]
 
 
-def no_library(here: str, platforms: Sequence[str]) -> str:
+def no_library(here: str, platforms: Sequence[str]) -> Message:
     """Return a message on a missing library, with the remedy."""
     others = ", ".join(p for p in platforms if p != C_CODE)
-    told = f"it has no library for {here}" + (f"; it has some for {others}" if others else " or another platform")
-    cure = "; it has sources: --compile (in Python compile=True) compiles and runs them"
-    return told + (cure if C_CODE in platforms else "")
+    if C_CODE in platforms:
+        text = messages.SOURCES_WITH_LIBRARIES if others else messages.SOURCES_ONLY
+    else:
+        text = messages.OTHER_PLATFORMS if others else messages.NO_LIBRARY
+    return text(platform=here, others=others)
 
 
 def library_file(folder: Path, description: Any, identifier: str) -> Path:
@@ -140,19 +138,19 @@ def library_of(folder: Path, description: Any, identifier: str) -> tuple[Path, s
     Raises:
         FmuError: Several libraries with unexpected names exist.
     """
-    named = library_file(folder, description, identifier)
-    if named.is_file():
-        return named, ""
-    libraries = sorted(named.parent.glob(f"*{named.suffix}")) if named.parent.is_dir() else []
+    library = library_file(folder, description, identifier)
+    if library.is_file():
+        return library, ""
+    libraries = sorted(library.parent.glob(f"*{library.suffix}"))
     if len(libraries) == 1:
-        return libraries[0], f"its library is {libraries[0].name}, its modelIdentifier {identifier}"
+        return libraries[0], messages.MISNAMED_LIBRARY(name=libraries[0].name, identifier=identifier)
     if libraries:
-        held = ", ".join(p.name for p in libraries)
-        raise FmuError(f"none of its libraries is {named.name}, as its modelIdentifier says: {held}")
+        names = ", ".join(p.name for p in libraries)
+        raise FmuError(messages.MISNAMED_LIBRARIES(name=library.name, libraries=names))
     return None
 
 
-def named(pattern: str, component: str, variable: str) -> bool:
+def matches(pattern: str, component: str, variable: str) -> bool:
     """Return whether a pattern with * matches a variable. Brackets are literal, as in array names."""
     return fnmatchcase(f"{component}.{variable}", pattern.replace("[", "[[]"))
 
@@ -165,15 +163,13 @@ def default_tolerance(description: Any) -> float | None:
 
 # -- units ----------------------------------------------------------------------------------------
 
-BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
-
 
 def unit_definition(description: Any, unit: str | None) -> tuple[float, ...] | None:
     """Return SI exponents, factor and offset of a defined unit."""
     for definition in description.unitDefinitions:
         if definition.name == unit and definition.baseUnit is not None:
             base = definition.baseUnit
-            return (*(float(getattr(base, name) or 0) for name in BASE_UNITS), float(base.factor), float(base.offset))
+            return (*(float(getattr(base, name) or 0) for name in SI), float(base.factor), float(base.offset))
     return None
 
 

@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 
-from cosim.blocks.stepping import Does, Link, link
+from cosim.blocks.stepping import Link, LinkKind, link
 
 MOST = 1e18  # steps, more than any run has
 
 
-def disturbed(
+def fault_function(
     kind: str,
     window: tuple[int, int],
     count: int,
@@ -23,7 +24,7 @@ def disturbed(
     value: float | None = None,
     probability: float | None = None,
     delay: int = 0,
-) -> Linked:
+) -> LinkFunction:
     """Return the function of a fault on a connection.
 
     Outside `window` (first and last point) values pass unchanged.
@@ -32,22 +33,22 @@ def disturbed(
         count: Number of communication points of the run.
         delay: Delay in communication points.
     """
-    first, _last = window
-    given = 0.0 if value is None else value
     if kind in {"bias", "scale", "stuck"}:
-        return Within(kind, window, given)
-    if kind == "spike":
-        hit = np.zeros(count, bool) if probability is None else rng.random(count) < probability
-        if probability is None:
-            hit[min(first, count - 1)] = True
-        return Spikes(window, given, bytearray(hit.tobytes()))
+        return WindowFault(kind, window, value or 0.0)
     if kind == "delay":
-        return Delayed(window, min(delay, count))
-    lost = rng.random(count) < probability if probability is not None else np.ones(count, bool)
-    return Held(window, bytearray(lost.tobytes()))
+        return Delay(window, min(delay, count))
+    if probability is not None:
+        marks = rng.random(count) < probability
+    elif kind == "spike":
+        marks = np.arange(count) == min(window[0], count - 1)
+    else:
+        marks = np.ones(count, bool)
+    if kind == "spike":
+        return Spikes(window, value or 0.0, bytearray(marks.tobytes()))
+    return Hold(window, bytearray(marks.tobytes()))
 
 
-class Linked(Protocol):
+class LinkFunction(Protocol):
     """A function of (communication point, value), with an equivalent in C; called at each point in turn."""
 
     def __call__(self, k: int, v: Any) -> Any:
@@ -57,84 +58,85 @@ class Linked(Protocol):
         """Return the C equivalent, continuing from the last point."""
 
 
-class Scaled:
+@dataclass(frozen=True)
+class Scaling:
     """v·factor + offset."""
 
-    def __init__(self, factor: float, offset: float) -> None:
-        self.factor, self.offset = factor, offset
+    factor: float
+    offset: float
 
     def __call__(self, k: int, v: Any) -> Any:
         return v * self.factor + self.offset
 
     def link(self) -> Link:
-        return link(Does.AFFINE, a=self.factor, b=self.offset)
+        return link(LinkKind.AFFINE, a=self.factor, b=self.offset)
 
 
-class Added:
+@dataclass(frozen=True)
+class Addition:
     """v + samples[k]."""
 
-    def __init__(self, samples: array[float]) -> None:
-        self.samples = samples
+    samples: array[float]
 
     def __call__(self, k: int, v: Any) -> Any:
         return v + self.samples[k]
 
     def link(self) -> Link:
-        return link(Does.ADDED, values=self.samples)
+        return link(LinkKind.ADDED, values=self.samples)
 
 
-class Within:
+class WindowFault:
     """A bias, a scale or a constant between two points."""
 
     def __init__(self, kind: str, window: tuple[int, int], value: float) -> None:
-        act: dict[str, tuple[Does, Callable[[Any], Any]]] = {
-            "bias": (Does.BIAS, lambda v: v + value),
-            "scale": (Does.SCALE, lambda v: v * value),
-            "stuck": (Does.STUCK, lambda v: value),
+        effects: dict[str, tuple[LinkKind, Callable[[Any], Any]]] = {
+            "bias": (LinkKind.BIAS, lambda v: v + value),
+            "scale": (LinkKind.SCALE, lambda v: v * value),
+            "stuck": (LinkKind.STUCK, lambda v: value),
         }
-        self.kind, self._act = act[kind]
+        self.kind, self._effect = effects[kind]
         self.window, self.value = window, value
 
     def __call__(self, k: int, v: Any) -> Any:
         first, last = self.window
-        return self._act(v) if first <= k <= last else v
+        return self._effect(v) if first <= k <= last else v
 
     def link(self) -> Link:
         return link(self.kind, self.window, a=self.value)
 
 
 class Spikes:
-    """v + value where hit[k]."""
+    """v + value where marks[k]."""
 
-    def __init__(self, window: tuple[int, int], value: float, hit: bytearray) -> None:
-        self.window, self.value, self.hit = window, value, hit
+    def __init__(self, window: tuple[int, int], value: float, marks: bytearray) -> None:
+        self.window, self.value, self.marks = window, value, marks
 
     def __call__(self, k: int, v: Any) -> Any:
         first, last = self.window
-        return v + self.value if first <= k <= last and self.hit[k] else v
+        return v + self.value if first <= k <= last and self.marks[k] else v
 
     def link(self) -> Link:
-        return link(Does.SPIKES, self.window, a=self.value, marks=self.hit)
+        return link(LinkKind.SPIKES, self.window, a=self.value, marks=self.marks)
 
 
-class Held:
+class Hold:
     """The last received value while samples are lost."""
 
-    def __init__(self, window: tuple[int, int], lost: bytearray) -> None:
-        self.window, self.lost = window, lost
-        self._kept: Any = None
+    def __init__(self, window: tuple[int, int], marks: bytearray) -> None:
+        self.window, self.marks = window, marks
+        self._value: Any = None
 
     def __call__(self, k: int, v: Any) -> Any:
         first, last = self.window
-        if k == 0 or not (first <= k <= last and self.lost[k]):
-            self._kept = v
-        return self._kept
+        if k == 0 or not (first <= k <= last and self.marks[k]):
+            self._value = v
+        return self._value
 
     def link(self) -> Link:
-        return link(Does.HELD, self.window, marks=self.lost, kept=array("d", [self._kept]))
+        return link(LinkKind.HELD, self.window, marks=self.marks, past=array("d", [self._value]))
 
 
-class Delayed:
+class Delay:
     """The value from `delay` communication points before, at first the first value."""
 
     def __init__(self, window: tuple[int, int], delay: int) -> None:
@@ -150,7 +152,7 @@ class Delayed:
 
     def link(self) -> Link:
         ring = array("d", [self._past[0], *[0.0] * self.delay])
-        return link(Does.DELAYED, self.window, kept=ring, count=len(ring))
+        return link(LinkKind.DELAYED, self.window, past=ring, count=len(ring))
 
 
 def points(begin: float | None, end: float | None, start: float, step: float, count: int) -> tuple[int, int]:
@@ -160,7 +162,7 @@ def points(begin: float | None, end: float | None, start: float, step: float, co
     return first, last
 
 
-def whole(time: float, step: float) -> int:
+def whole_steps(time: float, step: float) -> int:
     """Return a time as the nearest positive number of steps."""
     return max(1, round(steps_in(time, step)))
 

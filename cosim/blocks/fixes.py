@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Collection, Mapping, MutableSequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Any
 
-from cosim.blocks.component import Row, Signal, in_turn
+from cosim.blocks.component import RowComponent, Signal
 from cosim.blocks.noise import stream
 
 COUNT = "fix"  # name of the counting output
@@ -35,7 +34,7 @@ class Sensor:
         return [*(f"{name}_meas" for name in self.signals), COUNT]
 
 
-class Fixes:
+class Fixes(RowComponent):
     """Component that samples its inputs as fixes and outputs them late.
 
     Fix j is taken at the first communication point at or after j/rate and appears ⌈latency/step⌉ points later.
@@ -45,41 +44,28 @@ class Fixes:
         seed: Seed of the random streams, one per signal and one for losses, which also depend on `name`.
     """
 
-    nominal_step = True
-
     def __init__(self, name: str, sensor: Sensor, step: float, seed: int) -> None:
         self.name, self.sensor, self.step = name, sensor, step
         self.inputs = tuple(Signal(n, unit, kind="Real") for n, (unit, _, _) in sensor.signals.items())
         units = [*(unit for unit, _, _ in sensor.signals.values()), ""]
         self.outputs = tuple(Signal(n, unit) for n, unit in zip(sensor.outputs(), units, strict=True))
-        self.exact_inputs: tuple[Signal, ...] = ()
-        self.exact_outputs: tuple[Signal, ...] = ()
         self._noise = [
             (stream(seed, f"{name}.{n}"), math.sqrt(variance), bias)
             for n, (_, variance, bias) in sensor.signals.items()
         ]
-        self._lost = stream(seed, f"{name} dropout")
+        self._losses = stream(seed, f"{name} dropout")
         self._late = math.ceil(sensor.latency / step - 1e-9)
-        self._point, self._made, self._count = 0, 0, 0
-        self._held = [0.0] * len(self.inputs)
-        self._coming: deque[tuple[int, list[float]]] = deque()  # measured fixes with their output points
+        self._point, self._measured, self._count = 0, 0, 0
+        self._values = [0.0] * len(self.inputs)
+        self._queue: deque[tuple[int, list[float]]] = deque()  # measured fixes with their output points
         self._errors: list[float] | None = None  # errors of the first fix, applied to each value exchanged at the start
-        self._opening = self._held
+        self._opening = self._values
 
     def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
         return True
 
-    def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
-        self._row, self._first = row, first
-
     def open(self, start: float, stop: float) -> None:
         self._errors = self._draw()
-
-    def start(self) -> None:
-        pass
-
-    def put(self) -> None:
-        pass
 
     def get(self) -> None:
         """Write the latest fix.
@@ -88,40 +74,34 @@ class Fixes:
         """
         first = self._first + len(self.inputs)
         if self._point == 0 and self._errors is not None:
-            self._opening = self._measured(self._errors)
+            self._opening = self._measurement(self._errors)
             if not self._late:
-                self._held, self._count = self._opening, 1
-        self._row[first : first + len(self._held) + 1] = [*self._held, float(self._count)]
+                self._values, self._count = self._opening, 1
+        self._row[first : first + len(self._values) + 1] = [*self._values, float(self._count)]
 
     def advance(self, t: float, h: float) -> None:
         if self._point == 0:
             self._begin()
         self._point += 1
-        while self._due(self._made) <= self._point:
-            self._made += 1
+        while self._point_of(self._measured) <= self._point:
+            self._measured += 1
             if (error := self._draw()) is not None:
-                self._coming.append((self._point + self._late, self._measured(error)))
-        while self._coming and self._coming[0][0] <= self._point:
-            self._held = self._coming.popleft()[1]
+                self._queue.append((self._point + self._late, self._measurement(error)))
+        while self._queue and self._queue[0][0] <= self._point:
+            self._values = self._queue.popleft()[1]
             self._count += 1
-
-    def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
-        return in_turn(self, doing, first, puts=False)
 
     def slot(self) -> str:
         """Return the reason why the C loop cannot step this component."""
         return f"{self.name} measures now and then"
 
-    def close(self) -> None:
-        pass
-
     def _begin(self) -> None:
         """Count the fix of the start, and queue a delayed one."""
-        self._made = 1
+        self._measured = 1
         if self._late and self._errors is not None:
-            self._coming.append((self._late, self._opening))
+            self._queue.append((self._late, self._opening))
 
-    def _due(self, fix: int) -> int:
+    def _point_of(self, fix: int) -> int:
         """Return the communication point of a fix."""
         return math.ceil(fix / (self.sensor.rate * self.step) - 1e-9)
 
@@ -131,8 +111,8 @@ class Fixes:
         Errors are drawn for lost fixes too, so that losses do not change them.
         """
         errors = [bias + scale * rng.standard_normal() for rng, scale, bias in self._noise]
-        return None if self._lost.random() < self.sensor.dropout else errors
+        return None if self._losses.random() < self.sensor.dropout else errors
 
-    def _measured(self, errors: list[float]) -> list[float]:
+    def _measurement(self, errors: list[float]) -> list[float]:
         row, first = self._row, self._first
         return [row[k] + e for k, e in enumerate(errors, first)]

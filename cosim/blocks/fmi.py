@@ -10,10 +10,12 @@ import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from cosim.blocks.component import EndedEarly
+from cosim.blocks import messages
+from cosim.blocks.component import EarlyEnd
 from cosim.blocks.description import Way
 
 DISCARD = 2
@@ -26,15 +28,16 @@ STEP1 = ctypes.CFUNCTYPE(INT, REFERENCE, DOUBLE, DOUBLE, ctypes.c_char)
 STEP2 = ctypes.CFUNCTYPE(INT, REFERENCE, DOUBLE, DOUBLE, INT)
 STEP3 = ctypes.CFUNCTYPE(INT, REFERENCE, DOUBLE, DOUBLE, BOOLEAN, *[REFERENCE] * 4)
 Step = Callable[[Any, float, float, int], int]
-AtOnce = tuple[Callable[[], int], ctypes.c_double, ctypes.c_double]  # with the cells of t and h
+SingleCall = tuple[Callable[[], int], ctypes.c_double, ctypes.c_double]  # with the cells of t and h
 Listen = Callable[[int, bytes | None], None]  # status and message
 Logger = Callable[[Any, bytes | None, int, Any, bytes | None], None]  # environment, instance, status, category, message
-_listening: dict[str, Callable[[], Listen | None]] = {}  # instance name → weak reference to its listener
+_listeners: dict[str, Callable[[], Listen | None]] = {}  # instance name → weak reference to its listener
 
 
 class Calls(ABC):
     """Calls common to all versions and interfaces."""
 
+    fmpy_class: str  # module and name in FMPy
     prefix = "fmi2"
     way: Way = "co-simulation"
     exchange: Any = EXCHANGE
@@ -56,28 +59,25 @@ class Calls(ABC):
     def load(self, folder: Path, library: Path) -> None:
         """Load the library; failures raise bare Exceptions."""
         # FMPy derives the library's path from the identifier, and uses the identifier otherwise only in FMI 1.0.
-        self.fmu = self._class()(
-            guid=self.description.guid,
-            modelIdentifier=library.stem,
-            unzipDirectory=str(folder),
-            instanceName=self.name,
-        )
+        self._make(folder, modelIdentifier=library.stem)
 
-    @abstractmethod
-    def _class(self) -> Any:
-        """Return FMPy's class for the FMU."""
+    def _make(self, folder: Path, **library: str) -> None:
+        """Make FMPy's object of the FMU; the import takes time."""
+        module, _, name = self.fmpy_class.partition(".")
+        kind = getattr(import_module(f"fmpy.{module}"), name)
+        self.fmu = kind(guid=self.description.guid, unzipDirectory=str(folder), instanceName=self.name, **library)
 
     def instantiate(self, listen: Listen, logging: bool) -> None:
         """Make the instance."""
-        self.fmu.instantiate(callbacks=_callbacks2(_routed(self.name, listen)), loggingOn=logging)
+        self.fmu.instantiate(callbacks=_callbacks2(_route(self.name, listen)), loggingOn=logging)
 
     def limit_logging(self) -> None:
         """Limit debug logging to categories about problems."""
-        wanted = ("warning", "error", "fatal", "discard", "logall")  # pythonfmu is silent without logall
+        words = ("warning", "error", "fatal", "discard", "logall")  # pythonfmu is silent without logall
         names = [c.name for c in self.description.logCategories]
-        kept = [name for name in names if any(word in name.lower() for word in wanted)]
-        if kept and len(kept) < len(names):
-            self.fmu.setDebugLogging(True, kept)
+        problems = [name for name in names if any(word in name.lower() for word in words)]
+        if problems and len(problems) < len(names):
+            self.fmu.setDebugLogging(True, problems)
 
     def prepare(self) -> None:
         """Announce the experiment before start values are set."""
@@ -101,7 +101,7 @@ class Calls(ABC):
         function = ctypes.cast(getattr(self.fmu.dll, symbol), ctypes.c_void_p)
         return ctypes.CFUNCTYPE(INT)(function.value or 0)
 
-    def at_once(self, component: Any) -> AtOnce | None:
+    def single_call(self, component: Any) -> SingleCall | None:
         """Return a single-call step with its cells, if possible."""
         return None
 
@@ -121,7 +121,7 @@ class Calls(ABC):
         """Apply changed inputs by calling `take`."""
         take()
 
-    def ended(self, t: float) -> float | None:
+    def end_time(self, t: float) -> float | None:
         """Return the end time if the FMU discarded a step to end."""
         return None
 
@@ -129,23 +129,17 @@ class Calls(ABC):
 class CoSimulation2(Calls):
     """FMI 2.0 co-simulation."""
 
-    def _class(self) -> Any:
-        from fmpy.fmi2 import FMU2Slave
-
-        return FMU2Slave
+    fmpy_class = "fmi2.FMU2Slave"
 
     def stepping(self) -> Step:
-        step: Step = self.bare_step()
-        return step
+        return self.bare_step()  # type: ignore[no-any-return]
 
-    def at_once(self, component: Any) -> AtOnce | None:
-        if self.symbol("DoStep") != "fmi2DoStep" or self.way != "co-simulation":
-            return None
-        at, over = DOUBLE(), DOUBLE()
-        step = partial(self.untyped("fmi2DoStep"), ctypes.c_void_p(component), at, over, INT(1))
-        return step, at, over
+    def single_call(self, component: Any) -> SingleCall | None:
+        time, length = DOUBLE(), DOUBLE()
+        step = partial(self.untyped("fmi2DoStep"), ctypes.c_void_p(component), time, length, INT(1))
+        return step, time, length
 
-    def ended(self, t: float) -> float | None:
+    def end_time(self, t: float) -> float | None:
         try:
             if not self.fmu.getBooleanStatus(TERMINATED):
                 return None
@@ -164,13 +158,7 @@ class Version1(Calls):
     readable_before_start = False
 
     def load(self, folder: Path, library: Path) -> None:
-        self.fmu = self._class()(
-            guid=self.description.guid,
-            modelIdentifier=self.identifier,  # prefix of the function names
-            unzipDirectory=str(folder),
-            instanceName=self.name,
-            libraryPath=str(library),
-        )
+        self._make(folder, modelIdentifier=self.identifier, libraryPath=str(library))  # prefix of function names
 
     def instantiate(self, listen: Listen, logging: bool) -> None:
         self.fmu.instantiate(functions=_callbacks1(listen), loggingOn=logging)
@@ -185,15 +173,10 @@ class Version1(Calls):
         return f"{self.identifier}_fmi{name}"
 
 
-class CoSimulation1(Version1, CoSimulation2):
+class CoSimulation1(Version1):
     """FMI 1.0 co-simulation."""
 
-    step = STEP1
-
-    def _class(self) -> Any:
-        from fmpy.fmi1 import FMU1Slave
-
-        return FMU1Slave
+    fmpy_class, step = "fmi1.FMU1Slave", STEP1
 
     def prepare(self) -> None:
         """Do nothing; FMI 1.0 gets the experiment at initialization."""
@@ -205,19 +188,11 @@ class CoSimulation1(Version1, CoSimulation2):
         step = self.bare_step()
         return lambda component, t, h, _: int(step(component, t, h, b"\x01"))
 
-    def ended(self, t: float) -> float | None:
-        return None
-
 
 class CoSimulation3(Calls):
     """FMI 3.0 co-simulation."""
 
-    prefix, exchange, step = "fmi3", EXCHANGE3, STEP3
-
-    def _class(self) -> Any:
-        from fmpy.fmi3 import FMU3Slave
-
-        return FMU3Slave
+    fmpy_class, prefix, exchange, step = "fmi3.FMU3Slave", "fmi3", EXCHANGE3, STEP3
 
     def instantiate(self, listen: Listen, logging: bool) -> None:
         self.fmu.instantiate(loggingOn=logging, logMessage=lambda _, status, category, message: listen(status, message))
@@ -236,28 +211,27 @@ class CoSimulation3(Calls):
         def do_step(component: Any, t: float, h: float, _: int) -> int:
             status = int(step(component, t, h, True, *flags))
             if terminate.value and status < DISCARD:
-                reached = last.value if early.value else t + h
-                raise ended(self.name, reached)
+                raise end_of(self.name, last.value if early.value else t + h)
             return status
 
         return do_step
 
 
-def ended(name: str, reached: float) -> EndedEarly:
+def end_of(name: str, reached: float) -> EarlyEnd:
     """Return the error of an ended FMI 3.0 simulation."""
-    return EndedEarly(name, reached, "the FMU ended the simulation", readable=True)
+    return EarlyEnd(name, reached, messages.END_BY_FMU(), readable=True)
 
 
-def _routed(name: str, listen: Listen) -> Logger:
+def _route(name: str, listen: Listen) -> Logger:
     """Return a logger that routes messages by instance name.
 
     pythonfmu sends all messages of a process to the instance made last.
     """
-    _listening[name] = weakref.WeakMethod(listen)
+    _listeners[name] = weakref.WeakMethod(listen)
 
-    def logger(_: Any, named: bytes | None, status: int, category: Any, message: bytes | None) -> None:
-        meant = _listening.get((named or b"").decode("utf-8", "replace"), lambda: None)() or listen
-        meant(status, message)
+    def logger(_: Any, instance: bytes | None, status: int, category: Any, message: bytes | None) -> None:
+        listener = _listeners.get((instance or b"").decode("utf-8", "replace"), lambda: None)() or listen
+        listener(status, message)
 
     return logger
 
@@ -269,7 +243,7 @@ def _callbacks2(logger: Logger) -> Any:
     callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(logger)
     callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(calloc)
     callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
-    return _formatting(callbacks)
+    return _add_formatting(callbacks)
 
 
 def _callbacks1(listen: Listen) -> Any:
@@ -280,10 +254,10 @@ def _callbacks1(listen: Listen) -> Any:
     callbacks.allocateMemory = fmi1.fmi1CallbackAllocateMemoryTYPE(calloc)
     callbacks.freeMemory = fmi1.fmi1CallbackFreeMemoryTYPE(free)
     callbacks.stepFinished = None
-    return _formatting(callbacks)
+    return _add_formatting(callbacks)
 
 
-def _formatting(callbacks: Any) -> Any:
+def _add_formatting(callbacks: Any) -> Any:
     try:
         from fmpy.logging import addLoggerProxy  # formats C's variadic arguments
     except ImportError:

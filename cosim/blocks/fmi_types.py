@@ -31,7 +31,7 @@ class Kind:
     beside: bool = False
     largest: float = math.inf
 
-    def encoded(self, value: Any) -> Any:
+    def encode(self, value: Any) -> Any:
         """Return a value for C; raise ValueError outside the type."""
         if self.function == "String":
             return value.encode() if isinstance(value, str) else value
@@ -39,12 +39,11 @@ class Kind:
             if self.largest < math.inf and abs(value) > self.largest:
                 raise ValueError(f"{value:g} is outside ±{self.largest:.7g}")
             return value
-        whole = int(value) if math.isfinite(value) else None
-        if whole is None or whole != value:
+        if not math.isfinite(value) or int(value) != value:
             raise ValueError(f"{value!r} is no whole number")
-        if not self.low <= whole <= self.high:
-            raise ValueError(f"{whole} is outside {self.low} … {self.high}")
-        return whole
+        if not self.low <= value <= self.high:
+            raise ValueError(f"{int(value)} is outside {self.low} … {self.high}")
+        return int(value)
 
 
 def _integer(function: str, bits: int, signed: bool) -> Kind:
@@ -96,7 +95,7 @@ def kinds_of(version: str) -> dict[str, Kind]:
     return FMI1 if version == "1.0" else FMI2 if version == "2.0" else FMI3
 
 
-def goes(source: str, target: str) -> bool:
+def is_compatible(source: str, target: str) -> bool:
     """Return whether an output type may feed an input type."""
     return FAMILIES.get(target) in FLOWS.get(FAMILIES.get(source, "?"), ())
 
@@ -123,11 +122,11 @@ class Exchange:
         Args:
             address: Address of the values; None for the own buffer.
         """
-        where = ctypes.addressof(self.buffer) if address is None else address
-        given = (ctypes.addressof(self.vrs), len(self.vrs), where)
-        return (*given, self.count) if fmi3 else given
+        place = ctypes.addressof(self.buffer) if address is None else address
+        arguments = ctypes.addressof(self.vrs), len(self.vrs), place
+        return (*arguments, self.count) if fmi3 else arguments
 
-    def decoded(self) -> list[Any]:
+    def decode(self) -> list[Any]:
         """Return the values in the buffer."""
         values: list[Any] = self.buffer[:]
         if self.kind.function == "String":
@@ -138,7 +137,7 @@ class Exchange:
         """Put values into the buffer; raise ValueError, with the variable, outside the type."""
         for k, (name, value) in enumerate(zip(self.names, values, strict=True)):
             try:
-                self.buffer[k] = self.kind.encoded(value)
+                self.buffer[k] = self.kind.encode(value)
             except (ValueError, OverflowError) as error:
                 raise ValueError(f"{name}: {error}") from None
 

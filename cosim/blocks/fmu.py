@@ -14,31 +14,30 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
+from cosim.blocks import messages
 from cosim.blocks.compiling import permission
 from cosim.blocks.component import ADVANCE, GET, PUT, Row, in_turn
 from cosim.blocks.description import (
     Way,
     default_tolerance,
-    named,
+    matches,
     read_description,
     slips_of,
-    unit_definition,
-    unit_of,
     ways,
 )
-from cosim.blocks.fmi import AtOnce, Calls, CoSimulation1, CoSimulation2, CoSimulation3, ended
+from cosim.blocks.fmi import Calls, CoSimulation1, CoSimulation2, CoSimulation3, SingleCall, end_of
 from cosim.blocks.fmi_types import element_names
 from cosim.blocks.instance import Instance
 from cosim.blocks.model_exchange import ModelExchange1, ModelExchange2, ModelExchange3
 from cosim.blocks.solvers import Solver
-from cosim.blocks.stepping import Plan, Slot, Why, fmu_slot
+from cosim.blocks.stepping import Plan, Slot, StopReason, fmu_slot
 from cosim.blocks.values import Arguments, Values
 from cosim.blocks.variable_access import Ports
 from cosim.fmi.sampled import AUTHOR, optional_inputs
 
-__all__ = ["FmuBlock", "named", "read_description", "unit_definition", "unit_of"]
+__all__ = ["FmuBlock", "matches", "read_description"]
 
-FOUND: dict[tuple[str, Way], type[Calls]] = {
+CALLS: dict[tuple[str, Way], type[Calls]] = {
     ("1", "co-simulation"): CoSimulation1,
     ("2", "co-simulation"): CoSimulation2,
     ("3", "co-simulation"): CoSimulation3,
@@ -88,8 +87,8 @@ class FmuBlock:
             solver=solver,
             compiles=compiles,
         )
-        self._made_of = make, (name, path, description, start, connected)
-        self._calls = FOUND[description.fmiVersion[0], way or ways(description)[0]](name, description)
+        self._recipe = make, (name, path, description, start, connected)
+        self._calls = CALLS[description.fmiVersion[0], way or ways(description)[0]](name, description)
         self._calls.tolerance = default_tolerance(description) if tolerance is None else tolerance
         if isinstance(self._calls, ModelExchange2):
             self._calls.solver_name = solver
@@ -104,65 +103,60 @@ class FmuBlock:
 
     def __reduce__(self) -> tuple[Callable[..., FmuBlock], tuple[Any, ...]]:
         """Return a recipe for a new instance in another process."""
-        return self._made_of
+        return self._recipe
 
-    def started_from(self, start: Mapping[str, Any], unpacked: Path | None = None) -> FmuBlock:
+    def with_start_values(self, start: Mapping[str, Any], unpacked: Path | None = None) -> FmuBlock:
         """Return another instance with other start values.
 
         Args:
             unpacked: Folder of the already unpacked FMU, left unchanged.
         """
-        make, (name, path, description, _, connected) = self._made_of
+        make, (name, path, description, _, connected) = self._recipe
         block = make(name, path, description, start, connected)
         block.instance.place = unpacked
         return block
 
     # -- description ---------------------------------------------------------------
 
-    def _optional(self, given: frozenset[str]) -> frozenset[str]:
+    def _optional(self, names: frozenset[str]) -> frozenset[str]:
         """Return optional inputs without source or value. Only FMUs of cosim declare optional inputs."""
-        free = {v.name for v in self.description.modelVariables if v.causality == "input"} - given
+        free = {v.name for v in self.description.modelVariables if v.causality == "input"} - names
         return optional_inputs(self.path) & free if free and self.description.author == AUTHOR else frozenset()
 
     def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
         variable = self._variables.get(name) or self._variables.get(name.rpartition("[")[0])
-        needed, declared = self._needed if outputs is None else self._needed_for(outputs)
-        if id(variable) in needed:
+        feeding, is_complete = self._feeding if outputs is None else self._feeding_of(outputs)
+        if id(variable) in feeding:
             return True
-        return False if declared and self.description.fmiVersion != "1.0" else None
+        return False if is_complete and self.description.fmiVersion != "1.0" else None
 
     @cached_property
-    def _needed(self) -> tuple[frozenset[int], bool]:
-        """Return ids of variables feeding outputs, and completeness.
+    def _feeding(self) -> tuple[frozenset[int], bool]:
+        return self._feeding_of(None)
 
-        Completeness means declared dependencies for every output.
-        """
-        return self._needed_for(None)
-
-    def _needed_for(self, outputs: Collection[str] | None) -> tuple[frozenset[int], bool]:
-        known = [
+    def _feeding_of(self, outputs: Collection[str] | None) -> tuple[frozenset[int], bool]:
+        """Return ids of variables feeding outputs, and whether every output declares its dependencies."""
+        dependencies = [
             unknown.dependencies
             for unknown in self.description.outputs
             if outputs is None or any(n in outputs for n in (unknown.variable.name, *element_names(unknown.variable)))
         ]
-        return frozenset(id(v) for needed in known if needed is not None for v in needed), None not in known
+        return frozenset(id(v) for each in dependencies for v in each or ()), None not in dependencies
 
     def names_any(self, pattern: str) -> bool:
         """Return whether a pattern such as `plant.*` matches a variable."""
-        return any(named(pattern, self.name, name) for name in self._variables)
+        return any(matches(pattern, self.name, name) for name in self._variables)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Return warnings about the FMU before a run."""
-        slips = slips_of(self.description)
-        found = []
-        if slips:
+        warnings = []
+        if slips := slips_of(self.description):
             more = f" (and {len(slips) - 1} more)" if len(slips) > 1 else ""
-            found.append(f"{self.name}: {self.path.name} breaks FMI's rules, which is passed over: {slips[0]}{more}")
-        kinds = {v.type for v in self.description.modelVariables} - self._ports.kinds.keys()
-        if kinds:
-            found.append(f"{self.name}: variables of type {', '.join(sorted(kinds))} are not supported and left alone")
-        return tuple(found)
+            warnings.append(messages.SCHEMA_VIOLATION(file=self.path.name, violation=slips[0], more=more))
+        if types := {v.type for v in self.description.modelVariables} - self._ports.kinds.keys():
+            warnings.append(messages.UNSUPPORTED_TYPES(types=", ".join(sorted(types))))
+        return tuple(warning.after(f"{self.name}: ") for warning in warnings)
 
     @property
     def log(self) -> deque[str]:
@@ -185,20 +179,20 @@ class FmuBlock:
 
     def _load(self) -> None:
         self.instance.load()
-        self._values.loaded()
+        self._values.look_up()
 
     def _begin(self, start: float, stop: float) -> None:
         """Enter initialization at `start`."""
         calls, values = self._calls, self._values
         self.instance.time, self.instance.initialized = start, False
         calls.start_time, calls.stop_time = start, stop
-        values.readable(calls.readable_before_start)
-        with self.instance.failing():
+        values.allow_reading(calls.readable_before_start)
+        with self.instance.checked():
             calls.prepare()
             values.set(self.start_values)
             calls.enter()
             # Some FMUs (20-sim) forget start values set before initialization.
-            values.set({n: v for n, v in self.start_values.items() if self._given_again(n)})
+            values.set({n: v for n, v in self.start_values.items() if self._is_set_again(n)})
         if calls.readable_before_start:
             for exchange in self._ports.inward:
                 values.read_in(exchange)
@@ -206,7 +200,7 @@ class FmuBlock:
             values.show(self.start_values)
         values.watched = [] if isinstance(calls, ModelExchange2) and self._ports.fed else None
 
-    def _given_again(self, name: str) -> bool:
+    def _is_set_again(self, name: str) -> bool:
         variable = self._variables.get(name)
         return (
             self._calls.readable_before_start
@@ -216,10 +210,10 @@ class FmuBlock:
         )
 
     def start(self) -> None:
-        with self.instance.failing():
+        with self.instance.checked():
             self._calls.leave()
         self.instance.initialized = True
-        self._values.readable(True)
+        self._values.allow_reading(True)
         self._do_step = self.instance.stepping()
 
     def put(self) -> None:
@@ -238,7 +232,7 @@ class FmuBlock:
 
     def change(self, values: Mapping[str, Any]) -> None:
         """Set tunable parameters and inputs during a run."""
-        with self.instance.failing():
+        with self.instance.checked():
             self._calls.inputs_changed(lambda: self._values.set(values))
         for exchange in self._ports.unfed:
             self._values.read_in(exchange)
@@ -250,13 +244,13 @@ class FmuBlock:
     # -- fast step -----------------------------------------------------------------------
 
     def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
-        step, straight = self._calls.at_once(self.instance.component), self._values.straight
-        if step is None or straight is None:
+        step, arguments = self._calls.single_call(self.instance.component), self._values.direct_arguments
+        if step is None or arguments is None:
             return in_turn(self, doing, first, puts=bool(self._ports.fed))
-        return self._bare_stepping(step, straight, doing, first)
+        return self._bare_stepping(step, arguments, doing, first)
 
     def _bare_stepping(
-        self, step: AtOnce, straight: tuple[Arguments | None, Arguments], doing: MutableSequence[int], first: int
+        self, step: SingleCall, arguments: tuple[Arguments | None, Arguments], doing: MutableSequence[int], first: int
     ) -> Callable[[float, float], None]:
         """Return a faster `in_turn` for values moved without conversion.
 
@@ -264,10 +258,10 @@ class FmuBlock:
         """
         instance, values = self.instance, self._values
         judge, setter, getter, step_name = instance.judge, values.setter, values.getter, instance.step_name
-        given, asked = straight
-        put, get = None if given is None else self._ready(setter, given), self._ready(getter, asked)
+        inputs, outputs = arguments
+        put, get = None if inputs is None else self._prepare(setter, inputs), self._prepare(getter, outputs)
         do_step, at, over = step
-        outputs, isfinite = memoryview(values.row).cast("B").cast("d")[values.out], math.isfinite
+        numbers, isfinite = memoryview(values.row).cast("B").cast("d")[values.out], math.isfinite
         putting, advancing, getting = first + PUT, first + ADVANCE, first + GET
 
         def once(t: float, h: float) -> None:
@@ -284,15 +278,15 @@ class FmuBlock:
             doing[0] = getting
             if status := get():
                 judge(getter, status)
-            if not isfinite(sum(outputs)):
-                values.not_finite(outputs.tolist())
+            if not isfinite(sum(numbers)):
+                values.raise_not_finite(numbers.tolist())
 
         return once
 
-    def _ready(self, symbol: str, arguments: Arguments) -> Callable[[], int]:
+    def _prepare(self, symbol: str, arguments: Arguments) -> Callable[[], int]:
         """Return a library function bound to prepared arguments."""
         component = ctypes.c_void_p(self.instance.component)
-        return partial(self._calls.untyped(symbol), component, *self._ports.straight(arguments))
+        return partial(self._calls.untyped(symbol), component, *self._ports.c_arguments(arguments))
 
     # -- stepped by C -------------------------------------------------------------------------
 
@@ -307,23 +301,23 @@ class FmuBlock:
             return f"{self.name} has values that no double holds"
         return fmu_slot(version, self._calls.bare_step(), self.instance.component, *moves, self.instance.time)
 
-    def came_to(self, t: float) -> None:
+    def set_time(self, t: float) -> None:
         """Note the time [s] after C steps; raise a pending stop."""
         self.instance.time = t
-        self.instance.raise_stopped()
+        self.instance.raise_stop()
 
-    def tell(self, why: Why, plan: Plan, slot: Slot) -> None:
+    def raise_error(self, reason: StopReason, plan: Plan, slot: Slot) -> None:
         """Raise the error behind a return of the C loop.
 
         Warnings are only logged.
 
         Raises:
             SimulationError: A call or value is faulty.
-            EndedEarly: The FMU ended the simulation.
+            EarlyEnd: The FMU ended the simulation.
         """
-        if why == Why.TERMINATED:
-            raise ended(self.name, slot.reached)
-        if plan.called == ADVANCE and why not in (Why.NOT_FINITE, Why.UNFIT):
+        if reason == StopReason.TERMINATED:
+            raise end_of(self.name, slot.reached)
+        if plan.called == ADVANCE and reason not in (StopReason.NOT_FINITE, StopReason.UNFIT):
             self.instance.judge(self.instance.step_name, plan.status)
         else:
-            self._values.tell(why, plan)
+            self._values.raise_error(reason, plan)

@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import FmuError
+from cosim.blocks import messages
+from cosim.blocks.component import SI
 from cosim.storage.archive import BadArchive, check_archive, check_identifier
 
 # form of pythonfmu's exceptions
 WRAPPED = re.compile(r"Fatal py exception encountered: \[\w+\] \w+ (?P<kind>\w+)\((?P<text>.*?),?\)$")
 EXPERIMENT, BOUNDS = ("startTime", "stopTime", "stepSize", "tolerance"), ("min", "max")
-CONVERSION = ("kg", "m", "s", "A", "K", "mol", "cd", "rad", "factor", "offset")
+CONVERSION = (*SI, "factor", "offset")
 PLAIN = ("RuntimeError", "ValueError", "ArithmeticError", "Exception")
 
 
@@ -22,9 +24,9 @@ def check_fmu_file(path: Path) -> None:
     try:
         check_archive(path)
     except BadArchive as error:
-        raise FmuError(f"{path} is no FMU: {error}") from None
+        raise FmuError(messages.NO_ARCHIVE(file=path, reason=str(error))) from None
     except OSError as error:
-        raise FmuError(f"{path} cannot be read: {error.strerror}") from None
+        raise FmuError(messages.UNREADABLE_FILE(file=path, reason=error.strerror)) from None
 
 
 def reason_of(error: Exception) -> str:
@@ -42,43 +44,43 @@ def check_identifiers(path: Path, description: Any) -> None:
         for way in filter(None, (description.coSimulation, description.modelExchange)):
             check_identifier(way.modelIdentifier)
     except BadArchive as error:
-        raise FmuError(f"{path} is not a valid FMU: {error}") from None
+        raise FmuError(messages.INVALID_FMU(file=path, reason=str(error))) from None
 
 
 def check_numbers(path: Path, description: Any) -> None:
     """Raise FmuError for text in place of a needed number. Only descriptions with schema violations need this check."""
-    for whole, what, value in _numbers(description):
+    for is_whole, place, value in _numbers(description):
         try:
-            int(value) if whole else float(value)
+            int(value) if is_whole else float(value)
         except (TypeError, ValueError):
-            said = f'{what} is "{str(value)[:60]}", which is no {"whole " if whole else ""}number'
-            raise FmuError(f"{path} is not a valid FMU: {said}") from None
+            fault = messages.INVALID_WHOLE_NUMBER if is_whole else messages.INVALID_NUMBER
+            raise FmuError(fault(file=path, place=place, value=str(value)[:60])) from None
 
 
 def _numbers(description: Any) -> Iterator[tuple[bool, str, Any]]:
-    """Yield each number as (is whole, description, value)."""
-    of_parts: list[tuple[str, Any, tuple[str, ...]]] = []
-    of_parts.append(("its default experiment", description.defaultExperiment, EXPERIMENT))
+    """Yield each number as (is whole, place, value)."""
+    parts: list[tuple[str, Any, tuple[str, ...]]]
+    parts = [("its default experiment", description.defaultExperiment, EXPERIMENT)]
     for unit in description.unitDefinitions:
-        of_parts += [(f"unit {unit.name}", part, CONVERSION) for part in (unit.baseUnit, *unit.displayUnits)]
+        parts += [(f"unit {unit.name}", part, CONVERSION) for part in (unit.baseUnit, *unit.displayUnits)]
     for part in (*description.typeDefinitions, *description.modelVariables):
         simple = description.fmiVersion == "1.0" and getattr(part, "type", "") in {"Real", "Integer", "Enumeration"}
-        of_parts.append((part.name, part, (*BOUNDS, *(("start",) if simple else ()))))
-    for what, part, names in of_parts:
+        parts.append((part.name, part, (*BOUNDS, *(("start",) if simple else ()))))
+    for place, part, names in parts:
         for name in names:
             value = getattr(part, name, None)
             if value is not None and value != "":
-                yield False, f"{name} of {what}", value
+                yield False, f"{name} of {place}", value
     for type_ in description.typeDefinitions:
         yield from ((True, f"item {item.name} of {type_.name}", item.value) for item in type_.items or ())
 
 
 def without_wrapping(words: str) -> str:
     """Return a Python exception's message without pythonfmu's wrapping."""
-    wrapped = WRAPPED.match(words)
-    if wrapped is None:
+    match = WRAPPED.match(words)
+    if match is None:
         return words
-    kind, text = wrapped["kind"], wrapped["text"].strip("'\"")
+    kind, text = match["kind"], match["text"].strip("'\"")
     return re.sub(r"^(Runtime|Value|Arithmetic)Error: ", "", text if kind in PLAIN else f"{kind}: {text}")
 
 

@@ -13,9 +13,11 @@ from typing import Any
 
 from cosim.base.drafts import is_full
 from cosim.base.errors import DiskFull, FmuError, SimulationError, Terminated
+from cosim.base.messages import Message, code_of
 from cosim.base.scratch import process_folder
+from cosim.blocks import messages
 from cosim.blocks.compiling import compile_library
-from cosim.blocks.component import EndedEarly
+from cosim.blocks.component import EarlyEnd
 from cosim.blocks.description import C_CODE, library_of, no_library, platform_of, platforms_among
 from cosim.blocks.fmi import Calls, CoSimulation2, CoSimulation3, Step
 from cosim.blocks.guard import without_wrapping
@@ -27,7 +29,7 @@ from cosim.storage.archive import unpack
 
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 WARNING, DISCARD, FATAL = 1, 2, 4
-KEPT_MESSAGES, LONGEST_MESSAGE = 50, 1000  # last messages kept of a talkative FMU, and characters of each
+MAX_MESSAGES, LONGEST_MESSAGE = 50, 1000  # stored messages of a talkative FMU, and characters of each
 
 
 class Instance:
@@ -45,7 +47,7 @@ class Instance:
     def __init__(self, path: Path, calls: Calls, *, logging: bool = False, compiles: bool = False) -> None:
         self.path, self.calls, self.name, self.description = path, calls, calls.name, calls.description
         self.by_pythonfmu = "pythonfmu" in (self.description.generationTool or "").lower()
-        self.log: deque[str] = deque(maxlen=KEPT_MESSAGES)
+        self.log: deque[str] = deque(maxlen=MAX_MESSAGES)
         self.fmi3 = self.description.fmiVersion.startswith("3")
         self.step_name = f"{calls.prefix}DoStep"
         self.fmu: Any = None
@@ -55,7 +57,7 @@ class Instance:
         self.initialized = False
         self._logging, self._compiles = logging, compiles
         self._folder: Path | None = None
-        self._stopped: BaseException | None = None
+        self._stop: BaseException | None = None
         self._words = ""  # last message
 
     # -- life cycle ---------------------------------------------------------------------------------
@@ -67,31 +69,29 @@ class Instance:
             FmuError: The library does not load.
             DiskFull: No space is left to unpack.
         """
-        folder = self._folder or self._unpacked()
-        here, self._words = os.getcwd(), ""
+        folder = self._folder or self._unpack()
+        previous, self._words = os.getcwd(), ""
         try:
             library, warning = self._library(folder)
             self._load_library(folder, library)
             if warning:
                 self.remember(warning)
             # pythonfmu reports its reasons in debug messages only.
-            talks = self._logging or self.by_pythonfmu
-            self.calls.instantiate(self.listen, talks)
-            if talks and not self._logging:
+            self.calls.instantiate(self.listen, self._logging or self.by_pythonfmu)
+            if self.by_pythonfmu and not self._logging:
                 self.calls.limit_logging()
         except Exception as error:  # FMPy raises bare Exceptions; the FMU's own message says more.
-            raise FmuError(f"{self.path} does not load: {self.last_words() or error}") from None
+            raise FmuError(self._load_fault(self.last_words() or str(error))) from None
         finally:
-            os.chdir(here)  # FMPy changes to the FMU's folder.
+            os.chdir(previous)  # FMPy changes to the FMU's folder.
         self.fmu, self.component = self.calls.fmu, self.calls.fmu.component
         let_go_at_exit(folder)  # pythonfmu would release its objects twice at exit.
 
     def _library(self, folder: Path) -> tuple[Path, str]:
         """Return the library for this platform and a warning. A missing library is compiled from sources if allowed."""
         identifier = self.calls.identifier
-        found = library_of(folder, self.description, identifier)
-        if found is not None:
-            return found
+        if (library := library_of(folder, self.description, identifier)) is not None:
+            return library
         platforms = platforms_among([p.relative_to(folder).as_posix() for p in folder.rglob("*")])
         if self._compiles and C_CODE in platforms:
             return compile_library(folder, self.description, identifier), ""
@@ -104,7 +104,12 @@ class Instance:
         except Exception as error:  # FMPy raises bare Exceptions.
             raise FmuError(load_error(library, error)) from None
 
-    def _unpacked(self) -> Path:
+    def _load_fault(self, reason: str) -> Message:
+        """Return the message of an FMU that does not load; a reason with a code of its own keeps that code."""
+        message = messages.NOT_LOADED(file=self.path, reason=reason)
+        return Message(message, code_of(reason) or message.code, message.fields)
+
+    def _unpack(self) -> Path:
         if self.place is not None:
             self._folder = self.place
             return self.place
@@ -113,11 +118,9 @@ class Instance:
             unpack(self.path, folder)
         except Exception as error:  # FMPy raises bare Exceptions, zipfile its own.
             if is_full(error):
-                full = (
-                    f"the disk is full: no room to unpack {self.path.name} in the folder for temporary files (TMPDIR)"
-                )
+                full = messages.NO_SPACE_TO_UNPACK(file=self.path.name)
                 raise DiskFull(self.name, self.time, full) from None
-            raise FmuError(f"{self.path} does not load: {error}") from None
+            raise FmuError(self._load_fault(str(error))) from None
         return folder
 
     def free(self) -> None:
@@ -146,19 +149,19 @@ class Instance:
 
         The FMU must save and restore its state and accept steps of any length.
         """
-        about = self.description.coSimulation
-        states = getattr(about, "canGetAndSetFMUstate", False) or getattr(about, "canGetAndSetFMUState", False)
-        anyhow = about is not None and about.canHandleVariableCommunicationStepSize and sampled_by(self.path) is None
-        return bool(states and anyhow and isinstance(self.calls, CoSimulation2 | CoSimulation3))
+        part = self.description.coSimulation
+        states = getattr(part, "canGetAndSetFMUstate", False) or getattr(part, "canGetAndSetFMUState", False)
+        any_step = states and part.canHandleVariableCommunicationStepSize and sampled_by(self.path) is None
+        return bool(any_step and isinstance(self.calls, CoSimulation2 | CoSimulation3))
 
-    def saved(self) -> Any:
+    def save_state(self) -> Any:
         """Return the state for a single restoration."""
-        with self.failing():
+        with self.checked():
             return self.fmu.getFMUState() if self.fmi3 else self.fmu.getFMUstate()
 
-    def take_back(self, state: Any) -> None:
+    def restore_state(self, state: Any) -> None:
         """Restore a state and free it."""
-        with self.failing():
+        with self.checked():
             if self.fmi3:
                 self.fmu.setFMUState(state)
                 self.fmu.freeFMUState(state)
@@ -175,17 +178,18 @@ class Instance:
                 self._words = (message or b"").decode("utf-8", "replace")
                 self.remember(self._words)
         except (KeyboardInterrupt, Terminated) as stop:  # Exceptions cannot pass through C.
-            self._stopped = stop
+            self._stop = stop
 
-    def raise_stopped(self) -> None:
+    def raise_stop(self) -> None:
         """Raise the stop that arrived during a message."""
-        if self._stopped is not None:
-            stopped, self._stopped = self._stopped, None
-            raise stopped
+        stop, self._stop = self._stop, None
+        if stop is not None:
+            raise stop
 
     def remember(self, text: str) -> None:
         """Add a message to the log."""
-        text = text[:LONGEST_MESSAGE]
+        if len(text) > LONGEST_MESSAGE:
+            text = text[:LONGEST_MESSAGE]
         if text in self.log:  # A repeated warning appears once.
             self.log.remove(text)
         self.log.append(text)
@@ -197,7 +201,7 @@ class Instance:
     # -- status values ---------------------------------------------------------------
 
     @contextmanager
-    def failing(self) -> Iterator[None]:
+    def checked(self) -> Iterator[None]:
         """Convert failed FMPy calls to SimulationError."""
         from fmpy.fmi1 import FMICallException
 
@@ -216,7 +220,7 @@ class Instance:
             return step
         from fmpy.fmi1 import FMICallException
 
-        def judged(component: Any, t: float, h: float, flag: int) -> int:
+        def step_and_judge(component: Any, t: float, h: float, flag: int) -> int:
             try:
                 return step(component, t, h, flag)
             except FMICallException as error:
@@ -224,31 +228,30 @@ class Instance:
                 self.judge(error.function, error.status)
                 return 0
 
-        return judged
+        return step_and_judge
 
     def judge(self, function: str, status: int) -> None:
         """Handle a status other than OK; log a warning.
 
         Raises:
-            EndedEarly: The FMU ended the simulation by Discard.
+            EarlyEnd: The FMU ended the simulation by Discard.
             SimulationError: The call failed.
         """
         if status == WARNING:
-            self.remember(f"{function} returned Warning")
+            self.remember(messages.CALL_WARNING(function=function))
             return
-        if status == DISCARD and function == self.step_name and (reached := self.calls.ended(self.time)) is not None:
-            reason = f"{function} returned Discard: the FMU ended the simulation early"
+        if status == DISCARD and function == self.step_name and (reached := self.calls.end_time(self.time)) is not None:
             words = self.last_words()
-            raise EndedEarly(self.name, reached, f"{reason}: {words}" if words else reason, readable=True)
+            end = messages.END_BY_DISCARD_WITH_REASON if words else messages.END_BY_DISCARD
+            raise EarlyEnd(self.name, reached, end(function=function, reason=words), readable=True)
         self._fail(function, status)
 
     def _fail(self, function: str, status: int) -> None:
         """Raise SimulationError for a failed call. After Fatal the instance is abandoned, as FMI demands."""
-        reason = f"{function} returned {STATUS[status] if 0 <= status < len(STATUS) else status}"
         if status == FATAL:
             self.fmu = None
-        if "KeyboardInterrupt" in self.last_words():  # Ctrl-C arrived while the FMU's Python code ran.
+        words, name = self.last_words(), STATUS[status] if 0 <= status < len(STATUS) else status
+        if "KeyboardInterrupt" in words:  # Ctrl-C arrived while the FMU's Python code ran.
             raise KeyboardInterrupt
-        if words := self.last_words():
-            reason += f": {words}"
-        raise SimulationError(self.name, self.time, reason)
+        failure = messages.CALL_FAILED_WITH_REASON if words else messages.CALL_FAILED
+        raise SimulationError(self.name, self.time, failure(function=function, status=name, reason=words))

@@ -14,7 +14,8 @@ from collections.abc import Callable
 from typing import Any
 
 from cosim.base.errors import SimulationError
-from cosim.blocks.component import EndedEarly
+from cosim.blocks import messages
+from cosim.blocks.component import EarlyEnd
 from cosim.blocks.description import Way
 from cosim.blocks.fmi import EXCHANGE3, Calls, CoSimulation3, Listen, Step, Version1
 from cosim.blocks.solvers import Solver, SolverFailed, solver
@@ -32,6 +33,8 @@ class ModelExchange2(Calls):
     """FMI 2.0 model exchange."""
 
     way: Way = "model-exchange"
+    fmpy_class = "fmi2.FMU2Model"
+    next_event: float | None
 
     def __init__(self, name: str, description: Any) -> None:
         super().__init__(name, description)
@@ -40,13 +43,6 @@ class ModelExchange2(Calls):
         self.solver_name: Solver | None = None
         self._started = False
         self._events: deque[float] = deque(maxlen=MOST_EVENTS)  # times of the last events
-
-    next_event: float | None
-
-    def _class(self) -> Any:
-        from fmpy.fmi2 import FMU2Model
-
-        return FMU2Model
 
     def prepare(self) -> None:
         self._started, self.solver = False, None
@@ -118,8 +114,7 @@ class ModelExchange2(Calls):
         spacing = math.ulp(max(abs(t), abs(end)))
         close = ULPS * spacing + CLOSE * h
         if h <= 2 * ULPS * spacing:
-            told = f"a step of {h:.3g} s is too short at this time: doubles are {spacing:.2g} s apart there"
-            raise SimulationError(self.name, t, told)
+            raise SimulationError(self.name, t, messages.STEP_TOO_SHORT(step=h, spacing=spacing))
         while end - self.time > close:
             event = self.next_event
             at_event = event is not None and event <= end + close
@@ -135,9 +130,9 @@ class ModelExchange2(Calls):
                 self._handle_event(h)
         return 0
 
-    def _integrate(self, target: float, least: float) -> tuple[bool, float]:
-        """Integrate to the target or the first state event. Nothing is integrated over less than `least` [s]."""
-        if target - self.time <= least:
+    def _integrate(self, target: float, min_span: float) -> tuple[bool, float]:
+        """Integrate to the target or the first state event. Nothing is integrated over `min_span` [s] or less."""
+        if target - self.time <= min_span:
             return False, max(self.time, target)
         try:
             state_event, _, time = self.solver.step(self.time, target)
@@ -148,18 +143,18 @@ class ModelExchange2(Calls):
     def _explain(self, error: SolverFailed) -> str:
         """Return the solver's reason with the name of the derivative."""
         if error.derivative is None:
-            return str(error)
+            return error.reason
         number, value = error.derivative
-        listed = self.description.derivatives
-        single = len(listed) == self.description.numberOfContinuousStates  # Arrays would break the numbering.
-        name = listed[number].variable.name if single else f"number {number + 1}"
-        return f"the derivative {name} is {value}, also with the shortest steps of the solver"
+        derivatives = self.description.derivatives
+        are_scalar = len(derivatives) == self.description.numberOfContinuousStates  # Arrays would break the numbering.
+        name = derivatives[number].variable.name if are_scalar else f"number {number + 1}"
+        return messages.DERIVATIVE_NOT_FINITE(name=name, value=value)
 
     def _handle_event(self, h: float) -> None:
         self._events.append(self.time)
         if len(self._events) == self._events.maxlen and self._events[-1] - self._events[0] <= AT_ONCE * h:
-            within = f"{len(self._events)} events within {AT_ONCE * h:.2g} s"
-            raise SimulationError(self.name, self.time, f"it chatters: {within}, so that time stands still")
+            fault = messages.CHATTERING(count=len(self._events), span=AT_ONCE * h)
+            raise SimulationError(self.name, self.time, fault)
         self.event()
         self.solver.reset(self.time)
 
@@ -178,26 +173,20 @@ class ModelExchange2(Calls):
                 return
             self._enter_continuous_time()  # A time event due now is an event of its own.
             self._enter_event()
-        told = f"its discrete states still change after {MOST_EVENTS} updates"
+        fault = messages.RESTLESS_STATES(count=MOST_EVENTS)
         if due is not None and due <= self.time:
-            told = f"{MOST_EVENTS} times over it names t = {due:.6g} s as that of its next event, which has passed"
-        raise SimulationError(self.name, self.time, told)
+            fault = messages.PAST_EVENT(count=MOST_EVENTS, time=due)
+        raise SimulationError(self.name, self.time, fault)
 
     def _end(self) -> None:
-        raise EndedEarly(self.name, self.time, "the FMU ended the simulation", readable=False)
+        raise EarlyEnd(self.name, self.time, messages.END_BY_FMU())
 
 
 class ModelExchange1(Version1, ModelExchange2):
     """FMI 1.0 model exchange: no modes, and a single call per event, including initialization."""
 
-    def __init__(self, name: str, description: Any) -> None:
-        super().__init__(name, description)
-        self._first: Any = None  # event information from the initialization
-
-    def _class(self) -> Any:
-        from fmpy.fmi1 import FMU1Model
-
-        return FMU1Model
+    fmpy_class = "fmi1.FMU1Model"
+    _first: Any = None  # event information from the initialization
 
     def prepare(self) -> None:
         self._started, self.solver = False, None
@@ -234,12 +223,7 @@ class ModelExchange1(Version1, ModelExchange2):
 class ModelExchange3(ModelExchange2):
     """FMI 3.0 model exchange."""
 
-    prefix, exchange = "fmi3", EXCHANGE3
-
-    def _class(self) -> Any:
-        from fmpy.fmi3 import FMU3Model
-
-        return FMU3Model
+    fmpy_class, prefix, exchange = "fmi3.FMU3Model", "fmi3", EXCHANGE3
 
     def instantiate(self, listen: Listen, logging: bool) -> None:
         CoSimulation3.instantiate(self, listen, logging)  # type: ignore[arg-type]

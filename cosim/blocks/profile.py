@@ -54,7 +54,7 @@ class ProfileFunction:
     def __init__(self, profile: Profile, factor: float) -> None:
         begins = [profile.start]
         for before, change in zip(profile.changes, profile.changes[1:], strict=False):
-            begins.append(_reached(begins[-1], before.to, before.rate, change.at - before.at))
+            begins.append(_value_after(begins[-1], before.to, before.rate, change.at - before.at))
         self.factor, self.begins, self.times = factor, begins, [change.at for change in profile.changes]
         self.changes = [(change.to, change.rate) for change in profile.changes]
 
@@ -64,20 +64,20 @@ class ProfileFunction:
         if k < 0:
             return self.factor * self.begins[0]
         to, rate = self.changes[k]
-        return self.factor * _reached(self.begins[k], to, rate, t - self.times[k])
+        return self.factor * _value_after(self.begins[k], to, rate, t - self.times[k])
 
     def over(self, times: Array) -> Array:
         """Return values at ordered times, equal to single calls bit for bit."""
         bounds = [0, *np.searchsorted(times + ROUNDING, self.times).tolist(), len(times)]
         values = np.full(len(times), self.begins[0])
         for k, (to, rate) in enumerate(self.changes):
-            here = slice(bounds[k + 1], bounds[k + 2])
-            begin, elapsed = self.begins[k], times[here] - self.times[k]
+            part = slice(bounds[k + 1], bounds[k + 2])
+            begin, elapsed = self.begins[k], times[part] - self.times[k]
             if rate is None:
-                values[here] = to
+                values[part] = to
             else:
                 ramp = begin + np.copysign(rate * np.maximum(0.0, elapsed), to - begin)
-                values[here] = np.where(abs(to - begin) <= rate * elapsed, to, ramp)
+                values[part] = np.where(abs(to - begin) <= rate * elapsed, to, ramp)
         return self.factor * values
 
 
@@ -86,7 +86,7 @@ def profile_function(profile: Profile, factor: float = 1.0) -> ProfileFunction:
     return ProfileFunction(profile, factor)
 
 
-def _reached(begin: float, to: float, rate: float | None, elapsed: float) -> float:
+def _value_after(begin: float, to: float, rate: float | None, elapsed: float) -> float:
     if rate is None or abs(to - begin) <= rate * elapsed:
         return to
     return begin + math.copysign(rate * max(0.0, elapsed), to - begin)

@@ -29,27 +29,27 @@ class RestartableFmu(FmuBlock):
     def remember(self, memory: Memory) -> None:
         """Write a memory into the state of a cosim FMU. Start values alone can express a constant past only."""
         state = with_memory(self._state(), memory)
-        with self.instance.failing():
+        with self.instance.checked():
             fmu = self.instance.fmu
-            after = fmu.deSerializeFMUstate(state)
-            fmu.setFMUstate(after)
-            fmu.freeFMUstate(after)
+            pointer = fmu.deSerializeFMUstate(state)
+            fmu.setFMUstate(pointer)
+            fmu.freeFMUstate(pointer)
 
     def _state(self) -> bytes:
-        with self.instance.failing():
+        with self.instance.checked():
             fmu = self.instance.fmu
-            held = fmu.getFMUstate()
-            state: bytes = fmu.serializeFMUstate(held)
-            fmu.freeFMUstate(held)
+            pointer = fmu.getFMUstate()
+            state: bytes = fmu.serializeFMUstate(pointer)
+            fmu.freeFMUstate(pointer)
         return state
 
     @cached_property
-    def _ours(self) -> bool:
+    def _is_ours(self) -> bool:
         return traits_of(self.path) is not None
 
     def _reset(self) -> bool:
         """Reset a cosim FMU; return False for others. Some FMUs (20-sim) return OK but stand still afterwards."""
-        if not self._ours:
+        if not self._is_ours:
             return False
         try:
             self.instance.fmu.reset()

@@ -5,20 +5,23 @@ from __future__ import annotations
 import ctypes
 import math
 import os
+from functools import partial
+from types import SimpleNamespace
 from typing import Any, Literal
+
+from cosim.base.messages import Message
+from cosim.blocks import messages
 
 DISCARD = 2
 DOUBLES = ctypes.POINTER(ctypes.c_double)
 Solver = Literal["cvode", "solve_ivp"]
-TOO_MUCH_WORK, NO_STEP, TOO_CLOSE = -1, -3, -27
 REFUSALS = 10  # discarded derivatives that explain a stuck solver
 FAILURES = {  # CVODE's error codes with remedies
-    TOO_MUCH_WORK: "CVODE does not come to the next communication point in 500 steps of its own: shorten the step, or "
-    "see whether a state grows without bound",
-    -2: "CVODE cannot reach the tolerance, as doubles are not that exact; loosen it",
-    NO_STEP: "CVODE finds no step so short that its error is within the tolerance; a derivative jumps, or has no bound",
-    -4: "CVODE finds no step so short that its iteration converges; a derivative jumps, or has no bound",
-    TOO_CLOSE: "CVODE is to integrate over less time than doubles tell apart",
+    -1: messages.TOO_MANY_SOLVER_STEPS(),
+    -2: messages.TOLERANCE_TOO_TIGHT(),
+    -3: messages.NO_STEP_WITHIN_TOLERANCE(solver="CVODE"),
+    -4: messages.NO_CONVERGENT_STEP(),
+    -27: messages.SPAN_TOO_SHORT(),
 }
 
 
@@ -31,17 +34,10 @@ def solver(name: Solver | None, fmu: Any, **settings: Any) -> Any:
         return SolveIvp(fmu, **settings)
     try:
         return cvode(fmu, **settings)
-    except (ImportError, OSError, FileNotFoundError):
+    except (ImportError, OSError):
         if name == "cvode":
             raise
         return SolveIvp(fmu, **settings)
-
-
-class Held:
-    """Inputs in the form of FMPy's solver, held over a communication step."""
-
-    def apply(self, time: float) -> None:
-        """Do nothing."""
 
 
 class SolverFailed(Exception):
@@ -53,7 +49,7 @@ class SolverFailed(Exception):
 
     def __init__(self, reason: str, derivative: tuple[int, float] | None = None) -> None:
         super().__init__(reason)
-        self.derivative = derivative
+        self.reason, self.derivative = reason, derivative
 
 
 def cvode(fmu: Any, *, states: int, indicators: int, start: float, longest: float, tolerance: float) -> Any:
@@ -67,73 +63,73 @@ def cvode(fmu: Any, *, states: int, indicators: int, start: float, longest: floa
 
     class Guarded(CVodeSolver):  # type: ignore[misc]
         failed: Exception | None = None
-        refused: list[Exception]  # errors of this step for which CVODE tries shorter steps
+        refusals: list[Exception]  # errors of this step for which CVODE tries shorter steps
 
         def f(self, t: float, y: Any, ydot: Any, *rest: Any) -> int:
-            answer = self._caught(super().f, (t, y, ydot, *rest))
-            if answer == 0 and states and (found := _not_finite(NV_DATA_S(ydot)[:states])) is not None:
-                self.refused.append(SolverFailed("", found))
+            status = self._call(super().f, (t, y, ydot, *rest))
+            if status == 0 and states and (derivative := _not_finite(NV_DATA_S(ydot)[:states])) is not None:
+                self.refusals.append(SolverFailed(FAILURES[-3], derivative))
                 return 1
-            return answer
+            return status
 
         def g(self, *arguments: Any) -> int:
-            return self._caught(super().g, arguments)
+            return self._call(super().g, arguments)
 
         def step(self, t: float, target: float) -> Any:
-            self.failed, self.refused = None, []
+            self.failed, self.refusals = None, []
             try:
                 return super().step(t, target)
             except RuntimeError:
                 if self.failed is not None:
                     raise self.failed from None
-                if len(self.refused) >= REFUSALS:
-                    raise self.refused[-1] from None
+                if len(self.refusals) >= REFUSALS:
+                    raise self.refusals[-1] from None
                 raise SolverFailed(_failure(self.error_info)) from None
 
-        def _caught(self, function: Any, arguments: Any) -> int:
+        def _call(self, function: Any, arguments: Any) -> int:
             try:
                 return int(function(*arguments))
             except FMICallException as error:
                 if error.status == DISCARD:
-                    self.refused.append(error)
+                    self.refusals.append(error)
                     return 1
                 self.failed = error
             return -1
 
-    made = Guarded(
+    integrator = Guarded(
         nx=states,
         nz=indicators,
         get_x=fmu.getContinuousStates,
         set_x=fmu.setContinuousStates,
         get_dx=derivatives_of(fmu),
         get_z=fmu.getEventIndicators,
-        get_nominals=lambda where, count: nominals(fmu, where, count),
+        get_nominals=partial(nominals, fmu),
         set_time=fmu.setTime,
-        input=Held(),
+        input=SimpleNamespace(apply=lambda time: None),  # Inputs are constant over a communication step.
         startTime=start,
         maxStep=longest,
         relativeTolerance=tolerance,
     )
-    _silence(made)
-    return made
+    _silence(integrator)
+    return integrator
 
 
-def _silence(made: Any) -> None:
+def _silence(integrator: Any) -> None:
     """Silence CVODE's own messages; `_failure` reports them."""
     from fmpy.sundials.libraries import sundials_core
 
     logger = ctypes.c_void_p()
-    if sundials_core.SUNContext_GetLogger(made.sunctx, ctypes.byref(logger)) == 0 and logger:
+    if sundials_core.SUNContext_GetLogger(integrator.sunctx, ctypes.byref(logger)) == 0 and logger:
         for name in ("SUNLogger_SetErrorFilename", "SUNLogger_SetWarningFilename"):
             getattr(sundials_core, name)(logger, os.devnull.encode())
 
 
-def _failure(said: tuple[int, str, str, str] | None) -> str:
+def _failure(report: tuple[int, str, str, str] | None) -> Message:
     """Return CVODE's reason without source locations."""
-    if said is None:
-        return "CVODE failed"
-    code, _, _, message = said
-    return FAILURES.get(code, f"CVODE failed (code {code}): {' '.join(message.split())}")
+    if report is None:
+        return messages.CVODE_FAILED()
+    number, _, _, text = report
+    return FAILURES.get(number) or messages.CVODE_FAILED_WITH_REASON(number=number, reason=" ".join(text.split()))
 
 
 def _not_finite(values: Any) -> tuple[int, float] | None:
@@ -148,11 +144,11 @@ def derivatives_of(fmu: Any) -> Any:
     return getattr(fmu, "getContinuousStateDerivatives", None) or fmu.getDerivatives
 
 
-def nominals(fmu: Any, where: Any, count: int) -> None:
+def nominals(fmu: Any, cells: Any, count: int) -> None:
     """Write positive nominal values of the states; 1 if unknown."""
-    named = getattr(fmu, "getNominalsOfContinuousStates", None) or fmu.getNominalContinuousStates  # FMI 1.0
-    named(where, count)
-    values = ctypes.cast(where, DOUBLES)
+    function = getattr(fmu, "getNominalsOfContinuousStates", None) or fmu.getNominalContinuousStates  # FMI 1.0
+    function(cells, count)
+    values = ctypes.cast(cells, DOUBLES)
     for k in range(count):
         values[k] = abs(values[k]) if math.isfinite(values[k]) and values[k] else 1.0
 
@@ -176,29 +172,29 @@ class SolveIvp:
         """Reread nominal values after a change of states."""
         self._nominal = (ctypes.c_double * max(1, self.states))(1.0)
         if self.states:
-            nominals(self.fmu, self._at(self._nominal), self.states)
+            nominals(self.fmu, self._pointer(self._nominal), self.states)
 
     def step(self, t: float, target: float) -> tuple[bool, None, float]:
         """Integrate to the target, or just beyond the first state event."""
         if self.states:
-            self.fmu.getContinuousStates(self._at(self._x), self.states)
+            self.fmu.getContinuousStates(self._pointer(self._x), self.states)
         self.discarded, self.derivative = None, None
-        found = self._solved(t, target)
-        if found.status == 0:
-            self._set(target, found.y[:, -1])
+        solution = self._integrate(t, target)
+        if solution.status == 0:
+            self._set(target, solution.y[:, -1])
             return False, None, target
-        time = self._behind(t, float(found.t[-1]), target, found.sol)
-        self._set(time, found.sol(time))
+        time = self._time_after_crossing(t, float(solution.t[-1]), target, solution.sol)
+        self._set(time, solution.sol(time))
         return True, None, time
 
-    def _solved(self, t: float, target: float) -> Any:
+    def _integrate(self, t: float, target: float) -> Any:
         import numpy as np
         from scipy.integrate import solve_ivp
 
         try:
             with np.errstate(all="ignore"):  # Non-finite derivatives only shorten the steps.
-                found = solve_ivp(
-                    self._right,
+                solution = solve_ivp(
+                    self._rates,
                     (t, target),
                     list(self._x) if self.states else [0.0],
                     method="Radau",
@@ -208,16 +204,16 @@ class SolveIvp:
                     events=[self._indicator(k) for k in range(self.indicators)] or None,
                     dense_output=self.indicators > 0,
                 )
-            if found.status >= 0:
-                return found
-            reason = FAILURES[NO_STEP].replace("CVODE", "solve_ivp")
+            if solution.status >= 0:
+                return solution
+            reason = messages.NO_STEP_WITHIN_TOLERANCE(solver="solve_ivp")
         except ValueError as error:  # from a non-finite matrix
-            reason = f"solve_ivp: {error}"
+            reason = messages.SOLVE_IVP_FAILED(reason=str(error))
         if self.discarded is not None:
             raise self.discarded
         raise SolverFailed(reason, self.derivative)
 
-    def _behind(self, begin: float, time: float, target: float, solution: Any) -> float:
+    def _time_after_crossing(self, begin: float, time: float, target: float, solution: Any) -> float:
         """Return a time just after a zero crossing. The located root itself may lie before the crossing."""
         before = self._signs(begin, solution(begin))
         ahead = max(1e-12, 4e-16 * abs(time))
@@ -227,23 +223,23 @@ class SolveIvp:
 
     def _signs(self, t: float, x: Any) -> list[bool]:
         self._set(t, x)
-        self.fmu.getEventIndicators(self._at(self._z), self.indicators)
+        self.fmu.getEventIndicators(self._pointer(self._z), self.indicators)
         return [z > 0 for z in self._z]
 
     def _set(self, t: float, x: Any) -> None:
         self.fmu.setTime(t)
         if self.states:
             self._x[:] = [float(v) for v in x]
-            self.fmu.setContinuousStates(self._at(self._x), self.states)
+            self.fmu.setContinuousStates(self._pointer(self._x), self.states)
 
-    def _right(self, t: float, x: Any) -> list[float]:
+    def _rates(self, t: float, x: Any) -> list[float]:
         """Return the derivatives; NaN if the FMU discards. Radau then tries a shorter step."""
         from fmpy.fmi1 import FMICallException
 
         try:
             self._set(t, x)
             if self.states:
-                self._derivatives(self._at(self._dx), self.states)
+                self._derivatives(self._pointer(self._dx), self.states)
         except FMICallException as error:
             if error.status != DISCARD:
                 raise
@@ -255,12 +251,12 @@ class SolveIvp:
     def _indicator(self, k: int) -> Any:
         def value(t: float, x: Any) -> float:
             self._set(t, x)
-            self.fmu.getEventIndicators(self._at(self._z), self.indicators)
+            self.fmu.getEventIndicators(self._pointer(self._z), self.indicators)
             return self._z[k]
 
         value.terminal = True  # type: ignore[attr-defined]
         return value
 
     @staticmethod
-    def _at(values: Any) -> Any:
+    def _pointer(values: Any) -> Any:
         return ctypes.cast(values, DOUBLES)

@@ -4,41 +4,25 @@ from __future__ import annotations
 
 import bisect
 import ctypes
-from collections.abc import Callable, Collection, Mapping, MutableSequence, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
 
 import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.units import computed_in
-from cosim.blocks.component import Row, Signal, in_turn
-from cosim.blocks.profile import ROUNDING, Profile, profile_function
+from cosim.blocks.component import RowComponent, Signal
+from cosim.blocks.profile import ROUNDING, Profile, ProfileFunction, profile_function
 from cosim.blocks.stepping import Slot
 from cosim.storage.table import read_columns
 
 
-class OfTime(Protocol):
-    """A function of time [s]; `over` equals single calls at ordered times."""
+class Source(RowComponent):
+    """Signals as functions of time; their `over` equals single calls at ordered times."""
 
-    def __call__(self, t: float) -> float:
-        """Return the value at a time."""
-
-    def over(self, times: Array) -> Array:
-        """Return the values at many times."""
-
-
-class Source:
-    """Signals given as functions of time."""
-
-    nominal_step = True
-
-    def __init__(self, name: str, signals: Mapping[str, tuple[str, OfTime]]) -> None:
+    def __init__(self, name: str, signals: Mapping[str, tuple[str, ProfileFunction | Recorded]]) -> None:
         self.name = name
-        self.inputs: tuple[Signal, ...] = ()
-        self.exact_inputs: tuple[Signal, ...] = ()
-        self.exact_outputs: tuple[Signal, ...] = ()
         self.outputs = tuple(Signal(signal, unit) for signal, (unit, _) in signals.items())
         self.functions = tuple(function for _, function in signals.values())
         self._t = 0.0
@@ -46,17 +30,8 @@ class Source:
     def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
         return False
 
-    def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
-        self._row, self._first = row, first
-
     def open(self, start: float, stop: float) -> None:
         self._t = start
-
-    def start(self) -> None:
-        pass
-
-    def put(self) -> None:
-        pass
 
     def get(self) -> None:
         for k, function in enumerate(self.functions, self._first):
@@ -64,12 +39,6 @@ class Source:
 
     def advance(self, t: float, h: float) -> None:
         self._t = t + h
-
-    def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
-        return in_turn(self, doing, first, puts=False)
-
-    def close(self) -> None:
-        pass
 
     def slot(self) -> Slot | str:
         """Return the slot for C, with values prepared by `over`."""
@@ -82,7 +51,7 @@ class Source:
         columns = [function.over(times) for function in self.functions]
         return np.ascontiguousarray(np.transpose(columns)) if columns else np.zeros((len(times), 0))
 
-    def came_to(self, t: float) -> None:
+    def set_time(self, t: float) -> None:
         """Note the time [s] after C steps."""
         self._t = t
 

@@ -27,7 +27,7 @@ typedef struct {           /* what becomes of a value on its way, at points firs
     double a, b;
     const double *values;  /* one a point; of ITEMS `count` of them */
     const uint8_t *marks;  /* one a point */
-    double *kept;          /* `count` values of the past */
+    double *past;          /* `count` previous values */
     int64_t count;
 } Link;
 
@@ -67,13 +67,13 @@ typedef struct {           /* an FMU, or (`version` 0) values that were prepared
 
 typedef struct {
     double begin, h;
-    int64_t slots, held, width, next, last;
+    int64_t slots, holds, width, next, last;
     int64_t pause;         /* Python is asked before the row of this point is kept */
     Slot *slot;
     const Transfer *hold;
     const double *row;
     double *table;
-    volatile int64_t *made, *doing; /* for who watches: rows that are whole, what is being called */
+    volatile int64_t *counter, *doing; /* for observers: number of complete rows, current call */
     int64_t place, phase, move;     /* where to go on */
     int64_t called, moving;         /* what was called, with which of its moves, and its status: for Python to judge */
     int32_t status;
@@ -85,7 +85,7 @@ typedef int (*Step2)(void *, double, double, int);
 typedef int (*Step3)(void *, double, double, bool, bool *, bool *, bool *, double *);
 
 /* `*ok` false where a value is no item of the enumeration it goes to */
-static double through(const Link *link, int64_t k, double v, bool *ok)
+static double apply_link(const Link *link, int64_t k, double v, bool *ok)
 {
     const bool acts = link->first <= k && k <= link->last;
     switch (link->kind) {
@@ -95,13 +95,13 @@ static double through(const Link *link, int64_t k, double v, bool *ok)
     case SCALE: return acts ? v * link->a : v;
     case STUCK: return acts ? link->a : v;
     case SPIKES: return acts && link->marks[k] ? v + link->a : v;
-    case DELAYED: /* kept: a ring of the last `count` values, count - 1 points of delay */
-        link->kept[k % link->count] = v;
+    case DELAYED: /* past: a ring of the last `count` values, count - 1 points of delay */
+        link->past[k % link->count] = v;
         if (!acts) return v;
-        return link->kept[k < link->count - 1 ? 0 : (k + 1) % link->count];
+        return link->past[k < link->count - 1 ? 0 : (k + 1) % link->count];
     case HELD:
-        if (!(acts && link->marks[k])) link->kept[0] = v;
-        return link->kept[0];
+        if (!(acts && link->marks[k])) link->past[0] = v;
+        return link->past[0];
     case ITEMS:
         for (int64_t n = 0; n < link->count; n++)
             if (v == link->values[n]) return v;
@@ -110,14 +110,14 @@ static double through(const Link *link, int64_t k, double v, bool *ok)
     return v;
 }
 
-static bool transferred(const Transfer *transfers, int64_t count, int64_t k)
+static bool make_transfers(const Transfer *transfers, int64_t count, int64_t k)
 {
     for (int64_t n = 0; n < count; n++) {
         const Transfer *t = &transfers[n];
         bool ok = true;
         double v = *t->from;
         if (t->every != 1 && k % t->every) continue;
-        for (int64_t m = 0; m < t->links; m++) v = through(&t->link[m], k, v, &ok);
+        for (int64_t m = 0; m < t->links; m++) v = apply_link(&t->link[m], k, v, &ok);
         *t->to = v;
         if (!ok) return false;
     }
@@ -128,7 +128,7 @@ static bool transferred(const Transfer *transfers, int64_t count, int64_t k)
 #define DECODED(TYPE) for (size_t n = 0; n < m->scalars; n++) m->row[n] = (double)((const TYPE *)m->values)[n]; break
 
 /* From the row to the type in which an FMU takes them; false where one is not of it. */
-static bool encoded(const Move *m)
+static bool encode(const Move *m)
 {
     if (m->type == DOUBLES) return true;
     for (size_t n = 0; n < m->scalars; n++)
@@ -150,7 +150,7 @@ static bool encoded(const Move *m)
     return true;
 }
 
-static void decoded(const Move *m)
+static void decode(const Move *m)
 {
     switch (m->type) {
     case FLOAT32: DECODED(float);
@@ -165,7 +165,7 @@ static void decoded(const Move *m)
     }
 }
 
-static int moved(const Slot *s, const Move *m)
+static int move(const Slot *s, const Move *m)
 {
     if (s->version == 2) return ((Exchange2)m->function)(s->instance, m->references, m->count, m->values);
     return ((Exchange3)m->function)(s->instance, m->references, m->count, m->values, m->scalars);
@@ -188,14 +188,14 @@ static int judge(Plan *p, int64_t called, int status)
 /* One slot, from where it was left: what is judged has been called, and is not called again. */
 enum { PULLS, PUTS, STEPS, STEPPED, GETS, GOT };
 
-static int stepped(Plan *p, Slot *s, int64_t k)
+static int step_slot(Plan *p, Slot *s, int64_t k)
 {
     const double since = k == 1 ? p->begin : p->begin + (double)(k - s->every) * p->h;
     const double length = s->length != 0.0 ? s->length : (p->begin + (double)k * p->h) - since;
     int status;
     switch (p->phase) {
     case PULLS:
-        if (!transferred(s->pull, s->pulls, k)) return NO_ITEM;
+        if (!make_transfers(s->pull, s->pulls, k)) return NO_ITEM;
         if (s->version == 0) {
             memcpy(s->row, s->prepared + (size_t)(k - s->since) * s->scalars, s->scalars * sizeof(double));
             s->time = since + length;
@@ -207,9 +207,9 @@ static int stepped(Plan *p, Slot *s, int64_t k)
         while (p->move < s->puts) {
             const Move *m = &s->put[p->moving = p->move];
             *p->doing = s->doing + PUT;
-            if (!encoded(m)) return UNFIT;
+            if (!encode(m)) return UNFIT;
             p->move++;
-            if ((status = moved(s, m)) != 0) return judge(p, PUT, status);
+            if ((status = move(s, m)) != 0) return judge(p, PUT, status);
         } /* fall through */
     case STEPS:
         *p->doing = s->doing + ADVANCE;
@@ -234,11 +234,11 @@ static int stepped(Plan *p, Slot *s, int64_t k)
     case GETS:
         while (p->move < s->gets) {
             *p->doing = s->doing + GET;
-            status = moved(s, &s->get[p->moving = p->move]);
+            status = move(s, &s->get[p->moving = p->move]);
             p->phase = GOT;
             if (status != 0) return judge(p, GET, status); /* fall through */
     case GOT:
-            decoded(&s->get[p->move]);
+            decode(&s->get[p->move]);
             if (!all_finite(s->get[p->move].row, s->get[p->move].finite)) return NOT_FINITE;
             p->move++;
             p->phase = GETS;
@@ -257,16 +257,16 @@ int run(Plan *p)
         for (; p->place < p->slots; p->place++) {
             Slot *s = &p->slot[p->place];
             if (s->every != 1 && k % s->every) continue;
-            if ((why = stepped(p, s, k)) != FINISHED) return why;
+            if ((why = step_slot(p, s, k)) != FINISHED) return why;
             p->phase = PULLS;
         }
         if (p->place == p->slots) {
-            if (!transferred(p->hold, p->held, k)) return NO_ITEM;
+            if (!make_transfers(p->hold, p->holds, k)) return NO_ITEM;
             p->place++;
             if (k == p->pause) return PAUSED;
         }
         memcpy(p->table + k * p->width, p->row, (size_t)p->width * sizeof(double));
-        *p->made = k + 1;
+        *p->counter = k + 1;
         p->place = 0;
         if (time(NULL) != now) { /* so that Python sees signals, once a second */
             p->next++;

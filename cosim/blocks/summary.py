@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import Fault, FmuError, InputError, refuse
+from cosim.base.messages import Message
 from cosim.blocks.description import (
     platform_of,
     platforms_among,
@@ -86,17 +88,18 @@ class Summary:
 def read_fmus(paths: Sequence[Path]) -> list[Any]:
     """Return the descriptions of FMUs; raise InputError with all faults."""
     faults: list[Fault] = []
-    found = []
+    descriptions = []
     for path in paths:
         try:
             check_given(path, FMU)
-            found.append(read_description(path))
+            descriptions.append(read_description(path))
         except InputError as error:
             faults += error.faults
         except FmuError as error:
-            faults.append(Fault(path, 0, 0, str(error).removeprefix(f"{path} "), FmuError.exit_code))
+            text = Message(str(error).removeprefix(f"{path} "), error.code)
+            faults.append(Fault(path, 0, 0, text, FmuError.exit_code))
     refuse(faults)
-    return found
+    return descriptions
 
 
 def summaries(paths: Sequence[Path]) -> list[Summary]:
@@ -126,14 +129,12 @@ def summary_of(path: Path, description: Any) -> Summary:
 
 def experiment_of(description: Any) -> dict[str, float]:
     """Return the numbers declared in the default experiment. Keys are start, stop, step [s] and tolerance."""
-    named = {"start": "startTime", "stop": "stopTime", "step": "stepSize", "tolerance": "tolerance"}
-    found = {}
-    for key, attribute in named.items():
-        try:
-            found[key] = float(getattr(description.defaultExperiment, attribute))
-        except (AttributeError, TypeError, ValueError):
-            continue
-    return found
+    attributes = {"start": "startTime", "stop": "stopTime", "step": "stepSize", "tolerance": "tolerance"}
+    numbers = {}
+    for key, attribute in attributes.items():
+        with suppress(AttributeError, TypeError, ValueError):
+            numbers[key] = float(getattr(description.defaultExperiment, attribute))
+    return numbers
 
 
 def _capabilities(description: Any) -> dict[str, dict[str, Any]]:

@@ -11,17 +11,18 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from cosim.base.errors import SimulationError
+from cosim.blocks import messages
 from cosim.blocks.component import PUT, Row
 from cosim.blocks.fmi_types import Exchange
 from cosim.blocks.instance import Instance
-from cosim.blocks.stepping import Move, Plan, Why, move
+from cosim.blocks.stepping import Move, Plan, StopReason, move
 from cosim.blocks.variable_access import Ports
 
 Arguments = tuple[Any, ...]  # arguments of a function moving doubles directly
 
 
 class Values:
-    """Values put into and read from an instance; call `bind` and `loaded` first.
+    """Values put into and read from an instance; call `bind` and `look_up` first.
 
     Attributes:
         watched: Last inputs of model exchange, because unchanged inputs cause no event.
@@ -45,22 +46,18 @@ class Values:
         self._reading = ports.split(ports.read, address)
         self.out, self._finite = ports.real_outputs()
 
-    def loaded(self) -> None:
+    def look_up(self) -> None:
         """Look up the library's bare functions for the new instance."""
         calls, self._component = self._calls, self.instance.component
         real = "Float64" if self._fmi3 else "Real"
         self._set_real, self._get_real = (calls.bare(calls.exchange, f"{verb}{real}") for verb in ("Set", "Get"))
-        self._setters: dict[str, Any] = {}
-        self._getters: dict[str, Any] = {}
-        for exchange in (*self.ports.inward, *self.ports.read):
-            kind = exchange.kind.function
-            if exchange.buffer is not None and kind not in self._getters:
-                self._getters[kind] = calls.bare(calls.exchange, f"Get{kind}")
-                self._setters[kind] = calls.bare(calls.exchange, f"Set{kind}")
+        kinds = {e.kind.function for e in (*self.ports.inward, *self.ports.read) if e.buffer is not None}
+        self._getters = {kind: calls.bare(calls.exchange, f"Get{kind}") for kind in kinds}
+        self._setters = {kind: calls.bare(calls.exchange, f"Set{kind}") for kind in kinds}
 
-    def readable(self, readable: bool) -> None:
+    def allow_reading(self, allowed: bool) -> None:
         """Enable or disable reading of outputs."""
-        self._get_arguments, self._other_gets = self._reading if readable else (None, ())
+        self._get_arguments, self._other_gets = self._reading if allowed else (None, ())
 
     # -- all values --------------------------------------------------------------------------
 
@@ -80,14 +77,14 @@ class Values:
                 self.instance.judge(self.getter, status)
             values = self.row[self.out]
             if not math.isfinite(sum(values)):
-                self.not_finite(values)
+                self.raise_not_finite(values)
         if self._other_gets:
             for exchange in self._other_gets:
                 self.read_in(exchange)
                 self._check_finite(exchange)
 
     @property
-    def straight(self) -> tuple[Arguments | None, Arguments] | None:
+    def direct_arguments(self) -> tuple[Arguments | None, Arguments] | None:
         """Return the arguments to put and get doubles directly.
 
         The first is None without connected inputs; the result is None if other types occur.
@@ -101,7 +98,7 @@ class Values:
         if values == self.watched:
             return
         self.watched = values
-        with self.instance.failing():
+        with self.instance.checked():
             self._calls.inputs_changed(self._put_all)
 
     def _put_all(self) -> None:
@@ -118,28 +115,28 @@ class Values:
         """Read values of the FMU."""
         function = exchange.kind.function
         if exchange.buffer is None:
-            with self.instance.failing():
+            with self.instance.checked():
                 values = self.instance.fmu.getBinary(exchange.vrs, exchange.count)
                 self._target(exchange)[exchange.places] = [v or b"" for v in values]  # None: NULL, no bytes
             return
         status = self._getters[function](self._component, *exchange.arguments(self._fmi3))
         if status:
             self.instance.judge(f"{self._calls.prefix}Get{function}", status)
-        self._target(exchange)[exchange.places] = exchange.decoded()
+        self._target(exchange)[exchange.places] = exchange.decode()
 
     def _write(self, exchange: Exchange) -> None:
         """Write values to the FMU."""
         function, values = exchange.kind.function, self._target(exchange)[exchange.places]
         if exchange.buffer is None:
-            with self.instance.failing():
+            with self.instance.checked():
                 self.instance.fmu.setBinary(exchange.vrs, values)
             return
         try:
             exchange.encode(values)
         except ValueError as error:
-            name, _, why = str(error).partition(": ")
-            at = f"{self.instance.name}.{name}"
-            raise SimulationError(at, self.instance.time, f"the input {why} of its type") from None
+            name, _, reason = str(error).partition(": ")
+            component = f"{self.instance.name}.{name}"
+            raise SimulationError(component, self.instance.time, messages.INPUT_UNFIT(reason=reason)) from None
         status = self._setters[function](self._component, *exchange.arguments(self._fmi3))
         if status:
             self.instance.judge(f"{self._calls.prefix}Set{function}", status)
@@ -149,14 +146,13 @@ class Values:
         for name, value in values.items():
             variable = self._variables[name]
             exchange = Exchange(self.ports.kinds[variable.type], [variable])
-            given = value if isinstance(value, (list, tuple)) else [value] * exchange.count
+            elements = value if isinstance(value, (list, tuple)) else [value] * exchange.count
             function = exchange.kind.function
             if exchange.buffer is None:
-                self.instance.fmu.setBinary(
-                    exchange.vrs, [bytes.fromhex(v) if isinstance(v, str) else v for v in given]
-                )
+                binaries = [bytes.fromhex(v) if isinstance(v, str) else v for v in elements]
+                self.instance.fmu.setBinary(exchange.vrs, binaries)
                 continue
-            exchange.encode(given)
+            exchange.encode(elements)
             # FMPy's own setters drop the status.
             setter = self._calls.bare(self._calls.exchange, f"Set{function}")
             if status := setter(self._component, *exchange.arguments(self._fmi3)):
@@ -166,24 +162,25 @@ class Values:
         """Show given or start values of inputs, for FMI 1.0. FMI 1.0 inputs cannot be read before initialization."""
         for exchange in self.ports.inward:
             text = exchange.kind.function == "String"
-            shown: list[Any] = []
+            starts: list[Any] = []
             for variable in exchange.variables:
                 value = values.get(variable.name, variable.start)
                 if exchange.kind.function == "Boolean" and isinstance(value, str):
                     value = value.strip() in {"true", "1"}
-                shown.append(str(value or "") if text else float(value or 0.0))
-            self._target(exchange)[exchange.places] = shown
+                starts.append(str(value or "") if text else float(value or 0.0))
+            self._target(exchange)[exchange.places] = starts
 
     def _target(self, exchange: Exchange) -> Any:
         return self._beside if exchange.kind.beside else self.row
 
     # -- finite values --------------------------------------------------------------------------
 
-    def not_finite(self, values: Sequence[float], names: Sequence[str] | None = None) -> None:
+    def raise_not_finite(self, values: Sequence[float], names: Sequence[str] | None = None) -> None:
         """Raise SimulationError for a non-finite output."""
         for name, value in zip(self._finite if names is None else names, values, strict=True):
             if not math.isfinite(value):
-                raise SimulationError(f"{self.instance.name}.{name}", self.instance.time, f"the value is {value}")
+                component = f"{self.instance.name}.{name}"
+                raise SimulationError(component, self.instance.time, messages.VALUE_NOT_FINITE(value=value))
 
     def _finite_of(self, exchange: Exchange) -> tuple[str, ...]:
         """Return the scalars that must be finite: leading float outputs."""
@@ -192,7 +189,7 @@ class Values:
     def _check_finite(self, exchange: Exchange) -> None:
         if names := self._finite_of(exchange):
             first = exchange.places.start
-            self.not_finite(self.row[first : first + len(names)], names)
+            self.raise_not_finite(self.row[first : first + len(names)], names)
 
     # -- moved by C ---------------------------------------------------------------------------
 
@@ -205,12 +202,12 @@ class Values:
         gets = [move(self._getters[e.kind.function], e, self.row, len(self._finite_of(e))) for e in ports.read]
         return puts, gets
 
-    def tell(self, why: Why, plan: Plan) -> None:
+    def raise_error(self, reason: StopReason, plan: Plan) -> None:
         """Raise the error of a transfer by C; warnings are only logged."""
         fed, read = self.ports.fed, self.ports.read
-        if why == Why.NOT_FINITE:
+        if reason == StopReason.NOT_FINITE:
             self._check_finite(read[plan.moving])
-        elif why == Why.UNFIT:
+        elif reason == StopReason.UNFIT:
             self._write(fed[plan.moving])
         else:
             verb, exchanges = ("Set", fed) if plan.called == PUT else ("Get", read)

@@ -52,8 +52,8 @@ class Ports:
         """Assign places to all exchanges, inputs first."""
         place = {False: first, True: first_beside}
         for exchange in (*self.inward, *self.read):
-            here = place[exchange.kind.beside]
-            exchange.places = slice(here, here + exchange.count)
+            begin = place[exchange.kind.beside]
+            exchange.places = slice(begin, begin + exchange.count)
             place[exchange.kind.beside] += exchange.count
 
     def split(self, exchanges: Sequence[Exchange], address: int) -> tuple[tuple[Any, ...] | None, tuple[Exchange, ...]]:
@@ -63,13 +63,14 @@ class Ports:
             address: Address of the row.
         """
         doubles = _doubles(exchanges)
-        straight = None if doubles is None else doubles.arguments(self.fmi3, address + 8 * doubles.places.start)
-        return straight, tuple(e for e in exchanges if e is not doubles)
+        arguments = None if doubles is None else doubles.arguments(self.fmi3, address + 8 * doubles.places.start)
+        return arguments, tuple(e for e in exchanges if e is not doubles)
 
-    def straight(self, arguments: Any) -> tuple[Any, ...]:
+    @staticmethod
+    def c_arguments(arguments: Any) -> tuple[Any, ...]:
         """Return arguments as reusable C objects."""
-        references, count, where, *scalars = arguments
-        first = ctypes.c_void_p(references), ctypes.c_size_t(count), ctypes.c_void_p(where)
+        references, count, place, *scalars = arguments
+        first = ctypes.c_void_p(references), ctypes.c_size_t(count), ctypes.c_void_p(place)
         return *first, *(ctypes.c_size_t(n) for n in scalars)
 
     def real_outputs(self) -> tuple[slice, tuple[str, ...]]:

@@ -27,7 +27,7 @@ SWITCHES = """<p>Parameters with a dot, <code>effect.parameter</code>, switch on
 start value an effect is dormant and costs nothing.</p>"""
 
 
-def documented(*owners: object) -> str:
+def docstrings_html(*owners: object) -> str:
     """Return docstrings as HTML."""
     return "".join(f"<pre>{escape(inspect.getdoc(owner) or '')}</pre>" for owner in owners)
 
@@ -35,9 +35,9 @@ def documented(*owners: object) -> str:
 def model_text(model: Model) -> str:
     """Return a model's documentation as HTML: equations, effects, integration."""
     effects = "".join(f"<li><code>{k.name}</code>: {escape(k.equation)}</li>" for k in model.catalogue)
-    listed = f"{SWITCHES}<ul>{effects}</ul>" if effects else ""
+    catalogue = f"{SWITCHES}<ul>{effects}</ul>" if effects else ""
     needs = NEEDS.format(method=METHOD[model.integrator], substep=1000 * model.substep)
-    return documented(type(model), model.equations) + needs + listed
+    return docstrings_html(type(model), model.equations) + needs + catalogue
 
 
 def write_documentation(

@@ -26,10 +26,10 @@ from cosim.model.model import Model
 from cosim.model.traits import Traits
 
 FRAMEWORK = "cosim"
-CARRIED = ("cosim.model", "cosim.fmi")  # rooms that need only the standard library
-NOT_CARRIED = "cosim.model.symbolic"  # imported at build time only
-START = ("cosim.fmi.lifetime", "cosim.fmi.ports")  # imported by the script of pythonfmu
-OWN = "own_model"  # module name of a user's model inside its FMU
+CARRIED_PACKAGES = ("cosim.model", "cosim.fmi")  # rooms that need only the standard library
+EXCLUDED_PACKAGE = "cosim.model.symbolic"  # imported at build time only
+SCRIPT_MODULES = ("cosim.fmi.lifetime", "cosim.fmi.ports")  # imported by the script of pythonfmu
+OWN_MODULE = "own_model"  # module name of a user's model inside its FMU
 EPOCH = (1980, 1, 1, 0, 0, 0)
 ASSETS = Path(__file__).resolve().parent / "assets"
 
@@ -72,10 +72,10 @@ def model_recipe(model: Model, file: Path, values: Mapping[str, float | bool] | 
     own = (file, type(model).__name__)
     about = about_model(model.with_values(values or {}), model.title)
     slave, text = ("cosim.fmi.model_fmu", "ModelSlave"), model_text(model)
-    return Recipe(slave, (), about, text, ordered(values), own, (), model.chosen_substep, model.chosen_integrator)
+    return Recipe(slave, (), about, text, sort_values(values), own, (), model.chosen_substep, model.chosen_integrator)
 
 
-def ordered(values: Mapping[str, float | bool] | None) -> tuple[tuple[str, float | bool], ...]:
+def sort_values(values: Mapping[str, float | bool] | None) -> tuple[tuple[str, float | bool], ...]:
     """Return parameter values sorted by name."""
     return tuple(sorted((values or {}).items()))
 
@@ -120,16 +120,13 @@ def _pack(recipe: Recipe, folder: Path) -> Path:
     if recipe.own:
         class_name = f"{recipe.own[1]}Plant"
         identity += (class_name,)
-    if recipe.substep is not None:
-        identity += (recipe.substep,)
-    if recipe.integrator is not None:
-        identity += (recipe.integrator,)
+    identity += tuple(setting for setting in (recipe.substep, recipe.integrator) if setting is not None)
     tag = digest(sources, repr(identity).encode())[:12]
     package = f"{re.sub(r'(?<!^)(?=[A-Z])', '_', class_name).lower()}_{tag}"
     for name, text in sources.items():
         file = folder / package / name
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_bytes(_renamed(text.decode(), (FRAMEWORK, *recipe.packages), package).encode())
+        file.write_bytes(_rename_imports(text.decode(), (FRAMEWORK, *recipe.packages), package).encode())
     script = folder / f"{package}_slave.py"
     script.write_text(_script(recipe, package, class_name), encoding="utf-8")
     documentation = folder / "documentation"
@@ -146,11 +143,11 @@ def _pack(recipe: Recipe, folder: Path) -> Path:
                 del sys.modules[name]
 
 
-def _renamed(source: str, carried: Sequence[str], package: str) -> str:
+def _rename_imports(source: str, packages: Sequence[str], package: str) -> str:
     """Return a module's source with imports from the FMU's package."""
-    names = "|".join(carried)
-    whole, renamed = rf"^(\s*)import (({names})(?:\.\w+)*)$", rf"\1import {package}.\2; from {package} import \3"
-    source = re.sub(whole, renamed, source, flags=re.MULTILINE)
+    names = "|".join(packages)
+    pattern, replacement = rf"^(\s*)import (({names})(?:\.\w+)*)$", rf"\1import {package}.\2; from {package} import \3"
+    source = re.sub(pattern, replacement, source, flags=re.MULTILINE)
     return re.sub(rf"^(\s*(?:from|import) )({names})(?=[.\s])", rf"\1{package}.\2", source, flags=re.MULTILINE)
 
 
@@ -158,17 +155,18 @@ def _script(recipe: Recipe, package: str, class_name: str) -> str:
     """Return pythonfmu's script: the slave class with changed defaults."""
     module, base = recipe.slave
     lines = [f"from {package}.cosim.fmi.lifetime import keep", f"from {package}.{module} import {base} as Base"]
-    changes = recipe.substep is not None or recipe.integrator is not None
-    if recipe.values or recipe.own or changes:
+    has_substep = recipe.substep is not None or recipe.integrator is not None
+    has_model = bool(recipe.values or recipe.own or has_substep)
+    if has_model:
         lines.append(f"from {package}.cosim.fmi.ports import model_ports")
     if recipe.own:
-        lines.append(f"from {package}.{OWN} import {recipe.own[1]} as Own")
+        lines.append(f"from {package}.{OWN_MODULE} import {recipe.own[1]} as Own")
     lines += ["", "", f"class {class_name}(Base):", f'    """{recipe.about.description}."""']
-    if recipe.values or recipe.own or changes:
+    if has_model:
         model = "Own()" if recipe.own else "Base.model"
-        changed = f"{model}.with_values({dict(recipe.values)!r})" if recipe.values else model
-        changed += f".with_substep({recipe.substep!r}, {recipe.integrator!r})" if changes else ""
-        lines += ["", f"    model = {changed}", "    ports = model_ports(model)"]
+        model += f".with_values({dict(recipe.values)!r})" if recipe.values else ""
+        model += f".with_substep({recipe.substep!r}, {recipe.integrator!r})" if has_substep else ""
+        lines += ["", f"    model = {model}", "    ports = model_ports(model)"]
     return "\n".join([*lines, "", "", "keep(globals(), locals())"]) + "\n"
 
 
@@ -176,11 +174,11 @@ def _sources(recipe: Recipe) -> Iterator[tuple[str, bytes]]:
     """Yield path and content of each imported module."""
     printed = dict(recipe.printed)
     if recipe.own:
-        yield f"{OWN}.py", recipe.own[0].read_bytes()
-    waiting = [recipe.slave[0], *START, *(_imports(recipe.own[0].read_bytes()) if recipe.own else ())]
+        yield f"{OWN_MODULE}.py", recipe.own[0].read_bytes()
+    queue = [recipe.slave[0], *SCRIPT_MODULES, *(_imports(recipe.own[0].read_bytes()) if recipe.own else ())]
     modules: dict[str, tuple[str, bytes]] = {}
-    while waiting:
-        name = waiting.pop()
+    while queue:
+        name = queue.pop()
         if name in modules or not _is_carried(name, recipe.packages):
             continue
         if name in printed:
@@ -189,7 +187,7 @@ def _sources(recipe: Recipe) -> Iterator[tuple[str, bytes]]:
             path = f"{name.replace('.', '/')}{'/__init__' if spec.submodule_search_locations is not None else ''}.py"
             # The framework's own __init__ is the whole command line, not needed in an FMU.
             modules[name] = (path, b"" if name == FRAMEWORK else Path(spec.origin).read_bytes())
-            waiting += [*_imports(modules[name][1]), name.rpartition(".")[0]]
+            queue += [*_imports(modules[name][1]), name.rpartition(".")[0]]
     yield "__init__.py", b""
     yield from modules.values()
 
@@ -204,9 +202,9 @@ def _spec(name: str) -> ModuleSpec | None:
 
 def _is_carried(module: str, packages: Sequence[str]) -> bool:
     """Return whether a module belongs into the FMU."""
-    if module == NOT_CARRIED or module.startswith(f"{NOT_CARRIED}."):
+    if module == EXCLUDED_PACKAGE or module.startswith(f"{EXCLUDED_PACKAGE}."):
         return False
-    inside = (*CARRIED, *packages)
+    inside = (*CARRIED_PACKAGES, *packages)
     return module == FRAMEWORK or any(module == name or module.startswith(f"{name}.") for name in inside)
 
 

@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostr
 from cosim.base.units import DISPLAY, unit_definitions
 from cosim.fmi.annotation import annotation
 from cosim.fmi.ports import Port
-from cosim.fmi.sampled import AUTHOR, sampled
+from cosim.fmi.sampled import AUTHOR, sampled_annotation
 from cosim.model.traits import Traits
 
 LICENCE = "MIT"
@@ -73,20 +73,43 @@ def complete(xml: bytes, about: Description, version: str, guid: str) -> bytes:
         "canSerializeFMUstate": "true",
     }
     root.insert(list(root).index(capabilities) + 1, unit_definitions({p.unit for p in about.ports if p.unit}))
-    experiment = Element(
-        "DefaultExperiment", startTime="0", stopTime=repr(about.stop), stepSize=repr(about.step), tolerance="1e-6"
-    )
     more = [] if about.traits is None else [annotation(about.traits)]
-    more += [sampled(about.sampled, about.optional, about.law)] if about.sampled else []
-    for element in (experiment, *more):
+    more += [sampled_annotation(about.sampled, about.optional, about.law)] if about.sampled else []
+    for element in (default_experiment(about), *more):
         root.insert(list(root).index(_child(root, "ModelVariables")), element)
     for variable, port in zip(_child(root, "ModelVariables"), about.ports, strict=True):
         _complete_variable(variable, port)
     root.remove(_child(root, "ModelStructure"))
     root.append(_structure(about))
+    return xml_bytes(root)
+
+
+def xml_bytes(root: Element) -> bytes:
+    """Return an indented XML file."""
     indent(root)
     text: bytes = tostring(root, encoding="UTF-8", xml_declaration=True)
     return text + b"\n"
+
+
+def default_experiment(about: Description) -> Element:
+    """Return the default experiment."""
+    times = {"startTime": "0", "stopTime": repr(about.stop), "stepSize": repr(about.step), "tolerance": "1e-6"}
+    return Element("DefaultExperiment", times)
+
+
+def set_unit(node: Element, unit: str) -> None:
+    """Set unit and display unit of a variable, if it has a unit."""
+    if unit:
+        node.set("unit", unit)
+        if display := DISPLAY.get(unit):
+            node.set("displayUnit", display[0])
+
+
+def set_limits(node: Element, port: Port) -> None:
+    """Set the finite limits of a variable."""
+    for name, limit in zip(("min", "max"), port.bounds, strict=True):
+        if math.isfinite(limit):
+            node.set(name, repr(float(limit)))
 
 
 def _complete_variable(variable: Element, port: Port) -> None:
@@ -94,13 +117,8 @@ def _complete_variable(variable: Element, port: Port) -> None:
     node = variable[0]
     if port.kind != "Real":
         return
-    if port.unit:
-        node.set("unit", port.unit)
-        if display := DISPLAY.get(port.unit):
-            node.set("displayUnit", display[0])
-    for name, limit in zip(("min", "max"), port.bounds, strict=True):
-        if math.isfinite(limit):
-            node.set(name, repr(float(limit)))
+    set_unit(node, port.unit)
+    set_limits(node, port)
     if "start" in node.attrib:
         node.set("start", repr(float(port.start)))
 
@@ -113,8 +131,8 @@ def _structure(about: Description) -> Element:
         group = SubElement(structure, tag)
         for port in about.ports:
             if port.causality == "output":
-                known = sorted((index[name] for name in dependencies[port.name]), key=int)
-                SubElement(group, "Unknown", index=index[port.name], dependencies=" ".join(known))
+                sources = sorted((index[name] for name in dependencies[port.name]), key=int)
+                SubElement(group, "Unknown", index=index[port.name], dependencies=" ".join(sources))
     return structure
 
 

@@ -17,33 +17,33 @@ class ModelSlave(Slave):
 
     model: ClassVar[Model]
 
-    def initialize(self, given: dict[str, Value]) -> None:
-        """Build the model from given values and defaults."""
-        starts = {name.removesuffix("_start"): v for name, v in given.items() if name.endswith("_start")}
+    def initialize(self, values: dict[str, Value]) -> None:
+        """Build the model from the host's values and defaults."""
+        starts = {name.removesuffix("_start"): v for name, v in values.items() if name.endswith("_start")}
         signals = {q.name for q in self.model.inputs}
         model = self.model.with_values(
-            {name: v for name, v in given.items() if not name.endswith("_start") and name not in signals}
+            {name: v for name, v in values.items() if not name.endswith("_start") and name not in signals}
         )
         self.stepper = Stepper(model)
-        self.warned = False
+        self.has_warned = False
         self.moment = self.stepper.start(self.start_time, starts)
         for vr, (q, start) in enumerate(zip(model.inputs, model.start_command(), strict=True)):
-            if q.name not in given:
+            if q.name not in values:
                 self.values[vr] = start
         self._publish()
 
     def advance(self, t: float, h: float) -> None:
         """Integrate over the step; the host keeps the time."""
-        if not self.warned and (warning := self.stepper.model.warning(self.inputs)):
-            self.warned = True
+        if not self.has_warned and (warning := self.stepper.model.warning(self.inputs)):
+            self.has_warned = True
             self.log(f"at t = {t:g} s: {warning}", Fmi2Status.warning)
         moment = Moment(t, self.moment.state, self.moment.memory)
         try:
             self.moment = self.stepper.step(moment, self.inputs, h)
         except (ArithmeticError, ValueError) as error:  # e.g. math.sin of infinity, or an overflow
             model = self.stepper.model
-            values = [*zip(model.inputs, self.inputs, strict=True), *zip(model.states, moment.state, strict=True)]
-            largest, value = max(((q.name, v) for q, v in values), key=lambda pair: abs(pair[1]))
+            quantities = [*zip(model.inputs, self.inputs, strict=True), *zip(model.states, moment.state, strict=True)]
+            largest, value = max(((q.name, v) for q, v in quantities), key=lambda pair: abs(pair[1]))
             message = f"the state is not finite any more; largest before the step: {largest} = {value:g}"
             raise ArithmeticError(message) from error
         self._publish()

@@ -72,9 +72,9 @@ def _parameters(model: Model) -> Iterator[Port]:
 
 
 def _starts(model: Model) -> Iterator[Port]:
-    own, command = model.start_state(), dict(zip((q.name for q in model.inputs), model.start_command(), strict=True))
+    starts, command = model.start_state(), dict(zip((q.name for q in model.inputs), model.start_command(), strict=True))
     for q in model.base_states:
-        yield Port(f"{q.name}_start", "parameter", own.get(q.name, q.start), q.unit, f"start value: {q.doc}")
+        yield Port(f"{q.name}_start", "parameter", starts.get(q.name, q.start), q.unit, f"start value: {q.doc}")
     for kind in model.catalogue:
         for q in (*kind.states, *kind.memory):
             start = command.get(q.name, q.start) if q in kind.memory else q.start

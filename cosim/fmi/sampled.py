@@ -11,7 +11,7 @@ from cosim.storage.archive import BadArchive, description_of
 TOOL, AUTHOR = "cosim", "The cosim authors"
 
 
-def sampled(parameter: str, optional: Iterable[str] = (), law: str = "") -> Element:
+def sampled_annotation(parameter: str, optional: Iterable[str] = (), law: str = "") -> Element:
     """Return `VendorAnnotations` of an FMU with a single accepted step.
 
     Args:

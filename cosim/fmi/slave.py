@@ -24,7 +24,7 @@ def tuples(value: Any) -> Any:
     return tuple(map(tuples, value)) if isinstance(value, (list, tuple)) else value
 
 
-def loggable(error: Exception) -> Exception:
+def make_loggable(error: Exception) -> Exception:
     """Return an error with text safe for FMI's printf-like logger."""
     return RuntimeError(f"{type(error).__name__}: {error}".replace("%", "%%"))
 
@@ -40,7 +40,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
         # The module name contains the content's hash, so states of other builds are recognised.
         self.identity = f"{type(self).__module__}.{self.modelName}"
         self.values: list[Value] = [p.start for p in self.ports]
-        self.given: set[int] = set()
+        self.host_values: set[int] = set()
         self.phase = INSTANTIATED
         self.current = False
         self.start_time = 0.0
@@ -51,7 +51,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
 
     # -- methods of subclasses -----------------------------------------------------------------
 
-    def initialize(self, given: dict[str, Value]) -> None:
+    def initialize(self, values: dict[str, Value]) -> None:
         """Initialize from values set by the host, and write the outputs. Called after every change of a value."""
         raise NotImplementedError
 
@@ -102,7 +102,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
         except Exception as error:
             # pythonfmu drops the exception's text while messages are queued.
             self.log_queue.clear()
-            raise loggable(error) from error
+            raise make_loggable(error) from error
         return True
 
     def log(self, msg: str, *arguments: Any, **options: Any) -> None:
@@ -146,7 +146,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
             "phase": self.phase,
             "start_time": self.start_time,
             "values": list(self.values),
-            "given": sorted(self.given),
+            "given": sorted(self.host_values),
             "current": self.current,
             "own": self.snapshot() if self.phase is STEP else None,
         }
@@ -156,7 +156,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
             raise ValueError("this FMU state is of another FMU")
         # Checks compare phases by identity.
         self.phase = next(p for p in (INSTANTIATED, INITIALIZATION, STEP) if p == state["phase"])
-        self.start_time, self.given = state["start_time"], set(state["given"])
+        self.start_time, self.host_values = state["start_time"], set(state["given"])
         self.current = state["current"] and self.phase is STEP
         if self.phase is STEP:
             self.values = list(state["values"])
@@ -171,18 +171,18 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
     # -- internal -------------------------------------------------------------------------------
 
     def _collect_values(self) -> dict[str, Value]:
-        return {self.ports[vr].name: self.values[vr] for vr in self.given}
+        return {self.ports[vr].name: self.values[vr] for vr in self.host_values}
 
     def _refresh(self) -> None:
         if not self.current:
             try:
                 self.initialize(self._collect_values())
             except Exception as error:
-                raise loggable(error) from error
+                raise make_loggable(error) from error
             self.current = True
 
     def _mark(self, vrs: list[int]) -> None:
-        self.given.update(vrs)
+        self.host_values.update(vrs)
         self.current = False
 
     def _set_parameters(self, vrs: list[int], values: Sequence[Value], kind: Kind) -> None:

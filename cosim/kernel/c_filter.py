@@ -9,7 +9,7 @@ import numpy as np
 
 import cosim.fmi.native
 from cosim.base.arrays import Array
-from cosim.fmi.native.compiler import loaded
+from cosim.fmi.native.compiler import load_library
 from cosim.kernel.generate import Generated
 from cosim.kernel.kernel import Data, Filtered, Layout, Simulated
 
@@ -35,7 +35,7 @@ class CompiledKernel:
 
     def __init__(self, generated: Generated) -> None:
         self.layout = generated.layout
-        self._library = loaded(_source(generated), NATIVE / "rk4.h", NATIVE / "stiff.h")
+        self._library = load_library(_source(generated), NATIVE / "rk4.h", NATIVE / "stiff.h")
         self._library.filter.argtypes = [ctypes.POINTER(_Log), *[ctypes.c_void_p] * 10]
         self._library.simulate.argtypes = [ctypes.POINTER(_Log), ctypes.c_int, *[ctypes.c_void_p] * 7]
 

@@ -100,7 +100,7 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
         if (k > 0) {
             double before = t - log->step;
             if (late) {
-                held(log, k, command); /* what acted since: an output that takes a command did not jump */
+                row_command(log, k, command); /* what acted since: an output that takes a command did not jump */
                 measure(before, x, command, p, before_step);
             }
             for (int s = 0; s < log->substeps; s++) {
@@ -118,7 +118,7 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
                 substep(before + s * h, h, x, u, p);
             }
         }
-        held(log, k, command);
+        row_command(log, k, command);
         measure(t, x, command, p, y);
         if (late && k > 0)
             for (int j = 0; j < NY; j++) y[j] -= late[NY * k + j] * (y[j] - before_step[j]);

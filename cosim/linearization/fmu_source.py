@@ -56,7 +56,7 @@ def begin(path: Path, description: Any, start: Mapping[str, Any]) -> tuple[Array
     """Return the start values of states and inputs."""
     block = _opened(path, description, start)
     try:
-        return block.here()
+        return block.current_point()
     finally:
         block.close()
 
@@ -90,7 +90,7 @@ def _about(
     block, found = _opened(path, description, start), []
     try:
         for point in points:
-            slopes, rates, after = slopes_at(block, point.time, point.states, point.inputs, step, given=given)
+            slopes, rates, after = slopes_at(block, point.time, point.states, point.inputs, step, directional=given)
             notes, kinks = _notes(block, point, after)
             if given:
                 slopes, more = _believed(block, replace(point, states=after), slopes, step)
@@ -128,7 +128,7 @@ def _notes(block: DifferentiableFmu, point: Point, after: Array) -> tuple[list[s
 
 def _believed(block: DifferentiableFmu, point: Point, slopes: Array, step: float) -> tuple[Array, list[str]]:
     """Return the FMU's derivatives, with differences in deviating rows, and notes."""
-    differences, _, _ = slopes_at(block, point.time, point.states, point.inputs, step, given=False)
+    differences, _, _ = slopes_at(block, point.time, point.states, point.inputs, step, directional=False)
     size = np.maximum(np.abs(differences).max(axis=1, initial=0.0), np.abs(slopes).max(axis=1, initial=0.0))
     off = np.abs(slopes - differences).max(axis=1, initial=0.0) > APART * np.maximum(size, 1e-9)
     if not off.any():

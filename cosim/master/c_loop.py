@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.blocks.faults import Linked
+from cosim.blocks.faults import LinkFunction
 from cosim.blocks.sources import Source
-from cosim.blocks.stepping import Loop, NotCompiled, Slot, Why, library, transfer
+from cosim.blocks.stepping import Loop, NotCompiled, Slot, StopReason, library, transfer
 from cosim.blocks.stepping import Transfer as CTransfer
 from cosim.isolation.rows import CALLS, Rows
 from cosim.system.system import System
@@ -42,7 +42,7 @@ class Run:
     h: float
     row: Any
     rows: Rows
-    links: Callable[[Transfer], Sequence[Linked]]
+    links: Callable[[Transfer], Sequence[LinkFunction]]
     calls: Sequence[Callable[[int], None]]
     next_call: Callable[[int], int]
 
@@ -85,7 +85,7 @@ class CompiledSteps:
             run.rows.table,
             begin=system.start,
             h=run.h,
-            made=run.rows.made,
+            counter=run.rows.made,
             doing=run.rows.doing,
         )
         self.sources = {k: c for k, c in enumerate(run.components) if isinstance(c, Source)}
@@ -107,17 +107,17 @@ class CompiledSteps:
                 why = loop.run(last, pause)
             finally:
                 for component, slot in zip(run.components, loop.slots, strict=True):
-                    component.came_to(slot.time)
-            if why == Why.FINISHED:
+                    component.set_time(slot.time)
+            if why == StopReason.FINISHED:
                 return
-            if why == Why.PAUSED:
+            if why == StopReason.PAUSED:
                 for call in run.calls:
                     call(pause)
                 pause = run.next_call(pause + 1)
-            elif why == Why.NO_ITEM:
+            elif why == StopReason.NO_ITEM:
                 self._raise_no_item()
-            elif why != Why.LATER:
-                run.components[loop.plan.place].tell(why, loop.plan, loop.slots[loop.plan.place])
+            elif why != StopReason.LATER:
+                run.components[loop.plan.place].raise_error(why, loop.plan, loop.slots[loop.plan.place])
 
     # -- internal -------------------------------------------------------------------------------
 

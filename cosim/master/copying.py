@@ -6,7 +6,7 @@ from array import array
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from cosim.blocks.faults import Added, Linked
+from cosim.blocks.faults import Addition, LinkFunction
 from cosim.system.system import System
 from cosim.system.wiring import Transfer, through
 
@@ -26,7 +26,7 @@ class Copying:
 
     def __init__(self, system: System, row: Any, beside: list[Any], steps: int, h: float) -> None:
         self.system, self.row, self.beside, self.steps, self.h = system, row, beside, steps, h
-        self.links: dict[str, Sequence[Linked]] = {}
+        self.links: dict[str, Sequence[LinkFunction]] = {}
         self._view = doubles(row)
         self._entries: dict[str, tuple[int, tuple[Any, ...]]] = {}  # name → kind of copy (0 … 2) and its entry
 
@@ -63,7 +63,7 @@ class Copying:
             origin, goal = (self.beside if beside else self.row for beside in transfer.beside)
             return 2, (origin, transfer.source, goal, transfer.target, through(chain))
         for link in chain:
-            if isinstance(link, Added):
+            if isinstance(link, Addition):
                 return 1, (transfer.source, transfer.target, link.samples)
         return 0, (transfer.source, transfer.target)
 

@@ -73,14 +73,14 @@ class Halved(Master):
         states = []
         for part in parts:
             self.announce(part, OTHER)
-            states.append(part.instance.saved())
+            states.append(part.instance.save_state())
         return states
 
     def _restore(self, parts: Sequence[FmuBlock], states: Sequence[Any]) -> None:
         """Restore and free the state of each FMU."""
         for part, state in zip(parts, states, strict=True):
             self.announce(part, OTHER)
-            part.instance.take_back(state)
+            part.instance.restore_state(state)
 
     def _check_outputs(self, parts: Sequence[FmuBlock], row: bytes, t: float) -> None:
         """Check that restoring the FMU state restores the outputs; raise SimulationError if it does not."""

@@ -18,7 +18,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError, Terminated, stopped
-from cosim.blocks.component import EndedEarly
+from cosim.blocks.component import EarlyEnd
 from cosim.blocks.stepping import NEVER, NotCompiled
 from cosim.isolation.rows import CALLS, OTHER, Rows
 from cosim.master import messages
@@ -106,7 +106,7 @@ class Master:
             self._record_first()
             self._step_on()
             hold_stops()  # The rows must be saved.
-        except EndedEarly as end:
+        except EarlyEnd as end:
             if not self.done:
                 raise StoppedRun(end, self._rows_so_far()) from None  # before the first row
             self._record_last(end)
@@ -184,7 +184,7 @@ class Master:
         finally:
             self.done = done
 
-    def _record_last(self, end: EndedEarly) -> None:
+    def _record_last(self, end: EarlyEnd) -> None:
         """Note an early end; with a single FMU, add a last row. Other FMUs would have no state at the end time."""
         self.notes.append(messages.ENDED_EARLY(component=end.component, time=end.reached, reason=end.reason))
         alone = len(self.system.fmus) == 1
@@ -280,7 +280,7 @@ def results_of(
 ) -> Results:
     """Return the results of a run from its rows."""
     exact = {name: [row[k] for row in beside[: len(time)]] for k, name in enumerate(system.beside)}
-    whole = frozenset(c for c in system.columns if system.signals[c].whole)
+    whole = frozenset(c for c in system.columns if system.signals[c].is_whole)
     return Results(time, system.columns, table, system.units, exact, whole, tuple(notes), loop)
 
 

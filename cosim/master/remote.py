@@ -13,7 +13,7 @@ import numpy as np
 from cosim.base.drafts import is_full
 from cosim.base.errors import CosimError, DiskFull, SimulationError, Terminated, stopped
 from cosim.base.scratch import Held, scratch
-from cosim.blocks.component import EndedEarly
+from cosim.blocks.component import EarlyEnd
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
@@ -75,9 +75,9 @@ def _feed(observers: Sequence[Observer], system: System, steps: int, h: float) -
     return Feed(observers, ObservedRun(system.columns, steps + 1, system.start, h), time)
 
 
-def _early_end(system: System, h: float, done: int) -> EndedEarly:
+def _early_end(system: System, h: float, done: int) -> EarlyEnd:
     """Return the early end requested by an observer."""
-    return EndedEarly("an observer", _last_time(system, h, done), messages.END_REQUESTED())
+    return EarlyEnd("an observer", _last_time(system, h, done), messages.END_REQUESTED())
 
 
 def _last_time(system: System, h: float, rows: int) -> float:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array, Rows
-from cosim.report.packed import packed, power, power_of_time, whole
+from cosim.report.packed import on_grid, pack, power, power_of_time
 from cosim.report.panels import HELD, LINE, Panel, Trace
 
 MOST_CELLS = 6_000_000  # values in a page; beyond, every n-th row
@@ -27,13 +27,10 @@ def sample_rows(count: int, limit: int) -> Rows:
     return rows if not count or rows[-1] == count - 1 else np.append(rows, count - 1)
 
 
-def rounded(values: Array, digits: int) -> Numbers:
+def round_values(values: Array, digits: int) -> Numbers:
     """Round values for JSON, with null for non-finite values."""
-    numbers: Numbers = []
-    for value, good in zip(values.tolist(), np.isfinite(values).tolist(), strict=True):
-        short = round(value, digits) if good else None
-        numbers.append(int(short) if short is not None and short == int(short) and abs(short) < 1e15 else short)
-    return numbers
+    numbers = [round(value, digits) if math.isfinite(value) else None for value in values.tolist()]
+    return [int(n) if n is not None and n == int(n) and abs(n) < 1e15 else n for n in numbers]
 
 
 @dataclass(frozen=True)
@@ -64,9 +61,7 @@ class Abscissa:
         """Return the settings for a page with these rows."""
         about: dict[str, Any] = {"over": self.over} if self.over != TIME else {}
         about |= {"ends": self.ends} if self.ends else {}
-        about |= {"sparse": 1} if self.sparse else {}
-        about |= {"log": 1} if self.log else {}
-        about |= {"points": 1} if self.points else {}
+        about |= {flag: 1 for flag in ("sparse", "log", "points") if getattr(self, flag)}
         return about | ({"breaks": np.searchsorted(rows, list(self.breaks), "right").tolist()} if self.breaks else {})
 
 
@@ -83,7 +78,7 @@ class Series:
         self.time, self.name = time, name
         self.rows = sample_rows(time.size, max(2, MOST_CELLS // max(1, curves)))
         self.entries: dict[str, dict[str, Any]] = {}
-        self.columns = [whole(time[self.rows], power_of_time(time))]
+        self.columns = [on_grid(time[self.rows], power_of_time(time))]
         self.about = abscissa.about(self.rows)
 
     def add(self, panel: Panel) -> list[str]:
@@ -96,27 +91,23 @@ class Series:
         more |= {"s": trace.shift} if trace.shift else {}
         more |= {"u": self.column(upper)} if upper is not None else {}
         more |= {"i": {f"{value:.16g}": name for value, name in trace.items.items()}} if trace.items else {}
-        return self.column(values, way=trace.way, more=more)
+        return self.column(values, form=trace.form, more=more)
 
     def band(self, panel: Panel) -> tuple[str, ...]:
         """Add a band's edges and return their keys."""
         return (self.column(panel.band.lower), self.column(panel.band.upper)) if panel.band else ()
 
-    def column(self, values: Array, *, way: int = LINE, more: Mapping[str, Any] = MappingProxyType({})) -> str:
+    def column(self, values: Array, *, form: int = LINE, more: Mapping[str, Any] = MappingProxyType({})) -> str:
         """Add a signal and return its key."""
-        key, kept = f"{self.name}k{len(self.entries)}", values[self.rows]
-        good = np.isfinite(kept)
-        counts = (
-            way == HELD
-            and bool(np.all(np.abs(kept[good]) < COUNTS))
-            and np.array_equal(kept[good], np.rint(kept[good]))
-        )
-        decimals = 0 if counts else power(kept)
-        gaps = not bool(good.all())
-        self.columns.append(whole(kept, decimals))
-        if gaps:
+        key, values = f"{self.name}k{len(self.entries)}", values[self.rows]
+        good = np.isfinite(values)
+        finite = values[good]
+        are_counts = form == HELD and bool(np.all(np.abs(finite) < COUNTS)) and np.array_equal(finite, np.rint(finite))
+        decimals, has_gaps = 0 if are_counts else power(values), not bool(good.all())
+        self.columns.append(on_grid(values, decimals))
+        if has_gaps:
             self.columns.append(good.astype(np.int64))
-        self.entries[key] = {"p": decimals, "h": way, "g": int(gaps), **more}
+        self.entries[key] = {"p": decimals, "h": form, "g": int(has_gaps), **more}
         return key
 
 
@@ -143,6 +134,6 @@ def _block(series: Series) -> dict[str, Any]:
         "of": int(series.time.size),
         "p": power_of_time(series.time),
         "series": series.entries,
-        "packed": packed(series.columns),
+        "packed": pack(series.columns),
         **series.about,
     }

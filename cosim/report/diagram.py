@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 
-from cosim.report.template import TEMPLATES, inlined
+from cosim.report.template import TEMPLATES, inline
 
 CHARACTER, BOLD, SMALL = 7.0, 9.2, 6.2  # [px] width of a character of 12.5, 13.5 and 11 px text
 HEAD, LINE, NOTE = 46, 22, 15  # [px] height of a box's head, of a port, of a note below a port
 SLOT, LANE, MARGIN = 13, 15, 24  # [px] between parallel wires, between lanes above and below, around the diagram
-LEAST, ROUND = 150, 6  # [px] width of a box, radius of corners
+MIN_WIDTH, RADIUS = 150, 6  # [px] of a box; of a corner
 STYLES = ("diagram.css", "diagram_alone.css")
 
 
@@ -31,8 +31,8 @@ class Port:
     @property
     def width(self) -> float:
         """Return the width [px]."""
-        shown = len(self.name) + (len(self.unit) + 3 if self.unit else 0)
-        return max([CHARACTER * shown, *(SMALL * len(text) for text, _ in self.notes)])
+        characters = len(self.name) + (len(self.unit) + 3 if self.unit else 0)
+        return max([CHARACTER * characters, *(SMALL * len(text) for text, _ in self.notes)])
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Box:
     def width(self) -> float:
         """Return the width [px]."""
         sides = [max((p.width for p in side), default=0.0) for side in (self.inputs, self.outputs)]
-        return max(LEAST, sum(sides) + 40, BOLD * len(self.name) + 24, SMALL * len(self.about) + 24)
+        return max(MIN_WIDTH, sum(sides) + 40, BOLD * len(self.name) + 24, SMALL * len(self.about) + 24)
 
     @property
     def height(self) -> float:
@@ -71,7 +71,7 @@ class Layout:
     """Places of a diagram's boxes [px], and the order of the wires in gaps and lanes."""
 
     boxes: Sequence[Box]
-    left: Sequence[float]
+    lefts: Sequence[float]
     top: float
     bottom: float
     gaps: Sequence[Sequence[tuple[int, str]]]
@@ -92,24 +92,24 @@ def diagram(
     gaps = [_order(gap, wires) for gap in range(len(boxes) + 1)]
     above, below = _lanes(wires)
     top: float = MARGIN + LANE * len(above)
-    left: list[float] = []
+    lefts: list[float] = []
     x: float = MARGIN + SLOT * (1 + len(gaps[0]))
     for number, box in enumerate(boxes):
-        left.append(x)
+        lefts.append(x)
         x += box.width + SLOT * (3 + len(gaps[number + 1]))
     bottom = top + max(box.height for box in boxes) + 12
-    layout = Layout(boxes, left, top, bottom, gaps, above, below)
-    parts = [_box(box, left[k], top) for k, box in enumerate(boxes)]
+    layout = Layout(boxes, lefts, top, bottom, gaps, above, below)
+    parts = [_box(box, lefts[k], top) for k, box in enumerate(boxes)]
     parts += [_path(number, wire, layout) for number, wire in enumerate(wires)]
     key_top = bottom + LANE * len(below) + 22
     parts += [
         f'<text class="key" x="{MARGIN}" y="{key_top + 15 * k:.0f}">{escape(key)}</text>' for k, key in enumerate(keys)
     ]
     width, height = x - SLOT + MARGIN / 2, key_top + 15 * len(keys)
-    shown = max([width, *(MARGIN * 2 + SMALL * len(key) for key in keys)])
-    style = f"<style>{inlined([TEMPLATES / name for name in STYLES[: 2 if alone else 1]])}</style>"
+    drawn_width = max([width, *(MARGIN * 2 + SMALL * len(key) for key in keys)])
+    style = f"<style>{inline([TEMPLATES / name for name in STYLES[: 2 if alone else 1]])}</style>"
     paper = '<rect class="paper" width="100%" height="100%"/>' if alone else ""
-    size = f'width="{shown:.0f}" height="{height:.0f}" viewBox="0 0 {shown:.0f} {height:.0f}"'
+    size = f'width="{drawn_width:.0f}" height="{height:.0f}" viewBox="0 0 {drawn_width:.0f} {height:.0f}"'
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" class="diagram" {size} role="img" aria-label="{escape(summary)}">'
         f"{style}{paper}{''.join(parts)}</svg>"
@@ -152,7 +152,7 @@ def _lanes(wires: Sequence[Wire]) -> tuple[Mapping[int, int], Mapping[int, int]]
 def _box(box: Box, x: float, y: float) -> str:
     w, h = box.width, box.height
     parts = [
-        f'<rect class="box" x="{x:.1f}" y="{y:.1f}" width="{w:.1f}" height="{h:.1f}" rx="{ROUND}"/>',
+        f'<rect class="box" x="{x:.1f}" y="{y:.1f}" width="{w:.1f}" height="{h:.1f}" rx="{RADIUS}"/>',
         f'<path class="head" d="M{x:.1f} {y + HEAD:.1f}h{w:.1f}"/>',
         f'<text class="name" x="{x + 12:.1f}" y="{y + 20:.1f}">{escape(box.name)}</text>',
         f'<text class="about" x="{x + 12:.1f}" y="{y + 37:.1f}">{escape(box.about)}</text>',
@@ -176,7 +176,7 @@ def _port_y(ports: Sequence[Port], number: int, top: float) -> float:
 
 def _path(number: int, wire: Wire, layout: Layout) -> str:
     source, target = wire.source[0], wire.target[0]
-    x1, x2 = layout.left[source] + layout.boxes[source].width, layout.left[target]
+    x1, x2 = layout.lefts[source] + layout.boxes[source].width, layout.lefts[target]
     y1 = _port_y(layout.boxes[source].outputs, wire.source[1], layout.top)
     y2 = _port_y(layout.boxes[target].inputs, wire.target[1], layout.top)
     out = x1 + SLOT * (1.5 + layout.gaps[source + 1].index((number, "out")))
@@ -188,16 +188,16 @@ def _path(number: int, wire: Wire, layout: Layout) -> str:
         into = x2 - SLOT * (len(gap) - gap.index((number, "in")) + 0.5)
         points = [(x1, y1), (out, y1), (out, lane), (into, lane), (into, y2), (x2, y2)]
     tip = f'<path class="tip" d="M{x2:.1f} {y2:.1f}l-8 -4v8z"/>'
-    held = " held" if wire.held else ""
-    return f'<g><title>{escape(wire.title)}</title><path class="wire{held}" d="{_rounded(points)}"/>{tip}</g>'
+    style = "wire held" if wire.held else "wire"
+    return f'<g><title>{escape(wire.title)}</title><path class="{style}" d="{_rounded_path(points)}"/>{tip}</g>'
 
 
-def _rounded(points: Sequence[tuple[float, float]]) -> str:
+def _rounded_path(points: Sequence[tuple[float, float]]) -> str:
     """Return a path along right-angled points with rounded corners."""
     path = [f"M{points[0][0]:.1f} {points[0][1]:.1f}"]
     for (ax, ay), (bx, by), (cx, cy) in zip(points, points[1:], points[2:], strict=False):
         before, after = abs(bx - ax) + abs(by - ay), abs(cx - bx) + abs(cy - by)
-        r = min(ROUND, before / 2, after / 2)
+        r = min(RADIUS, before / 2, after / 2)
         if r < 0.5:
             path.append(f"L{bx:.1f} {by:.1f}")
             continue

@@ -12,7 +12,18 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.report.chart_data import OVER_TIME, Abscissa, Series, sample_rows, to_json
 from cosim.report.panels import Band, Panel
-from cosim.report.svg import TICKS_ACROSS, Also, Axis, Keys, Plot, log_axis, lone_axis, make_axis, make_plot, time_axis
+from cosim.report.svg import (
+    TICKS_ACROSS,
+    Axis,
+    CursorValue,
+    Keys,
+    Plot,
+    log_axis,
+    lone_axis,
+    make_axis,
+    make_plot,
+    time_axis,
+)
 
 NOTHING: Mapping[str, Array] = MappingProxyType({})
 POINTS = 1000  # per curve of the first picture
@@ -42,14 +53,14 @@ class Drawing:
 
     def plots(self, panels: Sequence[Panel]) -> list[Plot]:
         """Draw panels with values readable at the cursor."""
-        time = self._broken(self.series.time)
+        time = self._insert_breaks(self.series.time)
         draw = partial(make_plot, limit=self.limit, over=self.over)
-        return [draw(self._parted(p), time, self.axis, self._keys(p)) for p in panels]
+        return [draw(self._split_at_breaks(p), time, self.axis, self._keys(p)) for p in panels]
 
     def _keys(self, panel: Panel) -> Keys:
         return Keys(tuple(self.series.add(panel)), self.series.band(panel))
 
-    def _parted(self, panel: Panel) -> Panel:
+    def _split_at_breaks(self, panel: Panel) -> Panel:
         """Return a panel with a row inserted at each break.
 
         A lone row gives dots.
@@ -58,11 +69,13 @@ class Drawing:
             return replace(panel, traces=[replace(t, style=f"{t.style} dots", held=False) for t in panel.traces])
         if not self.breaks.size:
             return panel
-        traces = [replace(t, values=self._broken(t.values, np.nan if t.anew else None)) for t in panel.traces]
-        edges = panel.band and Band(panel.band.label, self._broken(panel.band.lower), self._broken(panel.band.upper))
+        traces = [replace(t, values=self._insert_breaks(t.values, np.nan if t.anew else None)) for t in panel.traces]
+        edges = panel.band and Band(
+            panel.band.label, self._insert_breaks(panel.band.lower), self._insert_breaks(panel.band.upper)
+        )
         return replace(panel, traces=traces, band=edges)
 
-    def _broken(self, values: Array, between: float | None = None) -> Array:
+    def _insert_breaks(self, values: Array, between: float | None = None) -> Array:
         if not self.breaks.size:
             return values
         return np.insert(values, self.breaks + 1, values[self.breaks] if between is None else between)
@@ -130,9 +143,9 @@ class Charts:
         series = Series(x, 1, over_x, name=self._name())
         self.blocks.append(series)
         keys = Keys((series.trace(trace, trace.values),))
-        drawn = make_plot(panel, x, across, keys, over=over_x.label, y=up)
-        read = tuple(Also(label, series.column(values)) for label, values in also.items())
-        return replace(drawn, also=read, reach=(up.low, up.high))
+        plot = make_plot(panel, x, across, keys, over=over_x.label, y=up)
+        extra = tuple(CursorValue(label, series.column(values)) for label, values in also.items())
+        return replace(plot, also=extra, reach=(up.low, up.high))
 
     def data(self) -> str:
         """Return all rows for the page's script."""

@@ -27,5 +27,5 @@ def new_figure(width: float, height: float) -> Figure:
 def _has_place() -> bool:
     """Return whether matplotlib can write its font list to the user's folder."""
     folder = Path(os.path.expanduser("~")) / ".config" / "matplotlib"
-    there = next((p for p in (folder, *folder.parents) if p.exists()), folder)
-    return folder.is_absolute() and there.is_dir() and os.access(there, os.W_OK)
+    existing = next((p for p in (folder, *folder.parents) if p.exists()), folder)
+    return folder.is_absolute() and existing.is_dir() and os.access(existing, os.W_OK)

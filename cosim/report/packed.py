@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
 
-DIGITS, OF_SPAN = 5, 4  # significant digits of the largest value and of the span
+DIGITS, SPAN_DIGITS = 5, 4  # significant digits of the largest value and of the span
 ROUNDING = 1e-12  # of the largest value: a signal with a smaller span is constant
-LARGEST = 1e15  # whole numbers up to here are exact in the script
-FINEST = 300  # decimals; larger powers of ten overflow
-Whole = NDArray[np.int64]
+MAX_EXACT = 1e15  # whole numbers up to here are exact in the script
+MAX_DECIMALS = 300  # decimals; larger powers of ten overflow
+Integers = NDArray[np.int64]
 
 
 def power(values: Array) -> int:
@@ -34,23 +34,23 @@ def power(values: Array) -> int:
     span = min(float(np.max(good)) - float(np.min(good)), sys.float_info.max)
     digits = DIGITS - 1 - math.floor(math.log10(largest))
     if span > ROUNDING * largest:
-        digits = max(digits, OF_SPAN - 1 - math.floor(math.log10(span)))
-    return min(digits, math.floor(math.log10(LARGEST) - math.log10(largest)), FINEST)
+        digits = max(digits, SPAN_DIGITS - 1 - math.floor(math.log10(span)))
+    return min(digits, math.floor(math.log10(MAX_EXACT) - math.log10(largest)), MAX_DECIMALS)
 
 
 def power_of_time(time: Array) -> int:
     """Return the decimals of the time.
 
-    These resolve a thousandth of the least step, and a microsecond, unless whole numbers exceed LARGEST.
+    These resolve a thousandth of the least step, and a microsecond, unless whole numbers exceed MAX_EXACT.
     """
     steps = np.diff(time)
     steps = steps[steps > 0.0]
     digits = max(6, 3 - math.floor(math.log10(float(steps.min())))) if steps.size else 6
     largest = float(np.max(np.abs(time), initial=1.0))
-    return min(digits, math.floor(math.log10(LARGEST / max(largest, 1.0))))
+    return min(digits, math.floor(math.log10(MAX_EXACT / max(largest, 1.0))))
 
 
-def whole(values: Array, decimals: int) -> Whole:
+def on_grid(values: Array, decimals: int) -> Integers:
     """Round values to the grid; a missing value repeats its predecessor."""
     good = np.isfinite(values)
     last = np.maximum.accumulate(np.where(good, np.arange(values.size), -1))
@@ -59,12 +59,12 @@ def whole(values: Array, decimals: int) -> Whole:
     return np.rint(scaled).astype(np.int64)
 
 
-def packed(columns: Iterable[Whole]) -> str:
+def pack(columns: Iterable[Integers]) -> str:
     """Return the columns in sequence, deflated, as base64 text."""
     return base64.b64encode(zlib.compress(b"".join(_bytes(column) for column in columns), 9)).decode("ascii")
 
 
-def _bytes(column: Whole) -> bytes:
+def _bytes(column: Integers) -> bytes:
     """Return row differences as zigzag numbers of seven bits a byte."""
     steps = np.diff(column, prepend=np.int64(0))
     zigzag = ((steps << 1) ^ (steps >> 63)).astype(np.uint64)

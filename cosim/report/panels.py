@@ -42,7 +42,7 @@ class Trace:
     items: Mapping[float, str] = field(default_factory=dict)
 
     @property
-    def way(self) -> int:
+    def form(self) -> int:
         """Return the form for the page's script: LINE, HELD, DOTS, STEMS, BARS or CROSSES."""
         if self.upper is not None:
             return BARS
@@ -91,8 +91,8 @@ def by_unit(
     groups: list[tuple[str, list[str], _Range]] = []
     for name in names:
         shared, extent = unit(name), _Range.of(values(name))
-        for k, (other, chosen, whole) in enumerate(groups):
-            both = whole.merged(extent)
+        for k, (other, chosen, span) in enumerate(groups):
+            both = span.union(extent)
             if shared == other and len(chosen) < OTHERS_PER_PANEL and (shared not in NO_UNIT or both.shows_all):
                 groups[k] = (other, [*chosen, name], both)
                 break
@@ -118,7 +118,7 @@ class _Range:
         constant = high - low <= CONSTANT * max(abs(low), abs(high))
         return cls(low, high, math.inf if constant else high - low)
 
-    def merged(self, other: _Range) -> _Range:
+    def union(self, other: _Range) -> _Range:
         """Return the common range."""
         return _Range(min(self.low, other.low), max(self.high, other.high), min(self.smallest, other.smallest))
 

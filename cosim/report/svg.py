@@ -22,7 +22,7 @@ TICKS_ACROSS, TICKS_UP = 6, 5  # about
 CAP = 18  # half the width of a bar's ends
 LONE, RISE = 28, 17  # half the width and height of the cross for a sample between two gaps
 RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
-Whole = NDArray[np.int64]
+Integers = NDArray[np.int64]
 WIDEST_BAND = 1e6  # times the height of the curves: the band of a diverged filter must not hide them
 
 
@@ -43,7 +43,7 @@ class Axis:
     ticks: tuple[Tick, ...]
     factor: str = ""
 
-    def whole(self, values: Array, size: int) -> Whole:
+    def scale(self, values: Array, size: int) -> Integers:
         """Scale values to whole numbers, 0 … size along the axis."""
         share = (values - self.low) / (self.high - self.low)
         return np.rint(np.clip(share, -9, 10) * size).astype(np.int64)
@@ -61,7 +61,7 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class Also:
+class CursorValue:
     """A value shown at the cursor but not drawn: its label and the key of its series."""
 
     label: str
@@ -97,20 +97,19 @@ class Plot:
     summary: str
     levels: tuple[float, ...] = ()
     keys: Keys = field(default_factory=Keys)
-    also: tuple[Also, ...] = ()
+    also: tuple[CursorValue, ...] = ()
     uprights: tuple[float, ...] = ()
     reach: tuple[float, float] | None = None
 
 
 NO_KEYS = Keys()
-LARGEST_DRAWN = 1e300  # largest end of an axis: its span and margins must not overflow
+MAX_END = 1e300  # largest end of an axis: its span and margins must not overflow
 
 
 def extent(signals: Sequence[Array]) -> tuple[float, float] | None:
     """Return the least and largest finite value."""
-    kept = [values[np.isfinite(values)] for values in signals]
-    kept = [values for values in kept if values.size]
-    return (min(float(v.min()) for v in kept), max(float(v.max()) for v in kept)) if kept else None
+    finite = np.concatenate([np.zeros(0), *(values[np.isfinite(values)] for values in signals)])
+    return (float(finite.min()), float(finite.max())) if finite.size else None
 
 
 def make_axis(low: float, high: float, count: int, angle: bool = False) -> Axis:
@@ -118,7 +117,7 @@ def make_axis(low: float, high: float, count: int, angle: bool = False) -> Axis:
 
     Huge and tiny ticks share a power of ten.
     """
-    low, high = (min(max(end, -LARGEST_DRAWN), LARGEST_DRAWN) for end in (low, high))
+    low, high = (min(max(end, -MAX_END), MAX_END) for end in (low, high))
     if high - low <= 1e-9 * max(abs(low), abs(high)):
         room = 0.1 * abs(low) or 1.0
         low, high = low - room, high + room
@@ -140,12 +139,12 @@ def power_of_ten(largest: float) -> int:
     return 0 if 1e-3 <= largest < 1e6 else 3 * math.floor(math.log10(largest) / 3 + 1e-9)
 
 
-def round_step(least: float, angle: bool = False) -> float:
+def round_step(step: float, angle: bool = False) -> float:
     """Round up to 1, 2, 2.5 or 5 × 10^n, or to a part of a turn."""
-    if angle and 10 < least <= 360:
-        return next(float(part) for part in (15, 30, 45, 90, 180, 360) if part >= least)
-    power = 10.0 ** math.floor(math.log10(least))
-    return next((m * power for m in (1, 2, 2.5, 5) if m * power >= least * (1 - 1e-9)), 10 * power)
+    if angle and 10 < step <= 360:
+        return next(float(part) for part in (15, 30, 45, 90, 180, 360) if part >= step)
+    power = 10.0 ** math.floor(math.log10(step))
+    return next((m * power for m in (1, 2, 2.5, 5) if m * power >= step * (1 - 1e-9)), 10 * power)
 
 
 def tick_label(value: float, decimals: int) -> str:
@@ -166,7 +165,7 @@ def log_axis(low: float, high: float) -> Axis:
 
     for parts in ((1,), (1, 2, 5), range(1, 10)):
         values = [m * 10.0**d for d in decades for m in parts]
-        ticks = tuple(Tick(at(v), _short(v)) for v in values if -1e-7 < at(v) < 100 + 1e-7)
+        ticks = tuple(Tick(at(v), _short_text(v)) for v in values if -1e-7 < at(v) < 100 + 1e-7)
         if len(ticks) >= 3:
             return Axis(low, high, ticks)
     linear = make_axis(10.0**low, 10.0**high, 6)
@@ -176,7 +175,7 @@ def log_axis(low: float, high: float) -> Axis:
     )
 
 
-def _short(value: float) -> str:
+def _short_text(value: float) -> str:
     return f"{value:g}".replace("e-0", "e-").replace("e+0", "e").replace("e+", "e").replace("-", MINUS)
 
 
@@ -193,15 +192,15 @@ def thin(values: Array, limit: int) -> Rows:
     count = values.size
     if count <= limit:
         return np.arange(count)
-    kept = {0, count - 1}
+    chosen = {0, count - 1}
     good = np.isfinite(values)
     for rows in np.array_split(np.arange(count), max(1, limit // 2)):
         some = rows[good[rows]]
         if some.size:
-            kept.update((int(some[np.argmin(values[some])]), int(some[np.argmax(values[some])])))
+            chosen.update((int(some[np.argmin(values[some])]), int(some[np.argmax(values[some])])))
         if some.size < rows.size:
-            kept.add(int(rows[~good[rows]][0]))
-    return np.array(sorted(kept), dtype=np.intp)
+            chosen.add(int(rows[~good[rows]][0]))
+    return np.array(sorted(chosen), dtype=np.intp)
 
 
 def runs(good: NDArray[np.bool_]) -> list[slice]:
@@ -210,7 +209,7 @@ def runs(good: NDArray[np.bool_]) -> list[slice]:
     return [slice(int(first), int(last)) for first, last in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def polyline(u: Whole, v: Whole, held: bool = False) -> str:
+def polyline(u: Integers, v: Integers, held: bool = False) -> str:
     """Return a line, or steps if `held`, in relative coordinates."""
     if u.size == 1:
         return f"M{u[0] - LONE} {v[0]}h{2 * LONE}m{-LONE} {-RISE}v{2 * RISE}"  # a lone sample: a visible cross
@@ -233,32 +232,30 @@ def polyline(u: Whole, v: Whole, held: bool = False) -> str:
 def curve_path(x: Axis, y: Axis, time: Array, trace: Trace, limit: int) -> str:
     """Return a trace's line, broken at gaps, or its marks."""
     time = time if trace.x is None else trace.x
-    if trace.way in (DOTS, STEMS, BARS, CROSSES):
+    if trace.form in (DOTS, STEMS, BARS, CROSSES):
         return _marks(x, y, time + trace.shift, trace)
     rows = thin(trace.values, limit)
-    kept = trace.values[rows]
-    u = x.whole(time[rows], WIDTH)
-    v = HEIGHT - y.whole(np.where(np.isfinite(kept), kept, y.low), HEIGHT)
-    return "".join(polyline(u[part], v[part], trace.held) for part in runs(np.isfinite(kept)))
+    values = trace.values[rows]
+    u = x.scale(time[rows], WIDTH)
+    v = HEIGHT - y.scale(np.where(np.isfinite(values), values, y.low), HEIGHT)
+    return "".join(polyline(u[part], v[part], trace.held) for part in runs(np.isfinite(values)))
 
 
 def _marks(x: Axis, y: Axis, places: Array, trace: Trace) -> str:
     """Return dots, crosses, stems from zero, or bars with caps."""
     good = np.isfinite(places) & np.isfinite(trace.values)
-    u, v = x.whole(places[good], WIDTH), HEIGHT - y.whole(trace.values[good], HEIGHT)
-    if trace.way == DOTS:
-        return "".join(f"M{a} {b}h0" for a, b in dict.fromkeys(zip(u.tolist(), v.tolist(), strict=True)))
-    if trace.way == CROSSES:
+    u, v = x.scale(places[good], WIDTH).tolist(), (HEIGHT - y.scale(trace.values[good], HEIGHT)).tolist()
+    points = list(zip(u, v, strict=True))
+    if trace.form == DOTS:
+        return "".join(f"M{a} {b}h0" for a, b in dict.fromkeys(points))
+    if trace.form == CROSSES:
         w, h = 2 * CAP, 22
-        return "".join(
-            f"M{a - w} {b - h}l{2 * w} {2 * h}m{-2 * w} 0l{2 * w}{-2 * h}"
-            for a, b in zip(u.tolist(), v.tolist(), strict=True)
-        )
-    if trace.way == STEMS:
-        zero = HEIGHT - int(y.whole(np.zeros(1), HEIGHT)[0])
-        return "".join(f"M{a} {zero}V{b}" for a, b in zip(u.tolist(), v.tolist(), strict=True))
-    top = HEIGHT - y.whole(np.asarray(trace.upper)[good], HEIGHT)
-    bars = zip(u.tolist(), v.tolist(), top.tolist(), strict=True)
+        return "".join(f"M{a - w} {b - h}l{2 * w} {2 * h}m{-2 * w} 0l{2 * w}{-2 * h}" for a, b in points)
+    if trace.form == STEMS:
+        zero = HEIGHT - int(y.scale(np.zeros(1), HEIGHT)[0])
+        return "".join(f"M{a} {zero}V{b}" for a, b in points)
+    top = (HEIGHT - y.scale(np.asarray(trace.upper)[good], HEIGHT)).tolist()
+    bars = zip(u, v, top, strict=True)
     return "".join(f"M{a - CAP} {b}h{2 * CAP}m{-CAP} 0V{c}m{-CAP} 0h{2 * CAP}" for a, b, c in bars)
 
 
@@ -267,10 +264,10 @@ def band_path(x: Axis, y: Axis, time: Array, lower: Array, upper: Array, limit: 
     rows = np.unique(np.linspace(0, time.size - 1, min(limit, time.size)).astype(np.intp))
     low, high = lower[rows], upper[rows]
     good = np.isfinite(low) & np.isfinite(high)
-    u = x.whole(time[rows], WIDTH)
-    a, b = (HEIGHT - y.whole(np.where(good, line, y.low), HEIGHT) for line in (low, high))
-    there_and_back = ((np.concatenate((u[p], u[p][::-1])), np.concatenate((b[p], a[p][::-1]))) for p in runs(good))
-    return "".join(polyline(us, vs) + "z" for us, vs in there_and_back)
+    u = x.scale(time[rows], WIDTH)
+    a, b = (HEIGHT - y.scale(np.where(good, line, y.low), HEIGHT) for line in (low, high))
+    outlines = ((np.concatenate((u[p], u[p][::-1])), np.concatenate((b[p], a[p][::-1]))) for p in runs(good))
+    return "".join(polyline(us, vs) + "z" for us, vs in outlines)
 
 
 def value_axis(panel: Panel) -> Axis:
@@ -278,13 +275,13 @@ def value_axis(panel: Panel) -> Axis:
 
     An absurdly wide band is cut off. Without values the axis has no ticks.
     """
-    found = extent([values for trace in panel.traces for values in trace.reach])
-    if found is None and not panel.limits:
+    span = extent([values for trace in panel.traces for values in trace.reach])
+    if span is None and not panel.limits:
         return Axis(0.0, 1.0, ())
-    low, high = found or (min(panel.limits), max(panel.limits))
-    if panel.band is not None and (around := extent([panel.band.lower, panel.band.upper])):
+    low, high = span or (min(panel.limits), max(panel.limits))
+    if panel.band is not None and (edges := extent([panel.band.lower, panel.band.upper])):
         room = WIDEST_BAND * (high - low or 1.0)
-        low, high = max(min(low, around[0]), low - room), min(max(high, around[1]), high + room)
+        low, high = max(min(low, edges[0]), low - room), min(max(high, edges[1]), high + room)
     low, high = min((low, *panel.limits)), max((high, *panel.limits))
     margin = 0.06 * (high - low) or 0.1 * abs(high) or 1.0
     return make_axis(low - margin, high + margin, TICKS_UP, panel.unit == "°")
@@ -313,15 +310,14 @@ def make_plot(
     y = y or value_axis(panel)
     names = list(keys.traces) + [""] * (len(panel.traces) - len(keys.traces))
     curves = tuple(
-        Curve(trace.label, trace.style, curve_path(x, y, time, trace, limit), key, _only(trace))
+        Curve(trace.label, trace.style, curve_path(x, y, time, trace, limit), key, _single_value_text(trace))
         for trace, key in zip(panel.traces, names, strict=True)
     )
     band = panel.band
-    shade = ""
-    if band:
-        shade = band_path(x, y, time if band.x is None else band.x, band.lower, band.upper, limit // 2)
-    levels = HEIGHT - y.whole(np.array(panel.limits), HEIGHT)
-    zero = HEIGHT - int(y.whole(np.zeros(1), HEIGHT)[0]) if y.low < 0 < y.high else None
+    places = time if band is None or band.x is None else band.x
+    shade = band_path(x, y, places, band.lower, band.upper, limit // 2) if band else ""
+    levels = HEIGHT - y.scale(np.array(panel.limits), HEIGHT)
+    zero = HEIGHT - int(y.scale(np.zeros(1), HEIGHT)[0]) if y.low < 0 < y.high else None
     return Plot(
         title=panel.title,
         unit=panel.unit,
@@ -339,7 +335,7 @@ def make_plot(
     )
 
 
-def _only(trace: Trace) -> str:
+def _single_value_text(trace: Trace) -> str:
     """Return the text of a trace with one row."""
     if trace.values.size != 1:
         return ""

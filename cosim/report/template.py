@@ -29,12 +29,12 @@ def render(page: Path, values: Mapping[str, Any], folders: Sequence[Path] = ()) 
     )
     environment.filters["code"] = _code
     # a page's own script listens to the shared scripts, so it comes first; its own style overrides the shared style
-    style = inlined([TEMPLATES / "report.css", *sorted(page.parent.glob("*.css"))])
-    script = inlined([*sorted(page.parent.glob("*.js")), *(TEMPLATES / name for name in SCRIPTS)])
+    style = inline([TEMPLATES / "report.css", *sorted(page.parent.glob("*.css"))])
+    script = inline([*sorted(page.parent.glob("*.js")), *(TEMPLATES / name for name in SCRIPTS)])
     return environment.get_template(page.name).render(**values, style=style, script=script)
 
 
-def inlined(files: Sequence[Path]) -> str:
+def inline(files: Sequence[Path]) -> str:
     """Return the texts of files without indentation and comment lines."""
     text = "\n".join(file.read_text(encoding="utf-8") for file in files)
     return re.sub(r"^\s*(?://.*|/\*.*\*/)?\n|^[ \t]+", "", text, flags=re.MULTILINE)

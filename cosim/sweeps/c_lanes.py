@@ -11,7 +11,7 @@ import numpy as np
 
 import cosim.fmi.native
 from cosim.base.arrays import Array
-from cosim.fmi.native.compiler import CompilerFailed, compiler, loaded
+from cosim.fmi.native.compiler import CompilerFailed, compiler, load_library
 from cosim.model.integrate import substeps
 from cosim.model.symbolic.functions import Body
 from cosim.model.symbolic.languages import Lanes, Unprintable
@@ -77,7 +77,7 @@ def _of(effect: Any, model: Any) -> list[str]:
 
 @cache
 def _compiled(source: str) -> Any:
-    library = loaded(source, RK4)
+    library = load_library(source, RK4)
     function = library.steps
     number, address = ctypes.c_double, ctypes.c_void_p
     function.argtypes = [ctypes.c_long, number, number, ctypes.c_int, number, address, address, address, address]

@@ -125,7 +125,7 @@ class _Prepared:
             if isinstance(component, FmuBlock):  # Each run has its own instance.
                 # Instances in Python share code only; other libraries may keep state of an earlier run.
                 place = unpacked(component.path) if component.nominal_step else None
-                component = component.started_from({**component.start_values, **(own or {})}, place)
+                component = component.with_start_values({**component.start_values, **(own or {})}, place)
             stages.append(replace(stage, component=component))
         return replace(self.system, stages=tuple(stages), seed=self._seed(asked))
 

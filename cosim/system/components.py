@@ -12,7 +12,7 @@ from cosim.base.registry import BASE, is_model, model_entry
 from cosim.blocks.component import Component
 from cosim.blocks.description import read_description, state_names, ways
 from cosim.blocks.fixes import COUNT, Fixes, Sensor
-from cosim.blocks.fmu import FmuBlock, named
+from cosim.blocks.fmu import FmuBlock, matches
 from cosim.blocks.sources import playback, reference
 from cosim.scenario.diagnosis import Diagnosis
 from cosim.scenario.scenario import FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent, Scenario
@@ -124,7 +124,7 @@ def _recorded_names(patterns: Sequence[str], name: str, description: Any) -> fro
     names = {
         v.name
         for v in description.modelVariables
-        if v.causality not in {"input", "output", "independent"} and any(named(p, name, v.name) for p in patterns)
+        if v.causality not in {"input", "output", "independent"} and any(matches(p, name, v.name) for p in patterns)
     }
     if not any(v.causality == "output" for v in description.modelVariables):  # as in FMPy
         names |= set(state_names(description))

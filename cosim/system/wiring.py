@@ -11,10 +11,10 @@ from typing import Any
 from cosim.base.errors import SimulationError
 from cosim.base.units import Taken, assume_si
 from cosim.blocks.component import Component, Signal
-from cosim.blocks.faults import Added, Linked, Scaled, disturbed, points, whole
-from cosim.blocks.fmi_types import goes
+from cosim.blocks.faults import Addition, LinkFunction, Scaling, fault_function, points, whole_steps
+from cosim.blocks.fmi_types import is_compatible
 from cosim.blocks.noise import gaussian, stream
-from cosim.blocks.stepping import Does, Link, link
+from cosim.blocks.stepping import Link, LinkKind, link
 from cosim.scenario.diagnosis import Diagnosis, Place
 from cosim.scenario.scenario import (
     Connection,
@@ -93,19 +93,19 @@ class Transfer:
             return None
         return gaussian(stream(seed, self.name), self.noise.variance, self.noise.bias, count)
 
-    def through(self, seed: int, start: float, step: float, count: int) -> tuple[Linked, ...]:
+    def through(self, seed: int, start: float, step: float, count: int) -> tuple[LinkFunction, ...]:
         """Return the value's conversions in order: unit, noise, faults."""
-        chain: list[Linked] = []
+        chain: list[LinkFunction] = []
         if self.factor != 1.0 or self.offset != 0.0:
-            chain.append(Scaled(self.factor, self.offset))
+            chain.append(Scaling(self.factor, self.offset))
         if (samples := self.samples(seed, count)) is not None:
-            chain.append(Added(samples))
+            chain.append(Addition(samples))
         for number, fault in enumerate(self.faults):
             window = points(fault.begin, fault.end, start, step, count)
             rng = stream(seed, f"{self.name} {fault.kind} {number}")
-            delay = 0 if fault.delay is None else whole(fault.delay, step)
+            delay = 0 if fault.delay is None else whole_steps(fault.delay, step)
             settings = {"value": fault.value, "probability": fault.probability, "delay": delay}
-            chain.append(disturbed(fault.kind, window, count, rng, **settings))  # type: ignore[arg-type]
+            chain.append(fault_function(fault.kind, window, count, rng, **settings))  # type: ignore[arg-type]
         if self.items is not None:
             chain.append(_Checked(self, start, step))
         return tuple(chain)
@@ -124,10 +124,10 @@ class _Checked:
 
     def link(self) -> Link:
         items = array("d", (self.transfer.items or {}).values())
-        return link(Does.ITEMS, values=items, count=len(items))
+        return link(LinkKind.ITEMS, values=items, count=len(items))
 
 
-def through(chain: Sequence[Linked]) -> Callable[[int, Any], Any]:
+def through(chain: Sequence[LinkFunction]) -> Callable[[int, Any], Any]:
     """Return the composition of a chain as a single function."""
 
     def value(k: int, v: Any) -> Any:
@@ -171,7 +171,7 @@ def assumed_conversion(file: ScenarioFile, connection: Connection, source: Signa
     """
     component = file.scenario.components.get(connection.source.partition(".")[0])
     written = isinstance(component, ReferenceComponent | PlaybackComponent) and source.unit
-    if not written or target.unit or target.whole or connection.conversion is not None:
+    if not written or target.unit or target.is_whole or connection.conversion is not None:
         return None
     return assume_si(source.unit, "its FMU", f"give {connection.source} no unit")
 
@@ -179,7 +179,7 @@ def assumed_conversion(file: ScenarioFile, connection: Connection, source: Signa
 def _objection(connection: Connection, source: Signal, target: Signal) -> str:
     """Return the objection to a connection, or ""."""
     ends = {"source": connection.source, "target": connection.target}
-    if not goes(source.kind, target.kind):
+    if not is_compatible(source.kind, target.kind):
         return messages.TYPE_MISMATCH(**ends, source_type=source.kind or "a number", target_type=target.kind)
     if source.declared and source.declared == target.declared and source.items != target.items:
         items = {"source_items": _numbers(source.items), "target_items": _numbers(target.items)}
@@ -315,7 +315,7 @@ def _check_faults(file: ScenarioFile, diagnosis: Diagnosis) -> None:
         key = needs.get(fault.kind)
         if key is not None and getattr(fault, key) is None:
             diagnosis.note(("faults", k), messages.FAULT_WITHOUT_KEY(kind=fault.kind, key=key))
-        rounded = 0.0 if fault.delay is None else whole(fault.delay, scenario.step) * scenario.step
+        rounded = 0.0 if fault.delay is None else whole_steps(fault.delay, scenario.step) * scenario.step
         if fault.delay is not None and abs(rounded - fault.delay) > 1e-9 * rounded:
             message = messages.DELAY_ROUNDED(delay=fault.delay, target=fault.on, rounded=rounded)
             diagnosis.warnings.append(message)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cosim.base.text import MISSING, plain
-from cosim.report.chart_data import rounded
+from cosim.report.chart_data import round_values
 from cosim.report.drawing import Drawing
 from cosim.report.html_tables import Grid
 from cosim.report.panels import Panel
@@ -65,7 +65,10 @@ def subject(run: Run, drawing: Drawing) -> ComponentPage:
         values={"pages": pages, "view": view},
         tiles=tiles(run, crafts),
         shown=frozenset(shown_columns(crafts)),
-        data={"few": rounded(run.time[rows], 6), "crafts": [poses(craft, rows, drawing.series) for craft in drawn]},
+        data={
+            "few": round_values(run.time[rows], 6),
+            "crafts": [poses(craft, rows, drawing.series) for craft in drawn],
+        },
     )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from cosim.base.arrays import Array, Rows
 from cosim.base.text import DEGREES
-from cosim.report.chart_data import Series, rounded
+from cosim.report.chart_data import Series, round_values
 from cosim.report.svg import Axis, extent, make_axis, polyline, round_step, runs
 from cosim.simulation.report.recorded import number
 from fmus.report.roles import SIDES, Craft
@@ -284,11 +284,11 @@ def poses(craft: Craft, rows: Rows, series: Series) -> dict[str, Any]:
     for prefix, track in (("", true_track(craft)), ("g", estimated_track(craft))):
         if track is not None:
             for key, line, digits in (("u", track.right, 0), ("v", track.down, 0), ("a", track.turn, 1)):
-                entry[f"{prefix}{key}"] = rounded(line[rows], digits)
+                entry[f"{prefix}{key}"] = round_values(line[rows], digits)
     for side in SIDES:
         force, tilt = horizontal_thrust(craft, side), craft.tilt(side)
         if force is not None and tilt is not None:
-            entry[f"force_{side}"] = rounded(force[rows], 4)
-            entry[f"tilt_{side}"] = rounded(tilt[rows] * DEGREES, 2)
+            entry[f"force_{side}"] = round_values(force[rows], 4)
+            entry[f"tilt_{side}"] = round_values(tilt[rows] * DEGREES, 2)
             entry[f"tilt_{side}_key"] = series.column(tilt * DEGREES)
     return entry

@@ -57,7 +57,7 @@ class _Math:
         return getattr(np, name, None) or getattr(math, name)
 
 
-class Printed:
+class GeneratedCode:
     """The blocks of a trace as Python functions."""
 
     def __init__(self, trace: Trace) -> None:
@@ -65,24 +65,24 @@ class Printed:
         self.flags = [e.name for e in trace.effects]
         places = places_of(trace, {name: f"p[{k}]" for k, name in enumerate(self.names)})
         shaped = [*trace.shaped, *trace.remembered]
-        listed = (
+        functions = (
             ("derivatives", "t x u p", trace.blocks, trace.derivative),
             ("outputs", "t x u p", trace.blocks, trace.outputs),
             ("shape", "t h u memory p", trace.shaping, shaped),
             ("remember", "t memory p", (), trace.started),
         )
         self._functions: dict[str, Any] = {"math": _Math()}
-        self._sizes = {name: len(results) for name, _, _, results in listed}
-        for name, arguments, blocks, results in listed:
+        self._sizes = {name: len(results) for name, _, _, results in functions}
+        for name, arguments, blocks, results in functions:
             exec(function(Python(), name, arguments, blocks, results, places), self._functions)
 
     def values(self, name: str, at: Point, awake: set[str]) -> list[float]:
         """Return a function's values with given active effects."""
         import numpy as np
 
-        given: dict[str, Any] = {"t": at.t, "h": at.h, "x": at.state, "u": at.command, "memory": at.memory}
-        given["p"] = [at.values[n] for n in self.names]
-        numbers = {k: np.float64(v) if isinstance(v, float) else [*map(np.float64, v)] for k, v in given.items()}
+        arguments: dict[str, Any] = {"t": at.t, "h": at.h, "x": at.state, "u": at.command, "memory": at.memory}
+        arguments["p"] = [at.values[n] for n in self.names]
+        numbers = {k: np.float64(v) if isinstance(v, float) else [*map(np.float64, v)] for k, v in arguments.items()}
         order = {"shape": "t h u memory p", "remember": "t memory p"}.get(name, "t x u p")
         out = [math.nan] * self._sizes[name]
         with np.errstate(all="ignore"):
@@ -109,10 +109,10 @@ class Difference:
     """A difference between Python and generated code for a quantity of the model."""
 
     case: Case
-    what: str
+    quantity: str
     hook: str
     python: float
-    printed: float
+    generated: float
 
 
 class Check:
@@ -123,63 +123,61 @@ class Check:
         self.random = random.Random(0)
 
     @cached_property
-    def printed(self) -> list[Printed]:
+    def variants(self) -> list[GeneratedCode]:
         """Return the code of each switch position, in the printer's order."""
-        return [Printed(trace) for trace in self.printer.variants]
+        return [GeneratedCode(trace) for trace in self.printer.variants]
 
     def run(self) -> None:
         """Compare in every case; raise Unprintable with the first difference and its remedy."""
         kinds = self.model.catalogue
         flags = list(product((False, True), repeat=len(self.printer.switches)))
-        awake = dict.fromkeys([(), *((kind,) for kind in kinds), kinds])
-        for some in awake:
-            for k, position in enumerate(flags):
-                case = Case(some, dict(zip(self.printer.switches, position, strict=True)))
-                if found := self.first(case, self.printed[k]):
-                    raise self.refusal(found, self.printed[k])
+        for awake in dict.fromkeys([(), *((kind,) for kind in kinds), kinds]):
+            for code, position in zip(self.variants, flags, strict=True):
+                case = Case(awake, dict(zip(self.printer.switches, position, strict=True)))
+                if difference := self.first_difference(case, code):
+                    raise self.refusal(difference, code)
 
-    def first(self, case: Case, printed: Printed) -> Difference | None:
+    def first_difference(self, case: Case, code: GeneratedCode) -> Difference | None:
         """Return the first difference in a case."""
-        done = 0
+        count = 0
         for k in range(TRIES):
-            at = self.point(case, k)
+            at = self.draw_point(case, k)
             try:
-                both = [(w, hook, float(a), b) for w, hook, a, b in self.compared(case, at, printed)]
+                pairs = [(quantity, hook, float(a), b) for quantity, hook, a, b in self.compare(case, at, code)]
             except (ArithmeticError, ValueError, TypeError):  # The model has no real value at this point.
                 continue
-            for what, hook, python, other in both:
+            for quantity, hook, python, other in pairs:
                 if math.isfinite(python) and not abs(python - other) <= TOLERANCE * max(1.0, abs(python)):
-                    return Difference(case, what, hook, python, other)
-            done += 1
-            if done == POINTS:
+                    return Difference(case, quantity, hook, python, other)
+            count += 1
+            if count == POINTS:
                 break
         return None
 
-    def compared(self, case: Case, at: Point, printed: Printed) -> Iterator[tuple[str, str, float, float]]:
+    def compare(self, case: Case, at: Point, code: GeneratedCode) -> Iterator[tuple[str, str, float, float]]:
         """Yield quantity, hook, and values by Python and generated code."""
         names = {e.name for e in case.awake}
         base = {n: v for n, v in at.values.items() if "." not in n or n.partition(".")[0] in names}
         stepper = Stepper(replace(self.model, effects=()).with_values(base))
-        listed = [q.name for q in self.printer.states]
+        states = [q.name for q in self.printer.states]
         acting = [q.name for q in stepper.model.states]
-        state = tuple(at.state[listed.index(name)] for name in acting)
+        state = tuple(at.state[states.index(name)] for name in acting)
         command = tuple(at.command)
-        rates = dict.fromkeys(listed, 0.0)
+        rates = dict.fromkeys(states, 0.0)
         rates |= zip(acting, stepper.derivative(at.t, state, command), strict=True)
-        ours = printed.values("derivatives", at, names)
-        for (name, rate), other in zip(rates.items(), ours, strict=True):
+        for (name, rate), other in zip(rates.items(), code.values("derivatives", at, names), strict=True):
             yield f"der({name})", "equations", rate, other
         outputs = stepper.output(at.t, state, command)
-        for q, value, other in zip(self.model.outputs, outputs, printed.values("outputs", at, names), strict=True):
+        for q, value, other in zip(self.model.outputs, outputs, code.values("outputs", at, names), strict=True):
             yield q.name, "equations", value, other
-        yield from self.shaped(stepper.model, at, names, printed)
+        yield from self.compare_shaping(stepper.model, at, names, code)
 
-    def shaped(
-        self, model: Model, at: Point, names: set[str], printed: Printed
+    def compare_shaping(
+        self, model: Model, at: Point, names: set[str], code: GeneratedCode
     ) -> Iterator[tuple[str, str, float, float]]:
         """Yield shaped commands and memory, also at the start. A delay has C code of its own."""
         command, place = tuple(at.command), 0
-        ours, begun = printed.values("shape", at, names), printed.values("remember", at, names)
+        shaped, starts = code.values("shape", at, names), code.values("remember", at, names)
         awake = {e.name: e for e in model.awake}
         for effect in overrides(self.printer.trace.effects, "shape", Effect):
             if effect.delay:
@@ -189,26 +187,26 @@ class Check:
                 start = awake[effect.name].remember(at.t, own)
                 command, after = awake[effect.name].shape(SCALAR, at.t, at.h, command, own)
                 for j, q in enumerate(effect.memory):
-                    told = f"{effect.name}.{q.name}, remembered"
-                    yield told, "shape", after[j], ours[len(command) + place + j]
-                    yield f"{told} at the start", "remember", start[j], begun[place + j]
+                    quantity = f"{effect.name}.{q.name}, remembered"
+                    yield quantity, "shape", after[j], shaped[len(command) + place + j]
+                    yield f"{quantity} at the start", "remember", start[j], starts[place + j]
             place += len(effect.memory)
-        for q, value, other in zip(model.inputs, command, ours, strict=False):
+        for q, value, other in zip(model.inputs, command, shaped, strict=False):
             yield f"{q.name}, as it acts", "shape", value, other
 
     # -- points -------------------------------------------------------------------------------------
 
-    def point(self, case: Case, k: int) -> Point:
+    def draw_point(self, case: Case, k: int) -> Point:
         """Return a random point, at first with unchanged parameters. Later points lie closer to the start."""
         size = 1.0 if k < POINTS else 10.0 ** -(k - POINTS + 1)
         around: Callable[[float], float] = lambda v: v + size * self.random.uniform(-1, 1) * max(1.0, abs(v))  # noqa: E731
-        values = {name: self.drawn(p, getattr(self.model, name), k) for name, p in self.own.items()}
+        values = {name: self.draw_value(p, getattr(self.model, name), k) for name, p in self.parameters.items()}
         for kind in self.model.catalogue:
             awake = kind in case.awake
-            values |= {f"{kind.name}.{p.name}": self.of_effect(p, awake, k) for p in parameters_of(kind)}
-            for name, least in kind.at_least.items() if awake else ():
+            values |= {f"{kind.name}.{p.name}": self.draw_effect_value(p, awake, k) for p in parameters_of(kind)}
+            for name, smaller in kind.at_least.items() if awake else ():
                 key = f"{kind.name}.{name}"
-                values[key] = max(values[key], values[f"{kind.name}.{least}"])
+                values[key] = max(values[key], values[f"{kind.name}.{smaller}"])
         values |= case.switches
         memory = [around(q.start) for _, q in self.printer.remembering]
         state = [around(float(v)) for v in self.starts]
@@ -217,70 +215,62 @@ class Check:
         return Point(self.random.uniform(0.0, 10.0), substep, state, command, memory, values)
 
     @cached_property
-    def own(self) -> dict[str, Parameter]:
+    def parameters(self) -> dict[str, Parameter]:
         """Return the model's own parameters."""
         return {p.name: p for p in self.model.parameters}
 
     @cached_property
     def starts(self) -> list[float]:
         """Return the start values of all possible states."""
-        given = dict(zip((q.name for q in self.model.states), self.model.start(), strict=True))
-        return [given.get(q.name, q.start) for q in self.printer.states]
+        starts = dict(zip((q.name for q in self.model.states), self.model.start(), strict=True))
+        return [starts.get(q.name, q.start) for q in self.printer.states]
 
-    def drawn(self, p: Parameter, value: Any, k: int) -> Any:
+    def draw_value(self, p: Parameter, value: Any, k: int) -> Any:
         """Return a parameter value: unchanged, within 10 %, or an integer in its bounds."""
         low, high = p.bounds
         if isinstance(value, bool) or k % POINTS == 0:
             return value
-        if (
-            k in (POINTS - 2, POINTS - 1)
-            and math.isfinite(low)
-            and math.isfinite(high)
-            and math.ceil(low) <= math.floor(high)
-        ):
+        is_bounded = math.isfinite(low) and math.isfinite(high)
+        if k in (POINTS - 2, POINTS - 1) and is_bounded and math.ceil(low) <= math.floor(high):
             return float(self.random.randint(math.ceil(low), min(math.floor(high), math.ceil(low) + 3)))
         return min(high, max(low, value * self.random.uniform(0.9, 1.1)))
 
-    def of_effect(self, p: Parameter, awake: bool, k: int) -> Any:
+    def draw_effect_value(self, p: Parameter, awake: bool, k: int) -> Any:
         """Return a parameter value of an effect."""
         if isinstance(p.default, bool):
             return p.default
         if p.neutral is not None and not awake:
             return p.neutral
         low, high = p.bounds
-        around = p.default if p.neutral is None else p.typical if p.typical is not None else _apart(p)
+        around = p.default if p.neutral is None else p.typical if p.typical is not None else _non_neutral_value(p)
         return min(high, max(low, around * (1.0 if k == 0 else self.random.uniform(0.7, 1.3))))
 
     # -- messages --------------------------------------------------------------------------------
 
-    def refusal(self, found: Difference, printed: Printed) -> Unprintable:
+    def refusal(self, difference: Difference, code: GeneratedCode) -> Unprintable:
         """Return the error for a difference, with probable class and remedy."""
-        kinds, case = self.model.catalogue, found.case
-        text = f"{found.what} is {found.python:.9g} in Python and {found.printed:.9g} as printed, with {case.words}"
+        kinds, case = self.model.catalogue, difference.case
+        values = f"{difference.python:.9g} in Python and {difference.generated:.9g} as printed"
+        text = f"{difference.quantity} is {values}, with {case.words}"
         owner: type = type(self.model)
         hook, cure = "equations", DECIDED
         if len(case.awake) == 1:
-            (owner,), hook = case.awake, found.hook if found.hook != "equations" else ""
-        elif not case.awake and kinds and not self.first(Case(kinds, case.switches), printed):
+            (owner,), hook = case.awake, difference.hook if difference.hook != "equations" else ""
+        elif not case.awake and kinds and not self.first_difference(Case(kinds, case.switches), code):
             cure = NOT_NEUTRAL
-            guilty = [kind for kind in kinds if self.parts(kind, case, printed)]
-            if len(guilty) == 1:
-                (owner,), hook = guilty, ""
+            culprits = [kind for kind in kinds if self.differs_without(kind, case, code)]
+            if len(culprits) == 1:
+                (owner,), hook = culprits, ""
         return Unprintable(text, owner, hook, cure)
 
-    def parts(self, kind: type[Any], case: Case, printed: Printed) -> bool:
+    def differs_without(self, kind: type[Any], case: Case, code: GeneratedCode) -> bool:
         """Return whether a difference remains with this effect dormant."""
         others = tuple(k for k in self.model.catalogue if k is not kind)
-        return self.first(Case(others, case.switches), printed) is not None
+        return self.first_difference(Case(others, case.switches), code) is not None
 
 
-def _apart(p: Parameter) -> float:
+def _non_neutral_value(p: Parameter) -> float:
     """Return a value apart from the neutral one."""
     neutral = p.neutral or 0.0
     high = p.bounds[1] if math.isfinite(p.bounds[1]) else neutral + 1.0
     return neutral + 0.5 * (high - neutral) if high > neutral else neutral - 1.0
-
-
-def check(model: Model, printer: Printer) -> None:
-    """Compare a model's generated code with its Python; raise Unprintable."""
-    Check(model, printer).run()

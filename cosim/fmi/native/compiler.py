@@ -18,7 +18,8 @@ from typing import Any
 from cosim.base.drafts import draft_of
 from cosim.base.extras import install_command
 from cosim.base.scratch import temporary_folder
-from cosim.fmi.native.platforms import PLATFORMS, Platform, here
+from cosim.fmi import messages
+from cosim.fmi.native.platforms import PLATFORMS, Platform, this_platform
 from cosim.storage.cache import cache_environment, cached, discard_untrusted
 
 # The errno of sin and pow is never read.
@@ -43,11 +44,11 @@ def compilers() -> list[list[str]]:
 
     `CC` in the environment names a compiler; by default cc, gcc or clang is used. The extra `refine` installs another.
     """
-    named = os.environ.get("CC")
-    commands = (_words(c) for c in (("cc", "gcc", "clang") if named is None else (named,)))
+    choice = os.environ.get("CC")
+    commands = (_words(c) for c in (("cc", "gcc", "clang") if choice is None else (choice,)))
     installed = next(([words] for words in commands if words and shutil.which(words[0])), [])
-    own = here()
-    return [*installed, *([crossing(own)] if own and can_cross() else [])]
+    machine = this_platform()
+    return [*installed, *([cross_command(machine)] if machine and can_cross() else [])]
 
 
 def can_cross() -> bool:
@@ -55,23 +56,26 @@ def can_cross() -> bool:
     return importlib.util.find_spec(ZIG) is not None
 
 
-def crossing(wanted: Platform) -> list[str]:
+def cross_command(target: Platform) -> list[str]:
     """Return the cross compiler's command for a platform."""
-    return [sys.executable, "-m", ZIG, "cc", "-target", wanted.target, "-s"]
+    return [sys.executable, "-m", ZIG, "cc", "-target", target.target, "-s"]
 
 
-def commands(asked: tuple[str, ...] = ()) -> dict[Platform, list[str]]:
+def commands(names: tuple[str, ...] = ()) -> dict[Platform, list[str]]:
     """Return platform → compiler command, by default for this machine.
 
     Raises:
         KeyError: A platform is unknown.
         NoCompiler: A compiler is missing.
     """
-    own = here()
-    if own is None and not asked:
-        raise NoCompiler(f"this machine, {platform.machine()} {sys.platform}, is none of {', '.join(PLATFORMS)}")
-    wanted = [PLATFORMS[name] for name in asked] or [p for p in PLATFORMS.values() if p == own]
-    return {p: [*_for(p, p == own, bool(asked)), *OPTIONS, "-fvisibility=hidden", *p.position] for p in wanted}
+    machine = this_platform()
+    if machine is None and not names:
+        platforms = ", ".join(PLATFORMS)
+        fault = messages.UNKNOWN_MACHINE(machine=platform.machine(), system=sys.platform, platforms=platforms)
+        raise NoCompiler(fault)
+    targets = [PLATFORMS[name] for name in names] or [p for p in PLATFORMS.values() if p == machine]
+    common = [*OPTIONS, "-fvisibility=hidden"]
+    return {p: [*_command_for(p, p == machine, bool(names)), *common, *p.position] for p in targets}
 
 
 def fmi_headers() -> Path:
@@ -85,7 +89,7 @@ def library_command() -> list[str]:
     """Return the command for a plain library of this machine; raise NoCompiler if none exists."""
     command = compiler()
     if command is None:
-        raise NoCompiler(f"no C compiler is found; {cure('native')}")
+        raise NoCompiler(messages.NO_COMPILER(remedy=cure("native")))
     return [*command, "-shared", *_position()]
 
 
@@ -94,22 +98,21 @@ def cure(extra: str) -> str:
     return f"install gcc or clang, say which in CC, or {install_command(extra)}"
 
 
-def _for(wanted: Platform, own: bool, asked: bool) -> list[str]:
+def _command_for(target: Platform, is_local: bool, by_name: bool) -> list[str]:
     """Return the local compiler, else the cross compiler. The cross compiler also targets old versions of glibc."""
-    local = compiler() if own else None
-    if can_cross() and (asked or local is None):
-        return crossing(wanted)
+    local = compiler() if is_local else None
+    if can_cross() and (by_name or local is None):
+        return cross_command(target)
     if local is not None:
         return local
-    if own:
-        raise NoCompiler(f"no C compiler is found; {cure('native')}")
-    crosses = f"{install_command('native')}, which brings a compiler that crosses"
-    raise NoCompiler(f"no compiler for {wanted.name} is found; {crosses}")
+    if is_local:
+        raise NoCompiler(messages.NO_COMPILER(remedy=cure("native")))
+    raise NoCompiler(messages.NO_CROSS_COMPILER(platform=target.name, command=install_command("native")))
 
 
 def _position() -> list[str]:
-    own = here()
-    return ["-fPIC"] if own is None else own.position
+    machine = this_platform()
+    return ["-fPIC"] if machine is None else machine.position
 
 
 def _words(command: str) -> list[str]:
@@ -136,8 +139,10 @@ def library_of(
     *,
     libraries: Sequence[str] = ("-lm",),
     limit: float = LIMIT,
-) -> bytes:
-    """Return a compiled shared library, possibly cached.
+) -> Path:
+    """Return the cached path of a compiled shared library.
+
+    Its name ends with a hash of the content, because a damaged library could crash.
 
     Args:
         files: Contents by path below the compiler's folder.
@@ -147,35 +152,19 @@ def library_of(
     Raises:
         CompilerFailed: Compilation failed.
     """
-    return _library(files, main, command, exports, libraries, limit).read_bytes()
-
-
-def _library(
-    files: Mapping[str, bytes],
-    main: str,
-    command: Sequence[str],
-    exports: Sequence[str] = (),
-    libraries: Sequence[str] = ("-lm",),
-    limit: float = LIMIT,
-) -> Path:
-    """Return the cached path of a compiled library.
-
-    Its name ends with a hash of the content, because a damaged library could crash.
-    """
     content = hashlib.sha256(repr((sorted(files.items()), main, list(command), *libraries)).encode()).hexdigest()
     stem = cached(content, "")
-    for kept in _find_cached(stem):
-        if kept == _named(stem, kept) and not _missing(kept.read_bytes(), exports):
-            return kept
-        kept.unlink(missing_ok=True)
+    for library in _find_cached(stem):
+        if library == _cache_path(stem, library) and not _missing_exports(library.read_bytes(), exports):
+            return library
+        library.unlink(missing_ok=True)
     with temporary_folder("compile") as folder:
         for file, data in files.items():
             (folder / file).parent.mkdir(parents=True, exist_ok=True)
             (folder / file).write_bytes(data)
         library = _compile([*command, "-o", "library", main, *libraries], folder, limit)
-        if missing := _missing(library.read_bytes(), exports):
-            told = f"it ended without an error, but what it made is no library that has {missing[0]}"
-            raise CompilerFailed(f"{shlex.join(command[:1])} failed: {told}")
+        if missing := _missing_exports(library.read_bytes(), exports):
+            raise CompilerFailed(messages.FUNCTION_MISSING(command=shlex.join(command[:1]), function=missing[0]))
         return _keep(library, stem)
 
 
@@ -184,30 +173,30 @@ def _compile(command: Sequence[str], folder: Path, limit: float) -> Path:
     options: dict[str, Any] = {"capture_output": True, "text": True, "errors": "replace", "timeout": limit}
     options["env"] = {**os.environ, **cache_environment()}
     try:
-        done = subprocess.run(command, cwd=folder, stdin=subprocess.DEVNULL, **options)
+        run = subprocess.run(command, cwd=folder, stdin=subprocess.DEVNULL, **options)
     except subprocess.TimeoutExpired:
-        raise CompilerFailed(f"{command[0]} was not done in {limit:g} s") from None
+        raise CompilerFailed(messages.TIMEOUT(command=command[0], limit=limit)) from None
     except OSError as error:
-        raise CompilerFailed(f"{command[0]}: {error}") from error
+        raise CompilerFailed(messages.NOT_STARTED(command=command[0], reason=str(error))) from error
     library = folder / "library"
-    if done.returncode or not library.is_file():
-        output = (done.stderr or done.stdout).strip()
-        said = output.splitlines()
-        first = next((line for line in said if "error" in line.lower()), said[-1] if said else "it says nothing")
-        if done.returncode == 0:
-            first = f"it ended without an error and made no library{f'; it said {first}' if said else ''}"
-        raise CompilerFailed(f"{shlex.join(command[:1])} failed: {first}", output)
+    if run.returncode or not library.is_file():
+        output, name = (run.stderr or run.stdout).strip(), shlex.join(command[:1])
+        lines = output.splitlines()
+        line = next((line for line in lines if "error" in line.lower()), lines[-1] if lines else "")
+        if run.returncode:
+            raise CompilerFailed(messages.COMPILER_ERROR(command=name, reason=line or "it says nothing"), output)
+        raise CompilerFailed(messages.NO_LIBRARY(command=name, output=line and f"; it said {line}"), output)
     return library
 
 
-def _missing(library: bytes, exports: Sequence[str]) -> list[str]:
+def _missing_exports(library: bytes, exports: Sequence[str]) -> list[str]:
     """Return required functions missing in a library."""
     if library.startswith(PACKED):  # names are stored as a tree of parts
         return []
     return [name for name in exports if not library.startswith(PLAIN) or name.encode() + b"\0" not in library]
 
 
-def loaded(source: str, *headers: Path) -> ctypes.CDLL:
+def load_library(source: str, *headers: Path) -> ctypes.CDLL:
     """Return a loaded library compiled from source and headers.
 
     A cached library of another machine is compiled anew.
@@ -221,33 +210,33 @@ def loaded(source: str, *headers: Path) -> ctypes.CDLL:
     for command in compilers():
         full = [*command, *OPTIONS, *_position()]
         try:
-            library = _library(files, "model.c", full)
+            library = library_of(files, "model.c", full)
             try:
                 return ctypes.CDLL(str(library))
             except OSError:
                 library.unlink(missing_ok=True)
-                return ctypes.CDLL(str(_library(files, "model.c", full)))
+                return ctypes.CDLL(str(library_of(files, "model.c", full)))
         except (CompilerFailed, OSError) as error:
             reason = reason or error
     if reason is None:
-        raise NoCompiler("no C compiler is found")
+        raise NoCompiler(messages.NO_COMPILER_AT_ALL())
     raise CompilerFailed(str(reason)) from reason
 
 
 def _find_cached(stem: Path) -> list[Path]:
     """Return the trusted cached libraries of a source."""
-    found = list(stem.parent.glob(f"{stem.name}-*.so"))
-    return [path for path in found if discard_untrusted([path]) and path.exists()]
+    paths = list(stem.parent.glob(f"{stem.name}-*.so"))
+    return [path for path in paths if discard_untrusted([path]) and path.exists()]
 
 
 def _keep(library: Path, stem: Path) -> Path:
     """Copy a library into the cache, completely or not at all."""
-    path = _named(stem, library)
+    path = _cache_path(stem, library)
     with draft_of(path) as draft:
         shutil.copyfile(library, draft)
     return path
 
 
-def _named(stem: Path, library: Path) -> Path:
+def _cache_path(stem: Path, library: Path) -> Path:
     """Return the cache path for a library's content."""
     return stem.with_name(f"{stem.name}-{hashlib.sha256(library.read_bytes()).hexdigest()[:32]}.so")

@@ -15,15 +15,15 @@
 #define ACTING (m->own + STATES + MEMORIES)
 #define SEEN (m->own + STATES + MEMORIES + INPUTS)
 
-static int delayed(const Instance *m)
+static int has_delay(const Instance *m)
 {
     return DELAY >= 0 && m->awake[DELAY >= 0 ? DELAY : 0];
 }
 
 /* Whether the command that acts changes at instants alone: a delay or an effect that remembers. */
-static int discrete(const Instance *m)
+static int is_discrete(const Instance *m)
 {
-    return delayed(m) || remembers(m->awake);
+    return has_delay(m) || remembers(m->awake);
 }
 
 static double delay_time(const Instance *m)
@@ -33,14 +33,14 @@ static double delay_time(const Instance *m)
 
 /* -- start --------------------------------------------------------------------------------------------------------- */
 
-static int published(Instance *m, double t)
+static int write_outputs(Instance *m, double t)
 {
     double y[OUTPUTS + 1];
     outputs(t, STATE, m->values, m->values, m->awake, y);
     for (int k = 0; k < OUTPUTS; k++)
         if (!isfinite(y[k])) return refuse(m, "%s is %g", variables[INPUTS + k].name, y[k]);
     memcpy(m->values + INPUTS, y, sizeof(double) * OUTPUTS);
-    m->moved = 0;
+    m->is_stale = 0;
     return 0;
 }
 
@@ -54,23 +54,23 @@ static int initialize(Instance *m)
     m->warned = 0;
     m->time = m->start_time;
     starts(m->values, STATE, MEMORY, u, late);
-    for (int k = 0; k < INPUTS; k++) if (!m->given[k]) m->values[k] = u[k];
-    for (int k = 0; k < STATES; k++) if (m->given[STATE_START[k]]) STATE[k] = m->values[STATE_START[k]];
-    for (int k = 0; k < MEMORIES; k++) if (m->given[MEMORY_START[k]]) MEMORY[k] = m->values[MEMORY_START[k]];
+    for (int k = 0; k < INPUTS; k++) if (!m->is_set[k]) m->values[k] = u[k];
+    for (int k = 0; k < STATES; k++) if (m->is_set[STATE_START[k]]) STATE[k] = m->values[STATE_START[k]];
+    for (int k = 0; k < MEMORIES; k++) if (m->is_set[MEMORY_START[k]]) MEMORY[k] = m->values[MEMORY_START[k]];
     double remembered[MEMORIES + 1];
     remember(m->time, MEMORY, m->values, m->awake, remembered);
     memcpy(MEMORY, remembered, sizeof(double) * MEMORIES);
-    for (int k = 0; k < INPUTS && DELAY >= 0; k++) if (m->given[DELAY_START[k]]) late[k] = m->values[DELAY_START[k]];
+    for (int k = 0; k < INPUTS && DELAY >= 0; k++) if (m->is_set[DELAY_START[k]]) late[k] = m->values[DELAY_START[k]];
     forget(&m->history);
-    if (delayed(m) && append(m, m->start_time - DELAY_LONGEST, late)) return 1;
+    if (has_delay(m) && append(m, m->start_time - DELAY_LONGEST, late)) return 1;
     double shaped[INPUTS + MEMORIES + 1];
-    shape(m->time, 0.0, delayed(m) ? late : m->values, MEMORY, m->values, m->awake, shaped);
+    shape(m->time, 0.0, has_delay(m) ? late : m->values, MEMORY, m->values, m->awake, shaped);
     memcpy(ACTING, shaped, sizeof(double) * INPUTS);
     memcpy(SEEN, m->values, sizeof(double) * INPUTS);
-    return published(m, m->time);
+    return write_outputs(m, m->time);
 }
 
-static void restored(Instance *m)
+static void after_restore(Instance *m)
 {
     wake(m->values, m->awake);
 }
@@ -191,12 +191,12 @@ static int advance(Instance *m, double t, double h)
     const double dt = h / (double)n;
     check_range(m, t);
     memcpy(before, STATE, sizeof(double) * STATES);
-    if (delayed(m) && append(m, t, m->values)) return 1;
+    if (has_delay(m) && append(m, t, m->values)) return 1;
     memcpy(ACTING, m->values, sizeof(double) * INPUTS);
     for (long k = 0; k < n; k++) {
         const double now = t + (double)k * dt;
         if (SHAPING) {
-            if (delayed(m)) mean_command(m, now, dt, ACTING);
+            if (has_delay(m)) mean_command(m, now, dt, ACTING);
             else memcpy(ACTING, m->values, sizeof(double) * INPUTS);
             shape(now, dt, ACTING, MEMORY, m->values, m->awake, shaped);
             memcpy(ACTING, shaped, sizeof(double) * INPUTS);
@@ -206,21 +206,21 @@ static int advance(Instance *m, double t, double h)
     }
     m->time = t + h;
     for (int i = 0; i < STATES; i++) if (!isfinite(STATE[i])) return not_finite(m, before);
-    return published(m, m->time);
+    return write_outputs(m, m->time);
 }
 
 /* -- model exchange ------------------------------------------------------------------------------------------------ */
 
 static int refresh_outputs(Instance *m)
 {
-    return published(m, m->time);
+    return write_outputs(m, m->time);
 }
 
 /* An input that has moved between events, seen once a solver keeps a step (it tries times beyond the next event, too):
  * what remembers would have to know its whole course. */
-static int held(Instance *m)
+static int check_held_inputs(Instance *m)
 {
-    if (!m->exchange || m->phase != CONTINUOUS || !discrete(m)) return 0;
+    if (!m->exchange || m->phase != CONTINUOUS || !is_discrete(m)) return 0;
     for (int k = 0; k < INPUTS; k++)
         if (fabs(m->values[k] - SEEN[k]) > 1e-9 * (1.0 + fabs(SEEN[k]))) /* a host that interpolates rounds */
             return refuse(m, "%s moves between events, at t = %.15g s: a delay or play takes inputs that are piecewise constant; "
@@ -232,7 +232,7 @@ static int held(Instance *m)
 static void act(const Instance *m, double *u)
 {
     double shaped[INPUTS + MEMORIES + 1];
-    if (discrete(m) || !m->exchange) memcpy(u, ACTING, sizeof(double) * INPUTS);
+    if (is_discrete(m) || !m->exchange) memcpy(u, ACTING, sizeof(double) * INPUTS);
     else {
         shape(m->time, 0.0, m->values, MEMORY, m->values, m->awake, shaped);
         memcpy(u, shaped, sizeof(double) * INPUTS);
@@ -240,7 +240,7 @@ static void act(const Instance *m, double *u)
 }
 
 /* Whether the k-th command is due, to within rounding: a host's time may lack the last bits, and no solver steps that far. */
-static int arrived(const Instance *m, size_t k)
+static int is_due(const Instance *m, size_t k)
 {
     return row_of(&m->history, k)[0] + delay_time(m) <= m->time + 1e-12 * (1.0 + fabs(m->time));
 }
@@ -251,14 +251,14 @@ static int update(Instance *m, double *next)
     double late[INPUTS + 1], shaped[INPUTS + MEMORIES + 1];
     *next = HUGE_VAL;
     check_range(m, m->time);
-    m->moved = 1;
-    if (!discrete(m)) return 0;
+    m->is_stale = 1;
+    if (!is_discrete(m)) return 0;
     memcpy(late, m->values, sizeof(double) * INPUTS);
-    if (delayed(m)) {
+    if (has_delay(m)) {
         History *past = &m->history;
         if (memcmp(row_of(past, past->count - 1) + 1, m->values, sizeof(double) * INPUTS) != 0 && append(m, m->time, m->values)) return 1;
         size_t k = past->count - 1;
-        for (; k > 0 && !arrived(m, k); k--) *next = row_of(past, k)[0] + delay_time(m);
+        for (; k > 0 && !is_due(m, k); k--) *next = row_of(past, k)[0] + delay_time(m);
         memcpy(late, row_of(past, k) + 1, sizeof(double) * INPUTS);
     }
     begin_computing(m);
@@ -271,12 +271,12 @@ static int update(Instance *m, double *next)
 }
 
 /* A step the solver keeps: commands that have arrived are not asked for again. */
-static int completed(Instance *m)
+static int complete_step(Instance *m)
 {
-    if (held(m)) return 1;
+    if (check_held_inputs(m)) return 1;
     check_range(m, m->time);
     History *past = &m->history;
-    while (past->count > 1 && arrived(m, 1)) past->first++, past->count--;
+    while (past->count > 1 && is_due(m, 1)) past->first++, past->count--;
     return 0;
 }
 
@@ -305,7 +305,7 @@ static void crossings(Instance *m, double *z)
     indicators(m->time, STATE, u, m->values, m->awake, z);
     shape_indicators(m->time, 0.0, m->values, MEMORY, m->values, m->awake, z + BODY_KINKS);
     end_computing(m, 0);
-    if (discrete(m)) for (int k = BODY_KINKS; k < KINKS; k++) z[k] = 1.0;
+    if (is_discrete(m)) for (int k = BODY_KINKS; k < KINKS; k++) z[k] = 1.0;
 }
 
 /* d(derivatives), d(outputs) for a change of the states and inputs. */
@@ -314,7 +314,7 @@ static void slopes(Instance *m, const double *sx, const double *su, double *dx, 
     double u[INPUTS + 1], moved[INPUTS + MEMORIES + 1] = {0};
     begin_computing(m);
     act(m, u);
-    if (!discrete(m)) shape_slopes(m->time, 0.0, m->values, MEMORY, m->values, sx, su, m->awake, moved);
+    if (!is_discrete(m)) shape_slopes(m->time, 0.0, m->values, MEMORY, m->values, sx, su, m->awake, moved);
     derivative_slopes(m->time, STATE, u, m->values, sx, moved, m->awake, dx);
     output_slopes(m->time, STATE, m->values, m->values, sx, su, m->awake, dy);
     end_computing(m, 0);
@@ -341,36 +341,36 @@ static int get_local(Instance *m, size_t k, double *value)
     return 0;
 }
 
-static int counted(Instance *m, size_t given, size_t wanted, const char *what)
+static int check_count(Instance *m, size_t count, size_t expected, const char *noun)
 {
-    return given != wanted && refuse(m, "there are %zu %s, not %zu", wanted, what, given);
+    return count != expected && refuse(m, "there are %zu %s, not %zu", expected, noun, count);
 }
 
 static int get_states(Instance *m, double *x, size_t count)
 {
-    if (counted(m, count, STATES, "states")) return 1;
+    if (check_count(m, count, STATES, "states")) return 1;
     memcpy(x, STATE, sizeof(double) * STATES);
     return 0;
 }
 
 static int set_states(Instance *m, const double *x, size_t count)
 {
-    if (counted(m, count, STATES, "states")) return 1;
+    if (check_count(m, count, STATES, "states")) return 1;
     for (int k = 0; k < STATES; k++)
         if (!isfinite(x[k])) return refuse(m, "%s is set to %g; it is a finite number", STATE_NAME[k], x[k]);
     memcpy(STATE, x, sizeof(double) * STATES);
-    m->moved = 1;
+    m->is_stale = 1;
     return 0;
 }
 
 static int get_rates(Instance *m, double *dx, size_t count)
 {
-    return counted(m, count, STATES, "derivatives") ? 1 : rates(m, dx);
+    return check_count(m, count, STATES, "derivatives") ? 1 : rates(m, dx);
 }
 
 static int get_crossings(Instance *m, double *z, size_t count)
 {
-    if (counted(m, count, KINKS, "event indicators")) return 1;
+    if (check_count(m, count, KINKS, "event indicators")) return 1;
     crossings(m, z);
     return 0;
 }
@@ -384,7 +384,7 @@ typedef struct {
 static int directional_begin(Instance *m)
 {
     const unsigned phases = IN(INITIALIZATION) | IN(STEP) | IN(EVENT) | IN(CONTINUOUS);
-    return in_phase(m, phases, "directional derivatives are asked for") || readable(m);
+    return in_phase(m, phases, "directional derivatives are asked for") || make_readable(m);
 }
 
 static int direction_add(Instance *m, Direction *d, size_t k, double change)

@@ -209,7 +209,7 @@ static void feed_back(Instance *m, Filter *f)
     }
 }
 
-static int published(Instance *m)
+static int write_outputs(Instance *m)
 {
     double y[OUTPUTS];
     Filter *f = filter_of(m);
@@ -219,7 +219,7 @@ static int published(Instance *m)
     for (int k = 0; k < OUTPUTS; k++)
         if (!isfinite(y[k])) return refuse(m, "%s is %g", variables[INPUTS + k].name, y[k]);
     memcpy(m->values + INPUTS, y, sizeof y);
-    m->moved = 0;
+    m->is_stale = 0;
     return 0;
 }
 
@@ -234,7 +234,7 @@ static int initialize(Instance *m)
     start(m, f->x);
     feed_back(m, f);
     m->time = m->start_time;
-    return published(m);
+    return write_outputs(m);
 }
 
 static int advance(Instance *m, double t, double h)
@@ -249,15 +249,15 @@ static int advance(Instance *m, double t, double h)
     if (correct(m, f, z) || correct_by_fix(m, f)) return 1;
     feed_back(m, f);
     m->time = t + h;
-    return published(m);
+    return write_outputs(m);
 }
 
 static int refresh_outputs(Instance *m)
 {
-    return published(m);
+    return write_outputs(m);
 }
 
-static void restored(Instance *m)
+static void after_restore(Instance *m)
 {
     (void)m;
 }

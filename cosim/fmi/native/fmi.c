@@ -62,7 +62,7 @@ FMI(Status) FMI(Reset)(FMI(Component) c)
 
 static FMI(Status) get_reals(Instance *m, VRS, double value[])
 {
-    if (readable(m)) return FMI(Error);
+    if (make_readable(m)) return FMI(Error);
     for (size_t k = 0; k < count; k++) {
         if (vr[k] < VARIABLES && variables[vr[k]].kind == REAL) value[k] = m->values[vr[k]];
         else if (get_local(m, vr[k], &value[k])) return FMI(Error);
@@ -204,7 +204,7 @@ FMI(Status) FMI(CompletedIntegratorStep)(FMI(Component) c, FMI(Boolean) no_state
 {
     KNOWN(c);
     (void)no_state_before;
-    if (in_phase(m, IN(CONTINUOUS), "an integrator step is completed") || completed(m)) return FMI(Error);
+    if (in_phase(m, IN(CONTINUOUS), "an integrator step is completed") || complete_step(m)) return FMI(Error);
     *event = *terminate = FMI(False);
     return FMI(OK);
 }
@@ -225,7 +225,7 @@ FMI(Status) FMI(SetContinuousStates)(FMI(Component) c, const double x[], size_t 
 FMI(Status) FMI(GetDerivatives)(FMI(Component) c, double dx[], size_t count)
 {
     KNOWN(c);
-    if (in_phase(m, SOLVED, "derivatives are asked for") || settled(m)) return FMI(Error);
+    if (in_phase(m, SOLVED, "derivatives are asked for") || settle(m)) return FMI(Error);
     const int refused = get_rates(m, dx, count);
     return TRIED(refused);
 }
@@ -233,14 +233,14 @@ FMI(Status) FMI(GetDerivatives)(FMI(Component) c, double dx[], size_t count)
 FMI(Status) FMI(GetEventIndicators)(FMI(Component) c, double z[], size_t count)
 {
     KNOWN(c);
-    if (in_phase(m, SOLVED, "event indicators are asked for") || settled(m)) return FMI(Error);
+    if (in_phase(m, SOLVED, "event indicators are asked for") || settle(m)) return FMI(Error);
     return STATUS(get_crossings(m, z, count));
 }
 
 FMI(Status) FMI(GetContinuousStates)(FMI(Component) c, double x[], size_t count)
 {
     KNOWN(c);
-    if (in_phase(m, SOLVED, "states are asked for") || settled(m)) return FMI(Error);
+    if (in_phase(m, SOLVED, "states are asked for") || settle(m)) return FMI(Error);
     return STATUS(get_states(m, x, count));
 }
 

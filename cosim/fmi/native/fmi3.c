@@ -27,7 +27,7 @@ static void to_host(Instance *m, int warning, const char *message)
     host->log(host->environment, warning ? fmi3Warning : fmi3Error, warning ? "logStatusWarning" : "logStatusError", message);
 }
 
-static fmi3Instance instantiated(int exchange, fmi3String token, fmi3InstanceEnvironment environment, fmi3LogMessageCallback log)
+static fmi3Instance instantiate(int exchange, fmi3String token, fmi3InstanceEnvironment environment, fmi3LogMessageCallback log)
 {
     Host *host = calloc(1, sizeof *host);
     if (host == NULL) return NULL;
@@ -48,7 +48,7 @@ fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi
                                           fmi3Boolean logging, fmi3InstanceEnvironment environment, fmi3LogMessageCallback log)
 {
     (void)name, (void)resources, (void)visible, (void)logging;
-    return instantiated(1, token, environment, log);
+    return instantiate(1, token, environment, log);
 }
 
 fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
@@ -57,7 +57,7 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
                                          fmi3IntermediateUpdateCallback between)
 {
     (void)name, (void)resources, (void)visible, (void)logging, (void)events, (void)early, (void)required, (void)count, (void)between;
-    return instantiated(0, token, environment, log);
+    return instantiate(0, token, environment, log);
 }
 
 fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
@@ -79,7 +79,7 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean has_tolerance
 
 /* -- values ----------------------------------------------------------------------------------------------------------- */
 
-static int scalars(Instance *m, size_t count, size_t values)
+static int check_scalars(Instance *m, size_t count, size_t values)
 {
     return count != values && refuse(m, "there are %zu variables and %zu values; all of them are scalars", count, values);
 }
@@ -88,7 +88,7 @@ static int scalars(Instance *m, size_t count, size_t values)
     fmi3Status name(fmi3Instance c, VRS, type value[], size_t values) \
     { \
         KNOWN(c); \
-        return scalars(m, count, values) ? fmi3Error : of(m, vr, count, value); \
+        return check_scalars(m, count, values) ? fmi3Error : of(m, vr, count, value); \
     }
 
 ACCESS(fmi3GetFloat64, fmi3Float64, get_reals)
@@ -154,7 +154,7 @@ fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueReference
                                         fmi3Float64 slope[], size_t slopes_wanted)
 {
     KNOWN(c);
-    if (scalars(m, knowns, seeds) || scalars(m, unknowns, slopes_wanted)) return fmi3Error;
+    if (check_scalars(m, knowns, seeds) || check_scalars(m, unknowns, slopes_wanted)) return fmi3Error;
     return directional(m, unknown, unknowns, known, knowns, seed, slope);
 }
 

@@ -96,8 +96,8 @@ static void reset(Instance *m)
 {
     m->phase = INSTANTIATED;
     m->start_time = m->time = 0.0;
-    m->current = m->warned = m->moved = 0;
-    memset(m->given, 0, sizeof m->given);
+    m->current = m->warned = m->is_stale = 0;
+    memset(m->is_set, 0, sizeof m->is_set);
     memset(m->text, 0, sizeof m->text);
     memset(m->own, 0, sizeof m->own);
     memset(m->awake, 0, sizeof m->awake);
@@ -180,7 +180,7 @@ static int set_time(Instance *m, double t)
     if (in_phase(m, IN(EVENT) | IN(CONTINUOUS), "time is set")) return 1;
     if (!isfinite(t)) return refuse(m, "time is set to %g s; it is a finite number", t);
     m->time = t;
-    m->moved = 1;
+    m->is_stale = 1;
     return 0;
 }
 
@@ -196,21 +196,21 @@ static int is_kind(Instance *m, size_t k, Kind kind)
 }
 
 /* Before something is read: in initialization, what follows from what was set. */
-static int settled(Instance *m)
+static int settle(Instance *m)
 {
     return m->phase == INITIALIZATION ? refresh(m) : 0;
 }
 
 /* Before outputs are read, which a solver may have left behind. */
-static int readable(Instance *m)
+static int make_readable(Instance *m)
 {
-    if (settled(m)) return 1;
-    if (!m->exchange || !m->moved || (m->phase != EVENT && m->phase != CONTINUOUS)) return 0;
+    if (settle(m)) return 1;
+    if (!m->exchange || !m->is_stale || (m->phase != EVENT && m->phase != CONTINUOUS)) return 0;
     begin_computing(m);
     return end_computing(m, refresh_outputs(m));
 }
 
-static int settable(Instance *m, size_t k, Kind kind)
+static int check_settable(Instance *m, size_t k, Kind kind)
 {
     if (is_kind(m, k, kind)) return 1;
     if (variables[k].causality == OUTPUT) return refuse(m, "%s is an output", variables[k].name);
@@ -221,15 +221,15 @@ static int settable(Instance *m, size_t k, Kind kind)
 
 static void mark(Instance *m, size_t k)
 {
-    m->moved = 1;
+    m->is_stale = 1;
     if (m->phase > INITIALIZATION) return;
-    m->given[k] = 1;
+    m->is_set[k] = 1;
     m->current = 0;
 }
 
 static int set_number(Instance *m, size_t k, Kind kind, double value)
 {
-    if (settable(m, k, kind)) return 1;
+    if (check_settable(m, k, kind)) return 1;
     if (!isfinite(value)) return refuse(m, "%s is set to %g; it is a finite number", variables[k].name, value);
     m->values[k] = value;
     mark(m, k);
@@ -238,7 +238,7 @@ static int set_number(Instance *m, size_t k, Kind kind, double value)
 
 static int set_text(Instance *m, size_t k, const char *value)
 {
-    if (settable(m, k, STRING)) return 1;
+    if (check_settable(m, k, STRING)) return 1;
     if (value == NULL || strlen(value) >= TEXT_SIZE)
         return refuse(m, "%s is set to a text that is too long", variables[k].name);
     char *text = m->text[(size_t)variables[k].start];
@@ -255,7 +255,7 @@ static int check_bounds(Instance *m)
     size_t used = 0;
     for (int k = 0; k < VARIABLES; k++) {
         const Variable *v = &variables[k];
-        if (!m->given[k] || v->causality != PARAMETER || v->kind != REAL) continue;
+        if (!m->is_set[k] || v->causality != PARAMETER || v->kind != REAL) continue;
         if (v->low <= m->values[k] && m->values[k] <= v->high) continue;
         const char *format = "%s%s is %.15g; it lies in [%g, %g]%s%s";
         const char *join = used ? "; " : "", *space = v->unit[0] ? " " : "";
@@ -296,10 +296,10 @@ static Snapshot *snapshot(const Instance *m)
         s->size = size;
         const double sizes[] = {INPUTS, VARIABLES, STATES, MEMORIES, OWN, TEXTS * TEXT_SIZE};
         for (size_t k = 0; k < 6; k++) *at++ = sizes[k];
-        const double flags[] = {m->phase, m->start_time, m->time, m->current, m->warned, m->moved};
+        const double flags[] = {m->phase, m->start_time, m->time, m->current, m->warned, m->is_stale};
         for (size_t k = 0; k < 6; k++) *at++ = flags[k];
         for (int k = 0; k < VARIABLES; k++) *at++ = m->values[k];
-        for (int k = 0; k < VARIABLES; k++) *at++ = m->given[k];
+        for (int k = 0; k < VARIABLES; k++) *at++ = m->is_set[k];
         for (int k = 0; k < OWN; k++) *at++ = m->own[k];
         *at++ = (double)rows;
         if (rows) memcpy(at, row_of(&m->history, 0), sizeof(double) * ROW * rows);
@@ -336,11 +336,11 @@ static int restore(Instance *m, const char *bytes, size_t size)
     m->time = *at++;
     m->current = *at++ != 0.0;
     m->warned = *at++ != 0.0;
-    m->moved = *at++ != 0.0;
+    m->is_stale = *at++ != 0.0;
     for (int k = 0; k < VARIABLES; k++) m->values[k] = *at++;
-    for (int k = 0; k < VARIABLES; k++) m->given[k] = *at++ != 0.0;
+    for (int k = 0; k < VARIABLES; k++) m->is_set[k] = *at++ != 0.0;
     for (int k = 0; k < OWN; k++) m->own[k] = *at++;
     memcpy(m->text, bytes + size - TEXTS * TEXT_SIZE, TEXTS * TEXT_SIZE);
-    restored(m);
+    after_restore(m);
     return 0;
 }

@@ -43,6 +43,11 @@ class Layout:
         """Return the variables common with the Python FMU."""
         return self.about.ports
 
+    @property
+    def variables(self) -> list[Port | Local]:
+        """Return all variables in order of value reference."""
+        return [*self.ports, *self.locals]
+
     def of(self, role: Role) -> list[tuple[int, Local]]:
         """Return local variables of a role with value references."""
         return [(len(self.ports) + k, v) for k, v in enumerate(self.locals) if v.role == role]
@@ -75,24 +80,24 @@ def _rate(q: Quantity, k: int) -> Local:
 
 def _dependencies(printer: Printer, names: Sequence[str]) -> dict[str, list[str]]:
     """Return inputs and states behind each output and derivative. They cover all effects and switch positions."""
-    found: dict[str, set[str]] = {}
+    sources: dict[str, set[str]] = {}
     inputs, states = [q.name for q in printer.model.inputs], [f"{n}_state" for n in names]
     for trace in printer.variants:
         symbols = (*trace.s.state, *trace.s.command)
         reach = {symbol: {name} for symbol, name in zip(symbols, (*states, *inputs), strict=True)}
         for block in (*trace.shaping, *trace.blocks):
             for symbol, e in (*block.values.items(), *block.dormant.items()):
-                reach.setdefault(symbol, set()).update(_reached(e, reach))
+                reach.setdefault(symbol, set()).update(_sources_of(e, reach))
         for q, e in zip(printer.model.outputs, trace.outputs, strict=True):
-            found.setdefault(q.name, set()).update(_reached(e, reach))
+            sources.setdefault(q.name, set()).update(_sources_of(e, reach))
         acting = dict(zip(inputs, trace.shaped, strict=True))
         for name, e in zip(states, trace.derivative, strict=True):
-            direct = _reached(e, reach)  # The acting command is shaped.
-            shaped = (_reached(acting[n], reach) for n in direct & acting.keys())
-            found.setdefault(f"der({name})", set()).update(direct, *shaped)
-    return {name: sorted(direct) for name, direct in found.items()}
+            direct = _sources_of(e, reach)  # The acting command is shaped.
+            shaped = (_sources_of(acting[n], reach) for n in direct & acting.keys())
+            sources.setdefault(f"der({name})", set()).update(direct, *shaped)
+    return {name: sorted(direct) for name, direct in sources.items()}
 
 
-def _reached(expression: Any, reach: Mapping[Any, set[str]]) -> set[str]:
+def _sources_of(expression: Any, reach: Mapping[Any, set[str]]) -> set[str]:
     """Return the dependencies of an expression's symbols."""
     return set().union(*(reach.get(s, set()) for s in expression.free_symbols))

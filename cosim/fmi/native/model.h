@@ -56,9 +56,9 @@ struct Instance {
     double start_time, time;
     int current; /* what was set has been looked at */
     int warned;
-    int moved; /* outputs and derivatives are older than what they depend on */
+    int is_stale; /* outputs and derivatives are older than what they depend on */
     double values[VARIABLES + 1];
-    unsigned char given[VARIABLES + 1];
+    unsigned char is_set[VARIABLES + 1];
     char text[TEXTS + 1][TEXT_SIZE];
     double own[OWN + 1]; /* the model's: what decides the future beside the values */
     unsigned char awake[EFFECTS + 1];
@@ -73,7 +73,7 @@ static const char *const texts[TEXTS + 1];
 static int initialize(Instance *m);                 /* from what was set; writes outputs */
 static int advance(Instance *m, double t, double h); /* a communication step, inputs held; writes outputs */
 static int refresh_outputs(Instance *m);
-static void restored(Instance *m); /* after values and own were put back */
+static void after_restore(Instance *m); /* after values and own were put back */
 
 #define UNDEFINED 2 /* in place of 1: refused for the values of the states, which a solver chose */
 

@@ -2,52 +2,64 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Sequence
-from xml.etree.ElementTree import Element, SubElement, indent, tostring
+from collections.abc import Mapping, Sequence
+from typing import Literal
+from xml.etree.ElementTree import Element, SubElement
 
-from cosim.base.units import DISPLAY, unit_definitions
+from cosim.base.units import unit_definitions
 from cosim.fmi.annotation import annotation
-from cosim.fmi.model_description import LICENCE, naming_convention
+from cosim.fmi.model_description import (
+    LICENCE,
+    default_experiment,
+    naming_convention,
+    set_limits,
+    set_unit,
+    xml_bytes,
+)
 from cosim.fmi.native.layout import Layout, Local
 from cosim.fmi.ports import Port
-from cosim.fmi.sampled import AUTHOR, sampled
+from cosim.fmi.sampled import AUTHOR, sampled_annotation
 
 TOOL = "cosim"
 KINDS3 = {"Real": "Float64", "Boolean": "Boolean", "String": "String"}
 LOG = {"logStatusWarning": "what the model was not made for", "logStatusError": "why a call was refused"}
+Version = Literal[2, 3]  # of FMI
 
 
 def description2(layout: Layout, name: str, identifier: str, version: str, guid: str) -> bytes:
     """Return modelDescription.xml of FMI 2.0; sources are in `all.c`."""
-    about = layout.about
-    root = Element("fmiModelDescription", fmiVersion="2.0", modelName=name, guid=guid)
-    root.attrib |= _head(layout, version) | {"numberOfEventIndicators": str(layout.indicators)}
+    head = {"fmiVersion": "2.0", "modelName": name, "guid": guid, **_head(layout, version)}
+    head |= {"numberOfEventIndicators": str(layout.indicators)}
     common = {"modelIdentifier": identifier, "needsExecutionTool": "false"}
     common |= {"canNotUseMemoryManagementFunctions": "true", "canGetAndSetFMUstate": "true"}
     common |= {"canSerializeFMUstate": "true"}
-    states = layout.of("state")
-    if states:
-        common |= {"providesDirectionalDerivative": "true"}
-        _sources2(SubElement(root, "ModelExchange", common))
-    steps = {"canHandleVariableCommunicationStepSize": str(about.variable_step).lower()}
-    _sources2(SubElement(root, "CoSimulation", common | steps))
-    root.append(_units(layout))
-    categories = SubElement(root, "LogCategories")
-    for category, meaning in LOG.items():
-        SubElement(categories, "Category", name=category, description=meaning)
-    root.append(_experiment(layout))
-    for more in _annotations(layout):
-        root.append(more)
-    variables = SubElement(root, "ModelVariables")
-    for k, port in enumerate(layout.ports):
-        variables.append(_port2(k, port))
-    derivatives = {v.state: k for k, v in states}
-    shown = [v for v in layout.locals if v.role != "indicator"]
-    for k, v in enumerate(shown, len(layout.ports)):
-        variables.append(_local2(k, v, derivatives))
-    root.append(_structure2(layout))
-    return _text(root)
+    root = _root(layout, head, common, "providesDirectionalDerivative")
+    for tag in ("ModelExchange", "CoSimulation"):
+        for interface in root.iterfind(tag):
+            SubElement(SubElement(interface, "SourceFiles"), "File", name="all.c")
+    root.extend(_annotations(layout))
+    root.append(_variables(layout, [v for v in layout.locals if v.role != "indicator"], 2))
+    root.append(_structure(layout, 2))
+    return xml_bytes(root)
+
+
+def description3(layout: Layout, name: str, identifier: str, version: str, guid: str) -> bytes:
+    """Return modelDescription.xml of FMI 3.0. `sources/buildDescription.xml` describes the sources."""
+    head = {"fmiVersion": "3.0", "modelName": name, "instantiationToken": guid, **_head(layout, version)}
+    common = {"modelIdentifier": identifier, "needsExecutionTool": "false"}
+    common |= {"canGetAndSetFMUState": "true", "canSerializeFMUState": "true"}
+    root = _root(layout, head, common, "providesDirectionalDerivatives")
+    variables = _variables(layout, layout.locals, 3)
+    time = {"name": "time", "valueReference": str(len(layout.variables))}  # required by FMI 3.0
+    variables.insert(0, Element("Float64", time | {"causality": "independent", "variability": "continuous"}))
+    root.append(variables)
+    root.append(_structure(layout, 3))
+    if vendors := _annotations(layout):
+        annotations = SubElement(root, "Annotations")
+        for vendor in vendors:
+            (tool,) = vendor
+            SubElement(annotations, "Annotation", type=TOOL).extend(tool)
+    return xml_bytes(root)
 
 
 def _head(layout: Layout, version: str) -> dict[str, str]:
@@ -58,45 +70,66 @@ def _head(layout: Layout, version: str) -> dict[str, str]:
         "copyright": AUTHOR,
         "license": LICENCE,
         "generationTool": f"{TOOL} {version}",
-        "variableNamingConvention": naming_convention(
-            [*(p.name for p in layout.ports), *(v.name for v in layout.locals)]
-        ),
+        "variableNamingConvention": naming_convention(v.name for v in layout.variables),
     }
 
 
-def _sources2(way: Element) -> None:
-    SubElement(SubElement(way, "SourceFiles"), "File", name="all.c")
+def _root(layout: Layout, head: dict[str, str], common: dict[str, str], slopes: str) -> Element:
+    """Return a description up to its default experiment.
 
-
-def _units(layout: Layout) -> Element:
-    return unit_definitions(
-        {unit for unit in (*(p.unit for p in layout.ports), *(v.unit for v in layout.locals)) if unit}
-    )
-
-
-def _experiment(layout: Layout) -> Element:
-    about = layout.about
-    times = {"startTime": "0", "stopTime": repr(about.stop), "stepSize": repr(about.step), "tolerance": "1e-6"}
-    return Element("DefaultExperiment", times)
+    Args:
+        common: Attributes of both interfaces.
+        slopes: Name of the capability of directional derivatives.
+    """
+    root = Element("fmiModelDescription", head)
+    if layout.of("state"):
+        common |= {slopes: "true"}
+        SubElement(root, "ModelExchange", common)
+    steps = {"canHandleVariableCommunicationStepSize": str(layout.about.variable_step).lower()}
+    SubElement(root, "CoSimulation", common | steps)
+    root.append(unit_definitions({v.unit for v in layout.variables if v.unit}))
+    categories = SubElement(root, "LogCategories")
+    for category, meaning in LOG.items():
+        SubElement(categories, "Category", name=category, description=meaning)
+    root.append(default_experiment(layout.about))
+    return root
 
 
 def _annotations(layout: Layout) -> list[Element]:
     about = layout.about
-    found = [] if about.traits is None else [annotation(about.traits, "doubles")]
-    return found + ([sampled(about.sampled, about.optional)] if about.sampled else [])
+    traits = [] if about.traits is None else [annotation(about.traits, "doubles")]
+    return traits + ([sampled_annotation(about.sampled, about.optional)] if about.sampled else [])
 
 
-def _of_real(node: Element, unit: str) -> None:
-    if unit:
-        node.set("unit", unit)
-        if display := DISPLAY.get(unit):
-            node.set("displayUnit", display[0])
+def _variables(layout: Layout, local: Sequence[Local], fmi: Version) -> Element:
+    """Return the ports and these local variables."""
+    states = {v.state: k for k, v in layout.of("state")}
+    variables = Element("ModelVariables")
+    variables.extend(_port(k, port, fmi) for k, port in enumerate(layout.ports))
+    variables.extend(_local(k, v, states, fmi) for k, v in enumerate(local, len(layout.ports)))
+    return variables
 
 
-def _limits(node: Element, port: Port) -> None:
-    for name, limit in zip(("min", "max"), port.bounds, strict=True):
-        if math.isfinite(limit):
-            node.set(name, repr(float(limit)))
+def _variable(kind: str, attributes: dict[str, str], fmi: Version) -> tuple[Element, Element]:
+    """Return a variable, and the element with the attributes of its type."""
+    if fmi == 3:
+        node = Element(KINDS3[kind], attributes)
+        return node, node
+    variable = Element("ScalarVariable", attributes)
+    return variable, SubElement(variable, kind)
+
+
+def _port(k: int, port: Port, fmi: Version) -> Element:
+    head = {"name": port.name, "valueReference": str(k), "description": port.doc}
+    variable, node = _variable(port.kind, {n: v for n, v in head.items() if v} | _roles(port), fmi)
+    if port.kind == "Real":
+        set_unit(node, port.unit)
+        set_limits(node, port)
+    if port.causality != "output" and port.kind == "String" and fmi == 3:
+        SubElement(node, "Start", value=_start(port))
+    elif port.causality != "output":
+        node.set("start", _start(port))
+    return variable
 
 
 def _start(port: Port) -> str:
@@ -110,159 +143,43 @@ def _roles(port: Port) -> dict[str, str]:
     if port.causality == "parameter":
         return {"causality": "parameter", "variability": "fixed", "initial": "exact"}
     variability = "continuous" if port.kind == "Real" else "discrete"
-    more = {"initial": "calculated"} if port.causality == "output" else {}
-    return {"causality": port.causality, "variability": variability, **more}
+    initial = {"initial": "calculated"} if port.causality == "output" else {}
+    return {"causality": port.causality, "variability": variability, **initial}
 
 
-def _port2(k: int, port: Port) -> Element:
-    head = {"name": port.name, "valueReference": str(k), "description": port.doc}
-    variable = Element("ScalarVariable", {n: v for n, v in head.items() if v} | _roles(port))
-    node = SubElement(variable, port.kind)
-    if port.kind == "Real":
-        _of_real(node, port.unit)
-        _limits(node, port)
-    if port.causality != "output":
-        node.set("start", _start(port))
-    return variable
-
-
-def _local2(k: int, v: Local, states: dict[int, int]) -> Element:
-    discrete = "discrete" if v.role == "memory" else "continuous"
+def _local(k: int, v: Local, states: Mapping[int, int], fmi: Version) -> Element:
+    variability = "discrete" if v.role == "memory" else "continuous"
     head = {"name": v.name, "valueReference": str(k), "description": v.doc, "causality": "local"}
-    variable = Element("ScalarVariable", head | {"variability": discrete, "initial": "calculated"})
-    node = SubElement(variable, "Real")
-    _of_real(node, v.unit)
+    variable, node = _variable("Real", head | {"variability": variability, "initial": "calculated"}, fmi)
+    set_unit(node, v.unit)
     if v.role == "derivative":
-        node.set("derivative", str(states[v.state] + 1))
+        node.set("derivative", str(states[v.state] + (fmi == 2)))  # FMI 2.0 counts variables from 1.
     return variable
 
 
-def _structure2(layout: Layout) -> Element:
+def _structure(layout: Layout, fmi: Version) -> Element:
     """Return ModelStructure with dependencies."""
-    names = [*(p.name for p in layout.ports), *(v.name for v in layout.locals)]
-    index = {name: k + 1 for k, name in enumerate(names)}
-    structure = Element("ModelStructure")
+    numbers = {v.name: k + (fmi == 2) for k, v in enumerate(layout.variables)}
+    states, rates, indicators = ([v.name for _, v in layout.of(r)] for r in ("state", "derivative", "indicator"))
     outputs = [p.name for p in layout.ports if p.causality == "output"]
-    rates = [v.name for _, v in layout.of("derivative")]
-    starting = layout.about.initial_dependencies
-
-    def unknowns(tag: str, listed: Iterable[tuple[str, Sequence[str] | None]]) -> None:
-        group = SubElement(structure, tag)
-        for name, known in sorted(listed, key=lambda pair: index[pair[0]]):
-            node = SubElement(group, "Unknown", index=str(index[name]))
-            if known is not None:
-                node.set("dependencies", " ".join(map(str, sorted(index[n] for n in known))))
-
-    given = layout.dependencies or layout.about.dependencies
-    unknowns("Outputs", ((name, given[name]) for name in outputs))
-    if rates:
-        unknowns("Derivatives", ((name, given[name]) for name in rates))
-    calculated = [(name, None) for name in (*(v.name for _, v in layout.of("state")), *rates)]
-    unknowns("InitialUnknowns", [*((name, starting[name]) for name in outputs), *calculated])
-    return structure
-
-
-def _text(root: Element) -> bytes:
-    indent(root)
-    text: bytes = tostring(root, encoding="UTF-8", xml_declaration=True)
-    return text + b"\n"
-
-
-# -- FMI 3.0 ------------------------------------------------------------------------------------
-
-
-def description3(layout: Layout, name: str, identifier: str, version: str, guid: str) -> bytes:
-    """Return modelDescription.xml of FMI 3.0. `sources/buildDescription.xml` describes the sources."""
-    about = layout.about
-    root = Element("fmiModelDescription", fmiVersion="3.0", modelName=name, instantiationToken=guid)
-    root.attrib |= _head(layout, version)
-    common = {"modelIdentifier": identifier, "needsExecutionTool": "false"}
-    common |= {"canGetAndSetFMUState": "true", "canSerializeFMUState": "true"}
-    states = layout.of("state")
-    if states:
-        common |= {"providesDirectionalDerivatives": "true"}
-        SubElement(root, "ModelExchange", common)
-    steps = {"canHandleVariableCommunicationStepSize": str(about.variable_step).lower()}
-    SubElement(root, "CoSimulation", common | steps)
-    root.append(_units(layout))
-    categories = SubElement(root, "LogCategories")
-    for category, meaning in LOG.items():
-        SubElement(categories, "Category", name=category, description=meaning)
-    root.append(_experiment(layout))
-    variables = Element("ModelVariables")
-    variables.append(
-        Element(
-            "Float64", name="time", valueReference=str(_time(layout)), causality="independent", variability="continuous"
-        )
-    )
-    for k, port in enumerate(layout.ports):
-        variables.append(_port3(k, port))
-    derivatives = {v.state: k for k, v in states}
-    for k, v in enumerate(layout.locals, len(layout.ports)):
-        variables.append(_local3(k, v, derivatives))
-    root.append(variables)
-    root.append(_structure3(layout))
-    if noted := _annotations(layout):
-        annotations = SubElement(root, "Annotations")
-        for more in noted:
-            (tool,) = more
-            own = SubElement(annotations, "Annotation", type=TOOL)
-            own.extend(tool)
-    return _text(root)
-
-
-def _time(layout: Layout) -> int:
-    """Return the value reference of time, required by FMI 3.0."""
-    return len(layout.ports) + len(layout.locals)
-
-
-def _port3(k: int, port: Port) -> Element:
-    head = {"name": port.name, "valueReference": str(k), "description": port.doc}
-    node = Element(KINDS3[port.kind], {n: v for n, v in head.items() if v} | _roles(port))
-    if port.kind == "Real":
-        _of_real(node, port.unit)
-        _limits(node, port)
-    if port.causality != "output":
-        if port.kind == "String":
-            SubElement(node, "Start", value=_start(port))
-        else:
-            node.set("start", _start(port))
-    return node
-
-
-def _local3(k: int, v: Local, states: dict[int, int]) -> Element:
-    discrete = "discrete" if v.role == "memory" else "continuous"
-    head = {"name": v.name, "valueReference": str(k), "description": v.doc, "causality": "local"}
-    node = Element("Float64", head | {"variability": discrete, "initial": "calculated"})
-    _of_real(node, v.unit)
-    if v.role == "derivative":
-        node.set("derivative", str(states[v.state]))
-    return node
-
-
-def _structure3(layout: Layout) -> Element:
-    reference = {p.name: k for k, p in enumerate(layout.ports)}
-    reference |= {v.name: k for k, v in enumerate(layout.locals, len(layout.ports))}
+    dependencies, starting = layout.dependencies or layout.about.dependencies, layout.about.initial_dependencies
+    initial = {**{n: starting[n] for n in outputs}, **dict.fromkeys((*states, *rates))}
     structure = Element("ModelStructure")
-    outputs = [p.name for p in layout.ports if p.causality == "output"]
-    rates = [v.name for _, v in layout.of("derivative")]
-    given, starting = layout.dependencies or layout.about.dependencies, layout.about.initial_dependencies
 
-    def unknown(tag: str, name: str, known: Sequence[str] | None) -> None:
-        node = SubElement(structure, tag, valueReference=str(reference[name]))
-        if known is not None:
-            node.set("dependencies", " ".join(map(str, sorted(reference[n] for n in known))))
+    def add(parent: Element, tag: str, unknowns: Mapping[str, Sequence[str] | None]) -> None:
+        for name, sources in unknowns.items():
+            node = SubElement(parent, tag, {"index" if fmi == 2 else "valueReference": str(numbers[name])})
+            if sources is not None:
+                node.set("dependencies", " ".join(map(str, sorted(numbers[n] for n in sources))))
 
-    for name in outputs:
-        unknown("Output", name, given[name])
-    for name in rates:
-        unknown("ContinuousStateDerivative", name, given[name])
-    for name in outputs:
-        unknown("InitialUnknown", name, starting[name])
-    for _, v in layout.of("state"):
-        unknown("InitialUnknown", v.name, None)
-    for name in rates:
-        unknown("InitialUnknown", name, None)
-    for _, v in layout.of("indicator"):
-        unknown("EventIndicator", v.name, None)
+    if fmi == 2:
+        add(SubElement(structure, "Outputs"), "Unknown", {n: dependencies[n] for n in outputs})
+        if rates:
+            add(SubElement(structure, "Derivatives"), "Unknown", {n: dependencies[n] for n in rates})
+        add(SubElement(structure, "InitialUnknowns"), "Unknown", initial)
+    else:
+        add(structure, "Output", {n: dependencies[n] for n in outputs})
+        add(structure, "ContinuousStateDerivative", {n: dependencies[n] for n in rates})
+        add(structure, "InitialUnknown", initial)
+        add(structure, "EventIndicator", dict.fromkeys(indicators))
     return structure

@@ -12,7 +12,7 @@ from cosim.base.scratch import temporary_folder
 from cosim.base.version import __version__
 from cosim.fmi.documentation import GUID_PLACEHOLDER, write_documentation
 from cosim.fmi.fmu_build import ASSETS, Recipe, digest, write_zip
-from cosim.fmi.native.check import check
+from cosim.fmi.native.check import Check
 from cosim.fmi.native.compiler import commands, fmi_headers, library_of
 from cosim.fmi.native.layout import Layout, model_layout
 from cosim.fmi.native.native_description import description2, description3
@@ -20,7 +20,8 @@ from cosim.fmi.native.platforms import PLATFORMS, Platform, glibc_floor
 from cosim.fmi.native.printing import Printer, Sources
 from cosim.model.model import Model
 
-HERE = Path(__file__).resolve().parent
+FOLDER = Path(__file__).resolve().parent
+COMMON = ("floating.h", "near.h", "rk4.h", "stiff.h", "model.h", "instance.c", "fmi.c")
 WAYS = {2: "FMI 2.0", 3: "FMI 3.0"}
 EXPORTS = {
     2: ("fmi2Instantiate", "fmi2DoStep", "fmi2GetReal"),
@@ -65,14 +66,14 @@ def native_model(model: Model, recipe: Recipe, name: str) -> Native:
     """Return a model for a native FMU, checked against its Python; raise Unprintable on failure."""
     printer = Printer(model, recipe.about.ports)
     printed = printer.sources()
-    check(model, printer)
+    Check(model, printer).run()
     layout = model_layout(printer, recipe.about, int(str(printed.sizes["KINKS"])))
     return Native(name, layout, printed, {"equations.c": part("equations.c")}, recipe.text)
 
 
 def part(name: str) -> bytes:
     """Return a C file common to all models."""
-    return (HERE / name).read_bytes()
+    return (FOLDER / name).read_bytes()
 
 
 def build_native(native: Native, path: Path, fmi: int = 2, platforms: Sequence[str] = ()) -> Built:
@@ -103,7 +104,7 @@ def build_native(native: Native, path: Path, fmi: int = 2, platforms: Sequence[s
         members["model.png" if fmi == 2 else "terminalsAndIcons/icon.png"] = icon.read_bytes()
     floors = {}
     for platform, command in targets.items():
-        library = library_of(sources, "all.c", command, EXPORTS[fmi])
+        library = library_of(sources, "all.c", command, EXPORTS[fmi]).read_bytes()
         members[f"binaries/{platform.folder(fmi)}/{identifier}{platform.suffix}"] = library
         floors[platform.name] = glibc_floor(library)
     members["modelDescription.xml"] = description(guid)
@@ -121,16 +122,9 @@ def _sources(native: Native, fmi: int) -> dict[str, bytes]:
     every = head + "".join(f'#include "{name}"\n' for name in order)
     return {
         "all.c": every.encode(),
-        "floating.h": part("floating.h"),
-        "near.h": part("near.h"),
-        "rk4.h": part("rk4.h"),
-        "stiff.h": part("stiff.h"),
-        "model.h": part("model.h"),
         "model.c": f'#include "model.h"\n\n{native.printed.body}'.encode(),
-        "instance.c": part("instance.c"),
         **native.parts,
-        "fmi.c": part("fmi.c"),
-        layer: part(layer),
+        **{name: part(name) for name in (*COMMON, layer)},
         **{file.name: file.read_text(encoding="utf-8").encode() for file in headers},  # lines end with LF
         "config.h": _config(native, ""),
     }
@@ -143,12 +137,12 @@ def _config(native: Native, guid: str) -> bytes:
 
 
 def _documentation(native: Native, fmi: int, guid: str, built: Sequence[Platform]) -> dict[str, bytes]:
-    listed = ", ".join(p.name for p in built)
-    missing = ", ".join(p.name for p in PLATFORMS.values() if p not in built)
+    platforms = ", ".join(p.name for p in built)
+    others = ", ".join(p.name for p in PLATFORMS.values() if p not in built)
     ways = "co-simulation and model exchange" if native.layout.of("state") else "co-simulation"
-    text = f"<p>Native: compiled C, which needs no Python. Libraries for {escape(listed)}"
-    if missing:
-        text += f"; none for {escape(missing)}, for which the C in <code>sources/</code> is to be compiled"
+    text = f"<p>Native: compiled C, which needs no Python. Libraries for {escape(platforms)}"
+    if others:
+        text += f"; none for {escape(others)}, for which the C in <code>sources/</code> is to be compiled"
     text += f".</p>{native.text}"
     with temporary_folder("build") as folder:
         licence = ASSETS / "license.txt"

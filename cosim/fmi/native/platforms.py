@@ -39,7 +39,7 @@ PLATFORMS = {
 }
 
 
-def here() -> Platform | None:
+def this_platform() -> Platform | None:
     """Return this machine's platform, None if not listed."""
     system = {"linux": "linux", "win32": "windows", "darwin": "darwin"}.get(sys.platform, sys.platform)
     machine = {"AMD64": "x86_64", "arm64": "aarch64"}.get(platform.machine(), platform.machine())
@@ -48,5 +48,5 @@ def here() -> Platform | None:
 
 def glibc_floor(library: bytes) -> str:
     """Return the oldest glibc for a Linux library, by its symbol versions."""
-    found = {tuple(map(int, v.split(b"."))) for v in re.findall(rb"GLIBC_(\d+(?:\.\d+)+)", library)}
-    return ".".join(map(str, max(found))) if found else ""
+    versions = {tuple(map(int, v.split(b"."))) for v in re.findall(rb"GLIBC_(\d+(?:\.\d+)+)", library)}
+    return ".".join(map(str, max(versions, default=())))

@@ -20,7 +20,7 @@ from cosim.storage.cache import fingerprint, load_or_make
 
 MOST_SWITCHES = 4  # each doubles the generated code
 LANGUAGE = C()
-Printed = tuple[str, str, str]  # name, arguments, text
+Function = tuple[str, str, str]  # name, arguments, text
 
 
 class Unprintable(ValueError):
@@ -45,7 +45,7 @@ class Sources:
     sizes: Mapping[str, object]
 
 
-def quoted(text: str) -> str:
+def quote(text: str) -> str:
     """Return a C string, with octal escapes outside ASCII."""
     escaped = "".join(c if c.isascii() and c.isprintable() and c not in '"\\?' else _octal(c) for c in text)
     return f'"{escaped}"'
@@ -63,8 +63,7 @@ def number(value: float) -> str:
 
 def table(kind: str, name: str, rows: Iterable[str]) -> str:
     """Return a constant table, never empty as C requires."""
-    listed = list(rows)
-    inner = "".join(f"    {row},\n" for row in listed) or "    0,\n"
+    inner = "".join(f"    {row},\n" for row in rows) or "    0,\n"
     return f"static const {kind} {name}[] = {{\n{inner}}};\n"
 
 
@@ -75,16 +74,13 @@ def variable_tables(ports: Sequence[Port]) -> tuple[str, int]:
     for port in ports:
         start = number(port.start) if not isinstance(port.start, str) else f"{len(texts)}.0"
         if isinstance(port.start, str):
-            texts.append(quoted(port.start))
+            texts.append(quote(port.start))
         low, high = map(number, port.bounds)
         kind, causality = port.kind.upper(), port.causality.upper()
-        rows.append(f"{{{quoted(port.name)}, {quoted(port.unit)}, {kind}, {causality}, {start}, {low}, {high}}}")
-    filled = [*rows, '{"", "", REAL, PARAMETER, 0.0, 0.0, 0.0}'], [*texts, '""']
-    return (
-        table("Variable", "variables", filled[0]).replace("[]", "[VARIABLES + 1]", 1)
-        + table("char *const", "texts", filled[1]).replace("[]", "[TEXTS + 1]", 1),
-        len(texts),
-    )
+        rows.append(f"{{{quote(port.name)}, {quote(port.unit)}, {kind}, {causality}, {start}, {low}, {high}}}")
+    variables = table("Variable", "variables", [*rows, '{"", "", REAL, PARAMETER, 0.0, 0.0, 0.0}'])
+    strings = table("char *const", "texts", [*texts, '""'])
+    return variables.replace("[]", "[VARIABLES + 1]", 1) + strings.replace("[]", "[TEXTS + 1]", 1), len(texts)
 
 
 class Printer:
@@ -95,10 +91,10 @@ class Printer:
         self.place = {port.name: k for k, port in enumerate(ports)}
         self.switches = switches(model)
         if len(self.switches) > MOST_SWITCHES:
-            named, most = ", ".join(self.switches), MOST_SWITCHES
-            text = f"{len(self.switches)} parameters are true or false ({named}); {most} are printed at most"
+            names = ", ".join(self.switches)
+            text = f"{len(self.switches)} parameters are true or false ({names}); {MOST_SWITCHES} are printed at most"
             cure = "make the rest numbers that m.where looks at, or constants of the class"
-            raise Unprintable(text, type(model), self.switches[most].rpartition(".")[2], cure)
+            raise Unprintable(text, type(model), self.switches[MOST_SWITCHES].rpartition(".")[2], cure)
         positions = product((False, True), repeat=len(self.switches))
         try:
             self.variants = [Trace.of(model, dict(zip(self.switches, flags, strict=True))) for flags in positions]
@@ -133,8 +129,7 @@ class Printer:
         """Return all generated code."""
         tables, texts = variable_tables(self.ports)
         functions, body_kinks, kinks_in_all, calls = load_or_make(self._serialize(), self._functions)
-        parts = [tables, self._tables(), *functions, self._starts(), self._wake()]
-        parts += [self._remembers(), self._counting()]
+        parts = [tables, self._tables(), *functions, self._starts(), self._wake(), self._remembers(), self._counting()]
         delay = self.trace.effects.index(self.delay) if self.delay else -1
         sizes = {
             "VARIABLES": len(self.ports),
@@ -151,7 +146,7 @@ class Printer:
             "NEAR": calls,
             "DELAY": delay,
             "DELAY_TIME": self.vr(f"{self.delay.name}.{self.delay.delay}") if self.delay else 0,
-            "DELAY_LONGEST": number(_longest(self.delay)) if self.delay else "0.0",
+            "DELAY_LONGEST": number(_longest_delay(self.delay)) if self.delay else "0.0",
             "SHAPING": int(bool(overrides(self.trace.effects, "shape", Effect))),
             "SUBSTEP": number(self.model.substep),
             "STIFF": int(self.model.integrator == STIFF),
@@ -165,37 +160,37 @@ class Printer:
         """Return a text that determines all functions, for the cache."""
         from sympy import srepr
 
-        def blocks(listed: Sequence[Block]) -> list[Any]:
-            return [(srepr(list(b.values.items())), srepr(list(b.dormant.items())), b.effect, b.title) for b in listed]
+        def as_text(blocks: Sequence[Block]) -> list[Any]:
+            return [(srepr(list(b.values.items())), srepr(list(b.dormant.items())), b.effect, b.title) for b in blocks]
 
-        made: list[Any] = [fingerprint(("cosim.model.symbolic", "cosim.fmi.native"))]
+        parts: list[Any] = [fingerprint(("cosim.model.symbolic", "cosim.fmi.native"))]
         for trace in self.variants:
             ends = (trace.derivative, trace.outputs, trace.shaped, trace.remembered, trace.started, trace.memory)
             symbols = (trace.s.time, trace.step, *trace.s.state, *trace.s.command)
             places = [(name, self.vr(name), srepr(s)) for name, s in trace.s.parameters.items()]
             remembering = [bool(e.memory) for e in trace.effects]
-            made.append([blocks(trace.blocks), blocks(trace.shaping), *map(srepr, (*ends, list(symbols)))])
-            made.append([places, remembering])
-        return repr((made, [self.vr(name) for name in self.switches]))
+            parts.append([as_text(trace.blocks), as_text(trace.shaping), *map(srepr, (*ends, list(symbols)))])
+            parts.append([places, remembering])
+        return repr((parts, [self.vr(name) for name in self.switches]))
 
     def _functions(self) -> tuple[list[str], int, int, int]:
         """Return functions, and counts of body kinks, all kinks and calls."""
         gaps = [self._kinks(trace) for trace in self.variants]
-        sizes = [max(len(found[k][1]) for found in gaps) for k in (0, 1)]
+        sizes = [max(len(pair[k][1]) for pair in gaps) for k in (0, 1)]
         calls = [nearby(trace.blocks, trace.derivative) for trace in self.variants]
         printed = [self._variant(*of, sizes) for of in zip(self.variants, gaps, calls, strict=True)]
-        merged = [self._merged([variant[k] for variant in printed]) for k in range(len(printed[0]))]
-        return merged, sizes[0], sum(sizes), max(len(listed) for _, _, listed in calls)
+        merged = [self._merge([variant[k] for variant in printed]) for k in range(len(printed[0]))]
+        return merged, sizes[0], sum(sizes), max(len(near) for _, _, near in calls)
 
     @staticmethod
     def _kinks(trace: Trace) -> tuple[tuple[list[Any], list[Any]], tuple[list[Any], list[Any]]]:
         """Return kinks of the body and of immediate command shaping. Memory changes at events only."""
         moving = {*trace.s.state, *trace.s.command, trace.s.time}
         at_once = [b for b in trace.shaping if b.effect is None or not trace.effects[b.effect].memory]
-        seen = {*moving, *(s for b in trace.shaping for s in b.values)}
-        return kinks(trace.blocks, [*trace.derivative, *trace.outputs], moving), kinks(at_once, [], seen)
+        shaped = {*moving, *(s for b in trace.shaping for s in b.values)}
+        return kinks(trace.blocks, [*trace.derivative, *trace.outputs], moving), kinks(at_once, [], shaped)
 
-    def _variant(self, trace: Trace, gaps: Any, near: Any, sizes: Sequence[int]) -> list[Printed]:
+    def _variant(self, trace: Trace, gaps: Any, near: Any, sizes: Sequence[int]) -> list[Function]:
         import sympy
 
         s = trace.s
@@ -208,7 +203,7 @@ class Printer:
         (body_kinks, body_gaps), (shape_kinks, shape_gaps) = gaps
         filled = [[*g, *[sympy.Integer(1)] * (n - len(g))] for g, n in zip((body_gaps, shape_gaps), sizes, strict=True)]
         body, shaping, n = trace.blocks, trace.shaping, len(trace.derivative)
-        listed: list[tuple[str, str, list[Any], list[Any]]] = [
+        functions: list[tuple[str, str, list[Any], list[Any]]] = [
             ("outputs", "t x u p", body, trace.outputs),
             ("shape", "t h u memory p", shaping, [*trace.shaped, *trace.remembered]),
             ("remember", "t memory p", [], trace.started),
@@ -221,31 +216,33 @@ class Printer:
         try:
             name, arguments = "derivatives", "t x u p near"
             derivatives = name, arguments, function(LANGUAGE, name, arguments, near[0], near[1], places, calls=near[2])
-            rest = [(f, a, function(LANGUAGE, f, a, blocks, results, places)) for f, a, blocks, results in listed]
+            rest = [(f, a, function(LANGUAGE, f, a, blocks, results, places)) for f, a, blocks, results in functions]
             return [derivatives, *rest]
         except ValueError as error:
             raise Unprintable(str(error)) from error
 
-    def _merged(self, variants: Sequence[Printed]) -> str:
+    def _merge(self, variants: Sequence[Function]) -> str:
         """Return a function that switches between variants."""
         name, arguments, text = variants[0]
         if all(other == text for _, _, other in variants):
             return text
         head, call = text.partition("\n")[0], ", ".join([*arguments.split(), "awake", "out"])
-        own = [t.replace(f"static void {name}(", f"static void {name}_{k}(", 1) for k, (_, _, t) in enumerate(variants)]
+        texts = [
+            t.replace(f"static void {name}(", f"static void {name}_{k}(", 1) for k, (_, _, t) in enumerate(variants)
+        ]
         # in the order of `product`: the last switch is the lowest bit
         places = [self.vr(switch) for switch in self.switches]
         bits = " | ".join(f"(p[{vr}] != 0.0) << {k}" for k, vr in enumerate(reversed(places)))
         cases = "".join(f"    case {k}: {name}_{k}({call}); break;\n" for k in range(len(variants)))
-        return "\n".join(own) + f"\n{head}\n{{\n    switch ({bits}) {{\n{cases}    }}\n}}\n"
+        return "\n".join(texts) + f"\n{head}\n{{\n    switch ({bits}) {{\n{cases}    }}\n}}\n"
 
     def _starts(self) -> str:
         """Return C code of start values calculated from parameters, unless set."""
         import sympy
 
-        m, own = SymbolNamespace(), self.trace.s.model
+        m, model = SymbolNamespace(), self.trace.s.model
         with guarded():
-            state, inputs = own.start_state(m), own.start_input()
+            state, inputs = model.start_state(m), model.start_input()
         if any(t.s.model.start_state(m) != state or t.s.model.start_input() != inputs for t in self.variants):
             raise Unprintable("start values that a switch decides")
         printer = LANGUAGE.printer(places_of(self.trace, {n: f"p[{self.vr(n)}]" for n in self.trace.s.parameters}))
@@ -253,8 +250,8 @@ class Printer:
         def line(target: str, value: Any) -> str:
             return f"    {target} = {printer.doprint(sympy.sympify(value))};\n"
 
-        starting = {q.name: inputs.get(q.name, q.start) for q in own.inputs}
-        base = {q.name for q in own.base_states}
+        starting = {q.name: inputs.get(q.name, q.start) for q in model.inputs}
+        base = {q.name for q in model.base_states}
         text = "".join(
             line(f"x[{k}]", state.get(q.name, q.start) if q.name in base else q.start)
             for k, q in enumerate(self.states)
@@ -273,8 +270,8 @@ class Printer:
         """Return C code that activates effects with non-neutral parameters."""
         lines = []
         for k, effect in enumerate(self.trace.effects):
-            known = [(self.vr(f"{effect.name}.{p.name}"), p.neutral) for p in parameters_of(effect)]
-            tests = [f"p[{vr}] != {number(neutral)}" for vr, neutral in known if neutral is not None]
+            neutrals = [(self.vr(f"{effect.name}.{p.name}"), p.neutral) for p in parameters_of(effect)]
+            tests = [f"p[{vr}] != {number(neutral)}" for vr, neutral in neutrals if neutral is not None]
             lines.append(f"    awake[{k}] = {' || '.join(tests) or '0'}; /* {effect.name} */\n")
         head = "static void wake(const double *p, unsigned char *awake)"
         return f"{head}\n{{\n    (void)p, (void)awake;\n{''.join(lines)}}}\n"
@@ -296,7 +293,7 @@ class Printer:
                 name = self.trace.effects[block.effect].name
                 symbols = set().union(*(e.free_symbols for e in block.values.values()))
                 if symbols & (clock if name in remembering else {self.trace.step}):
-                    lines[block.effect] = f"    if (awake[{block.effect}]) return {quoted(name)};\n"
+                    lines[block.effect] = f"    if (awake[{block.effect}]) return {quote(name)};\n"
         head = "static const char *counting(const unsigned char *awake)\n{\n    (void)awake;\n"
         return f"{head}{''.join(lines.values())}    return NULL;\n}}\n"
 
@@ -310,24 +307,22 @@ class Printer:
                 f"{self.delay.name} remembers {len(delayed)} commands; there are {len(self.model.inputs)}"
             )
         inputs = {q.name: k for k, q in enumerate(self.model.inputs)}
-        listed = [str(inputs[name]) for v in self.model.valid for name in v.inputs]
+        range_inputs = [str(inputs[name]) for v in self.model.valid for name in v.inputs]
         ranges, first = [], 0
         for v in self.model.valid:
             limits = f"{number(v.low)}, {number(v.high)}"
-            ranges.append(f"{{{quoted(v.quantity)}, {first}, {len(v.inputs)}, {limits}, {quoted(v.beyond)}}}")
+            ranges.append(f"{{{quote(v.quantity)}, {first}, {len(v.inputs)}, {limits}, {quote(v.beyond)}}}")
             first += len(v.inputs)
-        return "".join(
-            (
-                table("char *const", "STATE_NAME", [quoted(q.name) for q in self.states]),
-                table("int", "STATE_START", places(f"{q.name}_start" for q in self.states)),
-                table("int", "MEMORY_START", places(f"{e.name}.{q.name}_start" for e, q in self.remembering)),
-                table("int", "DELAY_START", places(delayed)),
-                table("int", "RANGE_INPUT", listed) + table("Range", "RANGE", ranges) if ranges else "",
-            )
+        return (
+            table("char *const", "STATE_NAME", [quote(q.name) for q in self.states])
+            + table("int", "STATE_START", places(f"{q.name}_start" for q in self.states))
+            + table("int", "MEMORY_START", places(f"{e.name}.{q.name}_start" for e, q in self.remembering))
+            + table("int", "DELAY_START", places(delayed))
+            + (table("int", "RANGE_INPUT", range_inputs) + table("Range", "RANGE", ranges) if ranges else "")
         )
 
 
-def _longest(delay: Any) -> float:
+def _longest_delay(delay: Any) -> float:
     """Return the longest possible delay [s]."""
     declared = next(p for p in parameters_of(delay) if p.name == delay.delay)
     return float(getattr(delay, "longest", declared.bounds[1]))

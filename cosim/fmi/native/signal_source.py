@@ -69,9 +69,9 @@ def native_source(name: str, signals: Mapping[str, TimeSignal], step: float, sto
     variables, texts = variable_tables(ports)
     sizes = {"VARIABLES": len(ports), "OUTPUTS": len(ports), "TEXTS": texts}
     sizes |= dict.fromkeys(("INPUTS", "STATES", "MEMORIES", "KINKS", "RANGES", "EFFECTS", "OWN", "EXCHANGE"), 0)
-    called = re.sub(r"[^A-Za-z0-9_]", "_", f"source_{name}")
+    identifier = re.sub(r"[^A-Za-z0-9_]", "_", f"source_{name}")
     parts = {file: part(file) for file in ("source.c", "steps_only.c")}
-    return Native(called, Layout(about), Sources(f"{variables}\n{tables(signals)}\n", sizes), parts, TEXT)
+    return Native(identifier, Layout(about), Sources(f"{variables}\n{tables(signals)}\n", sizes), parts, TEXT)
 
 
 def tables(signals: Mapping[str, TimeSignal]) -> str:

@@ -5,7 +5,7 @@
  * once where RATE is 0. */
 #include "model.h"
 
-static double reached(double from, double to, double rate, double elapsed)
+static double value_after(double from, double to, double rate, double elapsed)
 {
     if (elapsed < 0.0) elapsed = 0.0;
     if (rate == 0.0 || fabs(to - from) <= rate * elapsed) return to;
@@ -22,7 +22,7 @@ static double value_at(int first, int count, double time)
         else high = middle;
     }
     const int k = first + (low > 0 ? low - 1 : 0);
-    return reached(FROM[k], TO[k], RATE[k], time - AT[k]);
+    return value_after(FROM[k], TO[k], RATE[k], time - AT[k]);
 }
 
 static int refresh_outputs(Instance *m)
@@ -45,7 +45,7 @@ static int advance(Instance *m, double t, double h)
     return refresh_outputs(m);
 }
 
-static void restored(Instance *m)
+static void after_restore(Instance *m)
 {
     (void)m;
 }

@@ -86,7 +86,7 @@ static void substep(double t, double h, double *x, const double *u, const double
 #endif
 
 /* The commands with which the FMU gives its outputs in row k: those held over the step that ends there, or interpolated. */
-static void held(const Log *log, int k, double *u)
+static void row_command(const Log *log, int k, double *u)
 {
     memcpy(u, row_of(log, k - 1), sizeof(double) * NU);
     on_ramps(log, k, u);
@@ -135,7 +135,7 @@ int simulate(const Log *log, int first, const double *p, const double *x0, const
             }
             if (kicks) for (int i = 0; i < NX; i++) x[i] += kicks[NX * k + i];
         }
-        held(log, k, command);
+        row_command(log, k, command);
         measure(t, x, command, p, outputs + NY * k);
         if (states) memcpy(states + NX * k, x, sizeof(double) * NX);
         if (memories) memcpy(memories + NM * k, memory, sizeof(double) * NM);

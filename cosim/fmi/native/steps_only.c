@@ -43,7 +43,7 @@ static int update(Instance *m, double *next)
     return no_solver(m);
 }
 
-static int completed(Instance *m)
+static int complete_step(Instance *m)
 {
     return no_solver(m);
 }

@@ -151,24 +151,24 @@ document.addEventListener("rows", (event) => {
     const rows = [],
       step = data.sparse ? 1 : Math.max(1, Math.floor((high - low) / columns));
     let text = "",
-      there = [];
+      stretch = [];
     if (data.sparse) [low, high] = [0, count - 1];
     const close = () => {
-      if (there.length)
+      if (stretch.length)
         text +=
           "M" +
-          there.map((r) => `${x(time[r]).toFixed(0)} ${y(upper.v[r]).toFixed(0)}`).join("L") +
+          stretch.map((r) => `${x(time[r]).toFixed(0)} ${y(upper.v[r]).toFixed(0)}`).join("L") +
           "L" +
-          there
+          stretch
             .reverse()
             .map((r) => `${x(time[r]).toFixed(0)} ${y(lower.v[r]).toFixed(0)}`)
             .join("L") +
           "z";
-      there = [];
+      stretch = [];
     };
     for (let row = low; row <= high; row += step) rows.push(row);
     for (const row of rows) {
-      if (!Number.isNaN(lower.v[row]) && !Number.isNaN(upper.v[row])) there.push(row);
+      if (!Number.isNaN(lower.v[row]) && !Number.isNaN(upper.v[row])) stretch.push(row);
       else if (!data.sparse) close();
     }
     close();
@@ -306,7 +306,7 @@ document.addEventListener("rows", (event) => {
       if (this.zero) this.zero.setAttribute("d", y.low < 0 && y.high > 0 ? `M0 ${v(0).toFixed(0)}h${W}` : "");
     }
 
-    spoken() {
+    describe() {
       const row = page.at(),
         unit = this.figure.dataset.unit.replace("no unit", "");
       const values = this.lines.filter((l) => l.on).map((l) => `${l.label} ${page.read(l.series, row)} ${unit}`.trim());
@@ -372,10 +372,10 @@ document.addEventListener("rows", (event) => {
   }
 
   // -- pointer, fingers, keys ------------------------------------------------------------------------
-  let told = document.querySelector("p.told");
-  if (!told) {
-    told = make("p", { class: "unseen told", role: "status", "aria-live": "polite" });
-    document.body.append(told);
+  let announcer = document.querySelector("p.told");
+  if (!announcer) {
+    announcer = make("p", { class: "unseen told", role: "status", "aria-live": "polite" });
+    document.body.append(announcer);
   }
   const timeAt = (box, x) => {
     const frame = box.getBoundingClientRect();
@@ -383,7 +383,7 @@ document.addEventListener("rows", (event) => {
   };
   const nearest = (t) => ours.near(t);
   // Some rows on; of rows that stand at one place of the axis no more than one.
-  function beside(row, some) {
+  function rowBeyond(row, some) {
     let to = Math.min(count - 1, Math.max(0, row + some));
     if (data.points) return to; // one above another too
     while (time[to] === time[row] && to > 0 && to < count - 1) to += Math.sign(some);
@@ -393,7 +393,7 @@ document.addEventListener("rows", (event) => {
   function listen(chart) {
     const { box } = chart,
       fingers = new Map();
-    let begun = null,
+    let dragStart = null,
       mark = null,
       apart = 0;
     const under = (event) => {
@@ -405,13 +405,13 @@ document.addEventListener("rows", (event) => {
     const unmark = () => {
       mark?.remove();
       mark = null;
-      begun = null;
+      dragStart = null;
     };
     box.addEventListener("pointerdown", (event) => {
       if (event.button) return;
       box.setPointerCapture(event.pointerId);
       fingers.set(event.pointerId, event.clientX);
-      if (event.pointerType !== "touch") begun = event.clientX;
+      if (event.pointerType !== "touch") dragStart = event.clientX;
       if (fingers.size === 2) {
         const [a, b] = fingers.values();
         apart = Math.max(8, Math.abs(a - b));
@@ -428,10 +428,10 @@ document.addEventListener("rows", (event) => {
         return;
       }
       page.seek(under(event));
-      if (begun === null || Math.abs(event.clientX - begun) < 5) return;
+      if (dragStart === null || Math.abs(event.clientX - dragStart) < 5) return;
       mark ??= box.appendChild(make("span", { class: "marked", "aria-hidden": "true" }));
       const frame = box.getBoundingClientRect(),
-        ends = [begun, event.clientX]
+        ends = [dragStart, event.clientX]
           .map((x) => Math.min(frame.right, Math.max(frame.left, x)) - frame.left)
           .sort((p, q) => p - q);
       mark.style.left = ends[0] + "px";
@@ -439,7 +439,7 @@ document.addEventListener("rows", (event) => {
     });
     const up = (event) => {
       fingers.delete(event.pointerId);
-      if (mark) look(...[timeAt(box, begun), timeAt(box, event.clientX)].sort((p, q) => p - q));
+      if (mark) look(...[timeAt(box, dragStart), timeAt(box, event.clientX)].sort((p, q) => p - q));
       else if (event.type === "pointerup") page.settle(under(event));
       unmark();
     };
@@ -469,7 +469,7 @@ document.addEventListener("rows", (event) => {
       const row = page.at(),
         some = event.shiftKey ? Math.max(1, Math.round((rowsInView()[1] - rowsInView()[0]) / 20)) : 1,
         [low, high] = rowsInView();
-      const rows = { ArrowLeft: beside(row, -some), ArrowRight: beside(row, some), Home: low, End: high };
+      const rows = { ArrowLeft: rowBeyond(row, -some), ArrowRight: rowBeyond(row, some), Home: low, End: high };
       if (event.key in rows) page.settle(Math.min(count - 1, Math.max(0, rows[event.key])));
       else if (event.key === "+" || event.key === "=") scale(0.5, time[page.at()]);
       else if (event.key === "-") scale(2, time[page.at()]);
@@ -479,7 +479,7 @@ document.addEventListener("rows", (event) => {
       const t = time[page.at()],
         width = view.to - view.from;
       if (t < view.from || t > view.to) look(t - width / 2, t + width / 2);
-      told.textContent = chart.spoken();
+      announcer.textContent = chart.describe();
     });
     box.tabIndex = 0;
     box.setAttribute("role", "application");
@@ -510,8 +510,8 @@ document.addEventListener("rows", (event) => {
   // -- pictures and numbers ------------------------------------------------------------------------------
   const escape = (text) => text.replace(/[&<>"]/g, (c) => `&#${c.charCodeAt(0)};`);
   const tag = (name, attributes, inner = "") => {
-    const written = Object.entries(attributes).map(([key, value]) => ` ${key}="${escape(String(value))}"`);
-    return `<${name}${written.join("")}>${inner}</${name}>`;
+    const pairs = Object.entries(attributes).map(([key, value]) => ` ${key}="${escape(String(value))}"`);
+    return `<${name}${pairs.join("")}>${inner}</${name}>`;
   };
   function pen(line) {
     const look = getComputedStyle(line);
@@ -537,7 +537,7 @@ document.addEventListener("rows", (event) => {
     const limit = { stroke: colour("--reference"), "stroke-dasharray": "5 4" };
     const shade = { fill: colour("--band"), "fill-opacity": colour("--band-alpha") };
     const lines = chart.lines.filter((l) => l.on).map((l) => ({ ...l, look: pen(l.path) }));
-    const drawn = [
+    const shapes = [
       chart.band ? stroke(bandPath(chart.edges, rows, px, py, wide), shade) : "",
       ...chart.levels.map((l) => level(py(l.value), limit)),
       ...chart.uprights.map((p) => upright(px(p.value), limit)),
@@ -560,7 +560,7 @@ document.addEventListener("rows", (event) => {
       tag(
         "svg",
         { x: left, y: top, width: wide, height: high, viewBox: `${left} ${top} ${wide} ${high}` },
-        drawn.join(""),
+        shapes.join(""),
       ),
       ...legend,
       words(left + 6, top + 16, y.factor),
@@ -575,15 +575,15 @@ document.addEventListener("rows", (event) => {
   const over = (chart) => chart.figure.querySelector(".x-label").firstChild.data.trim();
   const titles = ({ label, series }) => (series.upper ? [`${label}, lower`, `${label}, upper`] : [label]);
   function numbers(chart) {
-    const quoted = (words) => (/[",\n]/.test(words) ? `"${words.replaceAll('"', '""')}"` : words),
+    const quote = (words) => (/[",\n]/.test(words) ? `"${words.replaceAll('"', '""')}"` : words),
       unit = chart.figure.dataset.unit;
     const lines = chart.lines.filter((l) => l.on),
       [low, high] = rowsInView(),
       rows = [
         [
-          quoted(over(chart)),
-          ...lines.flatMap((l) => titles(l).map((t) => quoted(`${t} [${unit}]`))),
-          ...chart.also.map((a) => quoted(a.label)),
+          quote(over(chart)),
+          ...lines.flatMap((l) => titles(l).map((t) => quote(`${t} [${unit}]`))),
+          ...chart.also.map((a) => quote(a.label)),
         ].join(","),
       ];
     for (let row = low; row <= high; row++) {
@@ -620,14 +620,14 @@ document.addEventListener("rows", (event) => {
         .replace(/%/g, "percent")
         .replace(/[^\p{L}\p{N}\p{M}.-]+/gu, "_")
         .slice(0, 80),
-    taken = new Map();
+    nameCounts = new Map();
 
   function fileName(chart) {
     const { title, unit } = chart.figure.dataset,
       alike = charts.filter((c) => safe(c.figure.dataset.title) === safe(title)).length > 1;
     const name = (safe(title) || "chart") + (alike ? "_" + safe(unit) : ""),
-      count = (taken.get(name) || 0) + 1;
-    taken.set(name, count);
+      count = (nameCounts.get(name) || 0) + 1;
+    nameCounts.set(name, count);
     return count > 1 ? `${name}-${count}` : name;
   }
 
@@ -639,7 +639,7 @@ document.addEventListener("rows", (event) => {
       SVG: () => save(new Blob([picture(chart)], { type: "image/svg+xml" }), name + ".svg"),
       CSV: () => save(new Blob([numbers(chart)], { type: "text/csv" }), name + ".csv"),
     };
-    for (const [kind, does] of Object.entries(ways)) {
+    for (const [kind, action] of Object.entries(ways)) {
       const button = make(
         "button",
         {
@@ -649,7 +649,7 @@ document.addEventListener("rows", (event) => {
         },
         kind,
       );
-      button.addEventListener("click", does);
+      button.addEventListener("click", action);
       row.append(button);
     }
     const back = make(

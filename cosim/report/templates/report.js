@@ -2,8 +2,8 @@
 // The page is complete without it.
 (async () => {
   "use strict";
-  const found = JSON.parse(document.getElementById("run-data").textContent);
-  const packed = [found, ...(found.further ?? [])].filter((block) => block.rows > 1 || (block.rows && block.points));
+  const page = JSON.parse(document.getElementById("run-data").textContent);
+  const packed = [page, ...(page.further ?? [])].filter((block) => block.rows > 1 || (block.rows && block.points));
   const all = (selector, root = document) => [...root.querySelectorAll(selector)];
   const one = (selector, root = document) => root.querySelector(selector);
   scrollable();
@@ -80,8 +80,8 @@
     for (const [key, entry] of Object.entries(series)) {
       const v = column(entry.p);
       if (entry.g)
-        column(0).forEach((there, k) => {
-          if (!there) v[k] = NaN;
+        column(0).forEach((isPresent, k) => {
+          if (!isPresent) v[k] = NaN;
         });
       signals[key] = {
         v,
@@ -116,7 +116,7 @@
                 .replace("e-", "e\u2212");
   }
   // Row at or before t, and how far t is on the way to the next row.
-  function located(t, times) {
+  function locateIn(t, times) {
     let low = 0,
       high = times.length - 1;
     while (high - low > 1) {
@@ -137,7 +137,7 @@
 
   // One axis: its rows, the charts over it, what is looked at and where the cursor is. Numbers are those of a row that
   // was recorded, and never made up between two; of a chart whose curves have points of their own, those nearest.
-  const shown = one("#row");
+  const rowNote = one("#row");
   class Axis {
     constructor(data, alone) {
       const { t } = data,
@@ -176,7 +176,7 @@
       return `${this.symbol} = ${this.text(row)}${this.unit}`;
     }
     locate(t) {
-      return located(t, this.time);
+      return locateIn(t, this.time);
     }
     near(t) {
       const [row, share] = this.locate(t);
@@ -226,11 +226,11 @@
       for (const [cell, series] of this.cells) cell.textContent = this.read(series, row);
       for (const tag of this.tags) tag.textContent = this.text(row) + this.unit;
       this.mark();
-      if (!tell || !shown || !this.cells.length) return;
+      if (!tell || !rowNote || !this.cells.length) return;
       const { of, every, sparse } = this.data,
         count = this.time.length;
-      shown.hidden = false;
-      shown.textContent = this.data.points
+      rowNote.hidden = false;
+      rowNote.textContent = this.data.points
         ? `numbers: point ${row + 1} of ${count}, ${this.place(row)}`
         : sparse
           ? `numbers: of each curve its point nearest to ${this.place(row)}`
@@ -246,7 +246,7 @@
     first = time[0],
     last = time[time.length - 1],
     span = last - first || 1;
-  const locate = (t, times = time) => located(t, times),
+  const locate = (t, times = time) => locateIn(t, times),
     timeText = (row) => main.text(row);
   let now = last,
     playing = false,
@@ -301,8 +301,8 @@
   }
 
   function timeFromAddress() {
-    const found = /^#t=(-?[0-9]*\.?[0-9]+(?:e-?[0-9]+)?)$/.exec(location.hash);
-    return found ? Number(found[1]) : null;
+    const match = /^#t=(-?[0-9]*\.?[0-9]+(?:e-?[0-9]+)?)$/.exec(location.hash);
+    return match ? Number(match[1]) : null;
   }
 
   // Only what has the focus takes keys, so that the page scrolls as any page.
@@ -335,7 +335,7 @@
     if (t != null) jump(t);
   });
   document.body.classList.add("live");
-  const asked = timeFromAddress();
+  const linkedTime = timeFromAddress();
   for (const axis of axes) {
     const ours = axis === main;
     document.dispatchEvent(
@@ -359,7 +359,7 @@
             }
           },
           rest: () => {
-            if (shown) shown.hidden = true;
+            if (rowNote) rowNote.hidden = true;
           },
           look: (from, to) => {
             axis.view = { from, to };
@@ -370,6 +370,6 @@
     );
     if (!ours) axis.to(axis.nearest);
   }
-  show(asked == null ? time[main.nearest] : asked, asked != null && axes.length < 2);
+  show(linkedTime == null ? time[main.nearest] : linkedTime, linkedTime != null && axes.length < 2);
   document.documentElement.dataset.ready = "yes";
 })();
