@@ -67,11 +67,10 @@ def drawable_run(results: Results, manifest: Mapping[str, Any]) -> Run:
 
 def context(run: Run, drawing: Drawing, page: ComponentPage) -> Mapping[str, Any]:
     """Return the values of the template."""
-    goals, connected, rest = criteria(run), connections(run), len(_undisplayed(run, page.shown))
+    goals, connected = criteria(run), connections(run)
     judged = judged_panels(run) if run.time.size and not page.shown else []
     links = connection_panels(run, connected, page.shown) if run.time.size else {}
     others = signal_panels(run, page.shown.union(*links, {p.title for p in judged})) if run.time.size else []
-    undrawn = f"The first {MAX_SIGNALS} of {rest} signals; the file of rows has all."
     return {
         "name": str(run.scenario.get("name") or "Run"),
         "description": str(run.scenario.get("description") or ""),
@@ -83,7 +82,7 @@ def context(run: Run, drawing: Drawing, page: ComponentPage) -> Mapping[str, Any
         "links": drawing.plots(list(links.values())),
         "others": drawing.plots(others),
         "spelled": spelled_values(run),
-        "undrawn": undrawn if rest > MAX_SIGNALS else "",
+        "undrawn": _undrawn(len(_undisplayed(run, page.shown))),
         "criteria": goals,
         "rows": run.time.size,
         "end": run.time[-1] if run.time.size else 0.0,
@@ -167,6 +166,10 @@ def connection_panels(
 
 def _undisplayed(run: Run, shown: frozenset[str]) -> list[str]:
     return [column for column in run.results.columns if column not in shown]
+
+
+def _undrawn(signals: int) -> str:
+    return f"The first {MAX_SIGNALS} of {signals} signals; the file of rows has all." if signals > MAX_SIGNALS else ""
 
 
 def signal_panels(run: Run, shown: frozenset[str] = frozenset()) -> list[Panel]:
