@@ -102,3 +102,4 @@ ARRAYS_AGREE = Template(
     "{runs} repeated through the FMUs agree: at most {difference} of max(1, largest value) apart; {allowed} is allowed",
 )
 ALL_THROUGH_FMUS = Template("N-SWP-042", "every run was made through the FMUs{reason}")
+NO_PANDAS = Template("E-SWP-043", "to_pandas needs pandas: pip install pandas")
