@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-import platform
 import subprocess
 import sys
 import tempfile
 import time
 import zipfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from statistics import median
@@ -93,9 +92,8 @@ def bench() -> dict[str, float | str]:
         place = Path(folder)
         build(plant_recipe(), place / "plant.fmu")
         build(controller_recipe(), place / "controller.fmu")
-        (place / "loop.yaml").write_text(SCENARIO.format(duration=STEPS * H, **NOISE))
-        (place / "long.yaml").write_text(SCENARIO.format(duration=10 * STEPS * H, **NOISE))
-        (place / "one.yaml").write_text(SCENARIO.format(duration=H, **NOISE))
+        for name, steps in (("loop", STEPS), ("long", 10 * STEPS), ("one", 1)):
+            (place / f"{name}.yaml").write_text(SCENARIO.format(duration=steps * H, **NOISE))
         figures: dict[str, float | str] = {
             "loop_over_plain": loop_over_plain(place / "loop.yaml"),
             "fmpy_over_ours_overhead": fmpy_over_ours(place),
@@ -146,14 +144,14 @@ def plain_seconds() -> float:
     psi_noise, psi_dot_noise, ax_noise = noise
     table = np.zeros((STEPS + 1, 37))
     command = (duty, duty, *loop.command)
-    began = time.perf_counter()
+    begin = time.perf_counter()
     for k in range(1, STEPS + 1):
         moment = stepper.step(moment, command, H)
         y = stepper.output(moment.t, moment.state, command)
         measured = (y[4] + psi_noise[k], y[8] + psi_dot_noise[k], y[10] + ax_noise[k])
         command = (duty, duty, *loop.step(measured, 0.0, 0.0))
         table[k] = (*command, *y, *measured, 0.0, 0.0, *command, *loop.estimate, *loop.sigma, 0.0, 0.0)
-    return time.perf_counter() - began
+    return time.perf_counter() - begin
 
 
 def fmpy_over_ours(place: Path) -> float:
@@ -169,15 +167,7 @@ def fmpy_over_ours(place: Path) -> float:
     text += "  a: {fmu: idlea.fmu}\n  b: {fmu: idleb.fmu}\nconnections:\n" + "\n".join(links) + "\n"
     (place / "idle.yaml").write_text(text)
     file = ScenarioFile(place / "idle.yaml")
-    return ratio(
-        lambda: fmpy_seconds(place / "idlea.fmu", place / "idleb.fmu"), lambda: loop_seconds(build_system(file), STEPS)
-    )
-
-
-def fmpy_seconds(path_a: Path, path_b: Path) -> float:
-    """Return the seconds of an FMPy loop."""
-    with fmpy_slaves({path_a: {}, path_b: {}}) as ((a, b), _):
-        return idle_seconds(a, b)
+    return ratio(lambda: fmpy_idle_seconds(place), lambda: loop_seconds(build_system(file), STEPS))
 
 
 @contextmanager
@@ -202,22 +192,23 @@ def fmpy_slaves(starts: Mapping[Path, Mapping[str, float]]) -> Iterator[tuple[li
         slave.freeInstance()
 
 
-def idle_seconds(a: Any, b: Any) -> float:
-    """Return the seconds of two idle FMUs."""
+def fmpy_idle_seconds(place: Path) -> float:
+    """Return the seconds of an FMPy loop of two idle FMUs."""
     a_in, b_in, a_out, b_out = list(range(5)), list(range(12)), list(range(5, 17)), list(range(12, 17))
     table = np.zeros((STEPS + 1, 34))
-    values_b = b.getReal(b_out)
-    began = time.perf_counter()
-    for k in range(STEPS):
-        t = k * H
-        a.setReal(a_in, values_b)
-        a.doStep(t, H)
-        values_a = a.getReal(a_out)
-        b.setReal(b_in, values_a)
-        b.doStep(t, H)
-        old_b, values_b = values_b, b.getReal(b_out)
-        table[k + 1] = (*old_b, *values_a, *values_a, *values_b)
-    return time.perf_counter() - began
+    with fmpy_slaves({place / "idlea.fmu": {}, place / "idleb.fmu": {}}) as ((a, b), _):
+        values_b = b.getReal(b_out)
+        begin = time.perf_counter()
+        for k in range(STEPS):
+            t = k * H
+            a.setReal(a_in, values_b)
+            a.doStep(t, H)
+            values_a = a.getReal(a_out)
+            b.setReal(b_in, values_a)
+            b.doStep(t, H)
+            old_b, values_b = values_b, b.getReal(b_out)
+            table[k + 1] = (*old_b, *values_a, *values_a, *values_b)
+        return time.perf_counter() - begin
 
 
 def dormant_over_base() -> float:
@@ -227,10 +218,10 @@ def dormant_over_base() -> float:
     def seconds(craft: Hovercraft) -> float:
         stepper = Stepper(craft)
         moment = stepper.start()
-        began = time.perf_counter()
+        begin = time.perf_counter()
         for _ in range(200):
             moment = stepper.step(moment, command, H)
-        return time.perf_counter() - began
+        return time.perf_counter() - begin
 
     dormant = Hovercraft(effects=tuple(kind() for kind in Hovercraft.catalogue))
     return ratio(lambda: seconds(dormant), lambda: seconds(Hovercraft()), rounds=51)
@@ -244,9 +235,9 @@ def startup_over_import(place: Path) -> float:
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
 
     def seconds(command: list[str]) -> float:
-        began = time.perf_counter()
+        begin = time.perf_counter()
         subprocess.run(command, check=True, capture_output=True, env=environment)
-        return time.perf_counter() - began
+        return time.perf_counter() - begin
 
     return ratio(lambda: seconds(run), lambda: seconds([sys.executable, "-c", IMPORTS]))
 
@@ -267,7 +258,7 @@ def sweep_over_fmpy(place: Path, *, compiled: bool) -> float:
     system = build_system(ScenarioFile(place / "loop.yaml"))
     kinds = kinds_of(system)
     assert not isinstance(kinds, str), kinds
-    kept = [system.columns.index(f"plant.{q.name}") for q in Hovercraft.outputs]
+    columns = [system.columns.index(f"plant.{q.name}") for q in Hovercraft.outputs]
     batch = Batch(system, kinds, STEPS, H, compiled)
     blocks = [s.component for s in system.stages if isinstance(s.component, FmuBlock)]
     starts = [
@@ -276,10 +267,10 @@ def sweep_over_fmpy(place: Path, *, compiled: bool) -> float:
     ]
 
     def ours() -> float:
-        began = time.perf_counter()
-        table = batch.run(starts, range(RUNS), kept)
+        begin = time.perf_counter()
+        table = batch.run(starts, range(RUNS), columns)
         assert np.isfinite(table).all()
-        return (time.perf_counter() - began) / RUNS
+        return (time.perf_counter() - begin) / RUNS
 
     return 1.0 / ratio(ours, lambda: fmpy_craft_seconds(place), rounds=5)
 
@@ -290,30 +281,25 @@ def fmpy_craft_seconds(place: Path) -> float:
         place / "plant.fmu": {"x_start": 1.0, "psi_start": 1.0},
         place / "controller.fmu": {"x_hat_start": 1.0, "psi_hat_start": 1.0},
     }
-    with fmpy_slaves(starts) as ((plant, controller), numbers):
-        return craft_seconds(plant, controller, numbers)
-
-
-def craft_seconds(plant: Any, controller: Any, numbers: Sequence[Mapping[str, int]]) -> float:
-    """Return the seconds of plant and controller."""
-    outputs = [numbers[0][q.name] for q in Hovercraft.outputs]
-    commands = [[of[q.name] for q in Hovercraft.inputs] for of in numbers]
-    measured = [numbers[1][name] for name in NOISE]
     places = [[q.name for q in Hovercraft.outputs].index(name) for name in NOISE]
     noise = [gaussian(stream(1, name), variance, 0.0, STEPS + 1) for name, variance in NOISE.items()]
-    table = np.zeros((STEPS + 1, len(outputs)))
-    command = controller.getReal(commands[1])
-    began = time.perf_counter()
-    for k in range(1, STEPS + 1):
-        t = (k - 1) * H
-        plant.setReal(commands[0], command)
-        plant.doStep(t, H)
-        y = plant.getReal(outputs)
-        controller.setReal(measured, [y[i] + samples[k] for i, samples in zip(places, noise, strict=True)])
-        controller.doStep(t, H)
+    table = np.zeros((STEPS + 1, len(Hovercraft.outputs)))
+    with fmpy_slaves(starts) as ((plant, controller), numbers):
+        outputs = [numbers[0][q.name] for q in Hovercraft.outputs]
+        commands = [[references[q.name] for q in Hovercraft.inputs] for references in numbers]
+        measured = [numbers[1][name] for name in NOISE]
         command = controller.getReal(commands[1])
-        table[k] = y
-    return time.perf_counter() - began
+        begin = time.perf_counter()
+        for k in range(1, STEPS + 1):
+            t = (k - 1) * H
+            plant.setReal(commands[0], command)
+            plant.doStep(t, H)
+            y = plant.getReal(outputs)
+            controller.setReal(measured, [y[i] + samples[k] for i, samples in zip(places, noise, strict=True)])
+            controller.doStep(t, H)
+            command = controller.getReal(commands[1])
+            table[k] = y
+        return time.perf_counter() - begin
 
 
 def isolated_over_inprocess(place: Path) -> float:
@@ -328,12 +314,11 @@ def isolated_over_inprocess(place: Path) -> float:
     watch = Watch([s.component.name for s in system.stages], limits=Limits(step=60.0, memory=1e10), width=8 * columns)
     allocate(table, 8 * (MANY + 1) * columns)
     with Worker(__name__) as other:
-
-        def isolated() -> float:
-            seconds: float = other.call(worker_seconds, scenario, table, watch=watch)
-            return seconds
-
-        return ratio(isolated, lambda: loop_seconds(build_system(file), MANY), rounds=5)
+        return ratio(
+            lambda: float(other.call(worker_seconds, scenario, table, watch=watch)),
+            lambda: loop_seconds(build_system(file), MANY),
+            rounds=5,
+        )
 
 
 def worker_seconds(scenario: Path, table: Path) -> float:
@@ -346,12 +331,12 @@ def worker_seconds(scenario: Path, table: Path) -> float:
 
 def native_scenario(place: Path) -> Path:
     """Build two C FMUs with mutual connections, and return their scenario."""
+    import fmpy
+
     library = place / "lags.so"
     source = Path(__file__).with_name("bench_fmu.c")
     flags = ["-O2", "-shared", "-fPIC"]
     subprocess.run([*(compiler() or ()), *flags, "-o", str(library), str(source)], check=True, capture_output=True)
-    system = {"Linux": "linux64", "Darwin": "darwin64", "Windows": "win64"}[platform.system()]
-    suffix = {"Linux": ".so", "Darwin": ".dylib", "Windows": ".dll"}[platform.system()]
     variables = [
         f'<ScalarVariable name="{name}{k}" valueReference="{first + k}" causality="{causality}">'
         f"<Real{start}/></ScalarVariable>"
@@ -367,7 +352,7 @@ def native_scenario(place: Path) -> Path:
     )
     with zipfile.ZipFile(place / "lags.fmu", "w") as archive:
         archive.writestr("modelDescription.xml", description)
-        archive.write(library, f"binaries/{system}/lags{suffix}")
+        archive.write(library, f"binaries/{fmpy.platform}/lags{fmpy.sharedLibraryExtension}")
     links = [f"  - {{from: {a}.y{k}, to: {b}.u{k}}}\n" for a, b in ("ab", "ba") for k in range(5)]
     path = place / "lags.yaml"
     path.write_text(

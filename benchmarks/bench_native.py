@@ -12,6 +12,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -31,7 +32,7 @@ INPUTS = {
     "plant": ("duty_right", "duty_left", "tilt_right", "tilt_left"),
     "controller": ("psi", "psi_dot", "ax"),
 }
-READ = {"plant": 15, "controller": 5}  # number of first outputs read: the controller's commands and x_hat
+OUTPUT_COUNT = {"plant": 15, "controller": 5}  # number of first outputs read: the controller's commands and x_hat
 PSI, PSI_DOT, AX = 4, 8, 10  # indices among the plant's outputs
 SCENARIO = """name: native
 duration: {duration}
@@ -64,24 +65,20 @@ def native_figures(place: Path) -> dict[str, float | str]:
     scenario = place / "native.yaml"
     scenario.write_text(SCENARIO.format(duration=STEPS * H, links=links))
     system = build_system(ScenarioFile(scenario))
-    with two(place) as craft:
-
-        def ours() -> float:
-            return loop_seconds(system, in_c=True)
-
-        figures: dict[str, float | str] = {
-            "native_fmpy_over_ours": of_pairs(lambda: fmpy_seconds(craft), ours),
-            "native_fmpy_over_ours_without_compiler": of_pairs(
-                lambda: fmpy_seconds(craft), lambda: loop_seconds(system, in_c=False)
-            ),
-            "native_over_c": of_pairs(ours, lambda: c_seconds(craft)),
-            "python_over_native_plant": python_over_native_plant(place, craft["plant"]),
-        }
-    figures["ecos_over_ours"] = ecos_over_ours(place, ours)
+    craft = {name: UnpackedFmu(place / f"{name}-native.fmu", name) for name in INPUTS}
+    ours, python_loop = (partial(loop_seconds, system, in_c=in_c) for in_c in (True, False))
+    fmpy_loop = partial(fmpy_seconds, craft)
+    figures: dict[str, float | str] = {
+        "native_fmpy_over_ours": median_ratio(fmpy_loop, ours),
+        "native_fmpy_over_ours_without_compiler": median_ratio(fmpy_loop, python_loop),
+        "native_over_c": median_ratio(ours, partial(c_seconds, craft)),
+        "python_over_native_plant": python_over_native_plant(place, craft["plant"]),
+        "ecos_over_ours": ecos_over_ours(craft, ours),
+    }
     return {name: figures[name] for name in FIGURES}
 
 
-def of_pairs(one: Seconds, other: Seconds) -> float:
+def median_ratio(one: Seconds, other: Seconds) -> float:
     """Return the median ratio of two times.
 
     Each function returns its own seconds.
@@ -101,20 +98,22 @@ def loop_seconds(system: System, *, in_c: bool) -> float:
 # -- FMPy -------------------------------------------------------------------------------------------
 
 
-class Unpacked:
+class UnpackedFmu:
     """An FMU unpacked by FMPy, for several instances."""
 
     def __init__(self, path: Path, name: str) -> None:
         import fmpy
 
-        self.name, self.description = name, fmpy.read_model_description(str(path))
+        self.path, self.name, self.description = path, name, fmpy.read_model_description(str(path))
         self.folder = fmpy.extract(str(path), tempfile.mkdtemp(dir=path.parent))
         self.place = {v.name: v.valueReference for v in self.description.modelVariables}
-        outputs = [v.valueReference for v in self.description.modelVariables if v.causality == "output"]
-        self.inputs, self.outputs = [self.place[n] for n in INPUTS[name]], outputs[: READ[name]]
+        outputs = [v for v in self.description.modelVariables if v.causality == "output"]
+        self.output_variables = outputs[: OUTPUT_COUNT[name]]
+        self.inputs = [self.place[n] for n in INPUTS[name]]
+        self.outputs = [v.valueReference for v in self.output_variables]
 
     @contextmanager
-    def started(self) -> Iterator[Any]:
+    def run(self) -> Iterator[Any]:
         """Yield an instance after initialization."""
         import fmpy
 
@@ -129,19 +128,13 @@ class Unpacked:
         fmu.freeInstance()
 
 
-@contextmanager
-def two(place: Path) -> Iterator[Mapping[str, Unpacked]]:
-    """Yield both FMUs."""
-    yield {name: Unpacked(place / f"{name}-native.fmu", name) for name in INPUTS}
-
-
-def fmpy_seconds(craft: Mapping[str, Unpacked]) -> float:
+def fmpy_seconds(craft: Mapping[str, UnpackedFmu]) -> float:
     """Return the seconds of setReal, doStep, getReal in FMPy."""
     plant, controller = craft["plant"], craft["controller"]
     table = np.zeros((STEPS + 1, 20))
-    with plant.started() as a, controller.started() as b:
+    with plant.run() as a, controller.run() as b:
         y, u = a.getReal(plant.outputs), b.getReal(controller.outputs)
-        began = time.thread_time()
+        begin = time.thread_time()
         for k in range(STEPS):
             t = k * H
             a.setReal(plant.inputs, u[:4])
@@ -150,7 +143,7 @@ def fmpy_seconds(craft: Mapping[str, Unpacked]) -> float:
             b.doStep(t, H)
             y, u = a.getReal(plant.outputs), b.getReal(controller.outputs)
             table[k + 1] = (*y, *u)
-        return time.thread_time() - began
+        return time.thread_time() - begin
 
 
 # -- C by hand --------------------------------------------------------------------------------------
@@ -160,31 +153,28 @@ class _Part(ctypes.Structure):
     _fields_ = tuple((name, ctypes.c_void_p) for name in ("instance", "set", "get", "step", "inputs", "outputs"))
 
 
-def c_seconds(craft: Mapping[str, Unpacked]) -> float:
+def c_seconds(craft: Mapping[str, UnpackedFmu]) -> float:
     """Return the seconds of an independent C loop."""
     drive = load_library(DRIVER.read_text(encoding="utf-8")).drive
     drive.argtypes = [*[ctypes.POINTER(_Part)] * 2, ctypes.c_long, ctypes.c_double, ctypes.c_void_p]
     table = np.zeros((STEPS + 1, 20))
-    with craft["plant"].started() as plant, craft["controller"].started() as controller:
-        parts, kept = [], []
+    with craft["plant"].run() as plant, craft["controller"].run() as controller:
+        parts, arrays = [], []
         for unpacked, fmu in ((craft["plant"], plant), (craft["controller"], controller)):
             references = [(ctypes.c_uint * len(r))(*r) for r in (unpacked.inputs, unpacked.outputs)]
-            functions = [_address(fmu, name) for name in ("fmi2SetReal", "fmi2GetReal", "fmi2DoStep")]
+            names = ("fmi2SetReal", "fmi2GetReal", "fmi2DoStep")
+            functions = [ctypes.cast(getattr(fmu.dll, name), ctypes.c_void_p).value for name in names]
             parts.append(_Part(fmu.component, *functions, *map(ctypes.addressof, references)))
-            kept.append(references)
-        began = time.thread_time()
+            arrays.append(references)  # must outlive the loop
+        begin = time.thread_time()
         drive(*map(ctypes.byref, parts), STEPS, H, table.ctypes.data)
-        return time.thread_time() - began
-
-
-def _address(fmu: Any, name: str) -> int | None:
-    return ctypes.cast(getattr(fmu.dll, name), ctypes.c_void_p).value
+        return time.thread_time() - begin
 
 
 # -- ecos -------------------------------------------------------------------------------------------
 
 
-def ecos_over_ours(place: Path, ours: Seconds) -> float | str:
+def ecos_over_ours(craft: Mapping[str, UnpackedFmu], ours: Seconds) -> float | str:
     """Compare ecos with the master.
 
     The loop calls `step(1)`, then `get_real` of the 20 variables.
@@ -199,45 +189,39 @@ def ecos_over_ours(place: Path, ours: Seconds) -> float | str:
         return f"no ecos: {error}"
     EcosLib.set_log_level("err")
     with EcosSimulationStructure() as structure:
-        for name in INPUTS:
-            structure.add_model(name, str(place / f"{name}-native.fmu"))
+        for name, fmu in craft.items():
+            structure.add_model(name, str(fmu.path))
         for a, name, b in LINKS:
             structure.make_real_connection(f"{a}::{name}", f"{b}::{name}")
         starts = {f"{name}::{key}": value for name, values in START.items() for key, value in values.items()}
         structure.add_parameter_set("start", starts)
         with EcosSimulation(structure=structure, step_size=H) as simulation:
             simulation.init(parameter_set="start")
-            unpacked = {name: Unpacked(place / f"{name}-native.fmu", name) for name in INPUTS}
-            read = [
-                f"{name}::{v.name}"
-                for name, part in unpacked.items()
-                for v in part.description.modelVariables
-                if v.causality == "output" and v.valueReference in part.outputs
-            ]
+            outputs = [f"{name}::{v.name}" for name, fmu in craft.items() for v in fmu.output_variables]
 
             def ecos() -> float:
-                began = time.process_time()  # ecos uses its own threads
+                begin = time.process_time()  # ecos uses its own threads
                 for _ in range(STEPS):
                     simulation.step(1)
-                    for name in read:
+                    for name in outputs:
                         simulation.get_real(name)
-                return time.process_time() - began
+                return time.process_time() - begin
 
-            return of_pairs(ecos, ours)
+            return median_ratio(ecos, ours)
 
 
 # -- the plant in Python ----------------------------------------------------------------------------
 
 
-def python_over_native_plant(place: Path, native: Unpacked) -> float:
+def python_over_native_plant(place: Path, native: UnpackedFmu) -> float:
     """Compare fmi2DoStep of the Python and the native plant."""
-    in_python = Unpacked(place / "plant.fmu", "plant")
+    in_python = UnpackedFmu(place / "plant.fmu", "plant")
 
-    def seconds(plant: Unpacked, steps: int) -> float:
-        with plant.started() as fmu:
-            began = time.thread_time()
+    def seconds(plant: UnpackedFmu, steps: int) -> float:
+        with plant.run() as fmu:
+            begin = time.thread_time()
             for k in range(steps):
                 fmu.fmi2DoStep(fmu.component, k * H, H, 1)
-            return (time.thread_time() - began) / steps
+            return (time.thread_time() - begin) / steps
 
-    return of_pairs(lambda: seconds(in_python, STEPS // 5), lambda: seconds(native, STEPS))
+    return median_ratio(lambda: seconds(in_python, STEPS // 5), lambda: seconds(native, STEPS))

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.errors import CosimError, InputError
-from cosim.simulation.packaged import unpacked
+from cosim.simulation.packaged import open_scenario
 from cosim.simulation.workflow import run
 from cosim.ssp.flatten import read
 from cosim.ssp.levels import Part
@@ -37,7 +37,7 @@ def parts_of(path: Path) -> tuple[Part, ...]:
 def ours(path: Path, folder: Path) -> tuple[Any, float]:
     """Results over the first steps, and the step."""
     try:
-        with unpacked(path) as found:
+        with open_scenario(path) as found:
             step = found.scenario["step"]
         if step >= 2.0**-9:  # whose sums are exact in hosts that add, and which is a whole number of ns
             step = 2.0 ** round(math.log2(step))

@@ -32,11 +32,11 @@ from cosim.simulation.workflow import run
 from cosim.sweeps import twins
 from cosim.sweeps.batch import Batch
 from cosim.sweeps.reading import read_sweep
-from cosim.sweeps.run_chunks import Made, make_runs
-from cosim.sweeps.run_statistics import sensitivity, share
+from cosim.sweeps.run_chunks import RunResult, make_runs
+from cosim.sweeps.run_statistics import sensitivity, share_interval
 from cosim.sweeps.sampling import Factor, columns_of, distribution
 from cosim.sweeps.store import DATABASE, TABLE, Database, read_table, signal_of
-from cosim.sweeps.sweep_result import repeated
+from cosim.sweeps.sweep_result import repeat_command
 from cosim.sweeps.workflow import EQUAL, sweep
 from cosim.verbs.cli import app
 from tests.tank import MODEL
@@ -101,7 +101,7 @@ def craft(tmp_path: Path, plant_fmu: Path, controller_fmu: Path) -> Path:
     return tmp_path / "craft.yaml"
 
 
-def apart(one: list[Made], other: list[Made]) -> float:
+def apart(one: list[RunResult], other: list[RunResult]) -> float:
     """The largest difference of a signal between runs made in two ways."""
     assert [m.status for m in one] == [m.status for m in other] == ["ok"] * len(one)
     return max(float(np.abs(a.signals - b.signals).max()) for a, b in zip(one, other, strict=True))
@@ -203,7 +203,7 @@ def test_a_native_fmu_brings_the_defaults_that_it_declares(tank_fmu: Path) -> No
     variables = [SimpleNamespace(name=n, causality="parameter", start=v) for n, v in declared.items()]
     found = twins.model_of(tank_fmu, "TankPlant")
     assert found is not None
-    given = twins._differing(found[0], SimpleNamespace(modelVariables=variables))
+    given = twins._changed_defaults(found[0], SimpleNamespace(modelVariables=variables))
     assert given == {"area": 0.9, "leak.rate": 0.01}  # those of the model are 0.5 and, of its effects, none
 
 
@@ -383,9 +383,9 @@ def test_a_normal_distribution_is_cut_where_it_is_told_to() -> None:
 
 def test_the_interval_of_a_share_is_wilsons() -> None:
     # 8 of 10, by the formula: (p + z²/2n ± z·√(p(1 − p)/n + z²/4n²))/(1 + z²/n), z = 1.96
-    found = share(8, 10)
-    assert (found.low, found.high) == pytest.approx((0.4902, 0.9433), abs=1e-4)
-    assert (share(0, 0).low, share(0, 0).high) == (0.0, 1.0)
+    interval = share_interval(8, 10)
+    assert interval == pytest.approx((0.4902, 0.9433), abs=1e-4)
+    assert share_interval(0, 0) == (0.0, 1.0)
 
 
 @pytest.mark.parametrize("saltelli", [True, False])
@@ -644,7 +644,7 @@ def test_the_command_beside_a_run_of_a_sweep_repeats_it(tanks: Callable[..., Pat
     path = tanks(VARY.replace("runs: 40", "runs: 5"))
     study = sweep(path, path.parent / "out", in_process=True, report=False)
     table, _ = read_table(study.folder / TABLE)
-    words = shlex.split(repeated(study.sweep, 7))
+    words = shlex.split(repeat_command(study.sweep, 7))
     options = [*words[2:], "--out", str(path.parent / "again"), "--no-report"]
     done = CliRunner().invoke(app, ["run", *options])
     assert done.exit_code in (0, 5), done.output

@@ -83,24 +83,22 @@ class Consistency:
         verdict = self.verdict
         if verdict == CONSISTENT:
             return verdict
-        told = []
+        parts = []
         if not low <= self.mean <= high:
-            times, which = (self.factor, "larger") if self.mean > high else (1.0 / self.factor, "smaller")
-            told.append(f"square errors are {times:.3g} times {which} than it believes")
+            times, relation = (self.factor, "larger") if self.mean > high else (1.0 / self.factor, "smaller")
+            parts.append(f"square errors are {times:.3g} times {relation} than it believes")
         chance = f"of the times, where {100 * SIDE:.3g} % are chance and {100 * self.most:.2g} % the most"
         if verdict == BOTH:
-            told.append(
-                f"{OPTIMISTIC} at {100 * self.above:.3g} % and {PESSIMISTIC} at {100 * self.below:.3g} % {chance}"
-            )
-        elif not told:
-            told.append(f"at {100 * max(self.above, self.below):.3g} % {chance}")
-        return f"{verdict}: {'; '.join(told)}"
+            above, below = 100 * self.above, 100 * self.below
+            parts.append(f"{OPTIMISTIC} at {above:.3g} % and {PESSIMISTIC} at {below:.3g} % {chance}")
+        elif not parts:
+            parts.append(f"at {100 * max(self.above, self.below):.3g} % {chance}")
+        return f"{verdict}: {'; '.join(parts)}"
 
     def as_json(self) -> Mapping[str, Any]:
         """Return plain data for scripts."""
-        kept = {"degrees": self.degrees, "runs": self.runs, "mean": self.mean, "region": list(self.region)}
-        shares = {"share": self.share, "above": self.above, "below": self.below, "most": self.most}
-        return {**kept, **shares, "times": self.times, "verdict": self.verdict, "factor": self.factor}
+        names = ("degrees", "runs", "mean", "region", "share", "above", "below", "most", "times", "verdict", "factor")
+        return {name: getattr(self, name) for name in names}
 
 
 def consistency_of(squares: Array, degrees: int, *, white: bool = False) -> Consistency:
@@ -121,14 +119,14 @@ def consistency_of(squares: Array, degrees: int, *, white: bool = False) -> Cons
     if runs < 2:
         raise ValueError("one run tells nothing of the scatter between runs; give two at least")
 
-    def of_squares(number: int, tail: float) -> tuple[float, float]:
+    def range_of_mean(number: int, tail: float) -> tuple[float, float]:
         low, high = chi2.ppf([tail, 1.0 - tail], number * degrees) / number
         return float(low), float(high)
 
-    low, high = of_squares(runs, SIDE)
+    low, high = range_of_mean(runs, SIDE)
     at_times = squares.mean(axis=0)
     if white:
-        region, times = of_squares(squares.size, HALF), float(count)
+        region, times = range_of_mean(squares.size, HALF), float(count)
     else:
         off = float(t.ppf(1.0 - HALF, runs - 1) * squares.mean(axis=1).std(ddof=1) / math.sqrt(runs))
         region, times = (degrees - off, degrees + off), independent_times(squares)
@@ -186,12 +184,12 @@ class Row:
 
     def as_json(self) -> Mapping[str, Any]:
         """Return plain data for scripts."""
-        named = {"case": self.case, "flight": self.flight, "motion": self.motion, "of": self.of}
-        return {**named, **self.result.as_json()}
+        names = ("case", "flight", "motion", "of")
+        return {**{name: getattr(self, name) for name in names}, **self.result.as_json()}
 
 
 @dataclass(frozen=True)
-class Judged:
+class CaseResult:
     """All results of one case on one flight."""
 
     rows: Sequence[Row]
@@ -213,26 +211,26 @@ class Judged:
         return self.rows[0].result.factor
 
 
-def by_case(rows: Sequence[Row]) -> list[Judged]:
+def by_case(rows: Sequence[Row]) -> list[CaseResult]:
     """Return rows grouped by case and flight."""
     return [
-        Judged([row for row in rows if (row.case, row.flight) == key])
+        CaseResult([row for row in rows if (row.case, row.flight) == key])
         for key in dict.fromkeys((row.case, row.flight) for row in rows)
     ]
 
 
 def headline(rows: Sequence[Row]) -> str:
     """Return how many cases are consistent, and in a second sentence the case with the largest errors."""
-    judged = by_case(rows)
-    right, largest = sum(j.consistent for j in judged), worst(judged)
-    opening = f"{right} of {len(judged)} cases are consistent: errors match the variance that the estimator claims."
+    results = by_case(rows)
+    right, largest = sum(r.consistent for r in results), worst(results)
+    opening = f"{right} of {len(results)} cases are consistent: errors match the variance that the estimator claims."
     if largest is None:
         return opening
     case = f"{largest.rows[0].case}, {largest.rows[0].flight}"
     return f"{opening} Largest errors: {case}: mean square error {largest.factor:.3g} times the claimed variance."
 
 
-def worst(judged: Sequence[Judged]) -> Judged | None:
+def worst(results: Sequence[CaseResult]) -> CaseResult | None:
     """Return the case with the largest errors for the variance that it claims; None where all are consistent."""
-    largest = max(judged, key=lambda j: j.factor)
+    largest = max(results, key=lambda r: r.factor)
     return None if largest.factor <= 1.0 or largest.consistent else largest

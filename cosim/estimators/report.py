@@ -10,7 +10,7 @@ import numpy as np
 
 from cosim.base.text import counted, percent, plain
 from cosim.base.version import __version__
-from cosim.estimators.consistency import CONSISTENT, Judged, Row, by_case, headline, worst
+from cosim.estimators.consistency import CONSISTENT, CaseResult, Row, by_case, headline, worst
 from cosim.report.drawing import Charts
 from cosim.report.html_tables import Badge
 from cosim.report.panels import Band, Panel, Trace
@@ -22,25 +22,21 @@ TEMPLATE = Path(__file__).with_name("templates") / "consistency.html.j2"
 
 def page(rows: Sequence[Row], steps: int, seed: int) -> str:
     """Return a self-contained page."""
-    charts, runs, judged = Charts(), rows[0].result.runs, by_case(rows)
-    flights, largest = {row.flight: row.motion for row in rows}, worst(judged)
-    shown = largest or judged[0]
+    charts, runs, results = Charts(), rows[0].result.runs, by_case(rows)
+    flights, main = {row.flight: row.motion for row in rows}, worst(results) or results[0]
     return render(
         TEMPLATE,
         {
             "badges": [Badge(f"{counted(runs, 'run')} of {counted(steps, 'sample')} each"), Badge(f"seed {seed}")],
             "headline": headline(rows),
-            "tone": "good" if all(j.consistent for j in judged) else "bad",
-            "shown": f"{shown.rows[0].case}, {shown.rows[0].flight}",
-            "first": [_plot(row, charts) for row in shown.rows],
+            "tone": "good" if all(r.consistent for r in results) else "bad",
+            "shown": f"{main.rows[0].case}, {main.rows[0].flight}",
+            "first": [_plot(row, charts) for row in main.rows],
             "flights": list(flights.items()),
-            "judged": [
-                _summary(case, [j for j in judged if j.rows[0].case == case], list(flights))
-                for case in dict.fromkeys(row.case for row in rows)
-            ],
+            "judged": [_summary(case, results, list(flights)) for case in dict.fromkeys(row.case for row in rows)],
             "rows": [_cells(row) for row in rows],
             "cases": [
-                (f"{of.rows[0].case}; {of.rows[0].flight}", [_plot(row, charts) for row in of.rows]) for of in judged
+                (f"{r.rows[0].case}; {r.rows[0].flight}", [_plot(row, charts) for row in r.rows]) for r in results
             ],
             "data": charts.data(),  # after all drawings
             "repeat": f"cosim consistency --runs {runs} --steps {steps} --seed {seed}",
@@ -49,26 +45,26 @@ def page(rows: Sequence[Row], steps: int, seed: int) -> str:
     )
 
 
-def _summary(case: str, of: Sequence[Judged], flights: Sequence[str]) -> Mapping[str, Any]:
+def _summary(case: str, results: Sequence[CaseResult], flights: Sequence[str]) -> Mapping[str, Any]:
     """Return an estimator's verdict on each flight.
 
     `factor` is the squared error over the claimed variance.
     """
-    cells = {j.rows[0].flight: {"verdict": j.verdict, "good": j.consistent, "factor": plain(j.factor, 3)} for j in of}
+    own = {r.rows[0].flight: r for r in results if r.rows[0].case == case}
+    cells = {f: {"verdict": r.verdict, "good": r.consistent, "factor": plain(r.factor, 3)} for f, r in own.items()}
     return {"case": case, "flights": [cells.get(flight) for flight in flights]}
 
 
 def _cells(row: Row) -> Mapping[str, Any]:
     r = row.result
     verdict, _, more = r.sentence.partition(": ")
-    region = f"{plain(r.region[0], 4)} … {plain(r.region[1], 4)}"
     return {
         "case": row.case,
         "flight": row.flight,
         "of": row.of,
         "degrees": str(r.degrees),
         "mean": plain(r.mean, 4),
-        "region": region,
+        "region": f"{plain(r.region[0], 4)} … {plain(r.region[1], 4)}",
         "above": percent(r.above),
         "below": percent(r.below),
         "most": percent(r.most),

@@ -10,14 +10,15 @@ import numpy as np
 from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.registry import model_entry, resolve
 from cosim.base.settings import Count, Seed
+from cosim.estimators import messages
 from cosim.estimators.consistency import Row, consistency_of
 from cosim.estimators.report import page
 from cosim.storage.files import check_writable, write_json, write_text
 from cosim.storage.folders import check_left, keep_earlier
 
-FEWEST = 2  # runs
-SHORTEST = 100  # steps; errors count after the first second
-MOST_SAMPLES = 20_000_000  # samples of all runs of a case: about 400 bytes each, 8 GB in total
+MIN_RUNS = 2
+MIN_STEPS = 100  # errors count after the first second
+MAX_SAMPLES = 20_000_000  # samples of all runs of a case: about 400 bytes each, 8 GB in total
 RECORD, PAGE = "consistency.json", "report.html"
 
 
@@ -38,24 +39,23 @@ def consistency(
     Raises:
         InputError: Too few or too many runs or steps, or too little memory.
     """
-    least = (("runs", runs, FEWEST), ("steps", steps, SHORTEST), ("seed", seed, 0))
-    refuse([Fault(Path(n), 0, 0, f"is {v}; give {low} or more") for n, v, low in least if v < low])
+    bounds = (("runs", runs, MIN_RUNS), ("steps", steps, MIN_STEPS), ("seed", seed, 0))
+    refuse(Fault(Path(n), 0, 0, messages.BELOW_MINIMUM(value=v, least=low)) for n, v, low in bounds if v < low)
     check_size(runs, steps)
-    squares_of = resolve(model_entry().estimators)
-    cases = resolve(model_entry().cases)
-    found = []
+    squares_of, cases = resolve(model_entry().estimators), resolve(model_entry().cases)
+    rows = []
     for k, case in enumerate(cases):
         try:
             squares = squares_of(case, runs, steps, np.random.default_rng([seed, k]))
         except MemoryError:
-            said = f"there is not enough memory for {_format_size(runs, steps)}; give fewer"
-            raise InputError([Fault(Path("--runs"), 0, 0, said, exit_code=4)]) from None
+            message = messages.NOT_ENOUGH_MEMORY(runs=runs, steps=steps)
+            raise InputError.at(Path("--runs"), message, exit_code=4) from None
         for name, (values, degrees, at) in squares.items():
-            judged, flight = consistency_of(values, degrees, white=name != "NEES"), case.flight
-            found.append(Row(case.title, flight.name, flight.doc, name, judged, at))
+            result, flight = consistency_of(values, degrees, white=name != "NEES"), case.flight
+            rows.append(Row(case.title, flight.name, flight.doc, name, result, at))
         if progress is not None:
             progress(k + 1, len(cases))
-    return found
+    return rows
 
 
 def check_size(runs: int, steps: int) -> None:
@@ -64,16 +64,12 @@ def check_size(runs: int, steps: int) -> None:
     Raises:
         InputError: They do not.
     """
-    if runs * steps <= MOST_SAMPLES:
+    if runs * steps <= MAX_SAMPLES:
         return
-    option, other = ("--runs", steps) if 2 * steps <= MOST_SAMPLES else ("--steps", 2)
-    most = f"{_format_size(runs, steps)} are more than the {MOST_SAMPLES:,} samples that fit into memory"
-    cure = f"give {MOST_SAMPLES // other:,} at most" + (f" with {steps:,} steps" if option == "--runs" else "")
-    raise InputError([Fault(Path(option), 0, 0, f"{most}; {cure}")])
-
-
-def _format_size(runs: int, steps: int) -> str:
-    return f"{runs:,} runs of {steps:,} steps"
+    size = {"runs": runs, "steps": steps, "limit": MAX_SAMPLES}
+    if MIN_RUNS * steps <= MAX_SAMPLES:
+        raise InputError.at(Path("--runs"), messages.TOO_MANY_RUNS(**size, most=MAX_SAMPLES // steps))
+    raise InputError.at(Path("--steps"), messages.TOO_MANY_STEPS(**size, most=MAX_SAMPLES // MIN_RUNS))
 
 
 def check_folder(folder: Path, *, force: bool = False, keep: bool = False) -> None:

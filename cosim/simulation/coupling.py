@@ -22,6 +22,7 @@ from cosim.master.remote import MODULES, simulate_apart, simulate_here
 from cosim.scenario.controller_design import designed_apart
 from cosim.scenario.nearest_models import take_nearest
 from cosim.scenario.scenario_file import ScenarioFile
+from cosim.simulation import messages
 from cosim.storage.files import FilePath
 from cosim.storage.results import Results
 from cosim.system.system import build_system
@@ -47,14 +48,15 @@ class CouplingError:
     def sentence(self) -> str:
         """Return the result as one sentence."""
         if self.stopped:
-            return f"coupling error not known: with half the step {self.stopped}"
-        shown = ", ".join(f"{name} {value:.2g}" for name, value in self.of.items())
-        whole = f"half the step changes at most {shown or 'nothing, for nothing is connected'}"
-        whole += "; the coupling error is about twice that" if shown else ""
+            return messages.COUPLING_ERROR_UNKNOWN(reason=self.stopped)
+        sizes = ", ".join(f"{name} {value:.2g}" for name, value in self.of.items())
+        changes = f"{sizes}; the coupling error is about twice that" if sizes else "nothing, for nothing is connected"
+        steps = ", ".join(f"{name} {value:.2g} at t = {t:g} s" for name, (value, t) in self.steps.items())
         if self.without:
-            return f"{whole}; of single steps not known: {self.without}"
-        single = ", ".join(f"{name} {value:.2g} at t = {t:g} s" for name, (value, t) in self.steps.items())
-        return f"{whole}; of a single step, taken back and made again in halves: {single}" if single else whole
+            steps = f"; of single steps not known: {self.without}"
+        elif steps:
+            steps = f"; of a single step, taken back and made again in halves: {steps}"
+        return messages.COUPLING_ERROR(changes=changes, steps=steps)
 
 
 def coupling_error(
@@ -71,12 +73,12 @@ def coupling_error(
     """
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
-        made = [_results(Path(scenario), tuple(overrides), nearest, parts, worker) for parts in (1, 2)]
+        whole, halved = (_results(Path(scenario), tuple(overrides), nearest, parts, worker) for parts in (1, 2))
         single = _results(Path(scenario), tuple(overrides), nearest, 1, worker, halved=True)
-    for results in made:
-        if isinstance(results, str):
-            return CouplingError({}, results)
-    whole, halved = (results for results in made if not isinstance(results, str))
+    if isinstance(whole, str):
+        return CouplingError({}, whole)
+    if isinstance(halved, str):
+        return CouplingError({}, halved)
     names = list(dict.fromkeys(c.source for c in ScenarioFile(Path(scenario), overrides).scenario.connections))
     of = differences(whole, halved, names)
     if isinstance(single, str):
@@ -92,12 +94,8 @@ def _largest(results: Results, name: str) -> tuple[float, float]:
 def differences(whole: Results, halved: Results, names: Sequence[str]) -> dict[str, float]:
     """Return each signal's largest difference at common communication points."""
     rows = min(len(whole.time), (len(halved.time) + 1) // 2)
-    found = {}
-    for name in names:
-        for column in whole.columns:
-            if column == name or column.startswith(f"{name}["):
-                found[column] = float(np.max(np.abs(whole[column][:rows] - halved[column][: 2 * rows : 2][:rows])))
-    return found
+    columns = [c for name in names for c in whole.columns if c == name or c.startswith(f"{name}[")]
+    return {c: float(np.max(np.abs(whole[c][:rows] - halved[c][: 2 * rows : 2][:rows]))) for c in columns}
 
 
 def _results(
@@ -109,20 +107,19 @@ def _results(
         parts: Number of parts into which the scenario's step is divided.
         halved: Whether to record the differences made by halving each step.
     """
-    given = ScenarioFile(path, overrides)
-    step, steps = given.scenario.step / parts, given.scenario.steps * parts
-    overrides = (*overrides, "noise=off", f"step={step!r}")
-    file = ScenarioFile(path, overrides)
-    for one in (given, file):
-        if nearest:
-            take_nearest(one)
+    original = ScenarioFile(path, overrides)
+    step, steps = original.scenario.step / parts, original.scenario.steps * parts
+    file = ScenarioFile(path, (*overrides, "noise=off", f"step={step!r}"))
+    if nearest:
+        take_nearest(original)
+        take_nearest(file)
     try:
-        system = build_system(file, designed_apart(given, worker))
+        system = build_system(file, designed_apart(original, worker))
     except InputError as error:
         if parts == 1:
             raise
-        why = "; ".join(fault.message.partition(": set ")[0] for fault in error.faults)  # a remedy for runs only
-        return f"(halved by --coupling-error: {step:g} s for {given.scenario.step:g} s) it cannot be run: {why}"
+        reason = "; ".join(fault.message.partition(": set ")[0] for fault in error.faults)  # a remedy for runs only
+        return f"(halved by --coupling-error: {step:g} s for {original.scenario.step:g} s) it cannot be run: {reason}"
     if halved:
         if reason := rollback_objection(system):
             return reason
@@ -130,8 +127,7 @@ def _results(
     if worker is None:
         stepped = simulate_here(system, steps, step)
     else:
-        beside = Path(tempfile.gettempdir())
-        stepped = simulate_apart(worker, system, steps, step, beside, file.scenario.limits)
+        stepped = simulate_apart(worker, system, steps, step, Path(tempfile.gettempdir()), file.scenario.limits)
     if isinstance(stepped.failure, Interrupted):
         raise stepped.failure
     if stepped.failure is not None:

@@ -53,5 +53,6 @@ def sentence(outcome: dict[str, Any]) -> str:
     verdict = "met" if outcome["met"] else "MISSED"
     limit = f"{outcome['max']:.4g} {outcome['unit']}".rstrip()
     window = "".join(f" {word} {outcome[word]:g} s" for word in ("after", "until") if outcome.get(word))
-    what = f"{outcome['kind'].replace('_', ' ')} of {outcome['of']}{window}"
-    return f"{verdict}: {what} is {value}, at most {limit} allowed"
+    return (
+        f"{verdict}: {outcome['kind'].replace('_', ' ')} of {outcome['of']}{window} is {value}, at most {limit} allowed"
+    )

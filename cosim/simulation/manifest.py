@@ -5,6 +5,7 @@ from __future__ import annotations
 import platform
 import subprocess
 from collections.abc import Mapping
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from cosim.base.version import __version__
 from cosim.scenario.pinned import key_of, sha256
 from cosim.scenario.scenario import FmuComponent, Scenario, resolved
 from cosim.scenario.scenario_file import ScenarioFile
+from cosim.simulation import messages
 from cosim.system.system import System
 
 SCHEMA_VERSION = 1
@@ -25,18 +27,17 @@ def resolve_scenario(file: ScenarioFile, designed: Mapping[str, Mapping[str, Any
 
     It has designed values in place of `design`, absolute paths, and the hash of each file.
     """
-    components: dict[str, Any] = {}
+    components, changes = dict[str, Any](), dict[str, Any]()
     for name, component in file.scenario.components.items():
         if isinstance(component, FmuComponent):
             path = system.fmus[name][0]
-            start = {**designed.get(name, {}), **component.start}
-            pinned = {"fmu": str(path), "start": start, "sha256": sha256(path)}
-            components[name] = component.model_copy(update=pinned)
+            changes = {"fmu": str(path), "start": {**designed.get(name, {}), **component.start}, "sha256": sha256(path)}
         elif component.block == "playback":
             path = file.resolve(component.file)
-            components[name] = component.model_copy(update={"file": str(path), "sha256": sha256(path)})
+            changes = {"file": str(path), "sha256": sha256(path)}
         else:
-            components[name] = component
+            changes = {}
+        components[name] = component.model_copy(update=changes)
     return file.scenario.model_copy(update={"components": components, "design": None})
 
 
@@ -48,10 +49,7 @@ def check_pinned(file: ScenarioFile) -> None:
         pinned: str | None = getattr(component, "sha256", None)
         path = file.resolve(getattr(component, key, ""))
         if pinned is not None and path.is_file() and sha256(path) != pinned:
-            what = "FMU" if key == "fmu" else "file"
-            message = (
-                f"{path} is not the {what} of this run: its SHA-256 differs; put that one back, or run the scenario"
-            )
+            message = messages.FILE_OF_ANOTHER_RUN(path=path, kind="FMU" if key == "fmu" else "file")
             faults.append(file.fault(("components", name, key), message))
     refuse(faults)
 
@@ -61,13 +59,13 @@ def manifest(
     designed: Mapping[str, Mapping[str, Any]],
     system: System,
     timings: Mapping[str, float],
-    made_with: Mapping[str, Any],
+    software: Mapping[str, Any],
     loop: str = "",
 ) -> dict[str, Any]:
     """Return the manifest of a run before its outcome.
 
     Args:
-        made_with: As returned by the function `made_with`.
+        software: As returned by `software_versions`.
         loop: As in `Results`.
     """
     scenario = resolve_scenario(file, designed, system)
@@ -95,7 +93,7 @@ def manifest(
             }
             for name, (path, description) in system.fmus.items()
         },
-        **made_with,
+        **software,
         "loop": loop,
         "timings": dict(timings),
         "warnings": list(system.warnings),
@@ -103,7 +101,7 @@ def manifest(
     }
 
 
-def made_with() -> dict[str, Any]:
+def software_versions() -> dict[str, Any]:
     """Return the versions behind a run.
 
     These are packages, the platform and this package's revision. The call takes a while, because it starts git.
@@ -115,13 +113,11 @@ def made_with() -> dict[str, Any]:
 
 
 def _versions() -> dict[str, str]:
-    found = {}
+    versions = {}
     for package in PACKAGES:
-        try:
-            found[package.lower()] = version(package)
-        except PackageNotFoundError:
-            continue
-    return found
+        with suppress(PackageNotFoundError):
+            versions[package.lower()] = version(package)
+    return versions
 
 
 def _git(folder: Path) -> dict[str, Any] | None:

@@ -13,10 +13,12 @@ from typing import Any
 
 from cosim.base.drafts import draft_of
 from cosim.base.errors import Fault, InputError
+from cosim.base.messages import Message
 from cosim.base.scratch import temporary_folder
 from cosim.coupling.algorithms import Jacobi
 from cosim.scenario.pinned import SYSTEM
 from cosim.scenario.scenario_file import ROUNDING, ScenarioFile
+from cosim.simulation import messages
 from cosim.ssp.elements import Element
 from cosim.ssp.flatten import read
 from cosim.ssp.levels import Flat
@@ -45,19 +47,19 @@ class Places:
 
     package: Package
     whole: Element
-    known: dict[Location, Element]
+    elements: dict[Location, Element]
 
     def fault(self, location: Location, message: str, exit_code: int = 2) -> Fault:
         """Return the fault of a part at its element of the SSP."""
         parts = (location[:end] for end in range(len(location), 0, -1))
-        element = next((self.known[part] for part in parts if part in self.known), None)
+        element = next((self.elements[part] for part in parts if part in self.elements), None)
         if element is None:
             return Fault(self.package.shown, 0, 0, message, exit_code)
         return replace(element.fault(message), exit_code=exit_code)
 
 
 @dataclass(frozen=True)
-class Unpacked:
+class PackagedScenario:
     """A scenario made from a sound SSP.
 
     Attributes:
@@ -71,17 +73,17 @@ class Unpacked:
 
 
 @contextmanager
-def unpacked(path: Path, overrides: Sequence[str] = ()) -> Iterator[Unpacked]:
+def open_scenario(path: Path, overrides: Sequence[str] = ()) -> Iterator[PackagedScenario]:
     """Yield an SSP as a checked scenario; raise InputError with all faults."""
-    with opened(path) as package, temporary_folder("ssp") as made:
+    with opened(path) as package, temporary_folder("ssp") as folder:
         reader = Reader(package)
         structure, flat = read(reader)
         files = _files(flat)
         slips = list(dict.fromkeys(package.slips))
         warnings = [*map(str, slips), *reader.warnings]
-        given = frozenset(override.partition("=")[0].strip() for override in overrides)
-        scenario, places = _scenario(package, structure, flat, files, (warnings, given))
-        trial = made / SCENARIO
+        keys = frozenset(override.partition("=")[0].strip() for override in overrides)
+        scenario, places = _scenario(package, structure, flat, files, (warnings, keys))
+        trial = folder / SCENARIO
         named = {name: {**c, "fmu": str(files[c["fmu"]])} for name, c in scenario["components"].items()}
         trial.write_text(json.dumps({**scenario, "components": named}), encoding="utf-8")
         faults = list(reader.faults)
@@ -89,13 +91,13 @@ def unpacked(path: Path, overrides: Sequence[str] = ()) -> Iterator[Unpacked]:
             try:
                 build_system(ScenarioFile(trial, overrides, places.fault))
             except InputError as error:
-                faults += [_shown(fault, trial, package) for fault in error.faults]
+                faults += error.faults
         elif not faults:
-            faults.append(structure.system.element.fault("it has no FMU, so there is nothing to run"))
+            faults.append(structure.system.element.fault(messages.NO_FMU_IN_SSP()))
         if faults:
             faults += slips  # Slips may explain the faults.
-            raise InputError([_shown(fault, trial, package) for fault in faults])
-        yield Unpacked(scenario, files, places, warnings)
+            raise InputError([_without_folder(fault, trial, package) for fault in faults])
+        yield PackagedScenario(scenario, files, places, warnings)
 
 
 def lay_out(
@@ -111,22 +113,23 @@ def lay_out(
     Returns:
         The scenario file and warnings.
     """
-    with unpacked(path, overrides) as found:
+    with open_scenario(path, overrides) as packaged:
         within = folder / FOLDER
-        check_writable(within, (SCENARIO, *found.files), [path, *found.files.values()])
+        check_writable(within, (SCENARIO, *packaged.files), [path, *packaged.files.values()])
         if keep:
             keep_earlier(folder, "cosim run")
-        for name, source in found.files.items():
+        for name, source in packaged.files.items():
             with draft_of(within / name) as draft:
                 shutil.copyfile(source, draft)
-        write_json(within / SCENARIO, found.scenario)
-        return ScenarioFile(within / SCENARIO, overrides, found.places.fault), found.warnings
+        write_json(within / SCENARIO, packaged.scenario)
+        return ScenarioFile(within / SCENARIO, overrides, packaged.places.fault), packaged.warnings
 
 
-def _shown(fault: Fault, trial: Path, package: Package) -> Fault:
+def _without_folder(fault: Fault, trial: Path, package: Package) -> Fault:
     """Return a fault without the folders of the unpacked SSP."""
     if package.packed:
-        fault = replace(fault, message=fault.message.replace(f"{package.folder}/", f"{package.shown}/"))
+        text = fault.message.replace(f"{package.folder}/", f"{package.shown}/")
+        fault = replace(fault, message=Message(text, fault.code))
     return replace(fault, file=package.shown) if fault.file == trial else fault
 
 
@@ -142,7 +145,7 @@ def _files(flat: Flat) -> dict[str, Path]:
 
 
 def _scenario(
-    package: Package, structure: Structure, flat: Flat, files: dict[str, Path], told: tuple[list[str], frozenset[str]]
+    package: Package, structure: Structure, flat: Flat, files: dict[str, Path], notes: tuple[list[str], frozenset[str]]
 ) -> tuple[dict[str, Any], Places]:
     """Return the scenario and the places of its parts."""
     places = Places(package, structure.experiment, {})
@@ -155,17 +158,17 @@ def _scenario(
         if part.start:
             entry["start"] = {variable: value for variable, (value, _) in part.start.items()}
         components[part.name] = entry
-        places.known[("components", part.name)] = part.component.element
+        places.elements[("components", part.name)] = part.component.element
         for variable, (_, element) in part.start.items():
-            places.known[("components", part.name, "start", variable)] = element
+            places.elements[("components", part.name, "start", variable)] = element
     connections = []
     for k, link in enumerate(flat.links):
         linear = {} if link.linear is None else {"factor": link.linear.factor, "offset": link.linear.offset}
         connections.append({"from": link.source, "to": link.target, **linear})
-        places.known[("connections", k)] = link.element
-    start, duration, step = _times(structure, flat, *told)
+        places.elements[("connections", k)] = link.element
+    start, duration, step = _times(structure, flat, *notes)
     for key in ("start_time", "duration", "step"):
-        places.known[(key,)] = structure.experiment
+        places.elements[(key,)] = structure.experiment
     scenario = {
         "name": structure.name,
         "description": structure.description,
@@ -179,10 +182,10 @@ def _scenario(
     return scenario, places
 
 
-def _times(structure: Structure, flat: Flat, warnings: list[str], given: Set[str]) -> tuple[float, float, float]:
+def _times(structure: Structure, flat: Flat, warnings: list[str], overrides: Set[str]) -> tuple[float, float, float]:
     """Return start, duration and communication step [s].
 
-    Defaulted values add a warning, unless `given` contains their key.
+    Defaulted values add a warning, unless `overrides` contains their key.
     """
     experiments = [part.description.defaultExperiment for part in flat.parts]
 
@@ -193,16 +196,16 @@ def _times(structure: Structure, flat: Flat, warnings: list[str], given: Set[str
     start, stop, step = structure.start or 0.0, structure.stop, structure.step
     if stop is None:
         stop = start + max(read_positive("stopTime"), default=STOP)
-        if "duration" not in given:
-            warnings.append(f"the SSP names no stopTime: {stop - start:g} s are run; --set duration=… for others")
+        if "duration" not in overrides:
+            warnings.append(messages.NO_STOP_TIME(time=stop - start))
     duration = stop - start
     if step is None:
         step = min(read_positive("stepSize"), default=STEP)
-        if "step" not in given:
-            warnings.append(f"the SSP names no communication step: {step:g} s is taken; --set step=… for another")
+        if "step" not in overrides:
+            warnings.append(messages.NO_STEP(step=step))
     count = duration / step
     if abs(count - round(count)) > ROUNDING * max(1.0, count) or round(count) < 1:
         duration = math.ceil(count) * step if count < 1e15 else duration
-        if given.isdisjoint({"duration", "step"}):
-            warnings.append(f"{duration:g} s are run, the next whole number of steps of {step:g} s after stopTime")
+        if overrides.isdisjoint({"duration", "step"}):
+            warnings.append(messages.LONGER_DURATION(time=duration, step=step))
     return start, duration, step

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import InputError
+from cosim.simulation import messages
 from cosim.storage.folders import left_by_replay, manifest_in
 from cosim.storage.kinds import LOG, check_given, refuse_folder
 from cosim.storage.results import Results, read_results, rows_in
@@ -28,14 +29,14 @@ class Ran:
     @property
     def criteria(self) -> list[dict[str, Any]]:
         """Return the evaluated criteria."""
-        found = self.manifest.get("criteria")
-        return [c for c in found if isinstance(c, dict)] if isinstance(found, list) else []
+        entries = self.manifest.get("criteria")
+        return [c for c in entries if isinstance(c, dict)] if isinstance(entries, list) else []
 
 
 def read_ran(path: Path) -> Ran:
     """Return results of a path; raise InputError if none."""
     if not path.exists():
-        raise InputError([Fault(path, 0, 0, f"no such folder or file; give {WANTED}")])
+        raise InputError.at(path, messages.NO_RESULTS(kind=WANTED))
     if not path.is_dir():
         check_given(path, LOG)
         return Ran(path, path.stem, read_results(path))
@@ -43,7 +44,7 @@ def read_ran(path: Path) -> Ran:
     if rows is None:
         refuse_folder(path, WANTED)
         names = " or ".join(f"results{suffix}" for suffix in suffixes())
-        raise InputError([Fault(path, 0, 0, f"holds no rows ({names}); give {WANTED}")])
+        raise InputError.at(path, messages.NO_ROWS(names=names, kind=WANTED))
     manifest = manifest_in(path)
     units = manifest.get("units") or left_by_replay(path).get("units")
     text = manifest.get("beside")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.base.arrays import Array
 from cosim.base.text import MISSING, counted, plain
+from cosim.simulation import messages
 from cosim.storage.results import Results
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-SHOWN = 8  # signals in the short text; further signals are counted
+MAX_LINES = 8  # signals in the short text; further signals are counted
 
 
 @dataclass(frozen=True, repr=False)
@@ -58,7 +59,8 @@ class Signals:
         if name not in self.results.columns:
             from cosim.storage.yaml_file import did_you_mean
 
-            raise KeyError(f'no signal "{name}"{did_you_mean(name, self.results.columns)}')
+            hint = did_you_mean(name, self.results.columns)
+            raise KeyError(messages.UNKNOWN_SIGNAL(name=name, hint=hint))
         return self.results[name]
 
     def to_pandas(self) -> pandas.DataFrame:
@@ -66,7 +68,7 @@ class Signals:
         try:
             import pandas
         except ImportError:
-            raise ImportError("to_pandas needs pandas: pip install pandas") from None
+            raise ImportError(messages.NO_PANDAS()) from None
         index = pandas.Index(self.time, name="time")
         frame = pandas.DataFrame(self.results.values, index=index, columns=list(self.results.columns))
         for name, column in self.results.exact.items():
@@ -83,17 +85,13 @@ class Signals:
         return figure_of(self.results, names or self.results.columns)
 
     def __repr__(self) -> str:
-        shown = [self._line(name) for name in self.names[:SHOWN]]
-        more = [f"  … and {len(self.names) - SHOWN} more"] if len(self.names) > SHOWN else []
-        return "\n".join([self._heading(), *shown, *more])
+        lines = [f"  {n} [{self.units.get(n) or '1'}] {' → '.join(self._ends(n))}" for n in self.names[:MAX_LINES]]
+        more = [f"  … and {len(self.names) - MAX_LINES} more"] if len(self.names) > MAX_LINES else []
+        return "\n".join([self._heading(), *lines, *more])
 
     def _heading(self) -> str:
         end = f", {plain(float(self.time[0]))} … {plain(float(self.time[-1]))} s" if len(self) else ""
         return f"{self.title}: {counted(len(self.names), 'signal')}, {counted(len(self), 'row')}{end}"
-
-    def _line(self, name: str) -> str:
-        first, last = self._ends(name)
-        return f"  {name} [{self.units.get(name) or '1'}] {first} → {last}"
 
     def _ends(self, name: str) -> tuple[str, str]:
         values = self.results[name]
@@ -102,7 +100,7 @@ class Signals:
     def _repr_html_(self) -> str:
         from html import escape
 
-        rows = [(name, self.units.get(name, ""), *self._ends(name)) for name in self.names[: 2 * SHOWN]]
+        rows = [(name, self.units.get(name, ""), *self._ends(name)) for name in self.names[: 2 * MAX_LINES]]
         cells = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
         more = len(self.names) - len(rows)
         note = f"<p>… and {more} more</p>" if more > 0 else ""

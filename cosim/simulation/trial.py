@@ -4,21 +4,14 @@ from __future__ import annotations
 
 import json
 import tempfile
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import (
-    Crashed,
-    DiskFull,
-    Fault,
-    FmuError,
-    InputError,
-    Interrupted,
-    NotExecuted,
-    Signalled,
-    TimedOut,
-)
+from cosim.base import errors
+from cosim.base.errors import Fault, FmuError, InputError, refuse
+from cosim.base.messages import Message, code_of
 from cosim.base.scratch import temporary_folder
 from cosim.blocks.compiling import LIMIT, permission
 from cosim.blocks.fmu import read_description
@@ -28,30 +21,31 @@ from cosim.isolation.process import Worker
 from cosim.master.remote import simulate_apart
 from cosim.scenario.controller_design import designed_apart, designed_values
 from cosim.scenario.scenario_file import ScenarioFile
+from cosim.simulation import messages
 from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import lay_out
 from cosim.storage.artefact import Checking
 from cosim.system.system import System, build_system
 
-LONGEST = 60.0  # allowed time [s] of a call during the trial of an FMU
+MAX_CALL_TIME = 60.0  # allowed time [s] of a call during the trial of an FMU
 STEP, STEPS = 0.01, 500  # step [s] without a default experiment, and steps in an experiment without step size
 
 
 def check_fmu_file(path: Path, checking: Checking) -> list[str]:
     """Return violations of FMI rules; raise InputError if the FMU cannot be run."""
-    if faults := check_fmu(path, checking.worker):
-        raise InputError(faults)
-    return fmu_warnings(path)
+    refuse(check_fmu(path, checking.worker))
+    # FMPy's findings are about a readable FMU, as accepted by importing tools.
+    return [messages.FMI_RULE(problem=problem).after("warning: ") for problem in validation(path)]
 
 
 def check_fmu(path: Path, worker: Worker | None = None) -> list[Fault]:
-    """Return faults of an FMU; with a worker, try a step. For mere violations of FMI rules see `fmu_warnings`."""
+    """Return faults of an FMU; with a worker, try a step. Mere violations of FMI rules are no faults."""
     if not path.is_file():
-        return [Fault(path, 0, 0, "no such file")]
+        return [Fault(path, 0, 0, messages.NO_FMU())]
     try:
         description = read_description(path)
     except FmuError as error:
-        return [Fault(path, 0, 0, str(error).removeprefix(f"{path} "), FmuError.exit_code)]
+        return [_fault_of(error, path, path)]
     if worker is None:
         return []
     start, step = _experiment(description)
@@ -67,19 +61,12 @@ def check_fmu(path: Path, worker: Worker | None = None) -> list[Fault]:
         return [replace(fault, file=path, line=0, column=0) for fault in error.faults]
 
 
-def fmu_warnings(path: Path) -> list[str]:
-    """Return the findings of FMPy's validation as warnings.
-
-    Each finding is about a readable FMU, as accepted by importing tools.
-    """
-    return [f"warning: {problem}" for problem in validation(path)]
-
-
 def _experiment(description: Any) -> tuple[float, float]:
     """Return start time and step [s] of the default experiment."""
     experiment = description.defaultExperiment
-    given = [getattr(experiment, name, None) for name in ("startTime", "stopTime", "stepSize")]
-    start, stop, step = (0.0 if text is None else float(text) for text in given)
+    start, stop, step = (
+        float(getattr(experiment, name, None) or 0.0) for name in ("startTime", "stopTime", "stepSize")
+    )
     return start, step if step > 0.0 else (stop - start) / STEPS if stop > start else STEP
 
 
@@ -93,15 +80,16 @@ def check_scenario(path: Path, checking: Checking) -> list[str]:
     """
     file, worker = ScenarioFile(path), checking.worker
     check_pinned(file)
-    not_executed = ""
+    skipped: list[str] = []
     try:
         designed = designed_apart(file, worker) if worker is not None else designed_values(file)
-    except NotExecuted as code:
-        designed, not_executed = {}, f"{code} (--no-load); the design is not checked"
+    except errors.NotExecuted as error:
+        designed = {}
+        skipped.append(messages.DESIGN_NOT_CHECKED(reason=error))
     system = build_system(file, designed)
-    if worker is not None and (faults := _run_once(file, system, path, worker)):
-        raise InputError(faults)
-    return [f"warning: {text}" for text in (*file.warnings, *filter(None, [not_executed]))]
+    if worker is not None:
+        refuse(_run_once(file, system, path, worker))
+    return _as_warnings([*file.warnings, *skipped])
 
 
 def check_ssp(path: Path, checking: Checking) -> list[str]:
@@ -116,27 +104,36 @@ def check_ssp(path: Path, checking: Checking) -> list[str]:
     with temporary_folder("check") as folder:
         file, warnings = lay_out(path, folder)
         if worker is not None and (faults := _run_once(file, build_system(file), path, worker)):
-            shown = (replace(f, message=f.message.replace(f"{file.path.parent}/", "")) for f in faults)
-            raise InputError(list(shown))
-        return [f"warning: {text}" for text in warnings]
+            texts = [f.message.replace(f"{file.path.parent}/", "") for f in faults]
+            refuse(replace(f, message=Message(text, f.code)) for f, text in zip(faults, texts, strict=True))
+        return _as_warnings(warnings)
+
+
+def _as_warnings(texts: Iterable[str]) -> list[str]:
+    return [Message(f"warning: {text}", code_of(text)) for text in texts]
+
+
+def _fault_of(error: FmuError, path: Path, name: Path) -> Fault:
+    """Return the fault of an FMU, without the name at the beginning of the error."""
+    text = str(error).removeprefix(f"{name} ")
+    return Fault(path, 0, 0, Message(text, error.code), error.exit_code)
 
 
 def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) -> list[Fault]:
     """Return the fault of a failed first step, located at `path`."""
-    to_load = LONGEST + (LIMIT if permission.get() else 0.0)
-    limits = file.scenario.limits or Limits(step=LONGEST, load=to_load)
+    load_limit = MAX_CALL_TIME + (LIMIT if permission.get() else 0.0)
+    limits = file.scenario.limits or Limits(step=MAX_CALL_TIME, load=load_limit)
     worker.start()
-    beside = Path(tempfile.gettempdir())
     try:
-        made = simulate_apart(worker, system, 1, file.scenario.step, beside, limits)
+        failure = simulate_apart(worker, system, 1, file.scenario.step, Path(tempfile.gettempdir()), limits).failure
     except FmuError as error:
-        return [Fault(path, 0, 0, str(error).removeprefix(f"{path.resolve()} "), error.exit_code)]
-    except DiskFull as error:
-        return [Fault(path, 0, 0, f"cannot be tried: {error.reason}; --no-load checks it without", FmuError.exit_code)]
-    if made.failure is None:
+        return [_fault_of(error, path, path.resolve())]
+    except errors.DiskFull as error:
+        return [Fault(path, 0, 0, messages.NO_SPACE_FOR_TRIAL(reason=error.reason), FmuError.exit_code)]
+    if failure is None:
         return []
-    if isinstance(made.failure, (Interrupted, Signalled)):
-        raise made.failure
-    code = made.failure.exit_code if isinstance(made.failure, TimedOut) else FmuError.exit_code
-    cure = "; --no-load checks it without" if isinstance(made.failure, (Crashed, TimedOut)) else ""
-    return [Fault(path, 0, 0, f"does not run: {made.failure}{cure}", code)]
+    if isinstance(failure, (errors.Interrupted, errors.Signalled)):
+        raise failure
+    code = failure.exit_code if isinstance(failure, errors.TimedOut) else FmuError.exit_code
+    cure = "; --no-load checks it without" if isinstance(failure, (errors.Crashed, errors.TimedOut)) else ""
+    return [Fault(path, 0, 0, messages.FAILED_TRIAL(reason=failure, cure=cure), code)]

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +22,9 @@ from cosim.scenario.nearest_models import take_nearest
 from cosim.scenario.pinned import sha256
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
+from cosim.simulation import messages
 from cosim.simulation.criteria import evaluate
-from cosim.simulation.manifest import check_pinned, made_with, manifest
+from cosim.simulation.manifest import check_pinned, manifest, software_versions
 from cosim.simulation.packaged import is_ssp, lay_out
 from cosim.storage import kinds
 from cosim.storage.files import (
@@ -40,7 +41,7 @@ from cosim.storage.folder_lock import folder_locks
 from cosim.storage.folders import check_ours, folder_named, keep_earlier
 from cosim.storage.kinds import check_form
 from cosim.storage.results import Results, remove_rows, rows_name
-from cosim.system.system import System, build_system
+from cosim.system.system import build_system
 
 MANIFEST = "manifest.json"
 SPARE = 8192  # room beyond the size of the manifest [bytes]
@@ -100,36 +101,42 @@ def run(
         FmuError: An FMU does not load.
         SimulationError: The simulation stopped early.
     """
-    watching = [*observers, *([] if progress is None else [ProgressObserver(progress)])]
-    began, path, rows_file = time.perf_counter(), Path(scenario), rows_name("results", format_)
-    if not is_ssp(path):
+    observers = [*observers, *([] if progress is None else [ProgressObserver(progress)])]
+    begin, path, rows_file = time.perf_counter(), Path(scenario), rows_name("results", format_)
+    is_package = is_ssp(path)
+    if not is_package:
         check_form(path, kinds.SCENARIO, kinds.MANIFEST)  # before the worker is started
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         if worker is not None:
             worker.start()  # The worker starts up while files are read.
-        file, place, told_before = _read(path, folder, overrides, force=force)
-        keep = folder is None and not is_ssp(path)  # lay_out has already moved the earlier run of an SSP.
+        file, place, warnings = _read(path, folder, overrides, force=force)
+        keep = folder is None and not is_package  # lay_out has already moved the earlier run of an SSP.
         if nearest:
             take_nearest(file)
         check_pinned(file)
         designed = designed_apart(file, worker)
         system = build_system(file, designed)
-        if not is_ssp(path):
+        if not is_package:
             check_ours(place, file.scenario.name, force=force, keep=keep)
         check_writable(place, (rows_file, MANIFEST, "report.html"), file.files)
-        tools = stack.enter_context(ThreadPoolExecutor(1)).submit(made_with)  # runs in parallel to the loading of FMUs
-        loaded = time.perf_counter()
-        stepped = _stepped(file.scenario, system, worker, place, watching)
-        times = began, loaded, time.perf_counter()
-        record = manifest(file, designed, system, _timings(file.scenario, *times), tools.result(), stepped.results.loop)
-        if is_ssp(path):
+        software = stack.enter_context(ThreadPoolExecutor(1)).submit(software_versions)  # parallel to the loading
+        loaded, steps, h = time.perf_counter(), file.scenario.steps, file.scenario.step
+        if worker is None:
+            stepped = simulate_here(system, steps, h, observers)
+        else:
+            stepped = simulate_apart(worker, system, steps, h, place, file.scenario.limits, observers=observers)
+            worker.finish()
+        stepping = time.perf_counter() - loaded
+        speed = file.scenario.duration / stepping
+        timings = {"load": loaded - begin, "simulate": stepping, "real_time_factor": speed}
+        record = manifest(file, designed, system, timings, software.result(), stepped.results.loop)
+        if is_package:
             record["ssp"] = {"path": str(path.resolve()), "sha256": sha256(path)}
-        record["warnings"] += told_before
+        record["warnings"] += warnings
         _add_outcome(record, file.scenario, stepped, watched=worker is not None)
-        failure = _keep_partial_results(
-            place / rows_file, file.scenario, stepped, record, report=report, figures=figures, keep=keep
-        )
+        files = _Files(place / rows_file, file.scenario, stepped, record)
+        failure = files.write(report=report, figures=figures, keep=keep)
     if failure is not None:
         failure.left = place
         raise failure
@@ -149,59 +156,6 @@ def _read(
     return file, place, warnings
 
 
-def _keep_partial_results(
-    file: Path,
-    scenario: Scenario,
-    stepped: SteppedRun,
-    record: dict[str, Any],
-    *,
-    report: bool,
-    figures: bool,
-    keep: bool,
-) -> SimulationError | None:
-    """Write all files of a run, or as many as fit.
-
-    Returns:
-        The failure of the run or of the disk, if any.
-    """
-    written: list[str] = []
-    try:
-        if keep:
-            keep_earlier(file.parent, "cosim run")
-        _write(file, stepped.results, record, written)
-        release_stops()
-        _draw(file.parent, stepped.results, record, report=report, figures=figures)
-    except OSError as error:
-        if not is_full(error):
-            raise
-        rows = scenario.steps + 1 if isinstance(stepped.failure, DiskFull) else len(stepped.results.time)
-        return _write_what_fits(file, stepped.results, record, written, rows, stepped.failure)
-    except (KeyboardInterrupt, Terminated) as stop:  # All files but the report are written.
-        end = float(stepped.results.time[-1]) if len(stepped.results.time) else scenario.start_time
-        return stepped.failure or stopped(stop, end, "the report of the run")
-    finally:
-        hold_stops()  # The end must still be reported.
-    return stepped.failure
-
-
-def _stepped(
-    scenario: Scenario, system: System, worker: Worker | None, folder: Path, observers: Sequence[Observer]
-) -> SteppedRun:
-    """Step the system in the worker, else in this process."""
-    steps, h = scenario.steps, scenario.step
-    if worker is None:
-        return simulate_here(system, steps, h, observers)
-    stepped = simulate_apart(worker, system, steps, h, folder, scenario.limits, observers=observers)
-    worker.finish()
-    return stepped
-
-
-def _timings(scenario: Scenario, began: float, loaded: float, simulated: float) -> dict[str, float]:
-    """Return durations [s] from clock readings at three moments."""
-    stepping = simulated - loaded
-    return {"load": loaded - began, "simulate": stepping, "real_time_factor": scenario.duration / stepping}
-
-
 def _add_outcome(record: dict[str, Any], scenario: Scenario, stepped: SteppedRun, *, watched: bool) -> None:
     """Add the outcome of the steps to the manifest."""
     if stepped.failure is None:
@@ -210,83 +164,103 @@ def _add_outcome(record: dict[str, Any], scenario: Scenario, stepped: SteppedRun
         record["status"] = f"failed: {stepped.failure}"
     record["warnings"] += [*stepped.results.notes, *stepped.log]
     if not watched and scenario.limits is not None:
-        record["warnings"].append("limits are not watched where FMUs run in this process")
+        record["warnings"].append(messages.LIMITS_NOT_WATCHED())
 
 
-def _write(file: Path, results: Results, record: dict[str, Any], written: list[str]) -> None:
-    """Write rows and manifest of a complete or failed run.
+@dataclass
+class _Files:
+    """Files of a run; `written` are the names of those that are complete."""
 
-    Args:
-        written: Receives the names of the files.
-    """
-    folder = file.parent
-    (folder / "report.html").unlink(missing_ok=True)  # An earlier report belongs to another run.
-    with uninterrupted():  # A second stop signal must not destroy the rows.
-        results.write(file)
-        remove_rows(folder, file.stem, besides=file.name)  # They belong to another run.
-        written.append(file.name)
-        write_json(folder / MANIFEST, record)
-        written.append(MANIFEST)
+    rows: Path
+    scenario: Scenario
+    stepped: SteppedRun
+    record: dict[str, Any]
+    written: list[str] = field(default_factory=list)
 
+    def write(self, *, report: bool, figures: bool, keep: bool) -> SimulationError | None:
+        """Write all files of a run, or as many as fit.
 
-def _draw(folder: Path, results: Results, record: dict[str, Any], *, report: bool, figures: bool) -> None:
-    """Draw the report and the figures of a written run."""
-    if report:
-        from cosim.simulation.report import write_report
-
-        write_report(folder / "report.html", results, record)
-    if figures:
-        from cosim.simulation.report import write_figures
-
-        write_figures(folder / "figures", results, record)
-
-
-def _write_what_fits(
-    file: Path,
-    results: Results,
-    record: dict[str, Any],
-    written: Sequence[str],
-    rows: int,
-    failure: SimulationError | None,
-) -> SimulationError:
-    """Write the rows and the manifest that fit on a full disk.
-
-    Returns:
-        The failure to report.
-    """
-    folder = file.parent
-    (folder / "report.html").unlink(missing_ok=True)
-    count = len(results.time) if file.name in written else _rows_that_fit(file, results, 2 * len(json.dumps(record)))
-    told = f"the disk is full: {count} of {rows} rows are in {file.name}"
-    told += ", there is no report" if count == rows else ""
-    before = "" if failure is None or isinstance(failure, DiskFull) else f"; before that {failure}"
-    at = results.time[max(0, count - 1)].item() if len(results.time) else 0.0
-    record["status"] = f"failed: {DiskFull('the run', at, told + before)}"
-    try:
-        write_json(folder / MANIFEST, record)
-    except OSError:
-        if MANIFEST not in written:
-            (folder / MANIFEST).unlink(missing_ok=True)  # of an earlier run
-            told += " and no manifest" if count == rows else ", there is no manifest"
-    return DiskFull("the run", at, told + before)
-
-
-def _rows_that_fit(file: Path, results: Results, manifest: int) -> int:
-    """Write the rows that fit; return their number.
-
-    Args:
-        manifest: Size [bytes] of the manifest, for which room is reserved if possible.
-    """
-    remove_rows(file.parent, file.stem)  # An earlier run's rows occupy needed room.
-    file.with_name(MANIFEST).unlink(missing_ok=True)
-    spare = file.parent / ".spare"
-    try:
+        Returns:
+            The failure of the run or of the disk, if any.
+        """
+        failure, time = self.stepped.failure, self.stepped.results.time
         try:
-            allocate(spare, manifest + SPARE)
+            if keep:
+                keep_earlier(self.rows.parent, "cosim run")
+            self._write_rows()
+            release_stops()
+            self._draw(report=report, figures=figures)
+        except OSError as error:
+            if not is_full(error):
+                raise
+            return self._write_what_fits()
+        except (KeyboardInterrupt, Terminated) as stop:  # All files but the report are written.
+            end = float(time[-1]) if len(time) else self.scenario.start_time
+            return failure or stopped(stop, end, "the report of the run")
+        finally:
+            hold_stops()  # The end must still be reported.
+        return failure
+
+    def _write_rows(self) -> None:
+        """Write rows and manifest of a complete or failed run."""
+        self.rows.with_name("report.html").unlink(missing_ok=True)  # An earlier report belongs to another run.
+        with uninterrupted():  # A second stop signal must not destroy the rows.
+            self.stepped.results.write(self.rows)
+            remove_rows(self.rows.parent, self.rows.stem, besides=self.rows.name)  # They belong to another run.
+            self.written.append(self.rows.name)
+            write_json(self.rows.with_name(MANIFEST), self.record)
+            self.written.append(MANIFEST)
+
+    def _draw(self, *, report: bool, figures: bool) -> None:
+        """Draw the report and the figures of a written run."""
+        if report:
+            from cosim.simulation.report import write_report
+
+            write_report(self.rows.with_name("report.html"), self.stepped.results, self.record)
+        if figures:
+            from cosim.simulation.report import write_figures
+
+            write_figures(self.rows.with_name("figures"), self.stepped.results, self.record)
+
+    def _write_what_fits(self) -> DiskFull:
+        """Write the rows and the manifest that fit on a full disk; return the failure to report."""
+        self.rows.with_name("report.html").unlink(missing_ok=True)
+        failure, time, manifest = self.stepped.failure, self.stepped.results.time, self.rows.with_name(MANIFEST)
+        count = len(time) if self.rows.name in self.written else self._rows_that_fit(2 * len(json.dumps(self.record)))
+        rows = self.scenario.steps + 1 if isinstance(failure, DiskFull) else len(time)
+        before = "" if failure is None or isinstance(failure, DiskFull) else f"; before that {failure}"
+        at = time[max(0, count - 1)].item() if len(time) else 0.0
+
+        def full(missing: str) -> DiskFull:
+            fields = {"count": count, "rows": rows, "file": self.rows.name, "missing": missing, "before": before}
+            return DiskFull("the run", at, messages.DISK_FULL(**fields))
+
+        missing = ", there is no report" if count == rows else ""
+        self.record["status"] = f"failed: {full(missing)}"
+        try:
+            write_json(manifest, self.record)
         except OSError:
-            spare.unlink(missing_ok=True)  # Rows matter more than the manifest.
-        return results.write_what_fits(file)
-    except OSError:
-        return 0
-    finally:
-        spare.unlink(missing_ok=True)
+            if MANIFEST not in self.written:
+                manifest.unlink(missing_ok=True)  # of an earlier run
+                missing += " and no manifest" if count == rows else ", there is no manifest"
+        return full(missing)
+
+    def _rows_that_fit(self, manifest: int) -> int:
+        """Write the rows that fit; return their number.
+
+        Args:
+            manifest: Size [bytes] of the manifest, for which room is reserved if possible.
+        """
+        remove_rows(self.rows.parent, self.rows.stem)  # An earlier run's rows occupy needed room.
+        self.rows.with_name(MANIFEST).unlink(missing_ok=True)
+        spare = self.rows.with_name(".spare")
+        try:
+            try:
+                allocate(spare, manifest + SPARE)
+            except OSError:
+                spare.unlink(missing_ok=True)  # Rows matter more than the manifest.
+            return self.stepped.results.write_what_fits(self.rows)
+        except OSError:
+            return 0
+        finally:
+            spare.unlink(missing_ok=True)

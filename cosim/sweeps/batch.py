@@ -16,12 +16,12 @@ from cosim.base.arrays import Array
 from cosim.blocks.noise import samples_of, stream
 from cosim.master.initialization import EXACT_SWEEPS
 from cosim.sweeps.c_lanes import WIDTH
-from cosim.sweeps.twins import Kind, Twin, kind_of, merged
+from cosim.sweeps.twins import Kind, Twin, kind_of, merge_values
 from cosim.system.system import System
 from cosim.system.wiring import Transfer
 
 Starts = Mapping[str, Mapping[str, Any]]  # component → variable → value
-LIMIT = 1 << 28  # rows and noise in memory at once [bytes]
+MAX_MEMORY = 1 << 28  # rows and noise in memory at once [bytes]
 
 
 def kinds_of(system: System) -> dict[str, Kind] | str:
@@ -37,26 +37,22 @@ def kinds_of(system: System) -> dict[str, Kind] | str:
     for reason, applies in obstacles.items():
         if applies:
             return reason
-    kinds: dict[str, Kind] = {}
-    for stage in system.stages:
-        if (kind := kind_of(stage.component)) is not None:
-            kinds[stage.component.name] = kind
-    missing = [stage.component.name for stage in system.stages if stage.component.name not in kinds]
-    if missing:
-        return f"{', '.join(missing)}: no equations of an FMU of this kind are known here"
-    return kinds
+    kinds = {stage.component.name: kind_of(stage.component) for stage in system.stages}
+    if missing := [name for name, kind in kinds.items() if kind is None]:
+        return f"{', '.join(missing)}: no equations of an FMU of this kind are available"
+    return {name: kind for name, kind in kinds.items() if kind is not None}
 
 
-def why_not_on_arrays(system: System) -> str:
+def obstacle_to_arrays(system: System) -> str:
     """Return the reason for using FMUs; "" for arrays."""
     kinds = kinds_of(system)
     return kinds if isinstance(kinds, str) else ""
 
 
-def most_at_once(system: System, steps: int, kept: int) -> int:
+def max_runs_at_once(system: System, steps: int, signals: int) -> int:
     """Return the number of runs that fit into memory at once. It is a multiple of the width of compiled code."""
     noisy = sum(t.noise is not None for t in _transfers(system))
-    return max(WIDTH, min(1024, LIMIT // (8 * (steps + 1) * (kept + noisy + 1)) // WIDTH * WIDTH))
+    return max(WIDTH, min(1024, MAX_MEMORY // (8 * (steps + 1) * (signals + noisy + 1)) // WIDTH * WIDTH))
 
 
 @dataclass(frozen=True)
@@ -73,30 +69,30 @@ class Batch:
     h: float
     compiled: bool = True
 
-    def run(self, starts: Sequence[Starts], seeds: Sequence[int], kept: Sequence[int]) -> Array:
-        """Return the rows of signals, shape (steps + 1, kept, runs).
+    def run(self, starts: Sequence[Starts], seeds: Sequence[int], columns: Sequence[int]) -> Array:
+        """Return the rows of signals, shape (steps + 1, columns, runs).
 
         Failed runs contain NaN or infinity.
 
         Args:
             starts: All start values by component, for each run.
-            kept: Places of the signals.
+            columns: Places of the signals.
         """
-        table = np.empty((self.steps + 1, len(kept), len(starts)))
+        table = np.empty((self.steps + 1, len(columns), len(starts)))
         groups: dict[Any, list[int]] = {}
         for k, start in enumerate(starts):
             pattern = tuple(kind.pattern(start.get(name, {})) for name, kind in self.kinds.items())
             groups.setdefault(pattern, []).append(k)
         with np.errstate(all="ignore"):
             for members in groups.values():
-                one = _Together(self, [starts[k] for k in members], [seeds[k] for k in members])
+                part = _PartOfBatch(self, [starts[k] for k in members], [seeds[k] for k in members])
                 if len(groups) == 1:
-                    return one.rows(kept)
-                table[:, :, members] = one.rows(kept)
+                    return part.rows(columns)
+                table[:, :, members] = part.rows(columns)
         return table
 
 
-class _Together:
+class _PartOfBatch:
     """Runs with the same active effects."""
 
     def __init__(self, batch: Batch, starts: Sequence[Starts], seeds: Sequence[int]) -> None:
@@ -107,34 +103,33 @@ class _Together:
         system = batch.system
         self.row = np.zeros((len(system.columns), padded))
         self.twins: list[tuple[str, Twin]] = []
-        first = {name: k for k, name in reversed([*enumerate(c.partition(".")[0] for c in system.columns)])}
+        owners = [column.partition(".")[0] for column in system.columns]
         for stage in system.stages:
             c = stage.component
-            given = merged([start.get(c.name, {}) for start in starts])
-            twin = batch.kinds[c.name].make(given, padded, compiled=batch.compiled)
-            at = first.get(c.name, 0)
+            values = merge_values([start.get(c.name, {}) for start in starts])
+            twin = batch.kinds[c.name].make(values, padded, compiled=batch.compiled)
+            at = owners.index(c.name) if c.name in owners else 0
             split, end = at + len(c.inputs), at + len(c.inputs) + len(c.outputs)
             twin.begin(self.row[at:split], self.row[split:end], system.start)
             self.twins.append((c.name, twin))
-        seeds = [*seeds, *[seeds[-1]] * (padded - count)]
         self.samples = {t.name: self._noise(t, seeds) for t in _transfers(system) if t.noise is not None}
 
     def _noise(self, transfer: Transfer, seeds: Sequence[int]) -> Array:
         """Return noise samples, shape (steps + 1, runs). Each run gets the same samples as when run alone."""
-        made = np.empty((len(seeds), self.steps + 1))
+        samples = np.empty((self.row.shape[1], self.steps + 1))
         assert transfer.noise is not None
         variance, bias = transfer.noise.variance, transfer.noise.bias
-        for k, seed in enumerate(seeds[: self.count]):
-            made[k] = samples_of(stream(seed, transfer.name), variance, bias, self.steps + 1)
-        made[self.count :] = made[self.count - 1]
-        return np.ascontiguousarray(made.T)
+        for k, seed in enumerate(seeds):
+            samples[k] = samples_of(stream(seed, transfer.name), variance, bias, self.steps + 1)
+        samples[self.count :] = samples[self.count - 1]
+        return np.ascontiguousarray(samples.T)
 
-    def rows(self, kept: Sequence[int]) -> Array:
-        """Step all runs and return rows, shape (steps + 1, kept, runs)."""
-        table = np.empty((self.steps + 1, len(kept), self.count))
+    def rows(self, columns: Sequence[int]) -> Array:
+        """Step all runs and return rows, shape (steps + 1, columns, runs)."""
+        table = np.empty((self.steps + 1, len(columns), self.count))
         pulls = {s.component.name: s.pulls for s in self.system.stages}
         self._settle(pulls)
-        self._keep(table, 0, kept)
+        table[0] = self.row[columns, : self.count]
         h, begin = self.h, self.system.start
         next_t = begin
         for k in range(1, self.steps + 1):
@@ -143,7 +138,7 @@ class _Together:
                 self._transfer(pulls[name], k)
                 twin.advance(t, h if stage.component.nominal_step else next_t - t)
             self._transfer(self.system.held, k)
-            self._keep(table, k, kept)
+            table[k] = self.row[columns, : self.count]
         return table
 
     def _settle(self, pulls: Mapping[str, Sequence[Transfer]]) -> None:
@@ -167,10 +162,6 @@ class _Together:
                 target[:] = row[t.source]
             if t.noise is not None:
                 target += self.samples[t.name][k]
-
-    def _keep(self, table: Array, k: int, kept: Sequence[int]) -> None:
-        for place, column in enumerate(kept):
-            table[k, place] = self.row[column, : self.count]
 
 
 def _transfers(system: System) -> list[Transfer]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -53,36 +52,25 @@ class Stepping:
         self.step(t, 0.0, 0, state, command, outputs)
 
 
-def stepping(model: Any, runs: int) -> Stepping | None:
+def compile_model(model: Any, runs: int) -> Stepping | None:
     """Return the compiled model, if compilation is possible."""
     if compiler() is None or runs % WIDTH or not model.base_states:
         return None
     awake = tuple(effect.name for effect in model.awake)
     flags = tuple(sorted((p.name, getattr(model, p.name)) for p in model.parameters if isinstance(p.default, bool)))
-    made = _function(type(model), model if flags else type(model)(), awake, flags)
-    return None if made is None else Stepping(made[0], model, made[1], runs)
+    function = _function(type(model), model if flags else type(model)(), awake, flags)
+    return None if function is None else Stepping(function[0], model, function[1], runs)
 
 
 def _values(model: Any) -> dict[str, Any]:
     """Return all parameters of the base model and active effects."""
-    found = {p.name: getattr(model, p.name) for p in model.parameters}
-    for effect in model.awake:
-        found |= {name: getattr(effect, name.partition(".")[2]) for name in _of(effect, model)}
-    return found
-
-
-def _of(effect: Any, model: Any) -> list[str]:
-    return [name for name in model.declared if name.startswith(f"{effect.name}.")]
-
-
-@cache
-def _compiled(source: str) -> Any:
-    library = load_library(source, RK4)
-    function = library.steps
-    number, address = ctypes.c_double, ctypes.c_void_p
-    function.argtypes = [ctypes.c_long, number, number, ctypes.c_int, number, address, address, address, address]
-    function.restype = None
-    return function
+    owners = {effect.name: effect for effect in model.awake}
+    values = {p.name: getattr(model, p.name) for p in model.parameters}
+    for name in model.declared:
+        owner, _, parameter = name.partition(".")
+        if owner in owners:
+            values[name] = getattr(owners[owner], parameter)
+    return values
 
 
 _FUNCTIONS: dict[Any, tuple[Any, tuple[str, ...]] | None] = {}
@@ -95,32 +83,31 @@ def _function(
     key = kind, awake, flags
     if key not in _FUNCTIONS:
         try:
-            source, names = _printed(model, awake, dict(flags))
-            _FUNCTIONS[key] = _compiled(source), tuple(names)
+            source, names = _print_source(model, awake, dict(flags))
+            function = load_library(source, RK4).steps
         except (Unprintable, CompilerFailed, TypeError, AttributeError):
             _FUNCTIONS[key] = None
+        else:
+            number, address = ctypes.c_double, ctypes.c_void_p
+            function.argtypes = [ctypes.c_long, number, number, ctypes.c_int, number, *4 * [address]]
+            function.restype = None
+            _FUNCTIONS[key] = function, tuple(names)
     return _FUNCTIONS[key]
 
 
-def _printed(model: Any, awake: tuple[str, ...], flags: dict[str, bool]) -> tuple[str, list[str]]:
+def _print_source(model: Any, awake: tuple[str, ...], flags: dict[str, bool]) -> tuple[str, list[str]]:
     body = Body.of(model, effects=awake, flags=flags)
     names = list(body.parameters)
     derivative, outputs = list(body.derivative.values()), list(body.outputs.values())
     content = repr((fingerprint(PRINTING), [str(e) for e in (*derivative, *outputs)], names))
+    frame = SOURCE.read_text(encoding="utf-8")
 
     def make() -> str:
+        functions = (("deriv", derivative), ("measure", outputs))
         language = Lanes()
-        functions = "\n".join(
-            body.function(language, name, of) for name, of in (("deriv", derivative), ("measure", outputs))
-        )
-        sizes = {
-            "W": WIDTH,
-            "NX": len(derivative),
-            "NU": len(body.symbols.command),
-            "NY": len(outputs),
-            "NP": len(names),
-        }
-        defined = "".join(f"#define {name} {size}\n" for name, size in sizes.items())
-        return defined + SOURCE.read_text(encoding="utf-8").replace("/*LANES*/", functions)
+        code = "\n".join(body.function(language, name, expressions) for name, expressions in functions)
+        sizes = {"NX": len(derivative), "NU": len(body.symbols.command), "NY": len(outputs), "NP": len(names)}
+        defines = "".join(f"#define {name} {size}\n" for name, size in {"W": WIDTH, **sizes}.items())
+        return defines + frame.replace("/*LANES*/", code)
 
-    return load_or_make(content + SOURCE.read_text(encoding="utf-8"), make), names
+    return load_or_make(content + frame, make), names

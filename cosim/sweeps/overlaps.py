@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
+from typing import Any
 
 from cosim.base.errors import Fault
+from cosim.base.messages import Template
 from cosim.scenario.scenario_file import keys_of
 from cosim.storage.yaml_file import YamlFile
+from cosim.sweeps import messages
 from cosim.sweeps.sweep_file import SweepFile
 
 Place = tuple[str, ...]
@@ -24,36 +27,32 @@ def overlap_faults(
         designed: Component of `design:`, if any.
     """
     varied = {name: place_of(name, components) for name in file.vary}
-    given = {name: place_of(name, ()) for name in file.set}
-    vary_order, set_order = ({name: k for k, name in enumerate(names)} for names in (file.vary, file.set))
-    for one, other in dict.fromkeys(
-        tuple(sorted(pair, key=lambda name: vary_order[name])) for pair in _pairs(varied, varied)
-    ):
-        part = max(varied[one], varied[other], key=lambda place: len(place))
-        said = f"both give {'.'.join(part)}; vary one of them"
-        yield _fault(yaml, ("vary", other), ("vary", one), said)
-    for inner, whole in _pairs(given, given):
-        if set_order[whole] > set_order[inner]:
-            said = f"both give {'.'.join(given[inner])}, and the later is put over it; set the whole first, then a part"
-            yield _fault(yaml, ("set", whole), ("set", inner), said)
-    for inner, whole in _pairs(given, varied):
+    fixed = {name: place_of(name, ()) for name in file.set}
+    vary_order, set_order = list(file.vary), list(file.set)
+    for one, other in dict.fromkeys(tuple(sorted(pair, key=vary_order.index)) for pair in _pairs(varied, varied)):
+        part = max(varied[one], varied[other], key=len)
+        yield _fault(yaml, ("vary", other), ("vary", one), messages.VARIED_TWICE, place=".".join(part))
+    for inner, whole in _pairs(fixed, fixed):
+        if set_order.index(whole) > set_order.index(inner):
+            place = ".".join(fixed[inner])
+            yield _fault(yaml, ("set", whole), ("set", inner), messages.WHOLE_AFTER_PART, place=place)
+    for inner, whole in _pairs(fixed, varied):
         if whole != "seed" or file.vary[whole].count is None:  # Counted seeds start from the seed in `set`.
-            said = f"both give {'.'.join(given[inner])}, and what varies goes over it; leave it out of set"
-            yield _fault(yaml, ("set", inner), ("vary", whole), said)
-    yield from _designed(yaml, file, varied, given, ("components", designed or "", "start"))
+            place = ".".join(fixed[inner])
+            yield _fault(yaml, ("set", inner), ("vary", whole), messages.SET_AND_VARIED, place=place)
+    yield from _design_faults(yaml, file, varied, fixed, ("components", designed or "", "start"))
 
 
-def _designed(
-    yaml: YamlFile, file: SweepFile, varied: Mapping[str, Place], given: Mapping[str, Place], start: Place
+def _design_faults(
+    yaml: YamlFile, file: SweepFile, varied: Mapping[str, Place], fixed: Mapping[str, Place], start: Place
 ) -> Iterator[Fault]:
-    """Yield faults of names given as design option and start value. An example is the name of an estimator."""
-    for key, entries in (("vary", varied), ("set", given)):
+    """Yield faults of names set as design option and start value. An example is the name of an estimator."""
+    for key, entries in (("vary", varied), ("set", fixed)):
         options = {place[1]: name for name, place in entries.items() if place[0] == "design" and len(place) == 2}
         for name, place in varied.items():
             option = options.get(place[-1]) if place[:-1] == start else None
             if option is not None and any(isinstance(v, str) and v[:1].isalpha() for v in file.vary[name].values or ()):
-                said = "the design gives that start value, and the component's own goes over it; keep one of them"
-                yield _fault(yaml, ("vary", name), (key, option), said)
+                yield _fault(yaml, ("vary", name), (key, option), messages.START_VALUE_OF_DESIGN)
 
 
 def place_of(name: str, components: Collection[str]) -> Place:
@@ -71,10 +70,10 @@ def _pairs(parts: Mapping[str, Place], wholes: Mapping[str, Place]) -> Iterator[
         at.setdefault(place, []).append(name)
     for part, place in parts.items():
         for length in range(1, len(place) + 1):
-            whole_ones = at.get(place[:length], ())
-            yield from ((part, whole) for whole in whole_ones if whole != part or parts is not wholes)
+            candidates = at.get(place[:length], ())
+            yield from ((part, whole) for whole in candidates if whole != part or parts is not wholes)
 
 
-def _fault(yaml: YamlFile, where: Place, other: Place, said: str) -> Fault:
-    line = yaml.fault(other, "", key=True).line
-    return yaml.fault(where, f'{where[-1]} and "{other[-1]}" of line {line}: {said}', key=True)
+def _fault(yaml: YamlFile, where: Place, other: Place, template: Template, **fields: Any) -> Fault:
+    line = yaml.place(other, key=True)[0]
+    return yaml.fault(where, template(entry=where[-1], other=other[-1], line=line, **fields), key=True)

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import Fault, InputError, refuse
+from cosim.base.errors import InputError, refuse
+from cosim.base.messages import Message, code_of
 from cosim.base.version import __version__
 from cosim.blocks.fmu import FmuBlock
 from cosim.scenario.controller_design import designed_values
@@ -19,15 +20,16 @@ from cosim.simulation.manifest import resolve_scenario
 from cosim.storage.artefact import Checking
 from cosim.storage.kinds import SWEEP, check_given
 from cosim.storage.yaml_file import YamlFile, short
-from cosim.sweeps.factors import Factors, Location, beside
+from cosim.sweeps import messages
+from cosim.sweeps.factors import Factors, resolve_file_name
 from cosim.sweeps.overlaps import overlap_faults
-from cosim.sweeps.run_chunks import Asked, Job, Watched
+from cosim.sweeps.run_chunks import Job, RunRequest, WatchSettings
 from cosim.sweeps.sampling import Factor, columns_of
 from cosim.sweeps.sweep_file import SweepFile
 from cosim.system.system import System, build_system
 
-WORTH_COMPILING = 300_000  # total steps that justify a second or two of compilation; a step on arrays takes about 5 µs
-MOST_SIGNALS = 8  # recorded by default
+MIN_STEPS_TO_COMPILE = 300_000  # total steps that justify a second or two; a step on arrays takes about 5 µs
+MAX_DEFAULT_SIGNALS = 8  # recorded by default
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ class Sweep:
         content = [__version__, self.resolved, self.job.signals, self.job.samples, self.columns]
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
-    def request_run(self, run: int) -> Asked:
+    def request_run(self, run: int) -> RunRequest:
         """Return the request for a run."""
         overrides, starts, seed = [], dict[str, dict[str, Any]](), None
         for name, values in self.columns.items():
@@ -71,12 +73,12 @@ class Sweep:
                 starts.setdefault(component, {})[variable] = value
             else:
                 overrides.append(f"{name}={json.dumps(value)}")
-        return Asked(run, tuple(overrides), starts, seed)
+        return RunRequest(run, tuple(overrides), starts, seed)
 
 
 def check_sweep(path: Path, checking: Checking) -> list[str]:
     """Return the warnings of a sweep; InputError lists its faults."""
-    return [f"warning: {text}" for text in read_sweep(path).warnings]
+    return [Message(f"warning: {text}", code_of(text)) for text in read_sweep(path).warnings]
 
 
 def read_sweep(path: Path) -> Sweep:
@@ -88,49 +90,38 @@ def read_sweep(path: Path) -> Sweep:
         raise InputError(faults)
     scenario_path = path.parent / file.scenario
     if not scenario_path.is_file():
-        raise InputError([*faults, yaml.fault(("scenario",), f"no such scenario: {short(file.scenario)}")])
-    overrides = tuple(f"{name}={json.dumps(beside(path, name, value))}" for name, value in file.set.items())
+        raise InputError([*faults, yaml.fault(("scenario",), messages.NO_SCENARIO(name=short(file.scenario)))])
+    overrides = tuple(f"{name}={json.dumps(resolve_file_name(path, name, value))}" for name, value in file.set.items())
     try:
-        scenario = ScenarioFile(scenario_path, overrides, option="")
+        scenario_file = ScenarioFile(scenario_path, overrides, option="")
+        designed = designed_values(scenario_file)
+        system = build_system(scenario_file, designed)
     except InputError as error:
-        raise InputError([*faults, *_moved(yaml, ("set",), error, scenario_path)]) from None
-    try:
-        designed = designed_values(scenario)
-        system = build_system(scenario, designed)
-    except InputError as error:
-        raise InputError([*faults, *_moved(yaml, ("set",), error, scenario_path)]) from None
-    reading = Factors(yaml, file, scenario, system, overrides)
+        for f in error.faults:  # Faults with places in the scenario file keep them.
+            is_placed = f.line and f.file != path
+            faults.append(f if is_placed else yaml.fault(("set",), f.message, exit_code=f.exit_code))
+        raise InputError(faults) from None
+    scenario, design = scenario_file.scenario, scenario_file.scenario.design
+    reading = Factors(yaml, file, scenario_file, system, overrides)
     factors = [factor for name, varied in file.vary.items() if (factor := reading.factor(name, varied)) is not None]
-    design = scenario.scenario.design
-    designed_for = None if design is None else design.component
     faults += [*reading.faults, *reading.signal_faults()]
-    faults += overlap_faults(yaml, file, scenario.scenario.components, designed_for)
+    faults += overlap_faults(yaml, file, scenario.components, None if design is None else design.component)
     refuse(faults)
     columns = columns_of(factors, file.runs, file.sampling, file.seed)
-    refuse(list(reading.drawn_faults(factors, columns)))
-    signals = tuple(file.signals) or _signals(scenario.scenario, system)
-    compiled = len(next(iter(columns.values()))) * scenario.scenario.steps >= WORTH_COMPILING
-    watched = Watched.of(system, scenario.scenario.step)
+    refuse(reading.drawn_faults(factors, columns))
+    signals = tuple(file.signals) or _default_signals(scenario, system)
+    compiled = len(next(iter(columns.values()))) * scenario.steps >= MIN_STEPS_TO_COMPILE
+    watched = WatchSettings.of(system, scenario.step)
     job = Job(scenario_path.resolve(), overrides, signals, file.samples, compiled=compiled, watched=watched)
-    made_of = resolved(resolve_scenario(scenario, designed, system))
-    warnings = (*scenario.warnings, *system.warnings, *reading.warnings)
-    return Sweep(yaml, file, scenario.scenario, system, tuple(factors), columns, job, made_of, warnings)
+    content = resolved(resolve_scenario(scenario_file, designed, system))
+    warnings = (*scenario_file.warnings, *system.warnings, *reading.warnings)
+    return Sweep(yaml, file, scenario, system, tuple(factors), columns, job, content, warnings)
 
 
-def _moved(yaml: YamlFile, where: Location, error: InputError, scenario: Path) -> list[Fault]:
-    """Return faults with places of `set` and `vary` in the sweep. Faults with places in the scenario file keep them."""
-    return [
-        f if f.line and f.file != yaml.path else yaml.fault(where, f.message, exit_code=f.exit_code)
-        for f in error.faults
-    ]
-
-
-def _signals(scenario: Scenario, system: System) -> tuple[str, ...]:
-    of_criteria = dict.fromkeys(criterion.of for _, _, criterion in scenario.goals)
-    outputs = [
-        f"{s.component.name}.{o.name}"
-        for s in system.stages
-        for o in s.component.outputs
-        if isinstance(s.component, FmuBlock)
-    ]
-    return tuple(of_criteria) or tuple(outputs[:MOST_SIGNALS]) or tuple(system.columns[:MOST_SIGNALS])
+def _default_signals(scenario: Scenario, system: System) -> tuple[str, ...]:
+    """Return the signals of the criteria, else outputs of FMUs, else any signals."""
+    if scenario.goals:
+        return tuple(dict.fromkeys(criterion.of for _, _, criterion in scenario.goals))
+    blocks = [s.component for s in system.stages if isinstance(s.component, FmuBlock)]
+    outputs = tuple(f"{block.name}.{o.name}" for block in blocks for o in block.outputs)
+    return (outputs or system.columns)[:MAX_DEFAULT_SIGNALS]

@@ -16,9 +16,12 @@ from cosim.report.html_tables import Badge
 from cosim.report.panels import Band, Panel, Trace
 from cosim.report.svg import TICKS_UP, Plot, make_axis
 from cosim.report.template import render
-from cosim.sweeps.run_statistics import FEWEST, Sensitivity, are_numbers, quantiles, sensitivity
+from cosim.sweeps import messages
+from cosim.sweeps.run_statistics import MIN_RUNS, Sensitivity, quantiles, sensitivity
+from cosim.sweeps.sampling import are_numbers
 from cosim.sweeps.store import TABLE, read_table, signal_of
-from cosim.sweeps.sweep_result import Swept, hardest, headline, repeated, way_of
+from cosim.sweeps.sweep_file import Grid
+from cosim.sweeps.sweep_result import Swept, hardest, headline, repeat_command, way_of
 
 TEMPLATE = Path(__file__).with_name("templates") / "sweep.html.j2"
 MOST_BANDS = 16
@@ -47,7 +50,7 @@ def page(swept: Swept) -> str:
             "outcome": headline(record),
             "badges": badges,
             "warnings": _warnings(swept, indices),
-            **_judged(swept, table),
+            **_criteria_context(swept, table),
             "scatters": _scatters(swept, table, indices, charts),
             "factors": _factors(swept),
             "plots": drawing.plots([_band(name, signal_of(table, name, MOST_RUNS), record) for name in names]),
@@ -63,7 +66,7 @@ def page(swept: Swept) -> str:
     )
 
 
-def _judged(swept: Swept, table: Any) -> Mapping[str, Any]:
+def _criteria_context(swept: Swept, table: Any) -> Mapping[str, Any]:
     """Return criteria, values and the worst runs."""
     record = swept.record
     if not record["criteria"]:
@@ -113,13 +116,11 @@ def _warnings(swept: Swept, indices: Sequence[Sensitivity]) -> list[str]:
     """Return the limits of the conclusions from these runs."""
     completed = swept.record["runs"] - swept.record["failed"]
     texts = list(swept.record["warnings"])
-    if completed < FEWEST:
-        texts.append(f"Too few runs for sensitivities: {completed} completed, {FEWEST} are needed.")
+    if completed < MIN_RUNS:
+        texts.append(messages.TOO_FEW_RUNS(completed=completed, least=MIN_RUNS))
     widest = max((half for s in indices for _, half in (*s.first, *s.total)), default=0.0)
     if widest > WIDE:
-        texts.append(
-            f"Too few runs to rank the factors: intervals of the indices reach ±{plain(widest, 2)}. Take more runs."
-        )
+        texts.append(messages.WIDE_INTERVALS(width=plain(widest, 2)))
     if "DO NOT" in swept.record["check"]["sentence"]:
         texts.append(swept.record["check"]["sentence"])
     return texts
@@ -143,7 +144,7 @@ def _worst(swept: Swept, table: Any) -> list[Mapping[str, Any]]:
             "run": int(runs[k]),
             "value": joined(plain(float(values[k]) * factor, 3), unit) if np.isfinite(values[k]) else "never",
             "factors": ", ".join(f"{n} = {_short(swept.sweep.columns[n][runs[k]])}" for n in names),
-            "command": repeated(swept.sweep, int(runs[k])),
+            "command": repeat_command(swept.sweep, int(runs[k])),
         }
         for k in failing[np.argsort(-far[failing], kind="stable")][:MOST_LISTED]
     ]
@@ -189,30 +190,30 @@ def _scatter(swept: Swept, table: Any, c: Mapping[str, Any], name: str, charts: 
 def _spread(c: Mapping[str, Any], values: Array) -> Mapping[str, Any]:
     unit, factor = display(c["unit"])
     good = values[np.isfinite(values)]
-    shown = quantiles(good) if good.size else np.full(5, np.nan)
+    values = quantiles(good) if good.size else np.full(5, np.nan)
     never = c["of"] - good.size
     return {
         "name": c["name"],
-        "quantiles": [joined(plain(float(v) * factor, 3), unit) for v in shown],
+        "quantiles": [joined(plain(float(v) * factor, 3), unit) for v in values],
         "never": str(never) if never else "–",
     }
 
 
 def _factors(swept: Swept) -> list[Mapping[str, str]]:
-    found: list[Mapping[str, str]] = []
+    rows: list[Mapping[str, str]] = []
     for factor in swept.sweep.factors:
         varied, values = swept.sweep.file.vary[factor.name], swept.sweep.columns[factor.name]
-        given: Any = getattr(varied, varied.way)
-        said = given.model_dump(by_alias=True) if hasattr(given, "model_dump") else given
-        text = str(said)
-        if isinstance(said, dict):
-            text = ", ".join(f"{key} {value}" for key, value in said.items())
-        elif isinstance(said, list | tuple):
-            text = ", ".join(map(str, said[:8])) + (", …" if len(said) > 8 else "")
+        entries: Any = getattr(varied, varied.way)
+        if isinstance(entries, Grid):
+            text = ", ".join(f"{key} {value}" for key, value in entries.model_dump(by_alias=True).items())
+        elif isinstance(entries, list | tuple):
+            text = ", ".join(map(str, entries[:8])) + (", …" if len(entries) > 8 else "")
+        else:
+            text = str(entries)
         way, different = varied.way.replace("_", " "), counted(len(set(map(str, values))), "value")
-        shown = {"unit": written(factor.unit), "way": way, "said": text, "different": different}
-        found.append({"name": factor.name, **shown})
-    return found
+        row = {"name": factor.name, "unit": written(factor.unit), "way": way, "values": text, "different": different}
+        rows.append(row)
+    return rows
 
 
 def _band(name: str, values: Array, record: Mapping[str, Any]) -> Panel:
@@ -232,8 +233,8 @@ def _sensitivities(swept: Swept, table: Any) -> list[Sensitivity]:
         last = [np.nan if row is None else row[-1] for row in table.column(name).to_pylist()]
         outcomes[f"{name} at the end"] = np.array(last)
     saltelli, seed = swept.sweep.file.sampling == "saltelli", swept.sweep.file.seed
-    found = (sensitivity(n, v, factors, saltelli=saltelli, seed=seed) for n, v in outcomes.items())
-    return [s for s in found if s is not None]
+    indices = (sensitivity(n, v, factors, saltelli=saltelli, seed=seed) for n, v in outcomes.items())
+    return [s for s in indices if s is not None]
 
 
 def _table(s: Sensitivity) -> Mapping[str, Any]:

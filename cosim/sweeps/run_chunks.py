@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import CosimError, SimulationError
+from cosim.base.errors import CosimError
 from cosim.blocks.fmu import FmuBlock
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
@@ -27,18 +27,18 @@ from cosim.scenario.scenario_file import ScenarioFile
 from cosim.scenario.start_values import Misfit, typed
 from cosim.simulation.criteria import evaluate
 from cosim.storage.results import Results
-from cosim.sweeps.batch import Batch, Starts, kinds_of, most_at_once
-from cosim.sweeps.twins import unpacked
+from cosim.sweeps.batch import Batch, Starts, kinds_of, max_runs_at_once
+from cosim.sweeps.twins import unpack_once
 from cosim.system.system import System, build_system
 
 Way = Literal["arrays", "fmus"]
-MOST_ROWS = 2000  # compared rows of a run
+MAX_COMPARED_ROWS = 2000  # compared rows of a run
 DESIGN = "design."
-SYSTEMS = 16  # assembled systems cached per worker
+CACHED_SYSTEMS = 16  # assembled systems cached per worker
 
 
 @dataclass(frozen=True)
-class Watched:
+class WatchSettings:
     """Component names, FMI call names, start and step [s], and row size [bytes]."""
 
     components: tuple[str, ...] = ()
@@ -48,7 +48,7 @@ class Watched:
     width: int = 0
 
     @classmethod
-    def of(cls, system: System, step: float) -> Watched:
+    def of(cls, system: System, step: float) -> WatchSettings:
         """Return the description of a system."""
         blocks = [stage.component for stage in system.stages]
         calls = tuple(tuple(fmi_calls(getattr(b, "description", None))) for b in blocks)
@@ -58,9 +58,9 @@ class Watched:
         """Return the watch for a call that makes runs in sequence."""
         return Watch(self.components, self.calls, self.time, limits or Limits(), self.width)
 
-    def time(self, made: int, call: int) -> float:
+    def time(self, rows: int, call: int) -> float:
         """Return the simulated time [s] of the current run."""
-        return self.start + self.step * (max(0, made - 1) + (call == GET and made > 0))
+        return self.start + self.step * (max(0, rows - 1) + (call == GET and rows > 0))
 
 
 @dataclass(frozen=True)
@@ -79,11 +79,11 @@ class Job:
     samples: int
     whole: bool = False
     compiled: bool = True
-    watched: Watched = field(default_factory=lambda: Watched())
+    watched: WatchSettings = field(default_factory=WatchSettings)
 
 
 @dataclass(frozen=True)
-class Asked:
+class RunRequest:
     """Request for a run: number, overrides, start values by component, and seed."""
 
     run: int
@@ -93,7 +93,7 @@ class Asked:
 
 
 @dataclass(frozen=True)
-class Made:
+class RunResult:
     """Result of a run.
 
     Attributes:
@@ -113,26 +113,27 @@ class Made:
 
 
 @dataclass(frozen=True)
-class _Prepared:
+class _AssembledScenario:
     scenario: Scenario
     system: System
 
-    def with_changes(self, asked: Asked) -> System:
+    def with_changes(self, request: RunRequest) -> System:
         """Return the system of a run."""
         stages = []
         for stage in self.system.stages:
-            component, own = stage.component, asked.starts.get(stage.component.name)
+            component, own = stage.component, request.starts.get(stage.component.name)
             if isinstance(component, FmuBlock):  # Each run has its own instance.
                 # Instances in Python share code only; other libraries may keep state of an earlier run.
-                place = unpacked(component.path) if component.nominal_step else None
+                place = unpack_once(component.path) if component.nominal_step else None
                 component = component.with_start_values({**component.start_values, **(own or {})}, place)
             stages.append(replace(stage, component=component))
-        return replace(self.system, stages=tuple(stages), seed=self._seed(asked))
+        return replace(self.system, stages=tuple(stages), seed=self.seed_of(request))
 
-    def _seed(self, asked: Asked) -> int:
-        return self.system.seed if asked.seed is None else asked.seed
+    def seed_of(self, request: RunRequest) -> int:
+        """Return the seed of a run."""
+        return self.system.seed if request.seed is None else request.seed
 
-    def designed(self, overrides: tuple[str, ...], path: Path) -> Starts | None:
+    def starts_of_design(self, overrides: tuple[str, ...], path: Path) -> Starts | None:
         """Return start values of another design; None if faulty.
 
         Start values given by the scenario are omitted.
@@ -145,34 +146,33 @@ class _Prepared:
         if file.faults:
             return None
         blocks = {s.component.name: s.component for s in self.system.stages}
-        found: dict[str, dict[str, Any]] = {}
-        for name, given in values.items():
+        starts: dict[str, dict[str, Any]] = {}
+        for name, entries in values.items():
             block = blocks.get(name)
             own = getattr(file.scenario.components[name], "start", None) or {}
             if not isinstance(block, FmuBlock) or any("[" in variable for variable in own):
                 return None
-            variables, found[name] = {v.name: v for v in block.description.modelVariables}, {}
-            for variable in (v for v in given if v not in own):
+            variables, starts[name] = {v.name: v for v in block.description.modelVariables}, {}
+            for variable in (v for v in entries if v not in own):
                 if variable not in variables:
                     return None
-                value = typed(block.description, variables[variable], given[variable])
+                value = typed(block.description, variables[variable], entries[variable])
                 if isinstance(value, Misfit):
                     return None
-                found[name][variable] = value
-        return found
+                starts[name][variable] = value
+        return starts
 
-    def starts(self, asked: Asked) -> Starts:
+    def starts(self, request: RunRequest) -> Starts:
         """Return all start values of a run by component."""
-        blocks = (s.component for s in self.system.stages)
-        return {b.name: {**b.start_values, **asked.starts.get(b.name, {})} for b in blocks if isinstance(b, FmuBlock)}
+        blocks = [s.component for s in self.system.stages if isinstance(s.component, FmuBlock)]
+        return {b.name: {**b.start_values, **request.starts.get(b.name, {})} for b in blocks}
 
 
-@lru_cache(maxsize=SYSTEMS)
-def prepared(path: Path, overrides: tuple[str, ...]) -> _Prepared:
+@lru_cache(maxsize=CACHED_SYSTEMS)
+def assemble(path: Path, overrides: tuple[str, ...]) -> _AssembledScenario:
     """Return an assembled scenario; raise InputError for faults."""
     file = ScenarioFile(path, overrides, option="")
-    system = build_system(file, designed_values(file))
-    return _Prepared(file.scenario, system)
+    return _AssembledScenario(file.scenario, build_system(file, designed_values(file)))
 
 
 def sampled_rows(steps: int, samples: int) -> list[int]:
@@ -181,130 +181,121 @@ def sampled_rows(steps: int, samples: int) -> list[int]:
     return np.unique(np.rint(np.linspace(0, steps, count)).astype(int)).tolist()  # type: ignore[no-any-return]
 
 
-def make_runs(job: Job, asked: Sequence[Asked], way: Way) -> list[Made]:
+def make_runs(job: Job, requests: Sequence[RunRequest], way: Way) -> list[RunResult]:
     """Make runs; a failed run reports its reason and affects no other."""
-    found: list[Made] = []
-    groups: dict[tuple[str, ...], list[Asked]] = {}
-    for one in _designed(job, asked) if way == "arrays" else asked:  # FMUs run with the scenario of each request.
-        groups.setdefault(one.overrides, []).append(one)
+    results: list[RunResult] = []
+    groups: dict[tuple[str, ...], list[RunRequest]] = {}
+    # FMUs run with the scenario of each request.
+    for request in _without_designs(job, requests) if way == "arrays" else requests:
+        groups.setdefault(request.overrides, []).append(request)
     for overrides, members in groups.items():
         try:
-            system = prepared(job.scenario, (*job.overrides, *overrides))
+            assembled = assemble(job.scenario, (*job.overrides, *overrides))
         except CosimError as error:
-            found += [_failed(job, None, one, str(error).splitlines()[0], way) for one in members]
+            results += [failed_run(request.run, str(error).splitlines()[0], 0, way) for request in members]
             continue
-        found += _at_once(job, system, members) if way == "arrays" else [_by_fmus(job, system, one) for one in members]
-    return sorted(found, key=lambda m: m.run)
+        if way == "arrays":
+            results += _run_arrays(job, assembled, members)
+        else:
+            results += [_run_fmus(job, assembled, request) for request in members]
+    return sorted(results, key=lambda m: m.run)
 
 
-def _designed(job: Job, asked: Sequence[Asked]) -> list[Asked]:
+def _without_designs(job: Job, requests: Sequence[RunRequest]) -> list[RunRequest]:
     """Return requests with designs converted to start values.
 
     Runs that differ only in start values are made at once.
     """
-    found, known = [], dict[tuple[str, ...], Starts | None]()
-    for one in asked:
-        design = tuple(o for o in one.overrides if o.startswith(DESIGN))
-        rest = tuple(o for o in one.overrides if not o.startswith(DESIGN))
-        if design and not any(o.startswith(f"{DESIGN}component=") for o in design):
-            if one.overrides not in known:
+    converted, cache = [], dict[tuple[str, ...], Starts | None]()
+    for request in requests:
+        overrides = request.overrides
+        rest = tuple(o for o in overrides if not o.startswith(DESIGN))
+        if rest != overrides and not any(o.startswith(f"{DESIGN}component=") for o in overrides):
+            if overrides not in cache:
                 try:
-                    base = prepared(job.scenario, (*job.overrides, *rest))
-                    known[one.overrides] = base.designed((*job.overrides, *one.overrides), job.scenario)
+                    base = assemble(job.scenario, (*job.overrides, *rest))
+                    cache[overrides] = base.starts_of_design((*job.overrides, *overrides), job.scenario)
                 except CosimError:  # Each run reports the error itself.
-                    known[one.overrides] = None
-            designed = known[one.overrides]
-            if designed is not None:
-                starts = {
-                    name: {**designed.get(name, {}), **one.starts.get(name, {})} for name in (*designed, *one.starts)
-                }
-                one = replace(one, overrides=rest, starts=starts)
-        found.append(one)
-    return found
+                    cache[overrides] = None
+            if (designed := cache[overrides]) is not None:
+                names = (*designed, *request.starts)
+                starts = {name: {**designed.get(name, {}), **request.starts.get(name, {})} for name in names}
+                request = replace(request, overrides=rest, starts=starts)
+        converted.append(request)
+    return converted
 
 
-def _at_once(job: Job, prepared: _Prepared, asked: Sequence[Asked]) -> list[Made]:
+def _run_arrays(job: Job, assembled: _AssembledScenario, requests: Sequence[RunRequest]) -> list[RunResult]:
     """Make runs on arrays, and unsuitable or non-finite runs through FMUs."""
-    kinds = kinds_of(prepared.system)
+    system, scenario = assembled.system, assembled.scenario
+    kinds = kinds_of(system)
     if isinstance(kinds, str):
-        return [_by_fmus(job, prepared, one) for one in asked]
-    columns = _needed(job, prepared)
-    places = [prepared.system.columns.index(c) for c in columns]
-    steps, h = prepared.scenario.steps, prepared.scenario.step
-    batch = Batch(prepared.system, kinds, steps, h, job.compiled)
-    most = most_at_once(prepared.system, steps, len(columns))
-    found: list[Made] = []
-    for first in range(0, len(asked), most):
-        some = asked[first : first + most]
-        starts, seeds = [prepared.starts(one) for one in some], [prepared._seed(one) for one in some]
+        return [_run_fmus(job, assembled, request) for request in requests]
+    columns = _columns(job, assembled)
+    places = [system.columns.index(c) for c in columns]
+    batch = Batch(system, kinds, scenario.steps, scenario.step, job.compiled)
+    size = max_runs_at_once(system, scenario.steps, len(columns))
+    time = system.start + scenario.step * np.arange(scenario.steps + 1, dtype=np.float64)
+    results: list[RunResult] = []
+    for first in range(0, len(requests), size):
+        part = requests[first : first + size]
+        starts, seeds = [assembled.starts(r) for r in part], [assembled.seed_of(r) for r in part]
         try:
             table = batch.run(starts, seeds, places)
         except Exception:  # A user's model may raise any error on arrays.
-            found += [_by_fmus(job, prepared, one) for one in some]
-            continue
-        time = prepared.system.start + h * np.arange(steps + 1, dtype=np.float64)
-        finite = [bool(np.isfinite(table[:, :, k]).all()) for k in range(len(some))]
-        for k, one in enumerate(some):
-            if finite[k]:
-                values = np.ascontiguousarray(table[:, :, k])
-                results = Results(time, columns, values, prepared.system.units)
-                found.append(_make_row(job, prepared, one, results, "arrays"))
+            table = np.full((1, 1, len(part)), np.nan)
+        for k, request in enumerate(part):
+            values = np.ascontiguousarray(table[:, :, k])
+            if np.isfinite(values).all():
+                rows = Results(time, columns, values, system.units)
+                results.append(_make_result(job, assembled, request, rows, "arrays"))
             else:
-                found.append(_by_fmus(job, prepared, one))
-    return found
+                results.append(_run_fmus(job, assembled, request))
+    return results
 
 
-def _by_fmus(job: Job, prepared: _Prepared, one: Asked) -> Made:
+def _run_fmus(job: Job, assembled: _AssembledScenario, request: RunRequest) -> RunResult:
     """Make a run through the FMUs in this process."""
-    system = prepared.with_changes(one)
-    steps, h = prepared.scenario.steps, prepared.scenario.step
+    system, scenario = assembled.with_changes(request), assembled.scenario
     progress = getattr(here, "progress", None)
-    rows = Rows.in_memory(steps + 1, len(system.columns))
+    rows = Rows.in_memory(scenario.steps + 1, len(system.columns))
     if progress is not None:
         progress.made[0] = 0  # clears the count of the previous run
         rows = replace(rows, made=progress.made, doing=progress.doing)
         for stage in system.stages:
             here.overheard(stage.component)
     try:
-        results = simulate(system, steps, h, rows=rows)
-    except StoppedRun as stopped:
-        if stopped.error.exit_code == 130:
+        results = simulate(system, scenario.steps, scenario.step, rows=rows)
+    except StoppedRun as stop:
+        if stop.error.exit_code == 130:
             raise KeyboardInterrupt from None
-        return _failed(job, prepared, one, str(stopped.error), "fmus")
+        reason = str(stop.error)
     except CosimError as error:
-        return _failed(job, prepared, one, str(error), "fmus")
-    if len(results.time) <= steps:
-        return _failed(job, prepared, one, f"it ended at t = {results.time[-1]:g} s", "fmus")
-    return _make_row(job, prepared, one, results, "fmus")
+        reason = str(error)
+    else:
+        if len(results.time) > scenario.steps:
+            return _make_result(job, assembled, request, results, "fmus")
+        reason = f"it ended at t = {results.time[-1]:g} s"
+    return failed_run(request.run, reason, len(scenario.goals), "fmus")
 
 
-def _needed(job: Job, prepared: _Prepared) -> tuple[str, ...]:
+def _columns(job: Job, assembled: _AssembledScenario) -> tuple[str, ...]:
     """Return the recorded columns and those used by criteria."""
     if job.whole:
-        return prepared.system.columns
-    ends = (end for _, _, c in prepared.scenario.goals for end in (c.of, c.to) if isinstance(end, str))
+        return assembled.system.columns
+    ends = (end for _, _, c in assembled.scenario.goals for end in (c.of, c.to) if isinstance(end, str))
     return tuple(dict.fromkeys((*job.signals, *ends)))
 
 
-def _make_row(job: Job, prepared: _Prepared, one: Asked, results: Results, way: Way) -> Made:
-    judged = evaluate(prepared.scenario, results)
-    values = tuple(np.nan if c["value"] is None else float(c["value"]) for c in judged)
-    rows = sampled_rows(len(results.time) - 1, MOST_ROWS if job.whole else job.samples)
-    names = prepared.system.columns if job.whole else job.signals
+def _make_result(job: Job, assembled: _AssembledScenario, request: RunRequest, results: Results, way: Way) -> RunResult:
+    criteria = evaluate(assembled.scenario, results)
+    values = tuple(np.nan if c["value"] is None else float(c["value"]) for c in criteria)
+    rows = sampled_rows(len(results.time) - 1, MAX_COMPARED_ROWS if job.whole else job.samples)
+    names = assembled.system.columns if job.whole else job.signals
     signals = np.array([results[name][rows] for name in names])
-    return Made(one.run, "ok", values, tuple(bool(c["met"]) for c in judged), signals, way)
+    return RunResult(request.run, "ok", values, tuple(bool(c["met"]) for c in criteria), signals, way)
 
 
-def _failed(job: Job, prepared: _Prepared | None, one: Asked, why: str, way: Way) -> Made:
-    goals = 0 if prepared is None else len(prepared.scenario.goals)
-    return failed(one.run, why, goals, way)
-
-
-def failed(run: int, why: str, goals: int, way: Way) -> Made:
+def failed_run(run: int, reason: str, criteria: int, way: Way) -> RunResult:
     """Return the result of a failed run."""
-    return Made(run, " ".join(why.split()), (np.nan,) * goals, (False,) * goals, np.empty((0, 0)), way)
-
-
-def error_of(error: BaseException) -> str:
-    """Return the message of an error that ended a run's process."""
-    return str(error) if isinstance(error, SimulationError) else f"{type(error).__name__}: {error}"
+    return RunResult(run, " ".join(reason.split()), (np.nan,) * criteria, (False,) * criteria, np.empty((0, 0)), way)

@@ -12,35 +12,26 @@ from scipy.stats import binomtest
 
 from cosim.base.arrays import Array
 from cosim.base.extras import optional
+from cosim.sweeps.sampling import are_numbers
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
-FEWEST, MOST = 50, 2000  # numbers of runs for estimating a sensitivity
+MIN_RUNS, MAX_RUNS = 50, 2000  # for estimating a sensitivity
 RESAMPLES = 50
 SENSITIVITY_USE = "the sensitivity of a sweep"
 
 
-@dataclass(frozen=True)
-class Share:
-    """A share of runs with its 95 % confidence interval (Wilson)."""
-
-    hits: int
-    of: int
-    low: float
-    high: float
-
-
-def share(hits: int, of: int) -> Share:
-    """Return a share with its interval, 0 … 1 without runs."""
+def share_interval(hits: int, of: int) -> tuple[float, float]:
+    """Return the 95 % confidence interval (Wilson) of a share of runs, 0 … 1 without runs."""
     if not of:
-        return Share(0, 0, 0.0, 1.0)
+        return 0.0, 1.0
     interval = binomtest(hits, of).proportion_ci(method="wilson")
-    return Share(hits, of, float(interval.low), float(interval.high))
+    return float(interval.low), float(interval.high)
 
 
 def quantiles(values: Array) -> Array:
     """Return 5, 25, 50, 75 and 95 % quantiles over runs. Shape (runs, …) becomes (5, …)."""
-    found: Array = np.quantile(values, QUANTILES, axis=0)
-    return found
+    rows: Array = np.quantile(values, QUANTILES, axis=0)
+    return rows
 
 
 @dataclass(frozen=True)
@@ -75,7 +66,7 @@ def sensitivity(
     varied = {n: np.array(v, float) for n, v in factors.items() if are_numbers(v) and len(set(v)) > 1}
     good = np.isfinite(values)
     spread = np.ptp(values[good]) if good.any() else 0.0
-    if not varied or good.sum() < FEWEST or spread <= 1e-12 * np.max(np.abs(values[good])):
+    if not varied or good.sum() < MIN_RUNS or spread <= 1e-12 * np.max(np.abs(values[good])):
         return None
     names, X = list(varied), np.column_stack(list(varied.values()))
     with warnings.catch_warnings(), np.errstate(all="ignore"):
@@ -83,17 +74,17 @@ def sensitivity(
         if saltelli and good.all():
             return _sobol(outcome, values, names, X, seed)
         rows = np.flatnonzero(good)
-        if rows.size > MOST:
-            rows = np.sort(np.random.default_rng(seed).choice(rows, MOST, replace=False))
+        if rows.size > MAX_RUNS:
+            rows = np.sort(np.random.default_rng(seed).choice(rows, MAX_RUNS, replace=False))
         return _rank_by_given_data(outcome, values[rows], names, X[rows], seed)
 
 
 def _sobol(outcome: str, values: Array, names: list[str], X: Array, seed: int) -> Sensitivity:
     """Return Sobol indices of runs drawn for them."""
     sobol = optional("SALib.analyze.sobol", SENSITIVITY_USE)
-    found = sobol.analyze(_problem(names, X), values, calc_second_order=False, num_resamples=RESAMPLES, seed=seed)
-    order = np.argsort(-np.asarray(found["ST"]))
-    pairs = [tuple((float(found[n][k]), float(found[f"{n}_conf"][k])) for k in order) for n in ("S1", "ST")]
+    indices = sobol.analyze(_problem(names, X), values, calc_second_order=False, num_resamples=RESAMPLES, seed=seed)
+    order = np.argsort(-np.asarray(indices["ST"]))
+    pairs = [tuple((float(indices[n][k]), float(indices[f"{n}_conf"][k])) for k in order) for n in ("S1", "ST")]
     return Sensitivity(outcome, tuple(names[k] for k in order), pairs[0], total=pairs[1])
 
 
@@ -106,14 +97,9 @@ def _rank_by_given_data(outcome: str, values: Array, names: list[str], X: Array,
     moved = np.asarray(pawn.analyze(_problem([*names, ""], both), both, values, seed=seed)["median"], float)
     order = np.argsort(-moved[:-1])
     pairs = tuple((float(first["S1"][k]), float(first["S1_conf"][k])) for k in order)
-    shown = tuple(float(moved[k]) for k in order)
-    return Sensitivity(outcome, tuple(names[k] for k in order), pairs, pawn=shown, chance=float(moved[-1]))
+    shifts = tuple(float(moved[k]) for k in order)
+    return Sensitivity(outcome, tuple(names[k] for k in order), pairs, pawn=shifts, chance=float(moved[-1]))
 
 
 def _problem(names: Sequence[str], X: Array) -> dict[str, Any]:
     return {"num_vars": len(names), "names": list(names), "bounds": [[c.min(), c.max()] for c in X.T]}
-
-
-def are_numbers(values: Sequence[Any]) -> bool:
-    """Check that all values are numbers."""
-    return all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in values)

@@ -16,6 +16,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.extras import optional
+from cosim.sweeps import messages
 
 MOST_RUNS = 1_000_000
 Sampling = Literal["latin-hypercube", "sobol", "random", "saltelli"]
@@ -47,27 +48,27 @@ def distribution(way: str, numbers: Sequence[float], within: Sequence[float] | N
     if way == "normal":
         mean, deviation = numbers
         if not deviation > 0:
-            raise ValueError(f"a standard deviation of {deviation:g} is none; give one above 0")
+            raise ValueError(messages.STANDARD_DEVIATION_NOT_POSITIVE(value=deviation))
         if not within:
             return lambda u: norm.ppf(u, mean, deviation)
         low, high = within
         if not low < high:
-            raise ValueError(f"within {low:g} … {high:g} there is nothing; write the lower end first")
+            raise ValueError(messages.EMPTY_RANGE(low=low, high=high))
         a, b = (low - mean) / deviation, (high - mean) / deviation
         if norm.cdf(b) - norm.cdf(a) < 1e-9:
-            raise ValueError(f"within {low:g} … {high:g} there is nothing of the distribution; move its ends")
+            raise ValueError(messages.RANGE_OUTSIDE_DISTRIBUTION(low=low, high=high))
         return lambda u: truncnorm.ppf(u, a, b, mean, deviation)
     low, high = numbers[0], numbers[-1]
     if not low < high:
-        raise ValueError(f"between {low:g} and {high:g} there is nothing; write the lower end first")
+        raise ValueError(messages.EMPTY_RANGE(low=low, high=high))
     if way == "uniform":
         return lambda u: low + (high - low) * u
     if way == "triangular":
         if not low <= numbers[1] <= high:
-            raise ValueError(f"the most likely, {numbers[1]:g}, is not between {low:g} and {high:g}")
+            raise ValueError(messages.MODE_OUTSIDE_RANGE(value=numbers[1], low=low, high=high))
         return lambda u: triang.ppf(u, (numbers[1] - low) / (high - low), low, high - low)
     if low <= 0:
-        raise ValueError(f"the logarithm of {low:g} is none; give ends above 0")
+        raise ValueError(messages.NO_LOGARITHM(value=low))
     return lambda u: np.exp(math.log(low) + (math.log(high) - math.log(low)) * u)
 
 
@@ -107,15 +108,21 @@ def _shares(count: int, rows: int, sampling: Sampling, seed: int) -> Array:
         return np.empty((rows, 0))
     if sampling == "random":
         return rng.random((rows, count))
+    points: Array
     if sampling == "saltelli":
         sobol = optional("SALib.sample.sobol", "a sweep sampled by saltelli")
         problem = {"num_vars": count, "names": [str(k) for k in range(count)], "bounds": [[0.0, 1.0]] * count}
-        found: Array = sobol.sample(problem, saltelli_base(rows, count), calc_second_order=False, seed=seed)
-        return np.clip(found, 1e-12, 1.0 - 1e-12)
-    from scipy.stats import qmc
+        points = sobol.sample(problem, saltelli_base(rows, count), calc_second_order=False, seed=seed)
+    else:
+        from scipy.stats import qmc
 
-    kind: Any = qmc.LatinHypercube if sampling == "latin-hypercube" else qmc.Sobol
-    with warnings.catch_warnings():  # The user may choose a number of points that is no power of 2.
-        warnings.simplefilter("ignore", UserWarning)
-        points: Array = kind(count, seed=rng).random(rows)
+        kind: Any = qmc.LatinHypercube if sampling == "latin-hypercube" else qmc.Sobol
+        with warnings.catch_warnings():  # The user may choose a number of points that is no power of 2.
+            warnings.simplefilter("ignore", UserWarning)
+            points = kind(count, seed=rng).random(rows)
     return np.clip(points, 1e-12, 1.0 - 1e-12)
+
+
+def are_numbers(values: Sequence[Any]) -> bool:
+    """Return whether all values are numbers."""
+    return all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in values)

@@ -15,9 +15,10 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.drafts import draft_of
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import InputError
 from cosim.base.extras import optional
-from cosim.sweeps.run_chunks import Made
+from cosim.sweeps import messages
+from cosim.sweeps.run_chunks import RunResult
 
 if TYPE_CHECKING:
     import pyarrow
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 DATABASE, TABLE = "runs.sqlite", "sweep.parquet"
 TABLE_USE = "the table of a sweep"
 GROUP = 4096  # runs per write
-MADE, CHECKED = "made", "checked"
+RUNS, CHECKS = "made", "checked"
 COLUMNS = "run INTEGER PRIMARY KEY, status TEXT, through TEXT, figures BLOB, met BLOB, signals BLOB, rows INTEGER"
 
 
@@ -35,23 +36,19 @@ class Database:
     def __init__(self, folder: Path, key: str) -> None:
         self.path = folder / DATABASE
         if os.path.lexists(self.path) and not stat.S_ISREG(self.path.lstat().st_mode):
-            raise InputError([Fault(self.path, 0, 0, "is no file of a sweep; move it away, or give another --out")])
+            raise InputError.at(self.path, messages.DATABASE_NOT_A_FILE())
         try:
             self._base = sqlite3.connect(self.path)
             self._base.execute("PRAGMA synchronous = NORMAL")
-            for table in (MADE, CHECKED):
+            for table in (RUNS, CHECKS):
                 self._base.execute(f"CREATE TABLE IF NOT EXISTS {table} ({COLUMNS})")
             self._base.execute("CREATE TABLE IF NOT EXISTS sweep (key TEXT, content TEXT)")
             self._base.commit()
         except sqlite3.Error as error:
-            raise InputError(
-                [Fault(self.path, 0, 0, f"is no database of a sweep: {error}; --force begins anew")]
-            ) from None
-        before = self.get("key")
-        if before is not None and before != key:
+            raise InputError.at(self.path, messages.DAMAGED_DATABASE(reason=str(error))) from None
+        if self.get("key") not in {None, key}:
             self._base.close()
-            message = "holds the runs of another sweep; give another folder as --out, or begin anew by --force"
-            raise InputError([Fault(self.path, 0, 0, message)])
+            raise InputError.at(self.path, messages.RUNS_OF_ANOTHER_SWEEP())
         self.put("key", key)
 
     def __enter__(self) -> Self:
@@ -71,7 +68,7 @@ class Database:
             self._base.execute("DELETE FROM sweep WHERE key = ?", (name,))
             self._base.execute("INSERT INTO sweep VALUES (?, ?)", (name, content))
 
-    def add(self, runs: Iterable[Made], table: str = MADE) -> None:
+    def add(self, runs: Iterable[RunResult], table: str = RUNS) -> None:
         """Store runs, all or none."""
         rows = []
         for m in runs:
@@ -80,17 +77,17 @@ class Database:
         with self._base:
             self._base.executemany(f"INSERT INTO {table} VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
 
-    def there(self, table: str = MADE) -> set[int]:
+    def numbers(self, table: str = RUNS) -> set[int]:
         """Return the numbers of the stored runs."""
         return {run for (run,) in self._base.execute(f"SELECT run FROM {table}")}
 
-    def runs(self, table: str = MADE) -> Iterator[Made]:
+    def runs(self, table: str = RUNS) -> Iterator[RunResult]:
         """Yield all runs in order, without loading them at once."""
         rows = self._base.execute(f"SELECT * FROM {table} ORDER BY run")
         for run, status, through, figures, met, signals, count in rows:
             shaped = np.frombuffer(signals).reshape(count, -1) if count else np.empty((0, 0))
             values = tuple(np.frombuffer(figures).tolist())
-            yield Made(run, status, values, tuple(np.frombuffer(met, bool).tolist()), shaped, through)
+            yield RunResult(run, status, values, tuple(np.frombuffer(met, bool).tolist()), shaped, through)
 
     def remove(self) -> None:
         """Close and delete the database."""
@@ -100,7 +97,7 @@ class Database:
 
 def write_table(
     path: Path,
-    runs: Iterable[Made],
+    runs: Iterable[RunResult],
     design: Mapping[str, Sequence[Any]],
     criteria: Sequence[str],
     signals: Sequence[str],
@@ -112,34 +109,27 @@ def write_table(
     its times are in the metadata, as JSON under `cosim`.
     """
     pa, pq = optional("pyarrow", TABLE_USE), optional("pyarrow.parquet", TABLE_USE)
-    types: dict[str, Any] = {"run": pa.int64()}
     design = {name: _of_one_type(values) for name, values in design.items()}
-    types |= {name: pa.array(values).type for name, values in design.items()}
+    types: dict[str, Any] = {"run": pa.int64(), **{name: pa.array(values).type for name, values in design.items()}}
     types |= {"status": pa.string(), "through": pa.string()}
     for name in criteria:
         types |= {name: pa.float64(), f"{name} met": pa.bool_()}
     types |= {name: pa.list_(pa.float64()) for name in signals}
     schema = pa.schema(list(types.items()), {"cosim": json.dumps(about)})
-    left = iter(runs)
+
+    def row(m: RunResult) -> dict[str, Any]:
+        cells: dict[str, Any] = {"run": m.run, **{name: values[m.run] for name, values in design.items()}}
+        cells |= {"status": m.status, "through": m.through}
+        if m.status == "ok":
+            for name, value, is_met in zip(criteria, m.values, m.met, strict=True):
+                cells |= {name: None if np.isnan(value) else value, f"{name} met": is_met}
+            cells |= zip(signals, m.signals, strict=True)
+        return cells
+
+    remaining = iter(runs)
     with draft_of(path) as draft, pq.ParquetWriter(draft, schema, compression="zstd") as writer:
-        while part := list(itertools.islice(left, GROUP)):
-            columns = _columns(part, design, criteria, signals)
-            arrays = [pa.array(columns[name], kind) for name, kind in types.items()]
-            writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
-
-
-def _columns(
-    runs: Sequence[Made], design: Mapping[str, Sequence[Any]], criteria: Sequence[str], signals: Sequence[str]
-) -> dict[str, list[Any]]:
-    """Return the values of some runs by column."""
-    found: dict[str, list[Any]] = {name: [values[m.run] for m in runs] for name, values in design.items()}
-    found |= {"run": [m.run for m in runs], "status": [m.status for m in runs], "through": [m.through for m in runs]}
-    for k, name in enumerate(criteria):
-        found[name] = [_number(m.values[k]) if m.status == "ok" else None for m in runs]
-        found[f"{name} met"] = [m.met[k] if m.status == "ok" else None for m in runs]
-    for k, name in enumerate(signals):
-        found[name] = [m.signals[k] if m.status == "ok" else None for m in runs]
-    return found
+        while part := list(itertools.islice(remaining, GROUP)):
+            writer.write_table(pa.Table.from_pylist([row(m) for m in part], schema=schema))
 
 
 def _of_one_type(values: Sequence[Any]) -> list[Any]:
@@ -153,18 +143,13 @@ def _of_one_type(values: Sequence[Any]) -> list[Any]:
     return [float(v) for v in values] if kinds == {int, float} else [json.dumps(v) for v in values]
 
 
-def _number(value: float) -> float | None:
-    return None if np.isnan(value) else value
-
-
 def read_table(path: Path) -> tuple[pyarrow.Table, dict[str, Any]]:
     """Return the table of a sweep and its metadata.
 
     Raises:
         OSError: The file is unreadable; ValueError for a damaged file.
     """
-    pq = optional("pyarrow.parquet", TABLE_USE)
-    table = pq.read_table(path)
+    table = optional("pyarrow.parquet", TABLE_USE).read_table(path)
     return table, json.loads((table.schema.metadata or {}).get(b"cosim", b"{}"))
 
 

@@ -80,10 +80,9 @@ class Varied(Part):
 
     @model_validator(mode="after")
     def _one_way(self) -> Varied:
-        given = [way for way in WAYS if getattr(self, way) is not None]
-        if len(given) != 1:
-            said = " and ".join(given) if given else "nothing"
-            raise ValueError(f"it says {said}; give one of {', '.join(WAYS)}")
+        ways = [way for way in WAYS if getattr(self, way) is not None]
+        if len(ways) != 1:
+            raise ValueError(f"it says {' and '.join(ways) or 'nothing'}; give one of {', '.join(WAYS)}")
         if self.within is not None and self.normal is None:
             raise ValueError("within cuts a normal distribution; give normal, or leave it out")
         return self

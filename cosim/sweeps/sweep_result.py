@@ -14,7 +14,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.text import counted, listed, plain
 from cosim.sweeps.reading import Sweep
-from cosim.sweeps.run_chunks import Made
+from cosim.sweeps.run_chunks import RunResult
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,9 @@ class Swept:
     def sentences(self) -> list[str]:
         """Results in words, one line each."""
         r = self.record
-        lines = [headline(r), f"{r['runs'] - r['failed']} of {counted(r['runs'], 'run')} completed{_how(r)}"]
+        rate = f", {r['runs_a_second']:.3g} runs a second" if r["runs_a_second"] else ""
+        completed = f"{r['runs'] - r['failed']} of {counted(r['runs'], 'run')} completed"
+        lines = [headline(r), f"{completed}, {way_of(r)}{rate}"]
         lines += [f"{c['name']}: met by {c['met']} of {c['of']} ({_interval(c)})" for c in r["criteria"]]
         lines.append(r["check"]["sentence"])
         return lines
@@ -59,27 +61,21 @@ def headline(record: Mapping[str, Any]) -> str:
 
 def hardest(record: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the criterion that the fewest runs meet."""
-    criterion: Mapping[str, Any] = min(record["criteria"], key=lambda c: c["met"])
-    return criterion
+    criteria: list[Mapping[str, Any]] = record["criteria"]
+    return min(criteria, key=lambda c: c["met"])
 
 
-def repeated(study: Sweep, run: int) -> str:
+def repeat_command(study: Sweep, run: int) -> str:
     """Return the command that makes a run of a sweep by itself."""
-    asked = study.request_run(run)
+    request = study.request_run(run)
     starts = [
         f"components.{component}.start.{name}={json.dumps(value)}"
-        for component, values in asked.starts.items()
+        for component, values in request.starts.items()
         for name, value in values.items()
     ]
     words = ["cosim", "run", str(study.yaml.path.parent / study.file.scenario)]
-    words += [word for text in (*study.job.overrides, *asked.overrides, *starts) for word in ("--set", text)]
-    return shlex.join([*words, *(["--seed", str(asked.seed)] if asked.seed is not None else [])])
-
-
-def _how(record: Mapping[str, Any]) -> str:
-    rate = record["runs_a_second"]
-    way = way_of(record)
-    return f", {way}" + (f", {rate:.3g} runs a second" if rate else "")
+    words += [word for text in (*study.job.overrides, *request.overrides, *starts) for word in ("--set", text)]
+    return shlex.join([*words, *(["--seed", str(request.seed)] if request.seed is not None else [])])
 
 
 def way_of(record: Mapping[str, Any]) -> str:
@@ -110,7 +106,7 @@ def criterion_names(study: Sweep) -> list[str]:
     return names
 
 
-def apart(one: Made, other: Made) -> float:
+def largest_difference(one: RunResult, other: RunResult) -> float:
     """Return the largest difference of signals and criterion values.
 
     Differences are relative to max(1, largest value).
@@ -119,12 +115,12 @@ def apart(one: Made, other: Made) -> float:
         return 0.0 if (one.status == "ok") == (other.status == "ok") else float("inf")
     if one.signals.shape != other.signals.shape:
         return float("inf")
-    parts = [*zip(one.signals, other.signals, strict=True)]
-    parts += [(np.array([a]), np.array([b])) for a, b in zip(one.values, other.values, strict=True)]
-    return max((_difference(a, b) for a, b in parts), default=0.0)
+    pairs = [*zip(one.signals, other.signals, strict=True)]
+    pairs += [(np.array([a]), np.array([b])) for a, b in zip(one.values, other.values, strict=True)]
+    return max((_relative_difference(a, b) for a, b in pairs), default=0.0)
 
 
-def _difference(a: Array, b: Array) -> float:
+def _relative_difference(a: Array, b: Array) -> float:
     if not np.array_equal(np.isfinite(a), np.isfinite(b)):
         return float("inf")
     a, b = a[np.isfinite(a)], b[np.isfinite(b)]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.base.text import counted
 from cosim.storage.folders import content_of
+from cosim.sweeps import messages
 
 if TYPE_CHECKING:
     import pandas
@@ -26,7 +27,7 @@ class Runs:
         try:
             import pandas  # noqa: F401
         except ImportError:
-            raise ImportError("to_pandas needs pandas: pip install pandas") from None
+            raise ImportError(messages.NO_PANDAS()) from None
         from cosim.sweeps.store import read_table
 
         frame: pandas.DataFrame = read_table(self.folder / "sweep.parquet")[0].to_pandas()

@@ -25,9 +25,9 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import Source
 from cosim.model.quantities import parameters_of
 from cosim.storage.archive import unpack
-from cosim.sweeps.c_lanes import stepping
+from cosim.sweeps.c_lanes import compile_model
 
-Given = Mapping[str, Any]  # variable → value, or an array over the runs
+Values = Mapping[str, Any]  # variable → value, or an array over the runs
 
 
 class Twin(Protocol):
@@ -46,61 +46,50 @@ class Twin(Protocol):
 class Kind(Protocol):
     """A maker of twins for a component."""
 
-    def pattern(self, given: Given) -> Hashable:
+    def pattern(self, values: Values) -> Hashable:
         """Return a key; runs with equal keys are made together."""
 
-    def make(self, given: Given, count: int, *, compiled: bool) -> Twin:
+    def make(self, values: Values, count: int, *, compiled: bool) -> Twin:
         """Return a twin of `count` runs, compiled if possible."""
 
 
 def kind_of(component: Component) -> Kind | None:
     """Return the maker of twins for a component, if any."""
     if isinstance(component, Source):
-        return _SourceKind(component)
+        return _SourceTwin(component)
     if not isinstance(component, FmuBlock) or component.exact_inputs or component.exact_outputs:
         return None
-    if (twin := twin_of(component.description.modelName)) is not None:
-        found = twin()
-        return found if found.fits(component) else None
-    if (model := model_of(component.path, component.description.modelName)) is not None:
+    name = component.description.modelName
+    if (twin := twin_of(name)) is not None:
+        kind = twin()
+    elif (model := model_of(component.path, name)) is not None:
         kind = _ModelKind(component, *model)
-        return kind if kind.fits(component) else None
-    return None
-
-
-# -- sources -----------------------------------------------------------------------------------------
-
-
-class _SourceKind:
-    def __init__(self, source: Source) -> None:
-        self.source = source
-
-    def pattern(self, given: Given) -> Hashable:
-        return ()
-
-    def make(self, given: Given, count: int, *, compiled: bool) -> Twin:
-        return _SourceTwin(self.source)
+    else:
+        return None
+    return kind if kind.fits(component) else None
 
 
 class _SourceTwin:
-    """A source with equal values in every run."""
+    """A source with equal values in every run, and the maker of such twins."""
 
     def __init__(self, source: Source) -> None:
-        self.functions = source.functions
+        self.source = source
+
+    def pattern(self, values: Values) -> Hashable:
+        return ()
+
+    def make(self, values: Values, count: int, *, compiled: bool) -> Twin:
+        return _SourceTwin(self.source)
 
     def begin(self, inputs: Array, outputs: Array, t: float) -> None:
         self.outputs, self.t = outputs, t
 
     def settle(self) -> None:
-        for row, function in zip(self.outputs, self.functions, strict=True):
-            row[:] = function(self.t)
+        _fill(self.outputs, [function(self.t) for function in self.source.functions])
 
     def advance(self, t: float, h: float) -> None:
         self.t = t + h
         self.settle()
-
-
-# -- models ------------------------------------------------------------------------------------------
 
 
 @cache
@@ -114,13 +103,14 @@ def model_of(path: Path, name: str) -> tuple[Any, Any, Any] | None:
         with zipfile.ZipFile(path) as archive:
             script = archive.read("resources/slavemodule.txt").decode().strip()
     except (OSError, KeyError, ValueError, zipfile.BadZipFile):
-        return _known_model(name)
-    folder = unpacked(path) / "resources"
+        return _registered_model(name)
+    folder = unpack_once(path) / "resources"
     package = script.removesuffix("_slave")
     # Earlier releases carried the modelling language as `plant`.
-    languages = (name for name in ("cosim.model", "plant") if _holds(folder / package, name))
-    language = next(languages, None)
-    if language is None:
+    for language in ("cosim.model", "plant"):
+        if (folder / package / language.replace(".", "/") / "integrate.py").is_file():
+            break
+    else:
         return None  # a foreign FMU
     sys.path.insert(0, str(folder))
     try:
@@ -136,26 +126,21 @@ def model_of(path: Path, name: str) -> tuple[Any, Any, Any] | None:
         sys.path.remove(str(folder))
 
 
-def _holds(package: Path, language: str) -> bool:
-    """Return whether an FMU's package carries the modelling language."""
-    return (package / language.replace(".", "/") / "integrate.py").is_file()
-
-
 @cache
-def unpacked(path: Path) -> Path:
+def unpack_once(path: Path) -> Path:
     """Return the folder of an FMU unpacked for this process."""
     folder = Path(tempfile.mkdtemp(prefix="fmu-", dir=process_folder()))
     unpack(path, folder)
     return folder
 
 
-def _known_model(name: str) -> tuple[Any, Any, Any] | None:
+def _registered_model(name: str) -> tuple[Any, Any, Any] | None:
     from cosim.model.integrate import Stepper
     from cosim.model.namespaces import arrays
 
-    for known in models().values():
-        if f"{known.model.rpartition(':')[2]}Plant" == name:
-            return resolve(known.model)(), Stepper, arrays()
+    for entry in models().values():
+        if f"{entry.model.rpartition(':')[2]}Plant" == name:
+            return resolve(entry.model)(), Stepper, arrays()
     return None
 
 
@@ -163,8 +148,8 @@ class _ModelKind:
     """A model of equations, integrated as in its FMU."""
 
     def __init__(self, block: FmuBlock, model: Any, stepper: Any, namespace: Any) -> None:
-        model = model.with_values(_differing(model, block.description))
-        self.block, self.model, self.stepper, self.namespace = block, model, stepper, namespace
+        self.model = model = model.with_values(_changed_defaults(model, block.description))
+        self.stepper, self.namespace = stepper, namespace
         self.outputs = tuple(q.name for q in model.outputs)
         catalogue = {kind.name: parameters_of(kind) for kind in model.catalogue}
         self.neutral = {
@@ -173,29 +158,29 @@ class _ModelKind:
 
     def fits(self, block: FmuBlock) -> bool:
         """Return whether the FMU has the model's inputs and outputs only. The order of its inputs is stored."""
-        names, given = [q.name for q in self.model.inputs], [s.name for s in block.inputs]
-        if sorted(given) != sorted(names) or tuple(s.name for s in block.outputs) != self.outputs:
+        names, inputs = [q.name for q in self.model.inputs], [s.name for s in block.inputs]
+        if sorted(inputs) != sorted(names) or tuple(s.name for s in block.outputs) != self.outputs:
             return False
         if getattr(self.model, "integrator", "rk4") == "stiff":  # Implicit steps treat a single run only.
             return False
-        self.order = [names.index(name) for name in given]  # Connected inputs come first.
+        self.order = [names.index(name) for name in inputs]  # Connected inputs come first.
         return True
 
-    def pattern(self, given: Given) -> Hashable:
+    def pattern(self, values: Values) -> Hashable:
         """Return active effects and non-numeric values as a key."""
-        awake = {
-            name.partition(".")[0] for name, neutral in self.neutral.items() if given.get(name, neutral) != neutral
-        }
-        return frozenset(awake), tuple(sorted((n, v) for n, v in given.items() if isinstance(v, (bool, str))))
+        awake = (
+            name.partition(".")[0] for name, neutral in self.neutral.items() if values.get(name, neutral) != neutral
+        )
+        return frozenset(awake), tuple(sorted((n, v) for n, v in values.items() if isinstance(v, (bool, str))))
 
-    def make(self, given: Given, count: int, *, compiled: bool) -> Twin:
-        return _ModelTwin(self, given, compiled)
+    def make(self, values: Values, count: int, *, compiled: bool) -> Twin:
+        return _ModelTwin(self, values, compiled)
 
 
-def _differing(model: Any, description: Any) -> dict[str, Any]:
+def _changed_defaults(model: Any, description: Any) -> dict[str, Any]:
     """Return the FMU's parameter defaults that differ from the model's."""
     present = {e.name: e for e in model.effects}
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for variable in description.modelVariables:
         declared = model.declared.get(variable.name)
         if declared is None or variable.causality != "parameter" or variable.start is None:
@@ -203,21 +188,20 @@ def _differing(model: Any, description: Any) -> dict[str, Any]:
         effect, _, name = variable.name.rpartition(".")
         owner = present.get(effect) if effect else model
         own = getattr(owner, name, declared.default)
-        given = variable.start == "true" if isinstance(own, bool) else float(variable.start)
-        if given != own:
-            found[variable.name] = given
-    return found
+        start = variable.start == "true" if isinstance(own, bool) else float(variable.start)
+        if start != own:
+            values[variable.name] = start
+    return values
 
 
 class _ModelTwin:
-    def __init__(self, kind: _ModelKind, given: Given, compiled: bool) -> None:
+    def __init__(self, kind: _ModelKind, values: Values, compiled: bool) -> None:
         self.kind, self.to_compile = kind, compiled
         names = {q.name for q in kind.model.inputs}
-        starts = {n.removesuffix("_start"): v for n, v in given.items() if n.endswith("_start")}
-        values = {n: v for n, v in given.items() if not n.endswith("_start") and n not in names}
-        self.given = {n: v for n, v in given.items() if n in names}
-        self.starts = starts
-        self.model = kind.model.with_values(values)
+        self.starts = {n.removesuffix("_start"): v for n, v in values.items() if n.endswith("_start")}
+        self.commands = {n: v for n, v in values.items() if n in names}
+        parameters = {n: v for n, v in values.items() if not n.endswith("_start") and n not in names}
+        self.model = kind.model.with_values(parameters)
         self.stepper = kind.stepper(self.model, kind.namespace)
 
     def begin(self, inputs: Array, outputs: Array, t: float) -> None:
@@ -225,29 +209,26 @@ class _ModelTwin:
         self.inputs, self.outputs = inputs, outputs
         for place, k in enumerate(order):
             name = self.model.inputs[k].name
-            inputs[place] = self.given.get(name, self.model.start_command()[k])
+            inputs[place] = self.commands.get(name, self.model.start_command()[k])
         self.command = tuple(inputs[order.index(k)] for k in range(len(order)))
         moment = self.stepper.start(t, self.starts)
         self.state = np.empty((len(moment.state), inputs.shape[1]))
-        for row, value in zip(self.state, moment.state, strict=True):
-            row[:] = value
+        _fill(self.state, moment.state)
         self.t, self.memory = t, moment.memory
         self.sorted = None if order == sorted(order) else np.argsort(order)
-        self.compiled = stepping(self.model, inputs.shape[1]) if self.to_compile else None
+        self.compiled = compile_model(self.model, inputs.shape[1]) if self.to_compile else None
 
     def settle(self) -> None:
         values = self.stepper.output(self.t, tuple(self.state), self.command)
-        for row, value in zip(self.outputs, values, strict=True):
-            row[:] = value
+        _fill(self.outputs, values)
 
     def advance(self, t: float, h: float) -> None:
         # The memory refers to commands, whose rows change.
         command = tuple(row.copy() for row in self.command) if self.memory else self.command
         if self.compiled is None:
-            moment = self._moment(t)
-            after = self.stepper.step(moment, command, h)
-            for row, value in zip(self.state, after.state, strict=True):
-                row[:] = value
+            moment = self.stepper.start(t, {})
+            after = self.stepper.step(type(moment)(t, tuple(self.state), self.memory), command, h)
+            _fill(self.state, after.state)
             self.memory, self.t = after.memory, after.t
             self.settle()
             return
@@ -259,8 +240,7 @@ class _ModelTwin:
             acting = np.empty(self.inputs.shape)
             for k in range(n):
                 shaped, self.memory = self.stepper.shape(t + k * dt, dt, command, self.memory)
-                for row, value in zip(acting, shaped, strict=True):
-                    row[:] = value
+                _fill(acting, shaped)
                 self.compiled.step(t + k * dt, dt, 1, self.state, acting, None)
             self.compiled.output(t + h, self.state, self._in_order(), self.outputs)
         self.t = t + h
@@ -269,16 +249,19 @@ class _ModelTwin:
         """Return the inputs in the model's order."""
         return self.inputs if self.sorted is None else np.ascontiguousarray(self.inputs[self.sorted])
 
-    def _moment(self, t: float) -> Any:
-        moment = self.stepper.start(t, {})
-        return type(moment)(t, tuple(self.state), self.memory)
+
+def _fill(rows: Array, values: Sequence[Any]) -> None:
+    """Write a number or an array to each row."""
+    for row, value in zip(rows, values, strict=True):
+        row[:] = value
 
 
-def merged(rows: Sequence[Given]) -> dict[str, Any]:
+def merge_values(runs: Sequence[Values]) -> dict[str, Any]:
     """Return values of several runs as numbers or arrays."""
-    found: dict[str, Any] = {}
-    for name in rows[0]:
-        values = [row[name] for row in rows]
-        same = all(v == values[0] for v in values)
-        found[name] = values[0] if same or isinstance(values[0], (str, bool)) else np.array(values, dtype=float)
-    return found
+    columns = {name: [values[name] for values in runs] for name in runs[0]}
+    return {
+        name: column[0]
+        if isinstance(column[0], (str, bool)) or all(v == column[0] for v in column)
+        else np.array(column, dtype=float)
+        for name, column in columns.items()
+    }

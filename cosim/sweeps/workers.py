@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from cosim.base.errors import CosimError, Fault, InputError, SimulationError, SweepFailed
 from cosim.base.extras import optional
@@ -17,7 +19,8 @@ from cosim.base.version import __version__
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.storage.yaml_file import YamlFile
-from cosim.sweeps.run_chunks import Asked, Job, Made, Way, error_of, failed, make_runs
+from cosim.sweeps import messages
+from cosim.sweeps.run_chunks import Job, RunRequest, RunResult, Way, failed_run, make_runs
 
 MODULES = ("cosim.sweeps.run_chunks", "fmpy.fmi2", "fmpy.logging")
 ANSWER = 5  # time limit of a dask scheduler's answer [s]
@@ -29,38 +32,50 @@ _lock = threading.Lock()
 _stopping = threading.Event()
 
 
-class Makers(Protocol):
+@dataclass(frozen=True)
+class Chunk:
+    """Runs made by one worker in sequence, with the number of their criteria."""
+
+    job: Job
+    requests: Sequence[RunRequest]
+    way: Way
+    limits: Limits | None
+    criteria: int
+
+
+class Executor(ABC):
     """An executor for chunks of runs in parallel."""
 
     count: int
 
-    def submit(self, job: Job, chunk: Sequence[Asked], way: Way, limits: Limits | None, goals: int) -> Any:
+    @abstractmethod
+    def submit(self, chunk: Chunk) -> Any:
         """Submit runs and return a future."""
 
-    def done(self, pending: set[Any]) -> tuple[set[Any], set[Any]]:
+    def wait(self, pending: set[Any]) -> tuple[set[Any], set[Any]]:
         """Wait for futures; return finished and pending ones."""
+        finished, others = wait(pending, return_when=FIRST_COMPLETED)
+        return finished, others
 
     def ask(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Return a function's result; it may execute an FMU's Python."""
+        """Return a function's result from a local worker process; it may execute an FMU's Python."""
+        with _borrow_worker() as worker:
+            return worker.call(function, *arguments)
 
-    def runs(self, future: Any) -> list[Made]:
+    def runs(self, future: Any) -> list[RunResult]:
         """Return the runs of a finished future."""
+        results: list[RunResult] = future.result()
+        return results
 
 
-def apart(job: Job, chunk: Sequence[Asked], way: Way, limits: Limits | None, goals: int) -> list[Made]:
+def run_chunk(chunk: Chunk) -> list[RunResult]:
     """Make runs in a reusable worker process. A run that ends the process has failed."""
-    with _borrowed() as worker:
-        return _called(worker, job, chunk, way, limits, goals)
-
-
-def ask_apart(function: Callable[..., Any], *arguments: Any) -> Any:
-    """Return a function's result from a worker process. The function may execute an FMU's Python."""
-    with _borrowed() as worker:
-        return worker.call(function, *arguments)
+    with _borrow_worker() as worker:
+        return _call_worker(worker, chunk)
 
 
 @contextmanager
-def _borrowed() -> Iterator[Worker]:
+def _borrow_worker() -> Iterator[Worker]:
     """Yield a worker process for exclusive use."""
     with _lock:
         worker = _idle.pop() if _idle else None
@@ -74,20 +89,19 @@ def _borrowed() -> Iterator[Worker]:
             _idle.append(worker)
 
 
-def _called(
-    worker: Worker, job: Job, chunk: Sequence[Asked], way: Way, limits: Limits | None, goals: int
-) -> list[Made]:
+def _call_worker(worker: Worker, chunk: Chunk) -> list[RunResult]:
     if _stopping.is_set():
         raise RuntimeError("the sweep is being stopped")
+    job, requests = chunk.job, chunk.requests
     try:
-        found: list[Made] = worker.call(make_runs, job, chunk, way, watch=job.watched.watch(limits))
-        return found
+        results: list[RunResult] = worker.call(
+            make_runs, job, requests, chunk.way, watch=job.watched.watch(chunk.limits)
+        )
+        return results
     except SimulationError as error:  # a crash or an exceeded limit
-        if len(chunk) == 1:
-            return [failed(chunk[0].run, error_of(error), goals, way)]
-    except CosimError:
-        raise
-    return [run for one in chunk for run in _called(worker, job, [one], way, limits, goals)]
+        if len(requests) == 1:
+            return [failed_run(requests[0].run, str(error), chunk.criteria, chunk.way)]
+    return [run for request in requests for run in _call_worker(worker, replace(chunk, requests=[request]))]
 
 
 def _end_workers(*, kill: bool) -> None:
@@ -100,7 +114,7 @@ def _end_workers(*, kill: bool) -> None:
         worker.end(kill=kill)
 
 
-class Local:
+class LocalExecutor(Executor):
     """Processes of this machine."""
 
     def __init__(self, count: int) -> None:
@@ -108,22 +122,9 @@ class Local:
         _stopping.clear()
         self._pool = ThreadPoolExecutor(count)  # Each thread waits for a process.
 
-    def submit(self, job: Job, chunk: Sequence[Asked], way: Way, limits: Limits | None, goals: int) -> Future[Any]:
-        """Submit runs and return a future."""
-        return self._pool.submit(apart, job, chunk, way, limits, goals)
-
-    def done(self, pending: set[Any]) -> tuple[set[Any], set[Any]]:
-        """Wait for futures; return finished and pending ones."""
-        finished, others = wait(pending, return_when=FIRST_COMPLETED)
-        return set(finished), set(others)
-
-    def ask(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Return a function's result from a worker process."""
-        return ask_apart(function, *arguments)
-
-    def runs(self, future: Future[list[Made]]) -> list[Made]:
-        """Return the runs of a finished future."""
-        return future.result()
+    def submit(self, chunk: Chunk) -> Future[Any]:
+        """Submit runs to a process."""
+        return self._pool.submit(run_chunk, chunk)
 
     def end(self, *, kill: bool) -> None:
         """End the processes."""
@@ -133,77 +134,63 @@ class Local:
         _end_workers(kill=kill)
 
 
-class Here:
+class DirectExecutor(Executor):
     """This process, for a debugger."""
 
     count = 1
 
-    def submit(self, job: Job, chunk: Sequence[Asked], way: Way, limits: Limits | None, goals: int) -> Future[Any]:
+    def submit(self, chunk: Chunk) -> Future[Any]:
         """Make the runs and return a finished future."""
         future: Future[Any] = Future()
-        future.set_result(make_runs(job, chunk, way))
+        future.set_result(make_runs(chunk.job, chunk.requests, chunk.way))
         return future
-
-    def done(self, pending: set[Any]) -> tuple[set[Any], set[Any]]:
-        """Return all futures as finished."""
-        return pending, set()
 
     def ask(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """Return a function's result."""
         return function(*arguments)
 
-    def runs(self, future: Future[list[Made]]) -> list[Made]:
-        """Return the runs of a finished future."""
-        return future.result()
 
-
-class Dask:
+class DaskExecutor(Executor):
     """Workers of a dask scheduler with access to the same file paths."""
 
     def __init__(self, client: Any) -> None:
         self._client = client
         self.count = max(1, sum(client.nthreads().values()))
 
-    def submit(self, job: Job, chunk: Sequence[Asked], way: Way, limits: Limits | None, goals: int) -> Any:
-        """Submit runs and return a future."""
-        return self._client.submit(apart, job, list(chunk), way, limits, goals, pure=False)
+    def submit(self, chunk: Chunk) -> Any:
+        """Submit runs to the scheduler."""
+        return self._client.submit(run_chunk, chunk, pure=False)
 
-    def done(self, pending: set[Any]) -> tuple[set[Any], set[Any]]:
+    def wait(self, pending: set[Any]) -> tuple[set[Any], set[Any]]:
         """Wait for futures; return finished and pending ones."""
         from distributed import wait as wait_for
 
         finished, others = wait_for(pending, return_when="FIRST_COMPLETED")
         return set(finished), set(others)
 
-    def ask(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Return a function's result from a local worker process."""
-        return ask_apart(function, *arguments)
-
-    def runs(self, future: Any) -> list[Made]:
+    def runs(self, future: Any) -> list[RunResult]:
         """Return the runs of a finished future; raise SweepFailed if its worker failed."""
         try:
-            found: list[Made] = future.result()
+            return super().runs(future)
         except CosimError:
             raise
         except Exception as error:
-            cure = "see the log of the worker; the same command goes on with the runs that are there"
-            raise SweepFailed(f"a dask worker failed: {_one_line(error)}; {cure}") from None
-        return found
+            raise SweepFailed(messages.DASK_WORKER_FAILED(reason=_one_line(error))) from None
 
 
 @contextmanager
-def makers(workers: int | None, dask: Any, *, in_process: bool = False) -> Iterator[Makers]:
+def executor(workers: int | None, dask: Any, *, in_process: bool = False) -> Iterator[Executor]:
     """Yield the executor: dask, this process or local processes."""
     if dask is not None:
         try:
-            yield Dask(dask)
+            yield DaskExecutor(dask)
         finally:
             _end_workers(kill=False)  # workers of a cluster within this process
         return
     if in_process:
-        yield Here()
+        yield DirectExecutor()
         return
-    local = Local(workers or os.cpu_count() or 1)
+    local = LocalExecutor(workers or os.cpu_count() or 1)
     try:
         yield local
     except BaseException:
@@ -224,27 +211,23 @@ def dask_client(address: str | None, place: Callable[[str], Fault]) -> Iterator[
         return
     import logging
 
-    Client = optional("distributed", place).Client
+    client_class = optional("distributed", place).Client
 
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # cosim reports failures itself.
     try:
-        client = Client(address, timeout=ANSWER)
+        client = client_class(address, timeout=ANSWER)
     except (OSError, ValueError, TypeError) as error:
-        why = str(error).splitlines()[0] if str(error) else type(error).__name__
-        message = f"no dask scheduler answers at {address} within {ANSWER} s ({why}); start one by `dask scheduler`"
-        raise InputError([place(message)]) from None
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError([place(messages.NO_DASK_SCHEDULER(address=address, time=ANSWER, reason=reason))]) from None
     with client:
         if not client.nthreads():
-            raise InputError(
-                [place(f"the dask scheduler at {address} has no workers; start some by `dask worker {address}`")]
-            )
-        if problem := _unfit_workers(client):
-            raise InputError([place(f"the dask scheduler at {address} has {problem}")])
+            raise InputError([place(messages.NO_DASK_WORKERS(address=address))])
+        _check_versions(client, address, place)
         yield client
 
 
-def _unfit_workers(client: Any) -> str:
-    """Return a message on unsuitable workers, or "". A worker must import this package in the same version."""
+def _check_versions(client: Any, address: str, place: Callable[[str], Fault]) -> None:
+    """Raise InputError for workers that cannot import this package in the same version."""
 
     def version_there() -> str:  # A nested function is pickled by value, so that a worker need not import this module.
         from importlib import import_module
@@ -253,20 +236,22 @@ def _unfit_workers(client: Any) -> str:
         return str(import_module("cosim.base.version").__version__)
 
     versions = client.run(version_there, on_error="return")
-    unfit = {worker: found for worker, found in versions.items() if found != __version__}
-    if not unfit:
-        return ""
-    worker, found = next(iter(unfit.items()))
-    why = _one_line(found) if isinstance(found, BaseException) else f"version {found}"
-    cure = f"install cosim {__version__} where they run, or start them in the environment of this command"
-    return f"{counted(len(unfit), 'worker')} of {len(versions)} without cosim {__version__} ({worker}: {why}); {cure}"
+    unfit = {worker: version for worker, version in versions.items() if version != __version__}
+    if unfit:
+        worker, version = next(iter(unfit.items()))
+        reason = _one_line(version) if isinstance(version, BaseException) else f"version {version}"
+        workers, count = counted(len(unfit), "worker"), len(versions)
+        message = messages.UNFIT_DASK_WORKERS(
+            address=address, workers=workers, count=count, version=__version__, worker=worker, reason=reason
+        )
+        raise InputError([place(message)])
 
 
 def _one_line(error: BaseException) -> str:
-    said = str(error).strip()
-    return f"{type(error).__name__}: {said.splitlines()[0]}" if said else type(error).__name__
+    lines = str(error).strip().splitlines()
+    return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
 
 
-def fault_of(yaml: YamlFile, given: str | None) -> Callable[[str], Fault]:
+def fault_maker(yaml: YamlFile, option: str | None) -> Callable[[str], Fault]:
     """Return a function from a message to the fault of a dask address."""
-    return lambda text: yaml.fault(("dask",), text) if given is None else Fault(Path("--dask"), 0, 0, text)
+    return lambda text: yaml.fault(("dask",), text) if option is None else Fault(Path("--dask"), 0, 0, text)

@@ -33,15 +33,13 @@ class ComponentPage:
 
 def component_page(run: Run, drawing: Drawing) -> ComponentPage | None:
     """Return the sections registered for the run's components, None without any."""
-    page: ComponentPage | None = None
-    if declared := registry.page_for(run.variables.values()):
-        page = registry.resolve(declared.subject)(run, drawing)
+    entry = registry.page_for(run.variables.values())
+    page: ComponentPage | None = registry.resolve(entry.subject)(run, drawing) if entry else None
     return page
 
 
 def figures_of(run: Run, folder: Path) -> list[Path]:
     """Draw the figures registered for the run's components."""
-    drawn: list[Path] = []
-    if (page := registry.page_for(run.variables.values())) and page.figures:
-        drawn = registry.resolve(page.figures)(run, folder)
-    return drawn
+    entry = registry.page_for(run.variables.values())
+    paths: list[Path] = registry.resolve(entry.figures)(run, folder) if entry and entry.figures else []
+    return paths

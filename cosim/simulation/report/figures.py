@@ -13,7 +13,7 @@ from cosim.report.panels import Panel
 from cosim.report.svg import TICKS_ACROSS, TICKS_UP, lone_axis, make_axis, thin, time_axis, value_axis
 from cosim.simulation.report.component_page import figures_of
 from cosim.simulation.report.recorded import Run
-from cosim.simulation.report.run_page import recorded, signal_panels
+from cosim.simulation.report.run_page import drawable_run, signal_panels
 from cosim.storage.results import Results
 
 if TYPE_CHECKING:
@@ -40,12 +40,12 @@ LINES: dict[str, tuple[str, str, float]] = {
     "s5": ("#1a1a1a", ":", 1.1),
 }
 PANELS_A_FIGURE = 8
-MOST_POINTS = 4000  # points per curve, about five per pixel
+MAX_POINTS = 4000  # points per curve, about five per pixel
 
 
 def write_figures(folder: Path, results: Results, manifest: Mapping[str, Any]) -> list[Path]:
     """Write PNG figures of a run; return their paths. A run without rows has none."""
-    run = recorded(results, manifest)
+    run = drawable_run(results, manifest)
     if run.time.size == 0:
         return []
     folder.mkdir(parents=True, exist_ok=True)
@@ -67,7 +67,7 @@ def panels_figure(path: Path, run: Run, panels: Sequence[Panel]) -> Path:
 
 def figure_of(results: Results, names: Sequence[str]) -> Figure:
     """Return a figure of signals; those of the same unit share a panel."""
-    run = recorded(results, {})
+    run = drawable_run(results, {})
     return sheet(run.time, signal_panels(run, frozenset(results.columns) - set(names)))
 
 
@@ -91,7 +91,7 @@ def _panel(ax: Axes, time: Array, panel: Panel) -> None:
     for trace in panel.traces:
         colour, dash, width = LINES[trace.style]
         shape = "steps-post" if trace.held else "default"
-        rows = thin(trace.values, MOST_POINTS)
+        rows = thin(trace.values, MAX_POINTS)
         (line,) = ax.plot(time[rows], trace.values[rows], color=colour, linestyle=dash, linewidth=width)
         line.set(drawstyle=shape, marker="." if time.size == 1 else "", label=literal(trace.label))
     for i, limit in enumerate(panel.limits):

@@ -24,9 +24,9 @@ def mappings(value: Any) -> list[Mapping[str, Any]]:
 
 def texts(value: Any) -> list[str]:
     """Return a list's items as text, also of a single text."""
-    return (
-        [value] if isinstance(value, str) else [str(item) for item in value] if isinstance(value, list | tuple) else []
-    )
+    if isinstance(value, str):
+        return [value]
+    return [str(item) for item in value] if isinstance(value, list | tuple) else []
 
 
 def number(value: Any, default: float = float("nan")) -> float:
@@ -62,11 +62,11 @@ class Run:
     @cached_property
     def variables(self) -> dict[str, set[str]]:
         """Return component → variables."""
-        found: dict[str, set[str]] = {}
+        variables: dict[str, set[str]] = {}
         for column in self.results.columns:
             component, _, variable = column.partition(".")
-            found.setdefault(component, set()).add(variable)
-        return found
+            variables.setdefault(component, set()).add(variable)
+        return variables
 
     @cached_property
     def links(self) -> list[tuple[str, str]]:
@@ -86,9 +86,7 @@ class Run:
 
     def start(self, component: str | None) -> Mapping[str, Any]:
         """Return a component's start values in the scenario."""
-        if component is None:
-            return {}
-        return mapping(mapping(mapping(self.scenario.get("components")).get(component)).get("start"))
+        return mapping(mapping(mapping(self.scenario.get("components")).get(component or "")).get("start"))
 
     def source(self, target: str) -> str | None:
         """Return the output connected to an input, if any."""

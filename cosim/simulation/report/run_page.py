@@ -29,35 +29,35 @@ from cosim.simulation.report.run_rows import (
     faults_on,
     items_of,
     provenance,
-    spelled,
+    spelled_values,
     starts,
 )
 from cosim.simulation.report.system_diagram import graph_of_run
-from cosim.simulation.report.verdicts import Criterion, criteria, failed, outcome
+from cosim.simulation.report.verdicts import Criterion, criteria, has_failed, outcome
 from cosim.storage.files import write_text
 from cosim.storage.results import Results
 
 TEMPLATE = Path(__file__).with_name("templates") / "run.html.j2"
-MOST_TILES = 4
+MAX_TILES = 4
 LIMIT_LABEL = "allowed"
 WIDTHS = {"settling_time": "band", "peak": "max", "final_error": "max"}  # criterion → its distance from the target
-MOST_CONNECTIONS = 40  # with a separate chart; signals of further connections are among the others
-MOST_WIRES = 200  # in the system diagram; `cosim graph` draws all
-MOST_DRAWN = 1000  # signals on a page
-MOST_LISTED = 1000  # connections in the table
+MAX_CONNECTIONS = 40  # with a separate chart; signals of further connections are among the others
+MAX_WIRES = 200  # in the system diagram; `cosim graph` draws all
+MAX_SIGNALS = 1000  # signals on a page
+MAX_LISTED = 1000  # connections in the table
 DRAWABLE = 1e100  # a diverged run has larger values, with squares that may overflow
 
 
 @far_beyond
 def write_report(path: Path, results: Results, manifest: Mapping[str, Any]) -> None:
     """Write one self-contained HTML page about a run; `manifest` may lack any of its keys."""
-    run = recorded(results, manifest)
-    drawing = Drawing(run.time, min(MOST_DRAWN, len(run.results.columns)))
+    run = drawable_run(results, manifest)
+    drawing = Drawing(run.time, min(MAX_SIGNALS, len(run.results.columns)))
     page = component_page(run, drawing) or ComponentPage(TEMPLATE, tiles=_goals(criteria(run)))
     write_text(path, render(page.template, context(run, drawing, page), [TEMPLATE.parent]))
 
 
-def recorded(results: Results, manifest: Mapping[str, Any]) -> Run:
+def drawable_run(results: Results, manifest: Mapping[str, Any]) -> Run:
     """Return a run's rows with finite time, and NaN for all values not drawable."""
     timed = np.isfinite(results.time)
     values = results.values[timed]
@@ -75,13 +75,13 @@ def context(run: Run, drawing: Drawing, page: ComponentPage) -> Mapping[str, Any
         "name": str(run.scenario.get("name") or "Run"),
         "description": str(run.scenario.get("description") or ""),
         "outcome": outcome(run, goals),
-        "tone": "bad" if failed(run) or not all(c.met for c in goals) else "good" if goals else "plain",
+        "tone": "bad" if has_failed(run) or not all(c.met for c in goals) else "good" if goals else "plain",
         "badges": badges(run, goals),
         "tiles": page.tiles,
         "judged": drawing.plots(judged),
         "links": drawing.plots(list(links.values())),
         "others": drawing.plots(others),
-        "spelled": spelled(run),
+        "spelled": spelled_values(run),
         "undrawn": _undrawn(len(_undisplayed(run, page.shown))),
         "criteria": goals,
         "rows": run.time.size,
@@ -89,8 +89,8 @@ def context(run: Run, drawing: Drawing, page: ComponentPage) -> Mapping[str, Any
         "data": to_json(drawing.series, page.data),
         "diagram": _diagram(run),
         "provenance": provenance(run),
-        "connections": connected[:MOST_LISTED],
-        "unlisted": max(0, len(connected) - MOST_LISTED),
+        "connections": connected[:MAX_LISTED],
+        "unlisted": max(0, len(connected) - MAX_LISTED),
         "starts": starts(run),
         "warnings": texts(run.manifest.get("warnings")),
         "repeat": shlex.join(["cosim", "run", "manifest.json"]),
@@ -102,7 +102,7 @@ def context(run: Run, drawing: Drawing, page: ComponentPage) -> Mapping[str, Any
 
 def _diagram(run: Run) -> str:
     """Return the system diagram, "" without connections or with too many."""
-    if len(mappings(run.scenario.get("connections"))) > MOST_WIRES:
+    if len(mappings(run.scenario.get("connections"))) > MAX_WIRES:
         return ""
     graph = graph_of_run(run)
     return graph.svg(alone=False) if graph is not None and graph.links else ""
@@ -110,12 +110,9 @@ def _diagram(run: Run) -> str:
 
 def _goals(judged: Sequence[Criterion]) -> list[Row]:
     """Return the scenario's criteria, missed criteria first."""
-    first = sorted(judged, key=lambda c: c.met)[:MOST_TILES]
-    return [Row(c.what, c.value, ", ".join(_judgement(c))) for c in first]
-
-
-def _judgement(c: Criterion) -> list[str]:
-    return ["met" if c.met else "missed", *([f"allowed {c.allowed}"] if c.allowed else [])]
+    first = sorted(judged, key=lambda c: c.met)[:MAX_TILES]
+    allowed = {c: f", allowed {c.allowed}" if c.allowed else "" for c in first}
+    return [Row(c.title, c.value, f"{'met' if c.met else 'missed'}{allowed[c]}") for c in first]
 
 
 def judged_panels(run: Run) -> list[Panel]:
@@ -127,24 +124,21 @@ def judged_panels(run: Run) -> list[Panel]:
     panels: dict[str, Panel] = {}
     for entry in entries:
         name, target = str(entry.get("of")), entry.get("to", 0.0)
-        if name not in run.results or name in panels or len(panels) == MOST_TILES:
+        if name not in run.results or name in panels or len(panels) == MAX_TILES:
             continue
         unit, factor = display(run.unit(name))
         traces = [Trace(name, run.results[name] * factor, "true", held=name in run.results.whole)]
-        if isinstance(target, str):
-            traces += [Trace(target, run.results[target] * factor, "reference")] if target in run.results else []
-            limits: tuple[float, ...] = ()
-        else:
-            limits = tuple(factor * (number(target) + side * _width(entry)) for side in (-1.0, 1.0))
-        drawn = tuple(limit for limit in limits if math.isfinite(limit))
-        shown = unit or run.unit(name) or "no unit"
-        panels[name] = Panel(name, shown, traces, _marked(run, [name], traces), drawn, LIMIT_LABEL if drawn else "")
+        limits: tuple[float, ...] = ()
+        if not isinstance(target, str):
+            width = number(entry.get(WIDTHS.get(str(entry.get("kind")), "")))  # NaN without limits
+            ends = (factor * (number(target) + side * width) for side in (-1.0, 1.0))
+            limits = tuple(end for end in ends if math.isfinite(end))
+        elif target in run.results:
+            traces.append(Trace(target, run.results[target] * factor, "reference"))
+        label = unit or run.unit(name) or "no unit"
+        band = _fault_band(run, [name], traces)
+        panels[name] = Panel(name, label, traces, band, limits, LIMIT_LABEL if limits else "")
     return list(panels.values())
-
-
-def _width(entry: Mapping[str, Any]) -> float:
-    """Return a criterion's allowed distance from the target, NaN without any."""
-    return number(entry.get(WIDTHS.get(str(entry.get("kind")), "")))
 
 
 def connection_panels(
@@ -155,17 +149,18 @@ def connection_panels(
     items = items_of(run)
     for link in connected:
         ends = (link.source, link.target)
-        recorded = all(end in run.results and end not in shown for end in ends)
-        if not recorded or run.unit(ends[0]) != run.unit(ends[1]) or len(panels) == MOST_CONNECTIONS:
+        is_drawable = all(end in run.results and end not in shown for end in ends)
+        if not is_drawable or run.unit(ends[0]) != run.unit(ends[1]) or len(panels) == MAX_CONNECTIONS:
             continue
         unit, factor = display(run.unit(link.target))
         sent, arrived = (run.results[end] * factor for end in ends)
         label, whole = f"{link.target}, {link.noise}" if link.noise else link.target, run.results.whole
-        as_sent = Trace(link.source, sent, "true", held=ends[0] in whole, items=items.get(ends[0], {}))
-        other = Trace(label, arrived, "estimate", held=ends[1] in whole, items=items.get(ends[1], {}))
-        traces = [as_sent] if np.array_equal(sent, arrived, equal_nan=True) else [other, as_sent]
+        traces = [Trace(link.source, sent, "true", held=ends[0] in whole, items=items.get(ends[0], {}))]
+        if not np.array_equal(sent, arrived, equal_nan=True):
+            received = Trace(label, arrived, "estimate", held=ends[1] in whole, items=items.get(ends[1], {}))
+            traces.insert(0, received)
         title = f"{link.source} → {link.target}"
-        panels[ends] = Panel(title, unit or run.unit(link.target) or "no unit", traces, _marked(run, ends, traces))
+        panels[ends] = Panel(title, unit or run.unit(link.target) or "no unit", traces, _fault_band(run, ends, traces))
     return panels
 
 
@@ -174,26 +169,24 @@ def _undisplayed(run: Run, shown: frozenset[str]) -> list[str]:
 
 
 def _undrawn(signals: int) -> str:
-    return f"The first {MOST_DRAWN} of {signals} signals; the file of rows has all." if signals > MOST_DRAWN else ""
+    return f"The first {MAX_SIGNALS} of {signals} signals; the file of rows has all." if signals > MAX_SIGNALS else ""
 
 
 def signal_panels(run: Run, shown: frozenset[str] = frozenset()) -> list[Panel]:
-    """Return the columns not in `shown`, grouped by unit, MOST_DRAWN at most."""
+    """Return the columns not in `shown`, grouped by unit, MAX_SIGNALS at most."""
     panels, items, whole = [], items_of(run), run.results.whole
-    for unit, columns in by_unit(_undisplayed(run, shown)[:MOST_DRAWN], run.unit, run.results.__getitem__):
+    for unit, columns in by_unit(_undisplayed(run, shown)[:MAX_SIGNALS], run.unit, run.results.__getitem__):
         shown_unit, factor = display(unit)
         traces = [
             Trace(column, run.results[column] * factor, f"s{i}", held=column in whole, items=items.get(column, {}))
             for i, column in enumerate(columns)
         ]
-        components = list(dict.fromkeys(column.partition(".")[0] for column in columns))
-        panels.append(
-            Panel(", ".join(components), shown_unit or unit or "no unit", traces, _marked(run, columns, traces))
-        )
+        title = ", ".join(dict.fromkeys(column.partition(".")[0] for column in columns))
+        panels.append(Panel(title, shown_unit or unit or "no unit", traces, _fault_band(run, columns, traces)))
     return panels
 
 
-def _marked(run: Run, columns: Sequence[str], traces: Sequence[Trace]) -> Band | None:
+def _fault_band(run: Run, columns: Sequence[str], traces: Sequence[Trace]) -> Band | None:
     """Return a band over the times of faults in these signals."""
     faults, around = faults_on(run, columns), extent([trace.values for trace in traces])
     if not faults or around is None:

@@ -14,10 +14,10 @@ from cosim.base.text import amount, counted, plain
 from cosim.coupling.algorithms import algorithms
 from cosim.report.html_tables import Badge, Row
 from cosim.simulation.report.recorded import Run, mapping, mappings, number, texts
-from cosim.simulation.report.verdicts import Criterion, failed
+from cosim.simulation.report.verdicts import Criterion, has_failed
 from cosim.storage.yaml_file import short
 
-MOST_SPELLED, MOST_CHANGES = 200, 8  # signals on a page, and changes of each
+MAX_SPELLED, MAX_CHANGES = 200, 8  # signals on a page, and changes of each
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ def badges(run: Run, judged: Sequence[Criterion]) -> list[Badge]:
     met = sum(criterion.met for criterion in judged)
     seed, warnings = run.manifest.get("seed"), texts(run.manifest.get("warnings"))
     badges = (
-        (True, Badge("failed", "bad") if failed(run) else Badge("completed", "good" if judged else "plain")),
+        (True, Badge("failed", "bad") if has_failed(run) else Badge("completed", "good" if judged else "plain")),
         (judged, Badge(f"{met} of {counted(len(judged), 'criterion')} met", "good" if met == len(judged) else "bad")),
         (run.algorithm and run.links, Badge(_title(run.algorithm))),
         (run.links, Badge("noise on" if _has_noise(run.scenario) else "noise off")),
@@ -54,39 +54,40 @@ def _has_noise(scenario: Mapping[str, Any]) -> bool:
 
 def _title(algorithm: str) -> str:
     """Return an algorithm's title, derived from its name if not installed."""
-    known = algorithms().get(algorithm)
-    return known.title if known else algorithm.replace("_", "-").title()
+    entry = algorithms().get(algorithm)
+    return entry.title if entry else algorithm.replace("_", "-").title()
 
 
 def items_of(run: Run) -> dict[str, dict[float, str]]:
     """Return column → enumeration items by number."""
-    found = mapping(run.manifest.get("items"))
-    return {str(c): {number(v): str(name) for name, v in mapping(items).items()} for c, items in found.items()}
+    columns = mapping(run.manifest.get("items"))
+    return {str(c): {number(v): str(name) for name, v in mapping(items).items()} for c, items in columns.items()}
 
 
-def spelled(run: Run) -> list[Row]:
+def spelled_values(run: Run) -> list[Row]:
     """Return values without curves, with times of their changes.
 
     These are text, 64-bit integers, binary data and enumeration items.
     """
-    found = []
-    for column, items in islice(mapping(run.manifest.get("items")).items(), MOST_SPELLED):
+    rows = []
+    for column, items in islice(mapping(run.manifest.get("items")).items(), MAX_SPELLED):
         if column in run.results and run.time.size:
-            names = {value: name for name, value in mapping(items).items()}
-            values = run.results[column]
-            points = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist()]
-            told = {k: str(names.get(values[k], f"{values[k]:g}")) for k in points[: MOST_CHANGES + 1]}
-            found.append(Row(column, _over_time(run, told, len(points))))
-    for column, kept in islice(run.results.exact.items(), MOST_SPELLED):
-        points = [k for k in range(min(len(kept), run.time.size)) if not k or kept[k] != kept[k - 1]]
-        told = {k: short(kept[k].hex() if isinstance(kept[k], bytes) else kept[k]) for k in points[: MOST_CHANGES + 1]}
-        found.append(Row(column, _over_time(run, told, len(points))))
-    return found
+            names, numbers = {value: name for name, value in mapping(items).items()}, run.results[column]
+            points = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist()]
+            texts = [str(names.get(numbers[k], f"{numbers[k]:g}")) for k in points[: MAX_CHANGES + 1]]
+            rows.append(Row(column, _over_time(run, points, texts)))
+    for column, values in islice(run.results.exact.items(), MAX_SPELLED):
+        points = [k for k in range(min(len(values), run.time.size)) if not k or values[k] != values[k - 1]]
+        first = (values[k] for k in points[: MAX_CHANGES + 1])
+        texts = [short(value.hex() if isinstance(value, bytes) else value) for value in first]
+        rows.append(Row(column, _over_time(run, points, texts)))
+    return rows
 
 
-def _over_time(run: Run, values: Mapping[int, str], points: int) -> str:
-    parts = [value if k == 0 else f"from {run.time[k]:g} s {value}" for k, value in values.items()]
-    more = points - len(parts)
+def _over_time(run: Run, points: Sequence[int], texts: Sequence[str]) -> str:
+    """Return the first changes of a value with their times."""
+    parts = [f"from {run.time[k]:g} s {text}" if k else text for k, text in zip(points, texts, strict=False)]
+    more = len(points) - len(parts)
     return "; ".join([*parts, *([f"and {counted(more, 'more change')}"] if more > 0 else [])])
 
 
@@ -100,17 +101,14 @@ def connections(run: Run) -> list[Connection]:
 
 def disturbances(run: Run, link: Mapping[str, Any]) -> list[str]:
     """Return a connection's noise and injected faults as text."""
-    noise, target = _noise(run, link), str(link.get("to"))
-    return [*([noise] if noise else []), *(fault_text(fault) for fault in faults_on(run, [target]))]
+    faults = (fault_text(fault) for fault in faults_on(run, [str(link.get("to"))]))
+    return [*filter(None, [_noise(run, link)]), *faults]
 
 
 def faults_on(run: Run, inputs: Sequence[str]) -> list[Mapping[str, Any]]:
     """Return faults injected into connections to given inputs."""
-    faults = mappings(run.scenario.get("faults"))
-    if not faults:
-        return []
-    arrays = {name.partition("[")[0] for name in inputs}
-    return [fault for fault in faults if fault.get("on") in {*inputs, *arrays}]
+    names = {*inputs, *(name.partition("[")[0] for name in inputs)}
+    return [fault for fault in mappings(run.scenario.get("faults")) if fault.get("on") in names]
 
 
 def fault_text(fault: Mapping[str, Any]) -> str:
@@ -137,16 +135,13 @@ def _noise(run: Run, link: Mapping[str, Any]) -> str:
 
 def starts(run: Run) -> list[Row]:
     """Return start values and settings of the scenario's components."""
-    found = []
+    rows = []
     for name, component in mapping(run.scenario.get("components")).items():
         kind = mapping(component)
-        settings = {**kind, **mapping(kind.get("start"))}
-        settings = {key: value for key, value in settings.items() if key not in ("start", "fmu", "block", "sha256")}
-        source = str(kind.get("fmu") or kind.get("block") or "")
-        found.append(
-            Row(str(name), ", ".join(f"{key} = {_format_setting(value)}" for key, value in settings.items()), source)
-        )
-    return found
+        settings = {**kind, **mapping(kind.get("start"))}.items()
+        texts = [f"{k} = {_format_setting(v)}" for k, v in settings if k not in ("start", "fmu", "block", "sha256")]
+        rows.append(Row(str(name), ", ".join(texts), str(kind.get("fmu") or kind.get("block") or "")))
+    return rows
 
 
 def _format_setting(value: object) -> str:
@@ -164,16 +159,14 @@ def provenance(run: Run) -> list[Row]:
     """Return known facts for reproducing the run."""
     manifest, scenario = run.manifest, run.scenario
     git, timings, seed = mapping(manifest.get("git")), mapping(manifest.get("timings")), manifest.get("seed")
-    design = mapping(manifest.get("design")) or mapping(scenario.get("design"))
+    dirty, design = git.get("dirty"), mapping(manifest.get("design")) or mapping(scenario.get("design"))
     wall = [f"{key} {amount(number(timings[key]), 's')}" for key in ("load", "simulate") if key in timings]
     if math.isfinite(speed := number(timings.get("real_time_factor"))):
         wall.append(f"{plain(speed, 2)} times as fast as real time")
     facts = (
         Row("cosim", str(manifest.get("cosim_version") or "")),
         Row("Versions", _pairs(mapping(manifest.get("versions")), " ")),
-        Row(
-            "Git revision", str(git.get("revision") or ""), "with uncommitted changes" if git.get("dirty") else "clean"
-        ),
+        Row("Git revision", str(git.get("revision") or ""), "with uncommitted changes" if dirty else "clean"),
         *(Row(k.title(), f"{number(scenario[k]):g} s") for k in ("duration", "step") if k in scenario),
         Row("Algorithm", run.algorithm),
         Row("Seed", "" if seed is None else str(seed)),

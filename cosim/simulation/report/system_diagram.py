@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import PurePath
 from typing import Any
 
+import numpy as np
+
 from cosim.base.text import counted, written
 from cosim.coupling.algorithms import DEFAULT, Algorithm, algorithms
 from cosim.report.diagram import Box, Port, Wire, diagram
@@ -15,7 +17,15 @@ from cosim.simulation.report.run_rows import disturbances
 from cosim.storage.results import Results
 from cosim.storage.yaml_file import short
 
-LONGEST = 34  # characters of a name in the diagram
+MAX_NAME = 34  # characters of a name in the diagram
+FACTS = {  # key of a component → its text in the diagram
+    "block": "{}",
+    "file": "{}",
+    "step": "step {:g} s",
+    "rate": "{:g} Hz",
+    "latency": "{:g} s late",
+    "dropout": "{:.2g} lost",
+}
 
 
 @dataclass(frozen=True)
@@ -62,8 +72,8 @@ class Graph:
         ]
         place = {name: k for k, name in enumerate(ports)}
         wires = [self._wire(link, ports, place) for link in self.links]
-        what = f"{counted(len(boxes), 'component')} of {self.name} in the order in which they step, "
-        return diagram(boxes, wires, f"{what}{counted(len(wires), 'connection')}", self._keys(), alone=alone)
+        title = f"{counted(len(boxes), 'component')} of {self.name} in the order in which they step"
+        return diagram(boxes, wires, f"{title}, {counted(len(wires), 'connection')}", self._keys(), alone=alone)
 
     def _wire(self, link: Link, ports: Mapping[str, Any], place: Mapping[str, int]) -> Wire:
         ends = []
@@ -116,43 +126,28 @@ def graph_from(scenario: Mapping[str, Any], order: Sequence[str], held: set[str]
     """
     components = mapping(scenario.get("components"))
     about = {name: _about(mapping(components.get(name))) for name in order}
-    alone = Run(_no_rows(units), {"scenario": scenario})
+    run = Run(Results(np.empty(0), (), np.empty((0, 0)), units), {"scenario": scenario})
     silent = scenario.get("noise") is False
     arrays = {name.partition("[")[0] for name in held}
     links = []
     for link in mappings(scenario.get("connections")):
         source, target = str(link.get("from")), str(link.get("to"))
-        what = tuple(
-            text if text.startswith("fault") else f"noise {text}"
-            for text in disturbances(alone, link)
-            if text.startswith("fault") or not silent
-        )
+        texts = ((text, text.startswith("fault")) for text in disturbances(run, link))
+        acting = tuple(text if is_fault else f"noise {text}" for text, is_fault in texts if is_fault or not silent)
         pair = units.get(source, ""), units.get(target, "")
-        drawn = Link(source, target, pair, what, target in held | arrays)
-        links += [drawn] if about.keys() >= {*drawn.ends} else []
+        edge = Link(source, target, pair, acting, target in held | arrays)
+        links += [edge] if about.keys() >= {*edge.ends} else []
     algorithm = algorithms().get(str(scenario.get("algorithm")), DEFAULT)
     return Graph(str(scenario.get("name") or ""), about, links, algorithm)
 
 
-def _no_rows(units: Mapping[str, str]) -> Results:
-    import numpy as np
-
-    return Results(np.empty(0), (), np.empty((0, 0)), units)
-
-
 def _about(component: Mapping[str, Any]) -> str:
-    file = PurePath(str(component.get("fmu") or component.get("file") or "")).name
-    parts = [str(component["block"])] if component.get("block") else []
-    parts += [file] if file else []
-    parts += [f"step {component['step']:g} s"] if component.get("step") else []
-    parts += [f"{component['rate']:g} Hz"] if component.get("rate") else []
-    parts += [f"{component['latency']:g} s late"] if component.get("latency") else []
-    parts += [f"{component['dropout']:.2g} lost"] if component.get("dropout") else []
-    return ", ".join(_cut(part) for part in parts)
+    facts = {**component, "file": PurePath(str(component.get("fmu") or component.get("file") or "")).name}
+    return ", ".join(_cut(text.format(facts[key])) for key, text in FACTS.items() if facts.get(key))
 
 
 def _cut(text: str) -> str:
-    return text if len(text) <= LONGEST else f"{text[: LONGEST - 1]}…"
+    return text if len(text) <= MAX_NAME else f"{text[: MAX_NAME - 1]}…"
 
 
 def _title(link: Link) -> str:

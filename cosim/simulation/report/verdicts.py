@@ -15,7 +15,7 @@ from cosim.simulation.report.recorded import Run, mapping, mappings, number
 class Criterion:
     """A criterion in the page's words."""
 
-    what: str
+    title: str
     value: str
     allowed: str
     margin: str
@@ -37,14 +37,14 @@ def _criterion(entry: Mapping[str, Any], unit_of_signal: str) -> Criterion:
         parts.append(f"to {target if isinstance(target, str) else amount(number(target), unit_of_signal, None)}")
     parts += [f"within ±{amount(number(entry['band']), unit_of_signal, None)}"] if "band" in entry else []
     parts += [f"{word} {amount(number(entry[word]), 's', None)}" for word in ("after", "until") if word in entry]
-    shown = amount(value, unit) if math.isfinite(value) else ("not settled" if kind == "settling_time" else "none")
-    left = bound - value
-    margin = "" if not math.isfinite(left) else f"{amount(abs(left), unit)} {'left' if left >= 0 else 'over'}"
+    text = amount(value, unit) if math.isfinite(value) else ("not settled" if kind == "settling_time" else "none")
+    rest = bound - value
+    margin = "" if not math.isfinite(rest) else f"{amount(abs(rest), unit)} {'left' if rest >= 0 else 'over'}"
     allowed = f"≤ {amount(bound, unit, None)}" if math.isfinite(bound) else ""
-    return Criterion(" ".join(parts), shown, allowed, margin, met)
+    return Criterion(" ".join(parts), text, allowed, margin, met)
 
 
-def failed(run: Run) -> bool:
+def has_failed(run: Run) -> bool:
     """Return whether the simulation stopped early."""
     return str(run.manifest.get("status") or "ok") != "ok"
 
@@ -52,7 +52,7 @@ def failed(run: Run) -> bool:
 def outcome(run: Run, judged: list[Criterion]) -> str:
     """Return the run's outcome in one or two sentences."""
     missed = [c for c in judged if not c.met]
-    if failed(run):
+    if has_failed(run):
         status = str(run.manifest["status"])
         reason = status.removeprefix("failed").lstrip(": ") or "no reason was recorded"
         return f"The simulation failed: {reason}. The rows before that are shown."
@@ -62,7 +62,7 @@ def outcome(run: Run, judged: list[Criterion]) -> str:
         return "The criterion was met." if len(judged) == 1 else f"All {counted(len(judged), 'criterion')} were met."
     verb = "was" if len(missed) == 1 else "were"
     first = missed[0]
-    detail = f"{first.what}: {first.value}" + (f", allowed {first.allowed}" if first.allowed else "")
+    detail = f"{first.title}: {first.value}" + (f", allowed {first.allowed}" if first.allowed else "")
     which = detail if len(missed) == 1 else f"first, {detail}"
     return f"{len(missed)} of {counted(len(judged), 'criterion')} {verb} missed ({which})."
 
