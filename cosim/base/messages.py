@@ -57,3 +57,8 @@ def code_of(text: object) -> str:
     if isinstance(text, BaseException):
         text = text.args[0] if text.args else ""
     return getattr(text, "code", "")
+
+
+def with_prefix(prefix: str, text: str) -> str:
+    """Return a text behind a prefix; a message keeps its code."""
+    return text.after(prefix) if isinstance(text, Message) else f"{prefix}{text}"

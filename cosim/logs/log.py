@@ -290,7 +290,7 @@ class LogReader:
             self._check_sizes(column, values)
 
     def _check_sizes(self, column: Column, values: Array) -> None:
-        name, cure = column.name, "leave the row out" if column.known else "leave the cell empty"
+        name, cure = column.name, "leave the row out" if column.role else "leave the cell empty"
         for row in _absurd(values):
             message = f'{name} is {values[row]:g} here, far beyond the rest: a mark for "invalid"? Then {cure}'
             self.faults.note_cell(self.table.lines[row], column.cell, f"cells of {name} far beyond the rest", message)

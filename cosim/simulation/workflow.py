@@ -37,7 +37,7 @@ from cosim.storage.files import (
     write_json,
 )
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_ours, folder_named, keep_earlier
+from cosim.storage.folders import check_run_folder, folder_named, keep_earlier
 from cosim.storage.kinds import check_form
 from cosim.storage.results import Results, remove_rows, rows_name
 from cosim.system.system import System, build_system
@@ -116,7 +116,7 @@ def run(
         designed = designed_apart(file, worker)
         system = build_system(file, designed)
         if not is_ssp(path):
-            check_ours(place, file.scenario.name, force=force, keep=keep)
+            check_run_folder(place, file.scenario.name, force=force, keep=keep)
         check_writable(place, (rows_file, MANIFEST, "report.html"), file.files)
         tools = stack.enter_context(ThreadPoolExecutor(1)).submit(made_with)  # runs in parallel to the loading of FMUs
         loaded = time.perf_counter()
@@ -144,7 +144,7 @@ def _read(
         file = ScenarioFile(path, overrides)
         return file, folder_named(file.scenario.name) if folder is None else named_path(folder), []
     place = folder_named(path.stem) if folder is None else named_path(folder)
-    check_ours(place, ssp=path, force=force, keep=folder is None)
+    check_run_folder(place, ssp=path, force=force, keep=folder is None)
     file, warnings = lay_out(path, place, overrides, keep=folder is None)
     return file, place, warnings
 

@@ -291,7 +291,7 @@ def read_recording(path: Path) -> Recording:
                 faults.note(
                     heading.line, heading.cell, f"{heading.unit} is no unit of time; write time [s] or time [ms]"
                 )
-            return Column(heading, scale or 1.0, known="the time")
+            return Column(heading, scale or 1.0, role="the time")
         if heading.name not in COLUMNS:
             return None
         wanted = COLUMNS[heading.name].unit
@@ -299,7 +299,7 @@ def read_recording(path: Path) -> Recording:
         if scale is None:
             cure = f"; write it in %, {PULSE}" if factor(heading.unit, "s") and wanted == "%" else ""
             faults.note(heading.line, heading.cell, f"{heading.unit} is no unit of {heading.name} [{wanted}]{cure}")
-        return Column(heading, scale or 1.0, known="a column of the bench")
+        return Column(heading, scale or 1.0, role="a column of the bench")
 
     table = read_table(faults, choose, ", ".join(COLUMNS), "leave out rows")
     if any(kind.endswith("with a decimal comma") for _, kind in faults.counts):  # cause of all other faults
