@@ -76,7 +76,7 @@ def check(
 def _checked(path: Path, checking: Checking) -> list[str]:
     """Check a file; execute named Python in the worker, or not at all without a worker."""
     from cosim.loading.file import without_execution
-    from cosim.scenario.controller_design import ended
+    from cosim.scenario.controller_design import crash_fault
 
     worker = checking.worker
     with without_execution() as skipped:
@@ -91,7 +91,7 @@ def _checked(path: Path, checking: Checking) -> list[str]:
     try:
         lines: list[str] = worker.call(_check, path, replace(checking, worker=None))
     except Crashed as crash:
-        raise InputError([ended(skipped[0], crash)]) from None
+        raise InputError([crash_fault(skipped[0], crash)]) from None
     return lines
 
 
