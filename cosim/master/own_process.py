@@ -43,7 +43,7 @@ _held: dict[str, _Held] = {}
 def load(component: Component, start: float, stop: float) -> tuple[Values, Values]:
     """Open a component; return its inputs and outputs."""
     held = _held[component.name] = _Held(component)
-    here.overheard(component)
+    here.share_log(component)
     component.open(start, stop)
     return held.inputs(), held.outputs()
 

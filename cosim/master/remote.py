@@ -17,7 +17,7 @@ from cosim.blocks.component import EndedEarly
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
-from cosim.isolation.rows import GET, BesideFile, Progress, Rows, allocate, mapped_table, read_beside, read_table
+from cosim.isolation.rows import GET, ExactFile, Progress, Rows, allocate, mapped_table, read_exact, read_table
 from cosim.isolation.watch import Clock, Watch, fmi_calls
 from cosim.master.c_loop import compile_beforehand
 from cosim.master.halving import Halved
@@ -124,9 +124,9 @@ def simulate_rows(system: System, steps: int, h: float, table: Path, limits: Lim
 
     system = in_own_processes(system, limits)
     for stage in system.stages:
-        here.overheard(stage.component)
+        here.share_log(stage.component)
     progress = here.progress
-    mapped, beside = mapped_table(table, steps + 1, len(system.columns)), BesideFile(table.with_name(BESIDE))
+    mapped, beside = mapped_table(table, steps + 1, len(system.columns)), ExactFile(table.with_name(BESIDE))
     failure: SimulationError | None = None
     try:
         rows = Rows(mapped, beside, progress.made, progress.doing, _tell_loop)
@@ -205,7 +205,7 @@ def simulate_apart(
         except Exception as error:  # An unexpected error of a library is no reason to lose the rows.
             ended = Ended(failure=_unforeseen(error, watch, counters))
         done = counters.made[0]
-        values, beside = read_table(table, done, columns), read_beside(table.with_name(BESIDE), done)
+        values, beside = read_table(table, done, columns), read_exact(table.with_name(BESIDE), done)
     feed.end(values)
     failure = ended.failure or feed.failure
     time = system.start + h * np.arange(steps + 1, dtype=np.float64)

@@ -45,7 +45,7 @@ class Loaded:
 def load(asked: Loaded) -> None:
     """Prepare a drive without loading its FMU."""
     drive = Drive(asked.log, asked.fmu, interpolated=asked.interpolated, given=asked.given)
-    here.overheard(drive.block)
+    here.share_log(drive.block)
     drive._new_rows = partial(_mapped, asked.table)
     _drives[asked.number] = drive
 

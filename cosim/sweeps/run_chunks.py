@@ -264,7 +264,7 @@ def _by_fmus(job: Job, prepared: _Prepared, one: Asked) -> Made:
         progress.made[0] = 0  # clears the count of the previous run
         rows = replace(rows, made=progress.made, doing=progress.doing)
         for stage in system.stages:
-            here.overheard(stage.component)
+            here.share_log(stage.component)
     try:
         results = simulate(system, steps, h, rows=rows)
     except StoppedRun as stopped:
