@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Self
 
 from cosim.base.errors import Crashed, SimulationError
-from cosim.base.scratch import Held, scratch
+from cosim.base.scratch import ScratchFolder, scratch
 from cosim.isolation import messages
 from cosim.isolation.rows import NOTHING, Progress, mapped_progress
 from cosim.isolation.watch import Clock, Watch, how_ended
@@ -62,7 +62,7 @@ class Worker:
             return
         with uninterrupted():
             self.end()
-            self._scratch: Held = scratch(PREFIX)
+            self._scratch: ScratchFolder = scratch(PREFIX)
             try:
                 self.progress = mapped_progress(self._scratch.path / PROGRESS)
                 self._process, self._finishing = _spawn(), False

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import SimulationError, Terminated, stopped
+from cosim.base.errors import SimulationError, Terminated, stop_error
 from cosim.blocks.component import EndedEarly
 from cosim.blocks.stepping import NEVER, NotCompiled
 from cosim.isolation.rows import CALLS, OTHER, Rows
@@ -109,7 +109,7 @@ class Master:
                 raise StoppedRun(end, self._so_far()) from None  # before the first row
             self._end(end)
         except (SimulationError, KeyboardInterrupt, Terminated) as stop:
-            error = stopped(stop, float(self.time[max(0, self.done - 1)]))
+            error = stop_error(stop, float(self.time[max(0, self.done - 1)]))
             raise StoppedRun(error, self._so_far()) from None
         finally:
             for k, component in enumerate(self.components):

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from cosim.base.drafts import is_full
-from cosim.base.errors import CosimError, DiskFull, SimulationError, Terminated, stopped
-from cosim.base.scratch import Held, scratch
+from cosim.base.errors import CosimError, DiskFull, SimulationError, Terminated, stop_error
+from cosim.base.scratch import ScratchFolder, scratch
 from cosim.blocks.component import EndedEarly
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
@@ -199,7 +199,7 @@ def simulate_apart(
             ended = worker.call(simulate_rows, system, count - 1, h, table, limits, bool(observers), watch=watch)
             hold_stops()  # The rows must be saved.
         except (SimulationError, KeyboardInterrupt, Terminated) as stop:
-            ended = Ended(failure=stopped(stop, _reached(system, h, counters.made[0])))
+            ended = Ended(failure=stop_error(stop, _reached(system, h, counters.made[0])))
         except (CosimError, OSError, MemoryError):
             raise
         except Exception as error:  # An unexpected error of a library is no reason to lose the rows.
@@ -229,7 +229,7 @@ def _disk_full(time: float, count: int, rows: int) -> DiskFull:
     return DiskFull("the run", time, f"the disk is full: it has room for {count} of {rows} rows while the run lasts")
 
 
-def _room(folders: Sequence[Path], rows: int, width: int) -> tuple[Held, int]:
+def _room(folders: Sequence[Path], rows: int, width: int) -> tuple[ScratchFolder, int]:
     """Return a folder with the rows file, and its number of rows.
 
     The folder is beside the results, or elsewhere for lack of space. A full disk takes fewer rows.

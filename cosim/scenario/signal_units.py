@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cosim.base.errors import FmuError, InputError
-from cosim.base.units import allowed_quantity, computed_in, has_unit, read_quantity, split_quantity, squared
+from cosim.base.units import allowed_quantity, computed_in, has_unit, read_quantity, split_quantity, square_unit
 from cosim.blocks.description import read_description, unit_of
 from cosim.blocks.sources import playback
 from cosim.scenario import messages
@@ -41,7 +41,7 @@ class Measure(NamedTuple):
         if kind in {"value", "difference"}:
             return self.number(text, kind == "difference")
         units = {
-            "square": squared(self.unit),
+            "square": square_unit(self.unit),
             "rate": f"{self.unit or '1'}/s",
             "integral": f"{self.unit}.s".lstrip("."),
         }

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.drafts import is_full
-from cosim.base.errors import DiskFull, SimulationError, Terminated, stopped
+from cosim.base.errors import DiskFull, SimulationError, Terminated, stop_error
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import allocate
 from cosim.master.observer import Observer, ProgressObserver
@@ -178,7 +178,7 @@ def _keep_partial_results(
         return _write_what_fits(file, stepped.results, record, written, rows, stepped.failure)
     except (KeyboardInterrupt, Terminated) as stop:  # All files but the report are written.
         end = float(stepped.results.time[-1]) if len(stepped.results.time) else scenario.start_time
-        return stepped.failure or stopped(stop, end, "the report of the run")
+        return stepped.failure or stop_error(stop, end, "the report of the run")
     finally:
         hold_stops()  # The end must still be reported.
     return stepped.failure

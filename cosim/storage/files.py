@@ -16,7 +16,7 @@ from typing import Any, TextIO
 
 from cosim.base.drafts import draft_of, remove_drafts
 from cosim.base.errors import Fault, InputError, refuse
-from cosim.base.scratch import Held, scratch
+from cosim.base.scratch import ScratchFolder, scratch
 from cosim.storage import messages
 from cosim.storage.folder_lock import take_folder
 
@@ -143,7 +143,7 @@ def release_stops() -> None:
 @contextmanager
 def scratch_folder(beside: Path, prefix: str) -> Iterator[Path]:
     """Yield a new folder in `beside`, removed at the end. After a kill the next command removes the folder."""
-    folder: Held | None = None
+    folder: ScratchFolder | None = None
     try:
         with uninterrupted():
             folder = scratch(prefix, beside)
