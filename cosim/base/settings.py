@@ -51,7 +51,7 @@ def normalize_settings(values: Given | None, name: str = "set") -> Given:
         return dict(values)
     if isinstance(values, Sequence) and all(isinstance(v, str) for v in values):
         return tuple(values)
-    raise InputError.at(Path(name), messages.WRONG_SETTINGS(value=_shown(values), wanted=SETTINGS))
+    raise InputError.at(Path(name), messages.WRONG_SETTINGS(value=_represent(values), wanted=SETTINGS))
 
 
 def texts(values: Given | None, name: str = "set") -> Sequence[str]:
@@ -76,11 +76,11 @@ def plain(value: Any, depth: int = 0) -> Any:
             return _file(value)
         case Mapping():
             if wrong := [key for key in value if not isinstance(key, str)]:
-                raise ValueError(messages.WRONG_KEY(key=_shown(wrong[0])))
+                raise ValueError(messages.WRONG_KEY(key=_represent(wrong[0])))
             return {_text(key): plain(each, depth + 1) for key, each in value.items()}
         case list() | tuple():
             return [plain(each, depth + 1) for each in value]
-    raise ValueError(messages.WRONG_TYPE(value=_shown(value), type=type(value).__name__))
+    raise ValueError(messages.WRONG_TYPE(value=_represent(value), type=type(value).__name__))
 
 
 # -- accepted values of arguments ---------------------------------------------------------------------
@@ -121,7 +121,7 @@ def _argument(kinds: Sequence[str], value: Any) -> Any:
         if KINDS[kind].accepts(value):
             return KINDS[kind].convert(value)
     wanted = " or ".join(dict.fromkeys(filter(None, (KINDS[kind].description for kind in kinds))))
-    raise ValueError(messages.WRONG_ARGUMENT(value=_shown(value), wanted=wanted))
+    raise ValueError(messages.WRONG_ARGUMENT(value=_represent(value), wanted=wanted))
 
 
 def _of_python(value: Any) -> Any:
@@ -138,7 +138,7 @@ def _of_python(value: Any) -> Any:
 
 def _number(value: float) -> float:
     if not abs(value) < LARGEST:
-        raise ValueError(messages.LARGE_NUMBER(value=_shown(value), limit=LARGEST))
+        raise ValueError(messages.LARGE_NUMBER(value=_represent(value), limit=LARGEST))
     return value
 
 
@@ -146,7 +146,7 @@ def _finite(value: float, lowest: float = -math.inf, *, above: bool = False) -> 
     number = float(_number(value))
     if number < lowest or (above and number == lowest):
         wanted = f"a number above {lowest:g}" if above else f"a number from {lowest:g} on"
-        raise ValueError(messages.WRONG_ARGUMENT(value=_shown(value), wanted=wanted))
+        raise ValueError(messages.WRONG_ARGUMENT(value=_represent(value), wanted=wanted))
     return number
 
 
@@ -158,24 +158,24 @@ def _seconds(value: Any, lowest: float = -math.inf) -> float:
                 raise ValueError(allowed_quantity("s"))
             value = read_quantity(value, "s")
         except ValueError as error:
-            raise ValueError(messages.WRONG_TIME(value=_shown(value), reason=error)) from None
+            raise ValueError(messages.WRONG_TIME(value=_represent(value), reason=error)) from None
     return _finite(value, lowest, above=math.isfinite(lowest))
 
 
-def _whole(value: int, lowest: int | None = None) -> int:
+def _integer(value: int, lowest: int | None = None) -> int:
     if not -(2**63) <= value < 2**63 or (lowest is not None and value < lowest):
         wanted = "a whole number" if lowest is None else f"a whole number from {lowest} on"
-        raise ValueError(messages.WRONG_ARGUMENT(value=_shown(value), wanted=f"{wanted} of at most 18 digits"))
+        raise ValueError(messages.WRONG_ARGUMENT(value=_represent(value), wanted=f"{wanted} of at most 18 digits"))
     return value
 
 
 def _text(value: str) -> str:
     if "\0" in value:
-        raise ValueError(messages.NUL_CHARACTER(value=_shown(value)))
+        raise ValueError(messages.NUL_CHARACTER(value=_represent(value)))
     try:
         value.encode()
     except UnicodeEncodeError:
-        raise ValueError(messages.HALF_CHARACTER(value=_shown(value))) from None
+        raise ValueError(messages.HALF_CHARACTER(value=_represent(value))) from None
     if len(value) > MOST_TEXT:
         raise ValueError(messages.LONG_TEXT(length=len(value), limit=MOST_TEXT))
     return value
@@ -185,11 +185,11 @@ def _file(value: Any) -> Any:
     name = os.fspath(value)
     if not isinstance(name, str):
         wanted = "the name of a file or folder as text or a Path"
-        raise ValueError(messages.WRONG_ARGUMENT(value=_shown(value), wanted=wanted))
+        raise ValueError(messages.WRONG_ARGUMENT(value=_represent(value), wanted=wanted))
     if not _text(name).strip():
         raise ValueError(messages.BLANK_NAME())
     if len(name.encode()) > LONGEST_PATH or any(len(part.encode()) > LONGEST_NAME for part in re.split(r"[/\\]", name)):
-        raise ValueError(messages.LONG_NAME(name=_shown(name), limit=LONGEST_NAME))
+        raise ValueError(messages.LONG_NAME(name=_represent(name), limit=LONGEST_NAME))
     return name if isinstance(value, str) else Path(name)
 
 
@@ -246,9 +246,9 @@ TIME = 'a number of seconds{}, or text with a unit such as "4 min"'
 KINDS = {  # by annotation
     "None": Kind(_is(type(None)), _same, ""),
     "bool": Kind(_is(bool), _same, "True or False"),
-    "int": Kind(_is(int), _whole, "a whole number"),
-    "Seed": Kind(_is(int), lambda value: _whole(value, 0), "a whole number from 0 on"),
-    "Count": Kind(_is(int), lambda value: _whole(value, 1), "a whole number from 1 on"),
+    "int": Kind(_is(int), _integer, "a whole number"),
+    "Seed": Kind(_is(int), lambda value: _integer(value, 0), "a whole number from 0 on"),
+    "Count": Kind(_is(int), lambda value: _integer(value, 1), "a whole number from 1 on"),
     "float": Kind(_is(int, float), _finite, "a number"),
     "Positive": Kind(_is(int, float), lambda value: _finite(value, 0.0, above=True), "a number above 0"),
     "NotNegative": Kind(_is(int, float), lambda value: _finite(value, 0.0), "a number from 0 on"),
@@ -278,7 +278,7 @@ KINDS = {  # by annotation
 }
 
 
-def _shown(value: Any) -> str:
+def _represent(value: Any) -> str:
     """Return a short printable form for a message."""
     try:
         text = repr(value)

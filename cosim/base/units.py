@@ -29,7 +29,7 @@ def _sizes(exponents: Mapping[str, int], factors: Mapping[str, float]) -> dict[s
     return {symbol: Unit(exponents, factor) for symbol, factor in factors.items()}
 
 
-def _prefixed(symbol: str, prefixes: str, exponents: Mapping[str, int]) -> dict[str, Unit]:
+def _with_prefixes(symbol: str, prefixes: str, exponents: Mapping[str, int]) -> dict[str, Unit]:
     """Return a symbol's unit, alone and with each prefix."""
     sizes = {"n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
     return {symbol: Unit(exponents)} | {p + symbol: Unit(exponents, sizes[p]) for p in prefixes}
@@ -52,26 +52,26 @@ SYMBOLS: dict[str, Unit] = {
     **_sizes(MASS, {"kg": 1.0, "g": 1e-3, "mg": 1e-6, "t": 1e3}),
     **_sizes(ANGLE, {"deg": math.pi / 180.0, "°": math.pi / 180.0, "rad": 1.0, "mrad": 1e-3, "rev": 2.0 * math.pi}),
     "rpm": Unit({"rad": 1, "s": -1}, math.pi / 30.0),
-    **_prefixed("Hz", "kM", {"s": -1}),
+    **_with_prefixes("Hz", "kM", {"s": -1}),
     **_sizes(FORCE, {"N": 1.0, "mN": 1e-3, "kN": 1e3, "gf": 0.00980665, "kgf": 9.80665}),
-    **_prefixed("Pa", "kM", PRESSURE),
+    **_with_prefixes("Pa", "kM", PRESSURE),
     **_sizes(PRESSURE, {"bar": 1e5, "mbar": 1e2, "hPa": 1e2}),
-    **_prefixed("J", "mkM", {"kg": 1, "m": 2, "s": -2}),
-    **_prefixed("W", "mkM", {"kg": 1, "m": 2, "s": -3}),
-    **_prefixed("A", "uµmk", {"A": 1}),
-    **_prefixed("C", "uµm", {"A": 1, "s": 1}),
-    **_prefixed("V", "uµmk", VOLTAGE),
-    **_prefixed("ohm", "mkM", RESISTANCE),
-    **_prefixed("Ω", "mkM", RESISTANCE),
-    **_prefixed("S", "m", {"kg": -1, "m": -2, "s": 3, "A": 2}),
-    **_prefixed("H", "uµm", {"kg": 1, "m": 2, "s": -2, "A": -2}),
-    **_prefixed("F", "nuµm", {"kg": -1, "m": -2, "s": 4, "A": 2}),
-    **_prefixed("Wb", "m", {"kg": 1, "m": 2, "s": -2, "A": -1}),
-    **_prefixed("T", "m", {"kg": 1, "s": -2, "A": -1}),
-    **_prefixed("K", "m", {"K": 1}),
+    **_with_prefixes("J", "mkM", {"kg": 1, "m": 2, "s": -2}),
+    **_with_prefixes("W", "mkM", {"kg": 1, "m": 2, "s": -3}),
+    **_with_prefixes("A", "uµmk", {"A": 1}),
+    **_with_prefixes("C", "uµm", {"A": 1, "s": 1}),
+    **_with_prefixes("V", "uµmk", VOLTAGE),
+    **_with_prefixes("ohm", "mkM", RESISTANCE),
+    **_with_prefixes("Ω", "mkM", RESISTANCE),
+    **_with_prefixes("S", "m", {"kg": -1, "m": -2, "s": 3, "A": 2}),
+    **_with_prefixes("H", "uµm", {"kg": 1, "m": 2, "s": -2, "A": -2}),
+    **_with_prefixes("F", "nuµm", {"kg": -1, "m": -2, "s": 4, "A": 2}),
+    **_with_prefixes("Wb", "m", {"kg": 1, "m": 2, "s": -2, "A": -1}),
+    **_with_prefixes("T", "m", {"kg": 1, "s": -2, "A": -1}),
+    **_with_prefixes("K", "m", {"K": 1}),
     **{symbol: Unit({"K": 1}, 1.0, ZERO_CELSIUS) for symbol in ("degC", "°C")},
     **{symbol: Unit({"K": 1}, 5.0 / 9.0, ZERO_FAHRENHEIT) for symbol in ("degF", "°F")},
-    **_prefixed("mol", "m", {"mol": 1}),
+    **_with_prefixes("mol", "m", {"mol": 1}),
     "cd": Unit({"cd": 1}),
     **_sizes({"m": 3}, {"l": 1e-3, "L": 1e-3, "ml": 1e-6, "mL": 1e-6}),
 }
@@ -240,10 +240,10 @@ def coherent(written: str) -> str:
         same = symbol if unit.is_coherent else next(sizes, "")
         for name, count in {same: 1}.items() if same else unit.exponents.items():
             powers[name] = powers.get(name, 0) + power * count
-    return _written(powers)
+    return _unit_text(powers)
 
 
-def _written(powers: Mapping[str, int]) -> str:
+def _unit_text(powers: Mapping[str, int]) -> str:
     """Return the text of symbols with powers."""
     above, below = ([_power(n, abs(p)) for n, p in powers.items() if n != "1" and p * s > 0] for s in (1, -1))
     return ".".join(above or ["1"]) + "".join(f"/{name}" for name in below)
@@ -258,7 +258,7 @@ def square_unit(unit: str) -> str:
     powers: dict[str, int] = {}
     for symbol, power in _words(unit) or ():
         powers[symbol] = powers.get(symbol, 0) + 2 * power
-    return _written(powers) if powers else ""
+    return _unit_text(powers) if powers else ""
 
 
 def computed_in(displayed: str) -> tuple[str, float]:

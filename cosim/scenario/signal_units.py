@@ -98,13 +98,13 @@ def _measure(data: Mapping[str, Any], signal: str, resolve: Resolve) -> Measure 
             return _of_fmu(resolve(file), name)
         if component.get("block") == "playback" and isinstance(file := component.get("file"), str):
             units = {s.name: s.unit for s in playback(owner, resolve(file), (name,)).outputs}
-            return _plain(units[name]) if name in units else None
+            return _measure_in(units[name]) if name in units else None
     except (FmuError, InputError, OSError, ValueError):
         return None
     about = _part(component, "signals", name) or _part(component, "signals", name.removesuffix("_meas"))
     unit = about.get("unit", "") if isinstance(about, dict) else None
     is_reference = component.get("block") == "reference"
-    return _plain(computed_in(unit)[0] if is_reference else unit) if isinstance(unit, str) else None
+    return _measure_in(computed_in(unit)[0] if is_reference else unit) if isinstance(unit, str) else None
 
 
 def _of_fmu(path: Path, name: str) -> Measure | None:
@@ -123,7 +123,7 @@ def _of_fmu(path: Path, name: str) -> Measure | None:
     return Measure(unit_of(variable), number)
 
 
-def _plain(unit: str) -> Measure:
+def _measure_in(unit: str) -> Measure:
     return Measure(unit, lambda text, difference: read_quantity(text, unit, difference=difference))
 
 
@@ -147,7 +147,7 @@ def _of_faults(data: Mapping[str, Any]) -> Iterator[Place]:
         if isinstance(target := fault.get("on"), str):
             at = ("faults", k, "value")
             kind = "value" if fault.get("kind") == "stuck" else "difference"
-            yield Place(at, _plain("1") if fault.get("kind") == "scale" else target, kind)
+            yield Place(at, _measure_in("1") if fault.get("kind") == "scale" else target, kind)
 
 
 def _of_criteria(data: Mapping[str, Any]) -> Iterator[Place]:
@@ -163,7 +163,7 @@ def _of_criteria(data: Mapping[str, Any]) -> Iterator[Place]:
                 yield Place((*at, "to"), signal, "value")
             yield Place((*at, "band"), signal, "difference")
             if kind == "settling_time":
-                yield Place((*at, "max"), _plain("s"), "value")
+                yield Place((*at, "max"), _measure_in("s"), "value")
             elif kind == "effort":
                 yield Place((*at, "max"), signal, "integral")
             else:  # A peak without a target is a value: at most 80 degC.
@@ -179,7 +179,7 @@ def _of_components(data: Mapping[str, Any]) -> Iterator[Place]:
             if not isinstance(unit, str):
                 continue
             at: Location = ("components", name, "signals", signal)
-            measure = _plain(unit)  # The written unit; degrees become radians later.
+            measure = _measure_in(unit)  # The written unit; degrees become radians later.
             yield Place((*at, "start"), measure, "value")
             for k, _ in _entries(about.get("changes")):
                 yield Place((*at, "changes", k, "to"), measure, "value")

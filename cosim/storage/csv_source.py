@@ -8,6 +8,7 @@ import math
 import re
 from array import array
 from collections.abc import Callable, Collection, Container, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -137,7 +138,8 @@ class _Cells:
         self.line, self.plain, self.whole = 1, True, False
         self._text = _lines(stream)
         self._rows, self._above = csv.reader(self._text), 0  # rows, and the number of lines read by an earlier reader
-        self._read(self._read_header)
+        with self._noting_faults():
+            self._read_header()
 
     def _read_header(self) -> None:
         header = next(filter(_has_text, self._rows), [])
@@ -155,26 +157,26 @@ class _Cells:
 
     def rows(self, keep: Callable[[int, list[str]], None]) -> None:
         """Pass each row of the right length with its line to `keep`. Other rows are noted as faults."""
-        self._read(lambda: self._read_rows(keep))
-
-    def _read_rows(self, keep: Callable[[int, list[str]], None]) -> None:
         faults, width = self.faults, len(self.header)
-        for row in filter(_has_text, self._rows):
-            if len(row) == width:
-                keep(self._line(), row)
-            else:
-                template = messages.ROW_WITH_DECIMAL_COMMAS if len(row) == 2 * width else messages.ROW_OF_OTHER_LENGTH
-                message = template(cells=counted(len(row), "cell"), header=width)
-                faults.note_cell(self._line(), 1, "rows of another length", message)
-            if faults.is_full:
-                faults.note(self._line(), 1, messages.UNREAD_REST())
-                return
-        self.whole = True
+        with self._noting_faults():
+            for row in filter(_has_text, self._rows):
+                if len(row) == width:
+                    keep(self._line(), row)
+                else:
+                    is_cut = len(row) == 2 * width
+                    template = messages.ROW_WITH_DECIMAL_COMMAS if is_cut else messages.ROW_OF_OTHER_LENGTH
+                    message = template(cells=counted(len(row), "cell"), header=width)
+                    faults.note_cell(self._line(), 1, "rows of another length", message)
+                if faults.is_full:
+                    faults.note(self._line(), 1, messages.UNREAD_REST())
+                    return
+            self.whole = True
 
-    def _read(self, read: Callable[[], None]) -> None:
-        """Call a function that reads lines, and note the fault of an unreadable line."""
+    @contextmanager
+    def _noting_faults(self) -> Iterator[None]:
+        """Note the fault of an unreadable line, which ends the block."""
         try:
-            read()
+            yield
         except _BadLine as error:
             self.faults.note(self._line() + 1, 1, str(error))
         except csv.Error as error:
@@ -323,7 +325,7 @@ class _Reader:
             return math.nan
         elif column.role and math.isnan(value):
             note_missing(self.faults, line, column)
-        return float(column.converted(value))
+        return float(column.convert(value))
 
 
 def _no_number(text: str, column: Column) -> tuple[str, Message]:

@@ -83,7 +83,7 @@ def kind_by_form(path: Path) -> str | None:
         or kind_where(lambda a: a.beside and _is_named(path, a.beside))
         or _table(form)
         or kind_where(lambda a: form.ending in a.endings)
-        or _undeclared(form)
+        or _other_kind(form)
     )
 
 
@@ -98,7 +98,7 @@ def _table(form: Form) -> str | None:
     return (_by_keys(form.path) or LOG) if _has_keys(form.text) else None
 
 
-def _undeclared(form: Form) -> str | None:
+def _other_kind(form: Form) -> str | None:
     """Return the kind of an undeclared file; None if undecided."""
     if b"\0" in form.head and form.ending not in WRITTEN and not form.head.startswith(UTF_16):
         return BINARY

@@ -99,7 +99,7 @@ def _column(name: str, unit: str, column: Any, *, is_text: bool) -> SourceColumn
         column = column.cast(column.type.value_type)
     for tests, values in READERS:
         if any(getattr(types, f"is_{test}")(column.type) for test in tests.split()):
-            return SourceColumn(name, unit, _texts(column) if is_text and values is _whole else values(column))
+            return SourceColumn(name, unit, _texts(column) if is_text and values is _integers else values(column))
     return SourceColumn(name, unit, fault=_no_numbers(types, column.type))
 
 
@@ -107,7 +107,7 @@ def _texts(column: Any) -> list[str]:
     return ["" if value is None else str(value) for value in column.to_pylist()]
 
 
-def _whole(column: Any) -> Array | NDArray[np.int64]:
+def _integers(column: Any) -> Array | NDArray[np.int64]:
     """Return whole numbers; doubles if values are missing or too large."""
     is_safe = not column.null_count and str(column.type) != "uint64"
     return column.to_numpy().astype(np.int64) if is_safe else _doubles(column)
@@ -121,7 +121,7 @@ def _doubles(column: Any) -> Array:
 
 READERS: tuple[tuple[str, Callable[[Any], Any]], ...] = (  # column types and their conversions
     ("floating null", _doubles),
-    ("boolean integer", _whole),
+    ("boolean integer", _integers),
     ("string large_string", _texts),
     ("binary large_binary fixed_size_binary", lambda column: [(v or b"").hex() for v in column.to_pylist()]),
 )

@@ -66,7 +66,7 @@ class Column:
         """Return the name of the column."""
         return self.heading.name
 
-    def converted(self, value: Any) -> Any:
+    def convert(self, value: Any) -> Any:
         """Return a number or array in the wanted unit. Without offset, a negative zero keeps its sign."""
         scaled = value * self.factor
         return scaled + self.offset if self.offset else scaled

@@ -135,29 +135,22 @@ def fill(table: Table, columns: Sequence[SourceColumn], lines: Sequence[int], fa
         values = np.full(len(lines), np.nan)
         if source.numeric:
             values[:] = source.values
-        else:
-            _note_no_numbers(table, column, source, faults)
         if column.spare:
-            if not np.isfinite(values).all():
+            if not (source.numeric and np.isfinite(values).all()):
                 table.spoiled.add(column.name)
         elif source.numeric:
             _note_values(column, values, lines, faults)
-        converted: Array = column.converted(values)
+        else:
+            reason = source.fault or "holds text; write numbers"
+            message = messages.COLUMN_WITHOUT_NUMBERS(column=column.name, reason=reason)
+            faults.note_cell(1, column.cell, f"cells of {column.name} that are no number", message)
+        numbers: Array = column.convert(values)
         if timed and column.name == "time" and not column.spare:
-            for row in (np.flatnonzero(np.diff(converted) <= 0.0) + 1).tolist():
-                note_backwards(faults, lines[row], float(converted[row]), float(converted[row - 1]))
-        table.values[column.name] = array("d", converted.tobytes())
+            for row in (np.flatnonzero(np.diff(numbers) <= 0.0) + 1).tolist():
+                note_backwards(faults, lines[row], float(numbers[row]), float(numbers[row - 1]))
+        table.values[column.name] = array("d", numbers.tobytes())
     table.lines = array("q", lines)
     table.whole = True
-
-
-def _note_no_numbers(table: Table, column: Column, source: SourceColumn, faults: Faults) -> None:
-    if column.spare:
-        table.spoiled.add(column.name)
-    else:
-        reason = source.fault or "holds text; write numbers"
-        message = messages.COLUMN_WITHOUT_NUMBERS(column=column.name, reason=reason)
-        faults.note_cell(1, column.cell, f"cells of {column.name} that are no number", message)
 
 
 def _note_values(column: Column, values: Array, lines: Sequence[int], faults: Faults) -> None:

@@ -396,7 +396,7 @@ def _allowed_keys(model: type[BaseModel], places: Sequence[str | int]) -> tuple[
             tag, branches = str(step), alternatives
             annotation = branches[tag]
             continue
-        inner = _plain(annotation)
+        inner = _without_metadata(annotation)
         field = getattr(inner, "model_fields", {}).get(step)
         annotation = field.annotation if field is not None else (get_args(inner) or (inner,))[-1]
         branches = {}
@@ -410,16 +410,16 @@ def _keys(annotation: Any) -> list[str]:
     return [f.alias or name for name, f in fields.items()]
 
 
-def _plain(annotation: Any) -> Any:
+def _without_metadata(annotation: Any) -> Any:
     """Return an annotation without metadata."""
-    return _plain(get_args(annotation)[0]) if get_origin(annotation) is Annotated else annotation
+    return _without_metadata(get_args(annotation)[0]) if get_origin(annotation) is Annotated else annotation
 
 
 def _branches(annotation: Any) -> dict[str, Any]:
     """Return the branches of a union by tag."""
     return {
         mark.tag: branch
-        for branch in get_args(_plain(annotation))
+        for branch in get_args(_without_metadata(annotation))
         for mark in getattr(branch, "__metadata__", ())
         if isinstance(mark, Tag)
     }
