@@ -10,9 +10,12 @@ STEP_NOT_A_DIVISOR = Template(
     "E-SCN-004",
     "step is {step:g} s; use a whole divisor of duration {duration:g} s, {divisor:.6g} s for one",
 )
-NO_BAND = Template("E-SCN-005", "{kind} needs a band")
-NEEDLESS_BAND = Template("E-SCN-006", "{kind} takes no band")
-INTERVAL_OUTSIDE = Template("E-SCN-007", "{kind} looks from {start:g} s to {end:g} s of {duration:g} s")
+NO_BAND = Template("E-SCN-005", "{kind} needs a band; add the allowed distance from its target")
+NEEDLESS_BAND = Template("E-SCN-006", "{kind} takes no band; leave it out")
+INTERVAL_OUTSIDE = Template(
+    "E-SCN-007",
+    "{kind} looks from {start:g} s to {end:g} s of {duration:g} s; choose times within the run, a step or more apart",
+)
 UNKNOWN_UNIT = Template("E-SCN-008", "{name} is {value}: the unit of {signal} is not known; write a number alone")
 
 # -- overrides ------------------------------------------------------------------------------------
