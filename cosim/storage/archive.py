@@ -94,7 +94,8 @@ def unpack(path: Path, folder: Path, kind: Contents = FMU) -> None:
         size = sum(member.file_size for member in archive.infolist())  # zipfile never unpacks more than that.
         if size > MOST_OF_FREE * shutil.disk_usage(folder).free:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
-        archive.extractall(folder)
+        for member in archive.infolist():
+            archive.extract(member, folder)
 
     _read(path, all_of, kind)
 
