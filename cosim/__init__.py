@@ -23,9 +23,9 @@ def __getattr__(name: str) -> Any:
     if name.startswith("_") or (place := _functions().get(name)) is None:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from cosim.base.registry import resolve
-    from cosim.base.settings import checked
+    from cosim.base.settings import check_arguments
 
-    globals()[name] = checked(resolve(place))
+    globals()[name] = check_arguments(resolve(place))
     return globals()[name]
 
 

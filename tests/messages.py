@@ -32,7 +32,7 @@ def message_modules() -> Iterator[ModuleType]:
     for package in PACKAGES:
         place = ROOT / package
         for found in sorted(info.name for info in pkgutil.walk_packages([str(place)], f"{package}.")):
-            if found.rpartition(".")[2] == "messages" and found != "cosim.base.messages":
+            if found.rpartition(".")[2] == "messages":
                 yield importlib.import_module(found)
 
 
@@ -45,7 +45,7 @@ def page() -> str:
     """Return docs/messages.md."""
     parts = [HEAD]
     for module in message_modules():
-        title = (module.__doc__ or "").strip().rstrip(".").removeprefix("Messages of ")
+        title = (module.__doc__ or "").partition("\n")[0].rstrip(".").removeprefix("Messages of ")
         rows = sorted((t.code, t.text) for t in templates(module).values())
         cells = [f"| {code} | {text.replace('|', chr(92) + '|')} |" for code, text in rows]
         parts.append("\n".join([f"## {title[:1].upper()}{title[1:]}\n", "| code | message |", "|---|---|", *cells, ""]))

@@ -17,7 +17,7 @@ from cosim.logs.log import Log, read_column_names, read_log
 from cosim.model.traits import rate_of
 from cosim.residuals.drive import model_signals
 from cosim.storage import csv_source
-from cosim.storage.table_columns import FAULTS_A_KIND, parted
+from cosim.storage.table_columns import FAULTS_A_KIND, split_heading
 from plant.hovercraft import INPUTS, OUTPUTS
 from tests.logs import MOVING, fly, measured, times, write_log
 
@@ -249,7 +249,7 @@ def test_texts_of_columns_are_a_column_and_a_variable(tmp_path: Path) -> None:
 def test_brackets_of_a_name_are_told_from_those_of_a_unit(
     text: str, names: tuple[str, ...], name: str, unit: str
 ) -> None:
-    assert parted(text, names) == (name, unit)
+    assert split_heading(text, names) == (name, unit)
 
 
 def test_thousands_of_faulty_cells_are_counted_not_listed(tmp_path: Path) -> None:
@@ -274,7 +274,7 @@ def test_a_gigabyte_is_refused_before_it_is_read(tmp_path: Path, monkeypatch: py
     with path.open("wb") as stream:
         stream.truncate(1_000_000_000)  # sparse: takes no room
 
-    monkeypatch.setattr(csv_source, "_opened", lambda path: pytest.fail("it was opened"))
+    monkeypatch.setattr(csv_source, "_open", lambda path: pytest.fail("it was opened"))
     with pytest.raises(InputError, match=r"1000 MB, more than the 200 MB .* cut it into pieces"):
         read_log(path, INPUTS, OUTPUTS)
 

@@ -23,7 +23,7 @@ from cosim.base.errors import Crashed, DiskFull, FmuError, InputError, Simulatio
 from cosim.base.scratch import LOCK, scratch, sweep
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
-from cosim.isolation.rows import BesideFile, read_beside
+from cosim.isolation.rows import ExactFile, read_exact
 from cosim.isolation.worker import PROGRESS
 from cosim.residuals.drive import StoppedReplay, log_of_fmu
 from cosim.residuals.remote_drive import DriveApart
@@ -520,15 +520,15 @@ def test_a_limit_that_is_none_is_refused_at_its_place(tmp_path: Path, value: str
 
 def test_what_no_double_holds_is_read_back_as_far_as_it_is_whole(tmp_path: Path) -> None:
     path, rows = tmp_path / "beside", [(2**63 - 1, "a,b\n", b"\0\xff"), (-(2**63), "", b""), (0, "ψ", b"1")]
-    kept = BesideFile(path)
+    kept = ExactFile(path)
     for row in rows:
         kept.append(row)
     kept.close()
-    assert read_beside(path, 3) == rows
-    assert read_beside(path, 2) == rows[:2]
+    assert read_exact(path, 3) == rows
+    assert read_exact(path, 2) == rows[:2]
     path.write_bytes(path.read_bytes()[:-3])  # a process that ended while it wrote
-    assert read_beside(path, 3) == rows[:2]
-    assert read_beside(tmp_path / "none", 3) == []
+    assert read_exact(path, 3) == rows[:2]
+    assert read_exact(tmp_path / "none", 3) == []
 
 
 # -- the worker itself ----------------------------------------------------------------------------

@@ -358,9 +358,9 @@ def test_a_very_long_message_is_cut_and_very_many_faults_end_the_search() -> Non
     diagnosis.raise_any()
     for length in (LONGEST, LONGEST + 1):
         diagnosis.note((), "x" * length)
-        assert len(diagnosis.found[-1].message) == LONGEST
-    assert diagnosis.found[-2].message[-1] == "x"
-    assert diagnosis.found[-1].message[-1] == "…"
+        assert len(diagnosis.faults[-1].message) == LONGEST
+    assert diagnosis.faults[-2].message[-1] == "x"
+    assert diagnosis.faults[-1].message[-1] == "…"
     for k in range(MOST_FAULTS - 3):
         diagnosis.note((), "y" * k)
     with pytest.raises(InputError) as raised:

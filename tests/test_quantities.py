@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 import cosim
 from cosim.base.errors import InputError
-from cosim.base.units import conversion, factor, parse, read_quantity, squared, unit_definitions
+from cosim.base.units import conversion, factor, parse, read_quantity, square_unit, unit_definitions
 from cosim.blocks.component import Signal
 from cosim.comparison.differences import compare_runs
 from cosim.loading.file import read_model
@@ -106,7 +106,7 @@ def test_what_is_no_such_quantity_is_told_with_what_is_allowed(text: str, unit: 
 
 def test_the_square_of_a_unit_has_its_exponents_twice() -> None:
     for unit in ("rad", "m/s2", "N.m.s/rad", "deg/s"):
-        once, twice = parse(unit), parse(squared(unit))
+        once, twice = parse(unit), parse(square_unit(unit))
         assert once is not None
         assert twice is not None
         assert twice.exponents == {name: 2 * power for name, power in once.exponents.items()}

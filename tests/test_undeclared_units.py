@@ -11,7 +11,7 @@ import pytest
 import cosim
 from cosim.base.errors import InputError
 from cosim.base.messages import Message
-from cosim.base.units import SYMBOLS, Taken, assume_si, coherent, factor, parse
+from cosim.base.units import SYMBOLS, UnitAssumption, assume_si, coherent, factor, parse
 from cosim.blocks.component import Signal
 from cosim.blocks.sources import playback
 from cosim.logs.finding import Finding
@@ -299,4 +299,4 @@ def test_a_fault_of_a_column_stands_at_its_cell_behind_columns_that_are_not_read
 def test_how_numbers_are_taken_is_what_factor_says() -> None:
     found = assume_si("rpm")
     assert (found.unit, found.factor) == ("rad/s", factor("rpm", "rad/s"))
-    assert assume_si("rad/s") == Taken("rad/s")
+    assert assume_si("rad/s") == UnitAssumption("rad/s")

@@ -23,12 +23,12 @@ from cosim.base.errors import Crashed, InputError, SimulationError
 from cosim.isolation import process, worker
 from cosim.isolation.limits import BYTES, Limits, read_limits
 from cosim.isolation.memory import resident
-from cosim.isolation.process import Worker, _Printed
+from cosim.isolation.process import Worker, _Output
 from cosim.isolation.rows import (
     ADVANCE,
     CALLS,
     NOTHING,
-    BesideFile,
+    ExactFile,
     Rows,
     allocate,
     mapped_progress,
@@ -36,7 +36,7 @@ from cosim.isolation.rows import (
     read_table,
 )
 from cosim.isolation.watch import Watch
-from cosim.isolation.worker import Said, _along, _restore, _sent
+from cosim.isolation.worker import SharedLog, _pickled_error, _registered_folders, _restore
 
 
 def test_a_table_in_a_file_is_read_back_as_far_as_asked_for(tmp_path: Path) -> None:
@@ -70,7 +70,7 @@ def test_progress_is_the_same_for_both_who_map_it(tmp_path: Path) -> None:
 
 
 def test_a_row_that_is_not_written_whole_is_a_full_disk(tmp_path: Path) -> None:
-    kept: Any = BesideFile(tmp_path / "beside")
+    kept: Any = ExactFile(tmp_path / "beside")
     kept.append(("a",))
     kept.close()
     kept._stream = SimpleNamespace(write=lambda content: len(content) - 1)
@@ -125,9 +125,9 @@ def test_what_a_process_holds_is_asked_of_ps_on_other_systems(monkeypatch: pytes
 
 
 def test_what_is_printed_is_passed_on_up_to_a_bound_and_its_end_is_kept(capsys: pytest.CaptureFixture[str]) -> None:
-    def printed(content: bytes) -> _Printed:
+    def printed(content: bytes) -> _Output:
         reading, writing = os.pipe()
-        found = _Printed(os.fdopen(reading, "rb"))
+        found = _Output(os.fdopen(reading, "rb"))
         with os.fdopen(writing, "wb") as stream:
             stream.write(content)
         found.join()
@@ -136,13 +136,13 @@ def test_what_is_printed_is_passed_on_up_to_a_bound_and_its_end_is_kept(capsys: 
     assert printed(b"one\n two \n\n").last_line() == "two"
     assert capsys.readouterr().err == "one\n two \n\n"
     assert printed(b"").last_line() == ""
-    long = printed(b"x" * process.SHOWN + b"y" * process.KEPT)
-    assert long.last == b"y" * process.KEPT
+    long = printed(b"x" * process.MOST_OUTPUT + b"y" * process.LAST_OUTPUT)
+    assert long.last == b"y" * process.LAST_OUTPUT
     told = capsys.readouterr().err
-    assert told.count("x") == process.SHOWN
+    assert told.count("x") == process.MOST_OUTPUT
     assert "y" not in told
     assert told.endswith("(the FMUs print more, which is left out)\n")
-    printed(b"x" * (process.SHOWN - 1))
+    printed(b"x" * (process.MOST_OUTPUT - 1))
     assert "left out" not in capsys.readouterr().err
 
 
@@ -150,7 +150,7 @@ def test_the_last_words_of_an_fmu_are_one_line_of_511_bytes() -> None:
     mapped: Any = SimpleNamespace(words=b"")
     worker.progress = mapped
     try:
-        words = Said(maxlen=2)
+        words = SharedLog(maxlen=2)
         for text in ("a", "b\n  c", "d" * 600):
             words.append(text)
             assert mapped.words == " ".join(text.split()).encode()[:511]
@@ -163,13 +163,13 @@ def test_an_error_is_sent_as_itself_and_where_it_cannot_be_as_its_words() -> Non
     class Local(Exception):
         pass
 
-    own: Any = pickle.loads(_sent(SimulationError("a", 1.5, "why"), "place"))
+    own: Any = pickle.loads(_pickled_error(SimulationError("a", 1.5, "why"), "place"))
     assert own[0] is None
     assert (str(own[1]), getattr(own[1], "__notes__", [])) == ("a at t = 1.5 s: why", [])
-    foreign = pickle.loads(_sent(KeyError("k"), "place"))[1]
+    foreign = pickle.loads(_pickled_error(KeyError("k"), "place"))[1]
     assert isinstance(foreign, KeyError)
     assert foreign.__notes__ == ["in a worker:\nplace"]
-    plain = pickle.loads(_sent(Local("x"), "place"))[1]
+    plain = pickle.loads(_pickled_error(Local("x"), "place"))[1]
     assert (type(plain), str(plain), plain.__notes__) == (RuntimeError, "Local: x", ["in a worker:\nplace"])
 
 
@@ -183,9 +183,9 @@ def test_the_environment_is_as_the_caller_has_it(monkeypatch: pytest.MonkeyPatch
 
 
 def test_folders_to_take_along_are_read_as_they_were_written(tmp_path: Path) -> None:
-    assert _along(tmp_path) == []
+    assert _registered_folders(tmp_path) == []
     (tmp_path / worker.ALONG).write_text("/a b\0/c\0")
-    assert _along(tmp_path) == [Path("/a b"), Path("/c")]
+    assert _registered_folders(tmp_path) == [Path("/a b"), Path("/c")]
 
 
 # -- folders ----------------------------------------------------------------------------------------

@@ -24,7 +24,7 @@ from cosim.coupling.algorithms import DEFAULT, WITHOUT_ORDER, Algorithm
 from cosim.coupling.order import AlgebraicLoop
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.storage.files import check_writable
-from cosim.storage.folders import MOST_BYTES, check_ours, keep_earlier
+from cosim.storage.folders import MOST_BYTES, check_run_folder, keep_earlier
 from cosim.storage.kinds import LOG, check_given
 from cosim.storage.table import read_columns
 from cosim.system.system import System, build_system
@@ -70,7 +70,7 @@ def write_single(
     """
     (part,) = parts_of([fmu], start)
     path = folder / "scenario.yaml"
-    check_ours(folder, part.name, force=force, keep=keep)
+    check_run_folder(folder, part.name, force=force, keep=keep)
     earlier = _read_earlier(path) if path.is_file() else BY.format("simulate")
     if not earlier.startswith(BY.format("simulate")) or (is_edited(earlier) and not keep):
         raise InputError.at(path, messages.SCENARIO_EDITED())

@@ -33,12 +33,12 @@ def draft_of(path: Path) -> Iterator[Path]:
         try:
             draft.replace(path)
         except OSError as error:
-            kept = path.with_name(f"{path.stem}-kept{path.suffix}")
+            copy = path.with_name(f"{path.stem}-kept{path.suffix}")
             try:
-                draft.replace(kept)
+                draft.replace(copy)
             except OSError:
                 raise error from None
-            reason = f"cannot be replaced ({error.strerror}); what was to take its place is {kept}"
+            reason = f"cannot be replaced ({error.strerror}); what was to take its place is {copy}"
             raise OSError(error.errno, reason, str(path)) from None
     finally:
         draft.unlink(missing_ok=True)

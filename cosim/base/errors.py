@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cosim.base import messages
 from cosim.base.messages import Message, code_of
 
 
@@ -75,10 +76,10 @@ class NotExecuted(CosimError):
 
     def __init__(self, file: Path) -> None:
         self.file = file
-        super().__init__(file)
+        super().__init__(messages.PYTHON_FILE(file=file))
 
-    def __str__(self) -> str:
-        return f"{self.file} is Python, which is not executed here"
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.file,)
 
 
 class FmuError(CosimError):
@@ -152,16 +153,16 @@ class Terminated(BaseException):
     exit_code = 4
 
     def __init__(self, signal: str = "SIGTERM") -> None:
-        super().__init__(f"ended by {signal}")
+        super().__init__(messages.END_BY_SIGNAL(signal=signal))
 
 
-def stopped(stop: BaseException, now: float, what: str = "the run") -> SimulationError:
+def stop_error(stop: BaseException, now: float, subject: str = "the run") -> SimulationError:
     """Return the error of a run stopped at `now` [s]."""
     if isinstance(stop, SimulationError):
         return stop
     if isinstance(stop, KeyboardInterrupt):
-        return Interrupted(what, now, "interrupted from the keyboard")
-    return Signalled(what, now, str(stop))
+        return Interrupted(subject, now, messages.INTERRUPTION())
+    return Signalled(subject, now, str(stop))
 
 
 class CriterionMissed(CosimError):

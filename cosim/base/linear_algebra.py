@@ -7,6 +7,10 @@ step, no gain, no correction.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
 import numpy as np
 
 from cosim.base.arrays import Array
@@ -14,22 +18,14 @@ from cosim.base.arrays import Array
 
 def least_squares(matrix: Array, side: Array, rcond: float | None = None) -> Array:
     """Return the least-squares solution of minimum norm."""
-    if _finite(matrix, side):
-        try:
-            return np.asarray(np.linalg.lstsq(matrix, side, rcond=rcond)[0])
-        except np.linalg.LinAlgError:  # the iteration did not converge
-            pass
-    return np.zeros((matrix.shape[1], *side.shape[1:]))
+    result = _result(lambda a, b: np.linalg.lstsq(a, b, rcond=rcond)[0], matrix, side)
+    return np.zeros((matrix.shape[1], *side.shape[1:])) if result is None else result
 
 
 def pseudo_inverse(matrix: Array) -> Array:
     """Return the pseudo-inverse."""
-    if _finite(matrix):
-        try:
-            return np.asarray(np.linalg.pinv(matrix))
-        except np.linalg.LinAlgError:
-            pass
-    return np.zeros(matrix.shape[::-1])
+    result = _result(np.linalg.pinv, matrix)
+    return np.zeros(matrix.shape[::-1]) if result is None else result
 
 
 def solution(matrix: Array, side: Array) -> Array:
@@ -37,12 +33,8 @@ def solution(matrix: Array, side: Array) -> Array:
 
     The least-squares solution replaces the solution of singular equations.
     """
-    if _finite(matrix, side):
-        try:
-            return np.asarray(np.linalg.solve(matrix, side))
-        except np.linalg.LinAlgError:
-            pass
-    return least_squares(matrix, side)
+    result = _result(np.linalg.solve, matrix, side)
+    return least_squares(matrix, side) if result is None else result
 
 
 def orthonormal(columns: Array) -> Array:
@@ -60,13 +52,13 @@ def square_roots(covariances: Array) -> Array:
 
 def eigenvalues(matrix: Array) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:
     """Return the eigenvalues; none of a non-finite matrix."""
-    if matrix.size and _finite(matrix):
-        try:
-            return np.linalg.eigvals(matrix).astype(np.complex128)
-        except np.linalg.LinAlgError:
-            pass
-    return np.zeros(0, np.complex128)
+    result = _result(np.linalg.eigvals, matrix) if matrix.size else None
+    return np.zeros(0, np.complex128) if result is None else result.astype(np.complex128)
 
 
-def _finite(*arrays: Array) -> bool:
-    return all(bool(np.isfinite(a).all()) for a in arrays)
+def _result(function: Callable[..., Any], *arrays: Array) -> Any:
+    """Return the result of a function of LAPACK; None for non-finite arrays, or if the iteration does not converge."""
+    if all(np.isfinite(array).all() for array in arrays):
+        with suppress(np.linalg.LinAlgError):
+            return np.asarray(function(*arrays))
+    return None

@@ -76,14 +76,14 @@ def ending_when_stuck(patience: float = 5.0) -> Iterator[None]:
         return
     reader, writer = socket.socketpair()
     writer.setblocking(False)
-    before, left = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False), threading.Event()
+    descriptor, ended = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False), threading.Event()
     ends = {int(getattr(signal, name)): TERMINATED for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)}
     ends[int(signal.SIGINT)] = STOPPED
 
     def watch() -> None:
         while numbers := reader.recv(1):
             code = ends.get(numbers[0])
-            if code is not None and not left.wait(patience):
+            if code is not None and not ended.wait(patience):
                 os._exit(code)
 
     watcher = threading.Thread(target=watch, daemon=True)
@@ -91,8 +91,8 @@ def ending_when_stuck(patience: float = 5.0) -> Iterator[None]:
     try:
         yield
     finally:
-        left.set()
-        signal.set_wakeup_fd(before)
+        ended.set()
+        signal.set_wakeup_fd(descriptor)
         writer.close()
         watcher.join()
         reader.close()

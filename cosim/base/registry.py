@@ -15,7 +15,8 @@ from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, v
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import Fault, InputError
+from cosim.base import messages
+from cosim.base.errors import InputError
 
 MODELS, PAGES, TWINS, VERBS = "cosim.models", "cosim.pages", "cosim.twins", "cosim.verbs"  # entry point groups
 SOURCES = "cosim.sources"  # table formats: `cosim.storage.table_source.Source`
@@ -97,10 +98,10 @@ def models() -> dict[str, ModelEntry]:
 
 def model_entry(name: str = BASE) -> ModelEntry:
     """Return the model of a name; raise InputError if unknown."""
-    found = load(MODELS, name) if name in names(MODELS) else None
-    if not isinstance(found, ModelEntry):
-        raise InputError([Fault(Path("model"), 0, 0, f'no model "{name}" is installed; {cure_without_base()}')])
-    return found
+    entry = load(MODELS, name) if name in names(MODELS) else None
+    if not isinstance(entry, ModelEntry):
+        raise InputError.at(Path("model"), messages.NO_MODEL(name=name, cure=_cure_without_base()))
+    return entry
 
 
 def is_model(name: str) -> bool:
@@ -108,7 +109,7 @@ def is_model(name: str) -> bool:
     return name in names(MODELS)
 
 
-def cure_without_base() -> str:
+def _cure_without_base() -> str:
     """Return the remedy for a missing `base` model."""
     cure = "name a model.yaml or FILE.py:Class of your own"
     try:
@@ -145,13 +146,13 @@ def twin_of(model_name: str) -> Any:
 def added_verbs() -> Iterator[tuple[str, Verb]]:
     """Yield the verbs of packages by name."""
     for name in names(VERBS):
-        if isinstance(found := load(VERBS, name), Verb):
-            yield name, found
+        if isinstance(verb := load(VERBS, name), Verb):
+            yield name, verb
 
 
 def names(group: str) -> list[str]:
     """Return the names registered in a group, sorted."""
-    return sorted(_registered(group))
+    return sorted(_points_of_group(group))
 
 
 def load(group: str, name: str) -> Any:
@@ -162,12 +163,11 @@ def load(group: str, name: str) -> Any:
     Raises:
         InputError: Two packages register the name.
     """
-    points = _registered(group)[name]
+    points = _points_of_group(group)[name]
     if len(points) > 1:
-        owners = " and ".join(sorted(_owner(point) for point in points))
-        message = f'"{name}" is registered by {owners}; uninstall one of them'
-        raise InputError([Fault(Path(group), 0, 0, message)])
-    return _loaded(points[0])
+        owners = " and ".join(sorted(map(_owner, points)))
+        raise InputError.at(Path(group), messages.REPEATED_NAME(name=name, owners=owners))
+    return _object_of(points[0])
 
 
 def resolve(place: str) -> Any:
@@ -180,25 +180,26 @@ def attempt(name: str, place: str) -> Any:
     try:
         return resolve(place)
     except Exception as error:  # Foreign packages may raise any error when imported.
-        warnings.warn(f"{name}: {place} cannot be loaded: {error}", ExtensionWarning, stacklevel=2)
+        warnings.warn(messages.BROKEN_OBJECT(owner=name, place=place, reason=error), ExtensionWarning, stacklevel=2)
         return None
 
 
 @functools.cache
-def _registered(group: str) -> dict[str, tuple[EntryPoint, ...]]:
-    found: dict[str, dict[tuple[str, str], EntryPoint]] = {}
+def _points_of_group(group: str) -> dict[str, tuple[EntryPoint, ...]]:
+    by_name: dict[str, dict[tuple[str, str], EntryPoint]] = {}
     for point in entry_points(group=group):
         # A package listed twice on the path, e.g. also in its own source folder, registers once.
-        found.setdefault(point.name, {})[_owner(point), point.value] = point
-    return {name: tuple(points.values()) for name, points in found.items()}
+        by_name.setdefault(point.name, {})[_owner(point), point.value] = point
+    return {name: tuple(points.values()) for name, points in by_name.items()}
 
 
 @functools.cache
-def _loaded(point: EntryPoint) -> Any:
+def _object_of(point: EntryPoint) -> Any:
     try:
         return point.load()
     except Exception as error:  # Foreign packages may raise any error when imported.
-        message = f"{_owner(point)}: the entry point {point.group}:{point.name} cannot be loaded: {error}"
+        place = f"the entry point {point.group}:{point.name}"
+        message = messages.BROKEN_OBJECT(owner=_owner(point), place=place, reason=error)
         warnings.warn(message, ExtensionWarning, stacklevel=2)
         return None
 

@@ -21,14 +21,14 @@ PREFIX = "cosim-"  # of each folder in the machine's temporary folder
 RETRIES, PAUSE = 10, 0.1  # [s]
 
 
-class Held:
+class ScratchFolder:
     """A folder locked against removal by others during the life of this process."""
 
     def __init__(self, path: Path) -> None:
         self.path, self._pid = path, os.getpid()
         # The lock comes before its final name. A sweep between creation and locking would remove the folder.
         fresh = path / (LOCK if os.name == "nt" else f"{LOCK}.new")
-        self._lock = locked(fresh, create=True)
+        self._lock = lock_file(fresh, create=True)
         if self._lock is not None and os.name != "nt":
             fresh.rename(path / LOCK)
 
@@ -41,32 +41,29 @@ class Held:
             remove(self.path)
 
 
-def scratch(prefix: str, beside: Path | None = None) -> Held:
+def scratch(prefix: str, beside: Path | None = None) -> ScratchFolder:
     """Return a new locked folder in a swept place. The place is `beside`, by default the folder for temporary files."""
-    if beside is None:
-        sweep(Path(tempfile.gettempdir()), PREFIX)
-    else:
-        sweep(beside, prefix)
-    return Held(Path(tempfile.mkdtemp(prefix=prefix, dir=beside)))
+    sweep(beside or Path(tempfile.gettempdir()), prefix if beside else PREFIX)
+    return ScratchFolder(Path(tempfile.mkdtemp(prefix=prefix, dir=beside)))
 
 
-_folders: dict[tuple[int, str], Held] = {}
+_folders: dict[tuple[int, str], ScratchFolder] = {}
 
 
 def process_folder() -> Path:
     """Return the folder for temporary files of this process. It is removed at exit, or swept after a kill."""
     key = os.getpid(), tempfile.gettempdir()
     if key not in _folders or not _folders[key].path.is_dir():
-        _folders[key] = held = scratch(PREFIX)
-        atexit.register(held.remove)
+        _folders[key] = scratch(PREFIX)
+        atexit.register(_folders[key].remove)
     return _folders[key].path
 
 
 @contextmanager
 def temporary_folder(name: str) -> Iterator[Path]:
     """Yield a new folder for the time of the block."""
-    with tempfile.TemporaryDirectory(prefix=f"{name}-", dir=process_folder(), ignore_cleanup_errors=True) as made:
-        yield Path(made)
+    with tempfile.TemporaryDirectory(prefix=f"{name}-", dir=process_folder(), ignore_cleanup_errors=True) as folder:
+        yield Path(folder)
 
 
 def sweep(folder: Path, prefix: str) -> None:
@@ -78,7 +75,7 @@ def sweep(folder: Path, prefix: str) -> None:
     for path in (folder / name for name in names):
         if not is_own(path, stat.S_ISDIR):
             continue
-        lock = locked(path / LOCK)  # A folder without a lock file is under construction.
+        lock = lock_file(path / LOCK)  # A folder without a lock file is under construction.
         if lock is not None:
             os.close(lock)
             remove(path)
@@ -101,7 +98,7 @@ def is_own(path: Path, of_kind: Callable[[int], bool]) -> bool:
         return False
 
 
-def locked(path: Path, *, create: bool = False) -> int | None:
+def lock_file(path: Path, *, create: bool = False) -> int | None:
     """Lock a file until its descriptor is closed.
 
     Returns:

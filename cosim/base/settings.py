@@ -1,7 +1,8 @@
 """Conversion of arguments of `cosim` functions from Python values to the form that verbs use.
 
-`checked` is the only place where outside values are examined. It turns numbers of numpy into Python numbers and text
-with a unit into seconds, and raises InputError naming every invalid argument. Annotations declare the accepted values.
+`check_arguments` is the only place where outside values are examined. It turns numbers of numpy into Python numbers
+and text with a unit into seconds, and raises InputError naming every invalid argument. Annotations declare the
+accepted values.
 """
 
 from __future__ import annotations
@@ -14,9 +15,10 @@ import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, NamedTuple, ParamSpec, TypeVar
 
-from cosim.base.errors import Fault, InputError
+from cosim.base import messages
+from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.units import allowed_quantity, has_unit, read_quantity
 
 Given = Mapping[str, Any] | Sequence[str]
@@ -49,24 +51,19 @@ def normalize_settings(values: Given | None, name: str = "set") -> Given:
         return dict(values)
     if isinstance(values, Sequence) and all(isinstance(v, str) for v in values):
         return tuple(values)
-    raise InputError([Fault(Path(name), 0, 0, f"{_shown(values)}: {GIVEN}")])
+    raise InputError.at(Path(name), messages.WRONG_SETTINGS(value=_represent(values), wanted=SETTINGS))
 
 
 def texts(values: Given | None, name: str = "set") -> Sequence[str]:
     """Return settings as NAME=VALUE texts."""
-    found = normalize_settings(values, name)
-    return [f"{n}={as_yaml(v)}" for n, v in found.items()] if isinstance(found, Mapping) else found
-
-
-def as_yaml(value: Any) -> str:
-    """Return a Python value as text for --set."""
-    return json.dumps(plain(value))
+    settings = normalize_settings(values, name)
+    return [f"{n}={json.dumps(plain(v))}" for n, v in settings.items()] if isinstance(settings, Mapping) else settings
 
 
 def plain(value: Any, depth: int = 0) -> Any:
     """Return a value as JSON types; raise ValueError if impossible."""
     if depth > DEEPEST:
-        raise ValueError(f"it is nested more than {DEEPEST} levels deep; write it flatter")
+        raise ValueError(messages.DEEP_VALUE(limit=DEEPEST))
     value = _of_python(value)
     match value:
         case None | bool():
@@ -79,22 +76,20 @@ def plain(value: Any, depth: int = 0) -> Any:
             return _file(value)
         case Mapping():
             if wrong := [key for key in value if not isinstance(key, str)]:
-                raise ValueError(f"{_shown(wrong[0])} is a key; a key is text")
+                raise ValueError(messages.WRONG_KEY(key=_represent(wrong[0])))
             return {_text(key): plain(each, depth + 1) for key, each in value.items()}
         case list() | tuple():
             return [plain(each, depth + 1) for each in value]
-    raise ValueError(
-        f"{_shown(value)} is of type {type(value).__name__}; it is a number, text, true or false, a list or a mapping"
-    )
+    raise ValueError(messages.WRONG_TYPE(value=_represent(value), type=type(value).__name__))
 
 
 # -- accepted values of arguments ---------------------------------------------------------------------
 
 
-def checked(function: Callable[P, T]) -> Callable[P, T]:
+def check_arguments(function: Callable[P, T]) -> Callable[P, T]:
     """Return the function with a check of its arguments. The check raises InputError with every invalid argument."""
     signature = inspect.signature(function)
-    takes = {name: list(_alternatives(str(p.annotation))) for name, p in signature.parameters.items()}
+    kinds = {name: list(_alternatives(str(p.annotation))) for name, p in signature.parameters.items()}
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> T:
@@ -102,11 +97,10 @@ def checked(function: Callable[P, T]) -> Callable[P, T]:
         faults = []
         for name, value in bound.arguments.items():
             try:
-                bound.arguments[name] = _argument(takes[name], value)
+                bound.arguments[name] = _argument(kinds[name], value)
             except ValueError as error:
                 faults.append(Fault(Path(name), 0, 0, str(error)))
-        if faults:
-            raise InputError(faults)
+        refuse(faults)
         return function(*bound.args, **bound.kwargs)
 
     return call
@@ -121,16 +115,13 @@ def _alternatives(annotation: str) -> Iterator[str]:
 def _argument(kinds: Sequence[str], value: Any) -> Any:
     """Return an argument converted by the first matching kind; raise ValueError if none matches."""
     value = _of_python(value)
-    errors = []
     for kind in kinds:
         if kind not in KINDS:  # a type declared by a function of another package
             return value
-        accepts, convert = KINDS[kind]
-        if accepts(value):
-            return convert(value)
-        errors.append(WANTED[kind])
-    wanted = " or ".join(dict.fromkeys(filter(None, errors)))
-    raise ValueError(f"is {_shown(value)}; give {wanted}")
+        if KINDS[kind].accepts(value):
+            return KINDS[kind].convert(value)
+    wanted = " or ".join(dict.fromkeys(filter(None, (KINDS[kind].description for kind in kinds))))
+    raise ValueError(messages.WRONG_ARGUMENT(value=_represent(value), wanted=wanted))
 
 
 def _of_python(value: Any) -> Any:
@@ -147,64 +138,65 @@ def _of_python(value: Any) -> Any:
 
 def _number(value: float) -> float:
     if not abs(value) < LARGEST:
-        raise ValueError(f"{_shown(value)} is no finite number; give one below {LARGEST:g}")
+        raise ValueError(messages.LARGE_NUMBER(value=_represent(value), limit=LARGEST))
     return value
 
 
 def _finite(value: float, lowest: float = -math.inf, *, above: bool = False) -> float:
     number = float(_number(value))
     if number < lowest or (above and number == lowest):
-        raise ValueError(
-            f"is {_shown(value)}; give a number {'above' if above else 'from'} {lowest:g}{'' if above else ' on'}"
-        )
+        wanted = f"a number above {lowest:g}" if above else f"a number from {lowest:g} on"
+        raise ValueError(messages.WRONG_ARGUMENT(value=_represent(value), wanted=wanted))
     return number
 
 
 def _seconds(value: Any, lowest: float = -math.inf) -> float:
     """Return a time [s] from a number or text."""
     if isinstance(value, str):
-        if not has_unit(value):
-            raise ValueError(f"is {_shown(value)}; {allowed_quantity('s')}")
-        value = read_quantity(value, "s")
+        try:
+            if not has_unit(value):
+                raise ValueError(allowed_quantity("s"))
+            value = read_quantity(value, "s")
+        except ValueError as error:
+            raise ValueError(messages.WRONG_TIME(value=_represent(value), reason=error)) from None
     return _finite(value, lowest, above=math.isfinite(lowest))
 
 
-def _whole(value: int, lowest: int | None = None) -> int:
+def _integer(value: int, lowest: int | None = None) -> int:
     if not -(2**63) <= value < 2**63 or (lowest is not None and value < lowest):
-        allowed = "a whole number" if lowest is None else f"a whole number from {lowest} on"
-        raise ValueError(f"is {_shown(value)}; give {allowed} of at most 18 digits")
+        wanted = "a whole number" if lowest is None else f"a whole number from {lowest} on"
+        raise ValueError(messages.WRONG_ARGUMENT(value=_represent(value), wanted=f"{wanted} of at most 18 digits"))
     return value
 
 
 def _text(value: str) -> str:
     if "\0" in value:
-        raise ValueError(f"{_shown(value)} holds a NUL character; leave it out")
+        raise ValueError(messages.NUL_CHARACTER(value=_represent(value)))
     try:
         value.encode()
     except UnicodeEncodeError:
-        raise ValueError(
-            f"{_shown(value)} holds half a character (a surrogate); give text that UTF-8 can hold"
-        ) from None
+        raise ValueError(messages.HALF_CHARACTER(value=_represent(value))) from None
     if len(value) > MOST_TEXT:
-        raise ValueError(f"is text of {len(value)} characters; give at most {MOST_TEXT}")
+        raise ValueError(messages.LONG_TEXT(length=len(value), limit=MOST_TEXT))
     return value
 
 
 def _file(value: Any) -> Any:
     name = os.fspath(value)
     if not isinstance(name, str):
-        raise ValueError(f"is {_shown(value)}; give the name of a file or folder as text or a Path")
+        wanted = "the name of a file or folder as text or a Path"
+        raise ValueError(messages.WRONG_ARGUMENT(value=_represent(value), wanted=wanted))
     if not _text(name).strip():
-        raise ValueError("is blank; give the name of a file or folder")
+        raise ValueError(messages.BLANK_NAME())
     if len(name.encode()) > LONGEST_PATH or any(len(part.encode()) > LONGEST_NAME for part in re.split(r"[/\\]", name)):
-        raise ValueError(f"is {_shown(name)}, longer than the name of a file can be ({LONGEST_NAME} bytes)")
+        raise ValueError(messages.LONG_NAME(name=_represent(name), limit=LONGEST_NAME))
     return name if isinstance(value, str) else Path(name)
 
 
 def _settings(value: Any) -> Given:
     """Return settings as a mapping or texts."""
-    found: Given = plain(value) if isinstance(value, Mapping) else _names(value)
-    return found
+    settings: Given = plain(value) if isinstance(value, Mapping) else _names(value)
+    return settings
 
 
 def _names(value: Any) -> tuple[str, ...]:
@@ -216,24 +208,17 @@ def _files(value: Any) -> Any:
     return [_file(each) for each in value]
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
+def _is(*types: Any) -> Callable[[Any], bool]:
+    """Return a predicate for instances of some types; a truth value is no number."""
+    return lambda value: isinstance(value, types) and (types == (bool,) or not isinstance(value, bool))
 
 
-def _is_whole(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
-
-
-def _is_file(value: Any) -> bool:
-    return isinstance(value, (str, os.PathLike))
-
-
-def _are(kind: Callable[[Any], bool]) -> Callable[[Any], bool]:
-    return lambda value: isinstance(value, (list, tuple, set, frozenset)) and all(map(kind, value))
+def _are(predicate: Callable[[Any], bool]) -> Callable[[Any], bool]:
+    return lambda value: isinstance(value, (list, tuple, set, frozenset)) and all(map(predicate, value))
 
 
 def _are_names(value: Any) -> bool:
-    return isinstance(value, str) or _are(lambda each: isinstance(each, str))(value)
+    return isinstance(value, str) or _are(_is(str))(value)
 
 
 def _is_a(module: str, name: str) -> Callable[[Any], bool]:
@@ -248,61 +233,52 @@ def _same(value: Any) -> Any:
     return value
 
 
-GIVEN = 'give a mapping, {"name": value}, or a list of "name=value"'
-# Annotation → a predicate of accepted values and their conversion. WANTED describes the accepted values.
-KINDS: dict[str, tuple[Callable[[Any], bool], Callable[[Any], Any]]] = {
-    "None": (lambda value: value is None, _same),
-    "bool": (lambda value: isinstance(value, bool), _same),
-    "int": (_is_whole, _whole),
-    "Seed": (_is_whole, lambda value: _whole(value, 0)),
-    "Count": (_is_whole, lambda value: _whole(value, 1)),
-    "float": (_is_number, _finite),
-    "Positive": (_is_number, lambda value: _finite(value, 0.0, above=True)),
-    "NotNegative": (_is_number, lambda value: _finite(value, 0.0)),
-    "Seconds": (lambda value: _is_number(value) or isinstance(value, str), _seconds),
-    "PositiveSeconds": (lambda value: _is_number(value) or isinstance(value, str), lambda value: _seconds(value, 0.0)),
-    "str": (lambda value: isinstance(value, str), _text),
-    "FilePath": (_is_file, _file),
-    "ModelName": (_is_file, lambda value: str(_file(value))),
-    "Sequence": (_are_names, _names),
-    "tuple": (_are_names, _names),
-    "Files": (_are(_is_file), _files),
-    "Mapping": (lambda value: isinstance(value, Mapping), plain),
-    "Given": (lambda value: isinstance(value, Mapping) or _are_names(value), _settings),
-    "Callable": (callable, _same),
-    "Progress": (callable, _same),
-    "Signals": (_is_a("cosim.simulation.run_signals", "Signals"), _same),
-    "Subject": (_is_a("cosim.subject.interface", "Subject"), _same),
-    "Observers": (_are(_is_a("cosim.master.observer", "Observer")), _same),
-}
-WANTED = {
-    "None": "",
-    "bool": "True or False",
-    "int": "a whole number",
-    "Seed": "a whole number from 0 on",
-    "Count": "a whole number from 1 on",
-    "float": "a number",
-    "Positive": "a number above 0",
-    "NotNegative": "a number from 0 on",
-    "Seconds": 'a number of seconds, or text with a unit such as "4 min"',
-    "PositiveSeconds": 'a number of seconds above 0, or text with a unit such as "4 min"',
-    "str": "text",
-    "FilePath": "the name of a file or folder",
-    "ModelName": "the name of a model, a file or a folder",
-    "Sequence": "a list of names",
-    "tuple": "a list of texts",
-    "Files": "a list of names of files",
-    "Mapping": "a mapping of names to values",
-    "Given": GIVEN.removeprefix("give "),
-    "Callable": "a function",
-    "Progress": "a function",
-    "Signals": "what a function of cosim returned",
-    "Subject": "an object of a subclass of cosim.subject.interface.Subject",
-    "Observers": "a list of objects of subclasses of cosim.master.observer.Observer",
+class Kind(NamedTuple):
+    """Accepted values of an annotation: a predicate, their conversion and their description."""
+
+    accepts: Callable[[Any], bool]
+    convert: Callable[[Any], Any]
+    description: str
+
+
+SETTINGS = 'a mapping, {"name": value}, or a list of "name=value"'
+TIME = 'a number of seconds{}, or text with a unit such as "4 min"'
+KINDS = {  # by annotation
+    "None": Kind(_is(type(None)), _same, ""),
+    "bool": Kind(_is(bool), _same, "True or False"),
+    "int": Kind(_is(int), _integer, "a whole number"),
+    "Seed": Kind(_is(int), lambda value: _integer(value, 0), "a whole number from 0 on"),
+    "Count": Kind(_is(int), lambda value: _integer(value, 1), "a whole number from 1 on"),
+    "float": Kind(_is(int, float), _finite, "a number"),
+    "Positive": Kind(_is(int, float), lambda value: _finite(value, 0.0, above=True), "a number above 0"),
+    "NotNegative": Kind(_is(int, float), lambda value: _finite(value, 0.0), "a number from 0 on"),
+    "Seconds": Kind(_is(int, float, str), _seconds, TIME.format("")),
+    "PositiveSeconds": Kind(_is(int, float, str), lambda value: _seconds(value, 0.0), TIME.format(" above 0")),
+    "str": Kind(_is(str), _text, "text"),
+    "FilePath": Kind(_is(str, os.PathLike), _file, "the name of a file or folder"),
+    "ModelName": Kind(
+        _is(str, os.PathLike), lambda value: str(_file(value)), "the name of a model, a file or a folder"
+    ),
+    "Sequence": Kind(_are_names, _names, "a list of names"),
+    "tuple": Kind(_are_names, _names, "a list of texts"),
+    "Files": Kind(_are(_is(str, os.PathLike)), _files, "a list of names of files"),
+    "Mapping": Kind(_is(Mapping), plain, "a mapping of names to values"),
+    "Given": Kind(lambda value: isinstance(value, Mapping) or _are_names(value), _settings, SETTINGS),
+    "Callable": Kind(callable, _same, "a function"),
+    "Progress": Kind(callable, _same, "a function"),
+    "Signals": Kind(_is_a("cosim.simulation.run_signals", "Signals"), _same, "a result of a function of cosim"),
+    "Subject": Kind(
+        _is_a("cosim.subject.interface", "Subject"), _same, "an object of a subclass of cosim.subject.interface.Subject"
+    ),
+    "Observers": Kind(
+        _are(_is_a("cosim.master.observer", "Observer")),
+        _same,
+        "a list of objects of subclasses of cosim.master.observer.Observer",
+    ),
 }
 
 
-def _shown(value: Any) -> str:
+def _represent(value: Any) -> str:
     """Return a short printable form for a message."""
     try:
         text = repr(value)

@@ -38,8 +38,8 @@ def plain(value: float, digits: int | None = 3) -> str:
 
 def amount(value: float, unit: str = "", digits: int | None = 3) -> str:
     """Return an SI value with its displayed unit."""
-    shown, factor = display(unit)
-    return joined(plain(value * factor, digits), shown)
+    symbol, factor = display(unit)
+    return joined(plain(value * factor, digits), symbol)
 
 
 def joined(number: str, unit: str) -> str:
@@ -83,8 +83,8 @@ def counted(count: int, noun: str) -> str:
 
 def listed(names: Sequence[str]) -> str:
     """Return names as a sentence holds them: `a`, `a and b`, `a, b and c`; of more than three `a, b, c and 7 more`."""
-    shown = [*names] if len(names) <= MOST_NAMED else [*names[:MOST_NAMED], f"{len(names) - MOST_NAMED} more"]
-    return " and ".join(filter(None, (", ".join(shown[:-1]), *shown[-1:])))
+    items = [*names] if len(names) <= MOST_NAMED else [*names[:MOST_NAMED], f"{len(names) - MOST_NAMED} more"]
+    return " and ".join(filter(None, (", ".join(items[:-1]), *items[-1:])))
 
 
 def parted(text: str) -> tuple[str, str]:
@@ -106,7 +106,7 @@ def written(unit: str, times: str = "·") -> str:
     Args:
         times: Sign between factors.
     """
-    return "" if unit == "1" else POWER.sub(lambda found: found[0].translate(RAISED), unit).replace(".", times)
+    return "" if unit == "1" else POWER.sub(lambda match: match[0].translate(RAISED), unit).replace(".", times)
 
 
 def finer(unit: str, size: float) -> tuple[str, float]:

@@ -8,6 +8,8 @@ from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement
 
+from cosim.base import messages
+
 
 class Unit(NamedTuple):
     """A unit by the exponents of its SI base units: value in SI = factor·value + offset."""
@@ -27,7 +29,7 @@ def _sizes(exponents: Mapping[str, int], factors: Mapping[str, float]) -> dict[s
     return {symbol: Unit(exponents, factor) for symbol, factor in factors.items()}
 
 
-def _prefixed(symbol: str, prefixes: str, exponents: Mapping[str, int]) -> dict[str, Unit]:
+def _with_prefixes(symbol: str, prefixes: str, exponents: Mapping[str, int]) -> dict[str, Unit]:
     """Return a symbol's unit, alone and with each prefix."""
     sizes = {"n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
     return {symbol: Unit(exponents)} | {p + symbol: Unit(exponents, sizes[p]) for p in prefixes}
@@ -50,26 +52,26 @@ SYMBOLS: dict[str, Unit] = {
     **_sizes(MASS, {"kg": 1.0, "g": 1e-3, "mg": 1e-6, "t": 1e3}),
     **_sizes(ANGLE, {"deg": math.pi / 180.0, "°": math.pi / 180.0, "rad": 1.0, "mrad": 1e-3, "rev": 2.0 * math.pi}),
     "rpm": Unit({"rad": 1, "s": -1}, math.pi / 30.0),
-    **_prefixed("Hz", "kM", {"s": -1}),
+    **_with_prefixes("Hz", "kM", {"s": -1}),
     **_sizes(FORCE, {"N": 1.0, "mN": 1e-3, "kN": 1e3, "gf": 0.00980665, "kgf": 9.80665}),
-    **_prefixed("Pa", "kM", PRESSURE),
+    **_with_prefixes("Pa", "kM", PRESSURE),
     **_sizes(PRESSURE, {"bar": 1e5, "mbar": 1e2, "hPa": 1e2}),
-    **_prefixed("J", "mkM", {"kg": 1, "m": 2, "s": -2}),
-    **_prefixed("W", "mkM", {"kg": 1, "m": 2, "s": -3}),
-    **_prefixed("A", "uµmk", {"A": 1}),
-    **_prefixed("C", "uµm", {"A": 1, "s": 1}),
-    **_prefixed("V", "uµmk", VOLTAGE),
-    **_prefixed("ohm", "mkM", RESISTANCE),
-    **_prefixed("Ω", "mkM", RESISTANCE),
-    **_prefixed("S", "m", {"kg": -1, "m": -2, "s": 3, "A": 2}),
-    **_prefixed("H", "uµm", {"kg": 1, "m": 2, "s": -2, "A": -2}),
-    **_prefixed("F", "nuµm", {"kg": -1, "m": -2, "s": 4, "A": 2}),
-    **_prefixed("Wb", "m", {"kg": 1, "m": 2, "s": -2, "A": -1}),
-    **_prefixed("T", "m", {"kg": 1, "s": -2, "A": -1}),
-    **_prefixed("K", "m", {"K": 1}),
+    **_with_prefixes("J", "mkM", {"kg": 1, "m": 2, "s": -2}),
+    **_with_prefixes("W", "mkM", {"kg": 1, "m": 2, "s": -3}),
+    **_with_prefixes("A", "uµmk", {"A": 1}),
+    **_with_prefixes("C", "uµm", {"A": 1, "s": 1}),
+    **_with_prefixes("V", "uµmk", VOLTAGE),
+    **_with_prefixes("ohm", "mkM", RESISTANCE),
+    **_with_prefixes("Ω", "mkM", RESISTANCE),
+    **_with_prefixes("S", "m", {"kg": -1, "m": -2, "s": 3, "A": 2}),
+    **_with_prefixes("H", "uµm", {"kg": 1, "m": 2, "s": -2, "A": -2}),
+    **_with_prefixes("F", "nuµm", {"kg": -1, "m": -2, "s": 4, "A": 2}),
+    **_with_prefixes("Wb", "m", {"kg": 1, "m": 2, "s": -2, "A": -1}),
+    **_with_prefixes("T", "m", {"kg": 1, "s": -2, "A": -1}),
+    **_with_prefixes("K", "m", {"K": 1}),
     **{symbol: Unit({"K": 1}, 1.0, ZERO_CELSIUS) for symbol in ("degC", "°C")},
     **{symbol: Unit({"K": 1}, 5.0 / 9.0, ZERO_FAHRENHEIT) for symbol in ("degF", "°F")},
-    **_prefixed("mol", "m", {"mol": 1}),
+    **_with_prefixes("mol", "m", {"mol": 1}),
     "cd": Unit({"cd": 1}),
     **_sizes({"m": 3}, {"l": 1e-3, "L": 1e-3, "ml": 1e-6, "mL": 1e-6}),
 }
@@ -105,15 +107,15 @@ def parse(text: str) -> Unit | None:
 
 def _words(text: str) -> list[tuple[str, int]] | None:
     """Return symbols and powers of a unit, if known."""
-    found = []
+    words = []
     for place, part in enumerate(text.translate(ONE_WAY).split("/")):
         sign = 1 if place == 0 else -1
         for word in re.split(r"[.·*\s]+", part.strip()):
             token = TOKEN.fullmatch(word)
             if token is None or token[1] not in SYMBOLS:
                 return None
-            found.append((token[1], sign * int(token[2] or 1)))
-    return found
+            words.append((token[1], sign * int(token[2] or 1)))
+    return words
 
 
 class Conversion(NamedTuple):
@@ -147,8 +149,8 @@ def conversion(written: str, wanted: str, *, difference: bool = False) -> Conver
 
 def factor(written: str, wanted: str) -> float | None:
     """Return the factor between units, if a factor suffices."""
-    found = conversion(written, wanted)
-    return None if found is None or found.offset else found.factor
+    by = conversion(written, wanted)
+    return None if by is None or by.offset else by.factor
 
 
 def split_quantity(text: str) -> tuple[float, str] | None:
@@ -165,17 +167,17 @@ def split_quantity(text: str) -> tuple[float, str] | None:
 
 def has_unit(text: str) -> bool:
     """Return whether text is a number with a unit."""
-    found = split_quantity(text)
-    return found is not None and found[1] != ""
+    quantity = split_quantity(text)
+    return quantity is not None and quantity[1] != ""
 
 
 def read_quantity(text: str, unit: str, *, difference: bool = False) -> float:
     """Return the number of text like `4 min` in `unit`; raise ValueError with the allowed units."""
-    found = split_quantity(text)
-    by = None if found is None else conversion(found[1], unit, difference=difference)
-    if found is None or by is None or (found[1] and not unit):
+    quantity = split_quantity(text)
+    by = None if quantity is None else conversion(quantity[1], unit, difference=difference)
+    if quantity is None or by is None or (quantity[1] and not unit):
         raise ValueError(allowed_quantity(unit))
-    number = by(found[0])
+    number = by(quantity[0])
     if not math.isfinite(number):
         raise ValueError("it is not finite; write a finite number")
     return number
@@ -193,7 +195,7 @@ def allowed_quantity(unit: str, more: Iterable[str] = ()) -> str:
     return f"it is a number [{unit}], or text with a unit: {', '.join(f'3 {u}' for u in offered)}"
 
 
-class Taken(NamedTuple):
+class UnitAssumption(NamedTuple):
     """The conversion of numbers in a written unit for a signal without a declared unit.
 
     Attributes:
@@ -209,7 +211,7 @@ class Taken(NamedTuple):
     offset: float = 0.0
 
 
-def assume_si(written: str, of: str = "the model", cure: str = "leave the unit out of the header") -> Taken:
+def assume_si(written: str, of: str = "the model", cure: str = "leave the unit out of the header") -> UnitAssumption:
     """Return the conversion to SI for a unitless signal.
 
     For example, `rpm` become rad/s. An unknown unit changes nothing, nor does g alone: gram, or 9.81 m/s².
@@ -220,16 +222,13 @@ def assume_si(written: str, of: str = "the model", cure: str = "leave the unit o
     """
     unit = parse(written)
     if unit is None or written == "g":
-        why = f'"{written}" is no unit known here' if unit is None else '"g" may be gram or standard gravity'
-        other = "" if unit is None else "; write kg, or m/s2"
-        return Taken(written, 1.0, f"has no unit in {of}, and {why}: its numbers are taken as they are{other}")
+        template = messages.UNKNOWN_UNIT_TAKEN if unit is None else messages.AMBIGUOUS_UNIT_TAKEN
+        return UnitAssumption(written, 1.0, template(owner=of, unit=written))
     if unit.is_coherent:
-        return Taken(written)
+        return UnitAssumption(written)
     wanted = coherent(written)
-    told = (
-        f"has no unit in {of}: it is taken as {wanted}, so {written} are converted; {cure} if it is in {written} itself"
-    )
-    return Taken(wanted, unit.factor, told, unit.offset)
+    note = messages.SI_UNIT_TAKEN(owner=of, wanted=wanted, unit=written, cure=cure)
+    return UnitAssumption(wanted, unit.factor, note, unit.offset)
 
 
 def coherent(written: str) -> str:
@@ -241,10 +240,10 @@ def coherent(written: str) -> str:
         same = symbol if unit.is_coherent else next(sizes, "")
         for name, count in {same: 1}.items() if same else unit.exponents.items():
             powers[name] = powers.get(name, 0) + power * count
-    return _written(powers)
+    return _unit_text(powers)
 
 
-def _written(powers: Mapping[str, int]) -> str:
+def _unit_text(powers: Mapping[str, int]) -> str:
     """Return the text of symbols with powers."""
     above, below = ([_power(n, abs(p)) for n, p in powers.items() if n != "1" and p * s > 0] for s in (1, -1))
     return ".".join(above or ["1"]) + "".join(f"/{name}" for name in below)
@@ -254,12 +253,12 @@ def _power(name: str, power: int) -> str:
     return name if power == 1 else f"{name}{power}"
 
 
-def squared(unit: str) -> str:
+def square_unit(unit: str) -> str:
     """Return the square of a unit: `rad2/s2` for `rad/s`."""
     powers: dict[str, int] = {}
     for symbol, power in _words(unit) or ():
         powers[symbol] = powers.get(symbol, 0) + 2 * power
-    return _written(powers) if powers else ""
+    return _unit_text(powers) if powers else ""
 
 
 def computed_in(displayed: str) -> tuple[str, float]:
@@ -273,11 +272,11 @@ def computed_in(displayed: str) -> tuple[str, float]:
 def alternatives(wanted: str) -> list[str]:
     """Return units convertible to `wanted`, beginning with `wanted`. Only the first part varies: `mm/s2` for `m/s2`."""
     head = re.match(r"[A-Za-z%°µΩ]+", wanted)
-    found = [wanted]
+    units = [wanted]
     if head and head[0] in SYMBOLS:
         exponents = SYMBOLS[head[0]].exponents
-        found += [s + wanted[head.end() :] for s, u in SYMBOLS.items() if u.exponents == exponents and s != head[0]]
-    return [unit for unit in (*found, "g") if unit == wanted or conversion(unit, wanted) is not None]
+        units += [s + wanted[head.end() :] for s, u in SYMBOLS.items() if u.exponents == exponents and s != head[0]]
+    return [unit for unit in (*units, "g") if unit == wanted or conversion(unit, wanted) is not None]
 
 
 def unit_definitions(names: set[str]) -> Element:
@@ -286,7 +285,7 @@ def unit_definitions(names: set[str]) -> Element:
     for name in sorted(names):
         unit = parse(name)
         if unit is None:
-            raise ValueError(f'unknown unit "{name}"')
+            raise ValueError(messages.UNKNOWN_UNIT(name=name))
         node = SubElement(root, "Unit", name=name)
         base = {k: str(v) for k, v in unit.exponents.items()}
         if unit.factor != 1.0:

@@ -10,31 +10,29 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, ValidationError
 
 from cosim.base.errors import Fault, InputError
+from cosim.base.messages import with_prefix
 from cosim.base.units import read_quantity, split_quantity
+from cosim.isolation import messages
 from cosim.storage.yaml_file import Part
 
 BYTES = {"": 1.0, "B": 1.0, "kB": 1e3, "MB": 1e6, "GB": 1e9, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30}
 LOADING = 60.0  # default limit of loading [s] with other time limits
 
 
-def _quantity(known: str, example: str, read_text: Callable[[str], float]) -> Any:
+def _quantity(units: str, example: str, read_text: Callable[[str], float]) -> Any:
     def read(value: Any) -> float:
-        number: Any = value
-        if isinstance(value, str):
-            with suppress(ValueError):
-                number = read_text(value)
-        if isinstance(number, bool) or not isinstance(number, (int, float)) or not 0 < number < 1e300:
-            raise ValueError(f"it is a number above 0 with its unit ({known}), {example} for one")
-        return float(number)
+        with suppress(ValueError):
+            number = read_text(value) if isinstance(value, str) else value
+            if isinstance(number, (int, float)) and not isinstance(number, bool) and 0 < number < 1e300:
+                return float(number)
+        raise ValueError(messages.NO_LIMIT(units=units, example=example))
 
     return BeforeValidator(read)
 
 
 def _bytes(text: str) -> float:
-    found = split_quantity(text)
-    if found is None or found[1] not in BYTES:
-        raise ValueError
-    return found[0] * BYTES[found[1]]
+    number, unit = split_quantity(text) or (0.0, "")
+    return number * BYTES.get(unit, 0.0)
 
 
 Seconds = Annotated[float, _quantity("ms, s, min, h", "10 s", lambda text: read_quantity(text, "s"))]
@@ -68,10 +66,10 @@ def read_limits(text: str) -> Limits:
     try:
         return Limits.model_validate({key.strip(): value.strip() for key, _, value in pairs})
     except ValidationError as error:
-        known = ", ".join(Limits.model_fields)
         faults = []
         for e in error.errors():
-            name = ".".join(map(str, e["loc"]))
-            why = f"no such limit (known: {known})" if e["type"] == "extra_forbidden" else str(e["msg"])
-            faults.append(Fault(Path("--limits"), 0, 0, f"{name}: {why.removeprefix('Value error, ')}"))
+            name, reason = ".".join(map(str, e["loc"])), e.get("ctx", {}).get("error", e["msg"])
+            unknown = messages.UNKNOWN_LIMIT(name=name, names=", ".join(Limits.model_fields))
+            message = unknown if e["type"] == "extra_forbidden" else with_prefix(f"{name}: ", str(reason))
+            faults.append(Fault(Path("--limits"), 0, 0, message))
         raise InputError(faults) from None

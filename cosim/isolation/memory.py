@@ -15,8 +15,8 @@ def resident(pid: int) -> int:
             return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
         if os.name == "nt":
             return _windows(pid)
-        asked = subprocess.run(["ps", "-o", "rss=", "-p", str(pid)], capture_output=True, text=True, check=False)
-        return 1024 * int(asked.stdout or 0)
+        ps = subprocess.run(["ps", "-o", "rss=", "-p", str(pid)], capture_output=True, text=True, check=False)
+        return 1024 * int(ps.stdout or 0)
     except (OSError, ValueError, IndexError):
         return 0
 
@@ -25,21 +25,17 @@ def _windows(pid: int) -> int:
     import ctypes
     from ctypes import wintypes
 
-    class Counters(ctypes.Structure):
+    class Counters(ctypes.Structure):  # PROCESS_MEMORY_COUNTERS
         _fields_ = (
             *((name, wintypes.DWORD) for name in ("cb", "PageFaultCount")),
             *((name, ctypes.c_size_t) for name in ("PeakWorkingSetSize", "WorkingSetSize")),
-            *(
-                (f"Quota{name}PoolUsage", ctypes.c_size_t)
-                for name in ("PeakPaged", "Paged", "PeakNonPaged", "NonPaged")
-            ),
-            *((name, ctypes.c_size_t) for name in ("PagefileUsage", "PeakPagefileUsage")),
+            ("quotas_and_page_file", ctypes.c_size_t * 6),
         )
 
     kernel = ctypes.windll.kernel32  # type: ignore[attr-defined,unused-ignore]
     kernel.OpenProcess.restype = ctypes.c_void_p
     handle = kernel.OpenProcess(0x1000, False, pid)  # PROCESS_QUERY_LIMITED_INFORMATION
     counters = Counters(ctypes.sizeof(Counters))
-    held = kernel.K32GetProcessMemoryInfo(ctypes.c_void_p(handle), ctypes.byref(counters), counters.cb)
+    is_filled = kernel.K32GetProcessMemoryInfo(ctypes.c_void_p(handle), ctypes.byref(counters), counters.cb)
     kernel.CloseHandle(ctypes.c_void_p(handle))
-    return int(counters.WorkingSetSize) if held else 0
+    return int(counters.WorkingSetSize) if is_filled else 0

@@ -15,19 +15,20 @@ from pathlib import Path
 from typing import Any, BinaryIO, Self
 
 from cosim.base.errors import Crashed, SimulationError
-from cosim.base.scratch import Held, scratch
+from cosim.base.scratch import ScratchFolder, scratch
+from cosim.isolation import messages
 from cosim.isolation.rows import NOTHING, Progress, mapped_progress
 from cosim.isolation.watch import Clock, Watch, how_ended
-from cosim.isolation.worker import ALONG, PROGRESS, Begin, not_sent, receive, send
+from cosim.isolation.worker import ALONG, PROGRESS, Begin, receive, send, transfer_fault
 from cosim.storage.cache import cache_environment
 from cosim.storage.files import uninterrupted
 
 PREFIX = "cosim-work-"
 POLL = 0.05  # interval between checks of a process [s]
 ENDING = 5.0  # time [s] for a process to end by itself
-SHOWN = 64_000  # passed output of FMUs [bytes]
-KEPT = 4_000  # last part kept to explain a crash [bytes]
-WORDS = 200  # shown part in a message [characters]
+MOST_OUTPUT = 64_000  # passed output of FMUs [bytes]
+LAST_OUTPUT = 4_000  # last part kept to explain a crash [bytes]
+MOST_WORDS = 200  # shown part in a message [characters]
 ROOT = Path(__file__).resolve().parent.parent.parent
 
 
@@ -61,28 +62,28 @@ class Worker:
             return
         with uninterrupted():
             self.end()
-            self._held: Held = scratch(PREFIX)
+            self._scratch: ScratchFolder = scratch(PREFIX)
             try:
-                self.progress = mapped_progress(self._held.path / PROGRESS)
+                self.progress = mapped_progress(self._scratch.path / PROGRESS)
                 self._process, self._finishing = _spawn(), False
             except BaseException:
-                self._held.remove()
+                self._scratch.remove()
                 raise
             self.starts += 1
             self._answers: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
-            self._printed = _Printed(self._process.stderr)
+            self._output = _Output(self._process.stderr)
             threading.Thread(target=self._listen, args=(self._process.stdout, self._answers), daemon=True).start()
-            before = os.environ.get("PYTHONPATH")
-            self._ask(pickle.dumps(Begin(self._held.path, list(sys.path), before, self._modules)))
+            python_path = os.environ.get("PYTHONPATH")
+            self._ask(pickle.dumps(Begin(self._scratch.path, list(sys.path), python_path, self._modules)))
 
     @property
     def folder(self) -> Path:
         """Return a folder with the lifetime of the process."""
-        return self._held.path
+        return self._scratch.path
 
     def take_along(self, folder: Path) -> None:
         """Register a folder for removal if this process is killed. The worker then removes it."""
-        with suppress(OSError), (self._held.path / ALONG).open("a", encoding="utf-8") as stream:
+        with suppress(OSError), (self._scratch.path / ALONG).open("a", encoding="utf-8") as stream:
             stream.write(f"{folder}\0")  # On a full disk the next command removes the folder.
 
     @property
@@ -112,8 +113,8 @@ class Worker:
         clock = Clock(watch or Watch(), self.progress)
         try:
             content = pickle.dumps((function, arguments))
-        except Exception as refusal:  # pickle raises any error of the objects' methods
-            raise not_sent(refusal) from None
+        except Exception as failure:  # pickle raises any error of the objects' methods
+            raise transfer_fault(failure) from None
         self._ask(content)
         try:
             content = self._wait(clock)
@@ -144,9 +145,9 @@ class Worker:
             except subprocess.TimeoutExpired:
                 kill = True
         _end_group(process, kill)
-        self._printed.join()
+        self._output.join()
         _close(process.stdin)  # The readers of the other streams close them; closing here would wait for a read.
-        self._held.remove()
+        self._scratch.remove()
 
     # -- internal -------------------------------------------------------------------------------
 
@@ -188,15 +189,14 @@ class Worker:
         except subprocess.TimeoutExpired:
             code = None
         _end_group(self._process, kill=True)
-        self._printed.join()
-        words = bytes(self.progress.words).decode("utf-8", "replace").strip() or self._printed.last_line()
+        self._output.join()
+        words = bytes(self.progress.words).decode("utf-8", "replace").strip() or self._output.last_line()
         component, at, call = clock.place()
-        return Crashed(
-            component, at, f"{call} {how_ended(code)}" + (f"; it said last: {words[:WORDS]}" if words else "")
-        )
+        template = messages.CRASH_WITH_WORDS if words else messages.CRASH
+        return Crashed(component, at, template(call=call, end=how_ended(code), words=words[:MOST_WORDS]))
 
 
-class _Printed:
+class _Output:
     """Output of FMUs, passed up to a limit; the last part is kept."""
 
     def __init__(self, stream: Any) -> None:
@@ -205,15 +205,15 @@ class _Printed:
         self._thread.start()
 
     def _drain(self, stream: Any) -> None:
-        left = SHOWN
+        room = MOST_OUTPUT
         with suppress(OSError, ValueError), stream:
             while part := stream.read1(65536):
-                self.last = (self.last + part)[-KEPT:]
-                if left > 0:
-                    _show(part[:left])
-                    left -= len(part)
-                    if left <= 0:
-                        _show(b"\n(the FMUs print more, which is left out)\n")
+                self.last = (self.last + part)[-LAST_OUTPUT:]
+                if room > 0:
+                    _show(part[:room])
+                    room -= len(part)
+                    if room <= 0:
+                        _show(f"\n{messages.OUTPUT_LEFT_OUT()}\n".encode())
 
     def join(self) -> None:
         """Wait for the rest, but not for children of the process."""
@@ -237,14 +237,8 @@ def _spawn() -> subprocess.Popen[bytes]:
     environment = {**os.environ, **cache_environment(), "PYTHONPATH": str(ROOT) + (os.pathsep + path if path else "")}
     windows = {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)}
     apart: dict[str, Any] = windows if os.name == "nt" else {"start_new_session": True}
-    return subprocess.Popen(
-        [sys.executable, "-P", "-m", "cosim.isolation"],
-        env=environment,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        **apart,
-    )
+    command, pipe = [sys.executable, "-P", "-m", "cosim.isolation"], subprocess.PIPE
+    return subprocess.Popen(command, env=environment, stdin=pipe, stdout=pipe, stderr=pipe, **apart)
 
 
 def _end_group(process: subprocess.Popen[bytes], kill: bool) -> None:

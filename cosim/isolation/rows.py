@@ -26,15 +26,15 @@ BLOCK = 1 << 20  # bytes per write on disks that cannot reserve space
 POPULATE_WRITE, AHEAD = 23, 2**26  # MADV_POPULATE_WRITE of Linux, and bytes of a table to map beforehand
 
 
-class Beside(Protocol):
-    """The list operations needed for values beside the rows."""
+class ExactValues(Protocol):
+    """The list operations needed for values beyond doubles."""
 
     def append(self, row: tuple[Any, ...], /) -> None:
         """Append the values of a row."""
 
 
-class BesideFile:
-    """Values beside the rows in a file, readable by another process after a crash."""
+class ExactFile:
+    """Values beyond doubles in a file, readable by another process after a crash."""
 
     def __init__(self, path: Path) -> None:
         self._stream = path.open("ab", buffering=0)
@@ -43,21 +43,20 @@ class BesideFile:
         """Append the values of a row; raise OSError on a full disk."""
         content = pickle.dumps(row)
         if self._stream.write(content) < len(content):
-            raise OSError(errno.ENOSPC, "no room for what stands beside a row")
+            raise OSError(errno.ENOSPC, "no room for the exact values of a row")
 
     def close(self) -> None:
         """Close the file."""
         self._stream.close()
 
 
-def read_beside(path: Path, rows: int) -> list[tuple[Any, ...]]:
+def read_exact(path: Path, rows: int) -> list[tuple[Any, ...]]:
     """Return the values of the first rows, as far as complete."""
-    kept: list[tuple[Any, ...]] = []
-    if path.exists():
-        with path.open("rb") as stream, suppress(EOFError, pickle.UnpicklingError):
-            while len(kept) < rows:
-                kept.append(pickle.load(stream))
-    return kept
+    values: list[tuple[Any, ...]] = []
+    with suppress(FileNotFoundError, EOFError, pickle.UnpicklingError), path.open("rb") as stream:
+        while len(values) < rows:
+            values.append(pickle.load(stream))
+    return values
 
 
 @dataclass(frozen=True)
@@ -72,7 +71,7 @@ class Rows:
     """
 
     table: Array
-    beside: Beside = field(default_factory=list[tuple[Any, ...]])
+    beside: ExactValues = field(default_factory=list[tuple[Any, ...]])
     made: MutableSequence[int] = field(default_factory=lambda: array("q", [0]))
     doing: MutableSequence[int] = field(default_factory=lambda: array("q", [NOTHING]))
     tell_loop: Callable[[str], None] = lambda loop: None

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from cosim.base.errors import SimulationError, TimedOut
+from cosim.isolation import messages
 from cosim.isolation.limits import Limits
 from cosim.isolation.memory import resident
 from cosim.isolation.rows import CALLS, NOTHING, OTHER, Progress
@@ -28,7 +29,7 @@ STATUSES = {  # NTSTATUS of Windows
     0xC0000374: "crashed: heap corrupted",
     0xC0000409: "crashed: abort",
 }
-CALLED = ("setting its inputs", "stepping", "reading its outputs")  # for components other than FMUs
+PLAIN_CALLS = ("setting its inputs", "stepping", "reading its outputs")  # for components other than FMUs
 FMI_CALLS = {
     "2": ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal"),
     "3": ("fmi3SetFloat64", "fmi3DoStep", "fmi3GetFloat64"),
@@ -62,7 +63,7 @@ def fmi_calls(description: Any) -> Sequence[str]:
 
     Components other than FMUs, with description None, have plain words.
     """
-    return FMI_CALLS.get(str(getattr(description, "fmiVersion", ""))[:1], CALLED)
+    return FMI_CALLS.get(str(getattr(description, "fmiVersion", ""))[:1], PLAIN_CALLS)
 
 
 def how_ended(code: int | None) -> str:
@@ -84,35 +85,34 @@ class Clock:
         self.watch, self.progress = watch, progress
         self.since = self.last = time.monotonic()
         self.key: tuple[Any, ...] = ()
-        self.told = 0
+        self.rows = 0  # number of rows at the last check
 
     def look(self, pid: int) -> None:
         """Raise TimedOut or SimulationError for an exceeded limit."""
-        now, made = time.monotonic(), self.progress.made[0]
-        if self.watch.progress is not None and made != self.told:
-            self.told = made
-            self.watch.progress(made)
-        loading, key = self._loading(), self._key()
+        now, rows = time.monotonic(), self.progress.made[0]
+        if self.watch.progress is not None and rows != self.rows:
+            self.rows = rows
+            self.watch.progress(rows)
+        loading, key = self._is_loading(), self._key()
         if key != self.key or self.progress.doing[0] == NOTHING:
             self.key, self.since = key, now
         self.watch.spent[0] += 0.0 if loading else now - self.last
         self.last = now
         self._check(loading, now - self.since, pid)
 
-    def _check(self, loading: bool, taken: float, pid: int) -> None:
+    def _check(self, loading: bool, duration: float, pid: int) -> None:
         limits = self.watch.limits
-        most, name = (limits.loading, "load") if loading else (limits.step, "step")
+        limit, name = (limits.loading, "load") if loading else (limits.step, "step")
         component, at, call = self.place()
-        if most is not None and taken > most:
-            raise TimedOut(component, at, f"{call} takes longer than {most:g} s (limits: {name})")
+        if limit is not None and duration > limit:
+            raise TimedOut(component, at, messages.LONG_CALL(call=call, limit=limit, name=name))
         if limits.total is not None and self.watch.spent[0] > limits.total:
-            said = f"{call} is being called after {limits.total:g} s in all (limits: total)"
-            raise TimedOut(component, at, said)
+            raise TimedOut(component, at, messages.LONG_RUN(call=call, limit=limits.total))
         if limits.memory is not None:
-            held = resident(pid) - self.progress.made[0] * self.watch.width
-            if held > limits.memory:
-                grown = f"the process holds {held / 1e6:.4g} MB, more than {limits.memory / 1e6:.4g} MB"
-                raise SimulationError(component, at, f"{call}: {grown} (limits: memory)")
+            size = resident(pid) - self.progress.made[0] * self.watch.width
+            if size > limits.memory:
+                message = messages.LARGE_PROCESS(call=call, size=size / 1e6, limit=limits.memory / 1e6)
+                raise SimulationError(component, at, message)
 
     def place(self) -> tuple[str, float, str]:
         """Return component, simulated time [s] and call."""
@@ -120,14 +120,15 @@ class Clock:
         watch = self.watch
         if not 0 <= number < len(watch.components):
             return "the run", 0.0, "the worker"
-        at = watch.time(self.progress.made[0], call)
         if self.progress.named[0]:
-            return watch.components[number], at, self.progress.call.decode("utf-8", "replace")
-        if call != OTHER:
-            return watch.components[number], at, watch.calls[number][call] if watch.calls else CALLED[call]
-        return watch.components[number], at, "loading" if not self.progress.made[0] else "unloading"
+            name = self.progress.call.decode("utf-8", "replace")
+        elif call != OTHER:
+            name = (watch.calls[number] if watch.calls else PLAIN_CALLS)[call]
+        else:
+            name = "unloading" if self.progress.made[0] else "loading"
+        return watch.components[number], watch.time(self.progress.made[0], call), name
 
-    def _loading(self) -> bool:
+    def _is_loading(self) -> bool:
         if self.progress.made[0] or self.progress.doing[0] % CALLS != OTHER:  # NOTHING counts as OTHER too.
             return False
         return not self.progress.named[0] or b"Instantiate" in self.progress.call

@@ -21,9 +21,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from cosim.base.errors import CosimError, Fault, InputError
+from cosim.base.errors import CosimError, InputError
 from cosim.base.garbage import collect_seldom
 from cosim.base.scratch import remove
+from cosim.isolation import messages
 from cosim.isolation.rows import Progress, mapped_progress
 
 HEAD = struct.Struct("!Q")
@@ -50,7 +51,7 @@ class Begin:
 progress: Progress  # shared with the caller
 
 
-class Said(deque[str]):
+class SharedLog(deque[str]):
     """Messages of an FMU; the caller sees the last even after a crash."""
 
     def append(self, text: str) -> None:
@@ -59,11 +60,11 @@ class Said(deque[str]):
         super().append(text)
 
 
-def overheard(component: Any) -> None:
+def share_log(component: Any) -> None:
     """Share a component's messages with the caller."""
     log = getattr(component, "log", None)
     if isinstance(log, deque):
-        component.log = Said(log, log.maxlen)
+        component.log = SharedLog(log, log.maxlen)
 
 
 def send(stream: Any, content: bytes) -> None:
@@ -77,23 +78,24 @@ def receive(stream: Any) -> bytes | None:
     head = stream.read(HEAD.size)
     if len(head) < HEAD.size:
         return None
-    content = stream.read(HEAD.unpack(head)[0])
-    return content if len(content) == HEAD.unpack(head)[0] else None
+    (size,) = HEAD.unpack(head)
+    content = stream.read(size)
+    return content if len(content) == size else None
 
 
 def main() -> None:
     """Import modules, then do jobs in sequence."""
     global progress
     collect_seldom()
-    asked, answers = _own_streams()
+    requests, answers = _take_streams()
     _end_with_caller()
-    begin: Begin = pickle.loads(receive(asked) or sys.exit())
+    begin: Begin = pickle.loads(receive(requests) or sys.exit())
     scratch, sys.path[:] = begin.scratch, begin.path
     _restore("PYTHONPATH", begin.pythonpath)
     tempfile.tempdir = os.environ["TMPDIR"] = os.environ["TEMP"] = os.environ["TMP"] = str(scratch)
     progress = mapped_progress(scratch / PROGRESS)
     jobs: queue.SimpleQueue[bytes] = queue.SimpleQueue()
-    threading.Thread(target=_read, args=(asked, jobs, scratch), daemon=True).start()
+    threading.Thread(target=_read, args=(requests, jobs, scratch), daemon=True).start()
     for name in begin.modules:
         importlib.import_module(name)
     _name_calls()
@@ -111,44 +113,39 @@ def _end() -> None:
     os._exit(0)
 
 
-def _own_streams() -> tuple[BinaryIO, BinaryIO]:
+def _take_streams() -> tuple[BinaryIO, BinaryIO]:
     """Return the streams to the caller, separated from FMUs.
 
     FMUs read nothing from stdin and print to stderr.
     """
-    asked, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
-    nothing = os.open(os.devnull, os.O_RDONLY)
-    os.dup2(nothing, 0)
+    requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)
-    return asked, answers
+    return requests, answers
 
 
-def _restore(name: str, before: str | None) -> None:
-    """Restore an environment variable of the caller.
-
-    It was changed to find this module.
-    """
-    if before is None:
-        os.environ.pop(name, None)
-    else:
-        os.environ[name] = before
+def _restore(name: str, value: str | None) -> None:
+    """Restore an environment variable of the caller, which was changed to find this module."""
+    os.environ.pop(name, None)
+    if value is not None:
+        os.environ[name] = value
 
 
-def _read(asked: BinaryIO, jobs: queue.SimpleQueue[bytes], scratch: Path) -> None:
+def _read(requests: BinaryIO, jobs: queue.SimpleQueue[bytes], scratch: Path) -> None:
     """Queue jobs; an empty job ends the worker.
 
     After the caller's end, remove its files and end the process group.
     """
-    while (content := receive(asked)) is not None:
+    while (content := receive(requests)) is not None:
         jobs.put(content)
-    for path in (*_along(scratch), scratch):
+    for path in (*_registered_folders(scratch), scratch):
         remove(path)
     if os.name == "posix" and os.getpgid(0) == os.getpid():
         os.killpg(0, signal.SIGKILL)  # including processes started by an FMU
     os._exit(1)
 
 
-def _along(scratch: Path) -> list[Path]:
+def _registered_folders(scratch: Path) -> list[Path]:
     """Return folders to remove after the caller's end.
 
     The caller lists them itself, because a job may not have begun.
@@ -181,13 +178,13 @@ def _name_calls() -> None:
     if call is None:
         return
 
-    def named(self: Any, name: str, *arguments: Any) -> Any:
+    def announce_and_call(self: Any, name: str, *arguments: Any) -> Any:
         progress.call, progress.named[0] = name.encode()[:127], 1
         answer = call(self, name, *arguments)
         progress.named[0] = 0
         return answer
 
-    _FMU._call = named
+    _FMU._call = announce_and_call
 
 
 def _answer(content: bytes) -> bytes:
@@ -195,29 +192,29 @@ def _answer(content: bytes) -> bytes:
     try:
         function, arguments = pickle.loads(content)
     except Exception as error:  # a class that only the caller can import
-        return pickle.dumps((None, not_sent(error)))
+        return pickle.dumps((None, transfer_fault(error)))
     try:
         return pickle.dumps((function(*arguments), None))
     except Exception as error:
-        return _sent(error, traceback.format_exc())
+        return _pickled_error(error, traceback.format_exc())
 
 
-def not_sent(error: Exception) -> InputError:
+def transfer_fault(error: Exception) -> InputError:
     """Return the fault of an argument that cannot be sent."""
-    cure = "define it in a module that can be imported, or run in this process (in_process=True, --in-process)"
-    message = f"cannot take over an object ({type(error).__name__}: {' '.join(str(error).split())[:200]}); {cure}"
-    return InputError([Fault(Path("the worker process"), 0, 0, message)])
+    reason = " ".join(str(error).split())[:200]
+    message = messages.UNSENDABLE_OBJECT(kind=type(error).__name__, reason=reason)
+    return InputError.at(Path("the worker process"), message)
 
 
-def _sent(error: Exception, place: str) -> bytes:
+def _pickled_error(error: Exception, place: str) -> bytes:
     """Return a pickled error, or its text if not picklable."""
     if not isinstance(error, CosimError):
         error.add_note(f"in a worker:\n{place}")
     try:
-        told = pickle.dumps((None, error))
-        pickle.loads(told)
+        content = pickle.dumps((None, error))
+        pickle.loads(content)
     except Exception:  # Some errors fail only when unpickled.
         plain = RuntimeError(f"{type(error).__name__}: {error}")
         plain.add_note(f"in a worker:\n{place}")
-        told = pickle.dumps((None, plain))
-    return told
+        return pickle.dumps((None, plain))
+    return content

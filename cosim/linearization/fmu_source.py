@@ -104,7 +104,7 @@ def _about(
 def _opened(path: Path, description: Any, start: Mapping[str, Any]) -> DifferentiableFmu:
     here.progress.doing[0] = OTHER
     block = DifferentiableFmu(NAME, path, description, start, frozenset())
-    here.overheard(block)
+    here.share_log(block)
     block.bind_nothing()
     block.open(0.0, 1.0)
     block.start()

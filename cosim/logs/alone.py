@@ -70,7 +70,7 @@ class _AloneReader(LogReader):
         for cell, kind in [key for key in self.faults.counts if key[0] == column.cell]:
             del self.faults.counts[cell, kind]
         header = self.table.header
-        self.faults.found = [f for f in self.faults.found if f.column != column.cell or f.line <= header]
+        self.faults.items = [f for f in self.faults.items if f.column != column.cell or f.line <= header]
 
     def notes(self, log: Log) -> Iterator[Finding]:
         """Yield notes on text columns and unknown units."""

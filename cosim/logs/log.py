@@ -287,7 +287,7 @@ class LogReader:
             self._check_sizes(column, values)
 
     def _check_sizes(self, column: Column, values: Array) -> None:
-        name, cure = column.name, "leave the row out" if column.known else "leave the cell empty"
+        name, cure = column.name, "leave the row out" if column.role else "leave the cell empty"
         kind = f"cells of {name} far beyond the rest"
         for row in _absurd_rows(values):
             message = messages.ABSURD_VALUE(name=name, value=values[row], cure=cure)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import SimulationError, Terminated, stopped
+from cosim.base.errors import SimulationError, Terminated, stop_error
 from cosim.blocks.component import EarlyEnd
 from cosim.blocks.stepping import NEVER, NotCompiled
 from cosim.isolation.rows import CALLS, OTHER, Rows
@@ -111,7 +111,7 @@ class Master:
                 raise StoppedRun(end, self._rows_so_far()) from None  # before the first row
             self._record_last(end)
         except (SimulationError, KeyboardInterrupt, Terminated) as stop:
-            error = stopped(stop, float(self.time[max(0, self.done - 1)]))
+            error = stop_error(stop, float(self.time[max(0, self.done - 1)]))
             raise StoppedRun(error, self._rows_so_far()) from None
         finally:
             for component in self.components:

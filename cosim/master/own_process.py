@@ -43,7 +43,7 @@ _components: dict[str, _LoadedComponent] = {}
 def load(component: Component, start: float, stop: float) -> tuple[Values, Values]:
     """Open a component; return its inputs and outputs."""
     loaded = _components[component.name] = _LoadedComponent(component)
-    here.overheard(component)
+    here.share_log(component)
     component.open(start, stop)
     return loaded.inputs(), loaded.outputs()
 

@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from cosim.base.drafts import is_full
-from cosim.base.errors import CosimError, DiskFull, SimulationError, Terminated, stopped
-from cosim.base.scratch import Held, scratch
+from cosim.base.errors import CosimError, DiskFull, SimulationError, Terminated, stop_error
+from cosim.base.scratch import ScratchFolder, scratch
 from cosim.blocks.component import EarlyEnd
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
-from cosim.isolation.rows import GET, BesideFile, Progress, Rows, allocate, mapped_table, read_beside, read_table
+from cosim.isolation.rows import GET, ExactFile, Progress, Rows, allocate, mapped_table, read_exact, read_table
 from cosim.isolation.watch import Clock, Watch, fmi_calls
 from cosim.master import messages
 from cosim.master.c_loop import compile_beforehand
@@ -124,9 +124,9 @@ def simulate_rows(system: System, steps: int, h: float, table: Path, limits: Lim
 
     system = in_own_processes(system, limits)
     for stage in system.stages:
-        here.overheard(stage.component)
+        here.share_log(stage.component)
     progress = here.progress
-    mapped, beside = mapped_table(table, steps + 1, len(system.columns)), BesideFile(table.with_name(BESIDE))
+    mapped, beside = mapped_table(table, steps + 1, len(system.columns)), ExactFile(table.with_name(BESIDE))
     failure: SimulationError | None = None
     try:
         rows = Rows(mapped, beside, progress.made, progress.doing, _store_loop)
@@ -200,13 +200,13 @@ def simulate_apart(
             end = worker.call(simulate_rows, system, count - 1, h, table, limits, bool(observers), watch=watch)
             hold_stops()  # The rows must be saved.
         except (SimulationError, KeyboardInterrupt, Terminated) as stop:
-            end = WorkerEnd(failure=stopped(stop, _last_time(system, h, counters.made[0])))
+            end = WorkerEnd(failure=stop_error(stop, _last_time(system, h, counters.made[0])))
         except (CosimError, OSError, MemoryError):
             raise
         except Exception as error:  # An unexpected error of a library is no reason to lose the rows.
             end = WorkerEnd(failure=_unexpected(error, watch, counters))
         done = counters.made[0]
-        values, beside = read_table(table, done, columns), read_beside(table.with_name(BESIDE), done)
+        values, beside = read_table(table, done, columns), read_exact(table.with_name(BESIDE), done)
     feed.end(values)
     failure = end.failure or feed.failure
     time = system.start + h * np.arange(steps + 1, dtype=np.float64)
@@ -231,7 +231,7 @@ def _disk_full(time: float, count: int, rows: int) -> DiskFull:
     return DiskFull("the run", time, messages.DISK_FULL(count=count, rows=rows))
 
 
-def _allocate_rows(folders: Sequence[Path], rows: int, width: int) -> tuple[Held, int]:
+def _allocate_rows(folders: Sequence[Path], rows: int, width: int) -> tuple[ScratchFolder, int]:
     """Return a folder with the rows file, and its number of rows.
 
     The folder is beside the results, or elsewhere for lack of space. A full disk takes fewer rows.

@@ -12,7 +12,7 @@ from typing import Any, Self
 
 from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
-from cosim.base.scratch import Held, scratch
+from cosim.base.scratch import ScratchFolder, scratch
 from cosim.blocks.compiling import with_permission
 from cosim.fmi.state import Memory, Own
 from cosim.isolation import worker as own_process
@@ -45,7 +45,7 @@ class Loaded:
 def load(loaded: Loaded) -> None:
     """Prepare a drive without loading its FMU."""
     drive = Drive(loaded.log, loaded.fmu, interpolated=loaded.interpolated, given=loaded.given)
-    own_process.overheard(drive.block)
+    own_process.share_log(drive.block)
     drive._new_rows = partial(_map_rows, loaded.table)
     _drives[loaded.number] = drive
 
@@ -90,7 +90,7 @@ class DriveApart(Drive):
         self._number, self._process = next(self._numbers), 0
         self._full = log  # base of copies with other measurements
         self._most = max(len(self._steps(0, log.rows - 1).times), log.rows) + 2  # largest number of rows of a run
-        self._held: Held | None = None
+        self._held: ScratchFolder | None = None
 
     def __enter__(self) -> Self:
         self._held = scratch("cosim-replay-rows-")

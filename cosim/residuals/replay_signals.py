@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cosim.simulation.run_signals import Signals
-from cosim.storage.folders import left_by_replay
+from cosim.storage.folders import replay_record
 from cosim.storage.results import read_results, rows_in
 
 
@@ -30,7 +30,7 @@ def read_replay(folder: Path, *, kept: bool = True) -> Replay | None:
     files = rows_in(folder), rows_in(folder, "residual")
     if files[1] is None:
         return None
-    record = left_by_replay(folder)
+    record = replay_record(folder)
     units = record.get("units")
     texts = {n: str(u) for n, u in units.items()} if isinstance(units, dict) else {}
     rows, missed = (read_results(file or folder / "results.csv", texts) for file in files)

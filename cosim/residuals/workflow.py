@@ -12,7 +12,7 @@ import numpy as np
 
 from cosim.base.arrays import Array, far_beyond
 from cosim.base.drafts import is_full
-from cosim.base.errors import DiskFull, Terminated, stopped
+from cosim.base.errors import DiskFull, Terminated, stop_error
 from cosim.base.registry import BASE
 from cosim.base.scratch import temporary_folder
 from cosim.fmi.fmu_build import build as build_fmu
@@ -178,7 +178,7 @@ def write_replay(
                 raise
             raise _full(rows_file, residual_file, log) from None
         except (KeyboardInterrupt, Terminated) as stop:  # all rows of the free run are written
-            ended = stopped(stop, float(log.time[-1]), "the comparison")
+            ended = stop_error(stop, float(log.time[-1]), "the comparison")
             ended.left = folder
             raise ended from None
     return comparison
@@ -198,7 +198,7 @@ def _free_run(drive: Drive, start: Mapping[str, Any] | None, file: Path) -> Repl
             raise
         rows = results(drive, as_columns(drive.left, drive.outputs))
         _write_rows(rows, file)
-        error = stopped(stop, rows.time[-1] if rows.time.size else drive.log.time[0], "the replay")
+        error = stop_error(stop, rows.time[-1] if rows.time.size else drive.log.time[0], "the replay")
         error.left = file.parent
         raise error from None
     _write_rows(results(drive, free.outputs), file)

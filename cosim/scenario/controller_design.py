@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Optional
@@ -15,7 +15,9 @@ from typing import Annotated, Any, Literal, Optional
 from pydantic import AfterValidator, ConfigDict, Field, create_model
 
 from cosim.base.errors import Crashed, Fault, FmuError, InputError, NotExecuted
+from cosim.base.messages import Message, code_of, with_prefix
 from cosim.base.registry import BASE, entry_of, model_entry, resolve
+from cosim.base.version import __version__
 from cosim.blocks.description import read_description
 from cosim.fmi.sampled import law_of
 from cosim.isolation.process import Worker
@@ -23,11 +25,11 @@ from cosim.loading.file import load_model, without_execution
 from cosim.loading.refined import NoNearest, refined_file
 from cosim.model.design import Designer, Judged, Objection, Option, Undesigned
 from cosim.model.model import Model
+from cosim.scenario import messages
 from cosim.scenario.scenario import Design
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.scenario.start_values import typed
-from cosim.storage.cache import cached
-from cosim.storage.files import atomic_write
+from cosim.storage.cache import load_or_make
 from cosim.storage.yaml_file import NotNegative, Positive, short
 
 
@@ -38,15 +40,15 @@ def _complex(value: Any) -> Any:
     except (TypeError, ValueError):
         number = complex("nan")
     if isinstance(value, bool) or not (math.isfinite(number.real) and math.isfinite(number.imag)):
-        raise ValueError(f"{value!r} is no number; write -4 or, complex, -4+1j")
+        raise ValueError(messages.NO_COMPLEX_NUMBER(value=repr(value)))
     return str(number).strip("()") if number.imag else number.real
 
 
-ALIKE = 1e-6  # relative difference of numbers treated as equal, e.g. typed and calculated
+MAX_DIFFERENCE = 1e-6  # relative difference of numbers treated as equal, e.g. typed and calculated
 Complex = Annotated[Any, AfterValidator(_complex)]
 
 
-class _Declared(Design):
+class _Options(Design):
     """The options of a designer, without further keys."""
 
     model_config = ConfigDict(extra="forbid")
@@ -69,19 +71,19 @@ def designed_values(file: ScenarioFile) -> dict[str, dict[str, Any]]:
         faults += _contradictions(file, design.component, designer.collect_start_values(options, law), own)
         if file.faults or faults:  # A faulty scenario is never run.
             raise InputError(faults)
-        made = _Design(file, designer, options, model, law)
-        designed = {**made.values(), **designer.collect_start_values(options, law)}
-        judged = made.judged(designed, own)
-        if judged.objections:
-            raise InputError([_fault(file, o, own, design.component) for o in judged.objections])
+        source = _Design(file, designer, options, model, law)
+        values = {**source.values(), **designer.collect_start_values(options, law)}
+        verdict = source.verdict(values, own)
+        if verdict.objections:
+            raise InputError([_fault(file, o, own, design.component) for o in verdict.objections])
     except Undesigned as error:
         file.faults.append(_fault(file, error.objection, own, design.component))
         return {}
     except InputError as error:
         file.faults += error.faults
         return {}
-    file.warnings += [*judged.warnings, *_two_numbers(file, design.component, designer.rests_on(designed, law))]
-    return {design.component: designed}
+    file.warnings += [*verdict.warnings, *_two_numbers(file, design.component, designer.rests_on(values, law))]
+    return {design.component: values}
 
 
 def designed_apart(file: ScenarioFile, worker: Worker | None) -> dict[str, dict[str, Any]]:
@@ -99,24 +101,24 @@ def designed_apart(file: ScenarioFile, worker: Worker | None) -> dict[str, dict[
             return designed_values(file)
     except NotExecuted as code:
         try:
-            designed, design, file.faults, file.warnings = worker.call(_design_of, file)
+            values, design, file.faults, file.warnings = worker.call(_design_of, file)
         except Crashed as crash:
-            raise InputError([ended(code.file, crash)]) from None
-        whole = file.scenario.design if design is None else Design.model_validate(design)
-        file.scenario = file.scenario.model_copy(update={"design": whole})
-        return dict(designed)
+            raise InputError([crash_fault(code.file, crash)]) from None
+        if design is not None:
+            file.scenario = file.scenario.model_copy(update={"design": Design.model_validate(design)})
+        return dict(values)
 
 
-def ended(file: Path, crash: Crashed) -> Fault:
+def crash_fault(file: Path, crash: Crashed) -> Fault:
     """Return the fault of a Python file that ended the worker."""
-    return Fault(file, 0, 0, f"does not load: {crash.reason.replace('the worker', 'its Python', 1)}")
+    reason = crash.reason.replace("the worker", "its Python", 1)
+    return Fault(file, 0, 0, messages.CRASHED_PYTHON(reason=reason))
 
 
 def _design_of(file: ScenarioFile) -> tuple[Any, Any, list[Fault], list[str]]:
     """Return designed values, design, faults and warnings from a worker."""
-    designed = designed_values(file)
-    design = file.scenario.design
-    return designed, None if design is None else design.model_dump(), file.faults, file.warnings
+    values, design = designed_values(file), file.scenario.design
+    return values, None if design is None else design.model_dump(), file.faults, file.warnings
 
 
 def _fault(file: ScenarioFile, objection: Objection, own: Mapping[str, Any], component: str) -> Fault:
@@ -124,25 +126,25 @@ def _fault(file: ScenarioFile, objection: Objection, own: Mapping[str, Any], com
 
     Its place is the start value concerned, if the scenario sets one; otherwise the option.
     """
-    started = next((name for name in objection.values if name in own), None)
-    if started is not None:
-        return file.fault(("components", component, "start", started), objection.message)
-    about = objection.about[:1]
-    written = file.yaml.root.get("design")
-    said = f"{about[0] if about else 'design'}: {objection.message}"
-    if not about or not isinstance(written, dict) or about[0] not in written:  # a default, or from outside the file
-        return file.yaml.fault(("design",), said, key=True)
-    return file.fault(("design", *objection.about), said)
+    start = next((name for name in objection.values if name in own), None)
+    if start is not None:
+        return file.fault(("components", component, "start", start), objection.message)
+    option = next(iter(objection.about), None)
+    section = file.yaml.root.get("design")
+    text = with_prefix(f"{'design' if option is None else option}: ", objection.message)
+    if not isinstance(section, dict) or option not in section:  # a default, or from outside the file
+        return file.yaml.fault(("design",), text, key=True)
+    return file.fault(("design", *objection.about), text)
 
 
 def _contradictions(
-    file: ScenarioFile, component: str, given: Mapping[str, Any], own: Mapping[str, Any]
+    file: ScenarioFile, component: str, options: Mapping[str, Any], own: Mapping[str, Any]
 ) -> list[Fault]:
     """Return a fault for each option contradicting a start value."""
     faults = []
-    for name, value in given.items():
+    for name, value in options.items():
         if isinstance(value, str) and name in own and own[name] != value:
-            message = f"{name} is {short(own[name])} here and {short(value)} in design: leave one of them out"
+            message = messages.CONTRADICTION(name=name, start=short(own[name]), option=short(value))
             faults.append(file.fault(("components", component, "start", name), message))
     return faults
 
@@ -150,41 +152,38 @@ def _contradictions(
 def _read_design(file: ScenarioFile, design: Design) -> tuple[Model | None, Designer]:
     """Return the design's model, if named, and its designer."""
     if design.model is None and design.nearest:
-        raise InputError([file.fault(("design", "nearest"), "nearest is of a refine; name its folder as model")])
+        raise InputError([file.fault(("design", "nearest"), messages.NEAREST_WITHOUT_MODEL())])
     if design.model is None:
         return None, resolve(model_entry().design)
+    where = ("design", "model")
     try:
-        named = refined_file(file.path.parent / design.model, nearest=bool(design.nearest))
+        path = refined_file(file.path.parent / design.model, nearest=bool(design.nearest))
+        model = load_model(BASE if design.model == BASE else str(path), Path()).model
     except NoNearest as error:
         raise InputError([file.fault(("design", "nearest"), str(error))]) from None
-    try:
-        loaded = load_model(BASE if design.model == BASE else str(named), Path())
     except InputError as error:  # Faults without a line are reported at the key that names the file.
-        where = ("design", "model")
-        faults = [
-            f if f.line else file.fault(where, f"model: {design.model}: {f.message}", f.exit_code) for f in error.faults
-        ]
+        prefix = f"model: {design.model}: "
+        faults = [f if f.line else file.fault(where, with_prefix(prefix, f.message), f.exit_code) for f in error.faults]
         raise InputError(faults) from None
-    entry = entry_of(type(loaded.model))
+    entry = entry_of(type(model))
     if entry is None or not entry.design:
-        message = f"{design.model} is {loaded.model.title}; no controller is designed for it here"
-        raise InputError([file.fault(("design", "model"), message)])
-    return loaded.model, resolve(entry.design)
+        raise InputError([file.fault(where, messages.MODEL_WITHOUT_DESIGNER(name=design.model, title=model.title))])
+    return model, resolve(entry.design)
 
 
 def _law(file: ScenarioFile, component: str) -> str:
     """Return the control law of the designed FMU, or ""."""
-    named = getattr(file.scenario.components.get(component), "fmu", None)
-    return "" if named is None else law_of(file.resolve(named))
+    fmu = getattr(file.scenario.components.get(component), "fmu", None)
+    return "" if fmu is None else law_of(file.resolve(fmu))
 
 
 def _options(file: ScenarioFile, design: Design, designer: Designer, law: str) -> dict[str, Any]:
     """Return the design's valid options; raise InputError with all faults."""
     fields: dict[str, Any] = {n: (_kind(option), _default(option, law)) for n, option in designer.options.items()}
-    declared = create_model("Design", __base__=_Declared, **fields)
-    whole = file.yaml.validate(declared, design.model_dump(), ("design",))
-    file.scenario = file.scenario.model_copy(update={"design": whole})
-    return {name: getattr(whole, name) for name in designer.options}
+    model = create_model("Design", __base__=_Options, **fields)
+    options = file.yaml.validate(model, design.model_dump(), ("design",))
+    file.scenario = file.scenario.model_copy(update={"design": options})
+    return {name: getattr(options, name) for name in designer.options}
 
 
 def _default(option: Option, law: str) -> Any:
@@ -204,17 +203,16 @@ def _kind(option: Option) -> Any:
     return Optional[several] if option.laws else several  # noqa: UP045
 
 
-def _two_numbers(file: ScenarioFile, component: str, designed_with: Mapping[str, float]) -> list[str]:
+def _two_numbers(file: ScenarioFile, component: str, numbers: Mapping[str, float]) -> list[str]:
     """Return a warning for each number with two values.
 
     The component's start values and the design may differ.
     """
-    own = _numbers(file, component, designed_with)
+    own = _numbers(file, component, numbers)
     return [
-        f"{name} is {own[name]:g} in components.{component}.start and {value:g} in design:"
-        " it runs with the first and is designed with the second"
-        for name, value in designed_with.items()
-        if name in own and not math.isclose(own[name], value, rel_tol=ALIKE)
+        messages.TWO_NUMBERS(name=name, component=component, start=own[name], design=value)
+        for name, value in numbers.items()
+        if name in own and not math.isclose(own[name], value, rel_tol=MAX_DIFFERENCE)
     ]
 
 
@@ -224,15 +222,15 @@ def _numbers(file: ScenarioFile, component: str, names: Container[str]) -> dict[
     They have the units of their variables.
     """
     part = file.scenario.components.get(component)
-    found = {name: value for name, value in (getattr(part, "start", None) or {}).items() if name in names}
-    if any(isinstance(value, str) for value in found.values()):
+    values = {name: value for name, value in (getattr(part, "start", None) or {}).items() if name in names}
+    if any(isinstance(value, str) for value in values.values()):
         try:
             description = read_description(file.resolve(getattr(part, "fmu", "")))
         except FmuError:  # Another check reports the unreadable FMU at its key.
             return {}
         variables = {v.name: v for v in description.modelVariables}
-        found = {n: typed(description, variables[n], v) for n, v in found.items() if n in variables}
-    return {n: v for n, v in found.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
+        values = {n: typed(description, variables[n], v) for n, v in values.items() if n in variables}
+    return {n: v for n, v in values.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
 
 
 @dataclass(frozen=True)
@@ -248,42 +246,30 @@ class _Design:
     def values(self) -> dict[str, float]:
         """Return the designed values; raise InputError if none exist."""
         try:
-            content = {"model": self.designer.depends_on(self.model)}
-            made = self._load_or_make(content, lambda: self.designer.values(self.options, self.model, self.law))
+            key = self._key(model=self.designer.depends_on(self.model))
+            values = load_or_make(key, lambda: self.designer.values(self.options, self.model, self.law))
         except Undesigned:
             raise
         except ValueError as error:
-            raise InputError([self.file.yaml.fault(("design",), f"design: {error}", key=True)]) from None
-        return {name: float(value) for name, value in made.items()}
+            raise InputError([self.file.yaml.fault(("design",), messages.NO_DESIGN(reason=error), key=True)]) from None
+        return {name: float(value) for name, value in values.items()}
 
-    def judged(self, designed: Mapping[str, Any], own: Mapping[str, Any]) -> Judged:
+    def verdict(self, values: Mapping[str, Any], own: Mapping[str, Any]) -> Judged:
         """Validate design values after the component's start values have been applied."""
 
         def judge() -> dict[str, Any]:
-            found = self.designer.judged(designed, dict(own), self.options, self.law)
-            return {"objections": list(found.objections), "warnings": list(found.warnings)}
+            verdict = self.designer.judged(values, dict(own), self.options, self.law)
+            return {
+                "objections": [(o.about, o.message, code_of(o.message), o.values) for o in verdict.objections],
+                "warnings": [(text, code_of(text)) for text in verdict.warnings],
+            }
 
-        told = self._load_or_make({"designed": designed, "own": dict(own)}, judge)
-        objections = [Objection(tuple(about), said, tuple(names)) for about, said, names in told["objections"]]
-        return Judged(objections, told["warnings"])
+        record = load_or_make(self._key(values=values, own=dict(own)), judge)
+        objections = [Objection(tuple(a), Message(text, code), tuple(n)) for a, text, code, n in record["objections"]]
+        return Judged(objections, [Message(text, code) for text, code in record["warnings"]])
 
-    def _load_or_make(self, content: Mapping[str, Any], make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-        """Return the cached result of the content, or make it."""
-        from cosim.base.version import __version__
-
-        made_by = {"format": self.designer.version, "designer": type(self.designer).__qualname__}
-        key = {"version": __version__, **made_by, "options": self.options, "law": self.law, **content}
-        place = cached(json.dumps(key, sort_keys=True), ".json")
-        try:
-            found = json.loads(place.read_text(encoding="utf-8"))
-            if isinstance(found, dict) and found:
-                return found
-        except (OSError, ValueError):
-            pass  # no cache entry, or a damaged one
-        made = make()
-        try:
-            with atomic_write(place) as stream:
-                json.dump(made, stream)
-        except OSError:
-            pass  # A read-only cache costs time only.
-        return made
+    def _key(self, **content: Any) -> str:
+        """Return the key of a result in the cache."""
+        designer = {"format": self.designer.version, "designer": type(self.designer).__qualname__}
+        key = {"version": __version__, **designer, "options": self.options, "law": self.law, **content}
+        return json.dumps(key, sort_keys=True)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import Fault, InputError, refuse
+from cosim.base.messages import Message, code_of
+from cosim.scenario import messages
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.storage.yaml_file import MOST_FAULTS
 
@@ -15,17 +17,17 @@ class Diagnosis:
 
     def __init__(self, file: ScenarioFile) -> None:
         self.file = file
-        self.found: list[Fault] = list(file.faults)
+        self.faults: list[Fault] = list(file.faults)
         self.warnings: list[str] = list(file.warnings)
 
     def note(self, where: Place, message: str, exit_code: int = 2) -> None:
         """Note a fault at a place of the scenario; raise InputError at the limit of faults."""
-        shown = message if len(message) <= LONGEST else f"{message[: LONGEST - 1]}…"
-        self.found.append(self.file.fault(where, shown, exit_code=exit_code))
-        if len(self.found) >= MOST_FAULTS:
-            raise InputError([*self.found, Fault(self.file.path, 0, 0, f"the first {MOST_FAULTS} faults are shown")])
+        if len(message) > LONGEST:
+            message = Message(f"{message[: LONGEST - 1]}…", code_of(message))
+        self.faults.append(self.file.fault(where, message, exit_code=exit_code))
+        if len(self.faults) >= MOST_FAULTS:
+            raise InputError([*self.faults, Fault(self.file.path, 0, 0, messages.FIRST_FAULTS(limit=MOST_FAULTS))])
 
     def raise_any(self) -> None:
         """Raise InputError if any fault was noted."""
-        if self.found:
-            raise InputError(self.found)
+        refuse(self.faults)

@@ -32,10 +32,10 @@ def with_files_beside(scenario: Scenario, folder: Path) -> Scenario:
         key = key_of(component)
         pinned, named = getattr(component, "sha256", None), getattr(component, key, None)
         file = PureWindowsPath(named or "").name  # file name from a path of any operating system
-        beside = next((each for each in (file, f"{SYSTEM}/{file}") if (folder / each).is_file()), "")
-        if pinned is None or not named or not beside:
+        substitute = next((each for each in (file, f"{SYSTEM}/{file}") if (folder / each).is_file()), "")
+        if pinned is None or not named or not substitute:
             continue
-        there = folder / named
-        if not there.is_file() or (sha256(there) != pinned and sha256(folder / beside) == pinned):
-            components[name] = component.model_copy(update={key: beside})
+        original = folder / named
+        if not original.is_file() or (sha256(original) != pinned and sha256(folder / substitute) == pinned):
+            components[name] = component.model_copy(update={key: substitute})
     return scenario.model_copy(update={"components": {**scenario.components, **components}}) if components else scenario

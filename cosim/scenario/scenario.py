@@ -5,19 +5,12 @@ from __future__ import annotations
 import json
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    ConfigDict,
-    Discriminator,
-    Field,
-    SerializeAsAny,
-    Tag,
-)
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Discriminator, Field, SerializeAsAny, Tag
 
 from cosim.blocks.profile import Profile
 from cosim.coupling.algorithms import DEFAULT, AlgorithmKey
 from cosim.isolation.limits import Limits
+from cosim.scenario import messages
 from cosim.storage.yaml_file import (
     Amount,
     InUnit,
@@ -46,7 +39,7 @@ def _scalar(value: Any) -> Any:
         return [_scalar(each) for each in value]
     if isinstance(value, (bool, str)) or (isinstance(value, (int, float)) and abs(value) < LARGEST_NUMBER):
         return value
-    raise ValueError("a start value is a finite number, true or false, or text such as 12 deg")
+    raise ValueError(messages.NO_START_VALUE())
 
 
 def _kind_of(component: Any) -> str | None:
@@ -246,7 +239,7 @@ class Criterion(Part):
 
 Connections = Annotated[  # a key with all entries commented out has no value
     list[Connection],
-    BeforeValidator(lambda given: [] if given is None else given),
+    BeforeValidator(lambda value: [] if value is None else value),
     Field(json_schema_extra={"type": ["array", "null"]}),
 ]
 Criteria = dict[
@@ -314,13 +307,11 @@ class Scenario(Part):
     @property
     def goals(self) -> list[tuple[str, int | None, Criterion]]:
         """Return all criteria as (kind, list index, criterion)."""
-        flat: list[tuple[str, int | None, Criterion]] = []
-        for kind, one_or_many in self.criteria.items():
-            if isinstance(one_or_many, Criterion):
-                flat.append((kind, None, one_or_many))
-            else:
-                flat += [(kind, k, criterion) for k, criterion in enumerate(one_or_many)]
-        return flat
+        goals: list[tuple[str, int | None, Criterion]] = []
+        for kind, entry in self.criteria.items():
+            criteria = [(None, entry)] if isinstance(entry, Criterion) else enumerate(entry)
+            goals += [(kind, k, criterion) for k, criterion in criteria]
+        return goals
 
 
 def resolved(scenario: Scenario) -> dict[str, Any]:

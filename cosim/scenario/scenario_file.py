@@ -13,7 +13,9 @@ from typing import Any
 from pydantic import ValidationError
 
 from cosim.base.errors import Fault, InputError
+from cosim.base.messages import Template
 from cosim.base.registry import BASE, is_model
+from cosim.scenario import messages
 from cosim.scenario.pinned import with_files_beside
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.signal_units import convert_quantities
@@ -56,35 +58,29 @@ class ScenarioFile:
             self.yaml.enter("scenario")
         data = copy.deepcopy(self.yaml.root)
         for override in overrides:
-            named = f'{option} "{short(override)}"' if option else ""
-            self.yaml.overrides[_override(path, data, override, named)] = named
-        self.broken: set[str] = set()
-        self.stands_in = False
-        self.places = _numbered(data)
+            subject = f'{option} "{short(override)}"' if option else ""
+            self.yaml.overrides[_override(path, data, override, subject)] = subject
         self.faults: list[Fault] = []
         self.warnings: list[str] = []  # about valid parts of the scenario
         convert_quantities(data, self.resolve, lambda at, message: self.faults.append(self.fault(at, message)))
-        self.scenario = self._validate(data)
+        rest = Salvage(data)
+        self.scenario = self._validate(rest)
+        self.broken, self.places, self.stands_in = rest.broken, rest.places, rest.stands_in
         if self.manifest is not None:
             self.scenario = with_files_beside(self.scenario, path.parent)
         self.faults += [*self._step_faults(), *self._criteria_faults()]
 
-    def _validate(self, data: dict[str, Any]) -> Scenario:
+    def _validate(self, rest: Salvage) -> Scenario:
         """Return the scenario, without faulty parts if necessary."""
         try:
-            return self.yaml.validate(Scenario, data)
+            return self.yaml.validate(Scenario, rest.data)
         except InputError as error:
             self.faults += error.faults
-        left = Salvage(data)
         for _ in range(3):  # The remainder may lack a required key.
             try:
-                scenario = Scenario.model_validate(left.data)
+                return Scenario.model_validate(rest.data)
             except ValidationError as error:
-                left.drop([location_in(left.data, e["loc"], e["type"]) for e in error.errors(include_url=False)])
-            else:
-                self.broken, self.places = left.broken, left.places
-                self.stands_in = left.stands_in
-                return scenario
+                rest.drop([location_in(rest.data, e["loc"], e["type"]) for e in error.errors(include_url=False)])
         raise InputError(self.faults)
 
     def resolve(self, name: str) -> Path:
@@ -98,8 +94,8 @@ class ScenarioFile:
     @property
     def files(self) -> list[Path]:
         """Return the FMUs and recordings of the components."""
-        named = ((getattr(c, "fmu", None) or getattr(c, "file", None)) for c in self.scenario.components.values())
-        return [self.resolve(name) for name in named if name]
+        names = ((getattr(c, "fmu", None) or getattr(c, "file", None)) for c in self.scenario.components.values())
+        return [self.resolve(name) for name in names if name]
 
     def fault(self, location: tuple[str | int, ...], message: str, exit_code: int = 2) -> Fault:
         """Return a fault at a place of the scenario."""
@@ -111,26 +107,26 @@ class ScenarioFile:
             return []
         count = s.duration / s.step
         if not count <= MOST_STEPS:
-            message = f"step is {s.step:g} s: {count:.3g} steps are more than the {MOST_STEPS:g} a run may have"
-            return [self.fault(("step",), message)]
+            return [self.fault(("step",), messages.MANY_STEPS(step=s.step, count=count, limit=MOST_STEPS))]
         if abs(count - round(count)) <= ROUNDING * max(1.0, count) and round(count) >= 1:
             return []
-        cure, overrides = s.duration / max(1, math.ceil(count)), self.yaml.overrides
+        divisor, overrides = s.duration / max(1, math.ceil(count)), self.yaml.overrides
         key = "duration" if ("duration",) in overrides and ("step",) not in overrides else "step"
-        message = f"step is {s.step:g} s; use a whole divisor of duration {s.duration:g} s, {cure:.6g} s for one"
-        return [self.fault((key,), message)]
+        return [self.fault((key,), messages.STEP_NOT_A_DIVISOR(step=s.step, duration=s.duration, divisor=divisor))]
 
     def _criteria_faults(self) -> list[Fault]:
         faults = []
         for kind, k, criterion in self.scenario.goals:
             where: tuple[str | int, ...] = ("criteria", kind, *(() if k is None else (k,)))
             if (kind == "settling_time") != (criterion.band is not None):
-                faults.append(self.fault(where, f"{kind} {'needs a' if kind == 'settling_time' else 'takes no'} band"))
-            start, whole = criterion.after, self.scenario.duration
-            end = whole if criterion.until is None else criterion.until
-            fits = self.stands_in or (start < end <= whole and end - start >= self.scenario.step)
-            if start < 0 or not fits:
-                faults.append(self.fault(where, f"{kind} looks from {start:g} s to {end:g} s of {whole:g} s"))
+                template = messages.NO_BAND if kind == "settling_time" else messages.NEEDLESS_BAND
+                faults.append(self.fault(where, template(kind=kind)))
+            start, duration = criterion.after, self.scenario.duration
+            end = duration if criterion.until is None else criterion.until
+            is_inside = self.stands_in or (start < end <= duration and end - start >= self.scenario.step)
+            if start < 0 or not is_inside:
+                message = messages.INTERVAL_OUTSIDE(kind=kind, start=start, end=end, duration=duration)
+                faults.append(self.fault(where, message))
         return faults
 
 
@@ -139,12 +135,13 @@ STAND_INS: dict[str, Any] = {"name": "?", "duration": 1.0, "step": 0.1}
 
 
 class Salvage:
-    """Scenario data without faulty parts, for checks of the rest."""
+    """Scenario data from which faulty parts are removed, for checks of the rest."""
 
     def __init__(self, data: dict[str, Any]) -> None:
-        self.data = copy.deepcopy(data)
+        self.data = data
         self.broken: set[str] = set()
-        self.places = _numbered(data)
+        lists = {key: data[key] if isinstance(data.get(key), list) else () for key in LISTS}
+        self.places = {key: list(range(len(entries))) for key, entries in lists.items()}
         self.stands_in = False
 
     def drop(self, locations: Sequence[tuple[int | str, ...]]) -> None:
@@ -181,11 +178,6 @@ class Salvage:
                 self.data["components"] = {"_": {"block": "reference", "signals": {"_": {}}}}
 
 
-def _numbered(data: Mapping[str, Any]) -> dict[str, list[int]]:
-    """Return the indices of the entries of each list."""
-    return {key: list(range(len(entries))) if isinstance(entries := data.get(key), list) else [] for key in LISTS}
-
-
 def _index(node: Any, key: str, *, new: bool) -> str | int | None:
     """Return the index or key of `key` in a node, if allowed.
 
@@ -197,18 +189,21 @@ def _index(node: Any, key: str, *, new: bool) -> str | int | None:
     return key if isinstance(node, dict) and (key in node or new) else None
 
 
-def _override(path: Path, data: dict[str, Any], text: str, named: str) -> Location:
+def _override(path: Path, data: dict[str, Any], text: str, subject: str) -> Location:
     """Apply a `path=value` override; return its place.
 
     The value is read as YAML, which includes JSON.
+
+    Args:
+        subject: The override in messages; "" for its path.
     """
     target, sign, value = text.partition("=")
 
-    def refused(why: str) -> InputError:
-        return InputError([Fault(path, 0, 0, f"{named or short(target)} {why}")])
+    def refusal(template: Template, **fields: Any) -> InputError:
+        return InputError.at(path, template(override=subject or short(target), **fields))
 
     if not sign or not target.strip():
-        raise refused("is not path=value; for example --set noise=off")
+        raise refusal(messages.OVERRIDE_WITHOUT_VALUE)
     node: Any = data
     keys = keys_of(target.strip())
     at: list[str | int] = []
@@ -222,11 +217,9 @@ def _override(path: Path, data: dict[str, Any], text: str, named: str) -> Locati
             return tuple(at)
         node = node.setdefault(index, {}) if isinstance(node, dict) else node[index]
     if keys[0] == "components" and isinstance(components := data.get("components"), dict):
-        known = ", ".join(map(short, islice(components, 20)))
-        hint = did_you_mean(keys[1], components)
-        what = f'component "{short(keys[1])}", which is not in the scenario{hint}'
-        raise refused(f"is for {what} (its components: {known})")
-    raise refused(f"leads nowhere: there is no {short(target)} in the scenario")
+        some, hint = ", ".join(map(short, islice(components, 20))), did_you_mean(keys[1], components)
+        raise refusal(messages.OVERRIDE_OF_NO_COMPONENT, name=short(keys[1]), hint=hint, components=some)
+    raise refusal(messages.OVERRIDE_OF_NOTHING, path=short(target))
 
 
 NAMED = {"components": (1,)}  # depths at which a path must name an existing key
@@ -251,27 +244,27 @@ def _from_here(keys: Sequence[str], value: Any) -> Any:
 
     Relative names start at the current folder, where the user typed them.
     """
-    named = FILES.get(keys[0], ())
+    file_keys = FILES.get(keys[0], ())
     inner = keys[2:] if keys[0] == "components" else keys[1:]
     if isinstance(value, dict) and not inner:
-        return {key: _whole(v) if key in named else v for key, v in value.items()}
-    return _whole(value) if len(inner) == 1 and inner[0] in named else value
+        return {key: _absolute(v) if key in file_keys else v for key, v in value.items()}
+    return _absolute(value) if len(inner) == 1 and inner[0] in file_keys else value
 
 
 def from_here(data: Mapping[str, Any]) -> dict[str, Any]:
     """Return a scenario without a file, with absolute file names."""
-    found = dict(data)
-    if isinstance(components := found.get("components"), Mapping):
-        found["components"] = {
+    scenario = dict(data)
+    if isinstance(components := scenario.get("components"), Mapping):
+        scenario["components"] = {
             name: _from_here(["components", str(name)], dict(c)) if isinstance(c, Mapping) else c
             for name, c in components.items()
         }
-    if isinstance(design := found.get("design"), Mapping):
-        found["design"] = _from_here(["design"], dict(design))
-    return found
+    if isinstance(design := scenario.get("design"), Mapping):
+        scenario["design"] = _from_here(["design"], dict(design))
+    return scenario
 
 
-def _whole(name: Any) -> Any:
+def _absolute(name: Any) -> Any:
     """Return the absolute path of a file name; leave others unchanged."""
     return os.path.abspath(name) if isinstance(name, str) and name and not is_model(name) and name != BASE else name
 

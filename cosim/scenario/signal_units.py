@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cosim.base.errors import FmuError, InputError
-from cosim.base.units import allowed_quantity, computed_in, has_unit, read_quantity, split_quantity, squared
+from cosim.base.units import allowed_quantity, computed_in, has_unit, read_quantity, split_quantity, square_unit
 from cosim.blocks.description import read_description, unit_of
 from cosim.blocks.sources import playback
+from cosim.scenario import messages
 from cosim.scenario.start_values import Misfit, converted
-from cosim.storage.yaml_file import shown
+from cosim.storage.yaml_file import shown, wrong_value
 from cosim.storage.yaml_nodes import Location
 
 STAND_IN = 1.0  # replaces a faulty quantity, so that checks can go on
@@ -37,13 +38,14 @@ class Measure(NamedTuple):
         """
         if not has_unit(text):
             raise ValueError(allowed_quantity(self.unit))
-        if kind == "square":
-            return read_quantity(text, squared(self.unit), difference=True)
-        if kind == "rate":
-            return read_quantity(text, f"{self.unit or '1'}/s", difference=True)
-        if kind == "integral":
-            return read_quantity(text, f"{self.unit}.s".lstrip("."), difference=True)
-        return self.number(text, kind == "difference")
+        if kind in {"value", "difference"}:
+            return self.number(text, kind == "difference")
+        units = {
+            "square": square_unit(self.unit),
+            "rate": f"{self.unit or '1'}/s",
+            "integral": f"{self.unit}.s".lstrip("."),
+        }
+        return read_quantity(text, units[kind], difference=True)
 
 
 @dataclass(frozen=True)
@@ -69,22 +71,20 @@ def convert_quantities(data: dict[str, Any], resolve: Resolve, note: Note) -> No
     for place in _places(data):
         *path, last = place.location
         parent = _part(data, *path)
-        text = parent[last]
+        text, parent[last] = parent[last], STAND_IN
         name = ".".join(map(str, place.location))
-        if isinstance(place.of, str):
-            if place.of not in measures:
-                measures[place.of] = _measure(data, place.of, resolve)
-            measure = measures[place.of]
-        else:
-            measure = place.of
-        parent[last] = STAND_IN
+        measure: str | Measure | None = place.of
+        if isinstance(measure, str):
+            if measure not in measures:
+                measures[measure] = _measure(data, measure, resolve)
+            measure = measures[measure]
         if measure is None:
-            note(place.location, f"{name} is {shown(text)}: the unit of {place.of} is not known; write a number alone")
+            note(place.location, messages.UNKNOWN_UNIT(name=name, value=shown(text), signal=place.of))
             continue
         try:
             parent[last] = measure.of_kind(place.kind, text)
         except ValueError as error:
-            note(place.location, f"{name} is {shown(text)}: {error}")
+            note(place.location, wrong_value(name, text, str(error)))
 
 
 def _measure(data: Mapping[str, Any], signal: str, resolve: Resolve) -> Measure | None:
@@ -98,13 +98,13 @@ def _measure(data: Mapping[str, Any], signal: str, resolve: Resolve) -> Measure 
             return _of_fmu(resolve(file), name)
         if component.get("block") == "playback" and isinstance(file := component.get("file"), str):
             units = {s.name: s.unit for s in playback(owner, resolve(file), (name,)).outputs}
-            return _plain(units[name]) if name in units else None
+            return _measure_in(units[name]) if name in units else None
     except (FmuError, InputError, OSError, ValueError):
         return None
     about = _part(component, "signals", name) or _part(component, "signals", name.removesuffix("_meas"))
     unit = about.get("unit", "") if isinstance(about, dict) else None
     is_reference = component.get("block") == "reference"
-    return _plain(computed_in(unit)[0] if is_reference else unit) if isinstance(unit, str) else None
+    return _measure_in(computed_in(unit)[0] if is_reference else unit) if isinstance(unit, str) else None
 
 
 def _of_fmu(path: Path, name: str) -> Measure | None:
@@ -115,15 +115,15 @@ def _of_fmu(path: Path, name: str) -> Measure | None:
         return None
 
     def number(text: str, difference: bool) -> float:
-        found = converted(description, variable, text, difference=difference)
-        if isinstance(found, Misfit):
-            raise ValueError(found.reason)
-        return found
+        value = converted(description, variable, text, difference=difference)
+        if isinstance(value, Misfit):
+            raise ValueError(value.reason)
+        return value
 
     return Measure(unit_of(variable), number)
 
 
-def _plain(unit: str) -> Measure:
+def _measure_in(unit: str) -> Measure:
     return Measure(unit, lambda text, difference: read_quantity(text, unit, difference=difference))
 
 
@@ -147,14 +147,14 @@ def _of_faults(data: Mapping[str, Any]) -> Iterator[Place]:
         if isinstance(target := fault.get("on"), str):
             at = ("faults", k, "value")
             kind = "value" if fault.get("kind") == "stuck" else "difference"
-            yield Place(at, _plain("1") if fault.get("kind") == "scale" else target, kind)
+            yield Place(at, _measure_in("1") if fault.get("kind") == "scale" else target, kind)
 
 
 def _of_criteria(data: Mapping[str, Any]) -> Iterator[Place]:
     criteria = data.get("criteria")
-    for kind, given in criteria.items() if isinstance(criteria, dict) else ():
-        alone: list[tuple[Location, Any]] = [((), given)]
-        for within, criterion in alone if isinstance(given, dict) else [((k,), c) for k, c in _entries(given)]:
+    for kind, content in criteria.items() if isinstance(criteria, dict) else ():
+        single: list[tuple[Location, Any]] = [((), content)]
+        for within, criterion in single if isinstance(content, dict) else [((k,), c) for k, c in _entries(content)]:
             at: Location = ("criteria", kind, *within)
             signal = criterion.get("of")
             if not isinstance(signal, str):
@@ -163,7 +163,7 @@ def _of_criteria(data: Mapping[str, Any]) -> Iterator[Place]:
                 yield Place((*at, "to"), signal, "value")
             yield Place((*at, "band"), signal, "difference")
             if kind == "settling_time":
-                yield Place((*at, "max"), _plain("s"), "value")
+                yield Place((*at, "max"), _measure_in("s"), "value")
             elif kind == "effort":
                 yield Place((*at, "max"), signal, "integral")
             else:  # A peak without a target is a value: at most 80 degC.
@@ -179,7 +179,7 @@ def _of_components(data: Mapping[str, Any]) -> Iterator[Place]:
             if not isinstance(unit, str):
                 continue
             at: Location = ("components", name, "signals", signal)
-            measure = _plain(unit)  # The written unit; degrees become radians later.
+            measure = _measure_in(unit)  # The written unit; degrees become radians later.
             yield Place((*at, "start"), measure, "value")
             for k, _ in _entries(about.get("changes")):
                 yield Place((*at, "changes", k, "to"), measure, "value")
@@ -188,20 +188,18 @@ def _of_components(data: Mapping[str, Any]) -> Iterator[Place]:
             yield Place((*at, "noise", "variance"), measure, "square")
 
 
-def _entries(given: Any) -> Iterator[tuple[int, dict[str, Any]]]:
+def _entries(content: Any) -> Iterator[tuple[int, dict[str, Any]]]:
     """Yield the mappings of a list with their indices."""
-    for k, entry in enumerate(given if isinstance(given, list) else ()):
+    for k, entry in enumerate(content if isinstance(content, list) else ()):
         if isinstance(entry, dict):
             yield k, entry
 
 
 def _part(data: Any, *location: str | int) -> Any:
     """Return the data at a location, if any."""
-    for step in location:
-        if isinstance(data, dict):
-            data = data.get(step)
-        elif isinstance(data, list) and isinstance(step, int) and 0 <= step < len(data):
+    try:
+        for step in location:
             data = data[step]
-        else:
-            return None
+    except (KeyError, IndexError, TypeError):
+        return None
     return data

@@ -28,43 +28,43 @@ def settable(variable: Any) -> bool:
     """Return whether FMI allows setting a start value."""
     if variable.variability == "constant" or variable.causality in {"independent", "structuralParameter"}:
         return False
-    given = variable.initial is None and variable.start is not None  # FMI 1.0 has no `initial`.
-    return variable.causality == "input" or variable.initial in {"exact", "approx"} or given
+    has_start = variable.initial is None and variable.start is not None  # FMI 1.0 has no `initial`.
+    return variable.causality == "input" or variable.initial in {"exact", "approx"} or has_start
 
 
 def kind_of(variable: Any) -> str:
     """Return a phrase for a variable without start value."""
-    known = {
+    phrases = {
         "output": "an output",
         "calculatedParameter": "calculated",
         "independent": "the time",
         "structuralParameter": "a structural parameter, which keeps its value here",
     }
-    return known.get(variable.causality, variable.variability or "not settable")
+    return phrases.get(variable.causality, variable.variability or "not settable")
 
 
-def with_elements(given: Mapping[str, Any], variables: Mapping[str, Any]) -> dict[str, Any]:
+def with_elements(start: Mapping[str, Any], variables: Mapping[str, Any]) -> dict[str, Any]:
     """Return start values with elements merged into arrays.
 
     An element is written `A[1,2]: 3`. Remaining elements come from the array's given value, else from its start value.
     """
-    found = dict(given)
-    for name, value in given.items():
+    merged = dict(start)
+    for name, value in start.items():
         array = variables.get(name.rpartition("[")[0])
         if name in variables or array is None or not array.shape or name not in (names := element_names(array)):
             continue
-        values = _elements(found.get(array.name, array.start), len(names))
+        values = _elements(merged.get(array.name, array.start), len(names))
         if values is not None:
-            del found[name]
-            found[array.name] = [value if each == name else v for each, v in zip(names, values, strict=True)]
-    return found
+            del merged[name]
+            merged[array.name] = [value if each == name else v for each, v in zip(names, values, strict=True)]
+    return merged
 
 
-def _elements(given: Any, count: int) -> list[Any] | None:
+def _elements(value: Any, count: int) -> list[Any] | None:
     """Return an array's value as a list; None for a misfit, reported elsewhere."""
-    if given is None or isinstance(given, (int, float)):
-        return [given or 0.0] * count
-    values = given.split() if isinstance(given, str) else given
+    if value is None or isinstance(value, (int, float)):
+        return [value or 0.0] * count
+    values = value.split() if isinstance(value, str) else value
     if isinstance(values, (list, tuple)) and len(values) in {1, count}:
         return [_number(v) for v in values] * (count // len(values))
     return None
@@ -80,31 +80,32 @@ def _number(text: Any) -> Any:
         return {"true": True, "false": False}.get(text, text)
 
 
-def typed(description: Any, variable: Any, given: Any) -> Any:
+def typed(description: Any, variable: Any, value: Any) -> Any:
     """Return a value in FMI's type, or the misfit. An array has a list of values."""
     if not variable.shape:
-        return _typed(description, variable, given)
+        return _scalar(description, variable, value)
     count = math.prod(variable.shape)
-    if not isinstance(given, list) or len(given) != count:
+    if not isinstance(value, list) or len(value) != count:
         return Misfit(f"it is a list of {count} values")
-    values = [_typed(description, variable, each) for each in given]
+    values = [_scalar(description, variable, each) for each in value]
     return next((v for v in values if isinstance(v, Misfit)), values)
 
 
-def _typed(description: Any, variable: Any, given: Any) -> Any:
+def _scalar(description: Any, variable: Any, value: Any) -> Any:
+    """Return a value of a scalar in FMI's type, or the misfit."""
     kind = kinds_of(description.fmiVersion).get(variable.type)
     if kind is None:
         return Misfit(f"it is a {variable.type}, which is not supported")
     if variable.type in NOT_NUMBERS:
         fits, reason = NOT_NUMBERS[variable.type]
-        return given if fits(given) else Misfit(reason)
-    if isinstance(given, str):
-        given = _named(variable, given) if variable.type == "Enumeration" else converted(description, variable, given)
-        if isinstance(given, Misfit):
-            return given
-    if reason := _why_no_number(variable, kind, given):
+        return value if fits(value) else Misfit(reason)
+    if isinstance(value, str):
+        value = _item(variable, value) if variable.type == "Enumeration" else converted(description, variable, value)
+        if isinstance(value, Misfit):
+            return value
+    if reason := _why_no_number(variable, kind, value):
         return Misfit(reason)
-    return int(given) if kind.low is not None else float(given)
+    return int(value) if kind.low is not None else float(value)
 
 
 NOT_NUMBERS: dict[str, tuple[Callable[[Any], bool], str]] = {
@@ -114,17 +115,17 @@ NOT_NUMBERS: dict[str, tuple[Callable[[Any], bool], str]] = {
 }
 
 
-def _why_no_number(variable: Any, kind: Kind, given: Any) -> str:
+def _why_no_number(variable: Any, kind: Kind, value: Any) -> str:
     """Return the reason for rejecting a number, or ""."""
     unit = unit_of(variable)
-    if isinstance(given, bool) or not isinstance(given, (int, float)):
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
         return f"it is a number [{unit or '1'}]"
-    if kind.low is not None and not float(given).is_integer():
+    if kind.low is not None and not float(value).is_integer():
         return "it is a whole number"
-    if variable.type == "Enumeration" and (items := enumeration_items(variable)) and int(given) not in items.values():
+    if variable.type == "Enumeration" and (items := enumeration_items(variable)) and int(value) not in items.values():
         return f"it is one of {', '.join(f'{n} ({k})' for n, k in items.items())}"
     low, high = _bounds(variable, kind)
-    if not low <= given <= high:
+    if not low <= value <= high:
         return f"it lies in [{low:g}, {high:g}] {unit}".removesuffix(" 1").rstrip()
     return ""
 
@@ -134,16 +135,16 @@ def _bounds(variable: Any, kind: Kind) -> tuple[float, float]:
 
     Its own bounds take precedence over its declared type's; the range of the FMI type always applies.
     """
-    declared = variable.declaredType
-    low, high = (
-        next((float(v) for v in (getattr(variable, end), getattr(declared, end, None)) if v is not None), None)
-        for end in ("min", "max")
-    )
     lowest, highest = (-kind.largest, kind.largest) if kind.low is None or kind.high is None else (kind.low, kind.high)
-    return max(lowest, -math.inf if low is None else low), min(highest, math.inf if high is None else high)
+
+    def bound(end: str, default: float) -> float:
+        ends = getattr(variable, end), getattr(variable.declaredType, end, None)
+        return next((float(v) for v in ends if v is not None), default)
+
+    return max(lowest, bound("min", -math.inf)), min(highest, bound("max", math.inf))
 
 
-def _named(variable: Any, text: str) -> int | Misfit:
+def _item(variable: Any, text: str) -> int | Misfit:
     """Return the number of an enumeration's item."""
     items = enumeration_items(variable)
     return items[text] if text in items else Misfit(f"it is one of {', '.join(items)}{did_you_mean(text, items)}")
@@ -157,17 +158,14 @@ def converted(description: Any, variable: Any, text: str, *, difference: bool = 
     """
     unit, relative = unit_of(variable), difference or is_difference(variable)
     displays: list[Any] = next((d.displayUnits for d in description.unitDefinitions if d.name == unit), [])
-    known = {d.name: (float(d.factor), 0.0 if relative else float(d.offset)) for d in displays}
-    found = split_quantity(text)
-    if not unit:
-        return Misfit(allowed_quantity(unit))
-    if found is None:
-        return Misfit(allowed_quantity(unit, known))
-    number, written = found
-    if written in known:
-        factor, offset = known[written]
-        return (number - offset) / factor
-    ends = (Signal("", u, unit_definition(description, u), relative=relative) for u in (written, unit))
-    if written and (by := next(ends).conversion(next(ends))):
-        return by[0] * number + by[1]
-    return Misfit(allowed_quantity(unit, known))
+    display_units = {d.name: (float(d.factor), 0.0 if relative else float(d.offset)) for d in displays}
+    quantity = split_quantity(text)
+    if unit and quantity is not None:
+        number, written = quantity
+        if written in display_units:
+            factor, offset = display_units[written]
+            return (number - offset) / factor
+        source, target = (Signal("", u, unit_definition(description, u), relative=relative) for u in (written, unit))
+        if written and (by := source.conversion(target)):
+            return by[0] * number + by[1]
+    return Misfit(allowed_quantity(unit, display_units))

@@ -9,7 +9,7 @@ from typing import Any
 
 from cosim.base.errors import InputError
 from cosim.simulation import messages
-from cosim.storage.folders import left_by_replay, manifest_in
+from cosim.storage.folders import manifest_in, replay_record
 from cosim.storage.kinds import LOG, check_given, refuse_folder
 from cosim.storage.results import Results, read_results, rows_in
 from cosim.storage.table_source import suffixes
@@ -46,7 +46,7 @@ def read_ran(path: Path) -> Ran:
         names = " or ".join(f"results{suffix}" for suffix in suffixes())
         raise InputError.at(path, messages.NO_ROWS(names=names, kind=WANTED))
     manifest = manifest_in(path)
-    units = manifest.get("units") or left_by_replay(path).get("units")
+    units = manifest.get("units") or replay_record(path).get("units")
     text = manifest.get("beside")
     results = read_results(rows, units if isinstance(units, dict) else {}, text if isinstance(text, list) else ())
     return Ran(path, path.resolve().name, results, manifest)

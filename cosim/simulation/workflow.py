@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.drafts import is_full
-from cosim.base.errors import DiskFull, SimulationError, Terminated, stopped
+from cosim.base.errors import DiskFull, SimulationError, Terminated, stop_error
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import allocate
 from cosim.master.observer import Observer, ProgressObserver
@@ -38,7 +38,7 @@ from cosim.storage.files import (
     write_json,
 )
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_ours, folder_named, keep_earlier
+from cosim.storage.folders import check_run_folder, folder_named, keep_earlier
 from cosim.storage.kinds import check_form
 from cosim.storage.results import Results, remove_rows, rows_name
 from cosim.system.system import build_system
@@ -118,7 +118,7 @@ def run(
         designed = designed_apart(file, worker)
         system = build_system(file, designed)
         if not is_package:
-            check_ours(place, file.scenario.name, force=force, keep=keep)
+            check_run_folder(place, file.scenario.name, force=force, keep=keep)
         check_writable(place, (rows_file, MANIFEST, "report.html"), file.files)
         software = stack.enter_context(ThreadPoolExecutor(1)).submit(software_versions)  # parallel to the loading
         loaded, steps, h = time.perf_counter(), file.scenario.steps, file.scenario.step
@@ -151,7 +151,7 @@ def _read(
         file = ScenarioFile(path, overrides)
         return file, folder_named(file.scenario.name) if folder is None else named_path(folder), []
     place = folder_named(path.stem) if folder is None else named_path(folder)
-    check_ours(place, ssp=path, force=force, keep=folder is None)
+    check_run_folder(place, ssp=path, force=force, keep=folder is None)
     file, warnings = lay_out(path, place, overrides, keep=folder is None)
     return file, place, warnings
 
@@ -196,7 +196,7 @@ class _Files:
             return self._write_what_fits()
         except (KeyboardInterrupt, Terminated) as stop:  # All files but the report are written.
             end = float(time[-1]) if len(time) else self.scenario.start_time
-            return failure or stopped(stop, end, "the report of the run")
+            return failure or stop_error(stop, end, "the report of the run")
         finally:
             hold_stops()  # The end must still be reported.
         return failure

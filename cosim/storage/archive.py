@@ -22,9 +22,11 @@ from typing import BinaryIO, TypeVar
 from xml.parsers import expat
 
 from cosim.base.drafts import is_full
+from cosim.storage import messages
 
 DESCRIPTION = "modelDescription.xml"
 STRUCTURE = "SystemStructure.ssd"
+SHOWN = 60  # characters of a name in a message
 MOST_FILES = 20_000
 MOST_UNPACKED = 1_000_000_000  # unpacked size of all files [bytes], whatever their compression
 MOST_OF_FREE = 0.9  # usable fraction of the free disk space
@@ -36,17 +38,8 @@ DEEPEST, MOST_ELEMENTS, MOST_ATTRIBUTES = 60, 500_000, 100
 END, END_SIZE, COMMENT = b"PK\x05\x06", 22, 65_535
 DIRECTORY = 100  # directory size per file [bytes]; the same again for its name
 PACKED_BY = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA)
-Taken = TypeVar("Taken")
-DAMAGED = (
-    zipfile.BadZipFile,
-    zlib.error,
-    EOFError,
-    OSError,
-    NotImplementedError,
-    RuntimeError,
-    ValueError,
-    struct.error,
-)
+Value = TypeVar("Value")
+DAMAGES = (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, ValueError, struct.error)
 
 
 class BadArchive(ValueError):
@@ -68,7 +61,7 @@ class Contents:
 
 FMU = Contents("FMI", DESCRIPTION, (DESCRIPTION, "sources/buildDescription.xml"))
 SSP = Contents("SSP", STRUCTURE, (STRUCTURE, ".ssd", ".ssv", ".ssm", ".ssb"))
-_SOUND: set[bytes] = set()  # digests of accepted XML
+_SOUND: set[bytes] = set()  # digests of accepted XML, which is read several times
 
 
 def check_archive(path: Path) -> None:
@@ -98,7 +91,8 @@ def unpack(path: Path, folder: Path, kind: Contents = FMU) -> None:
 
     def all_of(archive: zipfile.ZipFile) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        if _unpacked_size(archive.infolist()) > MOST_OF_FREE * shutil.disk_usage(folder).free:
+        size = sum(member.file_size for member in archive.infolist())  # zipfile never unpacks more than that.
+        if size > MOST_OF_FREE * shutil.disk_usage(folder).free:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
         for member in archive.infolist():
             archive.extract(member, folder)
@@ -109,16 +103,16 @@ def unpack(path: Path, folder: Path, kind: Contents = FMU) -> None:
 def check_identifier(identifier: str | None) -> None:
     """Raise BadArchive for a library name outside its folder."""
     if identifier is None or not re.fullmatch(r"[^/\\\x00-\x1f:]+", identifier) or identifier in {".", ".."}:
-        raise BadArchive(f'its modelIdentifier "{str(identifier)[:60]}" is no name of a file')
+        raise BadArchive(messages.BAD_IDENTIFIER(name=str(identifier)[:SHOWN]))
 
 
-def _read(path: Path, take: Callable[[zipfile.ZipFile], Taken], kind: Contents = FMU) -> Taken:
+def _read(path: Path, take: Callable[[zipfile.ZipFile], Value], kind: Contents = FMU) -> Value:
     with path.open("rb") as stream:
         _check_directory(stream, path.stat().st_size)
         try:
             archive = zipfile.ZipFile(stream)
-        except DAMAGED:
-            raise BadArchive("it is not a zip archive") from None
+        except DAMAGES:
+            raise BadArchive(messages.NO_ZIP_ARCHIVE()) from None
         with archive:
             members = archive.infolist()
             for member in members:
@@ -126,22 +120,21 @@ def _read(path: Path, take: Callable[[zipfile.ZipFile], Taken], kind: Contents =
             _check_sizes(members, kind)
             names = {m.filename for m in members}
             if kind.needed not in names:
-                raise BadArchive(f"it has no {kind.needed}")
+                raise BadArchive(messages.NO_MEMBER(name=kind.needed))
             try:
                 for name in filter(kind.parses, names):
-                    _check_xml_once(name, archive.read(name), kind.standard)
+                    text = archive.read(name)
+                    if (digest := hashlib.sha256(text).digest()) not in _SOUND:
+                        check_xml(name, text, kind.standard)
+                        _SOUND.add(digest)
                 return take(archive)
             except BadArchive:
                 raise
-            except DAMAGED as error:
+            except DAMAGES as error:
                 if is_full(error):
                     raise
-                raise BadArchive(f"its archive is damaged: {_reason(error)}") from None
-
-
-def _reason(error: Exception) -> str:
-    """Return the reason of a failure without Python terms."""
-    return str(error) if isinstance(error, zipfile.BadZipFile) else "it cannot be unpacked"
+                reason = str(error) if isinstance(error, zipfile.BadZipFile) else "it cannot be unpacked"
+                raise BadArchive(messages.DAMAGED_ARCHIVE(reason=reason)) from None
 
 
 def _check_directory(stream: BinaryIO, size: int) -> None:
@@ -150,37 +143,32 @@ def _check_directory(stream: BinaryIO, size: int) -> None:
     tail = stream.read()
     end = tail.rfind(END)
     if end < 0 or len(tail) - end < END_SIZE:
-        raise BadArchive("it is not a zip archive")
+        raise BadArchive(messages.NO_ZIP_ARCHIVE())
     count, directory = struct.unpack_from("<HI", tail, end + 10)
     if end >= 20 and tail[end - 20 : end - 16] == b"PK\x06\x07":  # the 64-bit directory takes precedence
         (offset,) = struct.unpack_from("<Q", tail, end - 12)
         if offset > size - 56:
-            raise BadArchive("it is not a zip archive")
+            raise BadArchive(messages.NO_ZIP_ARCHIVE())
         stream.seek(offset)
         count, directory = struct.unpack_from("<QQ", stream.read(56), 32)
     if count > MOST_FILES or directory > 2 * DIRECTORY * MOST_FILES:
-        raise BadArchive(f"it holds more than {MOST_FILES} files")
+        raise BadArchive(messages.MANY_MEMBERS(limit=MOST_FILES))
     stream.seek(0)
 
 
 def _check_member(member: zipfile.ZipInfo) -> None:
     """Check the name, type and compression of a file."""
-    name = member.filename.replace("\\", "/")
-    if name.startswith("/") or re.match("[A-Za-z]:", name) or ".." in name.split("/"):
-        raise BadArchive(f'"{member.filename[:60]}" in it would be written outside its folder')
+    path, name = member.filename.replace("\\", "/"), member.filename[:SHOWN]
+    if path.startswith("/") or re.match("[A-Za-z]:", path) or ".." in path.split("/"):
+        raise BadArchive(messages.MEMBER_OUTSIDE(name=name))
     if "\\" in member.orig_filename:
-        raise BadArchive(f'"{member.filename[:60]}" in it has a backslash; folders are parted by /')
+        raise BadArchive(messages.BACKSLASH_IN_MEMBER(name=name))
     if stat.S_ISLNK(member.external_attr >> 16):
-        raise BadArchive(f'"{member.filename[:60]}" in it is a link; pack the file it leads to')
+        raise BadArchive(messages.LINK_AS_MEMBER(name=name))
     if member.flag_bits & 1:
-        raise BadArchive(f'"{member.filename[:60]}" in it is encrypted')
+        raise BadArchive(messages.ENCRYPTED_MEMBER(name=name))
     if member.compress_type not in PACKED_BY:
-        raise BadArchive(f'"{member.filename[:60]}" in it is packed in a way that is not known here')
-
-
-def _unpacked_size(members: Sequence[zipfile.ZipInfo]) -> int:
-    """Return the unpacked size [bytes]. zipfile never unpacks more than the declared size."""
-    return sum(member.file_size for member in members)
+        raise BadArchive(messages.UNKNOWN_COMPRESSION(name=name))
 
 
 def _check_sizes(members: Sequence[zipfile.ZipInfo], kind: Contents) -> None:
@@ -188,29 +176,19 @@ def _check_sizes(members: Sequence[zipfile.ZipInfo], kind: Contents) -> None:
 
     The compression ratio is no criterion: a table of zeros shrinks a thousandfold.
     """
-    unpacked, packed = _unpacked_size(members), sum(m.compress_size for m in members)
+    unpacked, packed = sum(m.file_size for m in members), sum(m.compress_size for m in members)
     if unpacked > MOST_UNPACKED:
         ratio = unpacked / max(1, packed)
-        bomb = f", {ratio:.0f} times its size: a zip bomb?" if ratio > BOMB_RATIO else ""
-        most = f"more than the {MOST_UNPACKED / 1e6:.0f} MB that are unpacked"
-        raise BadArchive(f"it would unpack to {unpacked / 1e6:.0f} MB, {most}{bomb}")
-    in_order = sorted(members, key=lambda m: m.header_offset)
-    for member, following in pairwise(in_order):
+        hint = f", {ratio:.0f} times its size: a zip bomb?" if ratio > BOMB_RATIO else ""
+        raise BadArchive(messages.LARGE_ARCHIVE(size=unpacked / 1e6, limit=MOST_UNPACKED / 1e6, hint=hint))
+    for member, following in pairwise(sorted(members, key=lambda m: m.header_offset)):
         if following.header_offset < member.header_offset + LOCAL_HEADER + member.compress_size:
-            names = f'"{member.filename[:60]}" and "{following.filename[:60]}"'
-            raise BadArchive(f"{names} in it share bytes: a zip bomb?")
+            names = member.filename[:SHOWN], following.filename[:SHOWN]
+            raise BadArchive(messages.SHARED_BYTES(first=names[0], second=names[1]))
     for member in members:
         if kind.parses(member.filename) and member.file_size > MOST_XML:
-            most = f"more than the {MOST_XML / 1e6:.0f} MB that are read"
-            raise BadArchive(f"its {member.filename} has {member.file_size / 1e6:.0f} MB, {most}")
-
-
-def _check_xml_once(name: str, text: bytes, standard: str) -> None:
-    """Check XML once per process. An archive is read several times, and its XML may have 20 000 variables."""
-    content = hashlib.sha256(text).digest()
-    if content not in _SOUND:
-        check_xml(name, text, standard)
-        _SOUND.add(content)
+            size, limit = member.file_size / 1e6, MOST_XML / 1e6
+            raise BadArchive(messages.LARGE_MEMBER(name=member.filename, size=size, limit=limit))
 
 
 def check_xml(name: str, text: bytes, standard: str) -> None:
@@ -221,16 +199,15 @@ def check_xml(name: str, text: bytes, standard: str) -> None:
     depth = count = 0
 
     def refuse(*_: object) -> None:
-        raise BadArchive(f"its {name} has a DOCTYPE, which {standard} knows nothing of; take it out")
+        raise BadArchive(messages.DOCTYPE(name=name, standard=standard))
 
     def start(_: str, attributes: list[str]) -> None:
         nonlocal depth, count
         depth, count = depth + 1, count + 1
         if depth > DEEPEST:
-            raise BadArchive(f"its {name} is nested too deep")
+            raise BadArchive(messages.DEEP_XML(name=name, limit=DEEPEST))
         if count > MOST_ELEMENTS or len(attributes) > 2 * MOST_ATTRIBUTES:
-            most = f"{MOST_ELEMENTS} elements with {MOST_ATTRIBUTES} attributes each"
-            raise BadArchive(f"its {name} has more than the {most} that are read")
+            raise BadArchive(messages.LARGE_XML(name=name, elements=MOST_ELEMENTS, attributes=MOST_ATTRIBUTES))
 
     def end(_: str) -> None:
         nonlocal depth
@@ -243,8 +220,9 @@ def check_xml(name: str, text: bytes, standard: str) -> None:
     try:
         parser.Parse(text, True)
     except expat.ExpatError as error:
-        raise BadArchive(f"its {name} is not XML (line {error.lineno}): {expat.ErrorString(error.code)}") from None
-    except (LookupError, ValueError) as error:
-        if isinstance(error, BadArchive):
-            raise
-        raise BadArchive(f"its {name} is in an encoding that is not known here; UTF-8 is") from None
+        reason = expat.ErrorString(error.code)
+        raise BadArchive(messages.BAD_XML(name=name, line=error.lineno, reason=reason)) from None
+    except BadArchive:
+        raise
+    except (LookupError, ValueError):
+        raise BadArchive(messages.UNKNOWN_ENCODING(name=name)) from None

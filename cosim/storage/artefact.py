@@ -129,6 +129,6 @@ def kind_by_keys(root: Any) -> str | None:
     return best.kind if best is not None and best.matched_keys(keys) else None
 
 
-def left_in(folder: Path) -> Artefact | None:
+def folder_kind(folder: Path) -> Artefact | None:
     """Return the kind of folder written by a verb, if any."""
     return next((a for a in artefacts() if a.folder and a.is_left_in(folder)), None)

@@ -20,7 +20,9 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.drafts import draft_of
+from cosim.base.messages import Message
 from cosim.base.scratch import process_folder
+from cosim.storage import messages
 
 VARIABLE = "XDG_CACHE_HOME"
 OTHERS_ENTER = stat.S_IXGRP | stat.S_IXOTH
@@ -51,17 +53,14 @@ def discard_untrusted(paths: Iterable[Path]) -> bool:
     Returns:
         Whether all of them are gone.
     """
-    remaining = False
-    for path in paths:
-        if not os.path.lexists(path) or _is_trusted(path):
-            continue
+    untrusted = [path for path in paths if os.path.lexists(path) and not _is_trusted(path)]
+    for path in untrusted:
         with contextlib.suppress(OSError):
             if path.is_dir() and not path.is_symlink():
                 shutil.rmtree(path)
             else:
                 path.unlink()
-        remaining |= os.path.lexists(path)
-    return not remaining
+    return not any(map(os.path.lexists, untrusted))
 
 
 def load_or_make(source: str, make: Callable[[], Any]) -> Any:
@@ -76,11 +75,11 @@ def load_or_make(source: str, make: Callable[[], Any]) -> Any:
             return json.loads(text)
     except (OSError, ValueError):
         pass
-    made = make()
-    text = json.dumps(made)
-    with contextlib.suppress(OSError), draft_of(path) as draft:
+    value = make()
+    text = json.dumps(value)
+    with contextlib.suppress(OSError), draft_of(path) as draft:  # A read-only cache costs time only.
         draft.write_text(f"{_hash(text)}\n{text}", encoding="utf-8")
-    return made
+    return value
 
 
 def fingerprint(packages: Iterable[str]) -> str:
@@ -111,15 +110,14 @@ def _user_folder() -> Path | None:
             return folder if os.access(folder, os.W_OK) else None
     except OSError:
         return None
-    _say_once(f"note: the cache {folder} is not used, a temporary one takes its place: {reason}")
+    _say_once(messages.UNTRUSTED_CACHE(folder=folder, reason=reason))
     return None
 
 
 def _home() -> Path | None:
     """Return the folder for all caches; None without a home folder."""
-    named = os.environ.get(VARIABLE, "")
-    if named:
-        return Path(named).absolute()
+    if folder := os.environ.get(VARIABLE, ""):
+        return Path(folder).absolute()
     home = os.path.expanduser("~")  # stays "~" for an unlisted user
     return Path(home) / ".cache" if os.path.isabs(home) else None
 
@@ -139,10 +137,10 @@ def _temporary() -> Path:
 
 
 @functools.cache
-def _say_once(text: str) -> None:
+def _say_once(note: Message) -> None:
     """Write a note to stderr, once per process."""
     with contextlib.suppress(OSError, ValueError):
-        sys.stderr.write(f"{text}\n")
+        sys.stderr.write(f"note: {note}\n")
 
 
 # -- trust ----------------------------------------------------------------------------------------

@@ -8,25 +8,28 @@ import math
 import re
 from array import array
 from collections.abc import Callable, Collection, Container, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
 
 import numpy as np
 
 from cosim.base.arrays import Array
+from cosim.base.messages import Message
 from cosim.base.text import counted
+from cosim.storage import messages
 from cosim.storage.files import atomic_write
 from cosim.storage.table_columns import (
     Column,
     Faults,
     Heading,
     Table,
-    Wanted,
+    TableRequest,
     choose_columns,
     note_backwards,
     note_infinite,
     note_missing,
-    parted,
+    split_heading,
 )
 from cosim.storage.table_source import Frame, Source, SourceColumn, fill
 
@@ -44,36 +47,35 @@ class Csv(Source):
     suffixes = (".csv",)
     writes = True
 
-    def table(self, faults: Faults, wanted: Wanted) -> Table:
-        """Read the wanted columns and note the faults of all cells."""
-        if not _small_enough(faults, wanted.shorter):
-            return Table()
+    def table(self, faults: Faults, request: TableRequest) -> Table:
+        """Read the requested columns and note the faults of all cells."""
         try:
-            with _opened(faults.path) as stream:
-                return _read_table(_Cells(stream, faults), wanted)
+            if _is_small_enough(faults, request.shorter):
+                with _open(faults.path) as stream:
+                    return _read_table(_Cells(stream, faults), request)
         except OSError as error:
-            faults.note(0, 0, f"cannot be read: {error.strerror}")
-            return Table()
+            faults.note(0, 0, messages.UNREADABLE_FILE(reason=error.strerror))
+        return Table()
 
     def frame(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Frame:
         """Read all columns, non-numeric ones as text; raise InputError with all faults."""
         faults = Faults(path)
         frame = Frame()
-        if _small_enough(faults, "leave out columns or rows"):
-            with _opened(path) as stream:
+        if _is_small_enough(faults, "leave out columns or rows"):
+            with _open(path) as stream:
                 cells = _Cells(stream, faults)
                 if cells.header:
                     frame = _frame_of(cells, names, text)
-                elif not faults.found:
-                    faults.note(1, 1, "is empty; the first line names the columns: time, then signals")
+                elif not faults.items:
+                    faults.note(1, 1, messages.NO_HEADER(columns="time, then signals"))
         faults.raise_any()
         return frame
 
     def column_names(self, path: Path) -> list[str]:
         """Return the names in the header, none if unreadable."""
         try:
-            with _opened(path) as stream:
-                return [parted(text)[0] for text in _Cells(stream, Faults(path)).header]
+            with _open(path) as stream:
+                return [split_heading(text)[0] for text in _Cells(stream, Faults(path)).header]
         except OSError:
             return []
 
@@ -86,43 +88,37 @@ class Csv(Source):
 CSV = Csv()
 
 
-def _small_enough(faults: Faults, shorter: str) -> bool:
+def _is_small_enough(faults: Faults, cure: str) -> bool:
     size = faults.path.stat().st_size
     if size > MOST_BYTES:
-        most = f"more than the {MOST_BYTES / 1e6:.0f} MB that are read"
-        faults.note(0, 0, f"has {size / 1e6:.0f} MB, {most}; {shorter}")
+        faults.note(0, 0, messages.LARGE_TABLE(size=size / 1e6, limit=MOST_BYTES / 1e6, cure=cure))
     return size <= MOST_BYTES
 
 
 # -- text -----------------------------------------------------------------------------------------
 
 
-class _NotText(Exception):
-    """A line that is not UTF-8."""
+class _BadLine(Exception):
+    """A message on a line that cannot be read."""
 
 
-class _TooLong(Exception):
-    """A line too long for a CSV."""
-
-
-def _opened(path: Path) -> TextIO:
+def _open(path: Path) -> TextIO:
     """Open a CSV with a character per byte and any line end."""
     return path.open(encoding="latin-1", newline="")
 
 
 def _lines(stream: TextIO) -> Iterator[str]:
-    """Yield the UTF-8 lines of a file opened by `_opened`. The first line may begin with a byte order mark."""
+    """Yield the UTF-8 lines of a file opened by `_open`. A line may begin with a byte order mark."""
     while line := stream.readline(LONGEST_LINE + 1):
         if len(line) > LONGEST_LINE:
-            raise _TooLong
-        raw = line.encode("latin-1")
+            raise _BadLine(messages.LONG_LINE(limit=LONGEST_LINE / 1e6))
         try:
-            yield raw.decode("utf-8-sig" if raw.startswith(b"\xef\xbb\xbf") else "utf-8")
+            yield line.encode("latin-1").decode("utf-8-sig")
         except UnicodeDecodeError:
-            raise _NotText from None
+            raise _BadLine(messages.NO_UTF8_LINE()) from None
 
 
-def _filled(row: Sequence[str]) -> bool:
+def _has_text(row: Sequence[str]) -> bool:
     return any(cell.strip() for cell in row)
 
 
@@ -142,19 +138,18 @@ class _Cells:
         self.line, self.plain, self.whole = 1, True, False
         self._text = _lines(stream)
         self._rows, self._above = csv.reader(self._text), 0  # rows, and the number of lines read by an earlier reader
-        self._guarded(self._read_header)
+        with self._noting_faults():
+            self._read_header()
 
     def _read_header(self) -> None:
-        header = next(filter(_filled, self._rows), [])
+        header = next(filter(_has_text, self._rows), [])
         self.line = max(1, self._rows.line_num)
         if any("\0" in text for text in header):
-            cure = "save it as plain CSV, UTF-8"
-            self.faults.note(self.line, 1, f"is a binary file, or text of another encoding; {cure}")
+            self.faults.note(self.line, 1, messages.BINARY_TABLE())
             return
         only = header[0] if len(header) == 1 else ""
         if mark := next((m for m in SEPARATORS if m in only), None):
-            cure = "separate them with commas, decimals with a point"
-            self.faults.note(self.line, 1, f"cells are separated by {SEPARATORS[mark]}; {cure}")
+            self.faults.note(self.line, 1, messages.WRONG_SEPARATOR(separator=SEPARATORS[mark]))
             header = next(csv.reader(header, delimiter=mark))  # Reading continues, to report further faults.
             self._above, self._rows = self._rows.line_num, csv.reader(self._text, delimiter=mark)
             self.plain = False
@@ -162,31 +157,30 @@ class _Cells:
 
     def rows(self, keep: Callable[[int, list[str]], None]) -> None:
         """Pass each row of the right length with its line to `keep`. Other rows are noted as faults."""
-        self._guarded(lambda: self._read_rows(keep))
+        faults, width = self.faults, len(self.header)
+        with self._noting_faults():
+            for row in filter(_has_text, self._rows):
+                if len(row) == width:
+                    keep(self._line(), row)
+                else:
+                    is_cut = len(row) == 2 * width
+                    template = messages.ROW_WITH_DECIMAL_COMMAS if is_cut else messages.ROW_OF_OTHER_LENGTH
+                    message = template(cells=counted(len(row), "cell"), header=width)
+                    faults.note_cell(self._line(), 1, "rows of another length", message)
+                if faults.is_full:
+                    faults.note(self._line(), 1, messages.UNREAD_REST())
+                    return
+            self.whole = True
 
-    def _read_rows(self, keep: Callable[[int, list[str]], None]) -> None:
-        rows, faults, width = self._rows, self.faults, len(self.header)
-        for row in rows:
-            line = self._above + rows.line_num
-            if len(row) == width and _filled(row):
-                keep(line, row)
-            elif _filled(row):
-                faults.note_cell(line, 1, "rows of another length", _wrong_length(len(row), width))
-            if faults.many:
-                faults.note(line, 1, "nothing is read from here on")
-                return
-        self.whole = True
-
-    def _guarded(self, read: Callable[[], None]) -> None:
+    @contextmanager
+    def _noting_faults(self) -> Iterator[None]:
+        """Note the fault of an unreadable line, which ends the block."""
         try:
-            read()
-        except _NotText:
-            self.faults.note(self._line() + 1, 1, "is not UTF-8 text; save it as plain CSV, UTF-8")
-        except _TooLong:
-            message = f"the line has more than {LONGEST_LINE / 1e6:g} MB; is this a CSV?"
-            self.faults.note(self._line() + 1, 1, message)
+            yield
+        except _BadLine as error:
+            self.faults.note(self._line() + 1, 1, str(error))
         except csv.Error as error:
-            self.faults.note(self._line(), 1, f"is not CSV: {error}")
+            self.faults.note(self._line(), 1, messages.NO_CSV(reason=error))
 
     def _line(self) -> int:
         return self._above + self._rows.line_num
@@ -220,10 +214,10 @@ def _plain_numbers(path: Path, above: int, width: int) -> tuple[Array, Sequence[
 
 def _frame_of(cells: _Cells, names: Container[str], text: Collection[str]) -> Frame:
     """Return all columns below a header."""
-    named = [parted(cell, names) for cell in cells.header]
-    plain = _plain_numbers(cells.faults.path, cells.line, len(named)) if cells.plain and not text else None
+    headings = [split_heading(cell, names) for cell in cells.header]
+    plain = _plain_numbers(cells.faults.path, cells.line, len(headings)) if cells.plain and not text else None
     if plain is not None and not _may_be_whole(*plain):
-        columns = [SourceColumn(*pair, values) for pair, values in zip(named, plain[0].T, strict=True)]
+        columns = [SourceColumn(*pair, values) for pair, values in zip(headings, plain[0].T, strict=True)]
         return Frame(columns, range(cells.line + 1, cells.line + 1 + len(plain[0])))
     lines, rows = array("q"), list[list[str]]()
 
@@ -232,8 +226,8 @@ def _frame_of(cells: _Cells, names: Container[str], text: Collection[str]) -> Fr
         rows.append(row)
 
     cells.rows(keep)
-    by_column = zip(*rows, strict=True) if rows else ((),) * len(named)
-    return Frame([_column(*pair, c, pair[0] in text) for pair, c in zip(named, by_column, strict=True)], lines)
+    by_column = zip(*rows, strict=True) if rows else ((),) * len(headings)
+    return Frame([_column(*pair, c, pair[0] in text) for pair, c in zip(headings, by_column, strict=True)], lines)
 
 
 def _may_be_whole(numbers: Array, first: Sequence[bytes]) -> bool:
@@ -259,28 +253,27 @@ def _column(name: str, unit: str, cells: Sequence[str], is_text: bool) -> Source
 # -- cell by cell ---------------------------------------------------------------------------------
 
 
-def _read_table(cells: _Cells, wanted: Wanted) -> Table:
-    """Read the wanted columns, cell by cell if any has a fault."""
+def _read_table(cells: _Cells, request: TableRequest) -> Table:
+    """Read the requested columns, cell by cell if any has a fault."""
     faults, table = cells.faults, Table(header=cells.line)
     if not cells.header:
-        if not faults.found:
-            names = f"time, then {wanted.holds}" if wanted.timed else wanted.holds
-            faults.note(1, 1, f"is empty; the first line names the columns: {names}")
+        if not faults.items:
+            faults.note(1, 1, messages.NO_HEADER(columns=request.description))
         return table
-    named = [parted(text, wanted.names) for text in cells.header]
-    choose_columns(table, [Heading(cells.line, k, *pair) for k, pair in enumerate(named, 1)], faults, wanted)
-    if wanted.timed and "time" not in table.columns:
+    headings = [split_heading(text, request.names) for text in cells.header]
+    choose_columns(table, [Heading(cells.line, k, *pair) for k, pair in enumerate(headings, 1)], faults, request)
+    if request.timed and "time" not in table.columns:
         return table
-    plain = _plain_numbers(faults.path, cells.line, len(named)) if cells.plain else None
+    plain = _plain_numbers(faults.path, cells.line, len(headings)) if cells.plain else None
     if plain is not None:
         numbers, _ = plain
-        columns = [SourceColumn(*pair, values) for pair, values in zip(named, numbers.T, strict=True)]
+        columns = [SourceColumn(*pair, values) for pair, values in zip(headings, numbers.T, strict=True)]
         trial, lines = Faults(faults.path), range(cells.line + 1, cells.line + 1 + len(numbers))
-        filled = Table(dict(table.columns), header=table.header, first=table.first)
-        fill(filled, columns, lines, trial, timed=wanted.timed)
+        candidate = Table(dict(table.columns), header=table.header, first=table.first)
+        fill(candidate, columns, lines, trial, timed=request.timed)
         if not trial.counts:
-            return filled
-    reader = _Reader(table, faults, timed=wanted.timed)
+            return candidate
+    reader = _Reader(table, faults, timed=request.timed)
     cells.rows(reader.row)
     table.whole = cells.whole
     return table
@@ -315,46 +308,32 @@ class _Reader:
         before.append(time)
         return True
 
-    def _spare(self, column: Column, text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
-            self.table.spoiled.add(column.name)
-        return float(column.converted(value))
-
     def _value(self, line: int, column: Column, text: str) -> float:
         """Return a cell's converted number; NaN if empty or faulty."""
-        if column.spare:
-            return self._spare(column, text)
         try:
             value = float(text) if text and not text.isspace() else math.nan
         except ValueError:
-            self.faults.note_cell(line, column.cell, *_no_number(text, column))
-            return math.nan
-        if math.isinf(value):
+            value = math.nan
+            if not column.spare:
+                self.faults.note_cell(line, column.cell, *_no_number(text, column))
+                return value
+        if column.spare:
+            if not math.isfinite(value):
+                self.table.spoiled.add(column.name)
+        elif math.isinf(value):
             note_infinite(self.faults, line, column, text.strip())
             return math.nan
-        if column.known and math.isnan(value):
+        elif column.role and math.isnan(value):
             note_missing(self.faults, line, column)
-        return float(column.converted(value))
+        return float(column.convert(value))
 
 
-def _no_number(text: str, column: Column) -> tuple[str, str]:
+def _no_number(text: str, column: Column) -> tuple[str, Message]:
     """Return the plural and the message of a faulty cell."""
     cell, name = text.strip()[:30], column.name
     if DECIMAL_COMMA.fullmatch(cell):
-        return f"cells of {name} with a decimal comma", f'"{cell}" in column {name} has a decimal comma: write a point'
-    return f"cells of {name} that are no number", f'"{cell}" in column {name} is no number; {column.cure}'
-
-
-def _wrong_length(cells: int, header: int) -> str:
-    """Return the message on a row of wrong length."""
-    cure = "delete the row, or leave cells empty where nothing was measured"
-    if cells == 2 * header:
-        cure = "is each number cut in two by a decimal comma? Write a point"
-    return f"has {counted(cells, 'cell')}, the header {header}; {cure}"
+        return f"cells of {name} with a decimal comma", messages.DECIMAL_COMMA(cell=cell, column=name)
+    return f"cells of {name} that are no number", messages.CELL_WITHOUT_NUMBER(cell=cell, column=name, cure=column.cure)
 
 
 # -- writing --------------------------------------------------------------------------------------

@@ -16,7 +16,8 @@ from typing import Any, TextIO
 
 from cosim.base.drafts import draft_of, remove_drafts
 from cosim.base.errors import Fault, InputError, refuse
-from cosim.base.scratch import Held, scratch
+from cosim.base.scratch import ScratchFolder, scratch
+from cosim.storage import messages
 from cosim.storage.folder_lock import take_folder
 
 FilePath = str | os.PathLike[str]
@@ -54,10 +55,10 @@ def check_text(names: Iterable[str]) -> None:
         except UnicodeEncodeError:
             try:
                 os.fsencode(name).decode()
-                cure = "cannot be read in the locale of this shell; set PYTHONUTF8=1, or LC_ALL=C.UTF-8"
+                message = messages.LOCALE_WITHOUT_NAME()
             except UnicodeDecodeError:
-                cure = "is not UTF-8 text; give the file or folder another name"
-            faults.append(Fault(Path(name), 0, 0, cure))
+                message = messages.NO_UTF8_NAME()
+            faults.append(Fault(Path(name), 0, 0, message))
     refuse(faults)
 
 
@@ -67,32 +68,38 @@ def uninterrupted() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():  # Only the main thread receives signals.
         yield
         return
-    came: list[int] = []
-    handlers = {number: signal.signal(number, lambda n, frame: came.append(n)) for number in STOPPING}
+    signals: list[int] = []
+    handlers = {number: signal.signal(number, lambda n, frame: signals.append(n)) for number in STOPPING}
     try:
         yield
     finally:
         for number, handler in handlers.items():
             signal.signal(number, signal.SIG_DFL if handler is None else handler)
-        if came:
-            signal.raise_signal(came[0])
+        if signals:
+            signal.raise_signal(signals[0])
 
 
 @dataclass
 class _Stops:
     """Handling of stop signals by a verb: raise or hold back."""
 
-    before: dict[int, Callable[[int, FrameType | None], Any]]
-    holding: bool = False
-    stopped: bool = False
-    came: list[int] = field(default_factory=list)
+    handlers: dict[int, Callable[[int, FrameType | None], Any]]
+    is_holding: bool = False
+    is_stopped: bool = False
+    signals: list[int] = field(default_factory=list)
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
-        if self.holding:
-            self.came.append(number)
+        if self.is_holding:
+            self.signals.append(number)
         else:
-            self.holding = self.stopped = True
-            self.before[number](number, frame)
+            self.is_holding = self.is_stopped = True
+            self.handlers[number](number, frame)
+
+    def release(self) -> None:
+        """Raise the first held signal, unless the verb was already stopped."""
+        signals, self.signals = self.signals, []
+        if signals and not self.is_stopped:
+            signal.raise_signal(signals[0])
 
 
 _stops: list[_Stops] = []  # of the running verbs, the innermost last
@@ -107,58 +114,50 @@ def one_stop() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    handlers = {number: signal.getsignal(number) for number in STOPPING}
-    stops = _Stops({number: handler for number, handler in handlers.items() if callable(handler)})
-    for number in stops.before:
+    stops = _Stops({number: handler for number in STOPPING if callable(handler := signal.getsignal(number))})
+    for number in stops.handlers:
         signal.signal(number, stops)
     _stops.append(stops)
     try:
         yield
     finally:
         _stops.remove(stops)
-        for number, handler in stops.before.items():
+        for number, handler in stops.handlers.items():
             signal.signal(number, handler)
-        _raise_held(stops)
+        stops.release()
 
 
 def hold_stops() -> None:
     """Hold back the first signal too, because results must be written."""
     if _stops and threading.current_thread() is threading.main_thread():
-        _stops[-1].holding = True
+        _stops[-1].is_holding = True
 
 
 def release_stops() -> None:
     """Raise a held signal, and let later signals stop the verb."""
     if _stops and threading.current_thread() is threading.main_thread():
-        _stops[-1].holding = False
-        _raise_held(_stops[-1])
-
-
-def _raise_held(stops: _Stops) -> None:
-    """Raise the first held signal, unless the verb was already stopped."""
-    came, stops.came = stops.came, []
-    if came and not stops.stopped:
-        signal.raise_signal(came[0])
+        _stops[-1].is_holding = False
+        _stops[-1].release()
 
 
 @contextmanager
 def scratch_folder(beside: Path, prefix: str) -> Iterator[Path]:
     """Yield a new folder in `beside`, removed at the end. After a kill the next command removes the folder."""
-    made: Held | None = None
+    folder: ScratchFolder | None = None
     try:
         with uninterrupted():
-            made = scratch(prefix, beside)
-        yield made.path
+            folder = scratch(prefix, beside)
+        yield folder.path
     finally:
         with uninterrupted():
-            if made is not None:
-                made.remove()
+            if folder is not None:
+                folder.remove()
 
 
 def named_path(out: FilePath) -> Path:
     """Return the path given as --out; raise InputError if blank, which would mean the current folder."""
     if not os.fspath(out).strip():
-        raise InputError([Fault(Path("--out"), 0, 0, f"is blank; {NOT_BLANK}")])
+        raise InputError.at(Path("--out"), messages.BLANK_FOLDER(cure=NOT_BLANK))
     return Path(out)
 
 
@@ -166,15 +165,14 @@ def check_folder(folder: Path) -> None:
     """Raise InputError if a file or another command blocks a folder."""
     take_folder(folder)
     try:
-        taken = next((p for p in (folder, *folder.parents) if p.exists() and not p.is_dir()), None)
+        file = next((p for p in (folder, *folder.parents) if p.exists() and not p.is_dir()), None)
     except OSError:  # The maker of the folder reports a name that is too long.
         return
-    if taken is not None:
-        why = f"cannot be the folder for results: {taken} is a file; give a folder as --out"
-        raise InputError([Fault(folder, 0, 0, why)])
+    if file is not None:
+        raise InputError.at(folder, messages.FILE_IN_PLACE_OF_FOLDER(file=file))
 
 
-def _is_kept_by_another(path: Path) -> bool:
+def _is_of_other_user(path: Path) -> bool:
     """Return whether only another owner may replace a file. Folders such as the temporary folder have this rule."""
     if not hasattr(os, "geteuid") or not os.path.lexists(path):
         return False
@@ -199,19 +197,13 @@ def check_writable(folder: Path, names: Sequence[str], read: Iterable[Path] = ()
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         check_folder(folder)
-        raise InputError([Fault(folder, 0, 0, f"cannot be the folder for results: {error.strerror}")]) from None
+        raise InputError.at(folder, messages.IMPOSSIBLE_FOLDER(reason=error.strerror)) from None
     paths = [folder / name for name in names]
-    faults = []
-    for path in paths:
-        if path.is_dir():
-            faults.append(Fault(path, 0, 0, "is a folder; a file is to be written there"))
-        if _is_kept_by_another(path):
-            why = "belongs to another user, and only its owner may replace it; give another folder as --out"
-            faults.append(Fault(path, 0, 0, why))
+    faults = [Fault(path, 0, 0, messages.FOLDER_IN_PLACE_OF_FILE()) for path in paths if path.is_dir()]
+    faults += [Fault(path, 0, 0, messages.FILE_OF_OTHER_USER()) for path in paths if _is_of_other_user(path)]
     for source in dict.fromkeys(read):
         if source.is_file() and any(path.is_file() and source.samefile(path) for path in paths):
-            why = "is read, and results would be written over it; give another folder as --out"
-            faults.append(Fault(source, 0, 0, why))
+            faults.append(Fault(source, 0, 0, messages.INPUT_IN_FOLDER()))
     if not os.access(folder, os.W_OK):
-        faults.append(Fault(folder, 0, 0, "cannot be written"))
+        faults.append(Fault(folder, 0, 0, messages.READ_ONLY_FOLDER()))
     refuse(faults)

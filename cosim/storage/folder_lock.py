@@ -16,11 +16,12 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import InputError
 from cosim.base.scratch import lock_descriptor
+from cosim.storage import messages
 
 LOCK_FILE = ".cosim-lock"
-HELD = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)  # error numbers of a lock held by another process
+BUSY = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)  # error numbers of a lock held by another process
 NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 
 
@@ -28,20 +29,20 @@ NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 class _Locks:
     """Locks of the running verb: descriptors of locked folders, and folders made for locking."""
 
-    held: dict[Path, int] = field(default_factory=dict)
-    made: list[Path] = field(default_factory=list)
+    descriptors: dict[Path, int] = field(default_factory=dict)
+    new_folders: list[Path] = field(default_factory=list)
 
     def release(self) -> None:
         """Remove lock files and empty new folders, then end the locks."""
-        for folder, lock in self.held.items():
+        for folder, lock in self.descriptors.items():
             with suppress(OSError):
                 if os.name == "nt":  # Windows cannot remove an open file.
                     os.close(lock)
                 (folder / LOCK_FILE).unlink(missing_ok=True)
-        for folder in reversed(self.made):
+        for folder in reversed(self.new_folders):
             with suppress(OSError):
                 folder.rmdir()
-        for lock in self.held.values():
+        for lock in self.descriptors.values():
             with suppress(OSError):
                 os.close(lock)
 
@@ -83,19 +84,18 @@ def take_folder(folder: Path) -> bool:
         return False
     try:
         path = folder.resolve()
-        if path in locks.held:
+        if path in locks.descriptors:
             return True
         lock: int | None = None
         while lock is None or not _is_of(lock, path):  # Another command may just have removed the folder.
             for missing in [p for p in (*reversed(path.parents), path) if not p.exists()]:
                 missing.mkdir(exist_ok=True)
-                locks.made.append(missing)
+                locks.new_folders.append(missing)
             if (lock := _lock(path)) is None:
                 return False
-            locks.held[path] = lock
+            locks.descriptors[path] = lock
     except BlockingIOError:
-        cure = "wait for its end, or give another folder as --out"
-        raise InputError([Fault(folder, 0, 0, f"another command writes into this folder now; {cure}")]) from None
+        raise InputError.at(folder, messages.BUSY_FOLDER()) from None
     except (OSError, ValueError):
         return False
     return True
@@ -117,7 +117,7 @@ def _lock(folder: Path) -> int | None:
         lock_descriptor(lock)
     except OSError as error:
         os.close(lock)
-        if error.errno in HELD:
+        if error.errno in BUSY:
             raise BlockingIOError from None
         with suppress(OSError):
             (folder / LOCK_FILE).unlink()

@@ -13,8 +13,9 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from cosim.base.drafts import draft_of, remove_drafts
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.scratch import is_own
+from cosim.storage import messages
 from cosim.storage.artefact import artefacts
 from cosim.storage.files import uninterrupted, write_text
 from cosim.storage.folder_lock import take_folder
@@ -27,7 +28,6 @@ UPWARDS = re.compile(r"^([\w ]+: \"?)(?=\.\./)", re.MULTILINE)  # a YAML key who
 REPLAY = "replay.json"  # stored with the rows of a replay
 MOST_BYTES = 200_000_000  # size of a JSON or YAML file [bytes]
 MOST_LISTED, LONGEST_NAME = 10_000_000, 255  # size of the list of a move [bytes], length of a name
-CURE = "give another folder as --out, or write over it by --force"
 
 
 def folder_named(name: str, of: str = "") -> Path:
@@ -52,14 +52,13 @@ def name_of(model: str) -> str:
     Args:
         model: `base`, a file, file.py:Class, a refine's folder or refine.json.
     """
-    file, own, name = model.rpartition(":") if ".py:" in model else (model, "", "")
-    path = Path(file)
-    if own and name:
+    file, _, name = model.rpartition(":") if ".py:" in model else (model, "", "")
+    if name:
         return name
-    if path.is_dir() or path.name in {"refine.json", "model.yaml"}:
-        inner = path if path.is_dir() else path.parent
-        return inner.resolve().name or "model"
-    return path.stem
+    path = Path(file)
+    if not path.is_dir() and path.name not in {"refine.json", "model.yaml"}:
+        return path.stem
+    return (path if path.is_dir() else path.parent).resolve().name or "model"
 
 
 def manifest_in(folder: Path) -> dict[str, Any]:
@@ -78,7 +77,7 @@ def content_of(path: Path) -> dict[str, Any]:
     return content if isinstance(content, dict) else {}
 
 
-def left_by_replay(folder: Path) -> dict[str, Any]:
+def replay_record(folder: Path) -> dict[str, Any]:
     """Return a replay's description of its rows.
 
     Keys are `log`, `fmu`, `units` and `sentence`; the result is empty if unreadable.
@@ -86,7 +85,7 @@ def left_by_replay(folder: Path) -> dict[str, Any]:
     return content_of(folder / REPLAY)
 
 
-def check_ours(
+def check_run_folder(
     folder: Path, name: str = "", *, ssp: Path | None = None, force: bool = False, keep: bool = False
 ) -> None:
     """Lock a folder; raise InputError if another scenario, SSP or command owns it."""
@@ -94,12 +93,12 @@ def check_ours(
     if force or not folder.is_dir():
         return
     manifest = manifest_in(folder)
-    scenario, packed = manifest.get("scenario"), manifest.get("ssp")
-    left = scenario.get("name") if isinstance(scenario, dict) else None
-    if ssp is not None and isinstance(packed, dict) and packed.get("path") == str(ssp.resolve()):
+    scenario, archive = manifest.get("scenario"), manifest.get("ssp")
+    owner = scenario.get("name") if isinstance(scenario, dict) else None
+    if ssp is not None and isinstance(archive, dict) and archive.get("path") == str(ssp.resolve()):
         return
-    if left is not None and (ssp is not None or left != name):
-        raise InputError([Fault(folder, 0, 0, f'holds the run of another scenario, "{left}"; {CURE}')])
+    if owner is not None and (ssp is not None or owner != name):
+        raise InputError.at(folder, messages.FOLDER_OF_OTHER_SCENARIO(name=owner))
     check_left(folder, "cosim run")
 
 
@@ -115,19 +114,19 @@ def check_left(folder: Path, by: str, *sources: str, force: bool = False, keep: 
     prepare_folder(folder, keep=keep)
     if force or not folder.is_dir():
         return
-    for left in sorted(artefacts(), key=lambda a: a.verb == by):  # other commands first
-        if not left.verb or not left.is_left_in(folder):
+    for artefact in sorted(artefacts(), key=lambda a: a.verb == by):  # other commands first
+        if not artefact.verb or not artefact.is_left_in(folder):
             continue
-        if left.verb != by:
-            raise InputError([Fault(folder, 0, 0, f"holds what `{left.verb}` left; {CURE}")])
-        content = content_of(folder / left.marks[0])
-        before = [str(content.get(key) or "") for key in left.sources]
-        if sources and any(before) and not all(map(_same, before, sources)):
-            of = " and ".join(filter(None, before))
-            raise InputError([Fault(folder, 0, 0, f"holds what `{by}` left of {of}; {CURE}")])
+        if artefact.verb != by:
+            raise InputError.at(folder, messages.FOLDER_OF_OTHER_COMMAND(command=artefact.verb))
+        content = content_of(folder / artefact.marks[0])
+        earlier = [str(content.get(key) or "") for key in artefact.sources]
+        if sources and any(earlier) and not all(map(_is_same, earlier, sources)):
+            names = " and ".join(filter(None, earlier))
+            raise InputError.at(folder, messages.FOLDER_OF_OTHER_SOURCES(command=by, sources=names))
 
 
-def _same(one: str, other: str) -> bool:
+def _is_same(one: str, other: str) -> bool:
     """Return whether two names mean the same file or model."""
     try:
         return one == other or Path(one).resolve() == Path(other).resolve()
@@ -150,23 +149,20 @@ def prepare_folder(folder: Path, *, keep: bool) -> None:
     earlier = folder / EARLIER
     if not keep or not os.path.lexists(earlier):
         return  # The new folder only needs write access to its parent.
-    cure = "move it away, or give another folder as --out"
     if not earlier.is_dir():
-        raise InputError([Fault(earlier, 0, 0, f"is a file; earlier runs are kept in a folder of this name; {cure}")])
+        raise InputError.at(earlier, messages.FILE_FOR_EARLIER_RUNS())
     if not os.access(earlier, os.W_OK | os.X_OK) or earlier.stat().st_dev != folder.stat().st_dev:
-        why = "cannot be written, or is on another disk; earlier runs are kept there"
-        raise InputError([Fault(earlier, 0, 0, f"{why}; {cure}")])
+        raise InputError.at(earlier, messages.READ_ONLY_EARLIER_RUNS())
 
 
 def refuse_links(folder: Path) -> None:
     """Raise InputError for links in place of the folders in a results folder, and for a stranger's link to it."""
     inner = {EARLIER, *(name.partition("/")[0] for a in artefacts() for name in a.files if "/" in name)}
-    why = "is a link, so files would be moved or written elsewhere; remove it, or give another folder as --out"
-    faults = [Fault(folder / name, 0, 0, why) for name in sorted(inner) if (folder / name).is_symlink()]
+    links = [folder / name for name in sorted(inner) if (folder / name).is_symlink()]
+    faults = [Fault(link, 0, 0, messages.LINK_IN_FOLDER()) for link in links]
     if folder.is_symlink() and hasattr(os, "geteuid") and folder.lstat().st_uid not in (os.geteuid(), 0):
-        faults.append(Fault(folder, 0, 0, "is a link of another user; give another folder as --out"))
-    if faults:
-        raise InputError(faults)
+        faults.append(Fault(folder, 0, 0, messages.LINK_OF_OTHER_USER()))
+    refuse(faults)
 
 
 def keep_earlier(folder: Path, verb: str, also: Iterable[str] = ()) -> Path | None:
@@ -178,10 +174,9 @@ def keep_earlier(folder: Path, verb: str, also: Iterable[str] = ()) -> Path | No
     Returns:
         The new folder; None without files to move.
     """
-    paths = _files_of(folder, verb, also)
+    paths, moving = _files_of(folder, verb, also), folder / EARLIER / MOVING
     if not paths:
         return None
-    moving = folder / EARLIER / MOVING
     with uninterrupted():
         moving.mkdir(0o700, parents=True, exist_ok=True)
         write_text(moving / LIST, "\n".join(path.relative_to(folder).as_posix() for path in paths))
@@ -206,7 +201,7 @@ def _finish_move(folder: Path) -> Path | None:
     if not os.path.lexists(moving):
         return None
     if not is_own(moving, stat.S_ISDIR) or (os.name == "posix" and moving.stat().st_mode & 0o022):
-        raise InputError([Fault(moving, 0, 0, "is open to other users, or not yours; move it away")])
+        raise InputError.at(moving, messages.OPEN_MOVE())
     if is_own(moving / LIST, stat.S_ISREG):
         names = _listed_names(folder, moving)
         for name in names:
@@ -240,17 +235,17 @@ def _listed_names(folder: Path, moving: Path) -> list[str]:
     Raises:
         InputError: The list is damaged, or a name leads outside the folder or through a link.
     """
-    path, cure = moving / LIST, f"move {moving} away"
+    path = moving / LIST
     try:
         with path.open("rb") as stream:
             names = stream.read(MOST_LISTED).decode("utf-8").splitlines()
     except (OSError, ValueError):
-        raise InputError([Fault(path, 0, 0, f"is damaged; {cure}")]) from None
+        raise InputError.at(path, messages.DAMAGED_LIST(folder=moving)) from None
     if outside := [name for name in names if not _is_inside(folder, name)]:
-        raise InputError([Fault(path, 0, 0, f"names {outside[0][:80]}, outside {folder} or no result; {cure}")])
+        raise InputError.at(path, messages.NAME_OUTSIDE(name=outside[0][:80], results=folder, folder=moving))
     folders = dict.fromkeys(moving / parent for name in names for parent in PurePosixPath(name).parents[:-1])
     if links := [place for place in folders if place.is_symlink()]:
-        raise InputError([Fault(links[0], 0, 0, f"is a link, and earlier runs hold none; {cure}")])
+        raise InputError.at(links[0], messages.LINK_IN_EARLIER_RUNS(folder=moving))
     return names
 
 

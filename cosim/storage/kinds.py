@@ -6,12 +6,14 @@ import re
 import shlex
 import zipfile
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from cosim.base.errors import Fault, InputError
-from cosim.storage.artefact import Artefact, artefacts, kind_by_keys, kind_where, left_in, of_kind
+from cosim.base.errors import InputError
+from cosim.storage import messages
+from cosim.storage.artefact import Artefact, artefacts, folder_kind, kind_by_keys, kind_where, of_kind
 from cosim.storage.table_source import sources, suffixes
 from cosim.storage.yaml_file import YamlFile
 
@@ -70,17 +72,18 @@ class Form:
 
 def kind_by_form(path: Path) -> str | None:
     """Return the kind of a file by first bytes or ending. None leaves the decision to the keys."""
-    try:
-        head = _head(path) if path.is_file() else b""
-    except (OSError, ValueError):
-        head = b""
+    head = b""
+    with suppress(OSError, ValueError):
+        if path.is_file():
+            with path.open("rb") as stream:
+                head = stream.read(HEAD)
     form = Form(path, head)
     return (
         kind_where(form.is_of)
         or kind_where(lambda a: a.beside and _is_named(path, a.beside))
         or _table(form)
         or kind_where(lambda a: form.ending in a.endings)
-        or _undeclared(form)
+        or _other_kind(form)
     )
 
 
@@ -90,16 +93,16 @@ def _table(form: Form) -> str | None:
         return LOG  # Later checks examine its columns.
     if form.ending != ".csv":
         return LOG if form.ending in suffixes() else None
-    if _no_text(form.head):
+    if _is_binary(form.head):
         return BINARY
-    return (_by_keys(form.path) or LOG) if _keyed(form.text) else None
+    return (_by_keys(form.path) or LOG) if _has_keys(form.text) else None
 
 
-def _undeclared(form: Form) -> str | None:
+def _other_kind(form: Form) -> str | None:
     """Return the kind of an undeclared file; None if undecided."""
     if b"\0" in form.head and form.ending not in WRITTEN and not form.head.startswith(UTF_16):
         return BINARY
-    is_text = form.ending in PROSE or (form.ending in COLUMNS and not _tabular(form.text))
+    is_text = form.ending in PROSE or (form.ending in COLUMNS and not _is_tabular(form.text))
     return TEXT if form.head and is_text else None
 
 
@@ -110,12 +113,7 @@ def _is_named(path: Path, beside: tuple[str, str]) -> bool:
     return (path.name == name or rows) and (path.parent / other).is_file()
 
 
-def _head(path: Path) -> bytes:
-    with path.open("rb") as stream:
-        return stream.read(HEAD)
-
-
-def _tabular(text: str) -> bool:
+def _is_tabular(text: str) -> bool:
     """Return whether a text may be a table or a mapping.
 
     It then has a row of numbers, or begins with a column name or a key.
@@ -124,7 +122,7 @@ def _tabular(text: str) -> bool:
     return any(ROW.match(line) for line in lines[1:]) or bool(lines and FIRST.match(lines[0]))
 
 
-def _no_text(head: bytes) -> bool:
+def _is_binary(head: bytes) -> bool:
     """Return whether bytes are binary. Loggers use various encodings, and a torn row contains zero bytes."""
     if head.startswith(UTF_16):
         return False
@@ -132,7 +130,7 @@ def _no_text(head: bytes) -> bool:
     return b"\0" in head.partition(b"\n")[0] or (controls > 0.05 * len(head) and any(byte > 127 for byte in head))
 
 
-def _keyed(text: str) -> bool:
+def _has_keys(text: str) -> bool:
     """Return whether a text begins with a YAML or JSON key."""
     lines = (line.strip() for line in text.splitlines())
     first = next((line for line in lines if line and not line.startswith(("#", "---", "%"))), "")
@@ -141,15 +139,13 @@ def _keyed(text: str) -> bool:
 
 def next_step(kind: str, path: Path) -> str:
     """Return advice for a file of a kind."""
-    declared = of_kind(kind)
-    return UNREAD if declared is None else declared.next_step.format(file=as_typed(path))
+    artefact = of_kind(kind)
+    return UNREAD if artefact is None else artefact.next_step.format(file=shell_path(path))
 
 
 def kind_of(path: Path) -> str | None:
     """Return the kind of a file by form or keys, if recognised."""
-    if (kind := kind_by_form(path)) is not None or path.suffix.lower() not in WRITTEN:
-        return kind
-    return _by_keys(path)
+    return kind_by_form(path) or (_by_keys(path) if path.suffix.lower() in WRITTEN else None)
 
 
 def _by_keys(path: Path) -> str | None:
@@ -161,28 +157,29 @@ def _by_keys(path: Path) -> str | None:
 
 def refuse_other(path: Path, kind: str | None, *wanted: str) -> None:
     """Raise InputError for a file of an unwanted kind. The message names the command for the file."""
-    declared = of_kind(kind) if kind is not None else None
-    taken = {kind, declared.taken_as} if declared is not None else {kind}
-    if kind is not None and taken.isdisjoint(wanted) and path.is_file():
-        message = f"is {kind}, not {' or '.join(wanted)}: {next_step(kind, path)}"
-        raise InputError([Fault(path, 0, 0, message)])
+    if kind is None or not path.is_file():
+        return
+    artefact = of_kind(kind)
+    if {kind, artefact.taken_as if artefact is not None else kind}.isdisjoint(wanted):
+        step = next_step(kind, path)
+        raise InputError.at(path, messages.OTHER_KIND(kind=kind, wanted=" or ".join(wanted), step=step))
 
 
 def refuse_unreadable(path: Path, *wanted: str) -> None:
     """Raise InputError for a missing, empty or special file."""
-    what = " or ".join(wanted)
+    kinds = " or ".join(wanted)
     try:
         if path.is_dir():
-            refuse_folder(path, what)
-            raise InputError([Fault(path, 0, 0, _folder(path, what))])
+            refuse_folder(path, kinds)
+            raise InputError.at(path, messages.FOLDER_FOR_FILE(wanted=kinds, files=_likely_files(path, kinds)))
         if not path.exists():
-            raise InputError([Fault(path, 0, 0, f"no such file; give {what}")])
-        if not path.is_file():
-            raise InputError([Fault(path, 0, 0, "is no file")])  # A pipe would block.
+            raise InputError.at(path, messages.MISSING_FILE(wanted=kinds))
+        if not path.is_file():  # A pipe would block.
+            raise InputError.at(path, messages.NO_FILE())
         if not path.stat().st_size:
-            raise InputError([Fault(path, 0, 0, f"is empty; give {what}")])
+            raise InputError.at(path, messages.EMPTY_FILE(wanted=kinds))
     except (OSError, ValueError):  # a name too long, a loop of links, or a folder without access
-        raise InputError([Fault(path, 0, 0, f"no such file, or none that can be read; give {what}")]) from None
+        raise InputError.at(path, messages.MISSING_OR_UNREADABLE_FILE(wanted=kinds)) from None
 
 
 def check_form(path: Path, *wanted: str) -> None:
@@ -197,21 +194,20 @@ def check_given(path: Path, *wanted: str) -> None:
     refuse_other(path, kind_of(path), *wanted)
 
 
-def as_typed(path: Path) -> str:
+def shell_path(path: Path) -> str:
     """Return a path quoted for a shell."""
     return shlex.quote(str(path))
 
 
-def refuse_folder(path: Path, what: str) -> None:
+def refuse_folder(path: Path, kinds: str) -> None:
     """Raise InputError for the folder of another command."""
-    if (left := left_in(path)) is not None:
-        message = f"is {left.folder}, not {what}: {left.folder_step.format(file=as_typed(path))}"
-        raise InputError([Fault(path, 0, 0, message)])
+    if (artefact := folder_kind(path)) is not None:
+        step = artefact.folder_step.format(file=shell_path(path))
+        raise InputError.at(path, messages.OTHER_KIND(kind=artefact.folder, wanted=kinds, step=step))
 
 
-def _folder(path: Path, what: str) -> str:
-    """Return a message on an unwanted folder with likely files."""
-    meant = {ending for a in artefacts() if a.kind in what for ending in a.endings} or {".yaml", ".yml"}
-    inside = sorted(p.name for p in path.iterdir() if p.suffix.lower() in meant and p.is_file())
-    some = f" {', '.join(inside[:3])}{', …' if inside[3:] else ''}" if inside else " none by its ending"
-    return f"is a folder, not {what}; in it:{some}"
+def _likely_files(path: Path, kinds: str) -> str:
+    """Return the files of a folder that may be of the wanted kinds."""
+    endings = {ending for a in artefacts() if a.kind in kinds for ending in a.endings} or {".yaml", ".yml"}
+    names = sorted(p.name for p in path.iterdir() if p.suffix.lower() in endings and p.is_file())
+    return f"{', '.join(names[:3])}{', …' if names[3:] else ''}" or "none by its ending"

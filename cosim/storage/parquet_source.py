@@ -13,8 +13,9 @@ from cosim.base.arrays import Array
 from cosim.base.drafts import draft_of
 from cosim.base.errors import Fault, InputError
 from cosim.base.extras import optional
-from cosim.storage.table_columns import parted
-from cosim.storage.table_source import Frame, Source, SourceColumn, heading_of
+from cosim.storage import messages
+from cosim.storage.table_columns import split_heading
+from cosim.storage.table_source import Frame, Source, SourceColumn
 
 MAGIC = b"PAR1"  # first and last bytes of every Parquet file
 UNIT = b"unit"  # key of a column's metadata
@@ -36,8 +37,9 @@ class Parquet(Source):
         content = _content(parquet, path)
         columns = []
         for field, column in zip(content.schema, content.columns, strict=True):
-            stated = (field.metadata or {}).get(UNIT)
-            name, unit = heading_of(field.name, None if stated is None else stated.decode(), names)
+            metadata = (field.metadata or {}).get(UNIT)
+            # Without a unit in the metadata, the name may be `name [unit]`.
+            name, unit = split_heading(field.name, names) if metadata is None else (field.name, metadata.decode())
             columns.append(_column(name, unit, column, is_text=name in text))
         return Frame(columns, range(1, content.num_rows + 1))
 
@@ -45,7 +47,7 @@ class Parquet(Source):
         """Return the column names, none if unreadable."""
         try:
             parquet = optional("pyarrow.parquet", lambda message: Fault(path, 0, 0, message))
-            return [parted(field.name)[0] for field in parquet.read_schema(path)]
+            return [split_heading(field.name)[0] for field in parquet.read_schema(path)]
         except (InputError, OSError, ValueError):
             return []
 
@@ -72,27 +74,23 @@ PARQUET = Parquet()
 
 def _content(parquet: Any, path: Path) -> Any:
     """Return a file as a pyarrow table; raise InputError if incomplete, damaged or too large."""
-    again = "write it again"
     try:
         with path.open("rb") as stream:
             stream.seek(-len(MAGIC), 2)
-            cut = stream.read() != MAGIC
+            is_whole = stream.read() == MAGIC
     except OSError:
-        cut = True
-    if cut:
-        message = f"is no whole Parquet file: its end is missing, as where who wrote it was stopped; {again}"
-        raise InputError([Fault(path, 0, 0, message)])
+        is_whole = False
+    if not is_whole:
+        raise InputError.at(path, messages.CUT_PARQUET())
     try:
         with parquet.ParquetFile(path) as file:
-            about = file.metadata
-            if about.num_rows * about.num_columns > MOST_VALUES:
-                size = f"{about.num_rows} rows of {about.num_columns} columns"
-                message = f"has {size}, more than the {MOST_VALUES:.0e} values that are read; leave out columns or rows"
-                raise InputError([Fault(path, 0, 0, message)])
+            rows, columns = file.metadata.num_rows, file.metadata.num_columns
+            if rows * columns > MOST_VALUES:
+                raise InputError.at(path, messages.LARGE_PARQUET(rows=rows, columns=columns, limit=MOST_VALUES))
             return file.read(use_threads=False)
     except (OSError, ValueError, NotImplementedError) as error:  # pyarrow's errors derive from these
         reason = str(error).strip().partition("\n")[0][:200]
-        raise InputError([Fault(path, 0, 0, f"is no Parquet file that can be read: {reason}; {again}")]) from None
+        raise InputError.at(path, messages.BAD_PARQUET(reason=reason)) from None
 
 
 def _column(name: str, unit: str, column: Any, *, is_text: bool) -> SourceColumn:
@@ -101,7 +99,7 @@ def _column(name: str, unit: str, column: Any, *, is_text: bool) -> SourceColumn
         column = column.cast(column.type.value_type)
     for tests, values in READERS:
         if any(getattr(types, f"is_{test}")(column.type) for test in tests.split()):
-            return SourceColumn(name, unit, _texts(column) if is_text and values is _whole else values(column))
+            return SourceColumn(name, unit, _texts(column) if is_text and values is _integers else values(column))
     return SourceColumn(name, unit, fault=_no_numbers(types, column.type))
 
 
@@ -109,7 +107,7 @@ def _texts(column: Any) -> list[str]:
     return ["" if value is None else str(value) for value in column.to_pylist()]
 
 
-def _whole(column: Any) -> Array | NDArray[np.int64]:
+def _integers(column: Any) -> Array | NDArray[np.int64]:
     """Return whole numbers; doubles if values are missing or too large."""
     is_safe = not column.null_count and str(column.type) != "uint64"
     return column.to_numpy().astype(np.int64) if is_safe else _doubles(column)
@@ -123,7 +121,7 @@ def _doubles(column: Any) -> Array:
 
 READERS: tuple[tuple[str, Callable[[Any], Any]], ...] = (  # column types and their conversions
     ("floating null", _doubles),
-    ("boolean integer", _whole),
+    ("boolean integer", _integers),
     ("string large_string", _texts),
     ("binary large_binary fixed_size_binary", lambda column: [(v or b"").hex() for v in column.to_pylist()]),
 )

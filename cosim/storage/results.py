@@ -15,9 +15,10 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.drafts import draft_of, is_full
+from cosim.storage import messages
 from cosim.storage.csv_source import cell_text, write_table
 from cosim.storage.table import is_there
-from cosim.storage.table_columns import Faults, is_time, not_time, seconds
+from cosim.storage.table_columns import Faults, is_time, note_wrong_first, time_scale
 from cosim.storage.table_source import Frame, SourceColumn, source_named, source_of, suffixes
 
 CHUNK = 1000  # rows
@@ -72,11 +73,9 @@ class Results:
         columns = [SourceColumn("time", "s", self.time[:rows])]
         for k, name in enumerate(self.columns):
             values = np.ascontiguousarray(self.values[:rows, k])
-            columns.append(
-                SourceColumn(name, self.units.get(name, ""), values.astype(np.int64) if name in self.whole else values)
-            )
-        exact = (SourceColumn(n, self.units.get(n, ""), list(v[:rows])) for n, v in self.exact.items())
-        return [*columns, *exact]
+            unit = self.units.get(name, "")
+            columns.append(SourceColumn(name, unit, values.astype(np.int64) if name in self.whole else values))
+        return columns + [SourceColumn(n, self.units.get(n, ""), list(v[:rows])) for n, v in self.exact.items()]
 
     def write_csv(self, path: Path) -> None:
         """Write CSV with exactly reproducible numbers."""
@@ -113,12 +112,11 @@ class Results:
         while True:
             try:
                 source_named(path.suffix).write(path, self._source_columns(count))
+                return count
             except OSError as error:
                 if not (count and is_full(error)):
                     raise
                 count = int(FEWER * count)
-            else:
-                return count
 
     def _rows(self) -> Iterator[tuple[float, ...]]:
         for first in range(0, len(self.time), CHUNK):  # Python floats need four times the memory.
@@ -158,7 +156,7 @@ def read_results(path: Path, units: Mapping[str, str] | None = None, text: Colle
     exact, whole = dict[str, list[Any]](), set[str]()
     for cell, column in enumerate(frame.columns[1:], 2):
         if column.fault:
-            faults.note(0, cell, f"column {column.name} {column.fault}")
+            faults.note(0, cell, messages.COLUMN_WITHOUT_NUMBERS(column=column.name, reason=column.fault))
         elif not column.numeric:
             exact[column.name] = list(column.values)
         else:
@@ -166,9 +164,9 @@ def read_results(path: Path, units: Mapping[str, str] | None = None, text: Colle
             whole |= {column.name} if np.asarray(column.values).dtype.kind == "i" else set()
     faults.raise_any()
     values = np.column_stack(list(numbers.values())) if numbers else np.empty((time.size, 0))
-    known = {c.name: c.unit for c in frame.columns[1:] if c.unit}
-    known |= {name: unit for name, unit in units.items() if name in numbers or name in exact}
-    return Results(time, tuple(numbers), values, known, exact, frozenset(whole))
+    own_units = {c.name: c.unit for c in frame.columns[1:] if c.unit}
+    own_units |= {name: unit for name, unit in units.items() if name in numbers or name in exact}
+    return Results(time, tuple(numbers), values, own_units, exact, frozenset(whole))
 
 
 def _time_of(frame: Frame, faults: Faults) -> Array:
@@ -180,21 +178,19 @@ def _time_of(frame: Frame, faults: Faults) -> Array:
     lines = frame.row_lines
     line = 1 if len(lines) and lines[0] > 1 else 0  # line of the header
     if not is_time(first.name):
-        faults.note(line, 1, not_time(first.name))
+        note_wrong_first(faults, line, first.name)
         return np.empty(0)
-    scale, unknown = seconds(first.unit)
-    if unknown:
-        faults.note(line, 1, unknown)
+    scale = time_scale(faults, line, first.unit)
     if not first.numeric:
         if len(lines):
-            faults.note(lines[0], 1, f"time {first.fault}" if first.fault else "a time is no number")
+            reason = messages.COLUMN_WITHOUT_NUMBERS(column="time", reason=first.fault)
+            faults.note(lines[0], 1, reason if first.fault else messages.TIME_WITHOUT_NUMBER())
         return np.empty(0)
     time = np.asarray(first.values, dtype=np.float64) * scale
     for row in np.flatnonzero(~np.isfinite(time)).tolist():
-        message = "the row has no time; fill the cell or leave the row out"
-        faults.note_cell(lines[row], 1, "rows without a time", message)
+        faults.note_cell(lines[row], 1, "rows without a time", messages.ROW_WITHOUT_TIME())
     for row in (np.flatnonzero(np.diff(time) < 0.0) + 1).tolist():
-        message = f"time {time[row]:g} s comes after {time[row - 1]:g} s; sort the rows"
+        message = messages.UNSORTED_TIME(time=time[row], earlier=time[row - 1])
         faults.note_cell(lines[row], 1, "times that go back", message)
     return time
 

@@ -7,8 +7,9 @@ from pathlib import Path
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
+from cosim.storage import messages
 from cosim.storage.csv_source import write_table
-from cosim.storage.table_columns import Choose, Column, Faults, Heading, Table, Wanted, seconds
+from cosim.storage.table_columns import Choose, Column, Faults, Heading, Table, TableRequest, time_scale
 from cosim.storage.table_source import source_of
 
 
@@ -26,19 +27,16 @@ def read_columns(path: Path, names: Collection[str] = ()) -> Table:
 
     def choose(heading: Heading) -> Column | None:
         if heading.name == "time":
-            scale, wrong = seconds(heading.unit)
-            if wrong:
-                faults.note(heading.line, heading.cell, wrong)
-            return Column(heading, scale, "the time")
+            return Column(heading, time_scale(faults, heading.line, heading.unit), "the time")
         if not heading.name:
-            faults.note(heading.line, heading.cell, "the column has no name")
+            faults.note(heading.line, heading.cell, messages.NAMELESS_COLUMN())
             return None
         spare = bool(names) and heading.name not in names
-        return Column(heading, known="" if spare else "a column played back", spare=spare)
+        return Column(heading, role="" if spare else "a column played back", spare=spare)
 
     table = read_table(faults, choose, "signals", "leave out columns or rows", names=names)
     if table.whole and not table.rows and not faults.counts:
-        faults.note(table.header + 1, 1, "holds no row; at least one follows the header")
+        faults.note(table.header + 1, 1, messages.NO_ROW())
     faults.raise_any()
     for name in table.spoiled:
         del table.columns[name], table.values[name]
@@ -55,15 +53,15 @@ def read_table(
     names: Container[str] = (),
     times: Collection[str] = (),
 ) -> Table:
-    """Read a file as far as possible and note its faults. Further arguments are those of `Wanted`."""
+    """Read a file as far as possible and note its faults. Further arguments are those of `TableRequest`."""
     if not is_there(faults):
         return Table()
     try:
         source = source_of(faults.path)
     except InputError as error:
-        faults.found += error.faults
+        faults.items += error.faults
         return Table()
-    return source.table(faults, Wanted(choose, holds, shorter, timed, names, times))
+    return source.table(faults, TableRequest(choose, holds, shorter, timed, names, times))
 
 
 def is_there(faults: Faults) -> bool:
@@ -72,11 +70,11 @@ def is_there(faults: Faults) -> bool:
     try:
         if path.is_file():
             return True
-        faults.note(0, 0, "is no file" if path.exists() else "no such file")
+        faults.note(0, 0, messages.NO_FILE() if path.exists() else messages.NO_SUCH_FILE())
     except OSError as error:
-        faults.note(0, 0, f"cannot be read: {error.strerror}")
+        faults.note(0, 0, messages.UNREADABLE_FILE(reason=error.strerror))
     except ValueError:  # an impossible file name
-        faults.note(0, 0, "no such file")
+        faults.note(0, 0, messages.NO_SUCH_FILE())
     return False
 
 

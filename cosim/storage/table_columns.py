@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import Fault, refuse
 from cosim.base.units import alternatives, factor
+from cosim.storage import messages
 from cosim.storage.yaml_file import did_you_mean
 
 MOST_FAULTS = 100_000  # limit at which reading stops
@@ -44,14 +45,14 @@ class Column:
 
     Attributes:
         factor: Factor applied to its numbers.
-        known: Description, "the time" or "an input", of a column without gaps; "" allows empty cells as NaN.
+        role: Description, "the time" or "an input", of a column without gaps; "" allows empty cells as NaN.
         spare: Whether the column is optional; a cell without a finite number then removes the column.
         offset: Offset added after the factor.
     """
 
     heading: Heading
     factor: float = 1.0
-    known: str = ""
+    role: str = ""
     spare: bool = False
     offset: float = 0.0
 
@@ -65,7 +66,7 @@ class Column:
         """Return the name of the column."""
         return self.heading.name
 
-    def converted(self, value: Any) -> Any:
+    def convert(self, value: Any) -> Any:
         """Return a number or array in the wanted unit. Without offset, a negative zero keeps its sign."""
         scaled = value * self.factor
         return scaled + self.offset if self.offset else scaled
@@ -73,7 +74,7 @@ class Column:
     @property
     def cure(self) -> str:
         """Return the remedy for a cell without a finite number."""
-        return "write a number or leave the row out" if self.known else "leave the cell empty where there is no value"
+        return "write a number or leave the row out" if self.role else "leave the cell empty where there is no value"
 
 
 @dataclass
@@ -111,7 +112,7 @@ Choose = Callable[[Heading], Column | None]
 
 
 @dataclass(frozen=True)
-class Wanted:
+class TableRequest:
     """A caller's requirements for a table.
 
     Attributes:
@@ -130,18 +131,23 @@ class Wanted:
     names: Container[str] = ()
     times: Collection[str] = ()
 
+    @property
+    def description(self) -> str:
+        """Return the description of all columns."""
+        return f"time, then {self.holds}" if self.timed else self.holds
+
 
 class Faults:
     """Faults of a file; of each kind per column only the first few and a count."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.found: list[Fault] = []
+        self.items: list[Fault] = []
         self.counts: Counter[tuple[int, str]] = Counter()
 
     def note(self, line: int, cell: int, message: str) -> None:
         """Note a fault; line and cell count from 1, 0 means the file."""
-        self.found.append(Fault(self.path, line, cell, message))
+        self.items.append(Fault(self.path, line, cell, message))
 
     def note_cell(self, line: int, cell: int, kind: str, message: str) -> None:
         """Note a frequent fault; `kind` is its plural."""
@@ -150,7 +156,7 @@ class Faults:
             self.note(line, cell, message)
 
     @property
-    def many(self) -> bool:
+    def is_full(self) -> bool:
         """Return whether further reading would reveal nothing new."""
         return any(count > MOST_FAULTS for count in self.counts.values())
 
@@ -158,37 +164,34 @@ class Faults:
         """Raise InputError if any fault was noted."""
         for (cell, kind), count in self.counts.items():
             if count > FAULTS_A_KIND:
-                self.note(0, 0, f"{count} {kind} in all, column {cell}; the first {FAULTS_A_KIND} are shown")
-        if self.found:
-            raise InputError(self.found)
+                self.note(0, 0, messages.FAULTS_OF_A_KIND(count=count, kind=kind, column=cell, shown=FAULTS_A_KIND))
+        refuse(self.items)
 
 
-def choose_columns(table: Table, headings: Collection[Heading], faults: Faults, wanted: Wanted) -> None:
-    """Add the wanted columns to a table, still without values."""
-    for place, heading in enumerate(headings):
-        if not place:
+def choose_columns(table: Table, headings: Collection[Heading], faults: Faults, request: TableRequest) -> None:
+    """Add the requested columns to a table, still without values."""
+    for heading in headings:
+        if heading.cell == 1:
             table.first = heading.name
-            if wanted.timed and (is_time(heading.name) or heading.name in wanted.times):
+            if request.timed and (is_time(heading.name) or heading.name in request.times):
                 heading = replace(heading, name="time")
-        _choose_column(table, heading, faults, wanted)
+        _choose_column(table, heading, faults, request)
 
 
-def _choose_column(table: Table, heading: Heading, faults: Faults, wanted: Wanted) -> None:
+def _choose_column(table: Table, heading: Heading, faults: Faults, request: TableRequest) -> None:
     line, cell, name = heading.line, heading.cell, heading.name
-    if wanted.timed and cell == 1 and name != "time":
-        faults.note(line, 1, not_time(name))
-        # Reading continues with the remaining columns.
-        table.columns["time"] = Column(replace(heading, name="time"), spare=True)
-        table.values["time"] = array("d")
+    column: Column | None
+    if request.timed and cell == 1 and name != "time":
+        note_wrong_first(faults, line, name)
+        column = Column(replace(heading, name="time"), spare=True)  # Reading continues with the remaining columns.
     elif name in table.columns:
-        first = table.columns[name].cell
-        faults.note(line, cell, f'column "{name}" stands twice, first as column {first}; keep one')
-    elif (column := wanted.choose(heading)) is None:
-        pass
-    elif column.name in table.columns:  # the same column by another name
+        faults.note(line, cell, messages.REPEATED_COLUMN(name=name, first=table.columns[name].cell))
+        return
+    elif (column := request.choose(heading)) is not None and column.name in table.columns:
         first = table.columns[column.name].cell
-        faults.note(line, cell, f'column "{name}" is {column.name}, as column {first} is; keep one')
-    else:
+        faults.note(line, cell, messages.COLUMN_OF_TWO_NAMES(name=name, column=column.name, first=first))
+        return
+    if column is not None:
         table.columns[column.name], table.values[column.name] = column, array("d")
 
 
@@ -197,21 +200,24 @@ def _choose_column(table: Table, heading: Heading, faults: Faults, wanted: Wante
 
 def note_infinite(faults: Faults, line: int, column: Column, text: str) -> None:
     """Note a non-finite cell."""
-    message = f'"{text}" in column {column.name} is not finite; {column.cure}'
+    message = messages.INFINITE_CELL(cell=text, column=column.name, cure=column.cure)
     faults.note_cell(line, column.cell, f"cells of {column.name} that are not finite", message)
 
 
 def note_missing(faults: Faults, line: int, column: Column) -> None:
     """Note a missing value in a column without gaps."""
-    known = f"{column.known} is known at every row, so fill the cell or leave the row out"
-    kind = f"cells of {column.name} without a value"
-    faults.note_cell(line, column.cell, kind, f"{column.name} has no value here; {known}")
+    message = messages.EMPTY_CELL(column=column.name, role=column.role)
+    faults.note_cell(line, column.cell, f"cells of {column.name} without a value", message)
 
 
 def note_backwards(faults: Faults, line: int, time: float, before: float) -> None:
     """Note a time [s] that does not increase."""
-    message = f"time {time:g} s does not increase, {before:g} s stands before it; sort the rows, keep one of each"
-    faults.note_cell(line, 1, "times that do not increase", message)
+    faults.note_cell(line, 1, "times that do not increase", messages.TIME_NOT_INCREASING(time=time, earlier=before))
+
+
+def note_wrong_first(faults: Faults, line: int, name: str) -> None:
+    """Note a first column that is not time."""
+    faults.note(line, 1, messages.NO_TIME_COLUMN(name=name, hint=did_you_mean(name, ["time"])))
 
 
 # -- names and units ------------------------------------------------------------------------------
@@ -222,20 +228,15 @@ def is_time(name: str) -> bool:
     return name.casefold() == "time"
 
 
-def not_time(name: str) -> str:
-    """Return the message on a wrong first column."""
-    return f'the first column is "{name}"; it must be "time" [s]{did_you_mean(name, ["time"])}'
-
-
-def seconds(unit: str) -> tuple[float, str]:
-    """Return the factor from a unit to seconds and a fault message."""
+def time_scale(faults: Faults, line: int, unit: str) -> float:
+    """Return the factor from the unit of time to seconds, and note an unknown unit."""
     scale = factor(unit, "s")
     if scale is None:
-        return 1.0, f'"{unit}" is no unit of time; known here: {", ".join(alternatives("s"))}'
-    return scale, ""
+        faults.note(line, 1, messages.NO_UNIT_OF_TIME(unit=unit, units=", ".join(alternatives("s"))))
+    return 1.0 if scale is None else scale
 
 
-def parted(text: str, names: Container[str] = ()) -> tuple[str, str]:
+def split_heading(text: str, names: Container[str] = ()) -> tuple[str, str]:
     """Return name and unit of a header cell `name [unit]`.
 
     Brackets of a known name or an index belong to the name. The unit is "" if absent.

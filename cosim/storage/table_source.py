@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 from array import array
 from collections.abc import Collection, Container, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,19 +16,19 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import InputError
 from cosim.base.registry import SOURCES, load, names, resolve
+from cosim.storage import messages
 from cosim.storage.table_columns import (
     Column,
     Faults,
     Heading,
     Table,
-    Wanted,
+    TableRequest,
     choose_columns,
     note_backwards,
     note_infinite,
     note_missing,
-    parted,
 )
 
 OWN = {"csv": "cosim.storage.csv_source:CSV", "parquet": "cosim.storage.parquet_source:PARQUET"}
@@ -109,23 +110,21 @@ class Source:
         except InputError:
             return []
 
-    def table(self, faults: Faults, wanted: Wanted) -> Table:
-        """Read the wanted columns and note all their faults."""
+    def table(self, faults: Faults, request: TableRequest) -> Table:
+        """Read the requested columns and note all their faults."""
         table = Table(header=0)
         try:
-            frame = self.frame(faults.path, wanted.names)
+            frame = self.frame(faults.path, request.names)
         except InputError as error:
-            faults.found += error.faults
+            faults.items += error.faults
             return table
         if not frame.columns:
-            names = f"time, then {wanted.holds}" if wanted.timed else wanted.holds
-            faults.note(0, 0, f"has no columns; they are {names}")
+            faults.note(0, 0, messages.NO_COLUMNS(columns=request.description))
             return table
         headings = [Heading(0, cell, c.name, c.unit) for cell, c in enumerate(frame.columns, 1)]
-        choose_columns(table, headings, faults, wanted)
-        if wanted.timed and "time" not in table.columns:
-            return table
-        fill(table, frame.columns, frame.row_lines, faults, timed=wanted.timed)
+        choose_columns(table, headings, faults, request)
+        if not request.timed or "time" in table.columns:
+            fill(table, frame.columns, frame.row_lines, faults, timed=request.timed)
         return table
 
 
@@ -136,34 +135,28 @@ def fill(table: Table, columns: Sequence[SourceColumn], lines: Sequence[int], fa
         values = np.full(len(lines), np.nan)
         if source.numeric:
             values[:] = source.values
-        else:
-            _note_no_numbers(table, column, source, faults)
         if column.spare:
-            if not np.isfinite(values).all():
+            if not (source.numeric and np.isfinite(values).all()):
                 table.spoiled.add(column.name)
         elif source.numeric:
             _note_values(column, values, lines, faults)
-        converted: Array = column.converted(values)
+        else:
+            reason = source.fault or "holds text; write numbers"
+            message = messages.COLUMN_WITHOUT_NUMBERS(column=column.name, reason=reason)
+            faults.note_cell(1, column.cell, f"cells of {column.name} that are no number", message)
+        numbers: Array = column.convert(values)
         if timed and column.name == "time" and not column.spare:
-            for row in (np.flatnonzero(np.diff(converted) <= 0.0) + 1).tolist():
-                note_backwards(faults, lines[row], float(converted[row]), float(converted[row - 1]))
-        table.values[column.name] = array("d", converted.tobytes())
+            for row in (np.flatnonzero(np.diff(numbers) <= 0.0) + 1).tolist():
+                note_backwards(faults, lines[row], float(numbers[row]), float(numbers[row - 1]))
+        table.values[column.name] = array("d", numbers.tobytes())
     table.lines = array("q", lines)
     table.whole = True
-
-
-def _note_no_numbers(table: Table, column: Column, source: SourceColumn, faults: Faults) -> None:
-    if column.spare:
-        table.spoiled.add(column.name)
-    else:
-        why = source.fault or "holds text; write numbers"
-        faults.note_cell(1, column.cell, f"cells of {column.name} that are no number", f"column {column.name} {why}")
 
 
 def _note_values(column: Column, values: Array, lines: Sequence[int], faults: Faults) -> None:
     for row in np.flatnonzero(np.isinf(values)).tolist():
         note_infinite(faults, lines[row], column, f"{values[row]:g}")
-    if column.known:
+    if column.role:
         for row in np.flatnonzero(np.isnan(values)).tolist():
             note_missing(faults, lines[row], column)
 
@@ -175,8 +168,8 @@ def _note_values(column: Column, values: Array, lines: Sequence[int], faults: Fa
 def sources() -> tuple[Source, ...]:
     """Return the formats, installed packages last."""
     own = [resolve(place) for place in OWN.values()]
-    added = [found for name in names(SOURCES) if isinstance(found := load(SOURCES, name), Source)]
-    return (*own, *added)
+    added = (load(SOURCES, name) for name in names(SOURCES))
+    return (*own, *(source for source in added if isinstance(source, Source)))
 
 
 def suffixes() -> tuple[str, ...]:
@@ -192,40 +185,29 @@ def source_of(path: Path) -> Source:
     Raises:
         InputError: The format is unknown.
     """
-    by_suffix = next((s for s in sources() if path.suffix.lower() in s.suffixes), None)
-    try:
-        with path.open("rb") as stream:
-            head = stream.read(HEAD)
-    except (OSError, ValueError):
-        head = b""
-    if by_suffix is not None and by_suffix.magic and head.startswith(by_suffix.magic):
-        return by_suffix
-    if by_head := next((s for s in sources() if s.magic and head.startswith(s.magic)), None):
-        return by_head
-    if by_suffix is not None:
-        return by_suffix
-    if b"\0" in head:
-        raise InputError([Fault(path, 0, 0, f"has none of the formats that are read: {_formats()}")])
-    return sources()[0]
+    head = b""
+    with suppress(OSError, ValueError), path.open("rb") as stream:
+        head = stream.read(HEAD)
+    by_suffix = [s for s in sources() if path.suffix.lower() in s.suffixes][:1]
+    if by_head := [s for s in (*by_suffix, *sources()) if s.magic and head.startswith(s.magic)]:
+        return by_head[0]
+    if not by_suffix and b"\0" in head:
+        raise InputError.at(path, messages.UNKNOWN_FORMAT(formats=_formats()))
+    return (by_suffix or sources())[0]
 
 
 def source_named(name: str) -> Source:
     """Return the named format for results; raise InputError if unknown or read-only."""
-    wanted = name.lower().removeprefix(".")
+    word = name.lower().removeprefix(".")
     for source in sources():
-        if wanted == source.name.lower() or f".{wanted}" in source.suffixes:
+        if word == source.name.lower() or f".{word}" in source.suffixes:
             if source.writes:
                 return source
-            message = f"{source.name} is read, not written; written are {_formats(written=True)}"
-            raise InputError([Fault(Path("--format"), 0, 0, message)])
-    raise InputError([Fault(Path("--format"), 0, 0, f'no format "{name}"; known here: {_formats(written=True)}')])
+            message = messages.READ_ONLY_FORMAT(name=source.name, formats=_formats(written=True))
+            raise InputError.at(Path("--format"), message)
+    raise InputError.at(Path("--format"), messages.NO_SUCH_FORMAT(name=name, formats=_formats(written=True)))
 
 
 def _formats(*, written: bool = False) -> str:
-    known = [source for source in sources() if source.writes or not written]
-    return ", ".join(f"{source.name} ({', '.join(source.suffixes)})" for source in known)
-
-
-def heading_of(text: str, unit: str | None, names: Container[str]) -> tuple[str, str]:
-    """Return name and unit of a column. Without a unit, the text may be `name [unit]`."""
-    return parted(text, names) if unit is None else (text, unit)
+    formats = [source for source in sources() if source.writes or not written]
+    return ", ".join(f"{source.name} ({', '.join(source.suffixes)})" for source in formats)

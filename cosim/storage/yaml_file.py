@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import difflib
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -28,7 +27,9 @@ from pydantic_core.core_schema import (
 )
 
 from cosim.base.errors import Fault, InputError
+from cosim.base.messages import Message, code_of, with_prefix
 from cosim.base.units import allowed_quantity, has_unit, read_quantity
+from cosim.storage import messages
 from cosim.storage.yaml_nodes import Location, NotYaml, document_of
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
@@ -75,10 +76,10 @@ class UnitOfKey:
         return no_info_wrap_validator_function(self.number, handler(source))
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        found = handler(schema)
-        if "anyOf" in found:
-            return {**found, "anyOf": [*found["anyOf"], {"type": "string"}]}
-        return {**found, "type": ["number", "string"]}
+        number = handler(schema)
+        if "anyOf" in number:
+            return {**number, "anyOf": [*number["anyOf"], {"type": "string"}]}
+        return {**number, "type": ["number", "string"]}
 
     @staticmethod
     def number(value: Any, inner: ValidatorFunctionWrapHandler) -> Any:
@@ -97,22 +98,22 @@ M = TypeVar("M", bound=BaseModel)
 Origin = Callable[[Location, str, int], Fault]
 
 
-def closest(word: str, known: Iterable[str], alike: float = 0.6) -> str:
-    """Return the closest known word, or "".
+def closest(word: str, words: Iterable[str], similarity: float = 0.6) -> str:
+    """Return the closest of some words, or "".
 
     Args:
-        alike: Required similarity; 1 means equal.
+        similarity: Required similarity; 1 means equal.
     """
     if len(word) > LONGEST_WORD:
         return ""
-    likely = [w for w in islice(known, WORDS) if len(w) <= LONGEST_WORD]
-    return next(iter(difflib.get_close_matches(word, likely, n=1, cutoff=alike)), "")
+    candidates = [w for w in islice(words, WORDS) if len(w) <= LONGEST_WORD]
+    return "".join(difflib.get_close_matches(word, candidates, n=1, cutoff=similarity))
 
 
-def did_you_mean(word: str, known: Iterable[str]) -> str:
+def did_you_mean(word: str, words: Iterable[str]) -> str:
     """Return `; did you mean "…"?` for a close word, or ""."""
-    close = closest(word, known)
-    return f'; did you mean "{close}"?' if close else ""
+    match = closest(word, words)
+    return f'; did you mean "{match}"?' if match else ""
 
 
 class YamlFile:
@@ -125,15 +126,14 @@ class YamlFile:
     def __init__(self, path: Path, origin: Origin | None = None) -> None:
         self.path, self.origin = path, origin
         self.overrides: dict[Location, str] = {}  # parts set by options, e.g. `--set "step=0"`
-        text = _text(path)
         try:
-            self._document = document_of(text)
+            self._document = document_of(_text(path))
         except NotYaml as error:
             raise InputError([Fault(path, error.line, error.column, str(error))]) from None
         self.root: Any = self._document.data
         self._within: Location = ()
         if not isinstance(self.root, dict):
-            raise InputError([Fault(path, 1, 1, "is not a mapping of keys to values")])
+            raise InputError([Fault(path, 1, 1, messages.NO_MAPPING())])
 
     def enter(self, key: str) -> None:
         """Use the part under a key as the document."""
@@ -150,7 +150,8 @@ class YamlFile:
     def fault(self, location: Location, message: str, *, key: bool = False, exit_code: int = 2) -> Fault:
         """Return a fault at a place of this file, its source or an option."""
         if (option := self._override_of(location)) is not None:
-            return Fault(self.path, 0, 0, f"{option}: {message}".removeprefix(": "), exit_code)
+            text = with_prefix(f"{option}: ", message) if option else message
+            return Fault(self.path, 0, 0, text, exit_code)
         if self.origin is not None:
             return self.origin((*self._within, *location), message, exit_code)
         return Fault(self.path, *self.place(location, key), message, exit_code)
@@ -176,7 +177,7 @@ class YamlFile:
             try:
                 numbers[name] = read_quantity(value, units[name], difference=difference)
             except ValueError as error:
-                faults.append(self.fault((*at, name), f"{name} is {shown(value)}: {error}"))
+                faults.append(self.fault((*at, name), wrong_value(name, value, str(error))))
         return numbers, faults
 
     def _override_of(self, location: Location) -> str | None:
@@ -213,12 +214,11 @@ class YamlFile:
         try:
             return model.model_validate(data), []
         except ValidationError as error:
-            wrong = error
-        faults = self._faults(model, wrong, data)
-        places = [(location_in(data, e["loc"], e["type"]), e["type"]) for e in wrong.errors(include_url=False)]
+            faults = self._faults(model, error, data)
+            places = [(location_in(data, e["loc"], e["type"]), e["type"]) for e in error.errors(include_url=False)]
         for place, kind in places:
-            of_none = kind == "extra_forbidden" and bool(place) and closest(str(place[0]), model.model_fields) != first
-            if len(place) < 2 and not of_none:
+            is_alien = kind == "extra_forbidden" and bool(place) and closest(str(place[0]), model.model_fields) != first
+            if len(place) < 2 and not is_alien:
                 return None, faults
         for place, _ in places:
             _leave_out(data, place)
@@ -228,46 +228,52 @@ class YamlFile:
             return None, faults
 
     def _faults(self, model: type[BaseModel], error: ValidationError, data: Any, at: Location = ()) -> list[Fault]:
-        errors = _of_the_branch_meant(error.errors(include_url=False), data)
+        errors = _errors_of_branches(error.errors(include_url=False), data)
         faults = [self._pydantic_fault(model, e, data, at) for e in errors[:MOST_FAULTS]]
         if len(errors) > MOST_FAULTS:
-            faults.append(Fault(self.path, 0, 0, f"{len(errors)} faults in all; the first {MOST_FAULTS} are shown"))
+            message = messages.MANY_FAULTS(count=len(errors), limit=MOST_FAULTS)
+            faults.append(Fault(self.path, 0, 0, message))
         return faults
 
     def _pydantic_fault(self, model: type[BaseModel], error: Any, data: Any, at: Location = ()) -> Fault:
-        kind, given = error["type"], error.get("input")
+        kind = error["type"]
         within = location_in(data, error["loc"], kind)
         location = (*at, *within)
         name = ".".join(short(part) for part in location)
         if kind == "extra_forbidden":
-            known, takers = _known_keys(model, error["loc"])
-            hint = f": {takers}" if takers else did_you_mean(str(location[-1]), known)
-            message = f'unknown key "{short(location[-1])}"{hint}'
-            return self.fault(location, f"{message} (known here: {', '.join(known)})", key=True)
+            keys, takers = _allowed_keys(model, error["loc"])
+            hint = takers or did_you_mean(str(location[-1]), keys)
+            message = messages.UNKNOWN_KEY(key=short(location[-1]), hint=hint, keys=", ".join(keys))
+            return self.fault(location, message, key=True)
         if kind == "missing":
-            return self.fault(location[:-1], f'"{name}" is missing; add it')
-        of_key = "[key]" in error["loc"][len(within) :]
-        each = [error, *error.get("else", ())]
-        detail = ", or ".join(dict.fromkeys(_in_words(e["type"], str(e["msg"]), e.get("ctx") or {}) for e in each))
-        detail = detail.replace(", or it should be ", " or ")
-        return self.fault(location, f"{name or 'it'} is {shown(given)}: {detail}", key=of_key)
+            return self.fault(location[:-1], messages.MISSING_KEY(name=name))
+        reasons = dict.fromkeys(_reason(e) for e in (error, *error.get("else", ())))
+        reason = next(iter(reasons)) if len(reasons) == 1 else ", or ".join(reasons)
+        message = wrong_value(name or "it", error.get("input"), reason)
+        return self.fault(location, message, key="[key]" in error["loc"][len(within) :])
+
+
+def wrong_value(name: str, value: Any, reason: str) -> Message:
+    """Return the message on a value; a reason with a code of its own keeps its code."""
+    if isinstance(reason, Message) and reason.code:
+        return reason.after(f"{name} is {shown(value)}: ")
+    return messages.WRONG_VALUE(name=name, value=shown(value), reason=reason.replace(", or it should be ", " or "))
 
 
 def _text(path: Path) -> str:
     """Return the text of a file; raise InputError if unreadable."""
     try:
         if not path.is_file():
-            raise InputError([Fault(path, 0, 0, "is no file" if path.exists() else "no such file")])
+            raise InputError.at(path, messages.NO_FILE() if path.exists() else messages.NO_SUCH_FILE())
         if (size := path.stat().st_size) > MOST_BYTES:
-            most = f"more than the {MOST_BYTES / 1e6:.0f} MB that are read"
-            raise InputError([Fault(path, 0, 0, f"has {size / 1e6:.0f} MB, {most}")])
+            raise InputError.at(path, messages.LARGE_FILE(size=size / 1e6, limit=MOST_BYTES / 1e6))
         return path.read_text(encoding="utf-8")
     except UnicodeDecodeError:
-        raise InputError([Fault(path, 0, 0, "is not UTF-8 text")]) from None
+        raise InputError.at(path, messages.NO_UTF8_FILE()) from None
     except OSError as error:
-        raise InputError([Fault(path, 0, 0, f"cannot be read: {error.strerror}")]) from None
+        raise InputError.at(path, messages.UNREADABLE_FILE(reason=error.strerror)) from None
     except ValueError:  # an impossible file name
-        raise InputError([Fault(Path(shown(str(path))), 0, 0, "no such file")]) from None
+        raise InputError.at(Path(shown(str(path))), messages.NO_SUCH_FILE()) from None
 
 
 def shown(value: Any) -> str:
@@ -296,57 +302,54 @@ def short(text: object) -> str:
     return whole if len(whole) <= LONGEST else f"{whole[: LONGEST - 1]}…"
 
 
-def _in_words(kind: str, message: str, more: Mapping[str, Any]) -> str:
+def _reason(error: Any) -> str:
     """Return pydantic's message without Python terms."""
+    kind, context = error["type"], error.get("ctx") or {}
+    if code_of(context.get("error")):
+        return str(context["error"])
     if kind.startswith("bool"):
         return "it is on or off"
     if kind == "string_pattern_mismatch":  # one of two patterns in use
-        dotted = "component.variable, the component's name" if "\\." in str(more.get("pattern")) else "a name"
-        return f"it should be {dotted} of letters, digits and _ that begins with no digit"
+        form = "component.variable, the component's name" if "\\." in str(context.get("pattern")) else "a name"
+        return f"it should be {form} of letters, digits and _ that begins with no digit"
     if kind in _WORDS:
         return _WORDS[kind]
-    if kind in _LENGTHS and more.get("field_type") in {"List", "Tuple"}:
+    if kind in _LENGTHS and context.get("field_type") in {"List", "Tuple"}:
         bound, key = _LENGTHS[kind]
-        return f"it should have {bound} {more.get(key)} entries, not {more.get('actual_length')}"
-    detail = message.removeprefix("Value error, ").replace("Input should be", "it should be")
-    detail = re.sub(r"Input should have", "it should have", detail)
-    return detail[:1].lower() + detail[1:]
+        return f"it should have {bound} {context.get(key)} entries, not {context.get('actual_length')}"
+    reason = str(error["msg"]).removeprefix("Value error, ").replace("Input should", "it should")
+    return reason[:1].lower() + reason[1:]
 
 
 _WORDS = {
-    "dict_type": "it should be a mapping of keys to values",
-    "model_type": "it should be a mapping of keys to values",
-    "model_attributes_type": "it should be a mapping of keys to values",
-    "list_type": "it should be a list",
-    "tuple_type": "it should be a list",
-    "string_type": "it should be text",
+    **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "it should be a mapping of keys to values"),
+    **dict.fromkeys(("list_type", "tuple_type"), "it should be a list"),
+    **dict.fromkeys(("string_type", "string_unicode"), "it should be text"),
     "float_type": "it should be a valid number",
     "int_type": "it should be a whole number",
     "int_parsing_size": "it should be a smaller number",
-    "string_unicode": "it should be text",
 }
-
 _LENGTHS = {"too_short": ("at least", "min_length"), "too_long": ("at most", "max_length")}
 
 
-def _of_the_branch_meant(errors: Sequence[Any], data: Any) -> list[Any]:
+def _errors_of_branches(errors: Sequence[Any], data: Any) -> list[Any]:
     """Return the errors of the intended branch of each union.
 
     A branch with nested errors fits the form of the value. If no branch fits, the first error holds the rest as `else`.
     """
-    found: dict[Location, Any] = {}
-    kept = []
+    misfits: dict[Location, Any] = {}
+    selection = []
     places = [location_in(data, e["loc"], e["type"]) for e in errors]
-    looked_into = {place[:k] for place in places for k in range(len(place))}
+    parents = {place[:k] for place in places for k in range(len(place))}
     for error, place in zip(errors, places, strict=True):
         if error["type"] not in _FORMS:
-            kept.append(error)
-        elif place in found:
-            found[place]["else"].append(error)
-        elif place not in looked_into:
-            found[place] = {**error, "else": []}
-            kept.append(found[place])
-    return kept
+            selection.append(error)
+        elif place in misfits:
+            misfits[place]["else"].append(error)
+        elif place not in parents:
+            misfits[place] = {**error, "else": []}
+            selection.append(misfits[place])
+    return selection
 
 
 _FORMS = {"dict_type", "model_type", "list_type", "tuple_type", "string_type", "float_type", "string_pattern_mismatch"}
@@ -360,19 +363,15 @@ def location_in(data: Any, places: Sequence[str | int], kind: str) -> Location:
     Args:
         kind: Type of the fault; a missing key is absent from the data too.
     """
-    found: list[str | int] = []
+    location: list[str | int] = []
     for k, part in enumerate(places):
-        inside = part in data if isinstance(data, dict) else isinstance(data, list) and _among(part, data)
-        if inside:
+        indices = data if isinstance(data, dict) else range(len(data)) if isinstance(data, list) else ()
+        if part in indices:
             data = data[part]
-            found.append(part)
+            location.append(part)
         elif kind in {"missing", "extra_forbidden"} and k == len(places) - 1:
-            found.append(part)
-    return tuple(found)
-
-
-def _among(part: str | int, data: list[Any]) -> bool:
-    return isinstance(part, int) and 0 <= part < len(data)
+            location.append(part)
+    return tuple(location)
 
 
 def _leave_out(data: Any, location: Location) -> None:
@@ -387,23 +386,23 @@ def _leave_out(data: Any, location: Location) -> None:
     data.pop(location[-1], None)
 
 
-def _known_keys(model: type[BaseModel], places: Sequence[str | int]) -> tuple[list[str], str]:
-    """Return allowed keys, and other branches that take the key."""
+def _allowed_keys(model: type[BaseModel], places: Sequence[str | int]) -> tuple[list[str], str]:
+    """Return allowed keys, and a hint on other branches that take the key."""
     annotation: Any = model
     branches: dict[str, Any] = {}
-    here = ""
+    tag = ""
     for step in places[:-1]:
-        inner, found = _plain(annotation), _branches(annotation)
-        if step in found:
-            annotation, branches, here = found[str(step)], found, str(step)
+        if step in (alternatives := _branches(annotation)):
+            tag, branches = str(step), alternatives
+            annotation = branches[tag]
             continue
+        inner = _without_metadata(annotation)
         field = getattr(inner, "model_fields", {}).get(step)
         annotation = field.annotation if field is not None else (get_args(inner) or (inner,))[-1]
         branches = {}
-    keys = _keys(annotation)
-    takers = [tag.strip("«»") for tag, branch in branches.items() if places[-1] in _keys(branch)]
-    said = f"{' and '.join(takers)} {'take' if takers[1:] else 'takes'} it, {here.strip('«»')} does not"
-    return keys, said if takers else ""
+    takers = [name.strip("«»") for name, branch in branches.items() if places[-1] in _keys(branch)]
+    hint = f": {' and '.join(takers)} {'take' if takers[1:] else 'takes'} it, {tag.strip('«»')} does not"
+    return _keys(annotation), hint if takers else ""
 
 
 def _keys(annotation: Any) -> list[str]:
@@ -411,16 +410,16 @@ def _keys(annotation: Any) -> list[str]:
     return [f.alias or name for name, f in fields.items()]
 
 
-def _plain(annotation: Any) -> Any:
+def _without_metadata(annotation: Any) -> Any:
     """Return an annotation without metadata."""
-    return _plain(get_args(annotation)[0]) if get_origin(annotation) is Annotated else annotation
+    return _without_metadata(get_args(annotation)[0]) if get_origin(annotation) is Annotated else annotation
 
 
 def _branches(annotation: Any) -> dict[str, Any]:
     """Return the branches of a union by tag."""
     return {
         mark.tag: branch
-        for branch in get_args(_plain(annotation))
+        for branch in get_args(_without_metadata(annotation))
         for mark in getattr(branch, "__metadata__", ())
         if isinstance(mark, Tag)
     }
@@ -430,8 +429,8 @@ def _inner_model(annotation: Any) -> type[BaseModel] | None:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     for inner in getattr(annotation, "__args__", ()):
-        if found := _inner_model(inner):
-            return found
+        if model := _inner_model(inner):
+            return model
     return None
 
 

@@ -7,9 +7,10 @@ with limited expansion.
 from __future__ import annotations
 
 import json
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
+from cosim.storage import messages
 from cosim.storage.yaml_parsers import DEEPEST, NotYaml, nodes, number, whole_number
 
 __all__ = ["Document", "Location", "NotYaml", "Place", "document_of"]
@@ -18,6 +19,7 @@ MOST_YAML, MOST_JSON = 800_000, 8_000_000  # text lengths [characters] readable 
 MOST_MARKS = 100_000  # commas, colons and lines of YAML, which determine the reading time
 MOST_PARTS = 400_000  # keys and values after expanding aliases
 MERGE = "<<"
+SCALARS = {"null", "bool", "int", "float", "str", "timestamp", "merge", "value"}  # tags
 Location = tuple[str | int, ...]
 Place = tuple[int, int]
 UNKNOWN: Place = (0, 0)
@@ -34,15 +36,14 @@ class Document:
 
     def __init__(self, text: str) -> None:
         self._text = text
-        self._node: Any = None
         self._pairs: dict[int, dict[str, tuple[Any, Any]]] = {}
-        self._composed = self._is_json = False
+        self._parts, self._is_json = 0, False
         self.data = self._read()
 
     def _read(self) -> Any:
         if self._text.lstrip("\ufeff \t\r\n")[:1] in {"{", "["} and len(self._text) <= MOST_JSON:
             try:
-                data = json.loads(self._text, object_pairs_hook=_once, parse_constant=_no_constant)
+                data = json.loads(self._text, object_pairs_hook=_unique_keys, parse_constant=_no_constant)
                 if "\\u" in self._text:
                     json.dumps(data, ensure_ascii=False).encode()  # rejects unpaired surrogates
             except (ValueError, RecursionError):
@@ -51,16 +52,14 @@ class Document:
                 self._is_json = True
                 return data
         if _is_large(self._text):
-            most = f"{MOST_YAML / 1e6:g} MB and about {MOST_MARKS} keys and values"
-            size = f"has {len(self._text) / 1e6:.1f} MB of YAML, of which at most {most} are read"
-            raise NotYaml(1, 1, f"{size}; write it as JSON, which may have {MOST_JSON / 1e6:g} MB, or make it shorter")
-        return _Plain(self._compose(), self).data
+            size, limit, json_limit = len(self._text) / 1e6, MOST_YAML / 1e6, MOST_JSON / 1e6
+            raise NotYaml(1, 1, messages.LARGE_YAML(size=size, limit=limit, keys=MOST_MARKS, json_limit=json_limit))
+        return None if self._root is None else self._value(self._root, 0)
 
-    def _compose(self) -> Any:
-        """Return the nodes of the text."""
-        if not self._composed:
-            self._node, self._composed = nodes(self._text), True
-        return self._node
+    @cached_property
+    def _root(self) -> Any:
+        """Return the root node of the text, None if empty."""
+        return nodes(self._text)
 
     def pairs(self, node: Any) -> dict[str, tuple[Any, Any]]:
         """Return key → (key node, value node), with merged keys."""
@@ -72,17 +71,17 @@ class Document:
         own: dict[str, tuple[Any, Any]] = {}
         merged: dict[str, tuple[Any, Any]] = {}
         if depth > DEEPEST:
-            raise _fault(node, "merges itself")
+            raise _fault(node, messages.CIRCULAR_MERGE())
         for key, value in node.value:
             if key.id != "scalar":
-                raise _fault(key, "a key is text, no list and no mapping")
+                raise _fault(key, messages.KEY_WITHOUT_TEXT())
             if key.value == MERGE and not key.style:
                 for other in value.value if value.id == "sequence" else [value]:
                     if other.id != "mapping":
-                        raise _fault(value, "what is merged is a mapping, or a list of such")
+                        raise _fault(value, messages.MERGE_WITHOUT_MAPPING())
                     merged = {**self._pairs_of(other, depth + 1), **merged}
-            elif (name := _whole(key)) in own:
-                raise _fault(key, f'duplicate key "{name[:60]}"; keep one')
+            elif (name := _text_of(key)) in own:
+                raise _fault(key, messages.DUPLICATE_KEY(key=name[:60]))
             else:
                 own[name] = key, value
         return {**merged, **own} if merged else own
@@ -98,95 +97,82 @@ class Document:
         if self._is_json and _is_large(self._text):
             return UNKNOWN
         try:
-            node, found = self._compose(), (1, 1)
+            node, place = self._root, (1, 1)
         except NotYaml:
             return UNKNOWN
         for depth, step in enumerate(location):
-            last = depth == len(location) - 1
+            is_last = depth == len(location) - 1
             if node.id == "mapping" and step in (pairs := self.pairs(node)):
-                at, value = pairs[str(step)]
+                at, node = pairs[str(step)]
                 # A missing key is reported at the key of its parent.
-                mark = (at if (key and last) or (not last and value.id != "scalar") else value).start_mark
+                place = _place_of(at if (key and is_last) or (not is_last and node.id != "scalar") else node)
             elif node.id == "sequence" and isinstance(step, int) and step < len(node.value):
-                value = node.value[step]
-                mark = value.start_mark
+                node = node.value[step]
+                place = _place_of(node)
             else:
                 break
-            node, found = value, (mark.line + 1, mark.column + 1)
-        return found
+        return place
 
-
-class _Plain:
-    """Conversion of nodes to plain data."""
-
-    def __init__(self, root: Any, document: Document) -> None:
-        self.document, self.parts = document, 0
-        self.data = None if root is None else self._of(root, 0)
-
-    def _of(self, node: Any, depth: int) -> Any:
-        self.parts += 1
-        if self.parts > MOST_PARTS:
-            raise _fault(node, f"has more than {MOST_PARTS} parts, aliases followed; write less")
+    def _value(self, node: Any, depth: int) -> Any:
+        """Return the plain data of a node."""
+        self._parts += 1
+        if self._parts > MOST_PARTS:
+            raise _fault(node, messages.MANY_PARTS(limit=MOST_PARTS))
         if depth > DEEPEST:
-            raise _fault(node, "is nested too deep")
-        if node.id == "mapping":
-            self._check_tag(node, "map")
-            pairs = self.document.pairs(node)
-            return {key: self._of(value, depth + 1) for key, (_, value) in pairs.items()}
-        if node.id == "sequence":
-            self._check_tag(node, "seq")
-            return [self._of(value, depth + 1) for value in node.value]
-        return self._scalar(node)
-
-    def _scalar(self, node: Any) -> Any:
+            raise _fault(node, messages.DEEP_FILE(limit=DEEPEST))
         kind = str(node.tag).removeprefix("tag:yaml.org,2002:")
-        text = _whole(node)
-        match kind:
-            case "null":
-                return None
-            case "bool":
-                return text.lower() == "true"
-            case "int" | "float":
-                try:
-                    return whole_number(node) if kind == "int" else number(node)
-                except (ValueError, IndexError):
-                    raise _fault(node, f'"{text[:30]}" is no number') from None
-            case "str" | "timestamp" | "merge" | "value":
-                return text
-        raise _fault(node, f'the tag "{_tag(node)}" means nothing here; leave it out')
+        if node.id == "mapping" and kind in {"map", "None"}:
+            return {key: self._value(value, depth + 1) for key, (_, value) in self.pairs(node).items()}
+        if node.id == "sequence" and kind in {"seq", "None"}:
+            return [self._value(value, depth + 1) for value in node.value]
+        if node.id == "scalar" and kind in SCALARS:
+            return _scalar(node, kind)
+        raise _fault(node, messages.UNKNOWN_TAG(tag=str(node.tag).replace("tag:yaml.org,2002:", "!!")[:60]))
 
-    def _check_tag(self, node: Any, kind: str) -> None:
-        if node.tag is not None and str(node.tag) != f"tag:yaml.org,2002:{kind}":
-            raise _fault(node, f'the tag "{_tag(node)}" means nothing here; leave it out')
+
+def _scalar(node: Any, kind: str) -> Any:
+    """Return the value of a scalar node."""
+    text = _text_of(node)
+    match kind:
+        case "null":
+            return None
+        case "bool":
+            return text.lower() == "true"
+        case "int" | "float":
+            try:
+                return whole_number(node) if kind == "int" else number(node)
+            except (ValueError, IndexError):
+                raise _fault(node, messages.BAD_NUMBER(text=text[:30])) from None
+    return text
 
 
 def _is_large(text: str) -> bool:
     return len(text) > MOST_YAML or sum(map(text.count, ",:\n")) > MOST_MARKS
 
 
-def _whole(node: Any) -> str:
+def _place_of(node: Any) -> Place:
+    return node.start_mark.line + 1, node.start_mark.column + 1
+
+
+def _text_of(node: Any) -> str:
     """Return a scalar's text with JSON surrogate pairs joined."""
     text: str = node.value
     try:
         return text.encode("utf-16", "surrogatepass").decode("utf-16")
     except UnicodeDecodeError:
-        raise _fault(node, "holds half a character") from None
+        raise _fault(node, messages.HALF_CHARACTER()) from None
 
 
-def _tag(node: Any) -> str:
-    return str(node.tag).replace("tag:yaml.org,2002:", "!!")[:60]
+def _fault(node: Any, message: str) -> NotYaml:
+    return NotYaml(*_place_of(node), message)
 
 
-def _fault(node: Any, problem: str) -> NotYaml:
-    return NotYaml(node.start_mark.line + 1, node.start_mark.column + 1, problem)
-
-
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """Return a JSON object; raise ValueError for duplicate keys."""
-    found = dict(pairs)
-    if len(found) < len(pairs):
+    mapping = dict(pairs)
+    if len(mapping) < len(pairs):
         raise ValueError("duplicate key")
-    return found
+    return mapping
 
 
 def _no_constant(name: str) -> Any:

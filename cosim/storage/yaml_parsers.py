@@ -13,6 +13,8 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import ScalarNode
 
+from cosim.storage import messages
+
 DEEPEST = 60  # levels of nesting
 LONG = 20_000  # text length from which loading another parser pays off
 # Directives, tabs, byte order marks and Unicode line ends, on which the parsers disagree.
@@ -23,8 +25,8 @@ TEXT = "tag:yaml.org,2002:str"
 class NotYaml(Exception):
     """Invalid or unsupported YAML text, with line and column from 1."""
 
-    def __init__(self, line: int, column: int, problem: str) -> None:
-        super().__init__(problem)
+    def __init__(self, line: int, column: int, message: str) -> None:
+        super().__init__(message)
         self.line, self.column = line, column
 
 
@@ -62,22 +64,18 @@ def _by_ruamel(text: str) -> Any:
         return YAML(typ="safe", pure=True).compose(text)
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        said = (
-            [error.context, error.problem]
-            if str(error.problem).startswith("but ")
-            else [error.problem or error.context]
-        )
-        problem = " ".join(" ".join(filter(None, said)).split()) or "cannot be understood"
-        raise NotYaml(
-            mark.line + 1 if mark else 1, mark.column + 1 if mark else 1, f"not YAML: {problem[:200]}"
-        ) from None
+        line, column = (mark.line + 1, mark.column + 1) if mark else (1, 1)
+        context = error.context if str(error.problem).startswith("but ") or not error.problem else ""
+        problem = " ".join(f"{context or ''} {error.problem or ''}".split()) or "cannot be understood"
+        raise NotYaml(line, column, messages.NOT_YAML(problem=problem[:200])) from None
     except RecursionError:
-        raise NotYaml(1, 1, "is nested too deep") from None
+        raise NotYaml(1, 1, messages.DEEP_FILE(limit=DEEPEST)) from None
     except YAMLError as error:
-        raise NotYaml(1, 1, f"is not YAML: {(str(error).splitlines() or ['unreadable'])[0][:200]}") from None
+        problem = (str(error).splitlines() or ["unreadable"])[0]
+        raise NotYaml(1, 1, messages.NOT_YAML(problem=problem[:200])) from None
     except (ValueError, IndexError, TypeError, AttributeError, AssertionError, OverflowError):
         # errors of ruamel.yaml's scanner
-        raise NotYaml(1, 1, "is not YAML: it cannot be understood") from None
+        raise NotYaml(1, 1, messages.NOT_YAML(problem="it cannot be understood")) from None
 
 
 @lru_cache(maxsize=1)
@@ -87,8 +85,8 @@ def _libyaml() -> Callable[[str], Any] | None:
         parser: Any = importlib.import_module("yaml.cyaml").CParser
     except ImportError:
         return None
-    meanings = YAML(typ="safe", pure=True).resolver.versioned_resolver
-    tags = {first: [(str(tag), pattern.match) for tag, pattern in kinds] for first, kinds in meanings.items()}
+    resolver = YAML(typ="safe", pure=True).resolver.versioned_resolver
+    tags = {first: [(str(tag), pattern.match) for tag, pattern in kinds] for first, kinds in resolver.items()}
 
     class Parser(parser):  # type: ignore[misc]
         """Methods called by PyYAML's composer."""

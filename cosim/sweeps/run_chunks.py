@@ -263,7 +263,7 @@ def _run_fmus(job: Job, assembled: _AssembledScenario, request: RunRequest) -> R
         progress.made[0] = 0  # clears the count of the previous run
         rows = replace(rows, made=progress.made, doing=progress.doing)
         for stage in system.stages:
-            here.overheard(stage.component)
+            here.share_log(stage.component)
     try:
         results = simulate(system, scenario.steps, scenario.step, rows=rows)
     except StoppedRun as stop:

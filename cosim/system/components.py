@@ -32,7 +32,7 @@ def build_components(file: ScenarioFile, designed: Designed, diagnosis: Diagnosi
         try:
             block = _component(file, name, component, designed.get(name, {}), read, diagnosis)
         except InputError as error:
-            diagnosis.found += error.faults
+            diagnosis.faults += error.faults
         except FmuError as error:
             diagnosis.note(("components", name, "fmu"), str(error), exit_code=3)
         else:

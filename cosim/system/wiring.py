@@ -9,7 +9,7 @@ from itertools import islice
 from typing import Any
 
 from cosim.base.errors import SimulationError
-from cosim.base.units import Taken, assume_si
+from cosim.base.units import UnitAssumption, assume_si
 from cosim.blocks.component import Component, Signal
 from cosim.blocks.faults import Addition, LinkFunction, Scaling, fault_function, points, whole_steps
 from cosim.blocks.fmi_types import is_compatible
@@ -164,7 +164,9 @@ def connect(
     return [wiring.transfers(k, connection) for k, connection in lines]
 
 
-def assumed_conversion(file: ScenarioFile, connection: Connection, source: Signal, target: Signal) -> Taken | None:
+def assumed_conversion(
+    file: ScenarioFile, connection: Connection, source: Signal, target: Signal
+) -> UnitAssumption | None:
     """Return the conversion for an input without unit, if needed.
 
     Only numbers with a unit written by people are converted.

@@ -86,7 +86,7 @@ def check(
 def _check_isolated(path: Path, checking: Checking) -> list[str]:
     """Check a file; execute named Python in the worker, or not at all without a worker."""
     from cosim.loading.file import without_execution
-    from cosim.scenario.controller_design import ended
+    from cosim.scenario.controller_design import crash_fault
 
     worker = checking.worker
     with without_execution() as skipped:
@@ -101,7 +101,7 @@ def _check_isolated(path: Path, checking: Checking) -> list[str]:
     try:
         lines: list[str] = worker.call(_check, path, replace(checking, worker=None))
     except Crashed as crash:
-        raise InputError([ended(skipped[0], crash)]) from None
+        raise InputError([crash_fault(skipped[0], crash)]) from None
     return lines
 
 

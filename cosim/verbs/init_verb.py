@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cosim.storage.kinds import as_typed
+from cosim.storage.kinds import shell_path
 from cosim.verbs.options import Json
 from cosim.verbs.terminal import say, say_json, warn
 
@@ -52,4 +52,4 @@ def command(
     parts += [f"{guesses} guessed (marked in the file)"] if guesses else []
     parts += [f"{counted(len(choices), 'input')} to choose for (in the file)"] if choices else []
     say(f"wrote {out}: {', '.join(parts)}")
-    say(f"next: cosim run {as_typed(out)}")
+    say(f"next: cosim run {shell_path(out)}")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.messages import Message
-from cosim.storage.kinds import as_typed
+from cosim.storage.kinds import shell_path
 from plant.identification.cells import Cells
 from plant.identification.estimates import Estimate, Result
 from plant.identification.protocol import Protocol
@@ -46,7 +46,7 @@ class Outcome:
     def closing(self, out: Path) -> str:
         """Return the power-train's place and build command."""
         file = out / "powertrain.yaml"
-        return f"power-train: {file}, built by: cosim build --model {as_typed(file)}"
+        return f"power-train: {file}, built by: cosim build --model {shell_path(file)}"
 
     @property
     def sentences(self) -> list[str]:

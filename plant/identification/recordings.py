@@ -252,7 +252,7 @@ def read_recording(path: Path) -> Recording:
             else:
                 message = messages.NO_UNIT_OF_COLUMN(unit=unit, column=name, wanted=wanted)
             faults.note(heading.line, heading.cell, message)
-        return Column(heading, scale or 1.0, known="the time" if name == "time" else "a column of the bench")
+        return Column(heading, scale or 1.0, role="the time" if name == "time" else "a column of the bench")
 
     table = read_table(faults, choose, ", ".join(COLUMNS), "leave out rows")
     if any(kind.endswith("with a decimal comma") for _, kind in faults.counts):  # cause of all other faults

@@ -13,7 +13,7 @@ import numpy as np
 from cosim.base.arrays import Array, Rows
 from cosim.base.errors import Fault
 from cosim.base.messages import Message
-from cosim.base.units import squared
+from cosim.base.units import square_unit
 from cosim.logs.log import Log
 from cosim.model import Model
 from cosim.storage.yaml_file import YamlFile
@@ -58,7 +58,7 @@ def variance(name: str, unit: str, parts: Sequence[tuple[Array, Array]]) -> Esti
     free = max(2.0, freedom / per_row)
     low, high = (free * about_line / float(stats.chi2.ppf(p, free)) for p in (0.975, 0.025))
     spread, origin = about_line * float(np.sqrt(2.0 / free)), f"variance of {rows} rows at rest (5.44)"
-    return Estimate(name, squared(unit) or "1", about_mean, about_line, low, high, spread, 0.0, len(parts), origin)
+    return Estimate(name, square_unit(unit) or "1", about_mean, about_line, low, high, spread, 0.0, len(parts), origin)
 
 
 def rest_faults(yaml: YamlFile, logs: Sequence[Log], window: Window) -> Iterator[Fault]:

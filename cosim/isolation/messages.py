@@ -1,0 +1,19 @@
+"""Messages of worker processes and limits."""
+
+from cosim.base.messages import Template
+
+CRASH = Template("E-ISO-001", "{call} {end}")
+CRASH_WITH_WORDS = Template("E-ISO-002", "{call} {end}; it said last: {words}")
+LONG_CALL = Template("E-ISO-003", "{call} takes longer than {limit:g} s (limits: {name})")
+LONG_RUN = Template("E-ISO-004", "{call} is being called after {limit:g} s in all (limits: total)")
+LARGE_PROCESS = Template(
+    "E-ISO-005", "{call}: the process holds {size:.4g} MB, more than {limit:.4g} MB (limits: memory)"
+)
+UNSENDABLE_OBJECT = Template(
+    "E-ISO-006",
+    "cannot take over an object ({kind}: {reason}); define it in a module that can be imported, or run in this process"
+    " (in_process=True, --in-process)",
+)
+NO_LIMIT = Template("E-ISO-007", "it is a number above 0 with its unit ({units}), {example} for one")
+UNKNOWN_LIMIT = Template("E-ISO-008", "{name}: no such limit (known: {names})")
+OUTPUT_LEFT_OUT = Template("N-ISO-009", "(the FMUs print more, which is left out)")
