@@ -93,7 +93,7 @@ def command(
     if as_json:
         from cosim.linearization.write import content
 
-        say_json(content(outcome.name, outcome.title, outcome.linear, outcome.structure, outcome.notes))
+        say_json(content(outcome))
     else:
         _tell(outcome, place, report=report)
     show(place / "report.html", asked=report and open_)
