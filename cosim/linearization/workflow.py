@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -191,20 +191,20 @@ def _complete(source: Source, selection: Selection) -> Selection:
         ("outputs", "output", selection.outputs, source.outputs),
         ("residualize", "state", selection.fast, source.states),
     ):
-        texts = [
-            messages.UNKNOWN_NAME(model=source.title, kind=kind, name=n, cure=did_you_mean(n, names))
-            for n in chosen
-            if n not in names
-        ]
-        texts += [messages.REPEATED_NAME(name=n) for n, count in Counter(chosen).items() if count > 1]
-        if option == "residualize":
-            texts += [messages.SELECTED_AND_ELIMINATED(name=n) for n in chosen if n in selection.states]
-        faults += [Fault(Path(f"--{option}"), 0, 0, text) for text in texts]
+        faults += [Fault(Path(f"--{option}"), 0, 0, text) for text in _name_faults(source.title, kind, chosen, names)]
+    both = [messages.SELECTED_AND_ELIMINATED(name=n) for n in selection.fast if n in selection.states]
+    faults += [Fault(Path("--residualize"), 0, 0, text) for text in both]
     refuse(faults)
     states = selection.states or [n for n in source.states if n not in selection.fast]
-    return replace(
-        selection, states=states, inputs=selection.inputs or source.inputs, outputs=selection.outputs or source.outputs
-    )
+    return Selection(states, selection.inputs or source.inputs, selection.outputs or source.outputs, selection.fast)
+
+
+def _name_faults(model: str, kind: str, chosen: Sequence[str], names: Sequence[str]) -> Iterator[str]:
+    for name, count in Counter(chosen).items():
+        if name not in names:
+            yield messages.UNKNOWN_NAME(model=model, kind=kind, name=name, cure=did_you_mean(name, names))
+        if count > 1:
+            yield messages.REPEATED_NAME(name=name)
 
 
 def _linear(source: Source, points: Sequence[Point], selection: Selection, side: str | None) -> list[Linear]:
