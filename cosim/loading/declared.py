@@ -58,11 +58,7 @@ def _shape_faults(kind: type[Model]) -> Faults:
         elif not _is_tuple_of(value, Quantity):
             yield kind, name, messages.NOT_QUANTITIES(name=name)
     for name, base in (("catalogue", Effect), ("sensors", SensorError)):
-        value = getattr(kind, name)
-        if _is_tuple_of(value, type) and all(issubclass(k, base) for k in value):
-            yield from _label_faults(value)
-        else:
-            yield kind, name, messages.NOT_SUBCLASSES(name=name, base=base.__name__)
+        yield from _class_faults(kind, name, base)
     for name in ("forced", "calibrated", "measured"):
         if not _is_tuple_of(getattr(kind, name), str):
             yield kind, name, messages.NOT_NAMES(name=name)
@@ -70,10 +66,11 @@ def _shape_faults(kind: type[Model]) -> Faults:
         yield kind, "valid", messages.NOT_VALIDITIES()
     for name, key, item, form in _MAPPINGS:
         value = getattr(kind, name)
-        if not (isinstance(value, Mapping) and _is_tuple_of((*value,), key) and _is_tuple_of((*value.values(),), item)):
+        if not isinstance(value, Mapping) or not (
+            _is_tuple_of((*value,), key) and _is_tuple_of((*value.values(),), item)
+        ):
             yield kind, name, messages.NOT_MAPPING(name=name, form=form)
-    listed = chain.from_iterable(g for g in (kind.catalogue, kind.sensors) if isinstance(g, (tuple, list)))
-    yield from _undecorated((kind, *(k for k in listed if isinstance(k, type))))
+    yield from _undecorated([kind])
 
 
 _MAPPINGS: tuple[tuple[str, type, Any, str], ...] = (  # name, types of keys and values, written form
@@ -88,6 +85,17 @@ _MAPPINGS: tuple[tuple[str, type, Any, str], ...] = (  # name, types of keys and
 
 def _is_tuple_of(value: Any, kind: Any) -> bool:
     return isinstance(value, tuple) and all(isinstance(one, kind) for one in value)
+
+
+def _class_faults(kind: type[Model], name: str, base: type) -> Faults:
+    """Yield faults of the classes in the catalogue or the sensors."""
+    value = getattr(kind, name)
+    if _is_tuple_of(value, type) and all(issubclass(k, base) for k in value):
+        yield from _label_faults(value)
+    else:
+        yield kind, name, messages.NOT_SUBCLASSES(name=name, base=base.__name__)
+    if isinstance(value, (tuple, list)):
+        yield from _undecorated(k for k in value if isinstance(k, type))
 
 
 def _label_faults(owners: Sequence[type]) -> Faults:
@@ -218,13 +226,7 @@ def _delay_faults(kind: type[Model]) -> Faults:
     order = [type(e) for e in shaping]
     delays: list[Any] = [k for k in kind.catalogue if k.delay is not None]
     for owner in delays:
-        bounds = {p.name: p.bounds for p in parameters_of(owner)}
-        if owner.delay not in bounds:
-            cure = did_you_mean(str(owner.delay), bounds)
-            yield owner, "delay", messages.UNKNOWN_DELAY(owner=owner.name, name=owner.delay, cure=cure)
-        elif issubclass(owner, Delay) and (longest := bounds[owner.delay][1]) > owner.longest:
-            message = messages.SHORT_MEMORY(owner=owner.name, delay=longest, longest=owner.longest)
-            yield owner, str(owner.delay), message
+        yield from _delay_parameter_faults(owner)
         if owner not in order:
             yield owner, "delay", messages.DELAY_WITHOUT_SHAPE(owner=owner.name)
         elif owner is not order[0] and owner is delays[0]:
@@ -234,6 +236,16 @@ def _delay_faults(kind: type[Model]) -> Faults:
             yield owner, "memory", messages.MEMORY_OF_DELAY(owner=owner.name, **counts)
     for owner in delays[1:]:
         yield owner, "delay", messages.SEVERAL_DELAYS(owner=owner.name, other=delays[0].name)
+
+
+def _delay_parameter_faults(owner: Any) -> Faults:
+    """Yield faults of a delay's parameter and longest memory."""
+    bounds = {p.name: p.bounds for p in parameters_of(owner)}
+    if owner.delay not in bounds:
+        cure = did_you_mean(str(owner.delay), bounds)
+        yield owner, "delay", messages.UNKNOWN_DELAY(owner=owner.name, name=owner.delay, cure=cure)
+    elif issubclass(owner, Delay) and (longest := bounds[owner.delay][1]) > owner.longest:
+        yield owner, owner.delay, messages.SHORT_MEMORY(owner=owner.name, delay=longest, longest=owner.longest)
 
 
 def _gain_faults(kind: type[Model]) -> Faults:

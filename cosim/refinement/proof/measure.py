@@ -122,7 +122,7 @@ def without_sensor_errors(log: Log, variant: Variant, acting: Mapping[str, Array
     """
     outputs = dict(log.outputs)
     for sensor in _sensors(variant, acting):
-        if sensor.straight():
+        if sensor.is_straight():
             at_zero, gain = _line(sensor)
             outputs |= {n: (outputs[n] - at_zero) / gain for n in sensor.affected() if n in outputs}
         elif not sensor.dormant:
@@ -260,7 +260,7 @@ def _missed(variant: Variant, problem: Problem, log: Log, index: int, data: Data
     filtered = problem.filter_causally(data, variant.values, variant.noise, index, rows)
     acting = {} if data.table else _acting(problem, filtered, np.array(rows, np.intp), np.arange(len(data.u)))
     for sensor in _sensors(variant, acting):
-        if sensor.straight():
+        if sensor.is_straight():
             gains |= {n: gains[n] * _line(sensor)[1] for n in sensor.affected() if n in gains}
     readings = filtered.errors
     if not data.table:

@@ -165,7 +165,7 @@ def _reading(subject: Subject, problem: Problem, c: Candidate, without: Filter, 
     name, missed, term = names[channel], (y - there)[rows, channel], (read - there)[rows, channel]
     if kind.late:
         against = Regressor(f"rate of {name}, by the refined model", _per_second(unit[name]), rate[rows, channel])
-    elif kind.straight():
+    elif kind.is_straight():
         against = said[name]
     else:
         known = {"time": Regressor("time", "s", time[rows]), **said}
