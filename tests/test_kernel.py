@@ -27,7 +27,7 @@ from cosim.kernel.kernel import MEMORY, Data, Filtered, Layout, Simulated
 from cosim.kernel.settling import settling
 from cosim.loading.file import own_model
 from cosim.model import Equations, Model, Namespace, Stepper
-from cosim.model.symbolic.dormant import skippable
+from cosim.model.symbolic.dormant import find_skippable
 from cosim.model.symbolic.functions import Body
 from cosim.model.symbolic.languages import C
 from cosim.storage.cache import cached
@@ -193,7 +193,7 @@ def test_a_run_that_diverges_has_infinite_errors_from_there_on(craft: Generated,
 @pytest.fixture(autouse=True)
 def none_made_yet(monkeypatch: pytest.MonkeyPatch) -> None:
     """Kernels are made once a process: here each test makes its own."""
-    monkeypatch.setattr(backend, "_made", {})
+    monkeypatch.setattr(backend, "_kernels", {})
 
 
 @pytest.fixture(scope="module")
@@ -367,9 +367,9 @@ def test_a_function_that_dormant_terms_alone_use_is_found_with_their_parameters(
         (None, a * s0 - s0 + b * s0**2 + s2),
         (None, c / s3 + d * sympy.sin(x) + c * x**3 + b * x**2 + sympy.log(x)),
     ]
-    found = skippable(lines, [{a: 1.0}, {b: 0.0}, {c: 0.0}, {d: 0.0}])
+    found = find_skippable(lines, [{a: 1.0}, {b: 0.0}, {c: 0.0}, {d: 0.0}])
     assert found == {sympy.tanh(x): {a: 1.0, b: 0.0}, sympy.exp(x): {a: 1.0}, sympy.sin(x): {d: 0.0}, x**3: {c: 0.0}}
-    assert skippable(lines, []) == {}
+    assert find_skippable(lines, []) == {}
 
 
 @NEEDS_C

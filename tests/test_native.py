@@ -533,7 +533,7 @@ def test_a_compiler_that_only_says_that_it_is_done_is_not_believed(
     pretending.write_text(f"#!/bin/sh\n{makes}\n")
     pretending.chmod(0o755)
     monkeypatch.setenv("CC", str(pretending))
-    with pytest.raises(InputError, match=f"{words}.*; mend the compiler, or say another in CC") as refused:
+    with pytest.raises(InputError, match=f"{words}.*; mend the compiler, or name another in CC") as refused:
         build_native(tmp_path / "out")
     assert refused.value.exit_code == 2
     assert not (tmp_path / "out").exists()

@@ -260,7 +260,7 @@ def test_a_time_that_a_table_does_not_need_is_noted_and_not_read(tmp_path: Path)
             '    equation = ""\n    states = (Quantity("x", "1", "x"),)',
             "seat_leak keeps",
         ),
-        ("import Bias", "import Drift as Bias", "meter_offset goes with time"),
+        ("import Bias", "import Drift as Bias", "meter_offset depends on time"),
     ],
 )
 def test_a_model_without_states_that_goes_with_time_is_refused(

@@ -10,12 +10,13 @@ from typing import Any
 
 from cosim.base.errors import Fault, InputError
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, cure
+from cosim.kernel import messages
 from cosim.kernel.c_filter import CompiledKernel
 from cosim.kernel.generate import generate
 from cosim.model.model import Model
 from cosim.model.symbolic.tracing_guard import OfNumbersOnly
 
-_made: dict[tuple[Any, ...], CompiledKernel] = {}
+_kernels: dict[tuple[Any, ...], CompiledKernel] = {}
 
 
 def kernel(
@@ -28,18 +29,14 @@ def kernel(
     """
     flags = tuple(getattr(model, p.name) for p in model.parameters if isinstance(p.default, bool))
     key = (type(model), flags, tuple(measured), unnamed, tuple(constant), model.integrator)
-    if key not in _made:
+    if key not in _kernels:
         try:
-            _made[key] = CompiledKernel(generate(model, measured, unnamed, constant))
+            _kernels[key] = CompiledKernel(generate(model, measured, unnamed, constant))
         except OfNumbersOnly as error:
-            raise InputError([_decided(error)]) from error
+            line = traceback.extract_tb(error.__traceback__)[-2]  # the model's line of the operation
+            place = Path(line.filename), line.lineno or 0, (line.colno or 0) + 1
+            raise InputError([Fault(*place, messages.NUMBERS_ONLY(error=error))]) from error
         except (NoCompiler, CompilerFailed) as error:
-            text = f"the filter of a refinement is compiled, and {error}; {cure('refine')}"
-            raise InputError([Fault(Path(sys.executable), 0, 0, text)]) from error
-    return _made[key]
-
-
-def _decided(error: OfNumbersOnly) -> Fault:
-    """Return a fault at the model's line of the operation."""
-    line = traceback.extract_tb(error.__traceback__)[-2]
-    return Fault(Path(line.filename), line.lineno or 0, (line.colno or 0) + 1, f"cannot be made of symbols: {error}")
+            message = messages.NO_COMPILED_FILTER(error=error, cure=cure("refine"))
+            raise InputError.at(Path(sys.executable), message) from error
+    return _kernels[key]

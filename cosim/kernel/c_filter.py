@@ -42,14 +42,14 @@ class CompiledKernel:
     def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
         """Filter one log, as `Kernel.run`."""
         rows, ny = data.y.shape
-        kept = rows if states else 0
+        state_rows = rows if states else 0
         errors, variances = np.empty((rows, ny)), np.empty((rows, ny))
-        filtered = np.full((kept, len(self.layout.states)), np.nan)
-        memory = np.full((kept, self.layout.memory), np.nan)
-        covariances = np.full((kept, *[len(self.layout.stochastic)] * 2), np.nan)
+        filtered = np.full((state_rows, len(self.layout.states)), np.nan)
+        memory = np.full((state_rows, self.layout.memory), np.nan)
+        covariances = np.full((state_rows, *[len(self.layout.stochastic)] * 2), np.nan)
         late = np.empty((0, ny)) if data.late is None else data.late
-        u, y, older, ramps = _plain(data.u), _plain(data.y), _plain(late), self._ramps(data)
-        inputs = [_plain(v) for v in (p, x0, P0, q, np.broadcast_to(r, data.y.shape))]
+        u, y, older, ramps = _contiguous(data.u), _contiguous(data.y), _contiguous(late), self._ramps(data)
+        inputs = [_contiguous(v) for v in (p, x0, P0, q, np.broadcast_to(r, data.y.shape))]
         arrays = [_address(a) for a in (*inputs, errors, variances, filtered, memory, covariances)]
         done = self._library.filter(ctypes.byref(_log(data, u, y, ramps, older)), *arrays)
         if done < rows:
@@ -63,8 +63,8 @@ class CompiledKernel:
         rows, nx = len(data.u), len(self.layout.states)
         outputs, states = np.full((rows, len(self.layout.outputs)), np.nan), np.full((rows, nx), np.nan)
         memories = np.zeros((rows, self.layout.memory))
-        u, ramps, nothing = _plain(data.u), self._ramps(data), np.empty(0)
-        inputs = [_plain(v) for v in (p, x0, memory, np.empty((0, nx)) if kicks is None else kicks)]
+        u, ramps, nothing = _contiguous(data.u), self._ramps(data), np.empty(0)
+        inputs = [_contiguous(v) for v in (p, x0, memory, np.empty((0, nx)) if kicks is None else kicks)]
         arrays = [_address(a) for a in (*inputs, outputs, states, memories)]
         self._library.simulate(ctypes.byref(_log(data, u, nothing, ramps, nothing)), first, *arrays)
         return Simulated(outputs, states, memories)
@@ -79,7 +79,7 @@ def _log(data: Data, u: Array, y: Array, ramps: Array, late: Array) -> _Log:
     return _Log(*times, *map(_address, (u, y, ramps, late)))
 
 
-def _plain(a: Array) -> Array:
+def _contiguous(a: Array) -> Array:
     """Return contiguous doubles."""
     return np.require(a, np.float64, ["C"])
 
@@ -98,13 +98,7 @@ def _source(generated: Generated) -> str:
 
 def _sizes(layout: Layout) -> dict[str, str]:
     """Return the constants of the C text by name."""
-    numbers = {
-        "NX": len(layout.states),
-        "NU": len(layout.inputs),
-        "NY": len(layout.outputs),
-        "NS": len(layout.stochastic),
-        "NM": layout.memory,
-        "DELAY": layout.delay,
-    }
+    groups = {"NX": layout.states, "NU": layout.inputs, "NY": layout.outputs, "NS": layout.stochastic}
+    numbers = {name: len(group) for name, group in groups.items()} | {"NM": layout.memory, "DELAY": layout.delay}
     places = ", ".join(map(str, layout.stochastic or (0,)))
     return {name: f"({number})" for name, number in numbers.items()} | {"STOCHASTIC": f"{{{places}}}"}

@@ -22,7 +22,7 @@ from cosim.model.model import STIFF, Model
 from cosim.model.namespaces import SymbolNamespace
 from cosim.model.symbolic.functions import Body
 from cosim.model.symbolic.languages import C
-from cosim.model.symbolic.tracing_guard import guarded
+from cosim.model.symbolic.tracing_guard import number_guard
 from cosim.storage.cache import fingerprint, load_or_make
 
 
@@ -73,7 +73,7 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
     rates = _rates(body)
     shapes = _add_nameless(body, reach) if unnamed else []
     _add_sensor_errors(body, model)
-    body = _disturbed(body, reach)
+    body = _add_disturbances(body, reach)
     body, carrying = _with_constants(body, reach, measured, constant)
     names, unknown = list(body.derivative), [DISTURBANCE + n for n in reach.forced]
     random = (*reach.uncertain, *unknown, *carrying, *(CONSTANT + n for n in constant))
@@ -81,11 +81,11 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
     x = [body.symbols.state[k] for k in stochastic]
     f, g = [body.derivative[n] for n in names], [sympy.sympify(body.outputs[n]) for n in measured]
     symbols, shaping, local = body.symbols, body.shaping, [(s.factor, s.shape, s.stages, s.slopes) for s in shapes]
-    asked = srepr([f, g, x, body.parameters, list(symbols.state), list(symbols.command), symbols.time])
-    asked += srepr([shaping.stages, shaping.results, shaping.remembered, local, body.terms])
+    key = srepr([f, g, x, body.parameters, list(symbols.state), list(symbols.command), symbols.time])
+    key += srepr([shaping.stages, shaping.results, shaping.remembered, local, body.terms])
     stiff = model.integrator == STIFF
-    made = (stochastic, stiff, fingerprint(("cosim.model.symbolic", "cosim.kernel")))
-    text: str = load_or_make(f"{made} {asked}", lambda: _printed(body, (f, g), (stochastic, x), shapes, stiff))
+    version = (stochastic, stiff, fingerprint(("cosim.model.symbolic", "cosim.kernel")))
+    text: str = load_or_make(f"{version} {key}", lambda: _print_functions(body, (f, g), (stochastic, x), shapes, stiff))
     layout = Layout(
         parameters=tuple(body.parameters),
         states=tuple(names),
@@ -102,7 +102,7 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
     return Generated(layout, text, stiff)
 
 
-def _printed(
+def _print_functions(
     body: Body,
     expressions: tuple[Sequence[Any], Sequence[Any]],
     random: tuple[Sequence[int], Sequence[Any]],
@@ -130,8 +130,8 @@ def _printed(
         dict(chain.from_iterable(s.items() for s in stage)) for stage in zip(*(s.stages for s in shapes), strict=True)
     ]
     first = {"deriv": stages, "jacobian": stages, "state_jacobian": stages}
-    printed = [body.function(C(), name, e, first.get(name, ())) for name, e in functions.items()]
-    return "\n".join((*printed, body.shaping_function(C(), "shape_all")))
+    texts = [body.function(C(), name, e, first.get(name, ())) for name, e in functions.items()]
+    return "\n".join((*texts, body.shaping_function(C(), "shape_all")))
 
 
 def _add_nameless(body: Body, reach: Reach) -> list[LocalShape]:
@@ -173,12 +173,12 @@ def _add_sensor_errors(body: Body, model: Model) -> None:
         if kind.late:
             continue  # a latency changes the time of readings, not their values
         outputs = true | {name: body.outputs[name] for name in kind.affected()}
-        with guarded(smooth=True):
-            read = kind(value=symbol).readings(SymbolNamespace(), body.symbols.time, outputs)
-        body.outputs.update({name: sympy.sympify(e) for name, e in read.items()})
+        with number_guard(smooth=True):
+            readings = kind(value=symbol).readings(SymbolNamespace(), body.symbols.time, outputs)
+        body.outputs.update({name: sympy.sympify(e) for name, e in readings.items()})
 
 
-def _disturbed(body: Body, reach: Reach) -> Body:
+def _add_disturbances(body: Body, reach: Reach) -> Body:
     """Return the body with an unknown input as state in each forced equation."""
     import sympy
 

@@ -103,9 +103,9 @@ class Data:
 
     def rows(self, first: int, end: int) -> Data:
         """Return the rows from `first` to `end` with all row data."""
-        kept = slice(first, end)
-        late = None if self.late is None else self.late[kept]
-        return replace(self, start=self.start + first * self.step, u=self.u[kept], y=self.y[kept], late=late)
+        rows = slice(first, end)
+        late = None if self.late is None else self.late[rows]
+        return replace(self, start=self.start + first * self.step, u=self.u[rows], y=self.y[rows], late=late)
 
 
 @dataclass(frozen=True)

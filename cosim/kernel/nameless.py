@@ -22,41 +22,45 @@ ROLES = ("of", "by")
 REACH = 2.0  # ζ at which a bump reaches 0
 
 
-def bases(s: SymbolicModel, unknown: Container[str] = ()) -> dict[str, Any]:
+def bases(s: SymbolicModel, excluded: Container[str] = ()) -> dict[str, Any]:
     """Return basis functions of constants, time, states, velocities, angles and commands by name."""
     import sympy
 
-    found: dict[str, Any] = {"1": sympy.Integer(1), "time": s.time}
+    functions: dict[str, Any] = {"1": sympy.Integer(1), "time": s.time}
     for q, x in zip(s.model.base_states, s.state, strict=False):
-        if q.name in unknown:  # a state that drifts unobserved cannot be a regressor
+        if q.name in excluded:  # a state that drifts unobserved cannot be a regressor
             continue
-        found[q.name] = x
+        functions[q.name] = x
         if q.unit in {"m/s", "rad/s"}:
-            found[f"{q.name}·|{q.name}|"] = x * sympy.sqrt(x * x)
-            found[f"{q.name}³"] = x**3
-            found[f"|{q.name}|"] = sympy.sqrt(x * x)
-            found[f"{q.name} where positive"] = (x + sympy.sqrt(x * x)) / 2
-            found[f"{q.name} where negative"] = (x - sympy.sqrt(x * x)) / 2
-            found[f"time·{q.name}"] = s.time * x
+            functions[f"{q.name}·|{q.name}|"] = x * sympy.sqrt(x * x)
+            functions[f"{q.name}³"] = x**3
+            functions[f"|{q.name}|"] = sympy.sqrt(x * x)
+            functions[f"{q.name} where positive"] = (x + sympy.sqrt(x * x)) / 2
+            functions[f"{q.name} where negative"] = (x - sympy.sqrt(x * x)) / 2
+            functions[f"time·{q.name}"] = s.time * x
         if q.unit == "rad" and not any(q.name == i.name for i in s.model.inputs):
-            found |= {f"sin {q.name}": sympy.sin(x), f"cos {q.name}": sympy.cos(x), f"cos 2{q.name}": sympy.cos(2 * x)}
+            functions |= {
+                f"sin {q.name}": sympy.sin(x),
+                f"cos {q.name}": sympy.cos(x),
+                f"cos 2{q.name}": sympy.cos(2 * x),
+            }
     for q, u in zip(s.model.inputs, s.command, strict=True):
-        found[f"command {q.name}"] = u
+        functions[f"command {q.name}"] = u
         if q.unit == "rad":
-            found[f"command {q.name}·|{q.name}|"] = u * sympy.sqrt(u * u)
-    return found
+            functions[f"command {q.name}·|{q.name}|"] = u * sympy.sqrt(u * u)
+    return functions
 
 
-def local_signals(s: SymbolicModel, unknown: Container[str] = ()) -> dict[str, Any]:
+def local_signals(s: SymbolicModel, excluded: Container[str] = ()) -> dict[str, Any]:
     """Return the signals of local shapes: time, observed states, circles of angles, commands."""
     import sympy
 
-    known = [(q, x) for q, x in zip(s.model.base_states, s.state, strict=False) if q.name not in unknown]
-    found = {"time": s.time} | {q.name: x for q, x in known}
-    for q, x in known:
+    states = [(q, x) for q, x in zip(s.model.base_states, s.state, strict=False) if q.name not in excluded]
+    signals = {"time": s.time} | {q.name: x for q, x in states}
+    for q, x in states:
         if q.unit == "rad":
-            found |= {f"cos {q.name}": sympy.cos(x), f"sin {q.name}": sympy.sin(x)}
-    return found | {f"command {q.name}": u for q, u in zip(s.model.inputs, s.command, strict=True)}
+            signals |= {f"cos {q.name}": sympy.cos(x), f"sin {q.name}": sympy.sin(x)}
+    return signals | {f"command {q.name}": u for q, u in zip(s.model.inputs, s.command, strict=True)}
 
 
 @dataclass(frozen=True)
@@ -95,17 +99,17 @@ def local_shape(
 
     over, plain, factor, shape, bend, edge = map(symbol, ("over", "plain", "factor", "shape", "bend", "edge"))
     dry = number(f"{LOCAL}.{slot}.dry")
-    told = number(f"{LOCAL}.{slot}.by.1") + plain + dry * (clipped(plain) - plain)
+    gain = number(f"{LOCAL}.{slot}.by.1") + plain + dry * (clipped(plain) - plain)
     value = number(f"{LOCAL}.{slot}.rise") * rise(over)
     value += sum(number(f"{LOCAL}.{slot}.{k}") * bump(over - k) for k in range(KNOTS))
-    mixed = {role: sum(w * z for z, w in of.items()) for role, of in weights.items()}
+    sums = {role: sum(w * z for z, w in of.items()) for role, of in weights.items()}
     return LocalShape(
         factor,
         shape,
         tuple(number(f"{LOCAL}.{slot}.to.{name}") * factor * shape for name in equations),
         (
-            {over: number(f"{LOCAL}.{slot}.of.1") + mixed["of"], plain: mixed["by"]},
-            {factor: told, shape: value, bend: sympy.diff(value, over), edge: sympy.diff(told, plain)},
+            {over: number(f"{LOCAL}.{slot}.of.1") + sums["of"], plain: sums["by"]},
+            {factor: gain, shape: value, bend: sympy.diff(value, over), edge: sympy.diff(gain, plain)},
         ),
         {x: (edge * slope("by", x), bend * slope("of", x)) for x in signals.values() if x.is_Symbol},
     )

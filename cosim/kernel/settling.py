@@ -13,14 +13,14 @@ from cosim.base.linear_algebra import eigenvalues
 from cosim.model.model import Model
 from cosim.model.namespaces import SCALAR
 
-FORGOTTEN = 1e-4  # remaining share of a wrong start that no longer counts
-STILL = 1e-9  # [1/s] slowest rate that counts as decay
+NEGLIGIBLE_SHARE = 1e-4  # of a wrong start
+MIN_DECAY_RATE = 1e-9  # [1/s]
 
 
 def settling(model: Model, names: Sequence[str]) -> float:
     """Return the settling time of states driven by commands alone [s].
 
-    ln(1/FORGOTTEN) times the slowest stable time constant of the base model at its start; 0 without one.
+    ln(1/NEGLIGIBLE_SHARE) times the slowest stable time constant of the base model at its start; 0 without one.
     """
     base = replace(model, effects=())
     derivative, start, command = base.acting(SCALAR).derivative, base.start(), base.start_command()
@@ -33,5 +33,5 @@ def settling(model: Model, names: Sequence[str]) -> float:
     steps = {place: 1e-6 * max(1.0, abs(start[place])) for place in places}
     columns = [(rates(place, h) - rates(place, -h)) / (2.0 * h) for place, h in steps.items()]
     poles = eigenvalues(np.column_stack(columns)).real if columns else np.zeros(0)
-    decay = [-float(pole) for pole in poles if pole < -STILL]
-    return math.log(1.0 / FORGOTTEN) / min(decay) if decay else 0.0
+    decay = [-float(pole) for pole in poles if pole < -MIN_DECAY_RATE]
+    return math.log(1.0 / NEGLIGIBLE_SHARE) / min(decay) if decay else 0.0

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import Fault, FmuError, InputError, SimulationError
+from cosim.base.errors import InputError, SimulationError
 from cosim.base.scratch import temporary_folder
 from cosim.base.units import read_quantity
+from cosim.linearization import messages
 from cosim.linearization.linear_model import Point
 from cosim.linearization.linear_sources import EquationSource, Source
 from cosim.linearization.point import AT, Moment
@@ -22,8 +23,9 @@ from cosim.simulation.packaged import is_ssp
 from cosim.simulation.workflow import run
 from cosim.storage.results import Results
 
-SLACK = 1e-9  # [s]
-AGREE = 1e-6  # share of an output's range within which model and component agree
+TIME_SLACK = 1e-9  # [s]
+MAX_OUTPUT_DIFFERENCE = 1e-6  # between model and component, relative to the output's range
+MAX_NAMES = 8  # missing signals in a message
 
 
 class Along:
@@ -35,19 +37,18 @@ class Along:
 
     def __init__(self, source: Source, moment: Moment, component: str = "") -> None:
         self.notes: list[str] = []
-        self._source, self._moment = source, moment
-        record = [] if isinstance(source, EquationSource) else list(source.states)
+        self._moment = moment
         _check(moment, component)
         with temporary_folder("linearize") as folder:
             self._results, self._manifest = _run(moment.scenario, folder)
-            self._name = self._component(component)
-            if record:
-                patterns = [f"{self._name}.{state}" for state in record]
-                record = [*self._recorded(), *patterns]
-                flown = f"components.{self._name}.fmu={json.dumps(str(source.files[0].resolve()))}"
-                overrides = [f"record={json.dumps(record, ensure_ascii=False)}", flown]
-                self._results, self._manifest = _run(moment.scenario, Path(folder), overrides)
-        self._rows = self._rows_of(moment.times)
+            self._name = self._component(source, component)
+            if source.states and not isinstance(source, EquationSource):
+                states = [f"{self._name}.{state}" for state in source.states]
+                record = json.dumps([*(self._manifest["scenario"].get("record") or ()), *states], ensure_ascii=False)
+                fmu = json.dumps(str(source.files[0].resolve()))
+                overrides = [f"record={record}", f"components.{self._name}.fmu={fmu}"]
+                self._results, self._manifest = _run(moment.scenario, folder, overrides)
+        self._rows = self._rows_at(moment.times)
 
     @property
     def start_values(self) -> dict[str, Any]:
@@ -56,59 +57,61 @@ class Along:
 
     def points(self, source: Source) -> list[Point]:
         """Return one point for each time, from a source with the scenario's parameters."""
-        self._source = source
         inputs = self._columns(source.inputs)
         if isinstance(source, EquationSource):
-            states = self._driven(source, inputs)
+            states = self._simulated_states(source, inputs)
         else:
-            states = self._columns(self._source.states)
-            if names := ", ".join(np.array(self._source.states)[np.isnan(states).all(axis=0)]):
-                raise InputError([Fault(AT, 0, 0, f"{self._name} of {self._moment.scenario} records no {names}")])
+            states = self._columns(source.states)
+            if names := ", ".join(np.array(source.states)[np.isnan(states).all(axis=0)]):
+                message = messages.STATES_NOT_RECORDED(
+                    component=self._name, scenario=self._moment.scenario, names=names
+                )
+                raise InputError.at(AT, message)
         return [Point(float(self._results.time[k]), states[k], inputs[k]) for k in self._rows]
 
     # -- internals ----------------------------------------------------------------------------
 
-    def _component(self, asked: str) -> str:
+    def _component(self, source: Source, name: str) -> str:
         """Return the component with the model's inputs and outputs.
 
         Raises:
             InputError: No component fits, or several do.
         """
-        columns, wanted = set(self._results.columns), (*self._source.inputs, *self._source.outputs)
+        columns, signals = set(self._results.columns), (*source.inputs, *source.outputs)
         owners = dict.fromkeys(column.partition(".")[0] for column in self._results.columns)
-        missing = {owner: [n for n in wanted if f"{owner}.{n}" not in columns] for owner in owners}
+        missing = {owner: [n for n in signals if f"{owner}.{n}" not in columns] for owner in owners}
         fitting = [owner for owner, names in missing.items() if not names]
-        if asked in fitting:
-            return asked
-        if fitting and not asked:
-            if len(fitting) == 1:
-                return fitting[0]
-            raise InputError([Fault(AT, 0, 0, f"{' and '.join(fitting)} would do; say which as --component NAME")])
-        lacking = missing.get(asked, wanted)
-        whom = asked or f"no component of {self._moment.scenario}"
-        told = f"{', '.join(lacking[:8])}{', …' if len(lacking) > 8 else ''}"
-        message = f"{whom} has not the inputs and outputs of {self._source.title} ({told})"
-        raise InputError([Fault(AT, 0, 0, message)])
-
-    def _recorded(self) -> list[str]:
-        return list(self._manifest["scenario"].get("record") or ())
+        if name in fitting:
+            return name
+        if not name and len(fitting) == 1:
+            return fitting[0]
+        if not name and fitting:
+            raise InputError.at(AT, messages.SEVERAL_COMPONENTS(names=", ".join(fitting)))
+        absent = missing.get(name, signals)
+        names = f"{', '.join(absent[:MAX_NAMES])}{', …' if len(absent) > MAX_NAMES else ''}"
+        fields = {"model": source.title, "missing": names}
+        if name:
+            raise InputError.at(AT, messages.COMPONENT_MISFIT(component=name, **fields))
+        raise InputError.at(AT, messages.NO_COMPONENT_FITS(scenario=self._moment.scenario, **fields))
 
     def _columns(self, names: Sequence[str]) -> Array:
-        columns = [f"{self._name}.{n}" for n in names]
-        none = np.full(len(self._results.time), np.nan)
-        found = [self._results[c] if c in self._results.columns else none for c in columns]
-        return np.column_stack(found) if found else np.zeros((len(self._results.time), 0))
+        """Return signals of the component as columns, NaN for a signal without a record."""
+        columns = np.full((len(self._results.time), len(names)), np.nan)
+        for k, name in enumerate(f"{self._name}.{n}" for n in names):
+            if name in self._results:
+                columns[:, k] = self._results[name]
+        return columns
 
-    def _rows_of(self, times: Array) -> list[int]:
+    def _rows_at(self, times: Array) -> list[int]:
         """Return the communication point at or before each time."""
-        have, slack = self._results.time, SLACK
-        _check_times(self._moment, float(have[0]), float(have[-1]))
-        rows = np.searchsorted(have, times + slack * np.maximum(1.0, np.abs(times)), side="right") - 1
-        if (np.abs(have[rows] - times) > 1e-6).any():
-            self.notes.append("between communication points the last one before is taken")
+        points = self._results.time
+        _check_times(self._moment, float(points[0]), float(points[-1]))
+        rows = np.searchsorted(points, times + TIME_SLACK * np.maximum(1.0, np.abs(times)), side="right") - 1
+        if (np.abs(points[rows] - times) > 1e-6).any():
+            self.notes.append(messages.EARLIER_POINT())
         return [int(k) for k in rows]
 
-    def _driven(self, source: EquationSource, inputs: Array) -> Array:
+    def _simulated_states(self, source: EquationSource, inputs: Array) -> Array:
         """Return the states of the equations under the component's inputs."""
         stepper, time = Stepper(source.model), self._results.time
         memories = {f"{e.name}.{q.name}": q.unit for e in source.model.awake for q in e.memory}
@@ -116,60 +119,56 @@ class Along:
         starts = {n.removesuffix("_start"): str(v) for n, v in self.start_values.items() if n.endswith("_start")}
         values = {n: read_quantity(v, units[n]) for n, v in starts.items() if n in units}
         moment = stepper.start(float(time[0]), values)
-        states, shown = [np.array(moment.state, float)], [self._outputs(source, moment.state, time[0], inputs[0])]
-        for k in range(1, max(self._rows) + 1):
+        states, outputs = [], []
+        for k in range(max(self._rows) + 1):
             try:
-                moment = stepper.step(moment, tuple(inputs[k - 1].tolist()), float(time[k] - time[k - 1]))
-                shown.append(self._outputs(source, moment.state, time[k], inputs[k]))
+                if k:
+                    moment = stepper.step(moment, tuple(inputs[k - 1].tolist()), float(time[k] - time[k - 1]))
+                states.append(np.array(moment.state, float))
+                outputs.append(source.evaluate(float(time[k]), states[k], inputs[k])[1])
             except (ArithmeticError, ValueError) as error:
-                raise SimulationError(source.name, float(time[k]), f"the equations have no value: {error}") from None
-            states.append(np.array(moment.state, float))
-        self._compare(source, np.array(shown))
+                message = messages.NO_VALUE_AT_POINT(reason=error)
+                raise SimulationError(source.name, float(time[k]), message) from None
+        self._compare(source, np.array(outputs))
         return np.array(states)
 
-    @staticmethod
-    def _outputs(source: EquationSource, state: Any, t: float, inputs: Array) -> Array:
-        return np.array(source._equations.output(float(t), state, tuple(inputs.tolist())), float)
-
-    def _compare(self, source: EquationSource, shown: Array) -> None:
+    def _compare(self, source: EquationSource, outputs: Array) -> None:
         """Note a difference between model and component."""
-        there = self._columns(source.outputs)[: len(shown)]
-        off = np.abs(there - shown).max(axis=0)
-        size = np.maximum(np.ptp(there, axis=0), 1e-3)
-        worst = int(np.argmax(off / size))
-        if off[worst] > AGREE * size[worst]:
-            unit = source.units.get(source.outputs[worst], "")
-            self.notes.append(
-                f"{self._name} is not this model: driven alike, {source.outputs[worst]} differs by up to "
-                f"{off[worst]:.3g} {unit}".rstrip()
-            )
+        recorded = self._columns(source.outputs)[: len(outputs)]
+        difference = np.abs(recorded - outputs).max(axis=0)
+        span = np.maximum(np.ptp(recorded, axis=0), 1e-3)
+        worst = int(np.argmax(difference / span))
+        if difference[worst] > MAX_OUTPUT_DIFFERENCE * span[worst]:
+            output = source.outputs[worst]
+            size = f"{difference[worst]:.3g} {source.units.get(output, '')}".rstrip()
+            self.notes.append(messages.OTHER_MODEL(component=self._name, output=output, size=size))
 
 
 def _check(moment: Moment, component: str) -> None:
     """Check times and names against the scenario before its run."""
     if not moment.scenario.is_file():
-        raise InputError([Fault(moment.scenario, 0, 0, "no such scenario")])
+        raise InputError.at(moment.scenario, messages.NO_SCENARIO())
     if is_ssp(moment.scenario):
         return
     scenario = ScenarioFile(moment.scenario).scenario
     _check_times(moment, scenario.start_time, scenario.start_time + scenario.duration)
     if component and component not in scenario.components:
-        message = f'{moment.scenario} has no component "{component}" ({", ".join(scenario.components)})'
-        raise InputError([Fault(Path("--component"), 0, 0, message)])
+        names = ", ".join(scenario.components)
+        message = messages.UNKNOWN_COMPONENT(scenario=moment.scenario, name=component, names=names)
+        raise InputError.at(Path("--component"), message)
 
 
 def _check_times(moment: Moment, first: float, last: float) -> None:
-    outside = [t for t in moment.times.tolist() if not first - SLACK <= t <= last + SLACK]
-    if outside:
-        told = f"{outside[0]:g} s is not within {moment.scenario}, which runs from {first:g} to {last:g} s"
-        raise InputError([Fault(AT, 0, 0, told)])
+    for time in moment.times.tolist():
+        if not first - TIME_SLACK <= time <= last + TIME_SLACK:
+            message = messages.TIME_OUTSIDE(time=time, scenario=moment.scenario, first=first, last=last)
+            raise InputError.at(AT, message)
 
 
 def _run(scenario: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[Results, Mapping[str, Any]]:
     try:
-        outcome = run(scenario, folder, list(overrides), report=False)
-    except (InputError, FmuError, SimulationError) as error:
-        if isinstance(error, SimulationError):
-            error.left = None  # the temporary folder is deleted
+        outcome = run(scenario, folder, overrides, report=False)
+    except SimulationError as error:
+        error.left = None  # the temporary folder is deleted
         raise
     return outcome.results, outcome.manifest

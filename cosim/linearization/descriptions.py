@@ -12,9 +12,20 @@ from cosim.base.text import MISSING, counted, plain
 from cosim.linearization.linear_model import Linear
 from cosim.linearization.system_structure import Pole, Structure
 
-SHOWN = 16  # columns of a matrix on a terminal
-SWINGS = 0.9  # damping ratio of a pair of poles, from which its overshoot is below 0.2 %
-STILL_POLE = 1e-9  # [1/s] real part of a pole, up to which it is on the imaginary axis
+MAX_COLUMNS = 16  # of a matrix on a terminal
+MAX_OSCILLATING_DAMPING = 0.9  # damping ratio of a pair of poles, from which its overshoot is below 0.2 %
+AXIS_TOLERANCE = 1e-9  # [1/s] real part of a pole on the imaginary axis
+HEAD = (
+    "pole [1/s]",
+    "times",
+    "Jordan blocks",
+    "ωₙ [rad/s]",
+    "ζ",
+    "−1/Re [s]",
+    "deviation",
+    "controllable",
+    "observable",
+)
 
 
 def number(value: float) -> str:
@@ -22,29 +33,29 @@ def number(value: float) -> str:
     return f"{value + 0.0:.5g}".replace("-", "\u2212") if math.isfinite(value) else MISSING
 
 
-def headline(found: Structure, linear: Linear) -> str:
-    """Return the stability of the operating point in a sentence, and what inputs reach and outputs show in another."""
+def headline(structure: Structure, linear: Linear) -> str:
+    """Return a sentence on the stability of the operating point, and one on controllability and observability."""
     n = len(linear.states)
     if not n:
         return "The model has no states: its outputs follow its inputs without delay."
     if not linear.at_rest:  # neighbours of a motion may part though the poles of each of its points lie to the left
-        stability = f"No equilibrium: the model moves here; {_sides(found)}"
-    elif found.stable:
-        slowest = max(found.poles, key=lambda p: p.value.real)
+        share = "all" if structure.stable else "not all"
+        stability = f"No equilibrium: the model moves here; {share} poles are to the left of the imaginary axis"
+    elif structure.stable:
+        slowest = max(structure.poles, key=lambda p: p.value.real)
         stability = f"Stable equilibrium: the slowest deviation {meaning(slowest)}"
-    elif growing := [p for p in found.poles if p.value.real > STILL_POLE]:
+    elif growing := [p for p in structure.poles if p.value.real > AXIS_TOLERANCE]:
         fastest = max(growing, key=lambda p: p.value.real)
         stability = f"Unstable equilibrium: the fastest deviation {meaning(fastest)}"
     else:
-        still = counted(sum(p.count for p in found.poles if p.value.real >= -STILL_POLE), "pole")
-        longest = max((p for p in found.poles if p.value.real >= -STILL_POLE), key=lambda p: max(p.blocks))
-        stability = f"Not asymptotically stable: {still} on the imaginary axis; a deviation {meaning(longest)}"
-    reach = f"The inputs reach {found.controllable} of {counted(n, 'state')}; the outputs show {found.observable}"
+        on_axis = [p for p in structure.poles if p.value.real >= -AXIS_TOLERANCE]
+        count = counted(sum(p.count for p in on_axis), "pole")
+        longest = max(on_axis, key=lambda p: max(p.blocks))
+        stability = f"Not asymptotically stable: {count} on the imaginary axis; a deviation {meaning(longest)}"
+    reach = (
+        f"The inputs reach {structure.controllable} of {counted(n, 'state')}; the outputs show {structure.observable}"
+    )
     return f"{stability}. {reach}."
-
-
-def _sides(found: Structure) -> str:
-    return f"{'all' if found.stable else 'not all'} poles are to the left of the imaginary axis"
 
 
 def meaning(p: Pole) -> str:
@@ -52,17 +63,17 @@ def meaning(p: Pole) -> str:
     real, imag = p.value.real, abs(p.value.imag)
     if not p.value:
         return {1: "stays", 2: "grows linearly (double integrator)"}.get(max(p.blocks), "grows with a power of time")
-    swinging = imag and p.damping_ratio < SWINGS
-    swings = f"oscillates with a period of {plain(2 * math.pi / imag)} s" if swinging else ""
-    if abs(real) <= STILL_POLE:
-        return f"{swings} without damping"
+    oscillates = imag and p.damping_ratio < MAX_OSCILLATING_DAMPING
+    oscillation = f"oscillates with a period of {plain(2 * math.pi / imag)} s" if oscillates else ""
+    if abs(real) <= AXIS_TOLERANCE:
+        return f"{oscillation} without damping"
     time = f"{'grows' if real > 0 else 'decays'} with a time constant of {plain(1.0 / abs(real))} s"
-    return f"{swings} and {time}" if swings else time
+    return f"{oscillation} and {time}" if oscillates else time
 
 
-def pole_rows(found: Structure) -> list[dict[str, str]]:
+def pole_rows(structure: Structure) -> list[dict[str, str]]:
     """Return the table of poles; a pair has one row."""
-    return [_row(p) for p in found.poles if p.value.imag >= 0.0]
+    return [_row(p) for p in structure.poles if p.value.imag >= 0.0]
 
 
 def _row(p: Pole) -> dict[str, str]:
@@ -80,32 +91,19 @@ def _row(p: Pole) -> dict[str, str]:
     }
 
 
-HEAD = (
-    "pole [1/s]",
-    "times",
-    "Jordan blocks",
-    "ωₙ [rad/s]",
-    "ζ",
-    "−1/Re [s]",
-    "deviation",
-    "controllable",
-    "observable",
-)
-
-
-def pole_table(found: Structure) -> list[tuple[str, ...]]:
+def pole_table(structure: Structure) -> list[tuple[str, ...]]:
     """Return the rows under HEAD."""
-    return [tuple(row.values()) for row in pole_rows(found)]
+    return [tuple(row.values()) for row in pole_rows(structure)]
 
 
 def matrix_lines(name: str, matrix: Array, rows: Sequence[str], columns: Sequence[str]) -> list[list[str]]:
     """Return a matrix as rows of cells with a header.
 
-    A matrix with more than SHOWN columns is a list of its nonzero entries.
+    A matrix with more than MAX_COLUMNS columns is a list of its nonzero entries.
     """
     if not matrix.size:
         return []
-    if len(columns) > SHOWN:
+    if len(columns) > MAX_COLUMNS:
         places = zip(*np.nonzero(matrix), strict=True)
         return [[name, "", ""], *([rows[i], columns[j], number(float(matrix[i, j]))] for i, j in places)]
     cells = [[n, *(number(float(v)) if v else "." for v in row)] for n, row in zip(rows, matrix, strict=True)]

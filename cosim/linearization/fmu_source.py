@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import replace
+from itertools import compress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,6 +29,7 @@ from cosim.isolation import worker as here
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import OTHER
 from cosim.isolation.watch import Watch, fmi_calls
+from cosim.linearization import messages
 from cosim.linearization.kinks import Kink, kinks_at
 from cosim.linearization.linear_model import Linear, Point
 from cosim.linearization.linear_sources import Source
@@ -35,73 +38,75 @@ from cosim.storage.yaml_file import did_you_mean
 
 MODULES = ("cosim.linearization.fmu_source", "fmpy.fmi2", "fmpy.logging")
 NAME = "fmu"
-DIFFERENCE = 1e-5  # difference step relative to each state and input, or to 1
-APART = 1e-3  # allowed deviation of an FMU's derivatives from differences, relative to the largest in a row
-GIVEN = "directional derivatives of the FMU"
-Found = tuple[Array, Array, Array, list[str], list[Kink], bool]
+DIFFERENCE_STEP = 1e-5  # relative to each state and input, or to 1
+MAX_SLOPE_DEVIATION = 1e-3  # of an FMU's derivatives from differences, relative to the largest in a row
+DIRECTIONAL = "directional derivatives of the FMU"
+
+
+class Derivatives(NamedTuple):
+    """Linearization of a point in the worker.
+
+    Attributes:
+        slopes: Rows are derivatives and outputs, columns states and inputs.
+        rates: Derivatives and outputs.
+        states: States after events.
+        directional: True for directional derivatives, False for differences.
+    """
+
+    slopes: Array
+    rates: Array
+    states: Array
+    notes: list[str]
+    kinks: list[Kink]
+    directional: bool
+
 
 # -- in the worker ----------------------------------------------------------------------------
 
 
-def state_references(path: Path, description: Any, start: Mapping[str, Any]) -> list[int]:
-    """Return the value references of the states of an FMI 1.0 FMU."""
-    block = _opened(path, description, start)
-    try:
-        return block.state_references()
-    finally:
-        block.close()
+def read(path: Path, description: Any, start: Mapping[str, Any], method: str) -> Any:
+    """Return the result of a method of the FMU after its initialization."""
+    with closing(_open(path, description, start)) as block:
+        return getattr(block, method)()
 
 
-def begin(path: Path, description: Any, start: Mapping[str, Any]) -> tuple[Array, Array]:
-    """Return the start values of states and inputs."""
-    block = _opened(path, description, start)
-    try:
-        return block.current_point()
-    finally:
-        block.close()
-
-
-def about(
-    path: Path, description: Any, start: Mapping[str, Any], points: Sequence[Point], step: float, given: bool
-) -> list[Found]:
-    """Return the linearization of each point with notes and kinks.
+def differentiate(
+    path: Path, description: Any, start: Mapping[str, Any], points: Sequence[Point], step: float, directional: bool
+) -> list[Derivatives]:
+    """Return the linearization of each point.
 
     If directional derivatives fail, the FMU is reopened for differences.
-
-    Returns:
-        For each point: slopes, rates and outputs, states after events, notes, kinks, and True for directional
-        derivatives.
     """
-    if not given:
-        return _about(path, description, start, points, step, given=False)
     try:
-        return _about(path, description, start, points, step, given=True)
+        with closing(_open(path, description, start)) as block:
+            return [_differentiate(block, point, step, directional) for point in points]
     except SimulationError as error:
-        if "DirectionalDerivative" not in str(error):
+        if not directional or "DirectionalDerivative" not in str(error):
             raise
-        told = f"differences of step {step:g} are taken: {error.reason.partition(':')[0]} for its own slopes"
-    moved = _about(path, description, start, points, step, given=False)
-    return [(slopes, rates, after, [told, *notes], kinks, own) for slopes, rates, after, notes, kinks, own in moved]
+        note = messages.SLOPES_WITHDRAWN(step=step, reason=error.reason.partition(":")[0])
+    repeated = differentiate(path, description, start, points, step, False)
+    return [each._replace(notes=[note, *each.notes]) for each in repeated]
 
 
-def _about(
-    path: Path, description: Any, start: Mapping[str, Any], points: Sequence[Point], step: float, *, given: bool
-) -> list[Found]:
-    block, found = _opened(path, description, start), []
-    try:
-        for point in points:
-            slopes, rates, after = slopes_at(block, point.time, point.states, point.inputs, step, directional=given)
-            notes, kinks = _notes(block, point, after)
-            if given:
-                slopes, more = _believed(block, replace(point, states=after), slopes, step)
-                notes += more
-            found.append((slopes, rates, after, notes, kinks, given))
-    finally:
-        block.close()
-    return found
+def _differentiate(block: DifferentiableFmu, point: Point, step: float, directional: bool) -> Derivatives:
+    slopes, rates, after = slopes_at(block, point.time, point.states, point.inputs, step, directional=directional)
+    names, outputs = scalars(states_of(block.description)), scalars(reals(block.description, "output"))
+    n, notes = len(after), list[str]()
+    moved = np.abs(after - point.states) > 1e-9 * (1.0 + np.abs(point.states))
+    if moved.any():
+        states = ", ".join(f"{name} = {v:.6g}" for name, v, m in zip(names, after, moved, strict=True) if m)
+        notes.append(messages.STATES_MOVED(states=states))
+    z, inputs = np.concatenate([after, point.inputs]), scalars(reals(block.description, "input"))
+    kinks = kinks_at(lambda z: block.rates(z[:n], z[n:]), z, names, inputs, outputs)
+    block.rates(after, point.inputs)
+    if directional:
+        rows = [*(f"the derivative of {name}" for name in names), *outputs]
+        slopes, more = _check_slopes(block, replace(point, states=after), slopes, step, rows)
+        notes += more
+    return Derivatives(slopes, rates, after, notes, kinks, directional)
 
 
-def _opened(path: Path, description: Any, start: Mapping[str, Any]) -> DifferentiableFmu:
+def _open(path: Path, description: Any, start: Mapping[str, Any]) -> DifferentiableFmu:
     here.progress.doing[0] = OTHER
     block = DifferentiableFmu(NAME, path, description, start, frozenset())
     here.share_log(block)
@@ -111,33 +116,17 @@ def _opened(path: Path, description: Any, start: Mapping[str, Any]) -> Different
     return block
 
 
-def _notes(block: DifferentiableFmu, point: Point, after: Array) -> tuple[list[str], list[Kink]]:
-    """Return notes on states moved by an event, and kinks."""
-    n, notes = len(after), []
-    names = scalars(states_of(block.description))
-    moved = np.abs(after - point.states) > 1e-9 * (1.0 + np.abs(point.states))
-    if moved.any():
-        told = ", ".join(f"{name} = {v:.6g}" for name, v, m in zip(names, after, moved, strict=True) if m)
-        notes.append(f"an event of the FMU at this point has moved its states: {told}")
-    fed, shown = (scalars(reals(block.description, causality)) for causality in ("input", "output"))
-    z = np.concatenate([after, point.inputs])
-    kinks = kinks_at(lambda z: block.rates(z[:n], z[n:]), z, names, fed, shown)
-    block.rates(after, point.inputs)
-    return notes, kinks
-
-
-def _believed(block: DifferentiableFmu, point: Point, slopes: Array, step: float) -> tuple[Array, list[str]]:
+def _check_slopes(
+    block: DifferentiableFmu, point: Point, slopes: Array, step: float, rows: Sequence[str]
+) -> tuple[Array, list[str]]:
     """Return the FMU's derivatives, with differences in deviating rows, and notes."""
     differences, _, _ = slopes_at(block, point.time, point.states, point.inputs, step, directional=False)
     size = np.maximum(np.abs(differences).max(axis=1, initial=0.0), np.abs(slopes).max(axis=1, initial=0.0))
-    off = np.abs(slopes - differences).max(axis=1, initial=0.0) > APART * np.maximum(size, 1e-9)
-    if not off.any():
+    deviates = np.abs(slopes - differences).max(axis=1, initial=0.0) > MAX_SLOPE_DEVIATION * np.maximum(size, 1e-9)
+    if not deviates.any():
         return slopes, []
-    states, shown = scalars(states_of(block.description)), scalars(reals(block.description, "output"))
-    rows = [*(f"the derivative of {n}" for n in states), *shown]
-    told = ", ".join(n for n, other in zip(rows, off, strict=True) if other)
-    note = f"differences of step {step:g} are taken for {told}: the FMU's own slopes of these are others"
-    return np.where(off[:, None], differences, slopes), [note]
+    note = messages.SLOPES_REPLACED(step=step, rows=", ".join(compress(rows, deviates)))
+    return np.where(deviates[:, None], differences, slopes), [note]
 
 
 # -- in the caller ----------------------------------------------------------------------------
@@ -156,42 +145,44 @@ class ExchangeSource(Source):
         check_differentiable(path, description)
         self._worker, self._path, self._description, self._start = worker, path, description, dict(start)
         if hides_states(description):
-            name_states(path, description, self._call(state_references))
+            name_states(path, description, self._call(read, "state_references"))
         self.title, self.files = description.modelName or path.stem, (path,)
         listed = states_of(description), reals(description, "input"), reals(description, "output")
         self.states, self.inputs, self.outputs = (scalars(group) for group in listed)
         self.units = {name: unit for group in listed for name, unit in units_of(group).items()}
-        self._asked = step
+        self._step = step
         block = DifferentiableFmu(NAME, path, description, self._start, frozenset())
-        self._own = step is None and block.gives_slopes
-        self.step = self.reach = DIFFERENCE if step is None else step
+        self._directional = step is None and block.gives_slopes
+        self.reach = DIFFERENCE_STEP if step is None else step
 
     def with_values(self, values: Mapping[str, Any], over: Sequence[str]) -> ExchangeSource:
         """Return the source with start values of a scenario's component."""
-        known = {v.name for v in self._description.modelVariables}
-        start = typed_values(self._path, self._description, {n: v for n, v in values.items() if n in known})
-        return ExchangeSource(self._worker, self._path, self._description, {**start, **self._start}, self._asked)
+        names = {v.name for v in self._description.modelVariables}
+        start = typed_values(self._path, self._description, {n: v for n, v in values.items() if n in names})
+        return ExchangeSource(self._worker, self._path, self._description, {**start, **self._start}, self._step)
 
     def start(self) -> Point:
         """Return the start after the FMU's initialization."""
-        states, inputs = self._call(begin)
+        states, inputs = self._call(read, "here")
         return Point(0.0, states, inputs)
 
     def linear(self, points: Sequence[Point]) -> list[Linear]:
         """Return the linear model at each point."""
-        n, made, names = len(self.states), [], (self.states, self.inputs, self.outputs)
-        found: list[Found] = self._call(about, list(points), self.step, self._own)
-        differences = f"central differences of the FMU, step {self.step:g} of each value or of 1"
-        for point, (slopes, rates, after, notes, kinks, own) in zip(points, found, strict=True):
+        n, names = len(self.states), (self.states, self.inputs, self.outputs)
+        models = []
+        differences = f"central differences of the FMU, step {self.reach:g} of each value or of 1"
+        at_points: list[Derivatives] = self._call(differentiate, list(points), self.reach, self._directional)
+        for point, (slopes, rates, states, notes, kinks, directional) in zip(points, at_points, strict=True):
             matrices = slopes[:n, :n], slopes[:n, n:], slopes[n:, :n], slopes[n:, n:]
-            at, told = replace(point, states=after), (GIVEN if own else differences, tuple(notes), tuple(kinks))
-            made.append(Linear(*matrices, *names, at, rates[:n], rates[n:], self.units, *told))
-        return made
+            origin = DIRECTIONAL if directional else differences, tuple(notes), tuple(kinks)
+            at = replace(point, states=states)
+            models.append(Linear(*matrices, *names, at, rates[:n], rates[n:], self.units, *origin))
+        return models
 
     def _call(self, function: Any, *more: Any) -> Any:
         watch = Watch([NAME], [fmi_calls(self._description)])
-        about = self._path.resolve(), self._description, self._start
-        return self._worker.call(with_permission, permission.get(), function, *about, *more, watch=watch)
+        fmu = self._path.resolve(), self._description, self._start
+        return self._worker.call(with_permission, permission.get(), function, *fmu, *more, watch=watch)
 
 
 def check_differentiable(path: Path, description: Any) -> None:
@@ -201,31 +192,29 @@ def check_differentiable(path: Path, description: Any) -> None:
         InputError: They are not; the message names alternatives.
     """
     if "model-exchange" not in ways(description):
-        what = "is for co-simulation only, and hides its states and derivatives"
-        cure = "give the model's own file (model.yaml, file.py:Class or base), or an FMU for model exchange"
-        raise InputError([Fault(path, 0, 0, f"{what}; {cure}; `cosim build --native` makes one of any model here")])
+        raise InputError.at(path, messages.CO_SIMULATION_ONLY())
     if len(states_of(description)) != len(description.derivatives):
-        raise InputError([Fault(path, 0, 0, "does not say which states its derivatives are of", FmuError.exit_code)])
+        raise InputError.at(path, messages.DERIVATIVES_WITHOUT_STATES(), FmuError.exit_code)
 
 
-def typed_values(path: Path, description: Any, given: Mapping[str, Any]) -> dict[str, Any]:
+def typed_values(path: Path, description: Any, values: Mapping[str, Any]) -> dict[str, Any]:
     """Return start values in the type and unit of their variables.
 
     Raises:
         InputError: Every unsuitable value.
     """
-    variables, found, faults = {v.name: v for v in description.modelVariables}, {}, []
-    for name, value in given.items():
+    variables = {v.name: v for v in description.modelVariables}
+    converted, faults = dict[str, Any](), []
+    for name, value in values.items():
         variable = variables.get(name)
-        if variable is None or not settable(variable):
-            known = [n for n, v in variables.items() if settable(v)]
-            unknown = f'has no variable "{name}"{did_you_mean(name, known)}'
-            faults.append(Fault(path, 0, 0, f"{name} is {kind_of(variable)}" if variable else unknown))
-            continue
-        fitting = typed(description, variable, value)
-        if isinstance(fitting, Misfit):
-            faults.append(Fault(path, 0, 0, f"{name} is {value!r}; {fitting.reason}"))
+        if variable is None:
+            cure = did_you_mean(name, [n for n, v in variables.items() if settable(v)])
+            faults.append(messages.UNKNOWN_VARIABLE(name=name, cure=cure))
+        elif not settable(variable):
+            faults.append(messages.NOT_SETTABLE(name=name, kind=kind_of(variable)))
+        elif isinstance(fitting := typed(description, variable, value), Misfit):
+            faults.append(messages.UNSUITABLE_START(name=name, value=value, reason=fitting.reason))
         else:
-            found[name] = fitting
-    refuse(faults)
-    return found
+            converted[name] = fitting
+    refuse(Fault(path, 0, 0, fault) for fault in faults)
+    return converted

@@ -11,9 +11,9 @@ import numpy as np
 from cosim.base.arrays import Array
 
 STEP = 1e-6  # step of one-sided slopes relative to each state and input, or to 1
-BENT = 1e-3  # allowed difference relative to the largest slope in a row
-NEARER = 10.0  # factor of the second, closer look
-BESIDE = 3.0  # steps from the kink to the one-sided slopes
+MAX_SLOPE_CHANGE = 1e-3  # across a smooth point, relative to the largest slope in a row
+REFINEMENT = 10.0  # division of the step for the second test
+STEPS_OFF_KINK = 3.0  # from the kink to the one-sided slopes
 SIDES = {"below": -1.0, "above": 1.0}
 RATE, OUTPUT = "rate", "output"
 
@@ -29,14 +29,14 @@ class Row:
     jump: float
 
     def __str__(self) -> str:
-        what = f"the rate of {self.name}" if self.of == RATE else f"output {self.name}"
+        subject = f"the rate of {self.name}" if self.of == RATE else f"output {self.name}"
         jump = f", and it jumps by {self.jump:.4g}" if self.jump else ""
-        return f"{what} has slope {self.below:.4g} below and {self.above:.4g} above{jump}"
+        return f"{subject} has slope {self.below:.4g} below and {self.above:.4g} above{jump}"
 
 
 @dataclass(frozen=True)
 class Kink:
-    """A state or input value with different one-sided slopes; `side` tells which were used."""
+    """A state or input value with different one-sided slopes; `side` names the slopes in use."""
 
     variable: str
     value: float
@@ -48,8 +48,8 @@ class Kink:
         """Return location and slopes in words, at most three rows."""
         rows = "; ".join(map(str, self.rows[:3]))
         more = f"; and {len(self.rows) - 3} rows more" if len(self.rows) > 3 else ""
-        what = "jump" if any(r.jump for r in self.rows) else "kink"
-        return f"{self.variable} = {self.value:.6g} is a {what}: {rows}{more}"
+        kind = "jump" if any(r.jump for r in self.rows) else "kink"
+        return f"{self.variable} = {self.value:.6g} is a {kind}: {rows}{more}"
 
     def restrict(self, states: Sequence[str], outputs: Sequence[str]) -> Kink:
         """Return the kink with only these rows."""
@@ -59,10 +59,10 @@ class Kink:
     def choose_side(self, slopes: Mapping[tuple[str, str], float]) -> Kink:
         """Return the kink with the side of these slopes."""
 
-        def off(side: str) -> float:
+        def distance(side: str) -> float:
             return sum(abs(slopes[r.of, r.name] - float(getattr(r, side))) for r in self.rows)
 
-        return replace(self, side=min(SIDES, key=off))
+        return replace(self, side=min(SIDES, key=distance))
 
     def as_json(self) -> dict[str, Any]:
         """Return plain data for scripts."""
@@ -74,7 +74,7 @@ def kinks_at(
     rates: Callable[[Array], Array], z: Array, states: Sequence[str], inputs: Sequence[str], outputs: Sequence[str]
 ) -> list[Kink]:
     """Return the kinks at z of a function from states and inputs to rates and outputs."""
-    here, found = rates(z), []
+    here, kinks = rates(z), []
     rows = [*((RATE, n) for n in states), *((OUTPUT, n) for n in outputs)]
     for k, name in enumerate((*states, *inputs)):
         h = STEP * max(1.0, abs(float(z[k])))
@@ -83,18 +83,18 @@ def kinks_at(
         up, down = rates(z + h * along), rates(z - h * along)
         ahead, behind = (up - here) / h, (here - down) / h
         size = np.maximum(np.maximum(np.abs(ahead), np.abs(behind)), 1e-6)
-        bent = np.abs(ahead - behind) > BENT * size + 1e-8 * np.abs(here) / h + 1e-9 / h
+        bent = np.abs(ahead - behind) > MAX_SLOPE_CHANGE * size + 1e-8 * np.abs(here) / h + 1e-9 / h
         if not bent.any():
             continue
         # Closer to the point, a curve becomes straight and a kink does not.
-        near = h / NEARER
+        near = h / REFINEMENT
         up, further, down, back = (rates(z + m * near * along) for m in (1.0, 2.0, -1.0, -2.0))
         bent &= np.abs(up - 2.0 * here + down) / near > 0.5 * np.abs(ahead - behind)
         # Slopes start one step from the point, so that a jump at the point affects neither side.
         above, below = (further - up) / near, (down - back) / near
         jump = (2.0 * up - further) - (2.0 * down - back)
         jump = np.where(np.abs(jump) > 0.5 * np.abs(up - down), jump, 0.0)
-        told = [Row(*rows[i], *(float(v[i]) for v in (below, above, jump))) for i in np.flatnonzero(bent)]
-        if told:
-            found.append(Kink(name, float(z[k]), tuple(told)))
-    return found
+        if bent.any():
+            at = [Row(*rows[i], *(float(v[i]) for v in (below, above, jump))) for i in np.flatnonzero(bent)]
+            kinks.append(Kink(name, float(z[k]), tuple(at)))
+    return kinks

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
+from cosim.linearization import messages
 from cosim.linearization.kinks import Kink
 
-HELD = 1e-9  # share of a matrix's largest entry below which an entry couples nothing
-
-STILL = 1e-6  # [state unit/s] rates below count as zero
+MIN_COUPLING = 1e-9  # smallest entry of a matrix that couples, relative to its largest entry
+MAX_RATE_AT_REST = 1e-6  # [state unit/s]
 
 
 @dataclass(frozen=True)
@@ -56,13 +56,13 @@ class Linear:
     @property
     def at_rest(self) -> bool:
         """Return True at an equilibrium, whose stability follows from the poles."""
-        return not self.rates.size or float(np.abs(self.rates).max()) < STILL
+        return float(np.abs(self.rates).max(initial=0.0)) < MAX_RATE_AT_REST
 
     def ss(self) -> Any:
         """Return the model as a named `control.StateSpace`."""
         import control
 
-        names = {name: list(getattr(self, name)) for name in ("states", "inputs", "outputs")}
+        names = {group: list(getattr(self, group)) for group in ("states", "inputs", "outputs")}
         return control.ss(self.A, self.B, self.C, self.D, **names, remove_useless_states=False)
 
     def unit(self, name: str) -> str:
@@ -70,7 +70,7 @@ class Linear:
         return self.units.get(name, "")
 
 
-def residualised(linear: Linear, fast: Sequence[str]) -> Linear:
+def residualize(linear: Linear, fast: Sequence[str]) -> Linear:
     """Return the model with fast states eliminated at their steady state.
 
     0 = A₂₁·x + A₂₂·x₂ + B₂·u is solved for x₂.
@@ -80,37 +80,31 @@ def residualised(linear: Linear, fast: Sequence[str]) -> Linear:
     """
     if not fast:
         return linear
-    gone = [linear.states.index(n) for n in fast]
-    kept = [k for k in range(len(linear.states)) if k not in gone]
-    own = linear.A[np.ix_(gone, gone)]
-    if np.linalg.matrix_rank(own) < len(gone):
-        raise ValueError(f"{', '.join(fast)} do not settle by themselves: their own part of A is singular")
-    by_states = -np.linalg.solve(own, linear.A[np.ix_(gone, kept)])
-    by_inputs = -np.linalg.solve(own, linear.B[gone])
-    into, out = linear.A[np.ix_(kept, gone)], linear.C[:, gone]
-    return replace(
+    z = [linear.states.index(n) for n in fast]
+    own = linear.A[np.ix_(z, z)]
+    if np.linalg.matrix_rank(own) < len(z):
+        raise ValueError(messages.NO_STEADY_STATE(names=", ".join(fast)))
+    to_states, to_inputs, to_rates = (np.linalg.solve(own, part[z]) for part in (linear.A, linear.B, linear.rates))
+    eliminated = replace(
         linear,
-        A=linear.A[np.ix_(kept, kept)] + into @ by_states,
-        B=linear.B[kept] + into @ by_inputs,
-        C=linear.C[:, kept] + out @ by_states,
-        D=linear.D + out @ by_inputs,
-        states=tuple(linear.states[k] for k in kept),
-        point=replace(linear.point, states=linear.point.states[kept]),
-        rates=linear.rates[kept] - into @ np.linalg.solve(own, linear.rates[gone]),
+        A=linear.A - linear.A[:, z] @ to_states,
+        B=linear.B - linear.A[:, z] @ to_inputs,
+        C=linear.C - linear.C[:, z] @ to_states,
+        D=linear.D - linear.C[:, z] @ to_inputs,
+        rates=linear.rates - linear.A[:, z] @ to_rates,
     )
+    return select(eliminated, [n for n in linear.states if n not in fast], linear.inputs, linear.outputs)
 
 
 def missing_states(linear: Linear, states: Sequence[str]) -> list[str]:
     """Return states outside a selection with influence on selected states."""
-    kept = [linear.states.index(n) for n in states]
-    others = [k for k in range(len(linear.states)) if k not in kept]
-    if not others or not kept:
-        return []
-    reach = np.abs(linear.A[np.ix_(kept, others)]).max(axis=0)
-    return [linear.states[k] for k, size in zip(others, reach, strict=True) if size > HELD * np.abs(linear.A).max()]
+    rows = [linear.states.index(n) for n in states]
+    influence = np.abs(linear.A[rows]).max(axis=0, initial=0.0)
+    least = MIN_COUPLING * np.abs(linear.A).max(initial=0.0)
+    return [n for n, size in zip(linear.states, influence, strict=True) if n not in states and size > least]
 
 
-def chosen(linear: Linear, states: Sequence[str], inputs: Sequence[str], outputs: Sequence[str]) -> Linear:
+def select(linear: Linear, states: Sequence[str], inputs: Sequence[str], outputs: Sequence[str]) -> Linear:
     """Return a selection of states, inputs and outputs; contributions of other states are lost."""
     x = [linear.states.index(n) for n in states]
     u = [linear.inputs.index(n) for n in inputs]

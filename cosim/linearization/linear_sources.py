@@ -12,6 +12,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
+from cosim.linearization import messages
 from cosim.linearization.kinks import STEP, Kink, kinks_at
 from cosim.linearization.linear_model import Linear, Point
 from cosim.linearization.set_parameters import with_parameters
@@ -20,8 +21,8 @@ from cosim.model.model import Effect, overrides
 from cosim.model.namespaces import SCALAR
 
 EXACT = "the equations, differentiated exactly"
-SETTLED = 1e-12  # share of the rates below which fast states are at steady state
-PASSES = 50
+MAX_RATE_AT_STEADY_STATE = 1e-12  # of fast states, relative to slope and size of the states
+MAX_NEWTON_STEPS = 50
 
 
 class Source(ABC):
@@ -63,8 +64,7 @@ class EquationSource(Source):
     def __init__(self, loaded: LoadedModel, name: str) -> None:
         from cosim.model.symbolic.linearize import Linearizer
 
-        self._loaded, self.model = loaded, loaded.model
-        model = loaded.model
+        self._loaded, self.model = loaded, (model := loaded.model)
         self.title, self.name = model.title, name
         self.files = ()
         self.states, self.inputs, self.outputs = (
@@ -77,12 +77,11 @@ class EquationSource(Source):
     def with_values(self, values: Mapping[str, Any], over: Sequence[str]) -> EquationSource:
         """Return the source with a scenario's parameters, except those set in `over`."""
         model = self.model
-        named = {text.partition("=")[0].strip() for text in over}
-        texts = [f"{n}={str(v).lower() if isinstance(v, bool) else v}" for n, v in values.items()]
-        wanted = [text for text in texts if (n := text.partition("=")[0]) in model.declared and n not in named]
-        if not wanted:
+        names = model.declared.keys() - {text.partition("=")[0].strip() for text in over}
+        texts = [f"{n}={str(v).lower() if isinstance(v, bool) else v}" for n, v in values.items() if n in names]
+        if not texts:
             return self
-        return EquationSource(replace(self._loaded, model=with_parameters(model, wanted)), self.name)
+        return EquationSource(replace(self._loaded, model=with_parameters(model, texts)), self.name)
 
     def start(self) -> Point:
         """Return the model's start."""
@@ -90,46 +89,44 @@ class EquationSource(Source):
 
     def linear(self, points: Sequence[Point]) -> list[Linear]:
         """Return the linear model at each point."""
-        return [self._about(point) for point in points]
+        return [self._linear(point) for point in points]
 
-    def _about(self, point: Point) -> Linear:
-        try:
-            found = self._linearizer(tuple(point.states), tuple(point.inputs), point.time)
-            rates, values = self._at(point.time, point.states, point.inputs)
-        except (ArithmeticError, ValueError) as error:
-            raise SimulationError(self.name, point.time, f"the equations have no value there: {error}") from None
-        matrices = found.A, found.B, found.C, found.D
-        if not all(np.isfinite(m).all() for m in (*matrices, rates, values)):
-            raise SimulationError(self.name, point.time, "the equations or their slopes are not finite there")
-        kinks, notes = self._kinks(point)
-        names, told = (self.states, self.inputs, self.outputs), ((*self._memories(), *notes), tuple(kinks))
-        return Linear(*matrices, *names, point, rates, values, self.units, EXACT, *told)
-
-    def _at(self, t: float, x: Array, u: Array) -> tuple[Array, Array]:
+    def evaluate(self, t: float, x: Array, u: Array) -> tuple[Array, Array]:
+        """Return derivatives and outputs."""
         state, command = tuple(x.tolist()), tuple(u.tolist())
         derivative, output = self._equations
         return np.array(derivative(t, state, command), float), np.array(output(t, state, command), float)
 
-    def _memories(self) -> list[str]:
-        """Return notes on effects that shape commands before the equations."""
+    def _linear(self, point: Point) -> Linear:
+        try:
+            slopes = self._linearizer(tuple(point.states), tuple(point.inputs), point.time)
+            rates, values = self.evaluate(point.time, point.states, point.inputs)
+        except (ArithmeticError, ValueError) as error:
+            raise SimulationError(self.name, point.time, messages.NO_VALUE_AT_POINT(reason=error)) from None
+        matrices = slopes.A, slopes.B, slopes.C, slopes.D
+        if not all(np.isfinite(m).all() for m in (*matrices, rates, values)):
+            raise SimulationError(self.name, point.time, messages.NOT_FINITE_AT_POINT())
         shaping = overrides(self.model.awake, "shape", Effect)
-        return [f"{e.name} ({e.equation}) acts on the inputs before they get here and is left out" for e in shaping]
+        shaped = [messages.INPUTS_SHAPED(effect=e.name, equation=e.equation) for e in shaping]
+        kinks, notes = self._kinks(point)
+        names, remarks = (self.states, self.inputs, self.outputs), ((*shaped, *notes), tuple(kinks))
+        return Linear(*matrices, *names, point, rates, values, self.units, EXACT, *remarks)
 
     def _kinks(self, point: Point) -> tuple[list[Kink], list[str]]:
         """Return kinks of the equations and notes."""
 
         def rates(z: Array) -> Array:
             n = len(self.states)
-            return np.concatenate(self._at(point.time, z[:n], z[n:]))
+            return np.concatenate(self.evaluate(point.time, z[:n], z[n:]))
 
         z = np.concatenate([point.states, point.inputs])
         try:
             return kinks_at(rates, z, self.states, self.inputs, self.outputs), []
         except (ArithmeticError, ValueError):  # the equations are undefined on one side
-            return [], ["the equations end at this point: to one side of it they have no value"]
+            return [], [messages.ONE_SIDED()]
 
 
-def settled(source: Source, point: Point, fast: Sequence[str]) -> Point:
+def settle(source: Source, point: Point, fast: Sequence[str]) -> Point:
     """Return the point with fast states at rest, by Newton steps.
 
     The other states and the inputs are held: f₂(x₂) = 0.
@@ -137,11 +134,14 @@ def settled(source: Source, point: Point, fast: Sequence[str]) -> Point:
     Raises:
         ValueError: The states do not come to rest.
     """
+    if not fast:
+        return point
     rows = [source.states.index(n) for n in fast]
-    for _ in range(PASSES if rows else 0):
-        (found,) = source.linear([point])
-        rates, own = found.rates[rows], found.A[np.ix_(rows, rows)]
-        if np.abs(rates).max() <= SETTLED * max(1.0, float(np.abs(own).max() * np.abs(point.states[rows]).max())):
+    for _ in range(MAX_NEWTON_STEPS):
+        (linear,) = source.linear([point])
+        rates, own = linear.rates[rows], linear.A[np.ix_(rows, rows)]
+        size = max(1.0, float(np.abs(own).max() * np.abs(point.states[rows]).max()))
+        if np.abs(rates).max() <= MAX_RATE_AT_STEADY_STATE * size:
             return point
         states = point.states.copy()
         try:
@@ -150,7 +150,5 @@ def settled(source: Source, point: Point, fast: Sequence[str]) -> Point:
             break
         if not np.isfinite(states).all():
             break
-        point = Point(point.time, states, point.inputs)
-    if rows:
-        raise ValueError(f"{', '.join(fast)} come to no rest while the other states are held")
-    return point
+        point = replace(point, states=states)
+    raise ValueError(messages.NO_EQUILIBRIUM(names=", ".join(fast)))

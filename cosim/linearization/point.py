@@ -12,12 +12,13 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import Fault, refuse
 from cosim.base.units import read_quantity
+from cosim.linearization import messages
 from cosim.linearization.linear_model import Point
 from cosim.linearization.linear_sources import Source
 from cosim.storage.yaml_file import did_you_mean, short
 
 SCENARIOS = {".yaml", ".yml", ".json", ".ssp", ".ssd"}
-MOST_TIMES = 100_000
+MAX_TIMES = 100_000
 AT = Path("--at")
 
 
@@ -37,7 +38,7 @@ class Where:
     moment: Moment | None
 
 
-def read_at(given: Sequence[str]) -> Where:
+def read_at(texts: Sequence[str]) -> Where:
     """Return the values and the moment of `--at` texts.
 
     Forms: `NAME=VALUE[,NAME=VALUE …]` and at most one `SCENARIO@TIME` or `SCENARIO@START:STOP:STEP`.
@@ -47,27 +48,26 @@ def read_at(given: Sequence[str]) -> Where:
     """
     values: dict[str, str] = {}
     moments: list[Moment] = []
-    faults: list[Fault] = []
-    for text in given:
+    faults: list[str] = []
+    for text in texts:
         head, at, tail = text.rpartition("@")
         if at and (Path(head).suffix.lower() in SCENARIOS or "=" not in head):
             try:
                 moments.append(Moment(Path(head), _times(tail)))
             except ValueError as error:
-                faults.append(Fault(AT, 0, 0, f"{short(text)}: {error}"))
+                faults.append(messages.INVALID_TIMES(text=short(text), reason=error))
             continue
         for part in text.split(","):
             name, _, value = (piece.strip() for piece in part.partition("="))
             if not (name and value):
-                what = "neither NAME=VALUE of a state or input, such as level=0.5, nor SCENARIO.yaml@TIME"
-                faults.append(Fault(AT, 0, 0, f"{short(text)} is {what}"))
+                faults.append(messages.AT_WITHOUT_VALUE(text=short(text)))
                 break
             if name in values:
-                faults.append(Fault(AT, 0, 0, f"{name} is given twice, {short(values[name])} and {short(value)}"))
+                faults.append(messages.REPEATED_VALUE(name=name, first=short(values[name]), second=short(value)))
             values.setdefault(name, value)
     if len(moments) > 1:
-        faults.append(Fault(AT, 0, 0, f"{len(moments)} scenarios are named; name one"))
-    refuse(faults)
+        faults.append(messages.SEVERAL_SCENARIOS(count=len(moments)))
+    refuse(Fault(AT, 0, 0, fault) for fault in faults)
     return Where(values, moments[0] if moments else None)
 
 
@@ -77,40 +77,39 @@ def _times(text: str) -> Array:
     except ValueError:
         more = [math.nan]
     if len(more) not in {0, 2}:
-        raise ValueError("after @ stands a time, 2.5 or 3 min, or several, START:STOP:STEP, 0:10:0.5")
+        raise ValueError("write a time after @, such as 2.5 or 3 min, or several as START:STOP:STEP, such as 0:10:0.5")
     if not more:
         return np.array([first])
     last, step = more
     if not (last >= first and step > 0.0):
-        raise ValueError("START:STOP:STEP go forward, with a step above 0")
+        raise ValueError("STOP of START:STOP:STEP is before START, or STEP is not above 0; write times that go forward")
     count = math.floor((last - first) / step + 1e-9) + 1
-    if count > MOST_TIMES:
-        raise ValueError(f"{count} times are more than {MOST_TIMES}; take a longer step")
+    if count > MAX_TIMES:
+        raise ValueError(f"{count} times are more than {MAX_TIMES}; take a longer step")
     return np.asarray(first + step * np.arange(count))
 
 
-def moved(source: Source, point: Point, values: Mapping[str, str]) -> Point:
+def move(source: Source, point: Point, values: Mapping[str, str]) -> Point:
     """Return the point with states and inputs of `--at`.
 
     Raises:
         InputError: Every unknown name and unsuitable value.
     """
     states, inputs, faults = point.states.copy(), point.inputs.copy(), []
-    known = (*source.states, *source.inputs)
+    lists = {group: ", ".join(getattr(source, group)) or "none" for group in ("states", "inputs")}
     for name, text in values.items():
-        if name not in known:
-            message = f'{source.title} has no state or input "{name}"{did_you_mean(name, known)}'
-            listed = f"states: {', '.join(source.states) or 'none'}; inputs: {', '.join(source.inputs) or 'none'}"
-            faults.append(Fault(AT, 0, 0, f"{message} ({listed})"))
+        if name not in (names := (*source.states, *source.inputs)):
+            cure = did_you_mean(name, names)
+            faults.append(messages.UNKNOWN_SIGNAL(model=source.title, name=name, cure=cure, **lists))
             continue
         try:
             value = read_quantity(text, source.units.get(name, ""))
         except ValueError as error:
-            faults.append(Fault(AT, 0, 0, f"{name}={short(text)}: {error}"))
+            faults.append(messages.INVALID_VALUE(name=name, value=short(text), reason=error))
             continue
         if name in source.states:
             states[source.states.index(name)] = value
         if name in source.inputs:
             inputs[source.inputs.index(name)] = value
-    refuse(faults)
+    refuse(Fault(AT, 0, 0, fault) for fault in faults)
     return replace(point, states=states, inputs=inputs)

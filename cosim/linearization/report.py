@@ -18,7 +18,7 @@ from cosim.linearization.frequency_response import Response, frequencies, respon
 from cosim.linearization.kinks import RATE, Kink, Row
 from cosim.linearization.linear_model import Linear
 from cosim.linearization.result import Outcome
-from cosim.linearization.system_structure import Pole, Structure, poles
+from cosim.linearization.system_structure import Pole, poles
 from cosim.report.chart_data import Abscissa
 from cosim.report.drawing import Charts
 from cosim.report.html_tables import Badge
@@ -27,15 +27,15 @@ from cosim.report.svg import Plot, make_axis
 from cosim.report.template import render
 
 TEMPLATE = Path(__file__).with_name("templates") / "linearize.html.j2"
-TOGETHER = 6  # curves in a panel
-MOST = 40  # panels
-LARGEST = 24  # columns of a displayed matrix
-NOTHING = 1e-12  # of the largest response; an output with less does not respond
+CURVES_PER_PANEL = 6
+MAX_PAIRS = 40  # of panels, magnitude and phase
+MAX_COLUMNS = 24  # of a displayed matrix
+MIN_RESPONSE = 1e-12  # relative to the largest response
 
 
 def page(outcome: Outcome) -> str:
     """Return a self-contained page of the first linearisation."""
-    linear, found = outcome.first, outcome.structure
+    linear, structure = outcome.first, outcome.structure
     times = [m.point.time for m in outcome.linear]
     description = f"{outcome.title}, linearised at t = {plain(linear.point.time)} s: {linear.method}."
     if len(times) > 1:
@@ -43,33 +43,33 @@ def page(outcome: Outcome) -> str:
             f" {len(times)} times from {plain(times[0])} to {plain(times[-1])} s; this page shows the first, "
             "linear.json and linear.mat hold all."
         )
-    outcome_sentence, reach = parted(headline(found, linear))
+    stability, reach = parted(headline(structure, linear))
     charts = Charts()
     bode = _bode(linear)
-    shown = _drawn([(size, phase) for _, size, phase in bode[:MOST]], frequencies(linear), charts)
+    plots = _draw([(size, phase) for _, size, phase in bode[:MAX_PAIRS]], frequencies(linear), charts)
     return render(
         TEMPLATE,
         {
             "name": PurePath(outcome.name).name,
             "description": description,
-            "outcome": outcome_sentence,
+            "outcome": stability,
             "reach": reach,
-            "badges": _badges(linear, found),
+            "badges": _badges(linear, structure.stable),
             "notes": outcome.notes,
             "states": _values(linear, linear.states, linear.point.states, linear.rates),
             "inputs": _values(linear, linear.inputs, linear.point.inputs),
             "time": plain(linear.point.time),
-            "map": pole_map(found.poles, charts) if found.poles else None,
-            "poles": pole_rows(found),
-            "rank": (found.controllable, found.observable, len(linear.states)),
-            "condition": number(found.condition) if math.isfinite(found.condition) else "",
-            "bode": [(output, plots) for (output, *_), plots in zip(bode, shown, strict=False)],
-            "left_out": max(0, len(bode) - MOST),
+            "map": pole_map(structure.poles, charts) if structure.poles else None,
+            "poles": pole_rows(structure),
+            "rank": (structure.controllable, structure.observable, len(linear.states)),
+            "condition": number(structure.condition) if math.isfinite(structure.condition) else "",
+            "bode": [(output, pair) for (output, *_), pair in zip(bode, plots, strict=False)],
+            "left_out": max(0, len(bode) - MAX_PAIRS),
             "along": _along(outcome, charts),
             "data": charts.data(),  # after all drawings
             "kinks": [_kink_row(k, r) for k in linear.kinks for r in k.rows],
             "matrices": [_matrix(linear, n) for n in "ABCD"],
-            "largest": LARGEST,
+            "largest": MAX_COLUMNS,
             "version": __version__,
         },
     )
@@ -81,20 +81,20 @@ def _kink_row(kink: Kink, row: Row) -> dict[str, str]:
     return {"variable": kink.variable, "row": slope, "side": kink.side, **{n: number(v) for n, v in values.items()}}
 
 
-def _badges(linear: Linear, found: Structure) -> list[Badge]:
+def _badges(linear: Linear, is_stable: bool) -> list[Badge]:
     groups = ((linear.states, "state"), (linear.inputs, "input"), (linear.outputs, "output"))
     sizes = [Badge(counted(len(group), noun)) for group, noun in groups]
     stable = "asymptotically stable" if linear.at_rest else "all poles to the left"
-    stability = Badge(stable, "good") if found.stable else Badge(f"not {stable}", "plain")
+    stability = Badge(stable, "good") if is_stable else Badge(f"not {stable}", "plain")
     rest = Badge("equilibrium", "good") if linear.at_rest else Badge("no equilibrium: derivatives are not zero")
     return [*sizes, stability, rest]
 
 
 def _values(linear: Linear, names: Sequence[str], values: Array, rates: Array | None = None) -> list[dict[str, str]]:
-    shown = [""] * len(names) if rates is None else [number(v) for v in rates]
+    rate_texts = [""] * len(names) if rates is None else [number(v) for v in rates]
     return [
         {"name": n, "unit": written(linear.unit(n)), "value": number(v), "rate": rate}
-        for n, v, rate in zip(names, values, shown, strict=True)
+        for n, v, rate in zip(names, values, rate_texts, strict=True)
     ]
 
 
@@ -105,19 +105,19 @@ def _matrix(linear: Linear, name: str) -> dict[str, Any]:
     return {
         "name": name,
         "columns": columns,
-        "fits": len(columns) <= LARGEST and len(rows) <= 4 * LARGEST,
+        "fits": len(columns) <= MAX_COLUMNS and len(rows) <= 4 * MAX_COLUMNS,
         "rows": [(n, [number(v) if v else "" for v in row]) for n, row in zip(rows, matrix, strict=True)],
     }
 
 
-def pole_map(found: Sequence[Pole], charts: Charts) -> Plot:
+def pole_map(every: Sequence[Pole], charts: Charts) -> Plot:
     """Draw the poles as crosses in the complex plane."""
-    inward = sorted(found, key=lambda p: (p.value.real, p.value.imag))
+    inward = sorted(every, key=lambda p: (p.value.real, p.value.imag))
     real, imag = np.array([p.value.real for p in inward]), np.array([p.value.imag for p in inward])
     reach = max(float(np.abs(imag).max()), 0.1 * float(np.abs(real).max()), 1e-3)
-    left, right = min(float(real.min()), 0.0), max(float(real.max()), 0.0)
-    room = 0.06 * (right - left or reach)
-    axes = make_axis(left - room, right + room, 6), make_axis(-1.15 * reach, 1.15 * reach, 5)
+    low, high = min(float(real.min()), 0.0), max(float(real.max()), 0.0)
+    margin = 0.06 * (high - low or reach)
+    axes = make_axis(low - margin, high + margin, 6), make_axis(-1.15 * reach, 1.15 * reach, 5)
     panel = Panel("Imaginary part of the poles", "rad/s", [Trace("imaginary part", imag, "s0 crosses", x=real)])
     also = {
         "real part [1/s]": real,
@@ -125,21 +125,21 @@ def pole_map(found: Sequence[Pole], charts: Charts) -> Plot:
         "ζ": np.array([p.damping_ratio for p in inward]),
         "times": np.array([p.count for p in inward], float),
     }
-    drawn = charts.points(panel, axes, ("real part", "1/s"), also)
-    told = ", ".join(f"{p.value:.4g}" for p in found)
-    return replace(drawn, uprights=(0.0,), limit_label="imaginary axis", summary=f"Poles at {told}.")
+    plot = charts.points(panel, axes, ("real part", "1/s"), also)
+    values = ", ".join(f"{p.value:.4g}" for p in every)
+    return replace(plot, uprights=(0.0,), limit_label="imaginary axis", summary=f"Poles at {values}.")
 
 
 def _bode(linear: Linear) -> list[tuple[str, Panel, Panel]]:
     """Return magnitude and phase of each output."""
     g = response(linear, frequencies(linear))
     sizes = np.abs(g).max(axis=2, initial=0.0)
-    acting = sizes > NOTHING * np.maximum(sizes.max(axis=0, initial=0.0), 1e-300)
+    acting = sizes > MIN_RESPONSE * np.maximum(sizes.max(axis=0, initial=0.0), 1e-300)
     figures = []
     for i, name in enumerate(linear.outputs):
         inputs = np.flatnonzero(acting[i]).tolist()
-        for first in range(0, len(inputs), TOGETHER):
-            figures.append((name, *_pair(linear, g, i, inputs[first : first + TOGETHER])))
+        for first in range(0, len(inputs), CURVES_PER_PANEL):
+            figures.append((name, *_pair(linear, g, i, inputs[first : first + CURVES_PER_PANEL])))
     return figures
 
 
@@ -155,7 +155,7 @@ def _pair(linear: Linear, g: Response, i: int, inputs: Sequence[int]) -> tuple[P
     return Panel(f"{name}: magnitude", "dB", sizes), Panel(f"{name}: phase", "°", phases)
 
 
-def _drawn(pairs: Sequence[tuple[Panel, Panel]], omega: Array, charts: Charts) -> list[tuple[Plot, ...]]:
+def _draw(pairs: Sequence[tuple[Panel, Panel]], omega: Array, charts: Charts) -> list[tuple[Plot, ...]]:
     """Draw Bode plots over a common frequency axis."""
     if not pairs:
         return []

@@ -6,40 +6,39 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import Fault, refuse
 from cosim.base.units import read_quantity
+from cosim.linearization import messages
 from cosim.model.model import Model
 from cosim.storage.yaml_file import did_you_mean, short
 
-SET = Path("--set")
+SWITCH: dict[str, Any] = {"true": True, "false": False}
 
 
-def with_parameters(model: Model, given: Sequence[str]) -> Model:
+def with_parameters(model: Model, texts: Sequence[str]) -> Model:
     """Return the model with parameters from `--set NAME=VALUE`.
 
     Raises:
         InputError: Every fault.
     """
     faults, values = [], dict[str, Any]()
-    for text in given:
+    for text in texts:
         name, sign, value = (part.strip() for part in text.partition("="))
         declared = model.declared.get(name)
         if not sign or not name:
-            faults.append(f"{short(text)} is not NAME=VALUE; for example mass=2")
+            faults.append(messages.NOT_NAME_VALUE(text=short(text)))
         elif declared is None:
-            faults.append(f'{model.title} has no parameter "{name}"{did_you_mean(name, model.declared)}')
-        elif isinstance(declared.default, bool):
-            if value not in ("true", "false"):
-                faults.append(f"{name} is {short(value)}; it is true or false")
-            values[name] = value == "true"
+            cure = did_you_mean(name, model.declared)
+            faults.append(messages.UNKNOWN_PARAMETER(model=model.title, name=name, cure=cure))
         else:
             try:
-                values[name] = read_quantity(value, declared.unit)
+                is_switch = isinstance(declared.default, bool)
+                values[name] = SWITCH.get(value, short(value)) if is_switch else read_quantity(value, declared.unit)
             except ValueError as error:
-                faults.append(f"{name}={short(value)}: {error}")
+                faults.append(messages.INVALID_VALUE(name=name, value=short(value), reason=error))
                 continue
             if fault := declared.fault(values[name]):
-                faults.append(f"{name.rpartition('.')[0]}.{fault}".lstrip("."))
-    if faults:
-        raise InputError([Fault(SET, 0, 0, fault) for fault in faults])
+                effect, dot, _ = name.rpartition(".")
+                faults.append(messages.UNSUITABLE_PARAMETER(owner=effect + dot, fault=fault))
+    refuse(Fault(Path("--set"), 0, 0, fault) for fault in faults)
     return model.with_values(values)

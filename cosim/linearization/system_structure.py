@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from cosim.base.arrays import Array
 from cosim.linearization.linear_model import Linear
 
-SAME = 1e-6  # distance within which two poles are equal, relative to the fastest pole
-RANK = 1e-9  # share of the largest singular value below which one is zero
+POLE_TOLERANCE = 1e-6  # distance of equal poles, relative to the fastest pole
+RANK_TOLERANCE = 1e-9  # largest zero singular value, relative to the largest singular value
 Poles = NDArray[np.complex128]
 
 
@@ -64,13 +64,13 @@ class Structure:
 def structure(linear: Linear) -> Structure:
     """Return the structure of a linear model."""
     A, B, C = linear.A, linear.B, linear.C
-    n = len(A)
-    values, size = poles(A), _scale(A)
-    groups = _grouped(values, SAME * size)
-    to, by = reachable(A, B), reachable(A.T, C.T)
-    found = tuple(_pole(A, B, C, values[g], size) for g in groups)
-    stable = all(p.value.real < -SAME * size for p in found)
-    return Structure(found, to, by, condition(A, B) if to == n > 0 else float("inf"), stable)
+    values = poles(A)
+    size = float(np.abs(values).max(initial=0.0))
+    every = tuple(_pole(A, B, C, values[group], size) for group in _groups(values, POLE_TOLERANCE * size))
+    rank = controllable_rank(A, B)
+    condition = float(np.linalg.cond(controllability(A, B))) if rank == len(A) > 0 else float("inf")
+    stable = all(p.value.real < -POLE_TOLERANCE * size for p in every)
+    return Structure(every, rank, controllable_rank(A.T, C.T), condition, stable)
 
 
 def poles(A: Array) -> Poles:
@@ -93,20 +93,15 @@ def _blocks(A: Array) -> list[list[int]]:
     return [np.flatnonzero(label == k).tolist() for k in sorter.static_order()]
 
 
-def controllability(A: Array, B: Array, powers: int | None = None) -> Array:
-    """Return (B, AB, A²B, …, Aᵖ⁻¹B), by default p = n; eq 5.35 has one more."""
+def controllability(A: Array, B: Array) -> Array:
+    """Return (B, AB, A²B, …, Aⁿ⁻¹B); eq 5.35 has one power more."""
     parts = [B]
-    for _ in range((len(A) if powers is None else powers) - 1):
+    for _ in A[1:]:
         parts.append(A @ parts[-1])
-    return np.hstack(parts) if len(A) else np.zeros((0, 0))
+    return np.hstack(parts)
 
 
-def condition(A: Array, B: Array) -> float:
-    """Return the condition number of the controllability matrix in model units."""
-    return float(np.linalg.cond(controllability(A, B)))
-
-
-def reachable(A: Array, B: Array) -> int:
+def controllable_rank(A: Array, B: Array) -> int:
     """Return the dimension of the controllable subspace of the balanced model."""
     from scipy.linalg import matrix_balance
 
@@ -117,10 +112,10 @@ def reachable(A: Array, B: Array) -> int:
     fresh = fresh / np.maximum(np.abs(fresh).max(axis=0), 1e-300)
     most = max(float(np.abs(balanced).max()), 1e-300)
     while fresh.size and base.shape[1] < len(A):
-        left = fresh - base @ (base.T @ fresh)
-        left = left - base @ (base.T @ left)
-        u, s, _ = np.linalg.svd(left, full_matrices=False)
-        new = u[:, s > RANK * 1e3]
+        for _ in range(2):  # the second pass removes the rounding of the first
+            fresh = fresh - base @ (base.T @ fresh)
+        u, s, _ = np.linalg.svd(fresh, full_matrices=False)
+        new = u[:, s > RANK_TOLERANCE * 1e3]
         base = np.hstack([base, new])
         fresh = balanced @ new / most
     return int(base.shape[1])
@@ -138,15 +133,15 @@ def jordan_blocks(A: Array, value: complex, count: int) -> tuple[int, ...]:
     order = [k for block in _blocks(A) for k in block]
     balanced, _ = matrix_balance(A[np.ix_(order, order)], permute=False)
     size = max(float(np.linalg.norm(balanced, 2)), 1e-300)
-    form, _, found = schur(balanced, output="complex", sort=lambda v: abs(v - value) <= 10.0 * SAME * size)
-    if found != count:
+    form, _, dimension = schur(balanced, output="complex", sort=lambda v: abs(v - value) <= 10 * POLE_TOLERANCE * size)
+    if dimension != count:
         return (count,)
     nilpotent = (form[:count, :count] - value * np.eye(count)) / size
     nullities, power = [0], np.eye(count, dtype=complex)
     while nullities[-1] < count and len(nullities) <= count:
         power = power @ nilpotent
         singular = np.linalg.svd(power, compute_uv=False)
-        nullities.append(int(np.sum(singular <= RANK ** min(len(nullities), 1.5))))
+        nullities.append(int(np.sum(singular <= RANK_TOLERANCE ** min(len(nullities), 1.5))))
     at_least = [*np.diff(nullities).tolist(), 0]  # number of blocks of size 1 or larger, 2 or larger, …
     sizes = [k + 1 for k, more in enumerate(at_least[:-1]) for _ in range(max(0, more - at_least[k + 1]))]
     return tuple(sorted(sizes, reverse=True)) or (count,)
@@ -154,34 +149,30 @@ def jordan_blocks(A: Array, value: complex, count: int) -> tuple[int, ...]:
 
 def _pole(A: Array, B: Array, C: Array, values: Poles, size: float) -> Pole:
     value = complex(values.mean())
-    if abs(value.imag) < SAME * size:
+    if abs(value.imag) < POLE_TOLERANCE * size:
         value = complex(value.real, 0.0)
-    return Pole(value, len(values), jordan_blocks(A, value, len(values)), _full(A, B, value), _full(A.T, C.T, value))
+    blocks = jordan_blocks(A, value, len(values))
+    return Pole(value, len(values), blocks, _is_controllable(A, B, value), _is_controllable(A.T, C.T, value))
 
 
-def _full(A: Array, B: Array, value: complex) -> bool:
+def _is_controllable(A: Array, B: Array, value: complex) -> bool:
     """Return True if (A − λI, B) has rank n (Popov, Belevitch, Hautus).
 
     Columns of B are normalised.
     """
-    n = len(A)
-    shifted = A - value * np.eye(n)
+    shifted = A - value * np.eye(len(A))
     size = max(float(np.linalg.norm(shifted, 2)), 1e-300)
     columns = B / np.maximum(np.abs(B).max(axis=0), 1e-300) if B.size else B
     singular = np.linalg.svd(np.hstack([shifted / size, columns]), compute_uv=False)
-    return bool(np.sum(singular > RANK * 1e3 * singular[0]) == n) if n else True
+    return bool(np.sum(singular > RANK_TOLERANCE * 1e3 * singular[0]) == len(A))
 
 
-def _grouped(values: Poles, within: float) -> list[list[int]]:
+def _groups(values: Poles, distance: float) -> list[list[int]]:
     groups: list[list[int]] = []
     for k, v in enumerate(values):
-        near = next((g for g in groups if abs(values[g].mean() - v) <= max(within, 1e-12)), None)
+        near = next((g for g in groups if abs(values[g].mean() - v) <= max(distance, 1e-12)), None)
         if near is None:
             groups.append([k])
         else:
             near.append(k)
     return groups
-
-
-def _scale(A: Array) -> float:
-    return max((abs(v) for v in poles(A)), default=0.0)

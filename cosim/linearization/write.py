@@ -15,10 +15,12 @@ from cosim.base.arrays import Array
 from cosim.base.drafts import draft_of
 from cosim.base.version import __version__
 from cosim.linearization.linear_model import Linear
+from cosim.linearization.result import Outcome
 from cosim.linearization.system_structure import Structure
 from cosim.storage.files import write_json, write_text
 
 FILES = ("linear.json", "linear.mat", "linear.py")
+GROUPS = ("states", "inputs", "outputs")
 HEADER = 116  # bytes of text at the start of a .mat file, in which scipy writes the time of day
 SCRIPT = '''"""The linear model of linear.json beside this file, for python-control: `from linear import system`."""
 
@@ -39,42 +41,32 @@ system = systems[0]
 '''
 
 
-def write(
-    folder: Path, name: str, title: str, linear: Sequence[Linear], structure: Structure, notes: Sequence[str]
-) -> None:
+def write(folder: Path, outcome: Outcome) -> None:
     """Write all files, each completely or not at all."""
-    write_json(folder / "linear.json", content(name, title, linear, structure, notes), indent=1, allow_nan=False)
+    write_json(folder / "linear.json", content(outcome), indent=1, allow_nan=False)
     with draft_of(folder / "linear.mat") as draft:
-        draft.write_bytes(mat(linear))
+        draft.write_bytes(mat(outcome.linear))
     write_text(folder / "linear.py", SCRIPT)
 
 
-def content(
-    name: str, title: str, linear: Sequence[Linear], structure: Structure, notes: Sequence[str]
-) -> dict[str, Any]:
+def content(outcome: Outcome) -> dict[str, Any]:
     """Return the content of linear.json, with matrices as lists of rows."""
-    first = linear[0]
-    models = [
-        {
-            "time": m.point.time,
-            **{name: values.tolist() for name, values in _arrays(m).items()},
-            "kinks": [k.as_json() for k in m.kinks],
-        }
-        for m in linear
-    ]
+    first = outcome.first
+    models = []
+    for m in outcome.linear:
+        arrays = {name: values.tolist() for name, values in _arrays(m).items()}
+        models.append({"time": m.point.time, **arrays, "kinks": [k.as_json() for k in m.kinks]})
     return {
         "schema_version": 1,
         "version": __version__,
-        "model": name,
-        "title": title,
+        "model": outcome.name,
+        "title": outcome.title,
         "method": first.method,
-        "notes": list(notes),
-        "states": list(first.states),
-        "inputs": list(first.inputs),
-        "outputs": list(first.outputs),
-        "units": {n: first.unit(n) for n in (*first.states, *first.inputs, *first.outputs)},
+        "notes": list(outcome.notes),
+        **{group: list(getattr(first, group)) for group in GROUPS},
+        "units": {n: first.unit(n) for group in GROUPS for n in getattr(first, group)},
         "models": models,
-        "structure": _plain(structure),
+        "structure": _plain(outcome.structure),
     }
 
 
@@ -112,15 +104,13 @@ def mat(linear: Sequence[Linear]) -> bytes:
     """
     from scipy.io import savemat
 
-    def stacked(matrices: Sequence[Any]) -> Any:
+    def stack(matrices: Sequence[Any]) -> Any:
         return np.asarray(matrices[0]) if len(matrices) == 1 else np.stack(matrices, axis=-1)
 
-    first = linear[0]
-    values: dict[str, Any] = {n: stacked([getattr(m, n) for m in linear]) for n in "ABCD"}
+    values: dict[str, Any] = {n: stack([getattr(m, n) for m in linear]) for n in "ABCD"}
     values |= {n: np.array([_arrays(m)[n] for m in linear]).T for n in ("x0", "u0", "y0", "f0")}
     values["time"] = np.array([[m.point.time for m in linear]])
-    names = {"states": first.states, "inputs": first.inputs, "outputs": first.outputs}
-    values |= {n: np.array(list(group), dtype=object) for n, group in names.items()}
+    values |= {group: np.array(getattr(linear[0], group), dtype=object) for group in GROUPS}
     stream = io.BytesIO()
     savemat(stream, values)
     title = f"MATLAB 5.0 MAT-file, by cosim {__version__}".encode().ljust(HEADER)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 from cosim.base.drafts import draft_of
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.registry import is_model, model_entry, resolve
 from cosim.base.scratch import temporary_folder
+from cosim.loading import messages
 from cosim.loading.file import LoadedModel, meant_model
 from cosim.loading.source import Source
 from cosim.loading.substep import with_substep
@@ -21,7 +22,7 @@ from cosim.storage.folder_lock import folder_locks
 from cosim.storage.yaml_file import did_you_mean
 
 if TYPE_CHECKING:
-    from cosim.fmi.native.package import Built, Native
+    from cosim.fmi.native.package import Native
 
 SUFFIX = {2: "-native.fmu", 3: "-native-fmi3.fmu"}
 
@@ -54,21 +55,26 @@ def build_native(
     Raises:
         InputError: The build is impossible; nothing is written.
     """
+    from cosim.fmi.native.compiler import CompilerFailed
     from cosim.fmi.native.package import build_native as build_fmu
 
     folder = named_path(folder)
     check_folder(folder)
     _check_platforms(platforms)
     if fmi not in SUFFIX:
-        raise InputError([Fault(Path("--fmi"), 0, 0, f"is {fmi}; it is {' or '.join(map(str, SUFFIX))}")])
+        raise InputError.at(Path("--fmi"), messages.FMI_VERSION(version=fmi, versions=" or ".join(map(str, SUFFIX))))
     _check_compiler(platforms)
     loaded, _ = with_substep(meant_model(model, nearest=nearest))
-    made = dict(_natives(loaded))
-
-    def make(name: str, draft: Path) -> Built:
-        return build_fmu(made[name], draft, fmi, platforms)
-
-    return _all_or_none(folder, {name: f"{name}{SUFFIX[fmi]}" for name in made}, make)
+    natives = [(f"{name}{SUFFIX[fmi]}", native) for name, native in _natives(loaded)]
+    with temporary_folder("build") as drafts:  # all archives, or none after a failure
+        try:
+            built = {file: build_fmu(native, drafts / file, fmi, platforms) for file, native in natives}
+        except CompilerFailed as error:
+            raise _compiler_error(error) from None
+        for file, one in built.items():
+            with draft_of(folder / file) as draft:
+                draft.write_bytes(one.path.read_bytes())
+    return [NativeFmu(folder / file, one.floors) for file, one in built.items()]
 
 
 def class_fmu(loaded: LoadedModel, path: Path) -> Path:
@@ -83,16 +89,15 @@ def class_fmu(loaded: LoadedModel, path: Path) -> Path:
     from cosim.fmi.native.package import build_native as build_fmu
 
     _check_compiler(())
-    kept, model = _of_class.setdefault(type(loaded.model), {}), loaded.model
+    natives, model = _of_class.setdefault(type(loaded.model), {}), loaded.model
     key = loaded.source, model.chosen_substep, model.chosen_integrator
-    if key not in kept:
+    if key not in natives:
         bare = type(model)().with_substep(model.chosen_substep, model.chosen_integrator)
-        _, kept[key] = next(_natives(LoadedModel(bare, loaded.source)))
-    native = kept[key]
+        _, natives[key] = next(_natives(LoadedModel(bare, loaded.source)))
     try:
-        return build_fmu(native, path).path
+        return build_fmu(natives[key], path).path
     except CompilerFailed as error:
-        raise InputError([_failed(error)]) from None
+        raise _compiler_error(error) from None
 
 
 # checked native models of this process, by class, source, substep and integrator
@@ -120,27 +125,26 @@ def _unprintable(loaded: LoadedModel, error: Exception) -> Fault:
     file = loaded.source.rpartition(":")[0]
     cure = "let its equations take functions and branches from m, or build it without --native"
     if not file:
-        return Fault(Path(loaded.source), 0, 0, f"cannot be printed as C: {error}; {cure}")
+        return Fault(Path(loaded.source), 0, 0, messages.NOT_PRINTABLE(error=error, cure=cure))
     source = Source(Path(file))
     if isinstance(error, Unprintable):
         owner = error.owner or type(loaded.model)
         hook = error.hook if error.owner else "equations"
-        return source.fault(owner, hook, f"cannot be printed as C: {error}; {error.cure or cure}")
+        return source.fault(owner, hook, messages.NOT_PRINTABLE(error=error, cure=error.cure or cure))
     return source.raised(error, "cannot be printed as C")
 
 
-def _failed(error: Exception) -> Fault:
-    return Fault(Path("--native"), 0, 0, f"the compiler {error}; mend the compiler, or say another in CC")
+def _compiler_error(error: Exception) -> InputError:
+    return InputError.at(Path("--native"), messages.COMPILER_FAILED(error=error))
 
 
 def _check_platforms(platforms: Sequence[str]) -> None:
     from cosim.fmi.native.platforms import PLATFORMS
 
-    wrong = [name for name in platforms if name not in PLATFORMS]
-    known = ", ".join(PLATFORMS)
-    faults = [f'no platform "{name}"{did_you_mean(name, PLATFORMS)} (known: {known})' for name in wrong]
-    if faults:
-        raise InputError([Fault(Path("--platforms"), 0, 0, fault) for fault in faults])
+    names = ", ".join(PLATFORMS)
+    unknown = [name for name in platforms if name not in PLATFORMS]
+    texts = [messages.UNKNOWN_PLATFORM(name=n, cure=did_you_mean(n, PLATFORMS), names=names) for n in unknown]
+    refuse(Fault(Path("--platforms"), 0, 0, text) for text in texts)
 
 
 def _check_compiler(platforms: Sequence[str]) -> None:
@@ -150,22 +154,4 @@ def _check_compiler(platforms: Sequence[str]) -> None:
     try:
         commands(tuple(platforms))
     except NoCompiler as error:
-        raise InputError([Fault(Path("--native"), 0, 0, str(error))]) from None
-
-
-def _all_or_none(folder: Path, files: Mapping[str, str], make: Callable[[str, Path], Built]) -> list[NativeFmu]:
-    """Build all archives, or none after a failure."""
-    from cosim.fmi.native.compiler import CompilerFailed
-
-    with temporary_folder("build") as drafts:
-        try:
-            built = {file: make(name, drafts / file) for name, file in files.items()}
-        except CompilerFailed as error:
-            raise InputError([_failed(error)]) from None
-        return [_moved(one.path, folder / file, one.floors) for file, one in built.items()]
-
-
-def _moved(built: Path, path: Path, floors: Mapping[str, str]) -> NativeFmu:
-    with draft_of(path) as draft:
-        draft.write_bytes(built.read_bytes())
-    return NativeFmu(path, floors)
+        raise InputError.at(Path("--native"), str(error)) from None

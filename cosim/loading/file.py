@@ -21,7 +21,8 @@ from cosim.base.errors import Fault, InputError, NotExecuted, refuse
 from cosim.base.registry import BASE, is_model, model_entry, resolve
 from cosim.base.registry import MODELS as MODEL_GROUP
 from cosim.base.registry import names as registered_names
-from cosim.loading.declared import checked
+from cosim.loading import messages
+from cosim.loading.declared import make_model
 from cosim.loading.refined import NoNearest, names_refine, refined_file
 from cosim.loading.source import Source
 from cosim.model.model import Model
@@ -34,7 +35,10 @@ if TYPE_CHECKING:
     from cosim.fmi.fmu_build import Recipe
 
 SUBCLASS = "a model is a subclass of cosim.model.Model"
-GIVEN = f"a model is {BASE}, a model.yaml, or FILE.py:Class of a model of one's own"
+ALLOWED = f"a model is {BASE}, a model.yaml, or FILE.py:Class of a model of one's own"
+
+
+NUMBER_OR_SWITCH = "give a finite number, text with a unit such as 400 g, or, of a switch, true or false"
 
 
 def _number_or_switch(value: Any, inner: ValidatorFunctionWrapHandler) -> Any:
@@ -42,16 +46,11 @@ def _number_or_switch(value: Any, inner: ValidatorFunctionWrapHandler) -> Any:
     try:
         return inner(value)
     except ValidationError:
-        raise ValueError(
-            "give a finite number, text with a unit such as 400 g, or, of a switch, true or false"
-        ) from None
+        raise ValueError(NUMBER_OR_SWITCH) from None
 
 
-Value = Annotated[
-    Annotated[float, Field(allow_inf_nan=False)] | bool,
-    WrapValidator(_number_or_switch),
-    UNIT_OF_KEY,
-]
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Value = Annotated[Number | bool, WrapValidator(_number_or_switch), UNIT_OF_KEY]
 
 
 class Identified(BaseModel):
@@ -88,7 +87,7 @@ class ModelFile(BaseModel):
     model: str = BASE
     parameters_from: str = ""
     parameters: dict[str, Value] = {}
-    sensors: dict[str, Annotated[float, Field(allow_inf_nan=False), UNIT_OF_KEY]] = {}
+    sensors: dict[str, Annotated[Number, UNIT_OF_KEY]] = {}
     substep: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)] | None = None
     integrator: Literal["rk4", "stiff"] | None = None
     identified: dict[str, Identified] = {}
@@ -114,8 +113,8 @@ class LoadedModel:
         from cosim.fmi.fmu_build import model_recipe
 
         if is_model(self.source):
-            made: Recipe = resolve(model_entry(self.source).recipe)(dict(self.parameters))
-            return replace(made, substep=self.model.chosen_substep, integrator=self.model.chosen_integrator)
+            recipe: Recipe = resolve(model_entry(self.source).recipe)(dict(self.parameters))
+            return replace(recipe, substep=self.model.chosen_substep, integrator=self.model.chosen_integrator)
         return model_recipe(self.model, Path(self.source.rpartition(":")[0]), dict(self.parameters))
 
 
@@ -123,12 +122,6 @@ def named_model(name: str) -> Model:
     """Return a registered model with default parameters."""
     model: Model = resolve(model_entry(name).model)()
     return model
-
-
-def _allowed() -> str:
-    """Return a sentence on allowed model names."""
-    registered = [name for name in registered_names(MODEL_GROUP) if name != BASE]
-    return f"a model is {', '.join([*registered, 'or FILE.py:Class of a model of your own'])}"
 
 
 def load_model(text: str, folder: Path, named_in: YamlFile | None = None) -> LoadedModel:
@@ -144,31 +137,28 @@ def load_model(text: str, folder: Path, named_in: YamlFile | None = None) -> Loa
         try:
             return LoadedModel(named_model(BASE), model_entry(BASE).name)
         except InputError as error:
-            raise (_at_key(named_in, error) if named_in else error) from None
+            faults = [named_in.fault(("model",), f.message) for f in error.faults] if named_in else error.faults
+            raise InputError(faults) from None
     file, own, _ = text.rpartition(":") if ".py:" in text else (text, "", "")
     path = folder / file
     if named_in and not path.is_file():
-        raise InputError([named_in.fault(("model",), f"no such model: {text}; {GIVEN}")])
+        raise InputError([named_in.fault(("model",), messages.NO_SUCH_MODEL(name=text, allowed=ALLOWED))])
     if own:
         return LoadedModel(own_model(text, folder), _absolute(text, folder))
     if path.suffix == ".py":
-        message = f"names no class: write {text}:{(Source(path).classes or ['Class'])[-1]}; {GIVEN}"
+        kind = (Source(path).classes or ["Class"])[-1]
+        message = messages.NO_CLASS_NAMED(name=text, kind=kind, allowed=ALLOWED)
         raise InputError([named_in.fault(("model",), message) if named_in else Fault(path, 0, 0, message)])
     if not path.exists():
-        raise InputError([Fault(path, 0, 0, f"no such file; {GIVEN}")])
+        raise InputError.at(path, messages.NO_SUCH_FILE(allowed=ALLOWED))
     return read_model(path)
 
 
-def _at_key(study: YamlFile, error: InputError) -> InputError:
-    """Return a model's faults at the study's key `model`."""
-    return InputError([study.fault(("model",), fault.message) for fault in error.faults])
-
-
-def read_model(path: Path, read: tuple[Path, ...] = ()) -> LoadedModel:
+def read_model(path: Path, readers: tuple[Path, ...] = ()) -> LoadedModel:
     """Read a model.yaml; check names and bounds.
 
     Args:
-        read: Files already passed through `parameters_from`.
+        readers: Files that take parameters from this one, by `parameters_from`.
     """
     check_form(path, MODEL, CODE)
     yaml = YamlFile(path)
@@ -182,25 +172,26 @@ def read_model(path: Path, read: tuple[Path, ...] = ()) -> LoadedModel:
     except InputError as error:
         raise InputError([*faults, *error.faults]) from None
     except NotExecuted:
-        if faults:
-            raise InputError(faults) from None
+        refuse(faults)
         raise
-    content, of_units = _in_units(yaml, content, model)
-    faults += [*of_units, *_value_faults(yaml, content, model)]
-    taken: dict[str, float | bool] = {}
+    content, unit_faults = _in_units(yaml, content, model)
+    faults += [*unit_faults, *_value_faults(yaml, content, model)]
+    values: dict[str, float | bool] = {}
     if content.parameters_from:
         try:
-            taken = _read_common_parameters(yaml, content.parameters_from, model, (*read, path.resolve()))
+            values = _read_common_parameters(yaml, content.parameters_from, model, (*readers, path.resolve()))
         except InputError as error:
             faults += error.faults
     refuse(faults)
-    values = {**taken, **content.parameters}
+    values |= content.parameters
     source = model_entry(content.model).name if is_model(content.model) else _absolute(content.model, path.parent)
     model = model.with_values(values).with_substep(content.substep, content.integrator)
     return LoadedModel(model, source, values, content.sensors)
 
 
-def _read_common_parameters(yaml: YamlFile, name: str, model: Model, read: tuple[Path, ...]) -> dict[str, float | bool]:
+def _read_common_parameters(
+    yaml: YamlFile, name: str, model: Model, readers: tuple[Path, ...]
+) -> dict[str, float | bool]:
     """Return common parameters of another model's file.
 
     Parameters refined on a rig can thus be used in the whole model.
@@ -209,38 +200,40 @@ def _read_common_parameters(yaml: YamlFile, name: str, model: Model, read: tuple
     path = refined_file(path) if names_refine(path) else path
     at = ("parameters_from",)
     if not path.is_file():
-        raise InputError([yaml.fault(at, f"no such model file: {name}; name a model.yaml or the folder of a refine")])
-    if path.resolve() in read:
-        raise InputError([yaml.fault(at, f"{name} takes its parameters from here itself; leave one of them out")])
-    other = read_model(path, read)
-    taken = {n: v for n, v in other.parameters.items() if n in model.declared}
-    faults = [yaml.fault(at, f"{name}: {f}") for n, v in taken.items() if (f := model.declared[n].fault(v))]
-    if not taken:
-        faults = [yaml.fault(at, f"{name} holds no parameter that {model.title} has; leave it out")]
-    refuse(faults)
-    return taken
+        raise InputError([yaml.fault(at, messages.NO_PARAMETERS_FILE(name=name))])
+    if path.resolve() in readers:
+        raise InputError([yaml.fault(at, messages.PARAMETERS_IN_CIRCLE(name=name))])
+    common = {n: v for n, v in read_model(path, readers).parameters.items() if n in model.declared}
+    if not common:
+        raise InputError([yaml.fault(at, messages.NO_COMMON_PARAMETER(name=name, model=model.title))])
+    texts = [fault for n, v in common.items() if (fault := model.declared[n].fault(v))]
+    refuse(yaml.fault(at, messages.UNSUITABLE_FOREIGN_VALUE(name=name, fault=text)) for text in texts)
+    return common
 
 
 def _refuse_study(yaml: YamlFile) -> None:
     """Raise InputError for a study instead of a model."""
     if "logs" in yaml.root:
-        named = str(yaml.root.get("model", BASE))
-        model = named if named == BASE else yaml.path.parent / named
-        cure = f"give its model, {model}, or, to `cosim excite`, the folder that `cosim refine` left"
-        raise InputError([yaml.fault(("logs",), f"this is a study, not a model: {cure}", key=True)])
+        name = str(yaml.root.get("model", BASE))
+        model = name if name == BASE else yaml.path.parent / name
+        raise InputError([yaml.fault(("logs",), messages.STUDY_FOR_MODEL(model=model), key=True)])
 
 
 def _named_model(yaml: YamlFile, content: ModelFile) -> Model:
     """Return a model.yaml's model with default parameters."""
-    folder = yaml.path.parent
-    if not is_model(content.model) and not re.fullmatch(r".+\.py:\w+", content.model):
-        similar = did_you_mean(content.model, registered_names(MODEL_GROUP))
-        message = f'no model "{content.model}"{similar}; {_allowed()}'
+    if is_model(content.model):
+        return named_model(content.model)
+    registered = registered_names(MODEL_GROUP)
+    names = [*(name for name in registered if name != BASE), "or FILE.py:Class of a model of your own"]
+    allowed = f"a model is {', '.join(names)}"
+    if not re.fullmatch(r".+\.py:\w+", content.model):
+        cure = did_you_mean(content.model, registered)
+        message = messages.UNKNOWN_MODEL(name=content.model, cure=cure, allowed=allowed)
         raise InputError([yaml.fault(("model",), message)])
-    file = folder / content.model.rpartition(":")[0]
-    if not is_model(content.model) and not file.is_file():
-        raise InputError([yaml.fault(("model",), f"no such file: {file}; {_allowed()}")])
-    return named_model(content.model) if is_model(content.model) else own_model(content.model, folder)
+    file = yaml.path.parent / content.model.rpartition(":")[0]
+    if not file.is_file():
+        raise InputError([yaml.fault(("model",), messages.NO_CLASS_FILE(file=file, allowed=allowed))])
+    return own_model(content.model, yaml.path.parent)
 
 
 def _in_units(yaml: YamlFile, content: ModelFile, model: Model) -> tuple[ModelFile, list[Fault]]:
@@ -258,13 +251,15 @@ def _value_faults(yaml: YamlFile, content: ModelFile, model: Model) -> Iterator[
         ("parameters", model.declared, content.parameters),
         ("sensors", model.sensor_parameters, content.sensors),
     )
-    for section, names, given in sections:
-        for name, value in given.items():
-            if name not in names:
-                message = f'{content.model} has no {section[:-1]} "{name}"{did_you_mean(name, names)}'
+    for section, declared, values in sections:
+        for name, value in values.items():
+            if name not in declared:
+                fields = {"model": content.model, "kind": section[:-1], "name": name}
+                message = messages.UNKNOWN_NAME(cure=did_you_mean(name, declared), **fields)
                 yield yaml.fault((section, name), message, key=True)
-            elif fault := names[name].fault(value):
-                yield yaml.fault((section, name), f"{name.rpartition('.')[0]}.{fault}".lstrip("."))
+            elif fault := declared[name].fault(value):
+                effect, dot, _ = name.rpartition(".")
+                yield yaml.fault((section, name), messages.UNSUITABLE_VALUE(owner=effect + dot, fault=fault))
 
 
 def _absolute(text: str, folder: Path) -> str:
@@ -284,38 +279,32 @@ def _relative(source: str, folder: Path) -> str:
 def own_model(text: str, folder: Path) -> Model:
     """Return the model `Class` of `file.py`; raise InputError with all faults."""
     file, _, name = text.rpartition(":")
-    path = (folder / file).resolve()
-    if not path.is_file():
-        raise InputError([Fault(path, 0, 0, "no such model file")])
-    source = Source(path)
-    module = _module(path, source)
+    source, module = _execute((folder / file).resolve())
     kind: Any = getattr(module, name, None)
     if not (isinstance(kind, type) and issubclass(kind, Model)):
-        models = _models(vars(module))
-        known = f" (models here: {', '.join(models)})" if models else ""
-        what = f'has no model class "{name}"{did_you_mean(name, models)}{known}'
-        raise InputError([Fault(path, 0, 0, f"{what}; {SUBCLASS}")])
-    return checked(kind, source)
+        names = _model_classes(module)
+        classes = f" (models here: {', '.join(names)})" if names else ""
+        message = messages.UNKNOWN_CLASS(name=name, cure=did_you_mean(name, names), classes=classes, allowed=SUBCLASS)
+        raise InputError.at(source.path, message)
+    return make_model(kind, source)
 
 
 def only_model(path: Path) -> Model:
     """Return the only model of `file.py`; raise InputError for faults, no model or several."""
-    if not path.is_file():
-        raise InputError([Fault(path, 0, 0, "no such model file")])
-    source = Source(path.resolve())
-    module = _module(source.path, source)
-    names = vars(module)
-    own = [n for n in _models(names) if names[n].__module__ == module.__name__]  # without imported classes
-    own = list({names[n]: n for n in reversed(own)}.values())[::-1]  # a class with two names counts once
-    if not own:
-        raise InputError([Fault(path, 0, 0, f"has no model class; {SUBCLASS}")])
-    if len(own) > 1:
-        choice = " or ".join(f"{path}:{name}" for name in own)
-        raise InputError([Fault(path, 0, 0, f"has {len(own)} models; write {choice}")])
-    return checked(names[own[0]], source)
+    source, module = _execute(path.resolve())
+    kinds: dict[Any, str] = {}  # name by class: a class with two names counts once
+    for name, kind in _model_classes(module).items():
+        if kind.__module__ == module.__name__:  # without imported classes
+            kinds.setdefault(kind, name)
+    if not kinds:
+        raise InputError.at(path, messages.NO_MODEL_CLASS(allowed=SUBCLASS))
+    if len(kinds) > 1:
+        choice = " or ".join(f"{path}:{name}" for name in kinds.values())
+        raise InputError.at(path, messages.SEVERAL_CLASSES(count=len(kinds), choice=choice))
+    return make_model(next(iter(kinds)), source)
 
 
-class _AsItIs(SourceFileLoader):
+class _UncachedLoader(SourceFileLoader):
     """Loader without bytecode cache, because cached code may miss changes within a second."""
 
     def get_code(self, fullname: str) -> CodeType:
@@ -329,22 +318,25 @@ _skipped: ContextVar[list[Path] | None] = ContextVar("files of Python that are n
 def without_execution() -> Iterator[list[Path]]:
     """Prevent the execution of model files; yield the skipped files. A model in such a file raises NotExecuted."""
     skipped: list[Path] = []
-    before = _skipped.set(skipped)
+    token = _skipped.set(skipped)
     try:
         yield skipped
     finally:
-        _skipped.reset(before)
+        _skipped.reset(token)
 
 
-def _module(path: Path, source: Source) -> ModuleType:
-    """Execute a file and return its module.
+def _execute(path: Path) -> tuple[Source, ModuleType]:
+    """Execute a file and return its text and its module.
 
     This is the only place that executes a model's Python.
 
     Raises:
-        InputError: The file raises an exception or is not Python.
+        InputError: The file does not exist, raises an exception or is not Python.
         NotExecuted: Execution is disabled by `without_execution`.
     """
+    if not path.is_file():
+        raise InputError.at(path, messages.NO_MODEL_FILE())
+    source = Source(path)
     if (skipped := _skipped.get()) is not None:
         try:
             compile(path.read_bytes(), str(path), "exec", dont_inherit=True)
@@ -354,7 +346,7 @@ def _module(path: Path, source: Source) -> ModuleType:
         raise NotExecuted(path)
     source.check_imports()
     name = f"own_model_{path.stem}"
-    spec = importlib.util.spec_from_file_location(name, path, loader=_AsItIs(name, str(path)))
+    spec = importlib.util.spec_from_file_location(name, path, loader=_UncachedLoader(name, str(path)))
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -363,12 +355,12 @@ def _module(path: Path, source: Source) -> ModuleType:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:  # A user's file may raise any error.
         raise InputError([source.raised(error, "does not load")]) from error
-    return module
+    return source, module
 
 
-def _models(names: Mapping[str, Any]) -> list[str]:
-    """Return the names of model classes in a module."""
-    return [n for n, v in names.items() if isinstance(v, type) and issubclass(v, Model) and v is not Model]
+def _model_classes(module: ModuleType) -> dict[str, type[Model]]:
+    """Return the model classes in a module by name."""
+    return {n: v for n, v in vars(module).items() if isinstance(v, type) and issubclass(v, Model) and v is not Model}
 
 
 def write_model(path: Path, loaded: LoadedModel, folder: Path | None = None) -> None:
@@ -396,12 +388,11 @@ def meant_model(model: str | None, *, nearest: bool) -> LoadedModel:
     A refine stands for its refined model, or with `nearest` for its nearest.
     """
     if model is None and nearest:
-        cure = "name the folder of a refine as --model, or leave it out"
-        raise InputError([Fault(Path("--nearest"), 0, 0, f"says nothing without a model; {cure}")])
+        raise InputError.at(Path("--nearest"), messages.NEAREST_WITHOUT_MODEL())
     if model is None:
         return load_model(BASE, Path())
     try:
         file = refined_file(Path(model), nearest=nearest) if nearest or names_refine(Path(model)) else model
     except NoNearest as error:
-        raise InputError([Fault(Path(model), 0, 0, str(error))]) from None
+        raise InputError.at(Path(model), str(error)) from None
     return load_model(str(file), Path())

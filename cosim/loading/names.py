@@ -8,62 +8,61 @@ from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 
 from cosim.fmi.ports import model_ports
+from cosim.loading import messages
 from cosim.model.model import Model
 from cosim.model.planar import PlanarFrame
 from cosim.model.quantities import parameters_of
 from cosim.storage.yaml_file import did_you_mean
 
-Found = Iterator[tuple[type, str, str]]  # class, declaration, message
+Faults = Iterator[tuple[type, str, str]]  # class, declaration, message
 
 
-def unique(kind: type[Model]) -> Found:
+def duplicate_names(kind: type[Model]) -> Faults:
     """Yield names with two meanings."""
     for name in ("base_states", "inputs", "outputs"):
-        yield from _twice(kind, name, [q.name for q in getattr(kind, name)])
+        yield from _duplicates(kind, name, [q.name for q in getattr(kind, name)])
     if any(q.name == "time" for q in (*kind.inputs, *kind.outputs)):
-        yield kind, "", 'an input or output is called "time", which is the first column of a log; give it another name'
-    base = {p.name for p in parameters_of(kind)}
-    for owner, count in Counter(k.name for k in (*kind.catalogue, *kind.sensors)).items():
-        same = next(k for k in (*reversed(kind.sensors), *reversed(kind.catalogue)) if k.name == owner)
+        yield kind, "", messages.SIGNAL_CALLED_TIME()
+    parameters = {p.name for p in parameters_of(kind)}
+    for name, count in Counter(k.name for k in (*kind.catalogue, *kind.sensors)).items():
+        last = next(k for k in (*reversed(kind.sensors), *reversed(kind.catalogue)) if k.name == name)
         if count > 1:
-            yield same, "name", f'{count} effects or sensor errors are called "{owner}"; give each its own name'
-        if owner in base:
-            yield same, "name", f'"{owner}" is a parameter of the model too; give the effect another name'
+            yield last, "name", messages.DUPLICATE_EFFECT(count=count, name=name)
+        if name in parameters:
+            yield last, "name", messages.EFFECT_CALLED_AS_PARAMETER(name=name)
 
 
-def _twice(owner: type, attribute: str, names: Sequence[str]) -> Found:
+def _duplicates(owner: type, attribute: str, names: Sequence[str]) -> Faults:
     for name, count in Counter(names).items():
         if count > 1:
-            yield owner, attribute, f'{attribute} has {count} called "{name}"; give each its own name'
+            yield owner, attribute, messages.DUPLICATE_NAME(attribute=attribute, count=count, name=name)
 
 
-def variables(model: Model) -> Found:
+def duplicate_variables(model: Model) -> Faults:
     """Yield FMU variables with the same name."""
     for name, count in Counter(port.name for port in model_ports(model)).items():
         if count > 1:
-            text = f'{count} of its inputs, outputs, parameters and start values ("state_start") are called "{name}"'
-            yield type(model), "", f"{text}; give each its own name"
+            yield type(model), "", messages.DUPLICATE_VARIABLE(count=count, name=name)
 
 
-def named(kind: type[Model]) -> Found:
+def undefined_names(kind: type[Model]) -> Faults:
     """Yield references to undefined names."""
     if kind.planar is not None and not isinstance(kind.planar, PlanarFrame):
         fields = ", ".join(f'{field.name}="…"' for field in dataclasses.fields(PlanarFrame))
-        yield kind, "planar", f"planar is a PlanarFrame({fields}) of outputs, or None"
+        yield kind, "planar", messages.NO_PLANAR_FRAME(fields=fields)
     if kind.base_states and not kind.forced:
-        text = "forced names no state; name those whose equations may lack something"
-        states = ", ".join(q.name for q in kind.base_states)
-        yield kind, "forced", f"{text}, the accelerations usually (states: {states})"
-    for attribute, what, given, known in _references(kind):
-        for name in dict.fromkeys(given):
-            if name not in known:
-                text = f'{attribute}: no {what} "{name}"{did_you_mean(str(name), known)}'
-                yield kind, attribute, f"{text} ({what.replace(' or', 's or')}s: {', '.join(known) or 'none'})"
+        yield kind, "forced", messages.NO_FORCED_STATE(names=", ".join(q.name for q in kind.base_states))
+    for attribute, sort, references, names in _references(kind):
+        fields = {"attribute": attribute, "kind": sort, "names": ", ".join(names) or "none"}
+        for name in dict.fromkeys(references):
+            if name not in names:
+                cure, kinds = did_you_mean(str(name), names), sort.replace(" or", "s or") + "s"
+                yield kind, attribute, messages.UNKNOWN_REFERENCE(name=name, cure=cure, kinds=kinds, **fields)
     for attribute in ("forced", "calibrated", "measured"):
-        yield from _twice(kind, attribute, getattr(kind, attribute))
+        yield from _duplicates(kind, attribute, getattr(kind, attribute))
     for name in kind.suspect:
         if name in kind.calibrated:
-            yield kind, "suspect", f'"{name}" is in calibrated too; leave it out of suspect'
+            yield kind, "suspect", messages.SUSPECT_AND_CALIBRATED(name=name)
 
 
 def _references(kind: type[Model]) -> list[tuple[str, str, Iterable[str], list[str]]]:

@@ -15,7 +15,7 @@ from cosim.model.integrate import Moment, Stepper
 from cosim.model.model import Model, Values
 from cosim.model.namespaces import SCALAR
 
-HOLE = 10.0  # rows; integration over longer gaps is limited to this length
+MAX_GAP = 10.0  # rows; integration over longer gaps is limited to this length
 
 
 class Record(Protocol):
@@ -68,7 +68,7 @@ def moments(
             column = log.outputs[name].copy()
             column[(ignored or {}).get(name, [])] = np.nan
             readings[place] = column.tolist()
-    time, longest = log.time.tolist(), HOLE * log.step
+    time, longest = log.time.tolist(), MAX_GAP * log.step
     ahead = stepper.start(time[0])
     for k, t in enumerate(time):
         ahead = replace(ahead, t=t)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from cosim.loading import messages
 from cosim.storage.folders import content_of
 
 ANSWER = "refine.json"
@@ -35,21 +36,15 @@ def refined_file(path: Path, *, nearest: bool = False) -> Path:
         return (path if path.is_dir() else path.parent) / REFINED[0] if names_refine(path) else path
     folder = folder_of(path)
     if folder is None:
-        cure = "name the folder that `cosim refine` left, or leave nearest out"
-        raise NoNearest(f"{path} is of no refine, so there is no nearest model; {cure}")
+        raise NoNearest(messages.NO_REFINE(path=path))
     kind = 1 if path.suffix == ".fmu" else 0
     if (folder / NEAREST[kind]).is_file():
         return folder / NEAREST[kind]
-    if _grade(folder / ANSWER) == "claimed":
+    if content_of(folder / ANSWER).get("grade") == "claimed":
         return folder / REFINED[kind]
-    raise NoNearest(f"{folder} holds no {NEAREST[kind]}; refine its study again, or leave nearest out")
+    raise NoNearest(messages.NO_NEAREST(folder=folder, name=NEAREST[kind]))
 
 
 def names_refine(path: Path) -> bool:
     """Return whether a path names a whole refine."""
     return path.name == ANSWER if path.is_file() else (path / ANSWER).is_file()
-
-
-def _grade(answer: Path) -> object:
-    """Return a refine's grade: `claimed`, `part`, `nearest` or None."""
-    return content_of(answer).get("grade")

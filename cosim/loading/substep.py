@@ -20,10 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import InputError
 from cosim.base.linear_algebra import eigenvalues
+from cosim.base.messages import Message
 from cosim.base.registry import is_model
 from cosim.base.text import amount, plain
+from cosim.loading import messages
 from cosim.loading.file import LoadedModel
 from cosim.loading.own_run import Record, command_rows, moments
 from cosim.loading.source import Source
@@ -57,14 +59,12 @@ class Mode:
 
     def __str__(self) -> str:
         value = self.eigenvalue
-        shown = f"{plain(value.real)}" + (
-            f" ± {plain(abs(value.imag))}i" if abs(value.imag) > 1e-9 * self.speed else ""
-        )
-        speed = f"time constant {_ms(1.0 / self.speed)}, eigenvalue {shown} 1/s"
+        pair = f" ± {plain(abs(value.imag))}i" if abs(value.imag) > 1e-9 * self.speed else ""
+        speed = f"time constant {_ms(1.0 / self.speed)}, eigenvalue {plain(value.real)}{pair} 1/s"
         return f"{self.state} has a fast mode ({speed}, {self.place})"
 
 
-def with_substep(loaded: LoadedModel, logs: Sequence[Record] = ()) -> tuple[LoadedModel, list[str]]:
+def with_substep(loaded: LoadedModel, logs: Sequence[Record] = ()) -> tuple[LoadedModel, list[Message]]:
     """Return the model with suitable integrator and substep, and notes.
 
     Modes are computed at the start and along the model's run on each log. Registered models keep their settings.
@@ -85,30 +85,31 @@ def with_substep(loaded: LoadedModel, logs: Sequence[Record] = ()) -> tuple[Load
         return loaded, []
     if model.integrator != STIFF and all(mode.speed * h <= MAX_DEFAULT for mode, h in modes):
         return loaded, []
-    return _chosen(loaded, fastest, max((mode for mode, _ in modes), key=lambda m: m.speed))
+    return _choose(loaded, fastest, max((mode for mode, _ in modes), key=lambda m: m.speed))
 
 
 def _refuse_growth(loaded: LoadedModel, modes: Sequence[tuple[Mode, float]]) -> None:
     """Raise InputError if the stated substep makes a decaying mode grow. The message names the fastest such mode."""
     for mode, h in sorted(modes, key=lambda pair: -pair[0].speed * pair[1]):
         if _grows(mode.eigenvalue * h):
-            raise InputError([_unstable(loaded, mode, h)])
+            lengths = {"substep": _ms(loaded.model.substep), "step": _ms(h), "longest": _ms(MAX_DEFAULT / mode.speed)}
+            raise _error(loaded, "substep", messages.UNSTABLE_SUBSTEP(mode=mode, **lengths))
 
 
-def _chosen(loaded: LoadedModel, fastest: _Fastest, mode: Mode) -> tuple[LoadedModel, list[str]]:
+def _choose(loaded: LoadedModel, fastest: _Fastest, mode: Mode) -> tuple[LoadedModel, list[Message]]:
     """Return the model with integrator and substep for its fastest mode."""
     model = loaded.model
     count = math.ceil(model.rate * mode.speed / MAX_CHOSEN) if math.isfinite(mode.speed) else math.inf
     too_fast = model.integrator == AUTO and count > MOST_SUBSTEPS
     if model.integrator == STIFF or (too_fast and fastest.die_within_a_row()):
         substep = fastest.stiff_substep()
-        text = f"integrated by the implicit method, in substeps of {_ms(substep)}, not by RK4: {mode}"
-        return replace(loaded, model=model.with_substep(substep, STIFF)), [text]
+        note = messages.IMPLICIT_METHOD(substep=_ms(substep), mode=mode)
+        return replace(loaded, model=model.with_substep(substep, STIFF)), [note]
     if count > MOST_SUBSTEPS:
-        raise InputError([_stiff(loaded, mode)])
+        raise _error(loaded, "", _stiff(model, mode))
     substep = model.rate / count
-    text = f"integrated in substeps of {_ms(substep)}, not of the default {_ms(Model.substep)}: {mode}"
-    return replace(loaded, model=model.with_substep(substep, model.chosen_integrator)), [text]
+    note = messages.SHORTER_SUBSTEP(substep=_ms(substep), default=_ms(Model.substep), mode=mode)
+    return replace(loaded, model=model.with_substep(substep, model.chosen_integrator)), [note]
 
 
 def _longest(model: Model, step: float) -> float:
@@ -176,12 +177,10 @@ class _Fastest:
         return self.row / max(LEAST_STIFF, math.ceil(float(z[z <= FOLLOWED].max()) / MAX_CHOSEN))
 
     def _at(self, state: Values, command: Values, t: float, place: str) -> Mode:
-        if self.linearized is None:
-            return Mode(0.0, "", place)
         try:
-            A = self.linearized(state, command, t).A
+            A = self.linearized(state, command, t).A if self.linearized else np.zeros((0, 0))
         except (ArithmeticError, ValueError):  # no derivative at this point
-            return Mode(0.0, "", place)
+            A = np.zeros((0, 0))
         values = eigenvalues(A)
         if not values.size:
             return Mode(0.0, "", place)
@@ -196,9 +195,9 @@ class _Fastest:
         """
         from scipy.linalg import eig
 
-        found, left, right = eig(A, left=True, right=True)
-        k = int(np.argmin(np.abs(found - value)))
-        return self.model.states[int(np.argmax(np.abs(left[:, k] * right[:, k])))].name
+        values, rows, columns = eig(A, left=True, right=True)
+        k = int(np.argmin(np.abs(values - value)))
+        return self.model.states[int(np.argmax(np.abs(rows[:, k] * columns[:, k])))].name
 
 
 def _accurate(model: Model, mode: Mode) -> float:
@@ -206,25 +205,15 @@ def _accurate(model: Model, mode: Mode) -> float:
     return min(model.substep, MAX_CHOSEN / mode.speed) if mode.speed > 0.0 else model.substep
 
 
-def _unstable(loaded: LoadedModel, mode: Mode, h: float) -> Fault:
-    """Return the fault of an unstable stated substep."""
-    text = f"substep is {_ms(loaded.model.substep)}, unstable for this model: {mode}, and RK4 in steps of {_ms(h)}"
-    cure = f"state at most {_ms(MAX_DEFAULT / mode.speed)}, or leave substep out: then it follows the model"
-    return _fault(loaded, "substep", f"{text} lets it grow; {cure}")
-
-
-def _stiff(loaded: LoadedModel, mode: Mode) -> Fault:
-    """Return the fault of a mode too fast for the model's rate."""
-    name = type(loaded.model).__name__
+def _stiff(model: Model, mode: Mode) -> Message:
+    """Return the message on a mode too fast for the model's rate."""
+    name = type(model).__name__
     if mode.eigenvalue.real > 0.0:
-        text = f"{name} runs away: {mode} that grows"
-        return _fault(loaded, "", f"{text}; check its parameters, start values and the units of the log")
-    text = f"{name} is stiff: {mode}, for which RK4 takes more than {MOST_SUBSTEPS} substeps"
-    settled = f"let {mode.state} follow the rest at once, as an algebraic equation"
-    cure = f"{settled}, or state a substep of at most {_ms(MAX_DEFAULT / mode.speed)} and take the time that it costs"
-    if loaded.model.integrator == RK4 and mode.eigenvalue.real * loaded.model.rate <= -DEAD:
-        cure = f"state integrator = {STIFF!r}, or leave it out"
-    return _fault(loaded, "", f"{text} in a rate of {_ms(loaded.model.rate)}; {cure}")
+        return messages.GROWING_MODE(model=name, mode=mode)
+    fields = {"model": name, "mode": mode, "most": MOST_SUBSTEPS, "rate": _ms(model.rate)}
+    if model.integrator == RK4 and mode.eigenvalue.real * model.rate <= -DEAD:
+        return messages.STIFF_MODEL_WITH_RK4(**fields)
+    return messages.STIFF_MODEL(state=mode.state, longest=_ms(MAX_DEFAULT / mode.speed), **fields)
 
 
 def _ms(seconds: float) -> str:
@@ -232,5 +221,5 @@ def _ms(seconds: float) -> str:
     return amount(1000.0 * seconds, "ms") if seconds < 0.5 else amount(seconds, "s")
 
 
-def _fault(loaded: LoadedModel, attribute: str, message: str) -> Fault:
-    return Source(Path(loaded.source.rpartition(":")[0])).fault(type(loaded.model), attribute, message)
+def _error(loaded: LoadedModel, attribute: str, message: str) -> InputError:
+    return InputError([Source(Path(loaded.source.rpartition(":")[0])).fault(type(loaded.model), attribute, message)])

@@ -29,10 +29,10 @@ class Dual:
         if isinstance(other, Dual):
             v, w = self.value, other.value
             return Dual(v * w, [a * w + v * b for a, b in zip(self.slopes, other.slopes, strict=True)])
-        return _along(self, self.value * other, other)
+        return _scale(self, self.value * other, other)
 
     def __neg__(self) -> Dual:
-        return _along(self, -self.value, -1.0)
+        return _scale(self, -self.value, -1.0)
 
     def __sub__(self, other: Any) -> Dual:
         return self.__add__(-other)
@@ -42,22 +42,22 @@ class Dual:
 
     def __truediv__(self, other: Any) -> Dual:
         if isinstance(other, Dual):
-            return self * _along(other, 1.0 / other.value, -1.0 / (other.value * other.value))
-        return _along(self, self.value / other, 1.0 / other)
+            return self * _scale(other, 1.0 / other.value, -1.0 / (other.value * other.value))
+        return _scale(self, self.value / other, 1.0 / other)
 
     def __rtruediv__(self, other: Any) -> Dual:
-        return _along(self, other / self.value, -other / (self.value * self.value))
+        return _scale(self, other / self.value, -other / (self.value * self.value))
 
     def __pow__(self, other: Any) -> Dual:
         if isinstance(other, Dual):
             power = self.value**other.value
-            grown = _along(other, 0.0, power * math.log(self.value)) if any(other.slopes) else 0.0
-            return _along(self, power, other.value * self.value ** (other.value - 1.0)) + grown
-        return _along(self, self.value**other, other * self.value ** (other - 1) if other else 0.0)
+            by_exponent = _scale(other, 0.0, power * math.log(self.value)) if any(other.slopes) else 0.0
+            return _scale(self, power, other.value * self.value ** (other.value - 1.0)) + by_exponent
+        return _scale(self, self.value**other, other * self.value ** (other - 1) if other else 0.0)
 
     def __rpow__(self, other: Any) -> Dual:
         power = other**self.value
-        return _along(self, power, power * math.log(other))
+        return _scale(self, power, power * math.log(other))
 
     def __abs__(self) -> Dual:
         return -self if self.value < 0.0 else self
@@ -89,29 +89,29 @@ def _value(number: Any) -> Any:
     return number.value if isinstance(number, Dual) else number
 
 
-def _along(x: Dual, value: float, slope: float) -> Dual:
+def _scale(x: Dual, value: float, slope: float) -> Dual:
     """Return a dual function value from value and slope."""
     return Dual(value, [slope * a for a in x.slopes])
 
 
-def _lifted(function: Callable[[float], float], slope: Callable[[float, float], float]) -> Callable[[Any], Any]:
+def _lift(function: Callable[[float], float], slope: Callable[[float, float], float]) -> Callable[[Any], Any]:
     """Return a function on dual numbers; `slope` takes argument and function value."""
 
-    def of(x: Any) -> Any:
+    def lifted(x: Any) -> Any:
         value = function(_value(x))
-        return _along(x, value, slope(x.value, value)) if isinstance(x, Dual) else value
+        return _scale(x, value, slope(x.value, value)) if isinstance(x, Dual) else value
 
-    return of
+    return lifted
 
 
 class DualNamespace(ScalarNamespace):
     """Functions of the equations on dual numbers."""
 
-    sin = staticmethod(_lifted(math.sin, lambda x, _: math.cos(x)))
-    cos = staticmethod(_lifted(math.cos, lambda x, _: -math.sin(x)))
-    tanh = staticmethod(_lifted(math.tanh, lambda _, y: 1.0 - y * y))
-    exp = staticmethod(_lifted(math.exp, lambda _, y: y))
-    sqrt = staticmethod(_lifted(math.sqrt, lambda _, y: 0.5 / y if y else 0.0))  # slope at 0 is unused
+    sin = staticmethod(_lift(math.sin, lambda x, _: math.cos(x)))
+    cos = staticmethod(_lift(math.cos, lambda x, _: -math.sin(x)))
+    tanh = staticmethod(_lift(math.tanh, lambda _, y: 1.0 - y * y))
+    exp = staticmethod(_lift(math.exp, lambda _, y: y))
+    sqrt = staticmethod(_lift(math.sqrt, lambda _, y: 0.5 / y if y else 0.0))  # slope at 0 is unused
 
     @staticmethod
     def rint(x: Any) -> Any:

@@ -65,9 +65,9 @@ class Stepper:
     ) -> tuple[Values, tuple[Values, ...]]:
         """Return the shaped command and the memory."""
         after = []
-        for effect, remembered in zip(self.shaping, memory, strict=True):
-            command, remembered = effect.shape(self.namespace, t, h, command, remembered)
-            after.append(remembered)
+        for effect, values in zip(self.shaping, memory, strict=True):
+            command, values = effect.shape(self.namespace, t, h, command, values)
+            after.append(values)
         return command, tuple(after)
 
     @cached_property
@@ -80,13 +80,13 @@ class Stepper:
         n = substeps(h, self.model.substep)
         dt = h / n
         start, x, memory = moment.t, moment.state, moment.memory
-        derivative, acting, stiff = self.derivative, command, self.model.integrator == STIFF
+        derivative, shaped, is_stiff = self.derivative, command, self.model.integrator == STIFF
         for k in range(n):
             t = start + k * dt
             if memory:
-                acting, memory = self.shape(t, dt, command, memory)
-            if stiff:
-                x = stiff_step(derivative, jacobian(self._slopes, t, x, acting), t, x, acting, dt)
+                shaped, memory = self.shape(t, dt, command, memory)
+            if is_stiff:
+                x = stiff_step(derivative, jacobian(self._slopes, t, x, shaped), t, x, shaped, dt)
             else:
-                x = rk4(derivative, t, x, acting, dt)
+                x = rk4(derivative, t, x, shaped, dt)
         return Moment(start + h, x, memory)

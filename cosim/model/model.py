@@ -66,8 +66,8 @@ class Effect(Parametric):
     @property
     def dormant(self) -> bool:
         """Return True if all parameters with a neutral value have it; arrays and symbols are active."""
-        awake = (p for p in parameters_of(self) if p.neutral is not None)
-        return all(isinstance(v := getattr(self, p.name), (int, float)) and v == p.neutral for p in awake)
+        switches = (p for p in parameters_of(self) if p.neutral is not None)
+        return all(isinstance(v := getattr(self, p.name), (int, float)) and v == p.neutral for p in switches)
 
     def remember(self, t: Number, start: Values) -> Values:
         """Return the initial memory at time `t` [s]."""
@@ -87,7 +87,7 @@ def overrides(effects: tuple[Any, ...], hook: str, base: type) -> tuple[Any, ...
     return tuple(e for e in effects if getattr(type(e), hook) is not getattr(base, hook))
 
 
-def _prefixed(kinds: tuple[type[Any], ...]) -> dict[str, Parameter]:
+def _parameters_by_name(kinds: tuple[type[Any], ...]) -> dict[str, Parameter]:
     return {f"{kind.name}.{p.name}": p for kind in kinds for p in parameters_of(kind)}
 
 
@@ -158,12 +158,11 @@ class Model(Parametric):
         strangers = [type(e).__name__ for e in self.effects if type(e) not in self.catalogue]
         if strangers:
             raise ValueError(f"not in the catalogue of {type(self).__name__}: {', '.join(strangers)}")
-        in_order = sorted(self.effects, key=lambda e: self.catalogue.index(type(e)))
-        object.__setattr__(self, "effects", tuple(in_order))
-        if self.chosen_substep is not None:
-            object.__setattr__(self, "substep", self.chosen_substep)
-        if self.chosen_integrator is not None:
-            object.__setattr__(self, "integrator", self.chosen_integrator)
+        effects = sorted(self.effects, key=lambda e: self.catalogue.index(type(e)))
+        object.__setattr__(self, "effects", tuple(effects))
+        for name in ("substep", "integrator"):
+            if (choice := getattr(self, f"chosen_{name}")) is not None:
+                object.__setattr__(self, name, choice)
 
     def equations(self, m: Namespace) -> Equations:
         """Return the equations bound to a namespace."""
@@ -175,9 +174,9 @@ class Model(Parametric):
 
     def warning(self, command: Values) -> str | None:
         """Return a warning for a command outside the valid ranges, or None."""
-        acting = {q.name: (value, q.unit) for q, value in zip(self.inputs, command, strict=True)}
+        commands = {q.name: (value, q.unit) for q, value in zip(self.inputs, command, strict=True)}
         for quantity, inputs, low, high, beyond in self.valid:
-            values = [acting[name] for name in inputs]
+            values = [commands[name] for name in inputs]
             if not all(low <= value <= high for value, _ in values):
                 return f"{quantity} {', '.join(f'{value:g} {unit}' for value, unit in values)}: {beyond}"
         return None
@@ -190,21 +189,21 @@ class Model(Parametric):
 
     def acting(self, m: Namespace) -> Equations:
         """Return the equations with transmitted commands."""
-        bound = self.equations(m)
+        derivative, output = equations = self.equations(m)
         names = [q.name for q in self.inputs]
         terms = overrides(self.awake, "transmit", Effect)
         if not terms:
-            return bound
+            return equations
 
-        def transmitted(command: Values) -> Values:
-            through: Mapping[str, Number] = dict(zip(names, command, strict=True))
+        def transmit(command: Values) -> Values:
+            values: Mapping[str, Number] = dict(zip(names, command, strict=True))
             for term in terms:
-                through = term.transmit(m, through)
-            return tuple(through[name] for name in names)
+                values = term.transmit(m, values)
+            return tuple(values[name] for name in names)
 
         return Equations(
-            lambda t, state, command: bound.derivative(t, state, transmitted(command)),
-            lambda t, state, command: bound.output(t, state, transmitted(command)),
+            lambda t, state, command: derivative(t, state, transmit(command)),
+            lambda t, state, command: output(t, state, transmit(command)),
         )
 
     @property
@@ -232,12 +231,12 @@ class Model(Parametric):
     @property
     def declared(self) -> dict[str, Parameter]:
         """Return all parameters by name, those of the catalogue as `effect.parameter`."""
-        return {p.name: p for p in self.parameters} | _prefixed(self.catalogue)
+        return {p.name: p for p in self.parameters} | _parameters_by_name(self.catalogue)
 
     @property
     def sensor_parameters(self) -> dict[str, Parameter]:
         """Return the sensor parameters by `sensor.parameter`."""
-        return _prefixed(self.sensors)
+        return _parameters_by_name(self.sensors)
 
     def with_effect(self, effect: Any) -> Self:
         """Return the model with an effect added or replaced."""
@@ -250,17 +249,16 @@ class Model(Parametric):
         Raises:
             KeyError: A name is unknown.
         """
-        known = {p.name for p in self.parameters}
-        base = {name: v for name, v in values.items() if name in known}
+        names = {p.name for p in self.parameters}
         grouped: dict[str, dict[str, Number]] = {}
-        for name in values.keys() - base.keys():
+        for name in values.keys() - names:
             effect, _, parameter_name = name.partition(".")
             grouped.setdefault(effect, {})[parameter_name] = values[name]
-        model = replace(self, **base)
+        model = replace(self, **{name: v for name, v in values.items() if name in names})
         kinds = {kind.name: kind for kind in self.catalogue}
-        present = {e.name: e for e in self.effects}
+        terms = {e.name: e for e in self.effects}
         for name, changes in grouped.items():
-            term = present.get(name) or kinds[name]()
+            term = terms.get(name) or kinds[name]()
             if unknown := changes.keys() - {p.name for p in parameters_of(term)}:
                 raise KeyError(f"{name}.{sorted(unknown)[0]}")
             model = model.with_effect(replace(term, **changes))

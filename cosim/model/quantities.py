@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import Field, dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -21,7 +21,7 @@ class Quantity:
     bounds: tuple[float, float] = (-INFINITY, INFINITY)
 
     @property
-    def bounded(self) -> bool:
+    def is_bounded(self) -> bool:
         """Return True if at least one bound is finite."""
         return any(map(math.isfinite, self.bounds))
 
@@ -70,22 +70,19 @@ def parameter(
     tolerance: float | None = None,
 ) -> Any:
     """Declare a dataclass field as a parameter: `friction: float = parameter(0.25, unit="N.s/m", doc=…)`."""
-    declared = Parameter("", default, unit, doc, bounds, neutral, typical, tolerance)
-    return field(default=default, metadata={"parameter": declared})
+    declaration = Parameter("", default, unit, doc, bounds, neutral, typical, tolerance)
+    return field(default=default, metadata={"parameter": declaration})
 
 
 def parameters_of(owner: Any) -> tuple[Parameter, ...]:
     """Return a dataclass' declared parameters in order."""
     kind = owner if isinstance(owner, type) else type(owner)
-    found = _declared.get(kind)
-    if found is None:
-        found = _declared[kind] = tuple(_named(f) for f in fields(kind) if "parameter" in f.metadata)
-    return found
+    parameters = _parameters.get(kind)
+    if parameters is None:
+        parameters = _parameters[kind] = tuple(
+            replace(f.metadata["parameter"], name=f.name) for f in fields(kind) if "parameter" in f.metadata
+        )
+    return parameters
 
 
-_declared: WeakKeyDictionary[type, tuple[Parameter, ...]] = WeakKeyDictionary()  # read thousands of times in a fit
-
-
-def _named(declared: Field[Any]) -> Parameter:
-    p: Parameter = declared.metadata["parameter"]
-    return replace(p, name=declared.name)
+_parameters: WeakKeyDictionary[type, tuple[Parameter, ...]] = WeakKeyDictionary()  # read thousands of times in a fit

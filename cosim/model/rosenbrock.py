@@ -37,14 +37,7 @@ Vector = Sequence[float]
 Derivative = Callable[[Any, Any, Any], Vector]
 
 
-def step(
-    f: Derivative,
-    J: Sequence[Vector],
-    t: float,
-    x: Vector,
-    u: Vector,
-    h: float,
-) -> tuple[float, ...]:
+def step(f: Derivative, J: Sequence[Vector], t: float, x: Vector, u: Vector, h: float) -> tuple[float, ...]:
     """Return x(t + h) with command u held.
 
     Raises:
@@ -64,7 +57,7 @@ def step(
             r + sum(c * k[n] for c, k in zip(C[i], ks, strict=True)) / h + GAMMAS[i] * h * drift[n]
             for n, r in enumerate(rates)
         ]
-        ks.append(solved(matrix, rows, right))
+        ks.append(solve(matrix, rows, right))
     return tuple([v + k for v, k in zip(at, ks[5], strict=True)])
 
 
@@ -79,14 +72,13 @@ def factor(a: list[list[float]]) -> list[int]:
         if not abs(a[c][c]) > 0.0:
             raise ArithmeticError("the equations of an implicit step are singular")
         for i in range(c + 1, n):
-            factor_of_row = a[i][c] / a[c][c]
-            a[i][c] = factor_of_row
+            a[i][c] /= a[c][c]
             for j in range(c + 1, n):
-                a[i][j] -= factor_of_row * a[c][j]
+                a[i][j] -= a[i][c] * a[c][j]
     return order
 
 
-def solved(a: Sequence[Vector], order: Sequence[int], b: Vector) -> list[float]:
+def solve(a: Sequence[Vector], order: Sequence[int], b: Vector) -> list[float]:
     """Return the solution of factored equations."""
     n = len(a)
     x = [b[k] for k in order]

@@ -47,7 +47,7 @@ class SensorError(Effect):
         return cls.outputs or (cls.output,)
 
     @classmethod
-    def straight(cls) -> bool:
+    def is_straight(cls) -> bool:
         """Return True for a linear reading."""
         return cls.read is SensorError.read and cls.readings is SensorError.readings and not cls.late
 
@@ -119,8 +119,8 @@ class LeverArm(SensorError):
 
     def readings(self, m: Namespace, t: Number, outputs: Mapping[str, Number]) -> dict[str, Number]:
         """Return y + l·c of each output."""
-        added = self.carried(m, *(outputs[name] for name in self.others))
-        return {n: outputs[n] + self.value * c for n, c in zip(self.affected(), added, strict=True)}
+        offsets = self.carried(m, *(outputs[name] for name in self.others))
+        return {n: outputs[n] + self.value * c for n, c in zip(self.affected(), offsets, strict=True)}
 
 
 @dataclass(frozen=True, kw_only=True)

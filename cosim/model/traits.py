@@ -34,15 +34,15 @@ class Traits:
     def of(cls, model: Model) -> Traits:
         """Return the traits of a model."""
         signals = {q.name: q for q in (*model.outputs, *model.inputs)}
-        bounds = {n: q.bounds for n, q in signals.items() if q.bounded}
+        bounds = {n: q.bounds for n, q in signals.items() if q.is_bounded}
         return cls(rates_of(model), bounds, model.planar, model.static)
 
 
-def rate_of(name: str, known: Container[str]) -> str | None:
+def rate_of(name: str, names: Container[str]) -> str | None:
     """Return the time derivative of `name` by its name, such as `angle_dot` or `vx`."""
     usual = (f"{name}_dot", f"v{name}", f"d{name}", f"der({name})")
     words = (name.replace("position", "velocity"), name.replace("angle", "rate"))
-    return next((other for other in (*usual, *words) if other != name and other in known), None)
+    return next((other for other in (*usual, *words) if other != name and other in names), None)
 
 
 def rates_of(model: Model) -> dict[str, str]:
@@ -53,26 +53,26 @@ def rates_of(model: Model) -> dict[str, str]:
     pairs = {name: rate for name in names if (rate := rate_of(name, names))}
     if not pairs:
         return {}
-    place, rng, drawn = {name: k for k, name in enumerate(names)}, np.random.default_rng(1), 0
+    place, rng, samples = {name: k for k, name in enumerate(names)}, np.random.default_rng(1), 0
     for _ in range(3):
         try:
-            values, slopes = _moving(model, rng)
+            values, slopes = _sample(model, rng)
         except (ArithmeticError, ValueError):  # an undefined state of a root or a logarithm
             continue
-        drawn += 1
-        off = np.array([abs(slopes[place[n]] - values[place[r]]) for n, r in pairs.items()])
-        size = np.array([abs(values[place[r]]) for r in pairs.values()])
-        pairs = {n: r for (n, r), same in zip(pairs.items(), off <= 1e-3 * size, strict=True) if same}
-    return pairs if drawn else {}
+        samples += 1
+        pairs = {
+            n: r for n, r in pairs.items() if abs(slopes[place[n]] - values[place[r]]) <= 1e-3 * abs(values[place[r]])
+        }
+    return pairs if samples else {}
 
 
-def _moving(model: Model, rng: Any) -> tuple[Any, Any]:
+def _sample(model: Model, rng: Any) -> tuple[Any, Any]:
     """Return outputs at a random state near the start, and their slopes [1/s]."""
     import numpy as np
 
     derivative, output = model.acting(SCALAR)
-    start, held = np.array(model.start(), dtype=np.float64), np.array(model.start_command(), dtype=np.float64)
-    x, u = (v + 0.1 * (1.0 + np.abs(v)) * rng.standard_normal(v.size) for v in (start, held))
+    start = (np.array(values, dtype=np.float64) for values in (model.start(), model.start_command()))
+    x, u = (v + 0.1 * (1.0 + np.abs(v)) * rng.standard_normal(v.size) for v in start)
     command = tuple(u.tolist())
     with np.errstate(all="ignore"):
         f = np.array(derivative(0.0, tuple(x.tolist()), command))

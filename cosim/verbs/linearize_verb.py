@@ -92,7 +92,7 @@ def command(
     if as_json:
         from cosim.linearization.write import content
 
-        say_json(content(outcome.name, outcome.title, outcome.linear, outcome.structure, outcome.notes))
+        say_json(content(outcome))
     else:
         _say_outcome(outcome, place, report=report)
     show(place / "report.html", open_=report and open_)

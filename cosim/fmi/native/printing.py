@@ -12,10 +12,10 @@ from cosim.fmi.ports import Port
 from cosim.model.model import STIFF, Effect, Model, overrides
 from cosim.model.namespaces import SymbolNamespace
 from cosim.model.quantities import parameters_of
-from cosim.model.symbolic.blocks import function, kinks, nearby, places_of, tangent
+from cosim.model.symbolic.blocks import extract_calls, function, kinks, places_of, tangent
 from cosim.model.symbolic.languages import C
 from cosim.model.symbolic.trace import Block, Trace, Untraceable, switches
-from cosim.model.symbolic.tracing_guard import guarded
+from cosim.model.symbolic.tracing_guard import number_guard
 from cosim.storage.cache import fingerprint, load_or_make
 
 MOST_SWITCHES = 4  # each doubles the generated code
@@ -177,7 +177,7 @@ class Printer:
         """Return functions, and counts of body kinks, all kinks and calls."""
         gaps = [self._kinks(trace) for trace in self.variants]
         sizes = [max(len(pair[k][1]) for pair in gaps) for k in (0, 1)]
-        calls = [nearby(trace.blocks, trace.derivative) for trace in self.variants]
+        calls = [extract_calls(trace.blocks, trace.derivative) for trace in self.variants]
         printed = [self._variant(*of, sizes) for of in zip(self.variants, gaps, calls, strict=True)]
         merged = [self._merge([variant[k] for variant in printed]) for k in range(len(printed[0]))]
         return merged, sizes[0], sum(sizes), max(len(near) for _, _, near in calls)
@@ -241,7 +241,7 @@ class Printer:
         import sympy
 
         m, model = SymbolNamespace(), self.trace.s.model
-        with guarded():
+        with number_guard():
             state, inputs = model.start_state(m), model.start_input()
         if any(t.s.model.start_state(m) != state or t.s.model.start_input() != inputs for t in self.variants):
             raise Unprintable("start values that a switch decides")

@@ -27,17 +27,17 @@ def kinks(blocks: Sequence[Block], expressions: Sequence[Any], moving: set[Any])
     """
     import sympy
 
-    reach, found = set(moving), dict[Any, int | None]()
+    reach, gaps = set(moving), dict[Any, int | None]()
     for block in (*blocks, Block(dict(enumerate(expressions)))):
         for symbol, e in block.values.items():
             for relation in sorted(e.atoms(sympy.core.relational.Relational), key=str):
                 gap = relation.lhs - relation.rhs
-                if gap.free_symbols & reach and gap not in found and -gap not in found:
-                    found[gap] = block.effect
+                if gap.free_symbols & reach and gap not in gaps and -gap not in gaps:
+                    gaps[gap] = block.effect
             if e.free_symbols & reach:
                 reach.add(symbol)
     more, indicators = [], []
-    for k, (gap, effect) in enumerate(found.items()):
+    for k, (gap, effect) in enumerate(gaps.items()):
         symbol = sympy.Symbol(f"z{k}", real=True)
         more.append(Block({symbol: gap}, effect, {} if effect is None else {symbol: sympy.Integer(1)}))
         indicators.append(symbol)
@@ -65,12 +65,12 @@ def tangent(
         awake = {s: slope(e) for s, e in block.values.items()}
         asleep = {s: slope(e) for s, e in block.dormant.items()}
         moving = [s for s in awake if awake[s] != 0 or asleep.get(s, 0) != 0]
-        named = {s: sympy.Symbol(f"d_{s}", real=True) for s in moving}
-        if named:
-            values = {named[s]: awake[s] for s in moving}
-            rest = {} if block.effect is None else {named[s]: asleep[s] for s in moving}
+        symbols = {s: sympy.Symbol(f"d_{s}", real=True) for s in moving}
+        if symbols:
+            values = {symbols[s]: awake[s] for s in moving}
+            rest = {} if block.effect is None else {symbols[s]: asleep[s] for s in moving}
             more.append(Block(values, block.effect, rest, block.title and f"{block.title}, slope"))
-        slopes |= named
+        slopes |= symbols
     return more, [slope(e) for e in expressions]
 
 
@@ -87,7 +87,7 @@ class Nearby:
     arguments: tuple[Any, ...]
 
 
-def nearby(blocks: Sequence[Block], results: Sequence[Any]) -> tuple[list[Block], list[Any], list[Nearby]]:
+def extract_calls(blocks: Sequence[Block], results: Sequence[Any]) -> tuple[list[Block], list[Any], list[Nearby]]:
     """Return blocks and results with symbols for sin, cos and powers, and the calls that evaluate these.
 
     Powers with a constant exponent remain: squares, roots and reciprocals are cheap.
@@ -100,8 +100,8 @@ def nearby(blocks: Sequence[Block], results: Sequence[Any]) -> tuple[list[Block]
         symbols = tuple(sympy.Symbol(f"{name}_{len(calls)}", real=True) for name in names)
         return calls.setdefault(arguments, Nearby(len(calls), symbols, arguments))
 
-    def replaced(e: Any) -> Any:
-        arguments = tuple(map(replaced, e.args))
+    def replace(e: Any) -> Any:
+        arguments = tuple(map(replace, e.args))
         if arguments != e.args:
             e = e.func(*arguments)
         if isinstance(e, (sympy.sin, sympy.cos)):
@@ -110,11 +110,12 @@ def nearby(blocks: Sequence[Block], results: Sequence[Any]) -> tuple[list[Block]
             return call(("power",), e.args).symbols[0]
         return e
 
-    def each(values: Mapping[Any, Any]) -> dict[Any, Any]:
-        return {s: replaced(sympy.sympify(e)) for s, e in values.items()}
+    def replace_all(values: Mapping[Any, Any]) -> dict[Any, Any]:
+        return {s: replace(sympy.sympify(e)) for s, e in values.items()}
 
-    changed = [Block(each(b.values), b.effect, each(b.dormant), b.title) for b in _needed(blocks, results)]
-    return changed, [replaced(sympy.sympify(e)) for e in results], list(calls.values())
+    needed = _needed_blocks(blocks, results)
+    changed = [Block(replace_all(b.values), b.effect, replace_all(b.dormant), b.title) for b in needed]
+    return changed, [replace(sympy.sympify(e)) for e in results], list(calls.values())
 
 
 @dataclass
@@ -141,12 +142,12 @@ def function(
     """Return the text of `name(arguments, awake, out)`, with a branch for each effect.
 
     Args:
-        calls: Evaluations extracted by `nearby`.
+        calls: Evaluations extracted by `extract_calls`.
     """
     import sympy
 
     evaluated = {call.symbols: sympy.Tuple(*call.arguments) for call in calls}
-    needed = _needed(blocks, [*results, *evaluated.values()])
+    needed = _needed_blocks(blocks, [*results, *evaluated.values()])
     plain = {s: e for b in needed if b.effect is None for s, e in b.values.items()}
     temporary = (sympy.Symbol(f"c{k}", real=True) for k in count())
     replaced, reduced = sympy.cse([*plain.values(), *evaluated.values(), *results], symbols=temporary, optimizations=[])
@@ -154,29 +155,29 @@ def function(
     nodes = [_Node(({s: e},), None, "") for s, e in (*replaced, *zip(plain, reduced, strict=False))]
     nodes += [_Node((dict.fromkeys(c.symbols, e),), None, "", c) for c, e in zip(calls, called, strict=True)]
     nodes += [_Node((b.values, b.dormant), b.effect, b.title) for b in needed if b.effect is not None]
-    ordered = _sunk(_ordered(nodes, ends), ends)
-    lines = [line for node in ordered for line in _printed(node, language, places, "    ")]
+    ordered = _sink(_order(nodes, ends), ends)
+    lines = [line for node in ordered for line in _print_node(node, language, places, "    ")]
     printer = language.printer(places)
     lines += ["    " + language.store.format(k, printer.doprint(e)) for k, e in enumerate(ends)]
     return language.frame(name, [*arguments.split(), "awake", "out"], "\n".join(lines).strip())
 
 
-def _needed(blocks: Sequence[Block], results: Sequence[Any]) -> list[Block]:
+def _needed_blocks(blocks: Sequence[Block], results: Sequence[Any]) -> list[Block]:
     """Return the blocks required for the results, reduced to the used symbols."""
     import sympy
 
-    wanted = {s for e in results for s in sympy.sympify(e).free_symbols}
-    kept = []
+    needed = {s for e in results for s in sympy.sympify(e).free_symbols}
+    reduced = []
     for block in reversed(blocks):
-        values = {s: e for s, e in block.values.items() if s in wanted}
+        values = {s: e for s, e in block.values.items() if s in needed}
         if values:
             dormant = {s: block.dormant[s] for s in values} if block.dormant else {}
-            kept.append(Block(values, block.effect, dormant, block.title))
-            wanted |= {s for e in (*values.values(), *dormant.values()) for s in e.free_symbols}
-    return kept[::-1]
+            reduced.append(Block(values, block.effect, dormant, block.title))
+            needed |= {s for e in (*values.values(), *dormant.values()) for s in e.free_symbols}
+    return reduced[::-1]
 
 
-def _ordered(nodes: Sequence[_Node], results: Sequence[Any]) -> list[_Node]:
+def _order(nodes: Sequence[_Node], results: Sequence[Any]) -> list[_Node]:
     """Return the nodes in order of dependence."""
     maker = {s: node for node in nodes for s in node.branches[0]}
     done: dict[int, _Node] = {}
@@ -192,7 +193,7 @@ def _ordered(nodes: Sequence[_Node], results: Sequence[Any]) -> list[_Node]:
     return list(done.values())
 
 
-def _sunk(nodes: list[_Node], results: Sequence[Any]) -> list[_Node]:
+def _sink(nodes: list[_Node], results: Sequence[Any]) -> list[_Node]:
     """Return nodes, moved into branches where possible."""
     homes: dict[Any, set[tuple[int, int] | None]] = {}
 
@@ -218,7 +219,7 @@ def _sunk(nodes: list[_Node], results: Sequence[Any]) -> list[_Node]:
     return stay[::-1]
 
 
-def _printed(node: _Node, language: Language, places: Mapping[Any, str], indent: str) -> Iterator[str]:
+def _print_node(node: _Node, language: Language, places: Mapping[Any, str], indent: str) -> Iterator[str]:
     """Yield the lines of a node."""
     import sympy
 
@@ -233,15 +234,15 @@ def _printed(node: _Node, language: Language, places: Mapping[Any, str], indent:
         ((symbol, e),) = node.branches[0].items()
         yield indent + language.local.format(symbol, printer.doprint(e))
         return
-    yield from (indent + line for line in language.declared([str(s) for s in node.branches[0]]))
+    yield from (indent + line for line in language.declare([str(s) for s in node.branches[0]]))
     for k, opening in ((AWAKE, language.when.format(node.effect, node.title)), (DORMANT, language.otherwise)):
         yield indent + opening
         for inner in node.within[k]:
-            yield from _printed(inner, language, places, indent + "    ")
+            yield from _print_node(inner, language, places, indent + "    ")
         names = (sympy.Symbol(f"{next(iter(node.branches[0]))}_{'cd'[k]}{j}", real=True) for j in count())
         values = node.branches[k]
-        replaced, reduced = sympy.cse(list(values.values()), symbols=names, optimizations=[])
-        for symbol, e in replaced:
+        common, reduced = sympy.cse(list(values.values()), symbols=names, optimizations=[])
+        for symbol, e in common:
             yield indent + "    " + language.local.format(symbol, printer.doprint(e))
         for symbol, e in zip(values, reduced, strict=True):
             yield indent + "    " + language.assign.format(symbol, printer.doprint(e))

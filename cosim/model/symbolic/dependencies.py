@@ -21,7 +21,7 @@ def direct_dependencies(model: Model) -> dict[str, tuple[str, ...]]:
 
 def initial_dependencies(model: Model) -> dict[str, tuple[str, ...]]:
     """Return the parameters, start values and inputs that affect each initial output."""
-    found: dict[str, set[str]] = defaultdict(set)
+    dependencies: dict[str, set[str]] = defaultdict(set)
     flags = [p.name for p in model.parameters if isinstance(p.default, bool)]
     variants = []
     for flag in (True, False):
@@ -33,11 +33,11 @@ def initial_dependencies(model: Model) -> dict[str, tuple[str, ...]]:
         follows = _derived_starts(s)
         for q, expression in zip(model.outputs, variants[-1], strict=True):
             direct = {names[symbol] for symbol in expression.free_symbols - {s.time}}
-            found[q.name].update(direct, *({names[other] for other in follows.get(name, ())} for name in direct))
+            dependencies[q.name].update(direct, *({names[other] for other in follows.get(name, ())} for name in direct))
     for q, with_flag, without in zip(model.outputs, *variants, strict=True):
         if with_flag != without:
-            found[q.name].update(flags)
-    return {name: tuple(sorted(names)) for name, names in found.items()}
+            dependencies[q.name].update(flags)
+    return {name: tuple(sorted(names)) for name, names in dependencies.items()}
 
 
 def _outputs(s: SymbolicModel) -> list[Any]:

@@ -22,9 +22,9 @@ def _costly(f: Any) -> bool:
     return type(f).__name__ in COSTLY or (f.is_Pow and f.exp not in CHEAP)
 
 
-def skippable(lines: Sequence[Line], terms: Sequence[Term]) -> dict[Any, Term]:
+def find_skippable(lines: Sequence[Line], terms: Sequence[Term]) -> dict[Any, Term]:
     """Return costly function → parameters of the terms that need it, with neutral values."""
-    return _Lines(lines, terms).skippable() if terms else {}
+    return _Lines(lines, terms).find_skippable() if terms else {}
 
 
 class _Lines:
@@ -34,39 +34,41 @@ class _Lines:
         self.lines, self.terms = lines, [{p: sympy.sympify(v) for p, v in term.items()} for term in terms]
         self.users: dict[Any, list[Line]] = {}
         for line in lines:
-            for used in line[1].free_symbols:
-                self.users.setdefault(used, []).append(line)
-        self.known: dict[frozenset[int], dict[Any, Any]] = {}
-        self.asked: dict[Any, set[int] | None] = {}
+            for symbol in line[1].free_symbols:
+                self.users.setdefault(symbol, []).append(line)
+        self.constants: dict[frozenset[int], dict[Any, Any]] = {}  # by dormant terms
+        self.terms_by_symbol: dict[Any, set[int] | None] = {}
 
-    def skippable(self) -> dict[Any, Term]:
+    def find_skippable(self) -> dict[Any, Term]:
         import sympy
 
-        found: dict[Any, set[int] | None] = {}
+        functions: dict[Any, set[int] | None] = {}
         for symbol, e in self.lines:
             for f in e.atoms(sympy.Function, sympy.Pow):
                 if not _costly(f):
                     continue
                 place = sympy.Dummy(real=True)
-                needed = self._needed_by(symbol) if e == f else self._needed((symbol, e.xreplace({f: place})), place)
-                before = found.get(f, set())
-                found[f] = None if needed is None or before is None else before | needed
+                needed = (
+                    self._terms_of(symbol) if e == f else self._terms_through((symbol, e.xreplace({f: place})), place)
+                )
+                before = functions.get(f, set())
+                functions[f] = None if needed is None or before is None else before | needed
         return {
             f: {p: float(value) for k in sorted(needed) for p, value in self.terms[k].items()}
-            for f, needed in found.items()
+            for f, needed in functions.items()
             if needed
         }
 
-    def _needed_by(self, symbol: Any) -> set[int] | None:
+    def _terms_of(self, symbol: Any) -> set[int] | None:
         """Return the terms that need a subexpression; None if always needed."""
         if symbol is None:
             return None
-        if symbol not in self.asked:
-            parts = [self._needed(line, symbol) for line in self.users.get(symbol, ())]
-            self.asked[symbol] = None if None in parts else {k for part in parts if part for k in part}
-        return self.asked[symbol]
+        if symbol not in self.terms_by_symbol:
+            parts = [self._terms_through(line, symbol) for line in self.users.get(symbol, ())]
+            self.terms_by_symbol[symbol] = None if None in parts else {k for part in parts if part for k in part}
+        return self.terms_by_symbol[symbol]
 
-    def _needed(self, line: Line, symbol: Any) -> set[int] | None:
+    def _terms_through(self, line: Line, symbol: Any) -> set[int] | None:
         """Return the terms that need a symbol."""
         import sympy
 
@@ -75,7 +77,7 @@ class _Lines:
             return None
         every = frozenset(range(len(self.terms)))
         if not self._vanishes(symbol, e, every):
-            return self._needed_by(target)
+            return self._terms_of(target)
         for k in every:
             if self._vanishes(symbol, e, frozenset((k,))):
                 return {k}
@@ -86,10 +88,10 @@ class _Lines:
 
     def _vanishes(self, symbol: Any, e: Any, dormant: frozenset[int]) -> bool:
         """Return True if an expression loses a symbol while some terms are dormant."""
-        if dormant not in self.known:
-            known = {p: value for k in dormant for p, value in self.terms[k].items()}
+        if dormant not in self.constants:
+            constants = {p: value for k in dormant for p, value in self.terms[k].items()}
             for name, line in self.lines:
-                if name is not None and (value := line.xreplace(known)).is_Number:
-                    known[name] = value
-            self.known[dormant] = known
-        return symbol not in e.xreplace(self.known[dormant]).free_symbols
+                if name is not None and (value := line.xreplace(constants)).is_Number:
+                    constants[name] = value
+            self.constants[dormant] = constants
+        return symbol not in e.xreplace(self.constants[dormant]).free_symbols

@@ -16,7 +16,7 @@ from cosim.model.namespaces import SymbolNamespace
 from cosim.model.quantities import parameters_of
 from cosim.model.symbolic.languages import Language
 from cosim.model.symbolic.symbols import SymbolicModel, symbolic
-from cosim.model.symbolic.tracing_guard import guarded
+from cosim.model.symbolic.tracing_guard import number_guard
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Body:
         import sympy
 
         s = symbolic(model, flags, effects)
-        with guarded(smooth=True):
+        with number_guard(smooth=True):
             derivative, output = s.model.acting(SymbolNamespace())
             rates, values = derivative(s.time, s.state, s.command), output(s.time, s.state, s.command)
         of_states = {q.name: sympy.sympify(e) for q, e in zip(s.model.states, rates, strict=True)}
@@ -95,7 +95,7 @@ class Body:
             if effect.delay:
                 continue
             own = tuple(sympy.Symbol(f"memory:{len(before) + k}", real=True) for k in range(len(effect.memory)))
-            with guarded(smooth=True):
+            with number_guard(smooth=True):
                 shaped, memory = effect.shape(SymbolNamespace(), self.symbols.time, sympy.Symbol("h"), command, own)
             results = [sympy.sympify(e) for e in (*shaped, *memory)]
             names = [sympy.Symbol(f"s{len(stages)}_{k}", real=True) for k in range(len(results))]

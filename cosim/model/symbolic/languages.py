@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from cosim.model.symbolic.dormant import Term, skippable
+from cosim.model.symbolic.dormant import Term, find_skippable
 
 
 class Unprintable(ValueError):
@@ -36,7 +36,7 @@ class Language:
     angle: str
     power: str
 
-    def declared(self, names: Sequence[str]) -> list[str]:
+    def declare(self, names: Sequence[str]) -> list[str]:
         """Return the lines that declare symbols without values."""
         raise NotImplementedError
 
@@ -61,12 +61,12 @@ class Language:
         names = sympy.numbered_symbols("c")
         parts: list[tuple[Any, Any]] = []  # symbol or result index, and expression
         for stage in (*before, dict(enumerate(expressions))):
-            replaced, reduced = sympy.cse(list(stage.values()), symbols=names, optimizations=[])
-            parts += [*replaced, *zip(stage, reduced, strict=True)]
+            common, reduced = sympy.cse(list(stage.values()), symbols=names, optimizations=[])
+            parts += [*common, *zip(stage, reduced, strict=True)]
         plain = [(None if isinstance(target, int) else target, e) for target, e in parts]
         conditions = {
             f: self.either.join(f"{places[p]} != {float(v)!r}" for p, v in awake.items())
-            for f, awake in skippable(plain, terms).items()
+            for f, awake in find_skippable(plain, terms).items()
         }
         printer, lines = self.printer(places, conditions), []
         for target, e in parts:
@@ -96,7 +96,7 @@ class C(Language):
     angle = "double {1}, {2}; near_angle(near + {0}, {3}, &{1}, &{2});"
     power = "const double {1} = near_power(near + {0}, {2}, {3});"
 
-    def declared(self, names: Sequence[str]) -> list[str]:  # noqa: D102
+    def declare(self, names: Sequence[str]) -> list[str]:  # noqa: D102
         return [f"double {', '.join(names)};"]
 
     def printer(self, places: Mapping[Any, str], conditions: Mapping[Any, str] | None = None) -> Any:  # noqa: D102 - said once, above
@@ -112,8 +112,8 @@ class C(Language):
                 except NotImplementedError:  # sympy before 1.13 writes a comment instead
                     text = "Not supported in C"
                 if "Not supported in C" in text:
-                    used = {type(f).__name__ for f in expression.atoms(Function)}
-                    unknown = sorted(used - self.known_functions.keys() - {"Piecewise"})
+                    functions = {type(f).__name__ for f in expression.atoms(Function)}
+                    unknown = sorted(functions - self.known_functions.keys() - {"Piecewise"})
                     raise Unprintable(f"C has no {', '.join(unknown) or 'such function'}")
                 return text
 
@@ -134,14 +134,14 @@ class C(Language):
             "awake": "const unsigned char *awake",
             "out": "double *out",
         }
-        declared = ", ".join(kinds.get(a, f"const double *{a}") for a in arguments)
+        declarations = ", ".join(kinds.get(a, f"const double *{a}") for a in arguments)
         unused = [a for a in arguments if not re.search(rf"\b{a}\b", body)]
         lines = [f"(void){a};" for a in unused] if "awake" in arguments else []
         text = "\n    ".join([*lines, body] if body else lines)
-        return f"static void {name}({declared})\n{{\n    {text}\n}}\n"
+        return f"static void {name}({declarations})\n{{\n    {text}\n}}\n"
 
 
-def _of_both_sides(printer: Any, choose: str) -> Any:
+def _compute_both_sides(printer: Any, choose: str) -> Any:
     """Return a printer whose branches compute both sides: `choose(condition, then, otherwise)`."""
     plain = type(printer)
 
@@ -172,12 +172,12 @@ class Lanes(C):
     def printer(self, places: Mapping[Any, str], conditions: Mapping[Any, str] | None = None) -> Any:
         """Return the C printer without skipping, since lanes differ in their dormant terms."""
         rows = {s: f"{place}[i]" if place.endswith("]") else place for s, place in places.items()}
-        return _of_both_sides(super().printer(rows), "chosen")
+        return _compute_both_sides(super().printer(rows), "chosen")
 
     def frame(self, name: str, arguments: Sequence[str], body: str) -> str:  # noqa: D102
         kinds = {"t": "double t", "out": "double (*restrict out)[W]"}
-        declared = ", ".join(kinds.get(a, f"Lanes {a}") for a in arguments)
-        return f"INLINE void {name}({declared})\n{{\n    for (int i = 0; i < W; i++) {{\n    {body}\n    }}\n}}\n"
+        declarations = ", ".join(kinds.get(a, f"Lanes {a}") for a in arguments)
+        return f"INLINE void {name}({declarations})\n{{\n    for (int i = 0; i < W; i++) {{\n    {body}\n    }}\n}}\n"
 
 
 class Python(Language):
@@ -187,7 +187,7 @@ class Python(Language):
     local, store, assign = "{} = {}", "out[{}] = {}", "{} = {}"
     when, otherwise, end = "if awake[{}]:  # {}", "else:", ""
 
-    def declared(self, names: Sequence[str]) -> list[str]:  # noqa: D102
+    def declare(self, names: Sequence[str]) -> list[str]:  # noqa: D102
         return []
 
     def printer(self, places: Mapping[Any, str], conditions: Mapping[Any, str] | None = None) -> Any:  # noqa: D102 - said once, above
@@ -218,4 +218,4 @@ class Arrays(Python):
 
     def printer(self, places: Mapping[Any, str], conditions: Mapping[Any, str] | None = None) -> Any:
         """Return the Python printer without skipping, since points differ in their terms."""
-        return _of_both_sides(super().printer(places), "math.where")
+        return _compute_both_sides(super().printer(places), "math.where")

@@ -42,8 +42,8 @@ def symbolic(
         values: dict[str, Any] = {}
         for p in parameters_of(owner):
             if isinstance(p.default, bool):
-                known = flags.get(prefix + p.name) if isinstance(flags, Mapping) else flags
-                values[p.name] = getattr(owner, p.name) if known is None else known
+                flag = flags.get(prefix + p.name) if isinstance(flags, Mapping) else flags
+                values[p.name] = getattr(owner, p.name) if flag is None else flag
             else:
                 values[p.name] = symbols[prefix + p.name] = sympy.Symbol(prefix + p.name, real=True)
         return replace(owner, **values)

@@ -16,9 +16,9 @@ from cosim.model.model import Effect, Model, overrides
 from cosim.model.namespaces import SymbolNamespace
 from cosim.model.quantities import parameters_of
 from cosim.model.symbolic.symbols import SymbolicModel, symbolic
-from cosim.model.symbolic.tracing_guard import guarded
+from cosim.model.symbolic.tracing_guard import number_guard
 
-APART = ("shape", "remember")  # hooks called by the integrator instead of the equations
+INTEGRATOR_HOOKS = ("shape", "remember")  # hooks called by the integrator instead of the equations
 
 
 class Untraceable(ValueError):
@@ -72,7 +72,7 @@ class Trace:
     memory: list[Any] = field(default_factory=list)
     step: Any = None  # symbol of the substep's length
 
-    _named: dict[Any, Any] = field(default_factory=dict)
+    _symbols: dict[Any, Any] = field(default_factory=dict)
     _calls: dict[Any, Any] = field(default_factory=dict)
 
     @classmethod
@@ -86,16 +86,18 @@ class Trace:
         import sympy
 
         trace = cls.__new__(cls)
-        watched = tuple(trace._watched(kind, k) for k, kind in enumerate(model.catalogue))
-        kind = type(type(model).__name__, (type(model),), {"catalogue": watched, "__module__": type(model).__module__})
+        catalogue = tuple(trace._watch(kind, k) for k, kind in enumerate(model.catalogue))
+        kind = type(
+            type(model).__name__, (type(model),), {"catalogue": catalogue, "__module__": type(model).__module__}
+        )
         values = {p.name: getattr(model, p.name) for p in model.parameters}
         trace.__init__(symbolic(kind(**values), flags))  # type: ignore[misc]  # the effects know the trace before
         s, m = trace.s, SymbolNamespace()
-        with guarded():
+        with number_guard():
             derivative, output = s.model.acting(m)
             rates = derivative(s.time, s.state, s.command)
             trace.derivative = [sympy.sympify(e) for e in rates]
-            trace._still()
+            trace._stop_dormant_states()
             trace.outputs = [sympy.sympify(e) for e in output(s.time, s.state, s.command)]
             trace._shape(m)
         return trace
@@ -112,12 +114,12 @@ class Trace:
 
         if expression.is_Atom:
             return expression
-        if expression not in self._named:
-            self._named[expression] = sympy.Symbol(f"a{len(self._named)}", real=True)
-            self.blocks.append(Block({self._named[expression]: expression}))
-        return self._named[expression]
+        if expression not in self._symbols:
+            self._symbols[expression] = sympy.Symbol(f"a{len(self._symbols)}", real=True)
+            self.blocks.append(Block({self._symbols[expression]: expression}))
+        return self._symbols[expression]
 
-    def _still(self) -> None:
+    def _stop_dormant_states(self) -> None:
         """Stop the states of dormant effects."""
         import sympy
 
@@ -144,25 +146,25 @@ class Trace:
                 continue
             own = tuple(sympy.Symbol(f"memory:{len(self.memory) + j}", real=True) for j in range(len(effect.memory)))
             shaped, after = effect.shape(m, self.s.time, self.step, command, own)
-            block, kept = Block({}, k, {}, f"{effect.name}.shape"), []
+            block, results = Block({}, k, {}, f"{effect.name}.shape"), []
             for j, (e, before) in enumerate(zip((*shaped, *after), (*command, *own), strict=True)):
                 if (awake := sympy.sympify(e)) == before:
-                    kept.append(before)
+                    results.append(before)
                     continue
-                kept.append(sympy.Symbol(f"s{k}_{j}", real=True))
-                block.values[kept[-1]], block.dormant[kept[-1]] = awake, before
+                results.append(symbol := sympy.Symbol(f"s{k}_{j}", real=True))
+                block.values[symbol], block.dormant[symbol] = awake, before
             self.shaping.append(block)
-            command = tuple(kept[: len(command)])
+            command = tuple(results[: len(command)])
             self.memory += own
             started = [sympy.sympify(e) for e in effect.remember(self.s.time, own)]
             if len(started) != len(own):
                 text = f"{effect.name} declares {len(own)} remembered values; remember gives {len(started)}"
                 raise Untraceable(text, type(effect), "remember", "let it give one for each")
             self.started += started
-            self.remembered += kept[len(command) :]
+            self.remembered += results[len(command) :]
         self.shaped = list(command)
 
-    def _watched(self, kind: type[Any], place: int) -> type[Any]:
+    def _watch(self, kind: type[Any], place: int) -> type[Any]:
         """Return the effect's class with recorded hooks."""
         hooks = {name: self._hook(getattr(kind, name), name, place) for name in _overridden(kind)}
         return type(kind.__name__, (kind,), {**hooks, "__module__": kind.__module__})
@@ -178,7 +180,7 @@ class Trace:
     ) -> Any:
         import sympy
 
-        arguments = _mapped(arguments, lambda e: self.name(sympy.sympify(e)))
+        arguments = _map(arguments, lambda e: self.name(sympy.sympify(e)))
         key = (place, name, _key((arguments, keywords)))
         if key in self._calls:
             return self._calls[key]
@@ -200,7 +202,7 @@ class Trace:
             block.values[symbol], block.dormant[symbol] = awake, asleep
             return symbol
 
-        self._calls[key] = _mapped(result, leaf)
+        self._calls[key] = _map(result, leaf)
         if block.values:
             self.blocks.append(block)
         return self._calls[key]
@@ -215,7 +217,7 @@ def _check_delays(effects: Sequence[Any], shaping: Sequence[Any]) -> None:
     if any(e.delay for e in shaping[1:]):
         raise Untraceable("a delay comes first in the catalogue, and there is one at most")
     for late in (e for e in effects if e.delay):
-        for hook in APART:
+        for hook in INTEGRATOR_HOOKS:
             if getattr(type(late), hook) is not getattr(Delay, hook):
                 text = f"{late.name} is late by a {hook} of its own; C knows the delay of `Delay` alone"
                 raise Untraceable(text, type(late), hook, "take that as it is, or build it without --native")
@@ -224,7 +226,7 @@ def _check_delays(effects: Sequence[Any], shaping: Sequence[Any]) -> None:
 def _overridden(kind: type[Any]) -> Iterator[str]:
     """Yield the hooks that the class overrides and a base effect class defines."""
     names = {n for c in kind.__mro__ for n, v in vars(c).items() if callable(v) and not n.startswith("_")}
-    for name in sorted(names - set(APART)):
+    for name in sorted(names - set(INTEGRATOR_HOOKS)):
         defined = [c for c in kind.__mro__ if name in vars(c) and issubclass(c, Effect)]
         if len(defined) > 1:
             yield name
@@ -275,14 +277,14 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float, sympy.Expr)) and not isinstance(value, bool)
 
 
-def _mapped(value: Any, change: Callable[[Any], Any]) -> Any:
+def _map(value: Any, change: Callable[[Any], Any]) -> Any:
     """Return the same structure with every number changed."""
     if isinstance(value, Mapping):
-        return {key: _mapped(part, change) for key, part in value.items()}
+        return {key: _map(part, change) for key, part in value.items()}
     if isinstance(value, tuple) and hasattr(value, "_fields"):
-        return type(value)(*(_mapped(part, change) for part in value))
+        return type(value)(*(_map(part, change) for part in value))
     if isinstance(value, (tuple, list)):
-        return tuple(_mapped(part, change) for part in value)
+        return tuple(_map(part, change) for part in value)
     return change(value) if _is_number(value) else value
 
 

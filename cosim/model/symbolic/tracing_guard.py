@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-OURS = Path(__file__).resolve().parent
+SYMBOLIC = Path(__file__).resolve().parent
 EQUALITY = "is decided before the numbers are known; compare with <, <=, > or >= in m.where"
 REMAINDER = "jumps where no solver sees it; let m.where choose: m.where(angle > limit, angle - 2 * limit, angle)"
 EQUALITIES = {"__eq__": "==", "__ne__": "!="}
@@ -21,7 +21,7 @@ class OfNumbersOnly(TypeError):
 
 
 @contextmanager
-def guarded(*, smooth: bool = False) -> Iterator[None]:
+def number_guard(*, smooth: bool = False) -> Iterator[None]:
     """Raise OfNumbersOnly for `==`, `!=`, `%` and `//` of symbols in a model's lines.
 
     Sympy and the tracer compare expressions too; the file of the operator distinguishes the cases.
@@ -31,9 +31,9 @@ def guarded(*, smooth: bool = False) -> Iterator[None]:
     """
     import sympy
 
-    library = (str(Path(sympy.__file__).parent), *map(str, (OURS, OURS.parent / "namespaces.py")))
+    library = (str(Path(sympy.__file__).parent), *map(str, (SYMBOLIC, SYMBOLIC.parent / "namespaces.py")))
 
-    def refused(name: str, a: Any, b: Any) -> bool:
+    def is_refused(name: str, a: Any, b: Any) -> bool:
         if name in EQUALITIES or not smooth:
             return bool(a.free_symbols)
         return any(s.name.startswith(VARYING) for e in (a, b) for s in getattr(e, "free_symbols", ()))
@@ -42,19 +42,19 @@ def guarded(*, smooth: bool = False) -> Iterator[None]:
         def operator(a: Any, b: Any) -> Any:
             if isinstance(a, sympy.Expr) and isinstance(b, (int, float, sympy.Expr)):
                 file = sys._getframe(1).f_code.co_filename
-                if not file.startswith(library) and not file.startswith("<") and refused(name, a, b):
+                if not file.startswith(library) and not file.startswith("<") and is_refused(name, a, b):
                     raise OfNumbersOnly(_sentence(name, a, b))
             return plain(a, b)
 
         return operator
 
-    kept = [(k, name, vars(k)[name]) for k in sympy.Symbol.__mro__[:-1] for name in SIGNS if name in vars(k)]
+    operators = [(k, name, vars(k)[name]) for k in sympy.Symbol.__mro__[:-1] for name in SIGNS if name in vars(k)]
     try:
-        for kind, name, plain in kept:
+        for kind, name, plain in operators:
             setattr(kind, name, guard(plain, name))
         yield
     finally:
-        for kind, name, plain in kept:
+        for kind, name, plain in operators:
             setattr(kind, name, plain)
 
 

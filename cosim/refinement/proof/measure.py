@@ -125,7 +125,7 @@ def remove_sensor_errors(
     """
     outputs = dict(log.outputs)
     for sensor in _sensors(variant, per_log):
-        if sensor.straight():
+        if sensor.is_straight():
             at_zero, gain = _line(sensor)
             outputs |= {n: (outputs[n] - at_zero) / gain for n in sensor.affected() if n in outputs}
         elif not sensor.dormant:
@@ -274,7 +274,7 @@ class _KernelReplays:
         starts, every_row = np.array(rows, np.intp), np.arange(len(data.u))
         per_log = {} if data.table else _parameters_at_starts(problem, filtered, starts, every_row)
         for sensor in _sensors(variant, per_log):
-            if sensor.straight():
+            if sensor.is_straight():
                 gains |= {n: gains[n] * _line(sensor)[1] for n in sensor.affected() if n in gains}
         return cls(variant, problem, index, data, rows, filtered, np.column_stack(list(gains.values())))
 

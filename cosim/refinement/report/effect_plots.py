@@ -159,7 +159,7 @@ def _reading(subject: Subject, problem: Problem, c: Candidate, without: Fit, wit
     name, missing, term = names[channel], (y - clean)[rows, channel], (wrong - clean)[rows, channel]
     if kind.late:
         against = Regressor(f"rate of {name}, by the refined model", _rate_unit(unit[name]), rate[rows, channel])
-    elif kind.straight():
+    elif kind.is_straight():
         against = outputs[name]
     else:
         signals = {"time": Regressor("time", "s", time[rows]), **outputs}

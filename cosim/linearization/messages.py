@@ -1,0 +1,82 @@
+"""Messages of linearizations."""
+
+from cosim.base.messages import Template
+
+# -- operating point: --at, --component, --side
+
+AT_WITHOUT_VALUE = Template(
+    "E-LIN-001", "{text} is neither NAME=VALUE of a state or input, such as level=0.5, nor SCENARIO.yaml@TIME"
+)
+INVALID_TIMES = Template("E-LIN-002", "{text}: {reason}")
+REPEATED_VALUE = Template("E-LIN-003", "{name} is given twice, {first} and {second}; give it once")
+SEVERAL_SCENARIOS = Template("E-LIN-004", "{count} scenarios are named; name one")
+UNKNOWN_SIGNAL = Template(
+    "E-LIN-005", '{model} has no state or input "{name}"{cure} (states: {states}; inputs: {inputs})'
+)
+INVALID_VALUE = Template("E-LIN-006", "{name}={value}: {reason}")
+NO_SCENARIO = Template("E-LIN-007", "no such scenario; check its path")
+TIME_OUTSIDE = Template("E-LIN-008", "{time:g} s is not within {scenario}, which runs from {first:g} to {last:g} s")
+UNKNOWN_COMPONENT = Template("E-LIN-009", '{scenario} has no component "{name}" ({names})')
+SEVERAL_COMPONENTS = Template("E-LIN-010", "several components fit the model: {names}; choose one as --component NAME")
+NO_COMPONENT_FITS = Template(
+    "E-LIN-011", "no component of {scenario} has the inputs and outputs of {model} ({missing}); name another scenario"
+)
+COMPONENT_MISFIT = Template(
+    "E-LIN-012", "{component} lacks inputs and outputs of {model} ({missing}); name another component"
+)
+STATES_NOT_RECORDED = Template("E-LIN-013", "{component} of {scenario} records no {names}")
+UNKNOWN_SIDE = Template("E-LIN-014", "{side} is no side; the side of a kink is below or above{cure}")
+NO_DERIVATIVE = Template(
+    "E-LIN-015", "{kink}; there is no derivative: choose --side below or --side above, or give a point next to it"
+)
+
+# -- model and selection: --set, --step, --states, --inputs, --outputs, --residualize
+
+NOT_NAME_VALUE = Template("E-LIN-016", "{text} is not NAME=VALUE; for example mass=2")
+UNKNOWN_PARAMETER = Template("E-LIN-017", '{model} has no parameter "{name}"{cure}')
+UNSUITABLE_PARAMETER = Template("E-LIN-018", "{owner}{fault}")
+STEP_OF_EQUATIONS = Template("E-LIN-019", "is of FMUs only: equations are differentiated exactly; leave it out")
+STEP_SIZE = Template("E-LIN-020", "{step:g} is not between 0 and 1; give a small number, such as 1e-5")
+UNKNOWN_NAME = Template("E-LIN-021", '{model} has no {kind} "{name}"{cure}')
+REPEATED_NAME = Template("E-LIN-022", "{name} is named twice; name it once")
+SELECTED_AND_ELIMINATED = Template("E-LIN-023", "{name} is also selected by --states; name it in one of the two")
+STATES_MISSING = Template(
+    "E-LIN-024",
+    "the selected states depend on {names}; add them, or, if they settle at once, name them as --residualize",
+)
+NO_STEADY_STATE = Template("E-LIN-025", "{names} do not settle by themselves: their own part of A is singular")
+NO_EQUILIBRIUM = Template("E-LIN-026", "{names} do not come to rest while the other states are constant")
+CO_SIMULATION_ONLY = Template(
+    "E-LIN-027",
+    "is for co-simulation only, and hides its states and derivatives; give the model's own file (model.yaml, "
+    "file.py:Class or base), or an FMU for model exchange; `cosim build --native` makes one of any model here",
+)
+DERIVATIVES_WITHOUT_STATES = Template(
+    "E-LIN-028", "declares derivatives without their states; its modelDescription.xml needs the attribute `derivative`"
+)
+UNKNOWN_VARIABLE = Template("E-LIN-029", 'has no variable "{name}"{cure}')
+NOT_SETTABLE = Template("E-LIN-030", "{name} is {kind}, and has no start value; name a parameter, a state or an input")
+UNSUITABLE_START = Template("E-LIN-031", "{name} is {value!r}; {reason}")
+
+# -- reasons of a failure at a point
+
+NO_VALUE_AT_POINT = Template("E-LIN-032", "the equations have no value there: {reason}")
+NOT_FINITE_AT_POINT = Template("E-LIN-033", "the equations or their slopes are not finite there")
+
+# -- remarks on a result
+
+OTHER_MODEL = Template("W-LIN-034", "{component} is not this model: driven alike, {output} differs by up to {size}")
+SLOPES_WITHDRAWN = Template("W-LIN-035", "differences of step {step:g} are taken: {reason} for its own slopes")
+SLOPES_REPLACED = Template(
+    "W-LIN-036", "differences of step {step:g} are taken for {rows}: the FMU's own slopes of these differ"
+)
+STATES_MOVED = Template("N-LIN-037", "an event of the FMU at this point has moved its states: {states}")
+EARLIER_POINT = Template("N-LIN-038", "between communication points, the last one before is taken")
+INPUTS_SHAPED = Template("N-LIN-039", "{effect} ({equation}) acts on the inputs before they get here and is left out")
+ONE_SIDED = Template("N-LIN-040", "the equations end at this point: to one side of it they have no value")
+IDLE_INPUT = Template("N-LIN-041", "{name} moves nothing at this point: a dead band or a stop, perhaps")
+SIDE_OF_KINK = Template("N-LIN-042", "{kink}; the slopes here are those {side}")
+MORE_KINKS = Template("N-LIN-043", "{count} kinks more; linear.json has all")
+SIDE_WITHOUT_EFFECT = Template(
+    "N-LIN-044", "--side {side} changes nothing: slopes of what is kept are the same on both sides here"
+)
