@@ -163,7 +163,7 @@ class ExchangeSource(Source):
 
     def start(self) -> Point:
         """Return the start after the FMU's initialization."""
-        states, inputs = self._call(read, "here")
+        states, inputs = self._call(read, "current_point")
         return Point(0.0, states, inputs)
 
     def linear(self, points: Sequence[Point]) -> list[Linear]:

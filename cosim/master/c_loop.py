@@ -96,7 +96,8 @@ class CompiledSteps:
         run, chunk = self.run, PREPARED_POINTS if self.sources else self.run.steps
         for first in range(1, run.steps + 1, max(1, chunk)):
             last = min(first + chunk - 1, run.steps)
-            self._prepare(first, last)
+            if self.sources:
+                self._prepare(first, last)
             self._until(last)
 
     def _until(self, last: int) -> None:
