@@ -282,7 +282,7 @@ class _KernelReplays:
         """Return corrected measurement − model."""
         if self.data.table:
             return np.asarray(self.filtered.errors / self.gains)
-        return np.asarray((self.data.y - self._predicted()) / self.gains)
+        return np.asarray((self.data.y - self._predict()) / self.gains)
 
     def random_errors(self, rng: np.random.Generator) -> Array:
         """Return the errors against a simulation with random noise, from starts beside those of the replays."""
@@ -302,15 +302,15 @@ class _KernelReplays:
             kicks = np.zeros((len(data.u), len(layout.states)))
             kicks[:, layout.noise_places] = rng.standard_normal((len(data.u), noisy)) * np.sqrt(density * data.step)
             memory = {LASTS: math.exp(noise.memory)} if layout.coloured else {}
-            errors += self._simulated({**self.variant.values, **memory}, starts, kicks) - self._predicted()
+            errors += self._simulate({**self.variant.values, **memory}, starts, kicks) - self._predict()
         return np.asarray(np.where(np.isnan(data.y), np.nan, errors) / self.gains)
 
-    def _predicted(self) -> Array:
+    def _predict(self) -> Array:
         """Return the outputs of the replays; NaN between them."""
         starts = {k: self.problem.undisturbed(self.filtered.states[k]) for k in self.rows}
-        return self._simulated(self.variant.values, starts)
+        return self._simulate(self.variant.values, starts)
 
-    def _simulated(
+    def _simulate(
         self, values: Mapping[str, float], starts: Mapping[int, Array] | Array, kicks: Array | None = None
     ) -> Array:
         """Return the outputs of simulations from given states; NaN between them."""

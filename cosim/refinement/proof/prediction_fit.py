@@ -37,13 +37,13 @@ def fit_to_predictions(search: Search, h: Hypothesis) -> Hypothesis:
     def gain(log: int) -> float:
         """Return the decrease of the log error on a held-out log."""
         before = fit_without(search, problem, h, log)
-        after = _refitted(problem, before, horizon, [k for k in range(count) if k != log])
+        after = _refit(problem, before, horizon, [k for k in range(count) if k != log])
         return log_error(problem, horizon, [before], [log]) - log_error(problem, horizon, [after], [log])
 
     gains = in_parallel(gain, list(range(count)))
     if not (np.mean(gains) > CLEARLY and min(gains) > 0.0):
         return h
-    fitted = _refitted(problem, h.fit, horizon, range(count))
+    fitted = _refit(problem, h.fit, horizon, range(count))
     sigmas = np.array([h.fit.sigma(f.name) for f in h.fit.free])
     moved = np.array([abs(fitted.values[f.name] - h.fit.values[f.name]) for f in h.fit.free])
     wider = 1.0 + np.divide(moved / NORMAL_95, sigmas, out=np.zeros_like(sigmas), where=sigmas > 0.0)
@@ -51,7 +51,7 @@ def fit_to_predictions(search: Search, h: Hypothesis) -> Hypothesis:
     return replace(h, fit=replace(fitted, scattered=covariance * np.outer(wider, wider)))
 
 
-def _refitted(problem: Problem, f: Fit, horizon: float, logs: Sequence[int]) -> Fit:
+def _refit(problem: Problem, f: Fit, horizon: float, logs: Sequence[int]) -> Fit:
     """Return the fit with free parameters that minimise the squared errors of predictions, priors included."""
     from scipy.optimize import least_squares
 
