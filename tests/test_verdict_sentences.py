@@ -121,7 +121,9 @@ def open_question() -> dict[str, Any]:
     names = ["coulomb_friction", "quadratic_drag"]
     certain = [c for c in h.candidates if c.name == "mass"]
     sentence = rivals_text(names, experiment, claim_text(h, certain, ModelSubject.of(CRAFT)), ModelSubject.of(CRAFT))
-    return written("ambiguous", sentence, "nearest", h, ("mass",), rivals=names, experiment=experiment)
+    shared = [e.model_dump(mode="json") for e in effects(ModelSubject.of(CRAFT), h, (), certain)]
+    asked = {"rivals": names, "experiment": experiment, "effects": shared}
+    return written("ambiguous", sentence, "part", h, ("mass",), **asked)
 
 
 def too_little() -> dict[str, Any]:

@@ -23,7 +23,9 @@ ESTIMATE = r"(\w+) = ([-\d.e+]+) ± ([-\d.e+]+)"
 
 def contradictions(record: Record, folder: Path | None = None) -> list[str]:
     """Everything in which a record contradicts itself, and the files beside it."""
-    rules = (_names, _intervals, _estimates, _grade, _rivals, _nearest, _share, _left, _misses, _floors, _sealed)
+    rules = (
+        _names, _intervals, _estimates, _grade, _rivals, _nearest, _share, _left, _misses, _floors, _sealed, _improved,
+    )  # fmt: skip
     said = [text for rule in rules for text in rule(record)]
     return said + (list(_files(record, folder)) if folder is not None else [])
 
@@ -38,7 +40,8 @@ def _names(record: Record) -> Iterator[str]:
     if both := set(claimed) & set(record["hidden"]):
         yield f"claimed, and not to be seen: {sorted(both)}"
     ranked = [set(c["names"]) for c in record["candidates"] if c["why"] == "claimed"]
-    if ranked != ([set(claimed)] if claimed else []):
+    shared = record["verdict"] == "ambiguous" and len(ranked) < 2 and all(set(claimed) <= names for names in ranked)
+    if not shared and ranked != ([set(claimed)] if claimed else []):
         yield f"claimed {claimed}, in the ranking {ranked}"
     if record["verdict"] in CLAIMS:
         yield from (f"{name} is claimed and not in the sentence" for name in claimed if name not in said)
@@ -85,18 +88,18 @@ def _estimates(record: Record) -> Iterator[str]:
 
 def _grade(record: Record) -> Iterator[str]:
     verdict, grade, claimed = record["verdict"], record["grade"], _claimed(record)
-    if (grade in ("claimed", "part")) != (verdict in CLAIMS):
+    if (grade in ("claimed", "part")) != (verdict in CLAIMS or (verdict == "ambiguous" and bool(claimed))):
         yield f"{verdict} is {grade}"
     if verdict in CLAIMS and not claimed:
         yield f"{verdict}, and nothing is claimed"
     if verdict in ("no_effect", "unexplained") and claimed:
         yield f"{verdict}, and {claimed} is claimed"
-    if (grade == "part") != (IN_PART in record["sentence"]):
+    if verdict != "ambiguous" and (grade == "part") != (IN_PART in record["sentence"]):
         yield f"the grade is {grade}, the sentence {record['sentence']!r}"
     changed = any(
         record["error"]["before"][part] != record["error"]["after"][part] for part in record["error"]["before"]
     )
-    if changed and not claimed:
+    if changed and not claimed and verdict != "ambiguous":
         yield "nothing is claimed, and the error after is another than before"
 
 
@@ -157,6 +160,19 @@ def _share(record: Record) -> Iterator[str]:
             yield f"{found[1]} in the sentence, {residual['terms'][0]['gain']} of {gained} in the record"
 
 
+def _improved(record: Record) -> Iterator[str]:
+    """The share of the squared error that the refined model explains is that of the errors on sealed logs."""
+    found = re.search(
+        r"refined model explains ((?:less than |more than )?[\d.]+\u00a0%) of the squared", record["sentence"]
+    )
+    if found is None:
+        return
+    before, after = (record["error"][name]["validation"] for name in ("before", "after"))
+    shares = [(after[name] / size) ** 2 for name, size in before.items() if size > 0.0 and name in after]
+    if found[1] != percent(1.0 - sum(shares) / len(shares)):
+        yield f"{found[0]} in the sentence, {before} and {after} in the record"
+
+
 def _excess(record: Record, part: str = "estimation") -> dict[str, float]:
     """Channel → share of the excess error that is left, where there was an excess."""
     before, after, floor = (
@@ -182,7 +198,7 @@ def _left(record: Record) -> Iterator[str]:
     elif record["grade"] == "part" and "an unknown input of" in said:
         if re.search(r"unknown input of [\d.]+\u00a0% of what moves \w+ remains", said) is None:
             yield f"a part, and the sentence does not say how much is left: {said!r}"
-    elif record["grade"] == "part":
+    elif record["grade"] == "part" and "may take the place of" not in said and record["verdict"] != "ambiguous":
         found = re.search(r"replays keep (\d+)\u00a0% of the excess error of (\w+)", said)
         if found is None or "The rest" not in said:
             yield f"a part, and the sentence does not say how much is left: {said!r}"

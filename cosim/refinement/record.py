@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -25,6 +25,7 @@ from cosim.refinement.search.hypotheses import Attribution, Hypothesis
 from cosim.refinement.search.input_hold import Between, Way
 from cosim.refinement.study import Study
 from cosim.residuals.residual_statistics import FREE_RUN
+from cosim.subject.candidates import Candidate
 from cosim.subject.interface import Subject
 
 SCHEMA = Path(__file__).with_name("refine.schema.json")
@@ -317,7 +318,7 @@ def record(
         verdict=claims.name,
         sentence=sentence(claims, study.subject),
         grade=claims.grade,
-        effects=effects(study.subject, claims, a),
+        effects=effects(study.subject, claimed, a.tried, claims.claimed_candidates) if claimed else [],
         rivals=list(claims.rivals) if claims.name == "ambiguous" else [],
         experiment=claims.experiment,
         nearest=list(claims.nearest.names) if claims.nearest else [],
@@ -359,35 +360,30 @@ def keep_finite(channels: Mapping[str, float]) -> dict[str, float]:
     return {name: value for name, value in channels.items() if math.isfinite(value)}
 
 
-def effects(subject: Subject, claims: Claims, a: Attribution) -> list[EffectEntry]:
+def effects(
+    subject: Subject,
+    claimed: Hypothesis,
+    tried: Iterable[Hypothesis],
+    candidates: Sequence[Candidate] | None = None,
+) -> list[EffectEntry]:
     """Return the claimed effects, most important first.
 
-    Beside rivals, effects that all rivals contain are claimed, with intervals over all of them.
+    Args:
+        candidates: Claimed candidates of the hypothesis, by default all.
     """
-    if claims.claimed is None:
-        return []
-    declared, is_ambiguous = subject.declared, claims.name == "ambiguous"
-    alone = {h.names: h.score for h in a.tried if len(h.candidates) == 1}
-    fits = [claims.claimed.fit, *(h.fit for h in a.rivals if is_ambiguous)]
+    declared = subject.declared
+    alone = {h.names: h.score for h in tried if len(h.candidates) == 1}
     return [
         EffectEntry(
             name=c.name,
             parameters={
-                n.partition(".")[2] or "value": _joint_estimate(fits, n, declared[n].unit) for n in c.parameters
+                n.partition(".")[2] or "value": _estimate(claimed.fit, n, declared[n].unit) for n in c.parameters
             },
         )
         for c in sorted(
-            claims.certain if is_ambiguous else claims.claimed.candidates,
-            key=lambda c: alone.get((c.name,), math.inf),
+            claimed.candidates if candidates is None else candidates, key=lambda c: alone.get((c.name,), math.inf)
         )
     ]
-
-
-def _joint_estimate(fits: Sequence[Fit], name: str, unit: str) -> Estimate:
-    """Return the first fit's estimate, with an interval that holds those of all fits."""
-    estimates = [_estimate(f, name, unit) for f in fits]
-    low, high = (choose(e.ci95[k] for e in estimates) for k, choose in ((0, min), (1, max)))
-    return estimates[0].model_copy(update={"ci95": (low, high)})
 
 
 def per_log(study: Study, f: Fit, ends: Mapping[str, float]) -> dict[str, PerLog]:

@@ -9,8 +9,11 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
+import numpy as np
+
 from cosim.base.text import MOST_NAMED
 from cosim.estimation.fit import Fit
+from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.decision.judgement import SIGNIFICANT, loss_without
 from cosim.refinement.search.hypotheses import TOGETHER, Attribution, Hypothesis
 from cosim.refinement.search.unnamed import Leftover, UnnamedTerm
@@ -90,6 +93,7 @@ class Claims:
         small: Names with a gain too small to distinguish from chance.
         term, gained: Unnamed term beside a claim, and the log-likelihood gain of the claim.
         disturbed: State whose unknown input is no small disturbance beside the claim.
+        replaced: Parts of the best hypothesis that an unnamed term replaces.
         further: Other base parameters outside their tolerances beside a claim (from replays, as up to `left_share`).
         missed_channel: Channel and its error with the unchanged model, as a multiple of the noise floor.
         recalibrated: Base parameters moved beyond their tolerances.
@@ -120,6 +124,7 @@ class Claims:
     term: UnnamedTerm | None = None
     gained: float = 0.0
     disturbed: str = ""
+    replaced: tuple[str, ...] = ()
 
     further: tuple[MovedParameter, ...] = ()
     missed_channel: tuple[str, float] | None = None
@@ -148,6 +153,13 @@ class Claims:
     def nearest_hypothesis(self) -> Hypothesis | None:
         """Return the nearest hypothesis or a complete claim."""
         return self.claimed if self.nearest is None else self.nearest.hypothesis
+
+    @property
+    def claimed_candidates(self) -> tuple[Candidate, ...]:
+        """Return the claimed candidates; beside rivals, those that all of them contain."""
+        if self.claimed is None:
+            return ()
+        return self.certain if self.name == "ambiguous" else self.claimed.candidates
 
     def withdraw(self, doubt: Doubt) -> Claims:
         """Return an unexplained answer with a reason."""
@@ -194,7 +206,9 @@ def judge(
     claims = Claims(
         name, certain, misfit=residual, grade="claimed", small=a.small_parts, term=leftover.stable_first, gained=gained
     )
-    return replace(claims, grade="part", disturbed=large, moves=moves) if large or disputed else claims
+    if not (large or disputed):
+        return claims
+    return replace(claims, grade="part", disturbed=large, moves=moves, replaced=tuple(sorted(disputed)))
 
 
 def _fit_without(a: Attribution, disputed: Collection[str]) -> Hypothesis | None:
@@ -216,9 +230,23 @@ def _ambiguous_claims(a: Attribution, subject: Subject, residual: Mapping[str, A
     experiment = experiment_for(subject, [n for names in apart for n in names])
     rivals = tuple(TOGETHER.join(h.names) for h in hypotheses)
     short = tuple(TOGETHER.join(names) if len(names) <= MOST_NAMED else f"{len(names)} candidates" for names in apart)
-    claims = Claims("ambiguous", a.best, rivals, experiment, residual, apart=short)
+    best = _with_intervals_of(a.best, a.rivals, common)
+    claims = Claims("ambiguous", best, rivals, experiment, residual, apart=short)
     certain = tuple(c for c in a.best.candidates if c.name in common)
     return replace(claims, certain=certain, grade="part" if certain else "nearest")
+
+
+def _with_intervals_of(best: Hypothesis, rivals: Sequence[Hypothesis], common: Collection[str]) -> Hypothesis:
+    """Return the best hypothesis, with intervals of its shared parts that hold those of all rivals."""
+    fit, wider = best.fit, np.ones(len(best.fit.free))
+    shared = {f.name for c in best.candidates if c.name in common for f in c.free}
+    for k, f in enumerate(fit.free):
+        if f.name in shared and (sigma := fit.sigma(f.name)) > 0.0:
+            reach = [abs(h.fit.values[f.name] - fit.values[f.name]) / NORMAL_95 + h.fit.sigma(f.name) for h in rivals]
+            wider[k] = max(1.0, *(r / sigma for r in reach))
+    sigmas = np.array([fit.sigma(f.name) for f in fit.free])
+    covariance = np.diag(sigmas**2) if fit.scattered is None else fit.scattered
+    return replace(best, fit=replace(fit, scattered=covariance * np.outer(wider, wider)))
 
 
 def usual_experiment(subject: Subject) -> str:

@@ -1,0 +1,167 @@
+"""What a refine claims: shared parts, claims that explain much, parts that no term replaces, the simplest model."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cosim.base.linear_algebra import square_roots
+from cosim.estimation.fit import Fit
+from cosim.estimation.noise_model import Noise
+from cosim.refinement.decision.claims import Claims, judge, name_of
+from cosim.refinement.decision.sentences import improvement_text
+from cosim.refinement.proof.nearest import _is_as_good
+from cosim.refinement.proof.replay_check import check_claim
+from cosim.refinement.record import effects
+from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
+from cosim.refinement.search.unnamed import Leftover, UnnamedTerm
+from cosim.refinement.workflow import refine
+from cosim.subject.model_subject import ModelSubject
+from plant.hovercraft import Hovercraft
+from tests.blind import arm
+
+CRAFT = ModelSubject.of(Hovercraft())
+CANDIDATES = {c.name: c for c in CRAFT.candidates(())}
+FRICTION, DRAG, DAMPING = "coulomb_friction", "quadratic_drag", "yaw_damping"
+NOISE = Noise(np.zeros(1), math.log(0.15), np.zeros(1), np.full(1, -np.inf))
+
+
+def fitted(*names: str, score: float = -200.0, **values: float) -> Hypothesis:
+    """A hypothesis whose parameters are 0.1, each known to 0.01."""
+    parts = tuple(CANDIDATES[n] for n in names)
+    free = tuple(f for c in parts for f in c.free)
+    known = {f.name: values.get(c.name, 0.1) for c in parts for f in c.free}
+    fit = Fit(known, NOISE, free, (0.0,), 0.0, 1e4 * np.eye(len(free)), 5, True)
+    return Hypothesis(parts, fit, score)
+
+
+def attribution(best: Hypothesis, *rivals: Hypothesis, ratios: tuple[float, ...] = (0.3, 0.4)) -> Attribution:
+    base = Hypothesis((), replace(fitted().fit), 0.0)
+    tried = (best, *rivals, fitted(FRICTION, score=-150.0), base)
+    facts = base, base.fit, tried, best, rivals, Support(200.0, 9.0), {}, (1e9,)
+    return Attribution(*facts, error_ratios=ratios)
+
+
+def judged(a: Attribution, leftover: Leftover | None = None, move: float = 0.0) -> Claims:
+    nothing = Leftover((), None, 0.0, 8.0)
+    return judge(a, leftover or nothing, CRAFT, ["vx"], {"vx": move} if move else {}, still=False)
+
+
+def test_an_unknown_input_withdraws_a_claim_only_if_the_claim_explains_little() -> None:
+    """However fine the sensors are, and so however large the gain of the unknown input is."""
+    much, little = (judged(attribution(fitted(FRICTION), ratios=r), move=0.3) for r in ((0.5, 0.6), (0.97, 0.98)))
+    assert (much.name, much.grade, much.disturbed) == ("effect_found", "part", "vx")
+    assert (little.name, little.claimed, little.rivals) == ("unexplained", None, (FRICTION,))
+
+
+def test_a_part_that_an_unnamed_term_replaces_is_left_out_and_the_others_stay() -> None:
+    best = fitted(FRICTION, DRAG)
+    other = replace(best.fit, values={**best.fit.values, "quadratic_drag.coefficient": 0.0})
+    term = UnnamedTerm("vx", "vx", 30.0, 0.1, 30.0)
+    claims = judged(attribution(best), Leftover((term,), other, 30.0, 8.0))
+    assert claims.claimed is not None
+    assert (claims.name, claims.grade, claims.claimed.names) == ("effect_found", "part", (FRICTION,))
+    none = replace(other, values=dict.fromkeys(other.values, 0.0))
+    assert judged(attribution(best), Leftover((term,), none, 30.0, 8.0)).name == "unexplained"
+
+
+def test_a_term_that_does_not_lead_on_every_log_is_not_named() -> None:
+    term = UnnamedTerm("vx", "vx", 30.0, 0.1, 30.0, 0.2)
+    best = fitted(FRICTION)
+    for is_stable in (True, False):
+        claims = judged(attribution(best), Leftover((term,), best.fit, 30.0, 8.0, is_stable=is_stable))
+        assert (claims.term is not None, claims.residual["signals"]) == (is_stable, ["vx"] if is_stable else [])
+
+
+def test_what_all_rivals_contain_is_claimed_with_an_interval_over_all_of_them() -> None:
+    best, rival = fitted(FRICTION, DRAG), fitted(FRICTION, DAMPING, score=-199.0, coulomb_friction=0.15)
+    a = attribution(best, rival)
+    claims = judged(a)
+    assert (claims.name, claims.grade) == ("ambiguous", "part")
+    assert claims.claimed is not None
+    (entry,) = effects(CRAFT, claims.claimed, a.tried, claims.claimed_candidates)
+    assert entry.name == FRICTION
+    low, high = entry.parameters["force"].ci95
+    assert (low, high) == (pytest.approx(0.05 - 0.0196, abs=1e-4), pytest.approx(0.15 + 0.0196, abs=1e-4))
+    apart = judged(attribution(fitted(DRAG), fitted(DAMPING, score=-199.0)))
+    assert (apart.grade, apart.claimed_candidates) == ("nearest", ())
+
+
+@pytest.mark.parametrize(
+    ("names", "verdict"),
+    [
+        (("mass",), "parameter_error"),
+        (("camera_latency",), "sensor_error"),
+        (("camera_latency", "mass"), "sensor_error"),
+        ((FRICTION, "mass", "gyro_bias"), "effect_found"),
+    ],
+)
+def test_effect_found_needs_an_effect(names: tuple[str, ...], verdict: str) -> None:
+    assert name_of([CANDIDATES[n] for n in names], CRAFT) == verdict
+
+
+def test_a_claim_that_halves_the_held_out_error_is_never_withdrawn() -> None:
+    claims = Claims("effect_found", fitted(FRICTION), grade="claimed")
+    before, after = {"x": 10.0}, {"x": 9.0}
+    errors = {"before": before, "recalibrated": before, "after": after}
+    assert check_claim(claims, errors, {"x": 1.0}).name == "unexplained"
+    kept = check_claim(claims, errors, {"x": 1.0}, halves=True)
+    assert (kept.name, kept.grade) == ("effect_found", "part")
+    assert kept.part is not None
+    assert kept.part.share == pytest.approx(80 / 99)
+
+
+def test_the_error_ratio_is_the_mean_over_the_logs_and_each_log_has_to_improve() -> None:
+    ratios = {(0.4, 0.6): True, (0.1, 1.1): False, (0.6, 0.6): False, (): False}
+    for logs, halves in ratios.items():
+        a = attribution(fitted(FRICTION), ratios=logs)
+        assert a.halves_error is halves
+        assert a.error_ratio == pytest.approx(math.prod(logs) ** (1 / len(logs)) if logs else 1.0)
+
+
+def test_of_two_models_within_one_standard_error_the_simpler_is_taken() -> None:
+    worse, alike, on_one_log = np.array([0.3, 0.5]), np.array([0.0, 0.04]), np.array([0.3, -0.2])
+    assert [_is_as_good(e) for e in (worse, alike, on_one_log, np.array([0.3]))] == [False, True, True, False]
+
+
+@pytest.mark.parametrize(
+    ("remaining", "text"),
+    [
+        (
+            {"x": 0.02, "v": 0.04},
+            "explains 97\u00a0% of the squared error on sealed logs; 3\u00a0% remain, mostly in v.",
+        ),
+        ({"x": 0.25}, "explains 75\u00a0% of the squared error on sealed logs; 25\u00a0% remain."),
+        ({"x": 1.2}, ""),
+        ({}, ""),
+    ],
+)
+def test_the_improvement_on_sealed_logs_comes_first(remaining: dict[str, float], text: str) -> None:
+    assert improvement_text(remaining).removeprefix("The refined model ") == text
+
+
+def test_square_roots_of_covariances_exist_for_singular_and_diverged_ones_too() -> None:
+    singular = np.array([[4.0, 2.0], [2.0, 1.0]])
+    roots = square_roots(np.stack([singular, np.full((2, 2), np.nan)]))
+    np.testing.assert_allclose(roots @ roots.transpose(0, 2, 1), np.stack([singular, np.zeros((2, 2))]), atol=1e-12)
+
+
+@pytest.mark.thorough
+def test_friction_of_an_arm_is_claimed_beside_what_no_catalogue_has(tmp_path: Path) -> None:
+    """Fine encoders on an unstable plant, an elastic belt and torque ripple; the yardstick is a least-squares fit."""
+    study = arm.draw(3)
+    told: Any = refine(arm.write(study, tmp_path / "study"), tmp_path / "out").record
+    assert (told["verdict"], told["grade"]) == ("effect_found", "part")
+    found = {e["name"]: e["parameters"]["level"]["value"] for e in told["effects"]}
+    assert found.keys() == study.truth.keys()
+    for name, values in study.truth.items():
+        assert found[name] == pytest.approx(values["level"], rel=0.1)
+    errors, floor = told["error"], told["noise_floor"]
+    for channel, before in errors["before"]["validation"].items():
+        assert errors["after"]["validation"][channel] < 0.15 * before
+        assert floor[channel] < before
