@@ -92,8 +92,10 @@ class ScoreTest:
         return row - self.basis @ (self.basis.T @ row)
 
     def row(self, steps: Mapping[str, float]) -> Array:
-        """Return the projected change for finite parameter steps."""
-        return self._project(self._row(steps))
+        """Return the projected change for finite parameter steps; zero where the model runs away with them."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            row = self._project(self._row(steps))
+            return row if np.isfinite(row @ row) else np.zeros_like(row)
 
     def gain_without(self, rows: Sequence[Array], part: int) -> float:
         """Return the joint gain of terms on all logs but one, or without a half of a single log."""

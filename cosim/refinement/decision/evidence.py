@@ -146,10 +146,9 @@ def log_error(problem: Problem, horizon: float, fits: Iterable[Fit], logs: Itera
     logs = range(len(problem.logs)) if logs is None else logs
     errors = [open_loop(problem, horizon, f.values, f, k) for f, k in zip(fits, logs, strict=False)]
     rows = np.concatenate([e.reshape(-1, e.shape[-1]) for e in errors])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        sizes = 0.5 * np.log(np.nanmean(rows**2, axis=0))
-    sizes = sizes[np.isfinite(sizes)]
-    return float(np.mean(sizes)) if sizes.size else math.inf
+    sums, counts = np.nansum(rows**2, axis=0), np.isfinite(rows).sum(axis=0)
+    seen = (counts > 0) & (sums > 0.0)  # not an output without readings in these logs
+    return float(np.mean(0.5 * np.log(sums[seen] / counts[seen]))) if seen.any() else math.inf
 
 
 def error_ratios(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[float, ...]:
@@ -293,6 +292,7 @@ def with_intervals(search: Search, h: Hypothesis) -> Hypothesis:
     fits = in_parallel(lambda k: fit_without(search, search.problem, h, k), list(range(logs)))
     values = np.array([[other.values[x.name] for x in f.free] for other in fits])
     between = (logs - 1) / logs * np.sum((values - values.mean(axis=0)) ** 2, axis=0)
+    between[[bool(x.group) for x in f.free]] = 0.0  # A fit without its log says nothing of a parameter per log.
     within = np.diag(f.scattered)
     wider = np.sqrt(np.maximum(1.0, np.divide(between, within, out=np.ones_like(within), where=within > 0.0)))
     return replace(h, fit=replace(f, scattered=f.scattered * np.outer(wider, wider)))

@@ -56,7 +56,8 @@ def _refit(problem: Problem, f: Fit, horizon: float, logs: Sequence[int]) -> Fit
     from scipy.optimize import least_squares
 
     windows = [_Windows(problem, f, horizon, k) for k in logs]
-    scale = np.sqrt(np.nanmean(np.concatenate([w.errors(f.values).reshape(-1, w.width) for w in windows]) ** 2, axis=0))
+    errors = np.concatenate([w.errors(f.values).reshape(-1, w.width) for w in windows])
+    scale = np.sqrt(np.nansum(errors**2, axis=0) / np.maximum(1, np.isfinite(errors).sum(axis=0)))
     scale = np.where(scale > 0.0, scale, 1.0) * math.sqrt(max(w.length for w in windows))
     priors = [(k, *x.prior) for k, x in enumerate(f.free) if x.prior]
 
