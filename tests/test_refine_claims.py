@@ -130,19 +130,20 @@ def test_of_two_models_within_one_standard_error_the_simpler_is_taken() -> None:
 
 
 @pytest.mark.parametrize(
-    ("remaining", "text"),
+    ("remaining", "shares"),
     [
-        (
-            {"x": 0.02, "v": 0.04},
-            "explains 97\u00a0% of the squared error on sealed logs; 3\u00a0% remain, mostly in v.",
-        ),
-        ({"x": 0.25}, "explains 75\u00a0% of the squared error on sealed logs; 25\u00a0% remain."),
-        ({"x": 1.2}, ""),
-        ({}, ""),
+        ({"x": 0.02, "v": 0.04}, ("97", "3\u00a0% remain, mostly in v.")),
+        ({"x": 0.25}, ("75", "25\u00a0% remain.")),
+        ({"x": 1.2}, None),
+        ({}, None),
     ],
 )
-def test_the_improvement_on_sealed_logs_comes_first(remaining: dict[str, float], text: str) -> None:
-    assert improvement_text(remaining).removeprefix("The refined model ") == text
+def test_the_improvement_on_sealed_logs_comes_first(
+    remaining: dict[str, float], shares: tuple[str, str] | None
+) -> None:
+    error = "of the squared error that the recalibrated model has on sealed logs"
+    text = f"The claim explains {shares[0]}\u00a0% {error}; {shares[1]}" if shares else ""
+    assert improvement_text(remaining, "recalibrated") == text
 
 
 def test_square_roots_of_covariances_exist_for_singular_and_diverged_ones_too() -> None:

@@ -161,13 +161,13 @@ def _share(record: Record) -> Iterator[str]:
 
 
 def _improved(record: Record) -> Iterator[str]:
-    """The share of the squared error that the refined model explains is that of the errors on sealed logs."""
-    found = re.search(
-        r"refined model explains ((?:less than |more than )?[\d.]+\u00a0%) of the squared", record["sentence"]
-    )
+    """The share of the squared error that a claim explains is that of the errors on sealed logs."""
+    text = r"claim explains ((?:less than |more than )?[\d.]+\u00a0%) of the squared error that the (\w+) model has"
+    found = re.search(text, record["sentence"])
     if found is None:
         return
-    before, after = (record["error"][name]["validation"] for name in ("before", "after"))
+    other = "before" if found[2] == "unchanged" else "recalibrated"
+    before, after = (record["error"][name]["validation"] for name in (other, "after"))
     shares = [(after[name] / size) ** 2 for name, size in before.items() if size > 0.0 and name in after]
     if found[1] != percent(1.0 - sum(shares) / len(shares)):
         yield f"{found[0]} in the sentence, {before} and {after} in the record"

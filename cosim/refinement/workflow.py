@@ -252,9 +252,11 @@ def _rises(claims: Claims, played: Replayed, subject: Subject) -> Mapping[str, t
 
 def _remaining(claims: Claims, played: Replayed, subject: Subject) -> Mapping[str, float]:
     """Return the share of each channel's squared error on sealed logs that remains with the claim."""
-    if claims.claimed is None or "validation" not in played["before"]:
+    if not claims.claimed_candidates or "validation" not in played["before"]:
         return {}
-    before, after = (keep_finite(rmse(played[name]["validation"][subject.horizon])) for name in ("before", "after"))
+    before, after = (
+        keep_finite(rmse(played[name]["validation"][subject.horizon])) for name in (claims.beside, "after")
+    )
     return {name: (after[name] / size) ** 2 for name, size in before.items() if size > 0.0 and name in after}
 
 

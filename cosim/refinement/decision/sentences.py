@@ -37,18 +37,18 @@ def sentence(c: Claims, subject: Subject) -> str:
     units = {q.name: q.unit for q in subject.outputs}
     files = (REFINED[0], NEAREST[0]) if c.written else ("the refined object", "the nearest object")
     rise = rise_text(c.risen, units, files[c.claimed is None])  # a reader must know it before the answer
-    opening = rise or improvement_text(c.remaining)
+    opening = rise or improvement_text(c.remaining, c.beside)
     return " ".join(filter(None, (opening, _answer_text(c, subject), *_share_texts(c), *_remark_texts(c, subject))))
 
 
-def improvement_text(remaining: Mapping[str, float]) -> str:
-    """Say which share of the squared error on sealed logs a claim explains, and where most remains."""
+def improvement_text(remaining: Mapping[str, float], beside: str) -> str:
+    """Say which share of the squared error of another model on sealed logs a claim explains, and where most remains."""
     share = sum(remaining.values()) / len(remaining) if remaining else 1.0
     if not share < 1.0:
         return ""
     worst = f", mostly in {max(remaining, key=lambda name: remaining[name])}" if len(remaining) > 1 else ""
-    text = f"The refined model explains {percent(1.0 - share)} of the squared error on sealed logs"
-    return f"{text}; {percent(share)} remain{worst}."
+    error = f"the squared error that the {'recalibrated' if beside == 'recalibrated' else 'unchanged'} model has"
+    return f"The claim explains {percent(1.0 - share)} of {error} on sealed logs; {percent(share)} remain{worst}."
 
 
 def _answer_text(c: Claims, subject: Subject) -> str:
