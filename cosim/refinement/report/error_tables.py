@@ -110,7 +110,7 @@ def error_tables(r: Refinement) -> list[ErrorTable]:
 
 def has_free_run(r: Refinement) -> bool:
     """Return whether errors over a free run exist beside the errors over the horizon."""
-    return FREE_RUN_NAME in r.record["horizons"] and horizon(r) != "a whole run"
+    return FREE_RUN_NAME in r.record.get("horizons", {}) and horizon(r) != "a whole run"
 
 
 def _variants(r: Refinement) -> tuple[str, ...]:
@@ -169,10 +169,11 @@ def _error_row(r: Refinement, part: str, name: str) -> ErrorRow:
     excess = percent(max(0.0, share))
     if math.isnan(share):
         excess = NOTHING_TO_EXPLAIN if before < NOISE * floor else TOO_LITTLE if floor else MISSING
-    marks, noise = _marks(before, after, floor), float(r.record["sensor_noise"].get(name, math.nan))
+    marks, noise = _marks(before, after, floor), float(r.record.get("sensor_noise", {}).get(name, math.nan))
     sensor_noise = error_size(noise, units(r).get(name, ""), after)
     free_run = _free_run_text(r, part, name)
-    return ErrorRow(name, *texts, excess, marks, nearest, sensor_noise, free_run)
+    old, recalibrated, new, level = texts
+    return ErrorRow(name, old, recalibrated, new, level, excess, marks, nearest, sensor_noise, free_run)
 
 
 def _marks(before: float, after: float, floor: float) -> Marks | None:
