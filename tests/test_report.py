@@ -451,7 +451,7 @@ def test_a_page_without_criteria_opens_with_what_was_simulated(tmp_path: Path) -
     results = Results(np.arange(3.0), ("tank.level",), np.ones((3, 1)), {"tank.level": "m"})
     text = page(tmp_path, results, record)
     opening = text[text.index("<h1>") : text.index("<section")]
-    assert all(words in opening for words in ("tank, pump, valve and 1 more", "2\u00a0s in 2 steps"))
+    assert all(words in opening for words in ("tank, pump, valve and 1 more", "2\u00a0s in 2 communication steps"))
     assert "real time" not in opening
     assert "9.2 times as fast as real time" in text
 

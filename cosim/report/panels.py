@@ -14,6 +14,7 @@ OTHERS_PER_PANEL = 6
 WIDEST_RANGES = 20.0  # axis' range over the range of a signal without a unit; smaller signals would look constant
 CONSTANT = 1e-9  # range of a constant signal, relative to its size
 NO_UNIT = ("", "1")
+NO_UNIT_TEXT = "no unit declared"  # in place of a unit on an axis; the script of a page reads it, too
 LINE, HELD, DOTS, STEMS, BARS, CROSSES = range(6)
 
 

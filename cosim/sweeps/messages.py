@@ -89,7 +89,7 @@ STOPPED = Template("E-SWP-036", "stopped: {stored} of {runs} are kept in {path};
 NO_RUN_COMPLETED = Template("E-SWP-037", "all {runs} failed; run 0: {reason}")
 ARRAYS_DISAGREE = Template(
     "W-SWP-038",
-    "{runs} repeated through the FMUs DO NOT AGREE: at most {difference} of max(1, largest value) apart; {allowed} is"
+    "{runs} repeated through the FMUs DO NOT AGREE: the largest relative difference is {difference}; {allowed} is"
     " allowed",
 )
 TOO_FEW_RUNS = Template("W-SWP-039", "Too few runs for sensitivities: {completed} completed, {least} are needed.")
@@ -99,7 +99,7 @@ WIDE_INTERVALS = Template(
 )
 ARRAYS_AGREE = Template(
     "N-SWP-041",
-    "{runs} repeated through the FMUs agree: at most {difference} of max(1, largest value) apart; {allowed} is allowed",
+    "{runs} repeated through the FMUs agree: the largest relative difference is {difference}; {allowed} is allowed",
 )
 ALL_THROUGH_FMUS = Template("N-SWP-042", "every run was made through the FMUs{reason}")
 NO_PANDAS = Template("E-SWP-043", "to_pandas needs pandas: pip install pandas")

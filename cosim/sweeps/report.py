@@ -21,7 +21,7 @@ from cosim.sweeps.run_statistics import MIN_RUNS, Sensitivity, quantiles, sensit
 from cosim.sweeps.sampling import are_numbers
 from cosim.sweeps.store import TABLE, read_table, signal_of
 from cosim.sweeps.sweep_file import Grid
-from cosim.sweeps.sweep_result import Swept, hardest, headline, repeat_command, way_of
+from cosim.sweeps.sweep_result import Swept, hardest, headline, repeat_command, way_of, way_sentence
 
 TEMPLATE = Path(__file__).with_name("templates") / "sweep.html.j2"
 MOST_BANDS = 16
@@ -58,6 +58,7 @@ def page(swept: Swept) -> str:
             **_sensitivity_tables(record, indices),
             "failures": record["failures"],
             "more_failures": max(0, failed - len(record["failures"])),
+            "way": way_sentence(record),
             "check": record["check"]["sentence"],
             "sampling": swept.sweep.file.sampling,
             "repeat": f"cosim sweep {swept.sweep.yaml.path}",
@@ -81,16 +82,24 @@ def _criteria_context(swept: Swept, table: Any) -> Mapping[str, Any]:
 
 
 def _sensitivity_tables(record: Mapping[str, Any], indices: Sequence[Sensitivity]) -> Mapping[str, Any]:
-    """Return the sensitivities of criteria, then of signals.
+    """Return the sensitivities of criteria that runs fail, then of signals.
 
-    Without criteria, the signals come first.
+    Criteria that every run meets are left out. Without criteria to show, the signals come first.
     """
-    names = {c["name"] for c in record["criteria"]}
-    first = [s for s in indices if s.outcome in names] or indices
+    failed, met = (_names_of(record, met=met) for met in (False, True))
+    others = [s for s in indices if s.outcome not in failed | met]
+    first = [s for s in indices if s.outcome in failed]
     return {
-        "sensitivities": [_table(s) for s in first],
-        "more_sensitivities": [_table(s) for s in indices if s not in first],
+        "always_met": [s.outcome for s in indices if s.outcome in met],
+        "unranked": sorted(failed - {s.outcome for s in first}) if first else [],
+        "sensitivities": [_table(s) for s in first or others],
+        "more_sensitivities": [_table(s) for s in others] if first else [],
     }
+
+
+def _names_of(record: Mapping[str, Any], *, met: bool) -> set[str]:
+    """Return the criteria that every completed run meets, or the other ones."""
+    return {c["name"] for c in record["criteria"] if (c["met"] == c["of"]) == met}
 
 
 def _criterion(c: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -155,10 +164,12 @@ def _short(value: Any) -> str:
 
 
 def _scatters(swept: Swept, table: Any, indices: Sequence[Sensitivity], charts: Charts) -> list[tuple[Plot, str]]:
-    """Draw criteria over their most important factors."""
+    """Draw criteria over their most important factors, criteria that every run meets only if there are no others."""
     ranked = {s.outcome: s.factors for s in indices}
     numbers = [f.name for f in swept.sweep.factors if f.name != "seed" and are_numbers(swept.sweep.columns[f.name])]
-    first = sorted(swept.record["criteria"], key=lambda c: c["met"])[:MOST_SCATTERED]
+    failed, criteria = _names_of(swept.record, met=False), swept.record["criteria"]
+    drawable = [c for c in criteria if c["name"] in failed] or criteria
+    first = sorted(drawable, key=lambda c: c["met"])[:MOST_SCATTERED]
     pairs = [(c, name) for c in first for name in ranked.get(c["name"], tuple(numbers))[:2]]
     drawn = (_scatter(swept, table, c, name, charts) for c, name in pairs)
     return [plot for plot in drawn if plot is not None]

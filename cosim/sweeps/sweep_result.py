@@ -81,9 +81,26 @@ def repeat_command(study: Sweep, run: int) -> str:
 def way_of(record: Mapping[str, Any]) -> str:
     """Return a phrase for the way of running, perhaps mixed."""
     through, runs = record["through_fmus"], record["runs"]
-    if record["way"] != "arrays" or through == runs:
+    if not has_array_runs(record):
         return "through the FMUs"
-    return "on arrays" if not through else f"{runs - through} on arrays and {through} through the FMUs"
+    together = "from the FMUs' equations"
+    return together if not through else f"{runs - through} {together} and {through} through the FMUs"
+
+
+def has_array_runs(record: Mapping[str, Any]) -> bool:
+    """Return whether runs were computed on arrays."""
+    return bool(record["way"] == "arrays" and record["through_fmus"] < record["runs"])
+
+
+def way_sentence(record: Mapping[str, Any]) -> str:
+    """Explain the way of running; "" if all runs went through the FMUs."""
+    if not has_array_runs(record):
+        return ""
+    text = "For speed, the runs were computed from the FMUs' equations, many at once, without calling the FMUs."
+    through = record["through_fmus"]
+    rest = f" {counted(through, 'run')} could not, and went through the FMUs." if through else ""
+    check = str(record["check"]["sentence"])
+    return f"{text}{rest} As a check, {check}."
 
 
 def _interval(criterion: Mapping[str, Any]) -> str:

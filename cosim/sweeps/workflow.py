@@ -180,7 +180,10 @@ class _Sweep:
             pairs = zip(pool.runs(next(iter(pool.wait({future})[0]))), self.base.runs(CHECKS), strict=True)
             difference = max((largest_difference(a, b) for a, b in pairs), default=0.0)
             if not difference <= EQUAL:
-                way, why = "fmus", f"on arrays runs are {plain(difference, 2)} apart from those through the FMUs"
+                way, why = (
+                    "fmus",
+                    f"runs from the FMUs' equations are {plain(difference, 2)} apart from those through the FMUs",
+                )
         self.base.put("way", json.dumps([way, why]))
         return way, why
 

@@ -15,6 +15,14 @@ from cosim.residuals.residual_statistics import excess_left
 
 PARTS = {"estimation": "Logs used for the fits", "validation": "Sealed logs"}
 NOISE = 1.2  # times the floor; smaller errors are noise
+FLOOR = "the error by noise alone"
+FREE_RUN_NAME = "free run"  # among the horizons of refine.json
+NOTHING_TO_EXPLAIN, TOO_LITTLE = "nothing to explain", "too little to judge"  # in place of a remaining share
+VARIANT_WORDS = {
+    ("before", "after"): "before → refined",
+    ("before", "nearest"): "the model → nearest.yaml",
+    ("after",): "",
+}
 
 
 @dataclass(frozen=True)
@@ -40,16 +48,24 @@ class ErrorRow:
     excess: str
     marks: Marks | None
     nearest: str = MISSING
+    sensor_noise: str = MISSING
+    free_run: str = MISSING
 
 
 @dataclass(frozen=True)
 class ErrorTable:
-    """Errors on one set of logs; `nearest`: with the errors of the nearest model."""
+    """Errors on one set of logs.
+
+    Attributes:
+        nearest: Whether the rows have errors of the nearest model.
+        free_run: Heading of the errors over a free run; "" without them.
+    """
 
     title: str
     note: str
     rows: tuple[ErrorRow, ...]
     nearest: bool = False
+    free_run: str = ""
 
 
 @dataclass(frozen=True)
@@ -86,9 +102,29 @@ def error_tables(r: Refinement) -> list[ErrorTable]:
         if part not in error["before"]:
             continue
         rows = tuple(_error_row(r, part, name) for name in error["before"][part])
-        note = "Estimation logs." if part == "estimation" else "Used once, to test the chosen model."
-        tables.append(ErrorTable(title, note, rows, bool(error.get("nearest"))))
+        note = "Estimation logs." if part == "estimation" else "Opened once, at the end, to test the chosen model."
+        heading = f"Free run, {VARIANT_WORDS[_variants(r)]}" if has_free_run(r) else ""
+        tables.append(ErrorTable(title, note, rows, bool(error.get("nearest")), heading.rstrip(", ")))
     return tables
+
+
+def has_free_run(r: Refinement) -> bool:
+    """Return whether errors over a free run exist beside the errors over the horizon."""
+    return FREE_RUN_NAME in r.record.get("horizons", {}) and horizon(r) != "a whole run"
+
+
+def _variants(r: Refinement) -> tuple[str, ...]:
+    """Return the models whose errors over other horizons are shown: two, or the only one."""
+    if r.verdict.claimed:
+        return "before", "after"
+    return ("before", "nearest") if r.record["error"].get("nearest") else ("after",)
+
+
+def _free_run_text(r: Refinement, part: str, channel: str) -> str:
+    """Return the errors of a channel over a whole log."""
+    errors = r.record["horizons"][FREE_RUN_NAME] if has_free_run(r) else {}
+    sizes = [float((errors.get(name) or {}).get(part, {}).get(channel, math.nan)) for name in _variants(r)]
+    return " → ".join(error_size(size, units(r).get(channel, ""), sizes[-1]) for size in sizes)
 
 
 def horizon_table(r: Refinement) -> HorizonTable:
@@ -100,11 +136,9 @@ def horizon_table(r: Refinement) -> HorizonTable:
     part = decisive_part(r)
     errors = {seconds: r.record["horizons"][name] for name, seconds in OTHER_HORIZONS.items()}
     errors[r.study.subject.horizon] = r.record["error"]
-    has_nearest = bool(r.record["error"].get("nearest")) and not r.verdict.claimed
-    variants = ("before", "after") if r.verdict.claimed else ("before", "nearest") if has_nearest else ("after",)
-    heading = (
-        "Before → refined, over" if r.verdict.claimed else "The model → nearest.yaml, over" if has_nearest else "Over"
-    )
+    variants = _variants(r)
+    words = VARIANT_WORDS[variants]
+    heading = f"{words[:1].upper()}{words[1:]}, over" if words else "Over"
 
     def text(error: Mapping[str, Any], channel: str) -> str:
         sizes = [float(error[name][part].get(channel, math.nan)) for name in variants]
@@ -134,8 +168,12 @@ def _error_row(r: Refinement, part: str, name: str) -> ErrorRow:
     share = excess_left(before, after, floor)
     excess = percent(max(0.0, share))
     if math.isnan(share):
-        excess = "within noise" if before < NOISE * floor else "below twice the floor" if floor else MISSING
-    return ErrorRow(name, texts[0], texts[1], texts[2], texts[3], excess, _marks(before, after, floor), nearest)
+        excess = NOTHING_TO_EXPLAIN if before < NOISE * floor else TOO_LITTLE if floor else MISSING
+    marks, noise = _marks(before, after, floor), float(r.record.get("sensor_noise", {}).get(name, math.nan))
+    sensor_noise = error_size(noise, units(r).get(name, ""), after)
+    free_run = _free_run_text(r, part, name)
+    old, recalibrated, new, level = texts
+    return ErrorRow(name, old, recalibrated, new, level, excess, marks, nearest, sensor_noise, free_run)
 
 
 def _marks(before: float, after: float, floor: float) -> Marks | None:
@@ -153,7 +191,11 @@ def second_sentence(r: Refinement) -> str:
     """Report the largest relative drop of an error, on sealed logs if available."""
     part = decisive_part(r)
     noun = "rows" if r.problem.table else "runs"
-    where = f"On sealed {noun}" if part == "validation" else f"On the {noun} used for the fits (none are sealed)"
+    where = (
+        f"On sealed {noun}"
+        if part == "validation"
+        else f"On the {noun} used for the fits (no log was kept for a test at the end)"
+    )
     name = leading_channel(r)
     if not name:
         return ""
@@ -181,8 +223,8 @@ def leading_channel(r: Refinement) -> str:
 def _floor_text(after: str, floor: str, *, above: bool) -> str:
     """Compare an error with its noise floor."""
     if floor == after:
-        return ", which is the noise floor."
-    return f", below the noise floor of {floor}." if above else f"; the noise floor is {floor}."
+        return f", which is the noise floor ({FLOOR})."
+    return f", below the noise floor ({FLOOR}) of {floor}." if above else f"; the noise floor ({FLOOR}) is {floor}."
 
 
 def _unchanged_text(r: Refinement, part: str, where: str) -> str:

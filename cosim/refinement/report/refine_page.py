@@ -17,7 +17,17 @@ from cosim.base.version import __version__
 from cosim.logs.log import Log
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.effect_plots import EffectComparison, compare_effects
-from cosim.refinement.report.error_tables import error_tables, horizon, horizon_table, leading_channel, second_sentence
+from cosim.refinement.report.error_tables import (
+    NOTHING_TO_EXPLAIN,
+    TOO_LITTLE,
+    ErrorTable,
+    error_tables,
+    has_free_run,
+    horizon,
+    horizon_table,
+    leading_channel,
+    second_sentence,
+)
 from cosim.refinement.report.innovations import innovations, modes
 from cosim.refinement.report.log_parameters import per_log_rows
 from cosim.refinement.report.plots import Pairs, Run, against_signal, axis_label, over_time, rows_shown, runs
@@ -50,6 +60,7 @@ def context(r: Refinement) -> Mapping[str, Any]:
     """Return the values of the template."""
     charts = Charts()
     headline, details = parted(str(r.record["sentence"]))
+    tables = error_tables(r)
     return {
         "name": f"Study {r.study.name}",
         "description": f"{r.study.subject.title}, refined from measured logs.",
@@ -58,12 +69,15 @@ def context(r: Refinement) -> Mapping[str, Any]:
         "tone": {"warn": "warn"}.get(TITLES.get(r.verdict.name, ("", ""))[1], "plain"),
         "second": second_sentence(r),
         "badges": _badges(r),
+        "disputed": r.verdict.name == "ambiguous",
         "claimed": r.verdict.claimed is not None,
         "rivals": r.verdict.rivals,
         "next_step": _next_step(r),
         "warnings": r.record["warnings"],
-        "tables": error_tables(r),
+        "tables": tables,
         "error_lead": _error_lead(r),
+        "error_words": _error_words(r, tables),
+        "sealed": _sealed_text(r),
         **table_parts(r, charts),
         **(_NO_TIME if r.problem.table else _in_time(r, charts)),
         **_ranking(r),
@@ -152,7 +166,10 @@ def _badges(r: Refinement) -> list[Badge]:
         Badge(text, tone),
         *([Badge("a part of it", "warn")] if r.verdict.grade == "part" else []),
         Badge(f"{counted(len(r.study.logs), noun)} used for the fits, {amount}"),
-        Badge(f"{counted(sealed, noun)} sealed" if sealed else f"no {noun} sealed", "plain" if sealed else "warn"),
+        Badge(
+            f"{counted(sealed, noun)} sealed until the end" if sealed else f"no {noun} sealed",
+            "plain" if sealed else "warn",
+        ),
         Badge(f"{fitted} hypotheses fitted" + (f", {screened} screened" if screened else "")),
         Badge(f"{r.record['seconds']:.0f} s of computing"),
     ]
@@ -163,9 +180,11 @@ def _next_step(r: Refinement) -> str:
     if r.verdict.name == "ambiguous":
         rest = "Nothing is claimed: the model is left as it was. Not visible in these logs, present or not:"
         if r.verdict.claimed:
+            shared = [c.name for c in r.verdict.certain]
+            every = f"Claimed, since the rivals share it: {listed(shared)}. " if shared else ""
             rest = (
-                "Until then the refined model contains the hypothesis that fits best; it predicts these runs as well "
-                "as any of its rivals:"
+                f"{every}Until then the refined model contains the rival that fits best. The rivals, which predict "
+                "these runs equally well:"
             )
         return f"Next step: record a log with {r.verdict.experiment}. {rest}"
     if r.verdict.name == "unexplained" and r.verdict.rivals:
@@ -213,8 +232,7 @@ def _term_sentence(s: EffectComparison) -> str:
 
 
 def _error_lead(r: Refinement) -> str:
-    """Explain the errors and the noise floor."""
-    claimed = r.verdict.claimed is not None
+    """Explain the errors."""
     if r.problem.table:
         how = "over the rows, each predicted through the FMU from its own inputs"
     else:
@@ -222,15 +240,41 @@ def _error_lead(r: Refinement) -> str:
         over = f"over replays of {length}" if windowed else f"over {length}"
         each = "each started" if windowed else "started"
         how = f"{over} through the FMU, {each} from the state that the model's own filter had estimated by then"
-    cause = "noise" if r.problem.table else "noise and disturbance"
-    text = (
-        f"Root mean square of measured − model {how}. The noise floor is the error that the estimated {cause} alone "
-        f"would cause in the {'refined ' if claimed else ''}model."
-    )
-    if claimed:
-        text += " Recalibrated: the model with its own parameters fitted anew, nothing added."
-        text += " Remaining share: the part of the squared error above the noise floor that the refined model keeps."
+    return f"Root mean square of measured − model {how}."
+
+
+def _error_words(r: Refinement, tables: Sequence[ErrorTable]) -> list[Row]:
+    """Explain the columns of the errors."""
+    claimed = r.verdict.claimed is not None
+    cause = "sensor noise" if r.problem.table else "sensor noise and the estimated disturbance"
+    rows = [
+        Row("Recalibrated", "The model with its own parameters fitted anew, nothing added."),
+        Row("Nearest", "The model in nearest.yaml, which predicts held-out logs best.") if tables[-1].nearest else None,
+        Row("Sensor noise", "Standard deviation of the noise of one reading, estimated from the logs."),
+        Row("Noise floor", f"The error that {cause} alone would cause. No model can be expected to do better."),
+        Row("Remaining share", _share_words(tables)) if claimed else None,
+        Row("Free run", "The model alone from the first row to the last.") if has_free_run(r) else None,
+    ]
+    return [row for row in rows if row]
+
+
+def _share_words(tables: Sequence[ErrorTable]) -> str:
+    """Explain the remaining share and the texts in place of it."""
+    shown = {row.excess for table in tables for row in table.rows}
+    text = "The part of the squared error above the noise floor that the refined model keeps."
+    if NOTHING_TO_EXPLAIN in shown:
+        text += f" “{NOTHING_TO_EXPLAIN[:1].upper()}{NOTHING_TO_EXPLAIN[1:]}”: before, the error was the noise floor."
+    if TOO_LITTLE in shown:
+        text += f" “{TOO_LITTLE[:1].upper()}{TOO_LITTLE[1:]}”: before, the error was below twice the noise floor."
     return text
+
+
+def _sealed_text(r: Refinement) -> str:
+    """Explain sealed logs, if any."""
+    if "validation" not in r.record["error"]["before"]:
+        return ""
+    noun = "tables" if r.problem.table else "logs"
+    return f"Sealed {noun} were used for no fit and no choice; they were opened once, at the end, as a test."
 
 
 def _innovation_lead(claimed: bool) -> str:

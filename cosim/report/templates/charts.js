@@ -308,7 +308,7 @@ document.addEventListener("rows", (event) => {
 
     describe() {
       const row = page.at(),
-        unit = this.figure.dataset.unit.replace("no unit", "");
+        unit = this.figure.dataset.unit.replace("no unit declared", "");
       const values = this.lines.filter((l) => l.on).map((l) => `${l.label} ${page.read(l.series, row)} ${unit}`.trim());
       values.push(...this.also.map((a) => `${a.label} ${page.read(a.series, row)}`));
       return `${ours.place(row)}: ${values.join(", ")}`;

@@ -16,21 +16,22 @@ from cosim.base.text import display
 from cosim.report.chart_data import to_json
 from cosim.report.drawing import Drawing
 from cosim.report.html_tables import Row
-from cosim.report.panels import Band, Panel, Trace, by_unit
+from cosim.report.panels import NO_UNIT_TEXT, Band, Panel, Trace, by_unit
 from cosim.report.svg import extent
 from cosim.report.template import render
 from cosim.simulation.report.component_page import ComponentPage, component_page
+from cosim.simulation.report.fmi_kinds import fmi_kinds
 from cosim.simulation.report.recorded import Run, mappings, number, texts
 from cosim.simulation.report.run_rows import (
     Connection,
     badges,
+    component_rows,
     connections,
     fault_text,
     faults_on,
     items_of,
     provenance,
     spelled_values,
-    starts,
 )
 from cosim.simulation.report.system_diagram import graph_of_run
 from cosim.simulation.report.verdicts import Criterion, criteria, has_failed, outcome
@@ -67,7 +68,7 @@ def drawable_run(results: Results, manifest: Mapping[str, Any]) -> Run:
 
 def context(run: Run, drawing: Drawing, page: ComponentPage) -> Mapping[str, Any]:
     """Return the values of the template."""
-    goals, connected = criteria(run), connections(run)
+    goals, connected, kinds = criteria(run), connections(run), fmi_kinds(run)
     judged = judged_panels(run) if run.time.size and not page.shown else []
     links = connection_panels(run, connected, page.shown) if run.time.size else {}
     others = signal_panels(run, page.shown.union(*links, {p.title for p in judged})) if run.time.size else []
@@ -88,10 +89,10 @@ def context(run: Run, drawing: Drawing, page: ComponentPage) -> Mapping[str, Any
         "end": run.time[-1] if run.time.size else 0.0,
         "data": to_json(drawing.series, page.data),
         "diagram": _diagram(run),
-        "provenance": provenance(run),
+        "provenance": provenance(run, kinds),
         "connections": connected[:MAX_LISTED],
         "unlisted": max(0, len(connected) - MAX_LISTED),
-        "starts": starts(run),
+        "components": component_rows(run, kinds),
         "warnings": texts(run.manifest.get("warnings")),
         "repeat": shlex.join(["cosim", "run", "manifest.json"]),
         "version": str(run.manifest.get("cosim_version") or ""),
@@ -135,7 +136,7 @@ def judged_panels(run: Run) -> list[Panel]:
             limits = tuple(end for end in ends if math.isfinite(end))
         elif target in run.results:
             traces.append(Trace(target, run.results[target] * factor, "reference"))
-        label = unit or run.unit(name) or "no unit"
+        label = unit or run.unit(name) or NO_UNIT_TEXT
         band = _fault_band(run, [name], traces)
         panels[name] = Panel(name, label, traces, band, limits, LIMIT_LABEL if limits else "")
     return list(panels.values())
@@ -160,7 +161,9 @@ def connection_panels(
             received = Trace(label, arrived, "estimate", held=ends[1] in whole, items=items.get(ends[1], {}))
             traces.insert(0, received)
         title = f"{link.source} → {link.target}"
-        panels[ends] = Panel(title, unit or run.unit(link.target) or "no unit", traces, _fault_band(run, ends, traces))
+        panels[ends] = Panel(
+            title, unit or run.unit(link.target) or NO_UNIT_TEXT, traces, _fault_band(run, ends, traces)
+        )
     return panels
 
 
@@ -182,7 +185,7 @@ def signal_panels(run: Run, shown: frozenset[str] = frozenset()) -> list[Panel]:
             for i, column in enumerate(columns)
         ]
         title = ", ".join(dict.fromkeys(column.partition(".")[0] for column in columns))
-        panels.append(Panel(title, shown_unit or unit or "no unit", traces, _fault_band(run, columns, traces)))
+        panels.append(Panel(title, shown_unit or unit or NO_UNIT_TEXT, traces, _fault_band(run, columns, traces)))
     return panels
 
 

@@ -18,6 +18,7 @@ from cosim.simulation.report.verdicts import Criterion, has_failed
 from cosim.storage.yaml_file import short
 
 MAX_SPELLED, MAX_CHANGES = 200, 8  # signals on a page, and changes of each
+STEP = "time between two exchanges of values among the components"
 
 
 @dataclass(frozen=True)
@@ -133,15 +134,44 @@ def _noise(run: Run, link: Mapping[str, Any]) -> str:
     return ", ".join(parts) or "none"
 
 
-def starts(run: Run) -> list[Row]:
-    """Return start values and settings of the scenario's components."""
+@dataclass(frozen=True)
+class ComponentRow:
+    """A component of the scenario.
+
+    Attributes:
+        source: Its FMU or block.
+        kind: FMI version and interface, "built-in block", or "".
+        settings: Start values and settings.
+    """
+
+    label: str
+    source: str
+    kind: str
+    settings: str
+
+
+def component_rows(run: Run, kinds: Mapping[str, str]) -> list[ComponentRow]:
+    """Return the scenario's components.
+
+    Args:
+        kinds: Component → FMI version and interface, as far as known.
+    """
     rows = []
-    for name, component in mapping(run.scenario.get("components")).items():
-        kind = mapping(component)
-        settings = {**kind, **mapping(kind.get("start"))}.items()
-        texts = [f"{k} = {_format_setting(v)}" for k, v in settings if k not in ("start", "fmu", "block", "sha256")]
-        rows.append(Row(str(name), ", ".join(texts), str(kind.get("fmu") or kind.get("block") or "")))
+    for name, value in mapping(run.scenario.get("components")).items():
+        component = mapping(value)
+        settings = {**component, **mapping(component.get("start"))}.items()
+        hidden = {"start", "fmu", "block", "sha256", *(("interface",) if name in kinds else ())}
+        texts = [_setting_text(k, v) for k, v in settings if k not in hidden]
+        kind = kinds.get(str(name), "block of cosim" if component.get("block") else "")
+        source = str(component.get("fmu") or component.get("block") or "")
+        rows.append(ComponentRow(str(name), source, kind, ", ".join(texts)))
     return rows
+
+
+def _setting_text(key: str, value: object) -> str:
+    """Return a setting as text; a step of its own is named in full."""
+    text = f"{key} = {_format_setting(value)}"
+    return f"{text} s (communication step of its own)" if key == "step" else text
 
 
 def _format_setting(value: object) -> str:
@@ -155,8 +185,12 @@ def _format_setting(value: object) -> str:
     return str(value)
 
 
-def provenance(run: Run) -> list[Row]:
-    """Return known facts for reproducing the run."""
+def provenance(run: Run, kinds: Mapping[str, str]) -> list[Row]:
+    """Return known facts for reproducing the run.
+
+    Args:
+        kinds: Component → FMI version and interface, as far as known.
+    """
     manifest, scenario = run.manifest, run.scenario
     git, timings, seed = mapping(manifest.get("git")), mapping(manifest.get("timings")), manifest.get("seed")
     dirty, design = git.get("dirty"), mapping(manifest.get("design")) or mapping(scenario.get("design"))
@@ -167,13 +201,15 @@ def provenance(run: Run) -> list[Row]:
         Row("cosim", str(manifest.get("cosim_version") or "")),
         Row("Versions", _pairs(mapping(manifest.get("versions")), " ")),
         Row("Git revision", str(git.get("revision") or ""), "with uncommitted changes" if dirty else "clean"),
-        *(Row(k.title(), f"{number(scenario[k]):g} s") for k in ("duration", "step") if k in scenario),
-        Row("Algorithm", run.algorithm),
+        Row("Simulated time", f"{number(scenario['duration']):g} s" if "duration" in scenario else ""),
+        Row("Communication step", f"{number(scenario['step']):g} s" if "step" in scenario else "", STEP),
+        Row("Coupling algorithm", run.algorithm),
         Row("Seed", "" if seed is None else str(seed)),
         Row("Design", _pairs(design, " = ")),
         Row("Wall time", ", ".join(wall)),
     )
-    fmus = (_fmu_row(name, mapping(fmu)) for name, fmu in mapping(manifest.get("fmus")).items())
+    entries = mapping(manifest.get("fmus")).items()
+    fmus = (_fmu_row(name, mapping(fmu), kinds.get(str(name), "")) for name, fmu in entries)
     return [*fmus, *(fact for fact in facts if fact.value)]
 
 
@@ -181,8 +217,8 @@ def _pairs(facts: Mapping[str, Any], between: str) -> str:
     return ", ".join(f"{key}{between}{value}" for key, value in facts.items())
 
 
-def _fmu_row(name: str, fmu: Mapping[str, Any]) -> Row:
+def _fmu_row(name: str, fmu: Mapping[str, Any], kind: str) -> Row:
     """Return the identity of an FMU, a line per fact."""
     keys = ("model_name", "version", "guid", "sha256", "generation_tool")
-    lines = [f"{key.replace('_', ' ')} {fmu[key]}" for key in keys if fmu.get(key)]
+    lines = [*filter(None, [kind]), *(f"{key.replace('_', ' ')} {fmu[key]}" for key in keys if fmu.get(key))]
     return Row(f"FMU {name}", "\n".join(lines), str(fmu.get("path") or ""))

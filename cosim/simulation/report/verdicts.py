@@ -72,6 +72,6 @@ def _simulated(run: Run) -> str:
     names = list(mapping(run.scenario.get("components"))) or list(run.variables)
     if not names or not run.time.size:
         return "Nothing was recorded."
-    duration, steps = float(run.time[-1] - run.time[0]), counted(run.time.size - 1, "step")
+    duration, steps = float(run.time[-1] - run.time[0]), counted(run.time.size - 1, "communication step")
     over = f"{amount(duration, 's', None)} in {steps}"
     return f"Simulated {listed(names)} over {over}. No criteria are set, so nothing was judged."
