@@ -206,9 +206,9 @@ def _estimator(name: str) -> Any:
 
 @cache
 def _jacobians() -> Mapping[str, Any]:
-    from cosim.model.symbolic.jacobian import loaded, printed_jacobians
+    from cosim.model.symbolic.jacobian import load_names, printed_jacobians
 
-    return loaded(printed_jacobians(Hovercraft(), ("ax",)))
+    return load_names(printed_jacobians(Hovercraft(), ("ax",)))
 
 
 def _error(estimator: Any, state: Matrix) -> tuple[Matrix, Matrix]:

@@ -38,7 +38,7 @@ from controller.variants import (
 )
 from cosim.blocks.profile import Change, Profile, profile_function
 from cosim.model import SCALAR, Moment, Parameter, Stepper, parameters_of
-from cosim.model.symbolic.jacobian import loaded
+from cosim.model.symbolic.jacobian import load_names
 from fmus.estimator_recipes import jacobians
 from fmus.recipes import HEAVY
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
@@ -49,7 +49,7 @@ STEP = 0.02  # [s], Fig 4.8
 @cache
 def printed() -> Mapping[str, Any]:
     """Return the Jacobians that an FMU carries."""
-    return loaded(jacobians())
+    return load_names(jacobians())
 
 
 def time_variant(p: TimeVariantSettings) -> TimeVariantLaw:

@@ -22,7 +22,7 @@ from cosim.simulation.workflow import run
 from cosim.ssp.flatten import read
 from cosim.ssp.levels import Part
 from cosim.ssp.read import Reader
-from cosim.ssp.ssp_package import opened
+from cosim.ssp.ssp_package import open_package
 from tests.hosts import HOSTS, Refused, reason
 
 STEPS = 200
@@ -30,7 +30,7 @@ READ_BY = ("libcosim", "ecos", "FMPy")
 
 
 def parts_of(path: Path) -> tuple[Part, ...]:
-    with opened(path) as package:
+    with open_package(path) as package:
         return read(Reader(package))[1].parts
 
 
@@ -79,7 +79,7 @@ def row(path: Path) -> str:
             if connector.kind == "output" and part.variables[v].type == "Real"
         }
         sets = [p for part in parts for p in part.component.parameters]
-        with opened(path) as package:
+        with open_package(path) as package:
             text = package.structure.read_text(encoding="utf-8", errors="replace")
         outside = path if 'source="../' in text else packed(path, folder)
         job = {"ssp": str(outside), "columns": list(columns), "step": step, "steps": STEPS, "forced": step}

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.estimation.posing import build_problem, coarsened
+from cosim.estimation.posing import build_problem, coarsen
 from cosim.model import Stepper
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.refine_page import context
@@ -51,7 +51,7 @@ def motor_study(folder: Path, rig: str, study: str) -> Path:
 
 def between(path: Path) -> Between:
     study = read_study(path)
-    problem = coarsened(build_problem(study.subject, study.logs, settings=study.settings))
+    problem = coarsen(build_problem(study.subject, study.logs, settings=study.settings))
     search = Search(study.subject, problem, 1, lambda stage, share: None)
     return between_rows(problem, search.hypothesis((), None))
 

@@ -20,7 +20,7 @@ import pytest
 
 from cosim.estimation.fit import Fit, _Scoring, fit, inverse
 from cosim.estimation.noise_model import Noise, noise_range
-from cosim.estimation.posing import NO_SETTINGS, build_problem, coarsened, with_equations_trusted
+from cosim.estimation.posing import NO_SETTINGS, build_problem, coarsen, with_equations_trusted
 from cosim.estimation.problem import Problem, Settings
 from cosim.loading.file import load_model, read_model
 from cosim.logs.log import read_log
@@ -178,7 +178,7 @@ def made(free: tuple[Free, ...], values: dict[str, float], information: Rows, nl
 def test_what_other_tolerances_would_make_of_a_fit_is_what_they_make(rail: Model, tmp_path: Path, times: float) -> None:
     """The objective as the fit's quadratic has it against a fit with tolerances so many times as wide."""
     share = {"mass": 0.02, "viscous": 0.1, "spring": 0.02}
-    problem = coarsened(posed(rail, tmp_path, 0, numbers=OFF, settings=Settings(tolerance=share)))
+    problem = coarsen(posed(rail, tmp_path, 0, numbers=OFF, settings=Settings(tolerance=share)))
     h = searched(rail, problem).hypothesis((), None)
     other = replace(problem, settings=Settings(tolerance={n: times * v for n, v in share.items()}))
     again = fit(other, searched(rail, other).free(()), h.fit.values, h.fit.noise)
@@ -318,7 +318,7 @@ def test_the_noise_that_a_study_states_has_the_last_word(tmp_path: Path) -> None
 
 
 def test_a_part_that_lands_at_neutral_is_left_out_and_the_rest_fitted_again(rail: Model, tmp_path: Path) -> None:
-    problem = coarsened(posed(rail, tmp_path, 0, numbers={"soft": 20.0}))
+    problem = coarsen(posed(rail, tmp_path, 0, numbers={"soft": 20.0}))
     attributor = Attributor(ModelSubject.of(rail), problem, parts_of(problem, rail, "late_motor", "soft_motor"))
     search = attributor.search
     begin = {"late_motor.time": 0.02, "soft_motor.frequency": 15.0}
@@ -354,7 +354,7 @@ def test_friction_that_is_less_at_rest_than_in_motion_is_never_claimed(
 
 def test_a_fit_of_what_must_be_physical_stops_where_it_would_not_be(rail: Model, tmp_path: Path) -> None:
     """Drag looks like friction that rises with speed; as far as it may, that is friction which does not fall."""
-    problem = coarsened(posed(rail, tmp_path, 0, numbers={"drag": 3.0}))
+    problem = coarsen(posed(rail, tmp_path, 0, numbers={"drag": 3.0}))
     (stribeck,) = parts_of(problem, rail, "stribeck")
     h = searched(rail, problem).hypothesis((stribeck,), None)
     assert h.fit.values["stribeck.rest"] == h.fit.values["stribeck.sliding"] > 0.1
@@ -439,7 +439,7 @@ def test_intervals_hold_the_truth_under_a_disturbance_that_lasts(rail: Model, tm
     for k in range(16):
         problem = posed(rail, tmp_path, 10 * k + 100, 10 * k + 101, numbers={"slope": 0.3}, push=0.1, seconds=16.0)
         for way, found in ((problem, filtered), (with_equations_trusted(ModelSubject.of(rail), problem), trusted)):
-            f = slope_of(rail, coarsened(way))
+            f = slope_of(rail, coarsen(way))
             off = f.values["slope.pull"] - 0.3
             found.append(abs(off) < 1.96 * f.sigma("slope.pull"))
             if found is trusted:
@@ -460,7 +460,7 @@ def slope_of(model: Model, problem: Problem) -> Fit:
 
 
 def test_a_candidate_costs_more_the_more_are_on_trial(rail: Model, tmp_path: Path) -> None:
-    problem = coarsened(posed(rail, tmp_path, 0))
+    problem = coarsen(posed(rail, tmp_path, 0))
     one = parts_of(problem, rail, "slope")
     three = parts_of(problem, rail, "stribeck")
     few, many = searched(rail, problem, 10), searched(rail, problem, 100)
@@ -476,7 +476,7 @@ def test_a_candidate_costs_more_the_more_are_on_trial(rail: Model, tmp_path: Pat
 @pytest.mark.thorough
 def test_terms_without_a_name_cost_the_more_the_more_there_are(rail: Model, tmp_path: Path) -> None:
     path = rail_log(tmp_path / "a.csv", 0)
-    problem = coarsened(build_problem(ModelSubject.of(rail), [read_log(path, rail.inputs, rail.outputs)], unnamed=True))
+    problem = coarsen(build_problem(ModelSubject.of(rail), [read_log(path, rail.inputs, rail.outputs)], unnamed=True))
     base = searched(rail, problem).hypothesis((), None)
     left = find_unnamed_terms(replace(problem, sensing=base.fit.noise), base.fit, 0.5 * math.log(problem.samples))
     count = sum(n.startswith("unnamed.") for n in problem.layout.parameters)
@@ -501,7 +501,7 @@ def test_the_least_unknown_input_is_none_however_long_it_lasts() -> None:
 @pytest.mark.thorough
 def test_what_the_other_logs_hardly_know_of_one_part_is_no_word_against_another(rail: Model, tmp_path: Path) -> None:
     numbers = {"drag": 3.0, "slope": 0.3}
-    problem = coarsened(posed(rail, tmp_path, 1, 2, numbers=numbers))
+    problem = coarsen(posed(rail, tmp_path, 1, 2, numbers=numbers))
     search = searched(rail, problem)
     drag, both = (search.hypothesis(parts_of(problem, rail, *names), None) for names in (("drag",), ("drag", "slope")))
     gained = held_out_gains(search, both, drag)[0]
@@ -516,7 +516,7 @@ def test_what_the_other_logs_hardly_know_of_one_part_is_no_word_against_another(
 
 def test_an_interval_along_a_ridge_is_not_made_narrower_by_how_it_is_measured(rail: Model, tmp_path: Path) -> None:
     """One-sided differences add what bends to what moves; to both sides it cancels."""
-    problem = coarsened(posed(rail, tmp_path, 0, numbers=DRY))
+    problem = coarsen(posed(rail, tmp_path, 0, numbers=DRY))
     h = searched(rail, problem).hypothesis(parts_of(problem, rail, "coulomb"), None, 12)
     scoring = _Scoring(problem, h.fit.free, h.fit.values, h.fit.noise, None, sensing=True)
     scoring.scored = scoring._evaluate(scoring.theta)
@@ -530,7 +530,7 @@ def test_an_interval_along_a_ridge_is_not_made_narrower_by_how_it_is_measured(ra
 @pytest.mark.parametrize("steady", [True, False])
 def test_a_term_without_a_name_counts_where_it_gains_all_along(rail: Model, tmp_path: Path, *, steady: bool) -> None:
     """Of thousands of shapes some gain by a single knock."""
-    problem = coarsened(posed(rail, tmp_path, 0, numbers={"drag": 3.0}))
+    problem = coarsen(posed(rail, tmp_path, 0, numbers={"drag": 3.0}))
     search = searched(rail, problem)
     base, better = (search.hypothesis(parts_of(problem, rail, *n), None).fit for n in ((), ("drag",)))
     left = Leftover((), better, 10.0, 8.0, among=1 if steady else 10**300)

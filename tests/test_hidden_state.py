@@ -78,7 +78,7 @@ def test_a_craft_that_remembers_is_explained_by_its_own_fmu_only(
 ) -> None:
     log = craft_log(tmp_path, values)
     own = write_replay(tmp_path, log, build(plant_recipe(values), tmp_path / "own.fmu"), report=False)
-    assert [c.name for c in own.channels if not c.matched] == []
+    assert [c.name for c in own.channels if not c.is_matched] == []
     assert NOTHING in verdict(own)
     # ψ is known to some 0.3° from half a second of a gyro; hidden states at their defaults would make 5° and more
     assert psi(own).scores[2.0].rmse < math.radians(1.0)

@@ -30,7 +30,7 @@ from cosim.model import Equations, Model, Namespace, Stepper
 from cosim.model.symbolic.dormant import find_skippable
 from cosim.model.symbolic.functions import Body
 from cosim.model.symbolic.languages import C
-from cosim.storage.cache import cached
+from cosim.storage.cache import cache_path
 from cosim.subject.model_subject import ModelSubject, neutral_values
 from plant.effects.actuator import ActuatorDelay
 from plant.hovercraft import Hovercraft
@@ -268,10 +268,10 @@ def test_where_neither_is_to_be_had_the_cure_is_told(table: Model, monkeypatch: 
 def test_a_cache_that_cannot_be_written_is_done_without(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    elsewhere = cached("source", ".py")
+    elsewhere = cache_path("source", ".py")
     assert tmp_path not in elsewhere.parents
     assert elsewhere.parent.is_dir()
-    assert elsewhere == cached("source", ".py")
+    assert elsewhere == cache_path("source", ".py")
 
 
 @NEEDS_C
@@ -279,7 +279,7 @@ def test_a_damaged_cache_of_c_is_made_anew(table: Model, monkeypatch: pytest.Mon
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     g = generate(table, ("angle",))
     CompiledKernel(g)
-    for file in files(cached("", "").parent):
+    for file in files(cache_path("", "").parent):
         file.unlink()  # the one loaded above is mapped
         file.write_bytes(b"damaged")
     assert finite(CompiledKernel(g), table)
@@ -345,10 +345,10 @@ def test_a_library_that_was_cut_is_never_loaded(table: Model, monkeypatch: pytes
         return subprocess.run([sys.executable, "-c", SIMULATE], input=given, capture_output=True, check=True).stdout
 
     assert simulated() == b"True\n"
-    (library,) = cached("", "").parent.glob("*.so")
+    (library,) = cache_path("", "").parent.glob("*.so")
     cut(library)
     assert simulated() == b"True\n"
-    (again,) = cached("", "").parent.glob("*.so")
+    (again,) = cache_path("", "").parent.glob("*.so")
     before = again.stat().st_mtime_ns
     assert simulated() == b"True\n"
     assert again.stat().st_mtime_ns == before  # a sound one is taken as it is

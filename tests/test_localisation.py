@@ -23,7 +23,7 @@ from controller.loop import Loop
 from controller.observers import LinearFilter
 from cosim.fmi.fmu_build import build
 from cosim.model import Equations, Model, Namespace, Quantity, Stepper, Values, parameter
-from cosim.model.symbolic.jacobian import loaded, printed_jacobians
+from cosim.model.symbolic.jacobian import load_names, printed_jacobians
 from cosim.model.symbolic.linearize import linearize
 from cosim.simulation.run_signals import Run
 from fmus.estimator_fmu import INPUTS, OUTPUTS
@@ -246,7 +246,7 @@ MOVING = (0.3, -0.1, 0.2, 0.1, 0.7, 0.5, -0.2, 0.4, 0.01, 0.02, 2.2, 2.1, 0.15, 
 def test_printed_jacobians_are_the_linearised_model(
     model: Model, outputs: tuple[str, ...], state: Values, command: Values
 ) -> None:
-    printed = loaded(printed_jacobians(model, outputs))
+    printed = load_names(printed_jacobians(model, outputs))
     linear = linearize(model, state, command)
     numbers = [float(getattr(model, name)) for name in printed["PARAMETERS"]]
     rows = [linear.outputs.index(name) for name in outputs]
@@ -281,14 +281,14 @@ def manoeuvre(extended: ExtendedFilter, *, wrong: float = 0.0) -> tuple[Any, Any
 
 def test_a_camera_in_world_axes_corrects_the_distance_along_a_path_that_turns() -> None:
     settings = ExtendedSettings(axes="world")
-    extended = ExtendedFilter(Hovercraft(), settings, loaded(jacobians()), {})
+    extended = ExtendedFilter(Hovercraft(), settings, load_names(jacobians()), {})
     x, x_hat, sigma = manoeuvre(extended, wrong=0.3)
     error = dict(zip(STATES, x_hat - x, strict=True))
     assert math.hypot(error["x_world"], error["y_world"]) < 0.06  # three of σ = 2 cm
     assert abs(error["x"]) < 0.06  # what is found out before the turn is along the old axis, and is kept
     assert max(sigma[250:]) < 0.03
     alone = ExtendedFilter(Hovercraft(), replace(settings, measurement_variance_x=1e6, measurement_variance_y=1e6),
-                           loaded(jacobians()), {})  # fmt: skip
+                           load_names(jacobians()), {})  # fmt: skip
     _, x_hat, sigma = manoeuvre(alone, wrong=0.3)
     assert abs(x_hat - x)[STATES.index("x_world")] > 0.25
     assert max(sigma[250:]) > 0.3
@@ -332,7 +332,7 @@ def test_a_restored_estimator_goes_on_bit_for_bit(folder: Path, name: str, estim
 
 def test_the_extended_fmu_is_the_plain_filter(folder: Path) -> None:
     model, settings = Hovercraft(mass=0.8), ExtendedSettings(fix_latency=0.06, process_variance_vx=1e-6)
-    plain = ExtendedFilter(model, settings, loaded(jacobians()), {"x": 0.2})
+    plain = ExtendedFilter(model, settings, load_names(jacobians()), {"x": 0.2})
     given = {"mass": 0.8, "fix_latency": 0.06, "process_variance_vx": 1e-6, "x_hat_start": 0.2}
     with Instance(folder / "build" / "ekf.fmu") as fmu:
         fmu.initialize(given)

@@ -168,9 +168,9 @@ def test_a_known_constant_filters_as_the_parameter_would(folder: Path) -> None:
     settings = Settings(per_log=("area",), groups={path: "narrow"})
     problem = build_problem(ModelSubject.of(model), [log], settings=settings)
     noise = plain.plain
-    as_number = plain.scored({**plain.values, "area": 0.43}, noise).nll
+    as_number = plain.score({**plain.values, "area": 0.43}, noise).nll
     known = {**problem.values, own("area", "narrow"): 0.43}
-    assert problem.scored(known, noise).nll == pytest.approx(as_number, rel=1e-9)
+    assert problem.score(known, noise).nll == pytest.approx(as_number, rel=1e-9)
     unknown = {**problem.values, spread("area", "narrow"): 0.2}
     last = problem.run(unknown, noise, 0, states=True).states[-1]
     assert last[problem.layout.constants["area"]] == pytest.approx(0.4, rel=0.02)

@@ -18,7 +18,7 @@ from cosim.blocks.component import Signal
 from cosim.scenario.diagnosis import LONGEST, Diagnosis
 from cosim.scenario.pinned import sha256, with_files_beside
 from cosim.scenario.scenario import Criterion, Scenario
-from cosim.scenario.start_values import Misfit, settable, typed, with_elements
+from cosim.scenario.start_values import Misfit, convert_value, settable, with_elements
 from cosim.simulation.coupling import CouplingError, _largest, differences
 from cosim.simulation.criteria import evaluate, sentence
 from cosim.storage.results import Results
@@ -186,7 +186,7 @@ def variable(kind: str = "Real", **more: Any) -> Any:
 
 
 def fits(given: Any, kind: str = "Real", version: str = "2.0", **more: Any) -> Any:
-    found = typed(SimpleNamespace(fmiVersion=version, unitDefinitions=[]), variable(kind, **more), given)
+    found = convert_value(SimpleNamespace(fmiVersion=version, unitDefinitions=[]), variable(kind, **more), given)
     return found.reason if isinstance(found, Misfit) else found
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from cosim.base.errors import InputError
 from cosim.estimation.fit import Fit
-from cosim.estimation.posing import build_problem, coarsened
+from cosim.estimation.posing import build_problem, coarsen
 from cosim.experiment.excite import excite
 from cosim.loading.file import load_model
 from cosim.logs.log import read_log
@@ -113,7 +113,7 @@ def test_an_effect_that_is_awake_is_given_the_substeps_it_needs(tmp_path: Path) 
     assert model.substep == 0.0003125
     table_log(tmp_path / "a.csv", 0)
     problem = build_problem(ModelSubject.of(model), [read_log(tmp_path / "a.csv", model.inputs, model.outputs)])
-    asleep, awake = (coarsened(problem, values).logs[0].substeps for values in ({}, {"dry_friction.level": 0.5}))
+    asleep, awake = (coarsen(problem, values).logs[0].substeps for values in ({}, {"dry_friction.level": 0.5}))
     assert asleep < awake
 
 

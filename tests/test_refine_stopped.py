@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from cosim.refinement import workflow
-from cosim.storage.files import scratch_folder, uninterrupted
+from cosim.storage.files import delay_stops, scratch_folder
 from cosim.subject import model_subject
 from cosim.verbs.cli import entry
 from tests.test_refine_conditions import motor_study
@@ -78,7 +78,7 @@ def test_a_signal_waits_for_what_must_be_whole_and_comes_then(tmp_path: Path) ->
     done = []
 
     def whole() -> None:
-        with uninterrupted():
+        with delay_stops():
             signal.raise_signal(signal.SIGINT)
             done.append(1)
 

@@ -87,7 +87,7 @@ def test_a_filter_that_trusts_the_equations_hardly_weighs_their_noise(
     for r in (metres, millimetres):
         assert modes(r)[0] == "equations trusted"
         levels = (r.problem.noise.smallest, np.array([-60.0]))
-        trusted, without = (r.problem.scored(r.problem.values, r.problem.at(power)).variances for power in levels)
+        trusted, without = (r.problem.score(r.problem.values, r.problem.at(power)).variances for power in levels)
         # 0.001 by SMALLEST, on another part of the logs; 0.04 is plainly detected
         assert 0.0 < np.mean(np.log(trusted / without)) < 4e-3
     (here,), (there,) = (innovations(r, Charts()) for r in (metres, millimetres))

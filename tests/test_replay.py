@@ -235,7 +235,7 @@ def test_any_fmu_can_be_replayed(tmp_path: Path, starts: int) -> None:
     assert comparison.replays.keys() == ({0.5, 2.0, math.inf} if starts else {math.inf})
     assert comparison.replays[math.inf].outputs["velocity"] == pytest.approx(velocity, abs=0.01)
     assert "position" in verdict(comparison)
-    assert [c.name for c in comparison.channels if not c.explained] == []
+    assert [c.name for c in comparison.channels if not c.is_explained] == []
 
 
 @pytest.mark.thorough
@@ -278,7 +278,7 @@ def test_an_answer_that_is_wrong_in_kind_is_told_though_it_is_small(tmp_path: Pa
     heavy = Hovercraft().with_values({"mass": 1.2})
     log = log_of(tmp_path / "imu.csv", measured(fly(times(60.0), heavy, MOVING), IMU, noise=1.0))
     comparison = write_replay(tmp_path, log, plant_fmu, report=False)
-    assert next(c for c in comparison.channels if c.name == "ax").matched
+    assert next(c for c in comparison.channels if c.name == "ax").is_matched
     assert "in size, but not in kind. The residual of ax follows tilt" in verdict(comparison)
 
 
@@ -287,7 +287,7 @@ def test_a_log_of_the_imu_alone_is_enough(flight: Flight, tmp_path: Path, plant_
     log = log_of(tmp_path / "imu.csv", measured(flight, IMU, noise=1.0))
     comparison = write_replay(tmp_path / "out", log, plant_fmu)
     assert [c.name for c in comparison.channels] == list(IMU)
-    assert all(c.matched for c in comparison.channels)
+    assert all(c.is_matched for c in comparison.channels)
 
 
 def test_a_model_without_the_signals_of_the_log_is_refused(log: Log, tmp_path: Path) -> None:
@@ -333,7 +333,7 @@ def test_a_right_model_is_not_accused_for_the_scatter_of_few_windows(
     log = log_of(tmp_path / "a.csv", measured(fly(times(seconds), start=MOVING, seed=seed), noise=1.0, seed=seed))
     comparison = write_replay(tmp_path, log, plant_fmu, report=False)
     assert max(c.excess for c in comparison.channels) > 1.5  # these are the rare ones: one flight in eight
-    assert [c.name for c in comparison.channels if not c.matched] == []
+    assert [c.name for c in comparison.channels if not c.is_matched] == []
 
 
 @pytest.mark.thorough
@@ -347,7 +347,7 @@ def test_over_a_pause_nothing_is_known(tmp_path: Path, plant_fmu: Path) -> None:
     ]  # fmt: skip
     comparison = write_replay(tmp_path, log, plant_fmu, report=False)
     assert min(comparison.replays[2.0].starts.keys() - {100, 200, 300}) == chains(log, 2.0)[1].begin
-    assert [c.name for c in comparison.channels if not c.matched] == []
+    assert [c.name for c in comparison.channels if not c.is_matched] == []
 
 
 @pytest.mark.thorough
@@ -373,7 +373,7 @@ def test_a_camera_of_two_hertz_is_enough_to_see_friction(force: float, tmp_path:
     for name in POSITION:
         flown[name][np.arange(flown[name].size) % 25 != 0] = np.nan
     comparison = write_replay(tmp_path, log_of(tmp_path / "a.csv", flown), plant_fmu, report=False)
-    found = {c.name for c in comparison.channels if not c.matched}
+    found = {c.name for c in comparison.channels if not c.is_matched}
     assert found <= set(POSITION)
     assert bool(found) == bool(force)
 
@@ -392,7 +392,7 @@ def test_friction_shows_in_position_and_only_there(tmp_path: Path, plant_fmu: Pa
     rough = Hovercraft().with_values({"coulomb_friction.force": 0.08})
     log = log_of(tmp_path / "a.csv", measured(fly(times(20.0), rough, MOVING), noise=1.0))
     comparison = write_replay(tmp_path / "out", log, plant_fmu, report=False)
-    assert {c.name for c in comparison.channels if not c.matched} == {"x_world", "y_world"}
+    assert {c.name for c in comparison.channels if not c.is_matched} == {"x_world", "y_world"}
 
 
 @pytest.mark.thorough

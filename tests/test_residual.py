@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cosim.logs.channel_noise import noise_level, surprise
-from cosim.residuals.residual_statistics import fit_percent, input_correlations, pooled, rmse, score, whiteness
+from cosim.residuals.residual_statistics import fit_percent, input_correlations, pool_errors, rmse, score, whiteness
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ def test_fit_is_100_for_the_truth_and_0_for_its_mean() -> None:
 
 def test_rmse_is_pooled_over_rows_not_over_logs() -> None:
     assert rmse(np.array([3.0]), np.array([4.0, 0.0, 0.0])) == 2.5  # √((9 + 16)/4)
-    assert pooled([{"psi": np.array([3.0])}, {"psi": np.array([4.0, 0.0, 0.0])}]) == {"psi": 2.5}
+    assert pool_errors([{"psi": np.array([3.0])}, {"psi": np.array([4.0, 0.0, 0.0])}]) == {"psi": 2.5}
     assert math.isnan(rmse(np.array([math.nan])))
 
 

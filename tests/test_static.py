@@ -152,7 +152,7 @@ def problem_of(path: Path, order: slice = slice(None)) -> tuple[Array, float]:
     log = read_log(path.parent / "a.csv", model.inputs, model.outputs, table=True)
     turned = {side: {n: v[order] for n, v in getattr(log, side).items()} for side in ("inputs", "outputs")}
     problem = build_problem(ModelSubject.of(model), [replace(log, inputs=turned["inputs"], outputs=turned["outputs"])])
-    scored = problem.scored(problem.values, problem.plain)
+    scored = problem.score(problem.values, problem.plain)
     return scored.errors, scored.nll
 
 

@@ -15,7 +15,7 @@ from scipy import stats
 
 from cosim.base.arrays import Array
 from cosim.base.messages import Message
-from cosim.base.text import listed
+from cosim.base.text import join_names
 from cosim.base.units import read_quantity
 from cosim.logs.finding import Finding
 from cosim.logs.log import Log
@@ -343,25 +343,25 @@ def follows(strength: float, name: str = "u") -> InputCorrelation:
 
 
 def test_a_channel_is_matched_up_to_the_limit_of_its_floor() -> None:
-    assert channel(error=1.49).matched
-    assert not channel(error=1.5).matched
+    assert channel(error=1.49).is_matched
+    assert not channel(error=1.5).is_matched
     assert channel(error=3.0).excess == 3.0
-    assert channel(error=1.0, noise=0.0, fit=99.995).matched
-    assert not channel(error=1.0, noise=0.0, fit=99.985).matched
+    assert channel(error=1.0, noise=0.0, fit=99.995).is_matched
+    assert not channel(error=1.0, noise=0.0, fit=99.985).is_matched
     assert channel(error=1.0, astray=1.5).lost
     assert not channel(error=1.0, astray=1.0).lost
     assert math.isnan(channel(astray=2.0).excess)
-    assert not channel(error=0.0, astray=2.0).matched
+    assert not channel(error=0.0, astray=2.0).is_matched
     assert channel(error=0.0, noise=0.0).exact
     free = channel(scores={FREE_RUN: Score(3.0, 20.0, 9)})
     assert (free.measure, channel().measure) == (FREE_RUN, 2.0)
 
 
 def test_what_is_matched_is_explained_unless_it_follows_a_command() -> None:
-    assert channel(inputs=(follows(2.4), follows(9.0))).explained  # the first is the one that stands out most
-    assert not channel(inputs=(follows(2.6),)).explained
-    assert channel(fit=99.995, inputs=(follows(2.6),)).explained
-    assert not channel(error=2.0).explained
+    assert channel(inputs=(follows(2.4), follows(9.0))).is_explained  # the first is the one that stands out most
+    assert not channel(inputs=(follows(2.6),)).is_explained
+    assert channel(fit=99.995, inputs=(follows(2.6),)).is_explained
+    assert not channel(error=2.0).is_explained
 
 
 def test_the_verdict_is_the_first_that_applies() -> None:
@@ -419,7 +419,7 @@ def test_words_for_whiteness_inputs_and_the_log() -> None:
     assert quality([note]) == "Clock, units, signs and channels of the log are in order."
     assert quality([warning, note, warning]).startswith("2 warnings about the log")
     names = ([], ["a"], ["a", "b"], ["a", "b", "c"], ["a", "b", "c", "d", "e"])
-    assert [listed(w) for w in names] == ["", "a", "a and b", "a, b and c", "a, b, c and 2 more"]
+    assert [join_names(w) for w in names] == ["", "a", "a and b", "a, b and c", "a, b, c and 2 more"]
     assert (horizon_name(FREE_RUN), horizon_name(2.0)) == ("free run", "2\u00a0s")
 
 

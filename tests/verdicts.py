@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from cosim.base.text import MOST_NAMED, listed, percent, plain
+from cosim.base.text import MOST_NAMED, join_names, percent, plain
 from cosim.refinement.decision.sentences import IN_PART
 
 CLAIMS = {"effect_found", "parameter_error", "sensor_error"}
@@ -136,7 +136,7 @@ def _nearest(record: Record) -> Iterator[str]:
     before = re.search(r"Best candidates, not confirmed: (.*?)\.", record["sentence"])
     contents = before[1] if before and held[1] == "contains them" else held[1].removeprefix("contains ")
     contents = "" if held[1].startswith("is the model") else re.sub(r"^\d+ candidates: ", "", contents)
-    if listed(names) != contents:
+    if join_names(names) != contents:
         yield f"nearest.yaml contains {names}, the sentence says it {held[1]}"
     if held[1] == "is the model as it was" and error["nearest"] != error["before"]:
         yield "nearest.yaml is the model as it was, and its error another"

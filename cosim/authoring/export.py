@@ -169,7 +169,7 @@ def _model(file: ScenarioFile, name: str, system: System) -> Model:
     ports += [Port(s.name, "output", s.kind, s.unit) for s in block.outputs if s.kind in TYPES and not s.local]
     variables = {v.name: v for v in block.description.modelVariables}
     values = {n: (variables[n], value) for n, value in block.start_values.items()}
-    start = {n: _typed(*value) for n, value in values.items() if not _is_default(*value)}
+    start = {n: _convert_value(*value) for n, value in values.items() if not _is_default(*value)}
     return Model(name, block.path, ports, start)
 
 
@@ -184,7 +184,7 @@ def _is_default(variable: Any, value: Any) -> bool:
     return float(variable.start) == float(value)
 
 
-def _typed(variable: Any, value: Any) -> tuple[str, Value]:
+def _convert_value(variable: Any, value: Any) -> tuple[str, Value]:
     """Return SSP's type and value; an enumeration's item by name."""
     if variable.type == "Enumeration":
         items = {number: name for name, number in enumeration_items(variable).items()}

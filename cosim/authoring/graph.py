@@ -11,7 +11,7 @@ from cosim.base.errors import InputError, NotExecuted
 from cosim.base.scratch import temporary_folder
 from cosim.loading.file import without_execution
 from cosim.scenario.controller_design import designed_values
-from cosim.scenario.scenario import resolved
+from cosim.scenario.scenario import resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.packaged import is_ssp, lay_out
 from cosim.simulation.report.system_diagram import Graph, graph_from
@@ -63,4 +63,4 @@ def _graph(file: ScenarioFile) -> Graph:
     arrays = {f"{n.partition('.')[0]}.{s.array}": s.unit for n, s in system.signals.items() if s.array}
     held = {transfer.name for transfer in system.held}
     order = [stage.component.name for stage in system.stages]
-    return graph_from(resolved(file.scenario), order, held, {**arrays, **units})
+    return graph_from(resolve_defaults(file.scenario), order, held, {**arrays, **units})

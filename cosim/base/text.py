@@ -39,10 +39,10 @@ def plain(value: float, digits: int | None = 3) -> str:
 def amount(value: float, unit: str = "", digits: int | None = 3) -> str:
     """Return an SI value with its displayed unit."""
     symbol, factor = display(unit)
-    return joined(plain(value * factor, digits), symbol)
+    return append_unit(plain(value * factor, digits), symbol)
 
 
-def joined(number: str, unit: str) -> str:
+def append_unit(number: str, unit: str) -> str:
     """Return a displayed number with its unit: `12°`, `3 m`."""
     if number == MISSING or not unit:
         return number
@@ -81,13 +81,13 @@ def counted(count: int, noun: str) -> str:
     return f"{count} {noun if count == 1 else plural}"
 
 
-def listed(names: Sequence[str]) -> str:
+def join_names(names: Sequence[str]) -> str:
     """Return names as a sentence holds them: `a`, `a and b`, `a, b and c`; of more than three `a, b, c and 7 more`."""
     items = [*names] if len(names) <= MOST_NAMED else [*names[:MOST_NAMED], f"{len(names) - MOST_NAMED} more"]
     return " and ".join(filter(None, (", ".join(items[:-1]), *items[-1:])))
 
 
-def parted(text: str) -> tuple[str, str]:
+def split_sentence(text: str) -> tuple[str, str]:
     """Return the first sentence of a text, and the others."""
     first, stop, others = text.partition(". ")
     return f"{first}{stop}".strip(), others

@@ -113,7 +113,7 @@ class DifferentiableFmu(FmuBlock):
         Returns:
             The states after the events.
         """
-        with self.instance.checked():
+        with self.instance.check_calls():
             self.instance.fmu.setTime(t)
             self._put_states(states)
             calls = self._calls
@@ -123,7 +123,7 @@ class DifferentiableFmu(FmuBlock):
 
     def rates(self, states: Array, inputs: Array) -> Array:
         """Return derivatives and outputs in the current mode."""
-        with self.instance.checked():
+        with self.instance.check_calls():
             self._put_states(states)
             self._write_reals(self._inputs, inputs)
         rates = self._vector(derivatives_of(self.instance.fmu))
@@ -137,7 +137,7 @@ class DifferentiableFmu(FmuBlock):
         knowns = [v.valueReference for v in (*self._states, *self._inputs)]
         unknowns = [v.valueReference for v in (*self._rates, *self._outputs)]
         slope = self.instance.fmu.getDirectionalDerivative
-        with self.instance.checked():
+        with self.instance.check_calls():
             columns = [slope(unknowns, [reference], [1.0]) for reference in knowns]
         return np.array(columns, float).T.reshape(len(unknowns), len(knowns))
 
@@ -150,7 +150,7 @@ class DifferentiableFmu(FmuBlock):
         """Return the numbers, one per state, that a function of the FMU writes."""
         values = np.zeros(self.order)
         if self.order:
-            with self.instance.checked():
+            with self.instance.check_calls():
                 function(values.ctypes.data_as(DOUBLES), self.order)
         return values
 
@@ -163,7 +163,7 @@ class DifferentiableFmu(FmuBlock):
         if not variables:
             return np.zeros(0)
         references = [v.valueReference for v in variables]
-        with self.instance.checked():
+        with self.instance.check_calls():
             if self.instance.fmi3:
                 return np.array(self.instance.fmu.getFloat64(references, nValues=len(scalars(variables))), float)
             return np.array(self.instance.fmu.getReal(references), float)

@@ -187,7 +187,7 @@ class FmuBlock:
         self.instance.time, self.instance.initialized = start, False
         calls.start_time, calls.stop_time = start, stop
         values.allow_reading(calls.readable_before_start)
-        with self.instance.checked():
+        with self.instance.check_calls():
             calls.prepare()
             values.set(self.start_values)
             calls.enter()
@@ -210,7 +210,7 @@ class FmuBlock:
         )
 
     def start(self) -> None:
-        with self.instance.checked():
+        with self.instance.check_calls():
             self._calls.leave()
         self.instance.initialized = True
         self._values.allow_reading(True)
@@ -232,7 +232,7 @@ class FmuBlock:
 
     def change(self, values: Mapping[str, Any]) -> None:
         """Set tunable parameters and inputs during a run."""
-        with self.instance.checked():
+        with self.instance.check_calls():
             self._calls.inputs_changed(lambda: self._values.set(values))
         for exchange in self._ports.unfed:
             self._values.read_in(exchange)

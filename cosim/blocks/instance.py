@@ -156,12 +156,12 @@ class Instance:
 
     def save_state(self) -> Any:
         """Return the state for a single restoration."""
-        with self.checked():
+        with self.check_calls():
             return self.fmu.getFMUState() if self.fmi3 else self.fmu.getFMUstate()
 
     def restore_state(self, state: Any) -> None:
         """Restore a state and free it."""
-        with self.checked():
+        with self.check_calls():
             if self.fmi3:
                 self.fmu.setFMUState(state)
                 self.fmu.freeFMUState(state)
@@ -201,7 +201,7 @@ class Instance:
     # -- status values ---------------------------------------------------------------
 
     @contextmanager
-    def checked(self) -> Iterator[None]:
+    def check_calls(self) -> Iterator[None]:
         """Convert failed FMPy calls to SimulationError."""
         from fmpy.fmi1 import FMICallException
 

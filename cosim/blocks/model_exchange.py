@@ -92,7 +92,7 @@ class ModelExchange2(Calls):
         event, terminate = self.fmu.completedIntegratorStep()
         return event, terminate
 
-    def _updated(self) -> Any:
+    def _update_discrete_states(self) -> Any:
         return self.fmu.newDiscreteStates()
 
     # -- internal -------------------------------------------------------------------------------
@@ -162,7 +162,7 @@ class ModelExchange2(Calls):
         """Update discrete states until stable; note the next time event."""
         due: float | None = None
         for _ in range(MOST_EVENTS):
-            more, terminate, _, _, defined, time = self._updated()
+            more, terminate, _, _, defined, time = self._update_discrete_states()
             if terminate:
                 self._end()
             due = time if defined else None
@@ -204,7 +204,7 @@ class ModelExchange1(Version1, ModelExchange2):
     def _completed_step(self) -> tuple[bool, bool]:
         return self.fmu.completedIntegratorStep(), False  # FMI 1.0 demands this call of every host.
 
-    def _updated(self) -> Any:
+    def _update_discrete_states(self) -> Any:
         first, self._first = self._first, None
         converged, *more = self.fmu.eventUpdate() if first is None else (True, *first[1:])
         return (not converged, more[2], more[0], more[1], *more[3:])
@@ -234,5 +234,5 @@ class ModelExchange3(ModelExchange2):
     def enter(self) -> None:
         self.fmu.enterInitializationMode(startTime=self.start_time, stopTime=self.stop_time)
 
-    def _updated(self) -> Any:
+    def _update_discrete_states(self) -> Any:
         return self.fmu.updateDiscreteStates()

@@ -29,14 +29,14 @@ class RestartableFmu(FmuBlock):
     def remember(self, memory: Memory) -> None:
         """Write a memory into the state of a cosim FMU. Start values alone can express a constant past only."""
         state = with_memory(self._state(), memory)
-        with self.instance.checked():
+        with self.instance.check_calls():
             fmu = self.instance.fmu
             pointer = fmu.deSerializeFMUstate(state)
             fmu.setFMUstate(pointer)
             fmu.freeFMUstate(pointer)
 
     def _state(self) -> bytes:
-        with self.instance.checked():
+        with self.instance.check_calls():
             fmu = self.instance.fmu
             pointer = fmu.getFMUstate()
             state: bytes = fmu.serializeFMUstate(pointer)

@@ -98,7 +98,7 @@ class Values:
         if values == self.watched:
             return
         self.watched = values
-        with self.instance.checked():
+        with self.instance.check_calls():
             self._calls.inputs_changed(self._put_all)
 
     def _put_all(self) -> None:
@@ -115,7 +115,7 @@ class Values:
         """Read values of the FMU."""
         function = exchange.kind.function
         if exchange.buffer is None:
-            with self.instance.checked():
+            with self.instance.check_calls():
                 values = self.instance.fmu.getBinary(exchange.vrs, exchange.count)
                 self._target(exchange)[exchange.places] = [v or b"" for v in values]  # None: NULL, no bytes
             return
@@ -128,7 +128,7 @@ class Values:
         """Write values to the FMU."""
         function, values = exchange.kind.function, self._target(exchange)[exchange.places]
         if exchange.buffer is None:
-            with self.instance.checked():
+            with self.instance.check_calls():
                 self.instance.fmu.setBinary(exchange.vrs, values)
             return
         try:

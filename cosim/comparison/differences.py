@@ -51,14 +51,14 @@ class Compared:
     absolute: float
 
     @property
-    def ranked(self) -> list[Difference]:
+    def ranking(self) -> list[Difference]:
         """Return all signals, largest share first."""
         return sorted(self.differences, key=lambda d: -d.share)
 
     @property
     def beyond(self) -> list[Difference]:
         """Return signals beyond the tolerance, largest share first."""
-        return [d for d in self.ranked if d.beyond]
+        return [d for d in self.ranking if d.beyond]
 
     @property
     def judged(self) -> bool:
@@ -98,7 +98,7 @@ class Compared:
             import pandas
         except ImportError:
             raise ImportError("to_pandas needs pandas: pip install pandas") from None
-        return pandas.DataFrame([asdict(d) for d in self.ranked]).set_index("name")
+        return pandas.DataFrame([asdict(d) for d in self.ranking]).set_index("name")
 
     def plot(self, *names: str) -> Figure:
         """Return a matplotlib figure of both runs and of b − a; without names of the signals that differ most.
@@ -113,7 +113,7 @@ class Compared:
         for name in names:
             if name not in self.values:
                 raise KeyError(f'no signal "{name}" in both{did_you_mean(name, self.values)}')
-        numeric = [d for d in self.ranked if d.name in self.values]
+        numeric = [d for d in self.ranking if d.name in self.values]
         plotted = [d for d in numeric if d.name in names] if names else numeric[:MAX_PLOTTED]
         runs = self.a.name, self.b.name
         return sheet(self.time, [p for d in plotted for p in panels_of(d.name, d.unit, runs, self.values[d.name])])
@@ -132,7 +132,7 @@ class Compared:
 
     def _table(self) -> tuple[list[tuple[str, str, str, str]], str]:
         """Return the largest differences as text, and the omitted number."""
-        cells = [(d.name, format_size(d, d.largest), f"{d.at:.6g} s", format_share(d)) for d in self.ranked]
+        cells = [(d.name, format_size(d, d.largest), f"{d.at:.6g} s", format_share(d)) for d in self.ranking]
         return cells[:MAX_LISTED], f"… and {len(cells) - MAX_LISTED} more" if len(cells) > MAX_LISTED else ""
 
     def as_json(self) -> dict[str, Any]:

@@ -77,7 +77,7 @@ def compare(
 
 def context(c: Compared) -> Mapping[str, Any]:
     """Return the variables of the template."""
-    plotted = [d for d in c.ranked if d.name in c.values][:MAX_PLOTTED]
+    plotted = [d for d in c.ranking if d.name in c.values][:MAX_PLOTTED]
     drawing = Drawing(c.time, 3 * len(plotted))
     panels = [panel for d in plotted for panel in panels_of(d.name, d.unit, (c.a.name, c.b.name), c.values[d.name])]
     plots = drawing.plots(panels)  # before its series
@@ -89,7 +89,7 @@ def context(c: Compared) -> Mapping[str, Any]:
         "judged": c.judged,
         "tolerance": _tolerance(c),
         "aligned": c.aligned,
-        "rows": [_row(d) for d in c.ranked],
+        "rows": [_row(d) for d in c.ranking],
         "criteria": [(title, _verdict(a), _verdict(b)) for title, a, b in criteria_of(c)],
         "plots": plots,
         "undrawn": len(c.differences) - len(plotted),

@@ -70,7 +70,9 @@ def _open_cycle(
     """Return inputs without feedthrough, to open a cycle, and a note. The note states an assumption, if made."""
     inputs = {(target, name) for source, target, name, _ in edges if {source, target} <= {*cycle}}
     # Only outputs used within the loop count.
-    unneeded = {(c, name) for c, name in inputs & direct if components[c].depends_on(name, _used(edges, c)) is False}
+    unneeded = {
+        (c, name) for c, name in inputs & direct if components[c].depends_on(name, _find_connected(edges, c)) is False
+    }
     if unneeded:
         return unneeded, ""
     unknown = {component for component, name in inputs if components[component].depends_on(name) is None}
@@ -81,7 +83,7 @@ def _open_cycle(
     return {(component, name) for component, name in direct if component == undeclared}, note
 
 
-def _used(edges: Sequence[Edge], component: str) -> set[str]:
+def _find_connected(edges: Sequence[Edge], component: str) -> set[str]:
     """Return the connected outputs of a component."""
     return {output for source, _, _, output in edges if source == component}
 

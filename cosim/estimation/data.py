@@ -12,7 +12,7 @@ from cosim.kernel.kernel import Data, Layout
 from cosim.logs.log import Log, slowness
 from cosim.subject.interface import Subject
 
-UNSCORED = 1.0  # [s] of each log in which the filter settles; see `unscored`
+UNSCORED = 1.0  # [s] of each log in which the filter settles; see `count_unscored`
 MOST_ROWS, FOLDS = 40, 20  # rows of all tables up to which each is held out alone; parts of larger tables
 JITTER = 0.01  # share of a row from which rows are not equally spaced
 
@@ -43,7 +43,7 @@ def data_of(
     data = Data(
         log.step, float(log.time[0]), u, y, subject.substeps(log.step), 0, interpolated, late if is_jittery else None
     )
-    return replace(data, settle=int(min(settle / log.step, unscored(data))))
+    return replace(data, settle=int(min(settle / log.step, count_unscored(data))))
 
 
 def _data_of_table(log: Log, layout: Layout) -> Data:
@@ -88,7 +88,7 @@ def _mean_commands(log: Log, u: Array, grid: Rows) -> Array:
     return np.column_stack([np.diff(np.interp(edges, times, column)) for column in total.T])
 
 
-def unscored(data: Data) -> int:
+def count_unscored(data: Data) -> int:
     """Return the rows before scoring starts, in which the filter settles; 0 for a table."""
     if data.table:
         return 0

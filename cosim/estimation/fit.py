@@ -96,11 +96,11 @@ def initial_fit(problem: Problem) -> Fit:
     some levels: from too small a level, a fit moves parameters in place of the noise.
     """
     noise = problem.plain
-    scored = problem.scored(problem.values, noise)
+    scored = problem.score(problem.values, noise)
     if not problem.trusted and not np.mean(scored.errors**2 / scored.variances) < FAR**2:
         span = problem.noise.largest - noise.power
         levels = [replace(noise, power=noise.power + share * span) for share in np.linspace(0.0, 1.0, LEVELS)]
-        noise = min(levels, key=lambda level: problem.scored(problem.values, level).nll)
+        noise = min(levels, key=lambda level: problem.score(problem.values, level).nll)
     return Fit(problem.values, noise, (), (), 0.0, np.zeros((0, 0)), 0, False)
 
 
@@ -216,7 +216,7 @@ class _Scoring:
         return clipped
 
     def _evaluate(self, theta: Array) -> Scored:
-        return self.problem.scored(*self._unpack(theta), self.only)
+        return self.problem.score(*self._unpack(theta), self.only)
 
     def _penalty(self, theta: Array) -> float:
         pairs = zip(self.free, theta[: len(self.free)], strict=True)

@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.estimation.data import data_of, folds, unscored
+from cosim.estimation.data import count_unscored, data_of, folds
 from cosim.estimation.per_log import Origin, own_parameters
 from cosim.estimation.problem import Problem, Settings
 from cosim.estimation.readings import readings_of, readings_of_table
@@ -47,7 +47,7 @@ def build_problem(
         data = folds(data)
         readings = readings_of_table([d.y for d in data])
     else:
-        readings = [readings_of(d.y, unscored(d)) for d in data]
+        readings = [readings_of(d.y, count_unscored(d)) for d in data]
     values = {**dict.fromkeys(layout.parameters, 0.0), **subject.values}
     begins = origins(subject, layout, logs, data, settings)
     values[MEMORY] = USUAL_MEMORY * max(slowness(d.step) for d in data)
@@ -156,18 +156,18 @@ def varied_inputs(subject: Subject, logs: Sequence[Log]) -> list[str]:
     return [q.name for q in subject.inputs if any(np.ptp(log.inputs[q.name]) > 1e-9 for log in logs)]
 
 
-def coarsened(problem: Problem, values: Mapping[str, float] | None = None) -> Problem:
+def coarsen(problem: Problem, values: Mapping[str, float] | None = None) -> Problem:
     """Return the problem with as few substeps as possible.
 
     Args:
         values: Parameter values if not those of the base model; an active effect may need finer steps.
     """
     noise, values = problem.plain, {**problem.values, **(values or {})}
-    exact = problem.scored(values, noise).nll
+    exact = problem.score(values, noise).nll
     most = max(log.substeps for log in problem.logs)
     for n in (2**k for k in range(10) if 2**k < most):
         coarse = replace(problem, logs=[replace(log, substeps=min(n, log.substeps)) for log in problem.logs])
-        if abs(coarse.scored(values, noise).nll - exact) < max(SAME, ALIKE * abs(exact)):
+        if abs(coarse.score(values, noise).nll - exact) < max(SAME, ALIKE * abs(exact)):
             return coarse
     return problem
 
@@ -179,8 +179,8 @@ def halve_log(problem: Problem) -> Problem:
     halves = [log.rows(0, half), log.rows(half, len(log.u))]
     following = replace(problem, trusted=False, sensing=None)
     run = following.run(problem.values, following.plain, 0, states=True)
-    reached = problem.undisturbed(run.states[half])
-    readings = [readings_of(d.y, unscored(d)) for d in halves]
+    reached = problem.drop_unknown_inputs(run.states[half])
+    readings = [readings_of(d.y, count_unscored(d)) for d in halves]
     for origin in problem.origins:
         # A start from a reading depends on the group's parameter value.
         p, memory = problem.numbers(problem.of_log(problem.values, 0)), np.zeros(problem.layout.memory)

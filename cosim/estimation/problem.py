@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array, Flags, Rows
-from cosim.estimation.data import UNSCORED, unscored
+from cosim.estimation.data import UNSCORED, count_unscored
 from cosim.estimation.noise_model import Noise, NoiseLimits, NoiseRange, noise_range
 from cosim.estimation.per_log import Origin, own, spread, start_of_log
 from cosim.estimation.readings import Readings, readings_of
@@ -141,17 +141,17 @@ class Problem:
         short = replace(
             self,
             logs=[logs[k] for k in chosen],
-            readings=[readings_of(logs[k].y, unscored(logs[k])) for k in chosen],
+            readings=[readings_of(logs[k].y, count_unscored(logs[k])) for k in chosen],
             x0=[self.x0[k] for k in chosen],
             origins=[self.origins[k] for k in chosen if self.origins],
             sensing=None,  # limits must not depend on fitted noise
         )
-        lasting = float(np.log(self.longest_memory)) if self.layout.coloured else None
+        lasting = float(np.log(self.longest_memory)) if self.layout.is_coloured else None
 
         def variances(power: Array, longest: bool) -> Array:
             noise = short.at(power)
             noise = replace(noise, memory=lasting) if longest and lasting is not None else noise
-            return short.scored(self.values, noise).variances
+            return short.score(self.values, noise).variances
 
         return noise_range(variances, len(self.layout.noisy))
 
@@ -189,7 +189,7 @@ class Problem:
             np.where(timed, 2.0 * np.log(t), now.timing) for t in (1e-3 * min(steps), 4.0 * max(steps))
         )
         memory = np.log([2.0 * min(steps), self.longest_memory])
-        if not self.layout.coloured or self.trusted:
+        if not self.layout.is_coloured or self.trusted:
             memory = np.full(2, now.memory)
         largest = self.noise.smallest if self.trusted else self.noise.largest
         power, nothing = len(self.layout.noisy), np.zeros(ny)
@@ -202,13 +202,13 @@ class Problem:
         )
         return NoiseLimits(*map(np.concatenate, zip(*parts, strict=True)))
 
-    def undisturbed(self, state: Array) -> Array:
+    def drop_unknown_inputs(self, state: Array) -> Array:
         """Return a state without unknown inputs, within bounds."""
         plain = state.copy()
         for f in self.own:
             place = self.layout.constants[f.parameter]
             plain[place] = min(max(plain[place], f.low), f.high)
-        if self.layout.coloured:
+        if self.layout.is_coloured:
             plain[self.layout.noise_places] = 0.0
         return plain
 
@@ -244,7 +244,7 @@ class Problem:
         """
         q = np.zeros(len(self.layout.stochastic))
         power = np.exp(noise.power)
-        q[list(self.layout.noisy)] = 2.0 * power / np.exp(noise.memory) if self.layout.coloured else power
+        q[list(self.layout.noisy)] = 2.0 * power / np.exp(noise.memory) if self.layout.is_coloured else power
         return q
 
     def lateness(self, values: Mapping[str, float], index: int) -> dict[int, float]:
@@ -281,10 +281,10 @@ class Problem:
     ) -> Filtered:
         """Filter one log, or other measurements in place of the log's."""
         data = self.data(values, index) if data is None else data
-        lasting = {MEMORY: float(np.exp(noise.memory))} if self.layout.coloured else {}
+        lasting = {MEMORY: float(np.exp(noise.memory))} if self.layout.is_coloured else {}
         x0, more = self.start(values, index)
         p, P0 = self.numbers({**self.of_log(values, index), **lasting}), self.P0 + more @ more.T
-        if self.layout.coloured:
+        if self.layout.is_coloured:
             places = list(self.layout.noisy)
             P0[places, places] = np.exp(noise.power)
         variances = self.variances(noise, index)
@@ -321,7 +321,7 @@ class Problem:
             e[:, k], s[:, k] = np.roll(e[:, k], round(late)), np.roll(s[:, k], round(late))
         return e, s
 
-    def scored(self, values: Mapping[str, float], noise: Noise, only: Sequence[int] | None = None) -> Scored:
+    def score(self, values: Mapping[str, float], noise: Noise, only: Sequence[int] | None = None) -> Scored:
         """Filter some logs, by default all."""
         errors, variances, rows = [], [], []
         for index in range(len(self.logs)) if only is None else only:

@@ -66,7 +66,7 @@ class ScoreTest:
         self.problem, self.at = problem, at
         self.values = {**problem.values, **at.values}
         self.noise = at.noise
-        self.scored = problem.scored(self.values, self.noise)
+        self.scored = problem.score(self.values, self.noise)
         priors = {f.name: f.prior for f in at.free if f.prior}
         self.priors = {name: k for k, name in enumerate(priors)}
         self.sigma = np.array([sigma for _, sigma in priors.values()]) / np.sqrt(problem.scatter)
@@ -160,7 +160,7 @@ class ScoreTest:
 
     def _row(self, steps: Mapping[str, float], noise: Noise | None = None) -> Array:
         moved = {**self.values, **{name: self.values[name] + d for name, d in steps.items()}}
-        other = self.problem.scored(moved, noise or self.noise)
+        other = self.problem.score(moved, noise or self.noise)
         e, s = self.scored.errors, self.scored.variances
         offsets = np.array([steps.get(name, 0.0) for name in self.priors]) / self.sigma
         with np.errstate(invalid="ignore", over="ignore"):

@@ -9,7 +9,7 @@ import numpy as np
 
 from cosim.base.arrays import Array, Flags
 from cosim.base.messages import Message
-from cosim.base.text import listed, plain
+from cosim.base.text import join_names, plain
 from cosim.estimation import messages
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
@@ -83,7 +83,7 @@ def noise_warnings(problem: Problem, noise: Noise, subject: Subject) -> tuple[Me
     if different:
         warnings.append(messages.DIFFERENT_NOISE(levels="; ".join(comparisons), line=_line(different)))
     if unstated:
-        warnings.append(messages.UNSTATED_NOISE(outputs=listed([*unstated]), line=_line(unstated)))
+        warnings.append(messages.UNSTATED_NOISE(outputs=join_names([*unstated]), line=_line(unstated)))
     return tuple(warnings)
 
 

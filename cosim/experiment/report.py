@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.text import counted, display, joined, plain
+from cosim.base.text import append_unit, counted, display, plain
 from cosim.base.version import __version__
 from cosim.experiment.chosen_input import MIN_SEPARATION, Excitation
 from cosim.experiment.separation import Pair
@@ -139,9 +139,9 @@ def _limits(excitation: Excitation) -> list[Mapping[str, Any]]:
         rows.append(
             {
                 "name": name,
-                "limit": joined(f"±{plain(limit * factor, 3)}", unit),
-                "model": joined(plain(excursions.get("", math.nan) * factor, 3), unit),
-                "largest": joined(plain(excursions[rival] * factor, 3), unit) + (f" ({rival})" if rival else ""),
+                "limit": append_unit(f"±{plain(limit * factor, 3)}", unit),
+                "model": append_unit(plain(excursions.get("", math.nan) * factor, 3), unit),
+                "largest": append_unit(plain(excursions[rival] * factor, 3), unit) + (f" ({rival})" if rival else ""),
                 "within": excursions[rival] <= limit * (1.0 + 1e-9),
             }
         )

@@ -19,10 +19,10 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.linear_algebra import least_squares
-from cosim.estimation.data import data_of, unscored
+from cosim.estimation.data import count_unscored, data_of
 from cosim.estimation.fit import DIFFERENCE
 from cosim.estimation.noise_model import Noise
-from cosim.estimation.posing import coarsened, start_state
+from cosim.estimation.posing import coarsen, start_state
 from cosim.estimation.problem import Problem
 from cosim.estimation.readings import readings_of
 from cosim.logs.log import Log
@@ -79,14 +79,14 @@ class Separation:
         self.subject, self.problem, self.pairs = subject, problem, tuple(pairs)
         self.rivals = {r.name: r for r in rivals}
         self.base = base_parameters(subject, problem.values, problem.settings.tolerance)
-        self.noise, self.substeps = problem.plain, coarsened(problem).logs[0].substeps
+        self.noise, self.substeps = problem.plain, coarsen(problem).logs[0].substeps
 
     def of(self, log: Log) -> dict[Pair, float]:
         """Return the distance of each pair on a noise-free log [standard deviations]."""
         layout = self.problem.layout
         data = replace(data_of(self.subject, log, layout, self.problem.settle), substeps=self.substeps)
         start = start_state(self.subject, data, layout.outputs, layout.states)
-        readings = [readings_of(data.y, unscored(data))]
+        readings = [readings_of(data.y, count_unscored(data))]
         innovations = _Innovations(replace(self.problem, logs=[data], readings=readings, x0=[start]), self.noise)
         shift = {name: innovations.at(r.values) for name, r in self.rivals.items()}
         own = {name: innovations.slopes(r.free, r.values, shift[name]) for name, r in self.rivals.items()}
@@ -124,13 +124,13 @@ class _Innovations:
 
     def __init__(self, problem: Problem, noise: Noise) -> None:
         self.problem, self.noise = problem, noise
-        scored = problem.scored(problem.values, noise)
+        scored = problem.score(problem.values, noise)
         self.errors, self.sigma = scored.errors, np.sqrt(scored.variances)
         self.count = len(self.errors)
 
     def at(self, values: Mapping[str, float]) -> Array:
         """Return the change at other values, 0 for a diverged filter."""
-        errors = self.problem.scored({**self.problem.values, **values}, self.noise).errors
+        errors = self.problem.score({**self.problem.values, **values}, self.noise).errors
         return np.asarray(np.nan_to_num((errors - self.errors) / self.sigma, nan=0.0, posinf=0.0, neginf=0.0))
 
     def slopes(self, free: Sequence[Free], values: Mapping[str, float], shift: Array) -> Array:

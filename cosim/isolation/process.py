@@ -21,7 +21,7 @@ from cosim.isolation.rows import NOTHING, Progress, mapped_progress
 from cosim.isolation.watch import Clock, Watch, how_ended
 from cosim.isolation.worker import ALONG, PROGRESS, Begin, receive, send, transfer_fault
 from cosim.storage.cache import cache_environment
-from cosim.storage.files import uninterrupted
+from cosim.storage.files import delay_stops
 
 PREFIX = "cosim-work-"
 POLL = 0.05  # interval between checks of a process [s]
@@ -49,7 +49,7 @@ class Worker:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        with uninterrupted():
+        with delay_stops():
             if kind is None:
                 self.finish()
             self.end()
@@ -60,7 +60,7 @@ class Worker:
         """Start the process, unless running, ahead of the first job."""
         if self.running:
             return
-        with uninterrupted():
+        with delay_stops():
             self.end()
             self._scratch: ScratchFolder = scratch(PREFIX)
             try:
@@ -119,7 +119,7 @@ class Worker:
         try:
             content = self._wait(clock)
         except BaseException:
-            with uninterrupted():
+            with delay_stops():
                 self.end(kill=True)
             raise
         answer, error = pickle.loads(content)

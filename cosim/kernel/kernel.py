@@ -74,7 +74,7 @@ class Layout:
         return {n.removeprefix(CONSTANT): k for k, n in enumerate(self.states) if n.startswith(CONSTANT)}
 
     @property
-    def coloured(self) -> bool:
+    def is_coloured(self) -> bool:
         """Return True if noise enters through unknown inputs with memory."""
         return MEMORY in self.parameters
 

@@ -99,7 +99,7 @@ def local_shape(
 
     over, plain, factor, shape, bend, edge = map(symbol, ("over", "plain", "factor", "shape", "bend", "edge"))
     dry = number(f"{LOCAL}.{slot}.dry")
-    gain = number(f"{LOCAL}.{slot}.by.1") + plain + dry * (clipped(plain) - plain)
+    gain = number(f"{LOCAL}.{slot}.by.1") + plain + dry * (clip(plain) - plain)
     value = number(f"{LOCAL}.{slot}.rise") * rise(over)
     value += sum(number(f"{LOCAL}.{slot}.{k}") * bump(over - k) for k in range(KNOTS))
     sums = {role: sum(w * z for z, w in of.items()) for role, of in weights.items()}
@@ -121,12 +121,12 @@ def bump(x: Any) -> Any:
     return ((below + abs(below)) / 2) ** 3
 
 
-def clipped(x: Any) -> Any:
+def clip(x: Any) -> Any:
     """Return x limited to −1 … 1."""
     return (abs(x + 1) - abs(x - 1)) / 2
 
 
 def rise(x: Any) -> Any:
     """Return 0 below −1, 1 above 1, a cubic between."""
-    c = clipped(x)
+    c = clip(x)
     return (2 + 3 * c - c**3) / 4

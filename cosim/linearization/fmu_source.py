@@ -33,7 +33,7 @@ from cosim.linearization import messages
 from cosim.linearization.kinks import Kink, kinks_at
 from cosim.linearization.linear_model import Linear, Point
 from cosim.linearization.linear_sources import Source
-from cosim.scenario.start_values import Misfit, kind_of, settable, typed
+from cosim.scenario.start_values import Misfit, convert_value, kind_of, settable
 from cosim.storage.yaml_file import did_you_mean
 
 MODULES = ("cosim.linearization.fmu_source", "fmpy.fmi2", "fmpy.logging")
@@ -212,7 +212,7 @@ def typed_values(path: Path, description: Any, values: Mapping[str, Any]) -> dic
             faults.append(messages.UNKNOWN_VARIABLE(name=name, cure=cure))
         elif not settable(variable):
             faults.append(messages.NOT_SETTABLE(name=name, kind=kind_of(variable)))
-        elif isinstance(fitting := typed(description, variable, value), Misfit):
+        elif isinstance(fitting := convert_value(description, variable, value), Misfit):
             faults.append(messages.UNSUITABLE_START(name=name, value=value, reason=fitting.reason))
         else:
             converted[name] = fitting

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.text import counted, parted, plain, written
+from cosim.base.text import counted, plain, split_sentence, written
 from cosim.base.version import __version__
 from cosim.linearization.descriptions import headline, number, pole_rows
 from cosim.linearization.frequency_response import Response, frequencies, response
@@ -43,7 +43,7 @@ def page(outcome: Outcome) -> str:
             f" {len(times)} times from {plain(times[0])} to {plain(times[-1])} s; this page shows the first, "
             "linear.json and linear.mat hold all."
         )
-    stability, reach = parted(headline(structure, linear))
+    stability, reach = split_sentence(headline(structure, linear))
     charts = Charts()
     bode = _bode(linear)
     plots = _draw([(size, phase) for _, size, phase in bode[:MAX_PAIRS]], frequencies(linear), charts)

@@ -131,7 +131,7 @@ def _unprintable(loaded: LoadedModel, error: Exception) -> Fault:
         owner = error.owner or type(loaded.model)
         hook = error.hook if error.owner else "equations"
         return source.fault(owner, hook, messages.NOT_PRINTABLE(error=error, cure=error.cure or cure))
-    return source.raised(error, "cannot be printed as C")
+    return source.convert_error(error, "cannot be printed as C")
 
 
 def _compiler_error(error: Exception) -> InputError:

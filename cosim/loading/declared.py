@@ -70,7 +70,7 @@ def _shape_faults(kind: type[Model]) -> Faults:
             _is_tuple_of((*value,), key) and _is_tuple_of((*value.values(),), item)
         ):
             yield kind, name, messages.NOT_MAPPING(name=name, form=form)
-    yield from _undecorated([kind])
+    yield from _find_undecorated([kind])
 
 
 _MAPPINGS: tuple[tuple[str, type, Any, str], ...] = (  # name, types of keys and values, written form
@@ -95,7 +95,7 @@ def _class_faults(kind: type[Model], name: str, base: type) -> Faults:
     else:
         yield kind, name, messages.NOT_SUBCLASSES(name=name, base=base.__name__)
     if isinstance(value, (tuple, list)):
-        yield from _undecorated(k for k in value if isinstance(k, type))
+        yield from _find_undecorated(k for k in value if isinstance(k, type))
 
 
 def _label_faults(owners: Sequence[type]) -> Faults:
@@ -111,7 +111,7 @@ def _label_faults(owners: Sequence[type]) -> Faults:
                 yield owner, name, messages.NOT_QUANTITIES(name=name)
 
 
-def _undecorated(owners: Iterable[type]) -> Faults:
+def _find_undecorated(owners: Iterable[type]) -> Faults:
     """Yield the first parameter of each class without the dataclass decorator."""
     for owner in owners:
         if name := next((n for n, v in vars(owner).items() if isinstance(v, dataclasses.Field)), ""):

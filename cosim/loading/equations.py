@@ -46,7 +46,7 @@ def _try(source: Source, doing: str, call: Callable[..., Any], *arguments: Any) 
     try:
         return call(*arguments)
     except Exception as error:  # A user's file may raise any error.
-        return source.raised(error, doing)
+        return source.convert_error(error, doing)
 
 
 def _start_faults(model: Model, source: Source) -> list[Fault]:

@@ -341,7 +341,7 @@ def _execute(path: Path) -> tuple[Source, ModuleType]:
         try:
             compile(path.read_bytes(), str(path), "exec", dont_inherit=True)
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-            raise InputError([source.raised(error, "does not load")]) from None
+            raise InputError([source.convert_error(error, "does not load")]) from None
         skipped.append(path)
         raise NotExecuted(path)
     source.check_imports()
@@ -354,7 +354,7 @@ def _execute(path: Path) -> tuple[Source, ModuleType]:
     try:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:  # A user's file may raise any error.
-        raise InputError([source.raised(error, "does not load")]) from error
+        raise InputError([source.convert_error(error, "does not load")]) from error
     return source, module
 
 

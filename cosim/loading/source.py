@@ -33,7 +33,7 @@ class Source:
             if isinstance(node, ast.ClassDef):
                 self.classes.append(node.name)
                 self._places[node.name, ""] = _start(node)
-                self._places |= {(node.name, name): place for name, place in _declared(node).items()}
+                self._places |= {(node.name, name): place for name, place in _find_declarations(node).items()}
 
     def check_imports(self) -> None:
         """Raise InputError for imports from `plant`, the former package."""
@@ -48,7 +48,7 @@ class Source:
         place = next((key for key in keys if key in self._places), (owner.__name__, ""))
         return Fault(self.path, *self._places.get(place, (0, 0)), message)
 
-    def raised(self, error: BaseException, doing: str) -> Fault:
+    def convert_error(self, error: BaseException, doing: str) -> Fault:
         """Return the fault of an exception, with line and known remedy."""
         line, column = self._raised_at(error)
         text = " ".join((error.msg if isinstance(error, SyntaxError) else str(error)).split())
@@ -78,7 +78,7 @@ def _start(node: ast.stmt) -> tuple[int, int]:
     return node.lineno, node.col_offset + 1
 
 
-def _declared(node: ast.ClassDef) -> dict[str, tuple[int, int]]:
+def _find_declarations(node: ast.ClassDef) -> dict[str, tuple[int, int]]:
     """Return attributes and methods of a class with their places."""
     places: dict[str, tuple[int, int]] = {}
     for statement in node.body:

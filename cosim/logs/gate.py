@@ -47,7 +47,7 @@ def gate(
         findings = [*clock, *channels, *frame_findings(log, traits)]
         if any(f.severity == "fault" for f in clock):  # a wrong clock unit causes the scale error
             findings = [f for f in findings if f.kind != "scale"]
-    return sorted((*findings, *_undeclared(log), *_unread(log)), key=lambda f: ORDER.index(f.severity))
+    return sorted((*findings, *_warn_undeclared(log), *_unread(log)), key=lambda f: ORDER.index(f.severity))
 
 
 def refuse_faults(log: Log, findings: Sequence[Finding]) -> None:
@@ -66,7 +66,7 @@ def gate_faults(log: Log, findings: Sequence[Finding]) -> list[Fault]:
     return faults
 
 
-def _undeclared(log: Log) -> Iterator[Finding]:
+def _warn_undeclared(log: Log) -> Iterator[Finding]:
     """Warn of columns with an undeclared unit."""
     for name, text in log.undeclared.items():
         yield Finding("warning", "undeclared", name, messages.UNDECLARED_UNIT(text=text))

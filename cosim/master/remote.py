@@ -204,7 +204,7 @@ def simulate_apart(
         except (CosimError, OSError, MemoryError):
             raise
         except Exception as error:  # An unexpected error of a library is no reason to lose the rows.
-            end = WorkerEnd(failure=_unexpected(error, watch, counters))
+            end = WorkerEnd(failure=_convert_unexpected(error, watch, counters))
         done = counters.made[0]
         values, beside = read_table(table, done, columns), read_exact(table.with_name(BESIDE), done)
     feed.end(values)
@@ -218,7 +218,7 @@ def simulate_apart(
     return SteppedRun(results_of(system, time[:done], values, beside, end.notes, loop), end.log, failure)
 
 
-def _unexpected(error: Exception, watch: Watch, counters: Progress) -> SimulationError:
+def _convert_unexpected(error: Exception, watch: Watch, counters: Progress) -> SimulationError:
     """Return an unexpected error with its call as SimulationError."""
     component, at, call = Clock(watch, counters).place()
     reason = " ".join(str(error).split())[:MAX_CHARACTERS]

@@ -119,7 +119,7 @@ class StudyFile(BaseModel):
     groups: dict[str, list[FileName]] = {}
     limits: Limits | None = None
 
-    def interpolated(self, subject: Subject) -> frozenset[str]:
+    def find_interpolated(self, subject: Subject) -> frozenset[str]:
         """Return the interpolated inputs."""
         inputs = self.inputs if isinstance(self.inputs, dict) else {q.name: self.inputs for q in subject.inputs}
         return frozenset(name for name, interpolation in inputs.items() if interpolation == "interpolated")
@@ -174,7 +174,7 @@ class Study:
         per_log = tuple(full_name(subject, n) for n in content.per_log or ())
         files = [name for _, name in _entries(content.logs)]
         groups = group_of(self.folder, files, content.groups) if per_log else {}
-        return Settings(content.interpolated(subject), content.tolerance_of(subject), per_log, groups)
+        return Settings(content.find_interpolated(subject), content.tolerance_of(subject), per_log, groups)
 
     def unseal(self) -> tuple[Log, ...]:
         """Read the validation logs; called once, after all decisions."""

@@ -17,7 +17,7 @@ import numpy as np
 from cosim.base.errors import Fault, refuse
 from cosim.estimation.fit import Fit
 from cosim.estimation.per_log import drop_own_parameters
-from cosim.estimation.posing import build_problem, coarsened, varied_inputs
+from cosim.estimation.posing import build_problem, coarsen, varied_inputs
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import at_rest, noise_warnings, sensor_noise
 from cosim.loading.refined import ANSWER, NEAREST, REFINED
@@ -53,12 +53,12 @@ from cosim.storage.files import (
     FilePath,
     atomic_write,
     check_writable,
+    delay_stops,
     hold_stops,
     named_path,
     one_stop,
     release_stops,
     scratch_folder,
-    uninterrupted,
 )
 from cosim.storage.folder_lock import folder_locks
 from cosim.storage.folders import check_left, keep_earlier
@@ -141,7 +141,7 @@ def refine(
         with atomic_write(scratch / ANSWER) as stream:
             json.dump(written.model_dump(mode="json"), stream, indent=2, ensure_ascii=False, allow_nan=False)
             stream.write("\n")
-        with uninterrupted():
+        with delay_stops():
             if keep:
                 keep_earlier(folder, "cosim refine")
             _publish(files, scratch / ANSWER, folder)
@@ -168,7 +168,7 @@ def _build_problem(study: Study) -> Problem:
 def _divergences(study: Study, problem: Problem) -> Iterator[Fault]:
     """Yield a fault for each log on which the filter of the unfitted model diverges, since no estimate could follow."""
     for index, (log, data) in enumerate(zip(study.logs, problem.logs, strict=False)):
-        by_log = problem.scored(problem.values, problem.plain, [index]).by_log
+        by_log = problem.score(problem.values, problem.plain, [index]).by_log
         if np.isfinite(by_log).all():
             continue
         errors, variances = problem.innovations(problem.values, problem.plain, index)
@@ -193,7 +193,7 @@ def _judge(study: Study, a: Attribution, result: SearchResult, progress: Progres
     progress("looking for what has no name", 0.0)
     bare = build_problem(subject, study.logs, True, study.content.noise, study.settings)
     trusted = search.problem.trusted
-    coarse, scatter = coarsened(bare, a.best.fit.values), search.problem.scatter
+    coarse, scatter = coarsen(bare, a.best.fit.values), search.problem.scatter
     nameless = replace(coarse, sensing=a.best.fit.noise, trusted=trusted, scatter=scatter)
     units = {"time": "s", **{q.name: q.unit for q in subject.states}}
     units |= {f"command {q.name}": q.unit for q in subject.inputs}

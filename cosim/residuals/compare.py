@@ -75,14 +75,14 @@ class ChannelSummary:
         return score.rows == 0 or score.rmse == 0.0 or score.fit > 100.0 * (1.0 - EXACT)
 
     @property
-    def matched(self) -> bool:
+    def is_matched(self) -> bool:
         """Return True for a noise or rounding error."""
         return not self.lost and (self.exact or self.excess < self.floor.limit)
 
     @property
-    def explained(self) -> bool:
+    def is_explained(self) -> bool:
         """Return True for an error independent of inputs."""
-        return self.matched and (self.exact or not any(u.strength > FOLLOWS for u in self.inputs[:1]))
+        return self.is_matched and (self.exact or not any(u.strength > FOLLOWS for u in self.inputs[:1]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ def _channel(c: ChannelSummary) -> dict[str, Any]:
         **_score(c.scores[c.measure]),
         "noise_floor": _finite(c.floor.rmse),
         "times_noise": _finite(c.excess),
-        "explained": c.explained,
+        "explained": c.is_explained,
         "free_run": _score(c.scores[FREE_RUN]),
         "windows": [{"horizon": h, **_score(s)} for h, s in sorted(c.scores.items()) if h != FREE_RUN],
     }

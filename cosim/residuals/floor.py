@@ -15,7 +15,7 @@ from cosim.fmi.state import Memory
 from cosim.logs.channel_noise import least_noise_level
 from cosim.logs.log import Log
 from cosim.residuals.drive import Drive, as_columns
-from cosim.residuals.residual_statistics import FREE_RUN, pooled, rmse
+from cosim.residuals.residual_statistics import FREE_RUN, pool_errors, rmse
 from cosim.residuals.starts import StartParameter, first_start
 from cosim.residuals.windows import Replay, chains, self_started
 
@@ -73,7 +73,7 @@ def floors(drive: Drive, parameters: Mapping[str, StartParameter], free: Replay,
         noise = {n: (0.0 if math.isnan(s) else s) * rng.standard_normal(log.rows) for n, s in levels.items()}
         noisy = predict({n: values + noise[n] for n, values in sampled.items()})
         errors.append({n: sampled[n] + noise[n] - (noisy[n] - (restarted[n] - free.outputs[n])) for n in sampled})
-    totals, starts = pooled(errors), sorted(measured.starts)
+    totals, starts = pool_errors(errors), sorted(measured.starts)
     squares = {n: np.concatenate([_mean_squares(e[n], starts) for e in errors]) for n in sampled}
     astray = {n: 0.0 if horizon == FREE_RUN else _restart_error(v, restarted[n]) for n, v in sampled.items()}
     return {n: Floor(totals[n], _limit(squares[n], count), astray[n]) for n in sampled}

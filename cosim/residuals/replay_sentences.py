@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from cosim.base.text import amount, counted, listed, plain, size
+from cosim.base.text import amount, counted, join_names, plain, size
 from cosim.logs.finding import Finding
 from cosim.residuals.compare import ChannelSummary, Comparison
 from cosim.residuals.residual_statistics import FREE_RUN
@@ -37,7 +37,7 @@ class _Outcome:
 def verdict(comparison: Comparison) -> str:
     """Return the verdict of the first matching rule."""
     outcome = _outcome(comparison)
-    rules = (_not_measured, _not_in_kind, _explained, _beyond_in_free_run, _beyond_in_windows)
+    rules = (_not_measured, _not_in_kind, _describe_noise, _beyond_in_free_run, _beyond_in_windows)
     return next(sentence for rule in rules if (sentence := rule(outcome)))
 
 
@@ -46,7 +46,7 @@ def _outcome(comparison: Comparison) -> _Outcome:
     measure = channels[0].measure
     seconds = float(comparison.log.time[-1] - comparison.log.time[0])
     over = f"a free run of {plain(seconds)}\u00a0s" if measure == FREE_RUN else f"{measure:g}\u00a0s"
-    beyond = sorted((c for c in channels if not (c.matched or c.lost)), key=lambda c: -c.excess)
+    beyond = sorted((c for c in channels if not (c.is_matched or c.lost)), key=lambda c: -c.excess)
     lead = f"Over {over} the model misses {_sizes(channels, measure)} (rms)"
     return _Outcome(comparison, channels, measure, [c for c in channels if c.lost], beyond, lead)
 
@@ -56,14 +56,14 @@ def _not_measured(o: _Outcome) -> str:
 
 
 def _not_in_kind(o: _Outcome) -> str:
-    following = [c for c in o.channels if c.matched and not c.explained]
+    following = [c for c in o.channels if c.is_matched and not c.is_explained]
     if o.beyond or not following:
         return ""
     cause = _cause(o.comparison, following)
     return f"{o.lead}. Noise could explain that in size, but not in kind. {cause}"
 
 
-def _explained(o: _Outcome) -> str:
+def _describe_noise(o: _Outcome) -> str:
     if o.beyond:
         return ""
     return f"{o.lead}. The noise of the sensors explains that: this log shows nothing that the model lacks."
@@ -78,7 +78,7 @@ def _beyond_in_free_run(o: _Outcome) -> str:
 
 
 def _beyond_in_windows(o: _Outcome) -> str:
-    times = listed([f"{plain(c.excess, 2)} times for {c.name}" for c in o.beyond])
+    times = join_names([f"{plain(c.excess, 2)} times for {c.name}" for c in o.beyond])
     rest = f" {_no_measure(o.lost)}" if o.lost else ""
     cause = _cause(o.comparison, o.beyond)
     return f"{o.lead}. That is more than the noise of the sensors explains: {times}. {cause}{rest}"
@@ -86,8 +86,8 @@ def _beyond_in_windows(o: _Outcome) -> str:
 
 def _no_measure(lost: Sequence[ChannelSummary]) -> str:
     """Return sentences on channels without valid windows."""
-    names = listed([c.name for c in lost])
-    own = listed([f"{c.name} by {size(c.floor.astray, c.unit)}" for c in lost])
+    names = join_names([c.name for c in lost])
+    own = join_names([f"{c.name} by {size(c.floor.astray, c.unit)}" for c in lost])
     return (
         f"The windows do not measure {names}: this FMU keeps a state that no output shows. "
         f"Restarted from its own outputs it misses {own}. Its free run misses {_sizes(lost, FREE_RUN)}."
@@ -95,7 +95,7 @@ def _no_measure(lost: Sequence[ChannelSummary]) -> str:
 
 
 def _sizes(channels: Sequence[ChannelSummary], horizon: float) -> str:
-    return listed([f"{c.name} by {size(c.scores[horizon].rmse, c.unit)}" for c in channels])
+    return join_names([f"{c.name} by {size(c.scores[horizon].rmse, c.unit)}" for c in channels])
 
 
 def _cause(comparison: Comparison, channels: Sequence[ChannelSummary]) -> str:
@@ -127,7 +127,7 @@ def whiteness_words(channel: ChannelSummary) -> str:
         return "too few rows to tell"
     if test.white:
         return "yes"
-    return "no, but no larger than noise and start explain" if channel.matched else "no"
+    return "no, but no larger than noise and start explain" if channel.is_matched else "no"
 
 
 def input_words(channel: ChannelSummary) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 from cosim.base.errors import Fault, refuse
 from cosim.blocks.description import read_description
 from cosim.residuals import messages
-from cosim.scenario.start_values import NOT_NUMBERS, Misfit, settable, typed
+from cosim.scenario.start_values import NOT_NUMBERS, Misfit, convert_value, settable
 from cosim.storage.yaml_file import did_you_mean, short
 
 Given = Mapping[str, float | int | bool | str]
@@ -39,7 +39,7 @@ def start_values(fmu: Path, texts: Sequence[str]) -> dict[str, float | int | boo
         elif not settable(variable):
             value = Misfit("FMI lets nobody set it before a run")
         else:
-            value = typed(description, variable, _read(written, variable.type))
+            value = convert_value(description, variable, _read(written, variable.type))
         if isinstance(value, Misfit):
             faults.append(Fault(fmu, 0, 0, messages.START_OPTION(text=short(text), reason=value.reason)))
         else:

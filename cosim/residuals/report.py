@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.text import MISSING, amount, counted, display, parted, percent, plain, size
+from cosim.base.text import MISSING, amount, counted, display, percent, plain, size, split_sentence
 from cosim.base.version import __version__
 from cosim.logs.finding import Finding
 from cosim.logs.log import Log
@@ -67,14 +67,14 @@ def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, An
     skipped = SKIPPED * log.slowness
     horizons = sorted(comparison.replays)
     findings = comparison.findings
-    headline, details = parted(words.verdict(comparison))
+    headline, details = split_sentence(words.verdict(comparison))
     return {
         "name": log.path.name,
         "description": f"Replayed through {drive.description.modelName} ({drive.fmu.name}): the recorded commands "
         "drive the model; its outputs are compared with the measurements.",
         "headline": headline,
         "details": details,
-        "tone": "good" if all(c.explained for c in comparison.channels) else "plain",
+        "tone": "good" if all(c.is_explained for c in comparison.channels) else "plain",
         "badges": _badges(comparison),
         "tiles": [_tile(c) for c in comparison.channels[:6]],
         "horizons": [words.horizon_name(h) for h in horizons],
@@ -102,7 +102,7 @@ def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, An
 
 def _badges(comparison: Comparison) -> list[Badge]:
     log = comparison.log
-    explained, warnings = sum(c.explained for c in comparison.channels), _warnings(comparison.findings)
+    explained, warnings = sum(c.is_explained for c in comparison.channels), _warnings(comparison.findings)
     badges = [
         Badge(f"{explained} of {counted(len(comparison.channels), 'channel')} explained"),
         Badge(f"{plain(float(log.time[-1] - log.time[0]))} s at {plain(1.0 / log.step)} Hz"),
@@ -197,7 +197,7 @@ def _row(channel: ChannelSummary, horizons: Sequence[float]) -> TableRow:
         noise=size(channel.noise, channel.unit),
         scores=scores,
         excess=f"{plain(channel.excess, 2)} ×" if np.isfinite(channel.excess) else MISSING,
-        matched=channel.matched,
+        matched=channel.is_matched,
         neighbours=neighbours(channel.whiteness),
         p_value="< 0.001" if p < 1e-3 else plain(p, 2),
         white=words.whiteness_words(channel),

@@ -164,7 +164,7 @@ def lags_of(rows: int, step: float, seconds: float = 1.0) -> int:
     return max(1, min(round(seconds * slowness(step) / step), rows // 4))
 
 
-def pooled(errors: Iterable[Mapping[str, Array]]) -> dict[str, float]:
+def pool_errors(errors: Iterable[Mapping[str, Array]]) -> dict[str, float]:
     """Return channel → RMSE over several logs."""
     channels: dict[str, list[Array]] = {}
     for log in errors:

@@ -28,7 +28,7 @@ from cosim.model.model import Model
 from cosim.scenario import messages
 from cosim.scenario.scenario import Design
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.scenario.start_values import typed
+from cosim.scenario.start_values import convert_value
 from cosim.storage.cache import load_or_make
 from cosim.storage.yaml_file import NotNegative, Positive, short
 
@@ -229,7 +229,7 @@ def _numbers(file: ScenarioFile, component: str, names: Container[str]) -> dict[
         except FmuError:  # Another check reports the unreadable FMU at its key.
             return {}
         variables = {v.name: v for v in description.modelVariables}
-        values = {n: typed(description, variables[n], v) for n, v in values.items() if n in variables}
+        values = {n: convert_value(description, variables[n], v) for n, v in values.items() if n in variables}
     return {n: v for n, v in values.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
 
 

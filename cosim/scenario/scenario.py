@@ -314,7 +314,7 @@ class Scenario(Part):
         return goals
 
 
-def resolved(scenario: Scenario) -> dict[str, Any]:
+def resolve_defaults(scenario: Scenario) -> dict[str, Any]:
     """Return a scenario as a JSON mapping with all defaults."""
     data: dict[str, Any] = json.loads(scenario.model_dump_json(by_alias=True, exclude_none=True))
     return data

@@ -15,8 +15,8 @@ from cosim.base.units import allowed_quantity, computed_in, has_unit, read_quant
 from cosim.blocks.description import read_description, unit_of
 from cosim.blocks.sources import playback
 from cosim.scenario import messages
-from cosim.scenario.start_values import Misfit, converted
-from cosim.storage.yaml_file import shown, wrong_value
+from cosim.scenario.start_values import Misfit, convert_quantity
+from cosim.storage.yaml_file import format_value, wrong_value
 from cosim.storage.yaml_nodes import Location
 
 STAND_IN = 1.0  # replaces a faulty quantity, so that checks can go on
@@ -79,7 +79,7 @@ def convert_quantities(data: dict[str, Any], resolve: Resolve, note: Note) -> No
                 measures[measure] = _measure(data, measure, resolve)
             measure = measures[measure]
         if measure is None:
-            note(place.location, messages.UNKNOWN_UNIT(name=name, value=shown(text), signal=place.of))
+            note(place.location, messages.UNKNOWN_UNIT(name=name, value=format_value(text), signal=place.of))
             continue
         try:
             parent[last] = measure.of_kind(place.kind, text)
@@ -115,7 +115,7 @@ def _of_fmu(path: Path, name: str) -> Measure | None:
         return None
 
     def number(text: str, difference: bool) -> float:
-        value = converted(description, variable, text, difference=difference)
+        value = convert_quantity(description, variable, text, difference=difference)
         if isinstance(value, Misfit):
             raise ValueError(value.reason)
         return value

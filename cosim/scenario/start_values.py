@@ -80,7 +80,7 @@ def _number(text: Any) -> Any:
         return {"true": True, "false": False}.get(text, text)
 
 
-def typed(description: Any, variable: Any, value: Any) -> Any:
+def convert_value(description: Any, variable: Any, value: Any) -> Any:
     """Return a value in FMI's type, or the misfit. An array has a list of values."""
     if not variable.shape:
         return _scalar(description, variable, value)
@@ -100,7 +100,9 @@ def _scalar(description: Any, variable: Any, value: Any) -> Any:
         fits, reason = NOT_NUMBERS[variable.type]
         return value if fits(value) else Misfit(reason)
     if isinstance(value, str):
-        value = _item(variable, value) if variable.type == "Enumeration" else converted(description, variable, value)
+        value = (
+            _item(variable, value) if variable.type == "Enumeration" else convert_quantity(description, variable, value)
+        )
         if isinstance(value, Misfit):
             return value
     if reason := _why_no_number(variable, kind, value):
@@ -150,7 +152,7 @@ def _item(variable: Any, text: str) -> int | Misfit:
     return items[text] if text in items else Misfit(f"it is one of {', '.join(items)}{did_you_mean(text, items)}")
 
 
-def converted(description: Any, variable: Any, text: str, *, difference: bool = False) -> float | Misfit:
+def convert_quantity(description: Any, variable: Any, text: str, *, difference: bool = False) -> float | Misfit:
     """Return text such as `12 deg` in the unit of the variable.
 
     Args:

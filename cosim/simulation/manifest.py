@@ -13,7 +13,7 @@ from typing import Any
 from cosim.base.errors import refuse
 from cosim.base.version import __version__
 from cosim.scenario.pinned import key_of, sha256
-from cosim.scenario.scenario import FmuComponent, Scenario, resolved
+from cosim.scenario.scenario import FmuComponent, Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation import messages
 from cosim.system.system import System
@@ -74,8 +74,8 @@ def manifest(
         "cosim_version": __version__,
         "status": "ok",
         "source": str(file.path.resolve()),
-        "scenario": resolved(scenario),
-        "design": resolved(file.scenario).get("design"),
+        "scenario": resolve_defaults(scenario),
+        "design": resolve_defaults(file.scenario).get("design"),
         "seed": scenario.seed,
         "order": [stage.component.name for stage in system.stages],
         "held": [transfer.name for transfer in system.held],

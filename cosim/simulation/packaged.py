@@ -23,7 +23,7 @@ from cosim.ssp.elements import Element
 from cosim.ssp.flatten import read
 from cosim.ssp.levels import Flat
 from cosim.ssp.read import Reader
-from cosim.ssp.ssp_package import Package, opened
+from cosim.ssp.ssp_package import Package, open_package
 from cosim.ssp.structure import Structure
 from cosim.storage.files import check_writable, write_json
 from cosim.storage.folders import keep_earlier
@@ -75,7 +75,7 @@ class PackagedScenario:
 @contextmanager
 def open_scenario(path: Path, overrides: Sequence[str] = ()) -> Iterator[PackagedScenario]:
     """Yield an SSP as a checked scenario; raise InputError with all faults."""
-    with opened(path) as package, temporary_folder("ssp") as folder:
+    with open_package(path) as package, temporary_folder("ssp") as folder:
         reader = Reader(package)
         structure, flat = read(reader)
         files = _files(flat)

@@ -30,11 +30,11 @@ from cosim.storage import kinds
 from cosim.storage.files import (
     FilePath,
     check_writable,
+    delay_stops,
     hold_stops,
     named_path,
     one_stop,
     release_stops,
-    uninterrupted,
     write_json,
 )
 from cosim.storage.folder_lock import folder_locks
@@ -204,7 +204,7 @@ class _Files:
     def _write_rows(self) -> None:
         """Write rows and manifest of a complete or failed run."""
         self.rows.with_name("report.html").unlink(missing_ok=True)  # An earlier report belongs to another run.
-        with uninterrupted():  # A second stop signal must not destroy the rows.
+        with delay_stops():  # A second stop signal must not destroy the rows.
             self.stepped.results.write(self.rows)
             remove_rows(self.rows.parent, self.rows.stem, besides=self.rows.name)  # They belong to another run.
             self.written.append(self.rows.name)

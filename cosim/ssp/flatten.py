@@ -15,7 +15,7 @@ from cosim.ssp.elements import Element
 from cosim.ssp.levels import Flat, Level, Link, Part, direct_connections, levels
 from cosim.ssp.read import Reader
 from cosim.ssp.structure import Component, Connection, Connector, Linear, Parameter, Structure, System, Units
-from cosim.storage.yaml_file import did_you_mean, shown
+from cosim.storage.yaml_file import did_you_mean, format_value
 
 Hops = tuple[tuple[Level, Connection], ...]  # successive connections with their levels, from the source
 Target = tuple[Part, str, Hops]  # a variable of an FMU and the connections to it
@@ -91,12 +91,12 @@ class _Flattener:
         elements = level.system.elements
         if name is not None and name not in elements:
             hint = did_you_mean(name, elements)
-            self.reader.note(element, messages.UNKNOWN_ELEMENT(side=side, name=shown(name), hint=hint))
+            self.reader.note(element, messages.UNKNOWN_ELEMENT(side=side, name=format_value(name), hint=hint))
             return
         connectors = level.system.connectors if name is None else elements[name].connectors
         if connector not in connectors:
             owner, hint = name or "its system", did_you_mean(connector, connectors)
-            message = messages.UNKNOWN_CONNECTOR(side=side, owner=owner, name=shown(connector), hint=hint)
+            message = messages.UNKNOWN_CONNECTOR(side=side, owner=owner, name=format_value(connector), hint=hint)
             self.reader.note(element, message)
 
     def _links(self, level: Level) -> Iterator[Link]:
@@ -200,7 +200,7 @@ class _Flattener:
             for part, variable, hops in targets:
                 self._set_start(part, variable, parameter, hops)
             if not targets and parameter.name in level.system.connectors:
-                self.reader.warn(parameter.element, messages.PARAMETER_WITHOUT_FMU(name=shown(parameter.name)))
+                self.reader.warn(parameter.element, messages.PARAMETER_WITHOUT_FMU(name=format_value(parameter.name)))
             elif not targets:
                 self._warn_of_name(parameter, chain(level.system.connectors, self._names(level)))
 
@@ -251,7 +251,7 @@ class _Flattener:
 
     def _warn_of_name(self, parameter: Parameter, names: Iterable[str]) -> None:
         hint = did_you_mean(parameter.name, names)
-        message = messages.PARAMETER_WITHOUT_TARGET(name=shown(parameter.name), hint=hint)
+        message = messages.PARAMETER_WITHOUT_TARGET(name=format_value(parameter.name), hint=hint)
         self.reader.warn(parameter.element, message)
 
     def _names(self, level: Level) -> Iterator[str]:

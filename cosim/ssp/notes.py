@@ -10,7 +10,7 @@ from cosim.ssp import messages
 from cosim.ssp.elements import Element
 from cosim.ssp.ssp_package import Package
 from cosim.ssp.structure import Definition, Linear, Units
-from cosim.storage.yaml_file import MOST_FAULTS, shown
+from cosim.storage.yaml_file import MOST_FAULTS, format_value
 
 VERSIONS = ("1.0", "2.0")
 BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
@@ -74,11 +74,11 @@ class Notes:
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
-            self.note(element, messages.NOT_FINITE(name=name, value=shown(text)))
+            self.note(element, messages.NOT_FINITE(name=name, value=format_value(text)))
             return default
         return value
 
     def _version(self, root: Element) -> None:
         version = root.get("version")
         if version not in VERSIONS:
-            self.note(root, messages.UNKNOWN_VERSION(version=shown(version), versions=" and ".join(VERSIONS)))
+            self.note(root, messages.UNKNOWN_VERSION(version=format_value(version), versions=" and ".join(VERSIONS)))

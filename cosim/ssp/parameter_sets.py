@@ -11,7 +11,7 @@ from cosim.ssp import messages
 from cosim.ssp.elements import Element
 from cosim.ssp.notes import Notes
 from cosim.ssp.structure import Linear, Parameter
-from cosim.storage.yaml_file import did_you_mean, shown
+from cosim.storage.yaml_file import did_you_mean, format_value
 
 SET = "application/x-ssp-parameter-set"
 REALS = ("Real", "Float64", "Float32")
@@ -27,7 +27,7 @@ class ParameterReader(Notes):
         """Yield an element's bound parameters under mapped names."""
         for binding in element.all("ssd:ParameterBindings", "ssd:ParameterBinding"):
             if (kind := binding.get("type") or SET) != SET:
-                self.note(binding, messages.BINDING_TYPE(type=shown(kind), read=SET))
+                self.note(binding, messages.BINDING_TYPE(type=format_value(kind), read=SET))
                 continue
             holder = self._content(binding, "ssd:ParameterValues", "ssv:ParameterSet")
             if holder is None:
@@ -45,7 +45,7 @@ class ParameterReader(Notes):
                 self.note(element, messages.NO_CONTENT(tag=tag))
             return inline
         if (base := element.get("sourceBase") or "SSD") != "SSD":
-            self.note(element, messages.SOURCE_BASE(base=shown(base)))
+            self.note(element, messages.SOURCE_BASE(base=format_value(base)))
             return None
         file = self.package.resolve(source)
         if isinstance(file, str):
@@ -88,7 +88,7 @@ class ParameterReader(Notes):
         elif kind != "Boolean":
             return text
         elif text not in BOOLEANS:
-            self.note(typed, messages.NOT_BOOLEAN(value=shown(text)))
+            self.note(typed, messages.NOT_BOOLEAN(value=format_value(text)))
         else:
             return BOOLEANS[text]
         return None
@@ -99,7 +99,7 @@ class ParameterReader(Notes):
         if value is None:
             return None
         if value != int(value):
-            self.note(typed, messages.NOT_WHOLE(value=shown(text)))
+            self.note(typed, messages.NOT_WHOLE(value=format_value(text)))
             return None
         return int(text) if text.strip().lstrip("+-").isdigit() else int(value)
 
@@ -117,10 +117,10 @@ class ParameterReader(Notes):
                 self.note(entry, messages.MISSING_ATTRIBUTE(name="target" if source else "source"))
                 continue
             if source not in by_name:
-                self.warn(entry, messages.UNKNOWN_SOURCE(name=shown(source), hint=did_you_mean(source, by_name)))
+                self.warn(entry, messages.UNKNOWN_SOURCE(name=format_value(source), hint=did_you_mean(source, by_name)))
             linear = self._linear(entry)
             for value in by_name.get(source, ()):
                 if linear != Linear(exact=linear.exact) and isinstance(value.value, (bool, str)):
-                    self.note(entry, messages.TRANSFORMED_TEXT(value=shown(value.value)))
+                    self.note(entry, messages.TRANSFORMED_TEXT(value=format_value(value.value)))
                 else:
                     yield replace(value, name=target, linear=linear)

@@ -10,7 +10,7 @@ from cosim.ssp import messages
 from cosim.ssp.elements import Element
 from cosim.ssp.parameter_sets import ParameterReader
 from cosim.ssp.structure import Component, Connection, Connector, Structure, System
-from cosim.storage.yaml_file import shown
+from cosim.storage.yaml_file import format_value
 
 FMU = "application/x-fmu-sharedlibrary"
 NESTED = "application/x-ssp-definition"
@@ -82,9 +82,9 @@ class Reader(ParameterReader):
         kind, source = element.get("type") or FMU, element.get("source")
         fmu: Path | str
         if kind == NESTED:
-            fmu = messages.COMPONENT_AN_SSP(type=shown(kind))
+            fmu = messages.COMPONENT_AN_SSP(type=format_value(kind))
         elif kind != FMU:
-            fmu = messages.COMPONENT_NOT_AN_FMU(type=shown(kind), fmu=FMU)
+            fmu = messages.COMPONENT_NOT_AN_FMU(type=format_value(kind), fmu=FMU)
         else:
             fmu = self.package.resolve(source) if source else messages.NO_FMU_NAMED()
         if isinstance(fmu, str):
@@ -93,7 +93,7 @@ class Reader(ParameterReader):
         interface = element.get("implementation") or "any"
         if interface not in INTERFACES:
             names = ", ".join(INTERFACES)
-            self.note(element, messages.INTERFACE_NOT_RUN(interface=shown(interface), interfaces=names))
+            self.note(element, messages.INTERFACE_NOT_RUN(interface=format_value(interface), interfaces=names))
         connectors, parameters = self._connectors(element), tuple(self._parameters(element))
         name = element.get("name") or ""
         return Component(name, fmu, INTERFACES.get(interface), connectors, parameters, element)

@@ -79,7 +79,7 @@ class Package:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Package]:
+def open_package(path: Path) -> Iterator[Package]:
     """Yield a package, unpacked during the block; raise InputError if invalid or unsafe."""
     check_form(path, SSP_FILE)
     if path.suffix.lower() == ".ssd":

@@ -29,7 +29,7 @@ OTHERS_ENTER = stat.S_IXGRP | stat.S_IXOTH
 ROOT, UNMAPPED = 0, 65534  # allowed owners of parent folders; the second stands for root in a container
 
 
-def cached(source: str, suffix: str) -> Path:
+def cache_path(source: str, suffix: str) -> Path:
     """Return the cache path for a source's derived file. An existing file writable by others is removed."""
     path = cache_folder() / f"{_hash(source)[:32]}{suffix}"
     if not discard_untrusted([path]):
@@ -68,7 +68,7 @@ def load_or_make(source: str, make: Callable[[], Any]) -> Any:
 
     A hash of the content precedes the content, so that a damaged or partial file is made anew.
     """
-    path = cached(source, ".json")
+    path = cache_path(source, ".json")
     try:
         head, _, text = path.read_text(encoding="utf-8").partition("\n")
         if head == _hash(text):

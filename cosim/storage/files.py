@@ -63,7 +63,7 @@ def check_text(names: Iterable[str]) -> None:
 
 
 @contextmanager
-def uninterrupted() -> Iterator[None]:
+def delay_stops() -> Iterator[None]:
     """Delay stop signals to the end of the block."""
     if threading.current_thread() is not threading.main_thread():  # Only the main thread receives signals.
         yield
@@ -145,11 +145,11 @@ def scratch_folder(beside: Path, prefix: str) -> Iterator[Path]:
     """Yield a new folder in `beside`, removed at the end. After a kill the next command removes the folder."""
     folder: ScratchFolder | None = None
     try:
-        with uninterrupted():
+        with delay_stops():
             folder = scratch(prefix, beside)
         yield folder.path
     finally:
-        with uninterrupted():
+        with delay_stops():
             if folder is not None:
                 folder.remove()
 

@@ -17,7 +17,7 @@ from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.scratch import is_own
 from cosim.storage import messages
 from cosim.storage.artefact import artefacts
-from cosim.storage.files import uninterrupted, write_text
+from cosim.storage.files import delay_stops, write_text
 from cosim.storage.folder_lock import take_folder
 from cosim.storage.table_source import suffixes
 
@@ -177,7 +177,7 @@ def keep_earlier(folder: Path, verb: str, also: Iterable[str] = ()) -> Path | No
     paths, moving = _files_of(folder, verb, also), folder / EARLIER / MOVING
     if not paths:
         return None
-    with uninterrupted():
+    with delay_stops():
         moving.mkdir(0o700, parents=True, exist_ok=True)
         write_text(moving / LIST, "\n".join(path.relative_to(folder).as_posix() for path in paths))
         return _finish_move(folder)

@@ -256,8 +256,10 @@ class YamlFile:
 def wrong_value(name: str, value: Any, reason: str) -> Message:
     """Return the message on a value; a reason with a code of its own keeps its code."""
     if isinstance(reason, Message) and reason.code:
-        return reason.after(f"{name} is {shown(value)}: ")
-    return messages.WRONG_VALUE(name=name, value=shown(value), reason=reason.replace(", or it should be ", " or "))
+        return reason.after(f"{name} is {format_value(value)}: ")
+    return messages.WRONG_VALUE(
+        name=name, value=format_value(value), reason=reason.replace(", or it should be ", " or ")
+    )
 
 
 def _text(path: Path) -> str:
@@ -273,10 +275,10 @@ def _text(path: Path) -> str:
     except OSError as error:
         raise InputError.at(path, messages.UNREADABLE_FILE(reason=error.strerror)) from None
     except ValueError:  # an impossible file name
-        raise InputError.at(Path(shown(str(path))), messages.NO_SUCH_FILE()) from None
+        raise InputError.at(Path(format_value(str(path))), messages.NO_SUCH_FILE()) from None
 
 
-def shown(value: Any) -> str:
+def format_value(value: Any) -> str:
     """Return a value in file notation, shortened if long."""
     match value:
         case None:

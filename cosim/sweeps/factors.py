@@ -16,9 +16,9 @@ from cosim.base.units import split_quantity
 from cosim.blocks.description import unit_of
 from cosim.blocks.fmu import FmuBlock
 from cosim.scenario.controller_design import designed_values
-from cosim.scenario.scenario import Scenario, resolved
+from cosim.scenario.scenario import Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile, keys_of
-from cosim.scenario.start_values import Misfit, converted, settable, typed
+from cosim.scenario.start_values import Misfit, convert_quantity, convert_value, settable
 from cosim.scenario.start_values import kind_of as kind_of_variable
 from cosim.storage.yaml_file import YamlFile, did_you_mean, short
 from cosim.sweeps import messages
@@ -127,9 +127,9 @@ class Factors:
 
         def value(where: Location, entry: Any) -> Any:
             if where != STANDARD_DEVIATION:
-                number = typed(block.description, variable, entry)
+                number = convert_value(block.description, variable, entry)
             elif isinstance(entry, str):  # The bounds and the unit's offset do not apply to a standard deviation.
-                number = converted(block.description, variable, entry, difference=True)
+                number = convert_quantity(block.description, variable, entry, difference=True)
             else:
                 number = entry
             if isinstance(number, Misfit):
@@ -186,7 +186,7 @@ class Factors:
         try:
             file = self._variant(f"{name}={json.dumps(text)}")
             refuse(f for f in file.faults if f.message.startswith(f"{name} is "))
-            number: Any = resolved(file.scenario)
+            number: Any = resolve_defaults(file.scenario)
             for key in keys_of(name):
                 number = number[int(key) if isinstance(number, list) else key]
         except InputError as error:
@@ -270,7 +270,7 @@ class Factors:
         if not isinstance(block, FmuBlock):
             return [(f.message, f.exit_code) for f in self._test_variant(f"{name}={json.dumps(value)}")[0]]
         variable = next(v for v in block.description.modelVariables if v.name == variable_name)
-        number = typed(block.description, variable, value)
+        number = convert_value(block.description, variable, value)
         return [(number.reason, 2)] if isinstance(number, Misfit) else []
 
 

@@ -14,7 +14,7 @@ from cosim.base.messages import Message, code_of
 from cosim.base.version import __version__
 from cosim.blocks.fmu import FmuBlock
 from cosim.scenario.controller_design import designed_values
-from cosim.scenario.scenario import Scenario, resolved
+from cosim.scenario.scenario import Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import resolve_scenario
 from cosim.storage.artefact import Checking
@@ -113,7 +113,7 @@ def read_sweep(path: Path) -> Sweep:
     compiled = len(next(iter(columns.values()))) * scenario.steps >= MIN_STEPS_TO_COMPILE
     watched = WatchSettings.of(system, scenario.step)
     job = Job(scenario_path.resolve(), overrides, signals, file.samples, compiled=compiled, watched=watched)
-    content = resolved(resolve_scenario(scenario_file, designed, system))
+    content = resolve_defaults(resolve_scenario(scenario_file, designed, system))
     warnings = (*scenario_file.warnings, *system.warnings, *reading.warnings)
     return Sweep(yaml, file, scenario, system, tuple(factors), columns, job, content, warnings)
 

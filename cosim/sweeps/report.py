@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.text import counted, display, joined, percent, plain, written
+from cosim.base.text import append_unit, counted, display, percent, plain, written
 from cosim.base.version import __version__
 from cosim.report.drawing import Charts
 from cosim.report.html_tables import Badge
@@ -107,7 +107,7 @@ def _criterion(c: Mapping[str, Any]) -> Mapping[str, Any]:
     low, high = c["ci95"]
     return {
         "name": c["name"],
-        "max": joined(plain(c["max"] * factor, None), unit),
+        "max": append_unit(plain(c["max"] * factor, None), unit),
         "met": f"{c['met']} of {c['of']}",
         "share": percent(c["met"] / c["of"]) if c["of"] else "–",
         "interval": f"{percent(low)} … {percent(high)}",
@@ -151,7 +151,7 @@ def _worst(swept: Swept, table: Any) -> list[Mapping[str, Any]]:
     return [
         {
             "run": int(runs[k]),
-            "value": joined(plain(float(values[k]) * factor, 3), unit) if np.isfinite(values[k]) else "never",
+            "value": append_unit(plain(float(values[k]) * factor, 3), unit) if np.isfinite(values[k]) else "never",
             "factors": ", ".join(f"{n} = {_short(swept.sweep.columns[n][runs[k]])}" for n in names),
             "command": repeat_command(swept.sweep, int(runs[k])),
         }
@@ -205,7 +205,7 @@ def _spread(c: Mapping[str, Any], values: Array) -> Mapping[str, Any]:
     never = c["of"] - good.size
     return {
         "name": c["name"],
-        "quantiles": [joined(plain(float(v) * factor, 3), unit) for v in values],
+        "quantiles": [append_unit(plain(float(v) * factor, 3), unit) for v in values],
         "never": str(never) if never else "–",
     }
 

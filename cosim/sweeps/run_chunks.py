@@ -24,7 +24,7 @@ from cosim.master.master import StoppedRun, simulate
 from cosim.scenario.controller_design import designed_values
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.scenario.start_values import Misfit, typed
+from cosim.scenario.start_values import Misfit, convert_value
 from cosim.simulation.criteria import evaluate
 from cosim.storage.results import Results
 from cosim.sweeps.batch import Batch, Starts, kinds_of, max_runs_at_once
@@ -156,7 +156,7 @@ class _AssembledScenario:
             for variable in (v for v in entries if v not in own):
                 if variable not in variables:
                     return None
-                value = typed(block.description, variables[variable], entries[variable])
+                value = convert_value(block.description, variables[variable], entries[variable])
                 if isinstance(value, Misfit):
                     return None
                 starts[name][variable] = value

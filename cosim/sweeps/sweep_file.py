@@ -22,7 +22,7 @@ def _scalar(value: Any) -> Any:
     raise ValueError("a value is a finite number, true or false, or text such as 12 deg")
 
 
-def _listed(value: Any) -> Any:
+def _check_listed(value: Any) -> Any:
     """Return a valid listed value, for paths also a list, e.g. poles."""
     if not isinstance(value, list):
         return _scalar(value)
@@ -37,7 +37,7 @@ def _quantity(value: Any) -> Any:
     return _scalar(value)
 
 
-Listed = Annotated[Any, AfterValidator(_listed)]
+Listed = Annotated[Any, AfterValidator(_check_listed)]
 Quantity = Annotated[Any, AfterValidator(_quantity)]
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.text import counted, listed, plain
+from cosim.base.text import counted, join_names, plain
 from cosim.sweeps.reading import Sweep
 from cosim.sweeps.run_chunks import RunResult
 
@@ -55,7 +55,9 @@ def headline(record: Mapping[str, Any]) -> str:
     if met == runs:
         return f"All {counted(runs, 'run')} meet {all_of}."
     worst = [c["name"] for c in criteria if c["met"] == fewest < c["of"]]
-    most = f"; {listed(worst)} {'fails' if len(worst) == 1 else 'fail'} most" if 0 < len(worst) < len(criteria) else ""
+    most = (
+        f"; {join_names(worst)} {'fails' if len(worst) == 1 else 'fail'} most" if 0 < len(worst) < len(criteria) else ""
+    )
     return f"{met} of {counted(runs, 'run')} {'meets' if met == 1 else 'meet'} {all_of}{most}."
 
 

@@ -20,7 +20,7 @@ from cosim.base.text import counted, plain
 from cosim.base.version import __version__
 from cosim.isolation.limits import Limits
 from cosim.scenario.scenario import Criterion
-from cosim.storage.files import FilePath, atomic_write, check_writable, hold_stops, named_path, one_stop, uninterrupted
+from cosim.storage.files import FilePath, atomic_write, check_writable, delay_stops, hold_stops, named_path, one_stop
 from cosim.storage.folder_lock import folder_locks
 from cosim.storage.folders import check_left, content_of, folder_named, keep_earlier
 from cosim.sweeps import messages
@@ -205,7 +205,7 @@ class _Sweep:
             count = 0
             for future in finished:
                 results = pool.runs(future)
-                with uninterrupted():
+                with delay_stops():
                     self.base.add(results, table)
                 count += len(results)
             yield count

@@ -17,7 +17,7 @@ from cosim.blocks.sources import playback, reference
 from cosim.scenario.diagnosis import Diagnosis
 from cosim.scenario.scenario import FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent, Scenario
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.scenario.start_values import Misfit, kind_of, settable, typed, with_elements
+from cosim.scenario.start_values import Misfit, convert_value, kind_of, settable, with_elements
 from cosim.storage.yaml_file import did_you_mean
 from cosim.system import messages
 
@@ -143,7 +143,7 @@ def _start_values(component: str, description: Any, stated: Mapping[str, Any], d
         elif not settable(variable):
             message = messages.NOT_SETTABLE(name=f"{component}.{name}", kind=kind_of(variable))
         else:
-            converted = typed(description, variable, value)
+            converted = convert_value(description, variable, value)
             if not isinstance(converted, Misfit):
                 values[name] = converted
                 continue

@@ -10,7 +10,7 @@ from cosim.blocks.faults import steps_in
 from cosim.blocks.fmu import FmuBlock
 from cosim.scenario.diagnosis import Diagnosis
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.scenario.start_values import Misfit, typed
+from cosim.scenario.start_values import Misfit, convert_value
 from cosim.storage.yaml_file import did_you_mean
 from cosim.system import messages
 
@@ -70,7 +70,7 @@ def _value(
         return Misfit(messages.NOT_CHANGEABLE(name=target, **kind))
     if target in connected or target.partition("[")[0] in connected:
         return Misfit(messages.SET_AND_CONNECTED(name=target))
-    value = typed(block.description, variable, written)
+    value = convert_value(block.description, variable, written)
     if isinstance(value, Misfit):
         return Misfit(messages.VALUE_MISFIT(name=target, value=written, reason=value.reason))
     return value

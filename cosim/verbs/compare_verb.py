@@ -113,7 +113,7 @@ def _lines(comparison: Compared) -> list[str]:
     from cosim.comparison.differences import sentence
     from cosim.comparison.signals import format_share, format_size
 
-    ranked = [d for d in comparison.ranked if d.largest]
+    ranked = [d for d in comparison.ranking if d.largest]
     rows = []
     for d in ranked[:MAX_SIGNALS]:
         verdict = ("beyond" if d.beyond else "within") if comparison.judged else ""

@@ -50,7 +50,7 @@ MANNER = Manner()  # of this process, set by the options -q and -v of any comman
 
 def say(*lines: str) -> None:
     """Print lines and keep their codes for JSON."""
-    for line in map(_coded, lines):
+    for line in map(_record_message, lines):
         if not MANNER.quiet and not MANNER.as_json:
             echo(line)
 
@@ -95,7 +95,7 @@ def _with_code(text: str, code: str) -> str:
     return f"{text} [{code}]" if code and MANNER.verbose else text
 
 
-def _coded(text: str) -> str:
+def _record_message(text: str) -> str:
     """Return a text for the terminal; keep its code for JSON."""
     if code := code_of(text):
         MANNER.messages.append({"code": code, "text": str(text)})
@@ -122,19 +122,19 @@ def say_usage(error: BaseException | None) -> None:
 def say_note(*texts: str) -> None:
     """Print notes on stderr."""
     if not MANNER.quiet:
-        for text in map(_coded, texts):
+        for text in map(_record_message, texts):
             echo(f"note: {text}", err=True)
 
 
 def warn(*texts: str) -> None:
     """Print warnings on stderr."""
-    for text in map(_coded, texts):
+    for text in map(_record_message, texts):
         echo(f"warning: {text}", err=True)
 
 
 def say_finding(line: str) -> None:
     """Print a line that names its severity on stderr, also with -q."""
-    echo(_coded(line), err=True)
+    echo(_record_message(line), err=True)
 
 
 def colour(met: bool, text: str) -> str:

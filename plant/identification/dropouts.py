@@ -59,10 +59,10 @@ def _log(bench: Bench, r: Recording) -> Log:
     """Return the recording as a log after its mirrored first rows."""
     rng = np.random.default_rng(0)
 
-    def extended(values: Array) -> Array:
+    def mirror(values: Array) -> Array:
         return np.concatenate((values[MIRRORED_ROWS:0:-1], values))
 
-    def dithered(volts: Array) -> Array:
+    def dither(volts: Array) -> Array:
         """Return readings with rounding noise, since rounding hides the noise of a quiet cell."""
         changes = np.abs(np.diff(volts))
         step = max(
@@ -71,6 +71,6 @@ def _log(bench: Bench, r: Recording) -> Log:
         return volts + (step if np.isfinite(step) else 0.0) * rng.uniform(-0.5, 0.5, volts.size)
 
     time = np.concatenate((2.0 * r.time[0] - r.time[MIRRORED_ROWS:0:-1], r.time))
-    inputs = {"duty": extended(r.duty), "servo_duty": extended(r.servo_duty)}
-    outputs = {c: extended(dithered(volts)) for c, volts in r.volts.items()}
+    inputs = {"duty": mirror(r.duty), "servo_duty": mirror(r.servo_duty)}
+    outputs = {c: mirror(dither(volts)) for c, volts in r.volts.items()}
     return Log(r.path or Path(r.label), time, inputs, outputs, {}, r.step, {}, {})

@@ -47,7 +47,7 @@ def prepare(path: Path) -> BenchInput:
     except NotExecuted as error:
         not_executed = error
     try:
-        measured = _measured(protocol)
+        measured = _read_measured(protocol)
     except InputError as error:
         faults += error.faults
     refuse(faults)
@@ -75,7 +75,7 @@ def _model_of(protocol: Protocol) -> Model:
     return model
 
 
-def _measured(protocol: Protocol) -> dict[str, list[Recording]]:
+def _read_measured(protocol: Protocol) -> dict[str, list[Recording]]:
     """Return the measured recordings after all checks."""
     faults: list[Fault] = []
     recordings: dict[str, list[Recording]] = {}

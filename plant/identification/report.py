@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.text import MISSING, counted, joined, plain, written
+from cosim.base.text import MISSING, append_unit, counted, plain, written
 from cosim.base.version import __version__
 from cosim.report.drawing import Charts
 from cosim.report.html_tables import Badge
@@ -93,7 +93,7 @@ def number(value: float, unit: str, like: float) -> str:
     shown, scale = ("ms", 1000.0) if unit == "s" else ("mm", 1000.0) if unit == "m" else (written(unit), 1.0)
     size = abs(like) * scale
     digits = 4 if size == 0 else int(np.clip(np.floor(np.log10(max(abs(value * scale), 1e-12) / size)) + 3, 2, 6))
-    return joined(plain(value * scale, digits), shown)
+    return append_unit(plain(value * scale, digits), shown)
 
 
 def _row(key: str, e: Estimate) -> Mapping[str, Any]:
@@ -138,9 +138,9 @@ def _cell(outcome: Outcome, channel: str) -> Mapping[str, str]:
     return {
         "name": f"volts_{channel}",
         "points": counted(cell.loads.size, "point"),
-        "error": joined(plain(cell.error / unit, 3), written(name)),
-        "left": joined(plain(float(np.sqrt(np.mean(cell.cross_validation_errors**2))) / unit, 3), written(name)),
-        "rail": joined(rail, written(name)) if rail else MISSING,
+        "error": append_unit(plain(cell.error / unit, 3), written(name)),
+        "left": append_unit(plain(float(np.sqrt(np.mean(cell.cross_validation_errors**2))) / unit, 3), written(name)),
+        "rail": append_unit(rail, written(name)) if rail else MISSING,
     }
 
 

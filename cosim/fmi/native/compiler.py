@@ -20,7 +20,7 @@ from cosim.base.extras import install_command
 from cosim.base.scratch import temporary_folder
 from cosim.fmi import messages
 from cosim.fmi.native.platforms import PLATFORMS, Platform, this_platform
-from cosim.storage.cache import cache_environment, cached, discard_untrusted
+from cosim.storage.cache import cache_environment, cache_path, discard_untrusted
 
 # The errno of sin and pow is never read.
 OPTIONS = ("-std=c99", "-O3", "-fno-math-errno", "-ffp-contract=off", "-shared")
@@ -153,7 +153,7 @@ def library_of(
         CompilerFailed: Compilation failed.
     """
     content = hashlib.sha256(repr((sorted(files.items()), main, list(command), *libraries)).encode()).hexdigest()
-    stem = cached(content, "")
+    stem = cache_path(content, "")
     for library in _find_cached(stem):
         if library == _cache_path(stem, library) and not _missing_exports(library.read_bytes(), exports):
             return library

@@ -48,7 +48,7 @@ def printed_jacobians(model: Model, outputs: Sequence[str], effects: Collection[
     return "\n".join(lines)
 
 
-def loaded(source: str) -> Mapping[str, Any]:
+def load_names(source: str) -> Mapping[str, Any]:
     """Return the names defined by a printed module."""
     names: dict[str, Any] = {}
     exec(compile(source, "<jacobians>", "exec"), names)

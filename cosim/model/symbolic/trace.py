@@ -170,10 +170,10 @@ class Trace:
         return type(kind.__name__, (kind,), {**hooks, "__module__": kind.__module__})
 
     def _hook(self, lines: Callable[..., Any], name: str, place: int) -> Callable[..., Any]:
-        def recorded(effect: Any, *arguments: Any, **keywords: Any) -> Any:
+        def record(effect: Any, *arguments: Any, **keywords: Any) -> Any:
             return self._call(lines, effect, name, place, arguments, keywords)
 
-        return recorded
+        return record
 
     def _call(
         self, lines: Callable[..., Any], effect: Any, name: str, place: int, arguments: Any, keywords: Any

@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from cosim.base.arrays import Array, Rows
-from cosim.estimation.data import unscored
+from cosim.estimation.data import count_unscored
 from cosim.estimation.expected import fit_for_held_out
 from cosim.estimation.fit import Fit, fit, inverse, scores
 from cosim.estimation.parallel import in_parallel
@@ -73,7 +73,7 @@ def steadiness(problem: Problem, better: Fit, worse: Fit, costs: float = 0.0) ->
     Args:
         costs: Additional cost of `worse` relative to `better` (Vuong 1989, eq. 5.9).
     """
-    scored = [problem.scored(f.values, f.noise) for f in (better, worse)]
+    scored = [problem.score(f.values, f.noise) for f in (better, worse)]
     if scored[0].errors.size != scored[1].errors.size:
         return math.inf
     block = blocks_of(problem, scored[0], math.exp(better.noise.memory))
@@ -113,7 +113,7 @@ def held_out_gains(search: Search, better: Hypothesis, worse: Hypothesis) -> tup
             others = fit_without(search, problem, h, log)
             errors.append(open_loop(problem, search.subject.horizon, others.values, others, log))
             if problem.table:  # A few rows of a table cannot determine parameters.
-                objectives.append(problem.scored(others.values, others.noise, [log]).nll)
+                objectives.append(problem.score(others.values, others.noise, [log]).nll)
                 continue
             own = {f.name for c in h.candidates for f in c.free}
             fixed = {n: others.values[n] if n in own else problem.values[n] for n in names}
@@ -185,7 +185,7 @@ def chance_limit(problem: Problem, f: Fit, tried: int) -> float:
     """
     from scipy.special import stdtrit
 
-    blocks = blocks_of(problem, problem.scored(f.values, f.noise), math.exp(f.noise.memory))
+    blocks = blocks_of(problem, problem.score(f.values, f.noise), math.exp(f.noise.memory))
     return 0.5 * float(stdtrit(max(1, np.unique(blocks).size - 1), 1.0 - 0.5 * BY_CHANCE / max(1, tried)))
 
 
@@ -232,7 +232,7 @@ def open_loop(problem: Problem, horizon: float, values: Mapping[str, float], f: 
     """
     if problem.table:  # Each row is predicted from its own inputs.
         return problem.innovations(values, f.noise, index)[0][:, None, :]
-    data, first = problem.data(values, index), unscored(problem.logs[index])
+    data, first = problem.data(values, index), count_unscored(problem.logs[index])
     rows = len(data.u)
     length = rows // PREDICTED if math.isinf(horizon) else round(horizon / data.step)
     length = max(2, min(length, (rows - first) // 2))
@@ -241,7 +241,7 @@ def open_loop(problem: Problem, horizon: float, values: Mapping[str, float], f: 
     residuals = np.full((max(1, (rows - 1 - first) // length), length, data.y.shape[1]), np.nan)
     for replay, row in zip(residuals, range(first, rows - length, length), strict=False):
         back = min(row, BACK)
-        part, start = data.rows(row - back, row + length + 1), problem.undisturbed(run.states[row])
+        part, start = data.rows(row - back, row + length + 1), problem.drop_unknown_inputs(run.states[row])
         predicted = problem.kernel.simulate(part, p, start, run.memory[row], first=back).outputs
         replay[:] = data.y[row + 1 : row + 1 + length] - predicted[back + 1 : back + 1 + length]
     return np.where(np.abs(residuals) < 1e30, residuals, np.nan)
@@ -301,7 +301,7 @@ def with_intervals(search: Search, h: Hypothesis) -> Hypothesis:
 def with_sandwich_covariance(problem: Problem, f: Fit) -> Fit:
     """Return the fit with White's sandwich covariance."""
     each, information = scores(problem, f)
-    scored = problem.scored(f.values, f.noise)
+    scored = problem.score(f.values, f.noise)
     block = blocks_of(problem, scored, math.exp(f.noise.memory))
     sums = np.stack([np.bincount(block, row) for row in each])
     inside = inverse(information)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cosim.base.text import listed
+from cosim.base.text import join_names
 from cosim.estimation.fit import Fit, inverse
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
@@ -226,7 +226,7 @@ def loss_without(h: Hypothesis, c: Candidate, neutral: Mapping[str, float]) -> f
 def noise_gain(problem: Problem, f: Fit) -> tuple[float, ...]:
     """Return the log-likelihood gain of each unknown input."""
     without = np.diag(problem.noise.smallest - f.noise.power) + f.noise.power
-    return tuple(problem.scored(f.values, replace(f.noise, power=power)).nll - f.nll for power in without)
+    return tuple(problem.score(f.values, replace(f.noise, power=power)).nll - f.nll for power in without)
 
 
 def is_at_limit(h: Hypothesis, f: Free, neutral: Mapping[str, float]) -> bool:
@@ -249,7 +249,7 @@ def _reason(
 ) -> str:
     """Return the first reason that applies against a hypothesis, in words."""
     base, behind = search.tried[()], h.score - best.score
-    than = listed(best.names) or "the base model"
+    than = join_names(best.names) or "the base model"
     if any(h.names == r.names for r in rivals):
         return f"a rival: explains as well as {than}"
     if extra := [n for n in h.names if n in dropped]:

@@ -11,7 +11,7 @@ from itertools import chain
 from typing import Any
 
 from cosim.base.messages import Message
-from cosim.base.text import MOST_NAMED, amount, counted, finer, joined, listed, percent, plain, size, written
+from cosim.base.text import MOST_NAMED, amount, append_unit, counted, finer, join_names, percent, plain, size, written
 from cosim.loading.refined import NEAREST, REFINED
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement import messages
@@ -124,13 +124,13 @@ def no_effect_text(hidden: Sequence[str], moves: Mapping[str, float]) -> str:
     moves: forced state → size of its unknown input over that of its derivative on the logs, where there is one
     """
     sizes = [f"{percent(share)} of what moves {name}" for name, share in moves.items()]
-    text = f"{DISTURBED} Its size: {listed(sizes)}." if sizes else NOTHING
+    text = f"{DISTURBED} Its size: {join_names(sizes)}." if sizes else NOTHING
     return f"{text} These logs would not show {_counted_names(hidden, 'effect')}." if hidden else text
 
 
 def _counted_names(names: Sequence[str], noun: str) -> str:
     """Return up to three names; more with their number before them."""
-    return listed(names) if len(names) <= MOST_NAMED else f"{counted(len(names), noun)}: {listed(names)}"
+    return join_names(names) if len(names) <= MOST_NAMED else f"{counted(len(names), noun)}: {join_names(names)}"
 
 
 def rivals_text(names: Sequence[str], experiment: str, certain: str, subject: Subject) -> str:
@@ -155,7 +155,7 @@ def unexplained_text(residual: Mapping[str, Any], nearest: Sequence[str], otherw
         text = f"A disturbance acts on {where}; it shows no stable pattern."
     else:
         text = otherwise
-    return text + (f" Best candidates, not confirmed: {listed(nearest)}." if nearest else "")
+    return text + (f" Best candidates, not confirmed: {join_names(nearest)}." if nearest else "")
 
 
 def doubt_text(doubt: Doubt) -> str:
@@ -166,7 +166,7 @@ def doubt_text(doubt: Doubt) -> str:
         return "Replays with it are nearer on no channel than those of the model recalibrated without it."
     if doubt.kind == "kept":
         return f"With it, replays keep {plain(100 * doubt.size, 2)}\u00a0% of the excess error."
-    return f"Much remains, and predictions of held-out logs are not plainly better for {listed(doubt.names)}."
+    return f"Much remains, and predictions of held-out logs are not plainly better for {join_names(doubt.names)}."
 
 
 def part_text(residual: Mapping[str, Any], rest: str) -> str:
@@ -192,7 +192,7 @@ def further_text(parameters: Sequence[MovedParameter], units: Mapping[str, str])
 
 
 def _moved_text(parameters: Sequence[MovedParameter], units: Mapping[str, str]) -> str:
-    return listed(
+    return join_names(
         [
             f"{m.name} {plain(m.stated)} → {plain(m.fitted)} {written(units.get(m.name, ''))}".rstrip()
             for m in parameters
@@ -208,13 +208,13 @@ def rise_text(errors: Mapping[str, tuple[float, float]], units: Mapping[str, str
     changes = {}
     for name, pair in errors.items():
         unit, factor = finer(units.get(name, ""), pair[1])
-        before, after = (joined(plain(error * factor), unit) for error in pair)
+        before, after = (append_unit(plain(error * factor), unit) for error in pair)
         if before != after:
             changes[name] = f"of {name} rises from {before} to {after}"
     if not changes:
         return ""
     first, *others = changes
-    also = f" So does the error of {listed(others)}." if others else ""
+    also = f" So does the error of {join_names(others)}." if others else ""
     return f"On the sealed logs the error {changes[first]} with {file}.{also}"
 
 
@@ -223,7 +223,9 @@ def floor_warning(part: str, channels: Mapping[str, tuple[float, float]], units:
     pairs = []
     for name, (floor, error) in channels.items():
         unit, factor = finer(units.get(name, ""), error)
-        pairs.append(f"{name} {joined(plain(error * factor), unit)} under {joined(plain(floor * factor), unit)}")
+        pairs.append(
+            f"{name} {append_unit(plain(error * factor), unit)} under {append_unit(plain(floor * factor), unit)}"
+        )
     logs = "sealed" if part == "validation" else "estimation"
     return messages.FLOOR_ABOVE_ERROR(logs=logs, pairs=", ".join(pairs))
 
@@ -242,8 +244,8 @@ def held_out_rows_text(c: Claims, subject: Subject) -> str:
     effect = c.claimed is not None and any(part.kind != "parameter" for part in c.claimed.candidates)
     best, other = ("after", "recalibrated") if effect else ("recalibrated", "before")
     who, without = ("the model", "Without the claim") if effect else ("the model recalibrated", "As it is")
-    after = listed([f"{size(v, units[n])} in {n}" for n, v in errors[best].items()])
-    before = listed([size(v, units[n]) for n, v in errors[other].items()])
+    after = join_names([f"{size(v, units[n])} in {n}" for n, v in errors[best].items()])
+    before = join_names([size(v, units[n]) for n, v in errors[other].items()])
     return f"On held-out rows {who} is off by {after}. {without} it is off by {before}."
 
 
@@ -294,7 +296,7 @@ def _kinds_text(kinds: Mapping[str, str], texts: Mapping[str, str]) -> str:
     for kind, (opening, several) in OPENINGS.items():
         names = [text for name, text in texts.items() if kinds[name] == kind]
         if names:
-            parts.append(several.format(len(names)) if len(names) > MOST_NAMED else f"{opening} {listed(names)}")
+            parts.append(several.format(len(names)) if len(names) > MOST_NAMED else f"{opening} {join_names(names)}")
     text = "; ".join(parts)
     return f"{text[:1].upper()}{text[1:]}."
 
@@ -317,7 +319,7 @@ def _estimate_text(best: Hypothesis, f: Free, subject: Subject) -> str:
 
 def small_gains_text(names: Sequence[str]) -> str:
     """Say that something would gain, but too little."""
-    return f" Perhaps also {listed(names)}; that gain may be chance." if names else ""
+    return f" Perhaps also {join_names(names)}; that gain may be chance." if names else ""
 
 
 def remainder_text(term: UnnamedTerm, gained: float) -> str:

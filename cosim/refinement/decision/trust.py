@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import repeat
 
-from cosim.estimation.posing import coarsened, with_equations_trusted
+from cosim.estimation.posing import coarsen, with_equations_trusted
 from cosim.estimation.problem import Problem
 from cosim.refinement.decision.evidence import log_error
 from cosim.refinement.decision.judgement import noise_gain
@@ -43,7 +43,7 @@ def attribute(subject: Subject, problem: Problem, candidates: Sequence[Candidate
     trusted = with_equations_trusted(subject, problem)
     free = error(result.search, result.best)
     if math.isfinite(subject.horizon):  # A model judged by a free run skips this shortcut.
-        search = Search(subject, coarsened(trusted), len(candidates), progress)
+        search = Search(subject, coarsen(trusted), len(candidates), progress)
         if error(search, search.hypothesis(result.best.candidates, result.best.fit)) > free - CLEARLY:
             return result
     other = Attributor(subject, trusted, candidates, progress).run()

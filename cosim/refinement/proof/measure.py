@@ -16,7 +16,7 @@ import numpy as np
 
 from cosim.base.arrays import Array, Rows
 from cosim.base.linear_algebra import square_roots
-from cosim.estimation.data import data_of, unscored
+from cosim.estimation.data import count_unscored, data_of
 from cosim.estimation.per_log import own, spread
 from cosim.estimation.posing import origins, start_covariance, start_state
 from cosim.estimation.problem import Problem
@@ -28,7 +28,7 @@ from cosim.model.namespaces import arrays
 from cosim.model.sensors import SensorError
 from cosim.refinement.proof.refined_models import Variant
 from cosim.residuals.drive import StoppedReplay
-from cosim.residuals.residual_statistics import FREE_RUN, pooled
+from cosim.residuals.residual_statistics import FREE_RUN, pool_errors
 from cosim.residuals.windows import Replay, window_rows
 from cosim.subject.interface import Replayer, Start, Subject
 
@@ -49,7 +49,7 @@ def filter_problem(problem: Problem, subject: Subject, logs: Sequence[Log]) -> P
     layout = problem.layout
     data = [data_of(subject, log, layout, problem.settle, problem.settings.interpolated) for log in logs]
     x0 = [start_state(subject, d, layout.outputs, layout.states) for d in data]
-    readings = [readings_of(d.y, unscored(d)) for d in data]
+    readings = [readings_of(d.y, count_unscored(d)) for d in data]
     begins = origins(subject, layout, logs, data, problem.settings)
     posed = replace(problem, logs=data, readings=readings, x0=x0, origins=begins)
     return replace(posed, P0=start_covariance(subject, posed))
@@ -97,7 +97,7 @@ def _starts(
     starts = {}
     for k in rows:
         row = int(log.grid[k])
-        here = problem.undisturbed(filtered.states[row])
+        here = problem.drop_unknown_inputs(filtered.states[row])
         per_log = {name: float(here[place]) for name, place in layout.constants.items()}
         states = dict(zip(layout.states, filtered.states[row].tolist(), strict=True))
         starts[k] = Start(states, filtered.memory[row], per_log)
@@ -111,7 +111,7 @@ def first_rows(log: Log, horizon: float) -> list[int]:
 
 def rmse(evidence: Evidence) -> dict[str, float]:
     """Return channel → RMSE pooled over the logs."""
-    return pooled(replay.errors(log) for log, replay in evidence)
+    return pool_errors(replay.errors(log) for log, replay in evidence)
 
 
 def remove_sensor_errors(
@@ -165,7 +165,7 @@ def _parameters_at_starts(problem: Problem, filtered: Filtered, starts: Rows, ro
         return {}
     begin = np.asarray(starts) if len(starts) else np.array([len(filtered.states) - 1])
     of_row = begin[np.maximum(0, np.searchsorted(begin, rows, side="left") - 1)]
-    states = {k: problem.undisturbed(filtered.states[k]) for k in set(of_row.tolist())}
+    states = {k: problem.drop_unknown_inputs(filtered.states[k]) for k in set(of_row.tolist())}
     return {name: np.array([states[k][place] for k in of_row.tolist()]) for name, place in constants.items()}
 
 
@@ -236,7 +236,7 @@ def _final_parameters(variant: Variant, problem: Problem, index: int) -> dict[st
     """Return filtered parameters at the end of a log."""
     if not (constants := problem.layout.constants):
         return {}
-    last = problem.undisturbed(problem.run(variant.values, variant.noise, index, states=True).states[-1])
+    last = problem.drop_unknown_inputs(problem.run(variant.values, variant.noise, index, states=True).states[-1])
     group = problem.origins[index].group
     values = {own(name, group): float(last[place]) for name, place in constants.items()}
     return values | {spread(name, group): 0.0 for name in constants}
@@ -295,19 +295,19 @@ class _KernelReplays:
                 random = rng.standard_normal((len(rows), len(layout.stochastic), 1))
                 starts[np.ix_(rows, list(layout.stochastic))] += (roots @ random)[..., 0]
             noisy = len(layout.noise_places)
-            if layout.coloured:  # Replays know nothing of the unknown inputs.
+            if layout.is_coloured:  # Replays know nothing of the unknown inputs.
                 deviation = np.exp(0.5 * noise.power)
                 starts[np.ix_(rows, layout.noise_places)] = rng.standard_normal((len(rows), noisy)) * deviation
             density = problem.densities(noise)[list(layout.noisy)]
             kicks = np.zeros((len(data.u), len(layout.states)))
             kicks[:, layout.noise_places] = rng.standard_normal((len(data.u), noisy)) * np.sqrt(density * data.step)
-            memory = {LASTS: math.exp(noise.memory)} if layout.coloured else {}
+            memory = {LASTS: math.exp(noise.memory)} if layout.is_coloured else {}
             errors += self._simulate({**self.variant.values, **memory}, starts, kicks) - self._predict()
         return np.asarray(np.where(np.isnan(data.y), np.nan, errors) / self.gains)
 
     def _predict(self) -> Array:
         """Return the outputs of the replays; NaN between them."""
-        starts = {k: self.problem.undisturbed(self.filtered.states[k]) for k in self.rows}
+        starts = {k: self.problem.drop_unknown_inputs(self.filtered.states[k]) for k in self.rows}
         return self._simulate(self.variant.values, starts)
 
     def _simulate(

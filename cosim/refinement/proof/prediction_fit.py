@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.estimation.data import unscored
+from cosim.estimation.data import count_unscored
 from cosim.estimation.fit import Fit
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
@@ -82,12 +82,12 @@ class _Windows:
     def __init__(self, problem: Problem, f: Fit, horizon: float, index: int) -> None:
         self.problem, self.index = problem, index
         self.data = problem.data(f.values, index)
-        rows, first = len(self.data.u), unscored(problem.logs[index])
+        rows, first = len(self.data.u), count_unscored(problem.logs[index])
         self.length = max(2, min(round(horizon / self.data.step), (rows - first) // 2))
         self.width = self.data.y.shape[1]
         self.rows = range(first, rows - self.length, self.length)
         run = problem.run(f.values, f.noise, index, states=True)
-        self.starts = {k: (problem.undisturbed(run.states[k]), run.memory[k]) for k in self.rows}
+        self.starts = {k: (problem.drop_unknown_inputs(run.states[k]), run.memory[k]) for k in self.rows}
 
     def errors(self, values: Mapping[str, float]) -> Array:
         """Return measurement − prediction, shape (windows, rows, outputs)."""

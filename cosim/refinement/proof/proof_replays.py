@@ -38,18 +38,18 @@ class Proof:
     def replay(self, variants: Mapping[str, Variant]) -> tuple[Replayed, Replays]:
         """Replay every variant; return the replays and the FMU used."""
 
-        def delivered(subject: Subject) -> Replayer:
+        def build_replayer(subject: Subject) -> Replayer:
             return subject.replayer(self.place)
 
         after = variants["after"]
-        own = delivered(after.subject)
+        own = build_replayer(after.subject)
         try:
             quick = {id(v.subject): v.subject.quick_replayer(self.place) for v in variants.values()}
         except InputError as error:
-            return self.replay_all(variants, delivered), Replays(through=own.through, why=error.faults[0].message)
+            return self.replay_all(variants, build_replayer), Replays(through=own.through, why=error.faults[0].message)
         ways = {key: way for key, way in quick.items() if way is not None}
         if len(ways) < len(quick):
-            return self.replay_all(variants, delivered), Replays(through=own.through)
+            return self.replay_all(variants, build_replayer), Replays(through=own.through)
         played = self.replay_all(variants, lambda subject: ways[id(subject)])
         part: Part = "validation" if "validation" in self.sets else "estimation"
         k, log = min(enumerate(self.sets[part]), key=lambda entry: entry[1].rows)
@@ -59,7 +59,7 @@ class Proof:
         if apart <= EQUAL:
             return played, Replays(through=ways[id(after.subject)].through, log=name, apart=apart)
         why = f"replays of {name} through it and through plant.fmu are {plain(apart, 2)} apart"
-        return self.replay_all(variants, delivered), Replays(through=own.through, why=why, log=name, apart=apart)
+        return self.replay_all(variants, build_replayer), Replays(through=own.through, why=why, log=name, apart=apart)
 
     def replay_all(self, variants: Mapping[str, Variant], way: Way) -> Replayed:
         """Replay every distinct variant on every set."""

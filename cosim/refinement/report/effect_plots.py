@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.estimation.data import unscored
+from cosim.estimation.data import count_unscored
 from cosim.estimation.fit import Fit
 from cosim.estimation.problem import Problem
 from cosim.refinement.refinement import Refinement
@@ -188,5 +188,5 @@ def _readings(problem: Problem, c: Candidate, with_it: Fit, index: int, *, late:
         rows = with_it.values[c.parameters[0]] / data.step
         wrong = np.column_stack([np.interp(k - rows, k, column, left=np.nan) for column in clean.T])
     rate = np.gradient(clean, data.step, axis=0)
-    scored = slice(min(unscored(data), count - 1), count)
+    scored = slice(min(count_unscored(data), count - 1), count)
     return tuple(rows[scored] for rows in (data.start + data.step * k, clean, wrong, data.y[:count], rate))

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from cosim.base.text import MISSING, finer, joined, percent, plain
+from cosim.base.text import MISSING, append_unit, finer, percent, plain
 from cosim.refinement.record import OTHER_HORIZONS
 from cosim.refinement.refinement import Refinement
 from cosim.residuals.replay_sentences import horizon_name
@@ -86,7 +86,7 @@ def units(r: Refinement) -> dict[str, str]:
 def error_size(value: float, unit: str, like: float) -> str:
     """Format an error in a unit for size `like`."""
     shown_unit, factor = finer(unit, like)
-    return joined(plain(value * factor), shown_unit)
+    return append_unit(plain(value * factor), shown_unit)
 
 
 def horizon(r: Refinement) -> str:

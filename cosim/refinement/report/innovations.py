@@ -9,7 +9,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.text import MISSING, plain
-from cosim.estimation.data import unscored
+from cosim.estimation.data import count_unscored
 from cosim.estimation.noise_model import Noise
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.refinement import Refinement
@@ -80,7 +80,7 @@ def _channel(
 
 def _innovations(r: Refinement, values: dict[str, float], noise: Noise, index: int) -> Array:
     run = r.problem.run({**r.problem.values, **values}, noise, index)
-    first = min(unscored(r.problem.logs[index]), max(0, len(run.errors) - 2))
+    first = min(count_unscored(r.problem.logs[index]), max(0, len(run.errors) - 2))
     scaled: Array = (run.errors / np.sqrt(run.variances))[first:]
     return np.where(np.abs(scaled) < 1e6, scaled, np.nan)
 

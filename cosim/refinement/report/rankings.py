@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from cosim.base.text import amount, display, joined, plain
+from cosim.base.text import amount, append_unit, display, plain
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.proof.refined_models import refined_subject
 from cosim.refinement.refinement import Refinement
@@ -177,7 +177,7 @@ def noise_rows(r: Refinement) -> list[NoiseRow]:
         if name in noise:
             before, after = noise[name]["before"], noise[name]["after"]
             drift_unit, factor = ("mm/s", 1000.0) if unit.get(name) == "m/s" else display(unit.get(name, ""))
-            drifts = [joined(plain(math.sqrt(q) * factor, 2), drift_unit) for q in (before, after)]
+            drifts = [append_unit(plain(math.sqrt(q) * factor, 2), drift_unit) for q in (before, after)]
             bars = [_width(q, size.smallest[k] + usual, size.largest[k] + usual) for q in (before, after)]
             words = _noise_text(noise[name], size.quiet[k] + usual)
             rows.append(NoiseRow(name, drifts[0], drifts[1], bars[0], bars[1], words))

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.text import MISSING, counted, listed, parted, percent, plain
+from cosim.base.text import MISSING, counted, join_names, percent, plain, split_sentence
 from cosim.base.version import __version__
 from cosim.logs.log import Log
 from cosim.refinement.refinement import Refinement
@@ -59,7 +59,7 @@ def write_refine_report(path: Path, r: Refinement) -> None:
 def context(r: Refinement) -> Mapping[str, Any]:
     """Return the values of the template."""
     charts = Charts()
-    headline, details = parted(str(r.record["sentence"]))
+    headline, details = split_sentence(str(r.record["sentence"]))
     tables = error_tables(r)
     return {
         "name": f"Study {r.study.name}",
@@ -201,7 +201,7 @@ def _term_lead(r: Refinement) -> str:
     way = "A smoother estimates, row by row, the input that an equation lacks, without knowing the proposed effect. "
     if r.verdict.claimed:
         return way + "Over it the claimed term: a step of the model with it minus a step without."
-    rivals = f" beside {listed(r.verdict.rivals)}" if r.verdict.rivals else ""
+    rivals = f" beside {join_names(r.verdict.rivals)}" if r.verdict.rivals else ""
     return f"{way}Over the remainder{rivals}: the unnamed term that would explain most of it, if there is one."
 
 

@@ -16,7 +16,7 @@ from itertools import chain, combinations
 import numpy as np
 
 from cosim.estimation.parallel import in_parallel
-from cosim.estimation.posing import coarsened
+from cosim.estimation.posing import coarsen
 from cosim.estimation.problem import Problem
 from cosim.estimation.screen import Choice, ScoreTest, Terms
 from cosim.estimation.sensor_noise import erring_stamps
@@ -54,7 +54,7 @@ class Attributor:
     ) -> None:
         self.candidates, self.progress = candidates, progress
         self.fine = problem
-        self.search = Search(subject, coarsened(problem), len(candidates), progress)
+        self.search = Search(subject, coarsen(problem), len(candidates), progress)
         self.identifiable: dict[str, float] = {}
 
     def run(self) -> SearchResult:
@@ -225,7 +225,7 @@ class Attributor:
 
     def _fine_enough(self, best: Hypothesis) -> Problem:
         """Return the problem with enough substeps."""
-        enough = zip(self.search.problem.logs, coarsened(self.fine, best.fit.values).logs, strict=True)
+        enough = zip(self.search.problem.logs, coarsen(self.fine, best.fit.values).logs, strict=True)
         substeps = [max(base.substeps, other.substeps) for base, other in enough]
         logs = [replace(log, substeps=n) for log, n in zip(self.fine.logs, substeps, strict=True)]
         return replace(self.fine, logs=logs)

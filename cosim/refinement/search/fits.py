@@ -208,7 +208,7 @@ class Search:
             power = h.fit.noise.power.copy()
             power[k] = least[k]
             noise = replace(h.fit.noise, power=power)
-            if self.problem.scored(h.fit.values, noise).nll <= h.fit.nll + NEEDED:
+            if self.problem.score(h.fit.values, noise).nll <= h.fit.nll + NEEDED:
                 h = self._refit_if_better(h, noise)
         return h
 

@@ -60,7 +60,7 @@ def between_rows(problem: Problem, base: Hypothesis) -> Between:
     # Unknown inputs start large enough to move, because inputs that compensated the wrong choice converge slowly.
     refit = fit(other, base.fit.free, base.fit.values, other.plain)
     ways: dict[str, Way] = {name: "interpolated" if name in ramped else "held" for name in names}
-    scored, scored_refit = problem.scored(base.fit.values, base.fit.noise), other.scored(refit.values, refit.noise)
+    scored, scored_refit = problem.score(base.fit.values, base.fit.noise), other.score(refit.values, refit.noise)
     block = blocks_of(problem, scored, math.exp(base.fit.noise.memory))
     steady = gain_per_scatter(block, scored, scored_refit, base.fit.penalty - refit.penalty)
     return Between(ways, base.fit.objective - refit.objective, steady)

@@ -19,7 +19,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.linear_algebra import least_squares, solution
-from cosim.estimation.data import unscored
+from cosim.estimation.data import count_unscored
 from cosim.estimation.fit import DIFFERENCE, Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.problem import Problem
@@ -86,7 +86,7 @@ def smooth_log(problem: Problem, base: Fit, index: int, every: int = 1) -> Missi
     model = _linear(problem, Steps(problem, index, base.values), run.states, run.memory, rows, every)
     readings = problem.data({**problem.values, **base.values}, index).y[:rows]
     value, sigma = _smooth(problem, model, run.states, noise, index, readings)
-    scored = slice(min(unscored(data), rows - 1), rows - 1)
+    scored = slice(min(count_unscored(data), rows - 1), rows - 1)
     time = data.start + data.step * np.arange(rows, dtype=np.float64)
     return MissingInput(time[scored], layout.forced, value[scored], sigma[scored], run.states[:rows][scored])
 
@@ -114,7 +114,9 @@ def unknown_inputs(
     largest: dict[str, float] = {}  # unit → range of the derivatives
     runs = [problem.run({**problem.values, **at.values}, at.noise, k, states=True) for k in range(len(problem.logs))]
     for name, place in zip(names, problem.layout.forced_places, strict=True):
-        change = [np.diff(run.states[unscored(d) :, place]) / d.step for run, d in zip(runs, problem.logs, strict=True)]
+        change = [
+            np.diff(run.states[count_unscored(d) :, place]) / d.step for run, d in zip(runs, problem.logs, strict=True)
+        ]
         low, high = np.percentile(np.concatenate(change), (2.5, 97.5))
         largest[units[name]] = max(largest.get(units[name], 1e-300), float(high - low))
     return {
@@ -146,13 +148,13 @@ def contributions(problem: Problem, base: Fit, after: Fit, index: int) -> Array:
     rows = min(len(data.u), MOST_ROWS)
     added = np.full((rows, len(forced)), np.nan)
     for k in range(rows - 1):
-        without_state = problem.undisturbed(runs[0].states[k])
-        with_state = problem.undisturbed(runs[1].states[k])
+        without_state = problem.drop_unknown_inputs(runs[0].states[k])
+        with_state = problem.drop_unknown_inputs(runs[1].states[k])
         without_state[shared] = with_state[shared]
         plain = without.step(k, without_state, runs[0].memory[k])[0]
         fuller = with_it.step(k, with_state, runs[1].memory[k])[0]
         added[k] = (fuller - plain)[forced] / data.step
-    return added[min(unscored(data), rows - 1) : rows - 1]
+    return added[min(count_unscored(data), rows - 1) : rows - 1]
 
 
 def scale_to_missing(problem: Problem, at: Fit, column: int, term: Array, lacking: Array) -> Array:
@@ -214,7 +216,7 @@ def _smooth(problem: Problem, model: _Linear, states: Array, noise: Noise, index
     places, rows, n = list(layout.noisy), len(y), model.F.shape[1]
     r = np.broadcast_to(problem.variances(noise, index), data.y.shape)
     x, P = np.zeros(n), problem.P0.copy()
-    if layout.coloured:
+    if layout.is_coloured:
         P[places, places] = np.exp(noise.power)
     Q = np.diag(problem.densities(noise)) * data.step
     ahead, spread = np.zeros((rows, n)), np.zeros((rows, n, n))

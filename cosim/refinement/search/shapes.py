@@ -20,7 +20,7 @@ from cosim.base.linear_algebra import least_squares, orthonormal
 from cosim.estimation.fit import Fit
 from cosim.estimation.problem import Problem
 from cosim.kernel.kernel import CONSTANT, DISTURBANCE
-from cosim.kernel.nameless import KNOTS, LOCAL, bump, clipped, rise
+from cosim.kernel.nameless import KNOTS, LOCAL, bump, clip, rise
 from cosim.refinement.search.missing import Smoothed, smooth_logs
 
 HALF = 2.0 * np.sqrt(1.0 - 0.5 ** (1.0 / 3.0))  # ζ at which a bump has half its height
@@ -141,7 +141,7 @@ class Shape:
         if not self.times:
             return np.asarray(basis)
         factor = _difference(signals, self.times)
-        return np.asarray(basis * (clipped(factor / self.slip) if self.dry else factor)[:, None])
+        return np.asarray(basis * (clip(factor / self.slip) if self.dry else factor)[:, None])
 
 
 def _difference(signals: Signals, names: Sequence[str]) -> Array:

@@ -83,7 +83,7 @@ def context(run: Run, drawing: Drawing, page: ComponentPage) -> Mapping[str, Any
         "links": drawing.plots(list(links.values())),
         "others": drawing.plots(others),
         "spelled": spelled_values(run),
-        "undrawn": _undrawn(len(_undisplayed(run, page.shown))),
+        "undrawn": _undrawn(len(_find_undisplayed(run, page.shown))),
         "criteria": goals,
         "rows": run.time.size,
         "end": run.time[-1] if run.time.size else 0.0,
@@ -167,7 +167,7 @@ def connection_panels(
     return panels
 
 
-def _undisplayed(run: Run, shown: frozenset[str]) -> list[str]:
+def _find_undisplayed(run: Run, shown: frozenset[str]) -> list[str]:
     return [column for column in run.results.columns if column not in shown]
 
 
@@ -178,7 +178,7 @@ def _undrawn(signals: int) -> str:
 def signal_panels(run: Run, shown: frozenset[str] = frozenset()) -> list[Panel]:
     """Return the columns not in `shown`, grouped by unit, MAX_SIGNALS at most."""
     panels, items, whole = [], items_of(run), run.results.whole
-    for unit, columns in by_unit(_undisplayed(run, shown)[:MAX_SIGNALS], run.unit, run.results.__getitem__):
+    for unit, columns in by_unit(_find_undisplayed(run, shown)[:MAX_SIGNALS], run.unit, run.results.__getitem__):
         shown_unit, factor = display(unit)
         traces = [
             Trace(column, run.results[column] * factor, f"s{i}", held=column in whole, items=items.get(column, {}))

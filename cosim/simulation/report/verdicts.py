@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from cosim.base.text import amount, counted, listed
+from cosim.base.text import amount, counted, join_names
 from cosim.simulation.report.recorded import Run, mapping, mappings, number
 
 
@@ -57,7 +57,7 @@ def outcome(run: Run, judged: list[Criterion]) -> str:
         reason = status.removeprefix("failed").lstrip(": ") or "no reason was recorded"
         return f"The simulation failed: {reason}. The rows before that are shown."
     if not judged:
-        return _simulated(run)
+        return _describe_simulation(run)
     if not missed:
         return "The criterion was met." if len(judged) == 1 else f"All {counted(len(judged), 'criterion')} were met."
     verb = "was" if len(missed) == 1 else "were"
@@ -67,11 +67,11 @@ def outcome(run: Run, judged: list[Criterion]) -> str:
     return f"{len(missed)} of {counted(len(judged), 'criterion')} {verb} missed ({which})."
 
 
-def _simulated(run: Run) -> str:
+def _describe_simulation(run: Run) -> str:
     """Return a sentence on components, duration and steps."""
     names = list(mapping(run.scenario.get("components"))) or list(run.variables)
     if not names or not run.time.size:
         return "Nothing was recorded."
     duration, steps = float(run.time[-1] - run.time[0]), counted(run.time.size - 1, "communication step")
     over = f"{amount(duration, 's', None)} in {steps}"
-    return f"Simulated {listed(names)} over {over}. No criteria are set, so nothing was judged."
+    return f"Simulated {join_names(names)} over {over}. No criteria are set, so nothing was judged."
