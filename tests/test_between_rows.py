@@ -105,4 +105,4 @@ def test_refine_records_both_likelihoods_and_warns(ramped: Refinement) -> None:
     assert any("`inputs: interpolated` in the study" in text for text in written["warnings"])
     (row,) = [row for row in context(ramped)["provenance"] if row.label == "Inputs between rows"]
     assert "voltage held" in str(row)
-    assert "the other way the logs are likelier by" in str(row)
+    assert "the other way raises the log-likelihood of the logs by" in str(row)

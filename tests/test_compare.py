@@ -221,7 +221,7 @@ def test_what_is_no_run_is_told_by_compare_and_report(tmp_path: Path) -> None:
     ):
         assert words in told("compare", given, given, code=2)
     for given, words in (
-        (tmp_path / "empty", "empty: holds no manifest.json; give the folder that `cosim run` left"),
+        (tmp_path / "empty", "empty: has no manifest.json; give the folder with the results of `cosim run`"),
         (tmp_path / "none", "no such file"),
         (fmu, "is an FMU, not a folder that a run left"),
     ):
@@ -300,7 +300,7 @@ def test_a_comparison_is_written_over_by_one_of_the_same_runs_alone(tmp_path: Pa
     out = ("--out", tmp_path / "out", "--no-report")
     for _ in range(2):
         told("compare", a, b, *out)
-    assert "holds what `cosim compare` left of" in told("compare", a, c, *out, code=2)
+    assert "contains results of `cosim compare` from" in told("compare", a, c, *out, code=2)
     told("compare", a, c, *out, "--force")
 
 

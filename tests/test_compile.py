@@ -186,7 +186,7 @@ def test_without_a_compiler_the_cure_is_told(
 
     monkeypatch.setenv("CC", str(tmp_path / "nowhere"))
     monkeypatch.setattr(compiler, "can_cross", lambda: False)
-    with pytest.raises(FmuError, match="its sources cannot be compiled: no C compiler is found; install gcc or clang"):
+    with pytest.raises(FmuError, match="cannot be compiled: no C compiler is found in CC or on PATH"):
         cosim.simulate(bounce_fmu(tmp_path / "x.fmu", compiled=False, source=True), in_process=True, compile=True)
 
 

@@ -102,7 +102,7 @@ def test_every_fault_of_a_sensor_is_told_with_its_line_and_cure(tmp_path: Path) 
         run(tmp_path, "{level: {unit: m}, fix: {}, level_meas: {unit: m}}", "components.sonar.rate=20")
     said = str(told.value)
     assert "rate is 20 Hz, communication points come at 10 Hz; use at most 10 Hz, or a shorter step" in said
-    assert '"fix" is the name under which their number goes out' in said
+    assert '"fix" is already the name of the output that counts the fixes' in said
     assert '"level_meas" is the name under which the fixes of another signal go out' in said
     assert "level.yaml:15" in said
     with pytest.raises(InputError, match="less than or equal to 1"):
@@ -114,7 +114,7 @@ def test_every_fault_of_a_sensor_is_told_with_its_line_and_cure(tmp_path: Path) 
 def test_a_signal_that_nothing_feeds_is_told(tmp_path: Path) -> None:
     run(tmp_path)
     file = ScenarioFile(tmp_path / "level.yaml", ["components.sonar.signals.warmth={unit: K}"])
-    assert "not connected, so its fixes are of 0: sonar.warmth" in build_system(file).warnings
+    assert "inputs not connected, so their fixes are 0: sonar.warmth" in build_system(file).warnings
 
 
 def test_the_page_says_that_fixes_are_noisy_how_often_and_how_late_they_come(tmp_path: Path) -> None:
@@ -128,5 +128,5 @@ def test_the_page_says_that_fixes_are_noisy_how_often_and_how_late_they_come(tmp
 
 def test_an_ssp_holds_no_fixes(tmp_path: Path) -> None:
     run(tmp_path)
-    with pytest.raises(InputError, match="fixes are not what an SSP can hold"):
+    with pytest.raises(InputError, match="fixes cannot be exported"):
         export_ssp(tmp_path / "level.yaml", tmp_path / "level.ssp")

@@ -178,5 +178,5 @@ def test_a_distance_that_no_friction_gives_is_said(tmp_path: Path) -> None:
         flown(tmp_path / f"{k}.csv", k, 0.25)
     asked = {"parameter": "friction", "output": "x", "covered": -1.5, "files": ["0.csv", "1.csv", "2.csv"]}
     text = refused(protocol(tmp_path, distance=asked), tmp_path / "out")
-    assert "-1.5 is covered with no friction" in text
+    assert "no friction makes the model cover the distance -1.5" in text
     assert "is the distance or the sign of a command wrong?" in text

@@ -42,10 +42,10 @@ CASES: dict[str, tuple[str, dict[str, Any], list[str]]] = {
     ),
     "a hold while thrust comes": ("projection", {"hold": [2.1, 2.5]}, ["in the 0.57 s before, in which"]),
     "a validation without thrust": ("ground_effect", {"validation_duty": 5}, ["5 % gives no thrust"]),
-    "a validation that is none": ("ground_effect", {"validation_duty": 6.3}, ["6.3 % is that of the phases"]),
-    "equal heights": ("ground_effect", {"heights": [0.68, 0.68, 0.68]}, ["0.68 stands twice", "0.68 stands twice"]),
-    "heights in the ground": ("ground_effect", {"heights": [0.2, 1.25]}, ["0.2 radii: the ground effect"]),
-    "a free height that is none": ("ground_effect", {"free_height": 0.05}, ["0.05 m is no higher than the heights"]),
+    "a validation that is none": ("ground_effect", {"validation_duty": 6.3}, ["6.3 % is used by the phases already"]),
+    "equal heights": ("ground_effect", {"heights": [0.68, 0.68, 0.68]}, 2 * ["0.68 is listed twice"]),
+    "heights in the ground": ("ground_effect", {"heights": [0.2, 1.25]}, ["0.2 radii is too low: the ground effect"]),
+    "a free height that is none": ("ground_effect", {"free_height": 0.05}, ["0.05 m is not above the heights"]),
     "thrust that changes": (
         "ground_effect", {"window": [1.8, 4]}, ["duty is 5.66 % in `window`", "the duty goes from 5 to 6.3 %"],
     ),
@@ -64,7 +64,7 @@ CASES: dict[str, tuple[str, dict[str, Any], list[str]]] = {
     "a ramp at a tilt": ("thrust_line", {"phases": [[t, d, 20] for t, d, _ in DOWN]}, ["the tilt is up to 20.0° in"]),
     "a motor that runs": ("moment", {"phases": [[0, 5, 0], [3, 5, 0], [13, 6, 80]]}, ["is read with the motor off"]),
     "a sine without thrust": ("frequency", {"duty": 5.2}, ["duty is 5.2 % at most, and thrust begins above 5.77 %"]),
-    "a sine between rows": ("frequency", {"frequencies": [1, 4, 100]}, ["100 rad/s at a step of 0.02 s is less than"]),
+    "a sine between rows": ("frequency", {"frequencies": [1, 4, 100]}, ["100 rad/s at a step of 0.02 s has less than"]),
 }  # fmt: skip
 
 

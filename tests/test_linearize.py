@@ -249,7 +249,9 @@ def test_a_side_that_changes_nothing_is_said_as_at_a_dead_band_before_the_equati
     assert any("servo_dead_band" in note and "is left out" in note for note in inside.notes)
     assert np.array_equal(inside.first.B, plain.first.B)
     for found in (inside, linearize(servo, at=["command=1,trim=2"], side="above")):
-        assert any("changes nothing: slopes of what is kept are the same on both sides" in note for note in found.notes)
+        assert any(
+            "has no effect: the chosen states, inputs and outputs have the same slopes" in note for note in found.notes
+        )
     at_edge = linearize(servo, at=["command=0.1,trim=1"], side="above")  # a dead band in the equations themselves
     assert not any("changes nothing" in note for note in at_edge.notes)
 
@@ -435,7 +437,7 @@ def test_what_does_not_fit_is_said_all_at_once(tank: Path, project: Path) -> Non
     assert "11 s is not within" in refused("base", f"{scenario}@11")
     assert 'has no component "plont"' in refused("base", f"{scenario}@1", component="plont")
     assert "depend on tilt_right, tilt_left" in refused("base", states=["x", "vx"])
-    assert "do not settle by themselves" in refused("base", residualize=["x"])
+    assert "cannot be residualized: they do not settle" in refused("base", residualize=["x"])
     assert "is a scenario, not" in refused(scenario)
     assert "no such file" in refused(tank.parent / "none.fmu")
 

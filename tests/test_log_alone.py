@@ -28,7 +28,7 @@ def test_a_log_of_no_model_is_checked_by_itself(tmp_path: Path) -> None:
     told = "\n".join(cosim.check(path))
     assert "duty" not in told
     assert "39 rows missing in 1 place, first after t = 4 s, the longest 0.800" in told
-    assert "still stands at 5.00" in told
+    assert "still is constant at 5.00" in told
     assert 'odd "furlong" is no unit known here' in told
     assert "1 column of text not read: mode" in told
     assert "checked without a model" in told

@@ -122,14 +122,14 @@ def test_results_are_called_after_what_they_are_of(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("file", "content", "by", "words"),
     [
-        ("residual.csv", "", "cosim refine", "holds what `cosim replay` left"),
-        ("linear.json", '{"model": "other.fmu"}', "cosim linearize", "left of other.fmu"),
-        ("refine.json", '{"study": "b/study.yaml"}', "cosim refine", "left of b/study.yaml"),
+        ("residual.csv", "", "cosim refine", "contains results of `cosim replay`"),
+        ("linear.json", '{"model": "other.fmu"}', "cosim linearize", "from other.fmu"),
+        ("refine.json", '{"study": "b/study.yaml"}', "cosim refine", "from b/study.yaml"),
         ("linear.json", '{"model": "a/study.yaml"}', "cosim linearize", ""),
         ("refine.json", '{"study": "./a/study.yaml"}', "cosim refine", ""),
-        ("comparison.json", '{"a": "a/study.yaml", "b": "b"}', "cosim compare", "left of a/study.yaml and b"),
+        ("comparison.json", '{"a": "a/study.yaml", "b": "b"}', "cosim compare", "from a/study.yaml and b"),
         ("comparison.json", '{"a": "a/study.yaml", "b": "./c"}', "cosim compare", ""),
-        ("replay.json", '{"log": "e1.csv", "fmu": ""}', "cosim replay", "left of e1.csv"),
+        ("replay.json", '{"log": "e1.csv", "fmu": ""}', "cosim replay", "from e1.csv"),
         ("replay.json", '{"log": "a/study.yaml", "fmu": "c"}', "cosim replay", ""),
         ("notes.txt", "", "cosim excite", ""),
     ],
@@ -143,7 +143,7 @@ def test_what_another_left_is_written_over_by_force_alone(
     if not words:
         check_left(tmp_path, by, *sources)
         return
-    with pytest.raises(InputError, match="give another folder as --out, or write over it by --force") as refused:
+    with pytest.raises(InputError, match="give another folder with --out, or overwrite them with --force") as refused:
         check_left(tmp_path, by, *sources)
     assert words in str(refused.value)
     assert refused.value.exit_code == 2

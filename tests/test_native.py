@@ -502,7 +502,7 @@ def test_without_a_compiler_the_cure_is_said(tmp_path: Path, monkeypatch: pytest
     if can_cross():
         pytest.skip("the extra native brings a compiler")
     monkeypatch.setenv("CC", "no-such-compiler")
-    with pytest.raises(InputError, match="no C compiler is found; install gcc or clang"):
+    with pytest.raises(InputError, match="no C compiler is found in CC or on PATH; install gcc or clang"):
         build_native(tmp_path / "out")
     assert not (tmp_path / "out").exists()
 

@@ -68,7 +68,7 @@ def test_where_all_is_claimed_the_refined_model_is_the_nearest(tmp_path: Path) -
         ("alone/model.yaml", "is of no refine, so there is no nearest model; name the folder that `cosim refine` left"),
         ("base", "base is of no refine"),
         ("older", "holds no nearest.yaml; refine its study again, or leave nearest out"),
-        (None, "--nearest: says nothing without a model; name the folder of a refine as --model"),
+        (None, "--nearest: has no effect without a model; give the folder of a `cosim refine` as --model"),
     ],
 )
 def test_where_there_is_no_nearest_model_build_says_so_in_a_line(
@@ -130,8 +130,8 @@ def test_a_run_that_names_no_refine_or_repeats_another_is_told(project: Path, pl
     done = CliRunner().invoke(app, ["run", str(scenario), "--nearest", "--out", str(project / "out")])
     assert isinstance(done.exception, InputError)
     assert str(done.exception) == (
-        f"{scenario}: nothing in it comes from a refine, so --nearest says nothing; "
-        "name the FMU or the model.yaml that `cosim refine` left, or leave --nearest out"
+        f"{scenario}: no component or design uses a result of `cosim refine`, so --nearest has no effect; "
+        "name the FMU or the model.yaml of such a result, or leave --nearest out"
     )
     refine_left(project / "refined", fmu=plant_fmu)
     settings = ["duration=0.1", "criteria={}", f"components.plant.fmu={project}/refined/plant.fmu"]

@@ -110,7 +110,7 @@ def test_a_replay_has_its_residual_and_is_read_back(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=words):
             cosim.replay(tmp_path / "log.csv", fmu=fmu, columns=wrong, in_process=True)
     (tmp_path / "other.csv").write_bytes((tmp_path / "log.csv").read_bytes())
-    with pytest.raises(InputError, match=r"left of .*log.csv and .*fmu"):
+    with pytest.raises(InputError, match=r"from .*log.csv and .*fmu"):
         cosim.replay(tmp_path / "other.csv", tmp_path / "out", fmu, in_process=True)
 
 
@@ -220,7 +220,7 @@ def test_results_go_to_the_name_of_the_scenario_and_over_no_other(
     told("run", "--in-process", "two.yaml", "--no-report", "--out", "out", "--force")
     (tmp_path / "refined").mkdir()
     (tmp_path / "refined" / "refine.json").write_text("{}")
-    assert "holds what `cosim refine` left" in told("run", "--in-process", "one.yaml", "--out", "refined", code=2)
+    assert "contains results of `cosim refine`" in told("run", "--in-process", "one.yaml", "--out", "refined", code=2)
 
 
 def test_files_in_a_setting_are_named_from_the_current_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -65,7 +65,7 @@ def test_the_shipped_scenarios_have_no_fault(project: Path) -> None:
         ("duration: 10", "duration: ten", "ten", "duration is 'ten': it is a number [s], or text with a unit: 3 s"),
         ("duration: 10", "duration: -1", "-1", "greater than 0"),
         ("duration: 10", "duration: .inf", ".inf", "finite"),
-        ("step: 0.02", "step: 1e-9", "1e-9", "steps are more than"),
+        ("step: 0.02", "step: 1e-9", "1e-9", "steps, and a run may have"),
         ("x_start: 1,", "x_start: 1" + 400 * "0" + ",", "1" + 400 * "0", "finite number"),
         ("Q: [1, 0.5, 0.1, 0.01, 0]", "Q: [0, 0.5, 0.1, 0.01, 0]", None, "no stabilising gain"),
         ("step: 0.02", "step: true", "true", "step is true"),
@@ -269,7 +269,7 @@ def test_an_alias_bomb_is_refused_before_it_is_spread_out(tmp_path: Path) -> Non
     lines += [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 10)}]" for k in range(1, 10)]
     path = tmp_path / "bomb.yaml"
     path.write_text("\n".join(lines))
-    with pytest.raises(InputError, match="aliases followed"):
+    with pytest.raises(InputError, match="aliases are expanded"):
         read(path)
 
 

@@ -386,8 +386,8 @@ def test_slopes_are_central_differences_by_a_share_of_the_value_or_of_one(x: flo
 
 def test_slopes_that_are_not_finite_are_told() -> None:
     block: Any = Bent()
-    with pytest.raises(SimulationError, match="its derivatives or outputs are not finite there"):
+    with pytest.raises(SimulationError, match="its derivatives or outputs are not finite at these states"):
         slopes_at(block, 0.0, np.array([math.inf]), np.array([1.0]), 1e-3, directional=False)
     block.directional_slopes = lambda: np.array([[math.nan]])
-    with pytest.raises(SimulationError, match="its slopes are not finite there"):
+    with pytest.raises(SimulationError, match="the slopes of its derivatives or outputs are not finite"):
         slopes_at(block, 0.0, np.array([1.0]), np.array([1.0]), 1e-3, directional=True)

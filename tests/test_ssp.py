@@ -400,8 +400,8 @@ def test_what_is_exported_satisfies_the_schema_and_is_the_same_each_time(tmp_pat
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({"faults": [{"on": "a.u", "kind": "bias", "value": 1}]}, "faults are not what an SSP can hold"),
-        ({"events": [{"at": 1, "set": {"a.gain": 2}}]}, "events are not what an SSP can hold"),
+        ({"faults": [{"on": "a.u", "kind": "bias", "value": 1}]}, "faults cannot be exported"),
+        ({"events": [{"at": 1, "set": {"a.gain": 2}}]}, "events cannot be exported"),
         ({"connections": [{"from": "r.drive", "to": "b.u", "factor": 2}]}, "the connection converts"),
         ({"connections": [{"from": "r.drive", "to": "b.u", "offset": 2}]}, "the connection converts"),
     ],
@@ -462,7 +462,7 @@ def test_without_a_compiler_a_reference_is_refused(tmp_path: Path, monkeypatch: 
     source = lags(tmp_path)
     monkeypatch.setenv("CC", "no-such-compiler")
     monkeypatch.setattr(native_compiler, "can_cross", lambda: False)
-    with pytest.raises(InputError, match="cannot be compiled: no C compiler is found; install gcc or clang"):
+    with pytest.raises(InputError, match="cannot be compiled: no C compiler is found in CC or on PATH"):
         export_ssp(source, tmp_path / "x.ssp")
     assert not (tmp_path / "x.ssp").exists()
 

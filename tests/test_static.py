@@ -229,7 +229,9 @@ def test_all_faults_of_a_table_come_at_once_and_nothing_is_written(tmp_path: Pat
 def test_rows_too_few_to_tell_an_effect_from_noise_are_refused(tmp_path: Path) -> None:
     """A coefficient, an effect, three rows more: five are enough, in whatever files."""
     path = study_of(tmp_path, linear, rows=4)
-    with pytest.raises(InputError, match=r"study.yaml:3:\d+: 4 rows to learn from, and it takes 5: 1 number that may"):
+    with pytest.raises(
+        InputError, match=r"study.yaml:3:\d+: the logs of estimation have 4 rows, and a study needs 5: 1 number that"
+    ):
         read_study(path)
     assert read_study(study_of(tmp_path, linear, rows=5)).logs
 
@@ -290,6 +292,6 @@ def test_the_fmu_is_valid_and_follows_its_inputs_at_once(tmp_path: Path) -> None
 
 def test_no_experiment_is_drawn_for_a_model_without_states(tmp_path: Path) -> None:
     study_of(tmp_path, linear)
-    with pytest.raises(InputError, match="has no states, so no input over time tells more"):
+    with pytest.raises(InputError, match="has no states, so an input over time adds no information"):
         excite(f"{tmp_path}/valve.py:Valve", tmp_path / "out", limits=["opening=0.3"])
     assert not (tmp_path / "out").exists()

@@ -110,4 +110,6 @@ def test_what_a_study_leaves_out_is_told_once(tmp_path: Path, flown: bytes) -> N
     (tmp_path / "e.csv").write_text("\n".join([header, *rows]) + "\n")
     (tmp_path / "v.csv").write_bytes(flown)
     told = [text for text in read_study(study(tmp_path)).warnings if "psi " in text]
-    assert told == ["e.csv: 1 reading of psi left out, which its neighbours and the model do not explain"]
+    assert told == [
+        "e.csv: 1 reading of psi left out as outlying, far from the neighbouring readings and from the model"
+    ]

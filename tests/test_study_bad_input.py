@@ -144,7 +144,7 @@ def test_a_latency_longer_than_a_log_is_told_at_its_place(tmp_path: Path, tanks:
     late, candidate = told(tmp_path, tanks | {"model.yaml": model.format(80)}, study)
     assert late == (
         "model.yaml:4:21: gauge_late.value is 80.0 s, and a.csv lasts 100 s, b.csv lasts 60.0 s: "
-        "too little is left to be judged; correct it, or log longer"
+        "the rest is too short to judge a model; correct this value, or record longer logs"
     )
     assert candidate.startswith("study.yaml:3:14: no candidate")
     (late, _) = told(tmp_path, tanks | {"model.yaml": model.format(15)}, study)

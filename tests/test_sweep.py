@@ -474,7 +474,7 @@ def test_the_whole_may_be_set_where_a_part_varies_and_not_the_part_before_the_wh
         )
     )
     assert told.startswith("2:")
-    assert "the later is put over it; set the whole first" in told
+    assert "the later entry replaces the earlier one; set the whole first" in told
 
 
 def test_a_start_value_that_contradicts_the_design_is_told_as_a_run_tells_it(craft: Path) -> None:

@@ -62,8 +62,12 @@ NOT_A_DIAGRAM = Template(
 # `cosim export-ssp`
 WRONG_SUFFIX = Template("E-AUT-024", "an SSP is known by its ending; name it so: {name}")
 FILE_IS_AN_INPUT = Template("E-AUT-025", "is read, and would be written over; give another file as --out")
-KEY_NOT_IN_SSP = Template("E-AUT-026", "{key} are not what an SSP can hold; take them out, or --set {key}=[]")
-FIX_NOT_IN_SSP = Template("E-AUT-027", "fixes are not what an SSP can hold; connect past them")
+KEY_NOT_IN_SSP = Template(
+    "E-AUT-026", "{key} cannot be exported, as SSP has no place for them; remove them, or add --set {key}=[]"
+)
+FIX_NOT_IN_SSP = Template(
+    "E-AUT-027", "fixes cannot be exported, as SSP has no place for them; connect the signals without this block"
+)
 OWN_STEP = Template(
     "E-AUT-028",
     "a communication step of its own: an SSP has one; give the scenario step {step:g}, or leave it out here",
@@ -89,6 +93,6 @@ TOLERANCE_OMITTED = Template(
 CRITERIA_OMITTED = Template("N-AUT-038", "criteria are left out: SSP has no word for them")
 OTHER_ALGORITHM = Template(
     "N-AUT-039",
-    "libcosim, ecos and FMPy step by {theirs}, this scenario by {ours}: hold them against "
-    "`cosim run --set algorithm={algorithm} --set noise=off`",
+    "libcosim, ecos and FMPy step by {theirs}, this scenario by {ours}, so their results may differ; compare "
+    "theirs with `cosim run --set algorithm={algorithm} --set noise=off`",
 )

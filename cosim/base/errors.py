@@ -58,6 +58,11 @@ class InputError(CosimError):
         return type(self), (self.faults,)
 
     @property
+    def code(self) -> str:
+        """Return the code of the first fault."""
+        return self.faults[0].code if self.faults else ""
+
+    @property
     def exit_code(self) -> int:  # type: ignore[override]
         """Return 2 for any fault of the user, else 3."""
         return min(fault.exit_code for fault in self.faults)

@@ -51,6 +51,11 @@ class Template:
         """Return the message with these values."""
         return Message(self.text.format_map(fields), self.code, fields)
 
+    def around(self, error: object, **fields: Any) -> Message:
+        """Return the message with an error in its field `error`; the code of the error is kept, if it has one."""
+        message = self(error=error, **fields)
+        return Message(message, code_of(error) or self.code, message.fields)
+
 
 def code_of(text: object) -> str:
     """Return the code of a message or of an exception with a message, "" for other texts."""
@@ -82,7 +87,11 @@ WRONG_TYPE = Template(
 DEEP_VALUE = Template("E-BAS-013", "it is nested more than {limit} levels deep; write it flatter")
 LARGE_NUMBER = Template("E-BAS-014", "{value} is no finite number; give one below {limit:g}")
 NUL_CHARACTER = Template("E-BAS-015", "{value} holds a NUL character; leave it out")
-HALF_CHARACTER = Template("E-BAS-016", "{value} holds half a character (a surrogate); give text that UTF-8 can hold")
+HALF_CHARACTER = Template(
+    "E-BAS-016",
+    "{value} contains half a character (one half of a surrogate pair), which UTF-8 cannot hold; write the whole "
+    "character",
+)
 LONG_TEXT = Template("E-BAS-017", "is text of {length} characters; give at most {limit}")
 BLANK_NAME = Template("E-BAS-018", "is blank; give the name of a file or folder")
 LONG_NAME = Template("E-BAS-019", "is {name}, longer than the name of a file can be ({limit} bytes)")

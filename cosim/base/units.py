@@ -9,6 +9,7 @@ from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement
 
 from cosim.base import messages
+from cosim.base.messages import Message
 
 
 class Unit(NamedTuple):
@@ -207,7 +208,7 @@ class UnitAssumption(NamedTuple):
 
     unit: str
     factor: float = 1.0
-    sentence: str = ""
+    sentence: Message = Message("")
     offset: float = 0.0
 
 

@@ -112,10 +112,20 @@ END_BY_DISCARD_WITH_REASON = Template(
     "N-BLK-038", "{function} returned Discard: the FMU ended the simulation early: {reason}"
 )
 END_BY_FMU = Template("N-BLK-039", "the FMU ended the simulation")
-INPUT_UNFIT = Template("E-BLK-040", "the input {reason} of its type")
-VALUE_NOT_FINITE = Template("E-BLK-041", "the value is {value}")
-SCHEMA_VIOLATION = Template("W-BLK-042", "{file} breaks FMI's rules, which is passed over: {violation}{more}")
-UNSUPPORTED_TYPES = Template("W-BLK-043", "variables of type {types} are not supported and left alone")
+INPUT_UNFIT = Template(
+    "E-BLK-040", "the input {reason}, the range of its type; scale or limit the value connected to it"
+)
+VALUE_NOT_FINITE = Template(
+    "E-BLK-041",
+    "the value is {value}, which is no finite number; check the component's inputs and parameters, or take a "
+    "shorter step",
+)
+SCHEMA_VIOLATION = Template(
+    "W-BLK-042", "{file} breaks a rule of the FMI standard: {violation}{more}; it is used nevertheless"
+)
+UNSUPPORTED_TYPES = Template(
+    "W-BLK-043", "variables of type {types} are not supported: they are neither set nor recorded"
+)
 
 # -- integrating its derivatives -------------------------------------------------------------------
 
@@ -125,7 +135,9 @@ STEP_TOO_SHORT = Template(
 CHATTERING = Template("E-BLK-045", "it chatters: {count} events within {span:.2g} s, so that time stands still")
 RESTLESS_STATES = Template("E-BLK-046", "its discrete states still change after {count} updates")
 PAST_EVENT = Template(
-    "E-BLK-047", "{count} times over it names t = {time:.6g} s as that of its next event, which has passed"
+    "E-BLK-047",
+    "{count} times in a row it gives t = {time:.6g} s as the time of its next event, which is not in the future; "
+    "the FMU must give a later time or none",
 )
 DERIVATIVE_NOT_FINITE = Template(
     "E-BLK-048", "the derivative {name} is {value}, also with the shortest steps of the solver"
@@ -150,5 +162,11 @@ SPAN_TOO_SHORT = Template("E-BLK-053", "CVODE is to integrate over less time tha
 CVODE_FAILED = Template("E-BLK-054", "CVODE failed")
 CVODE_FAILED_WITH_REASON = Template("E-BLK-055", "CVODE failed (code {number}): {reason}")
 SOLVE_IVP_FAILED = Template("E-BLK-056", "solve_ivp: {reason}")
-RATES_NOT_FINITE = Template("E-BLK-057", "its derivatives or outputs are not finite there")
-SLOPES_NOT_FINITE = Template("E-BLK-058", "its slopes are not finite there")
+RATES_NOT_FINITE = Template(
+    "E-BLK-057", "its derivatives or outputs are not finite at these states and inputs; choose another operating point"
+)
+SLOPES_NOT_FINITE = Template(
+    "E-BLK-058",
+    "the slopes of its derivatives or outputs are not finite at these states and inputs; choose another operating "
+    "point",
+)

@@ -5,10 +5,10 @@ from cosim.base.messages import Template
 NO_COMMON_SIGNAL = Template("E-CMP-001", "shares no signal with {other}: it has {own}; that has {theirs}")
 NO_COMMON_TIME = Template("E-CMP-002", "shares no time with {other}: it has {own}, that {theirs}")
 NEGATIVE_TOLERANCE = Template("E-CMP-003", "{option} {value:g}: give a number that is not negative")
-FILE_FOR_FOLDER = Template("E-CMP-004", "is a file; give the folder that `cosim run` left")
+FILE_FOR_FOLDER = Template("E-CMP-004", "is a file; give the folder with the results of `cosim run`")
 FOLDER_OF_OTHER_VERB = Template(
     "E-CMP-005", "holds no manifest.json; it is of `cosim {verb}`, which writes its page itself"
 )
-NO_MANIFEST = Template("E-CMP-006", "holds no manifest.json; give the folder that `cosim run` left")
+NO_MANIFEST = Template("E-CMP-006", "has no manifest.json; give the folder with the results of `cosim run`")
 NO_SCENARIO = Template("E-CMP-007", "is no manifest of a run: there is no scenario in it, or it is torn; run it again")
 NO_ROWS = Template("E-CMP-008", "has no rows: the run stopped before its first; run it again")

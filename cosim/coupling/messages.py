@@ -4,6 +4,6 @@ from cosim.base.messages import Template
 
 ASSUMED_WITHOUT_FEEDTHROUGH = Template(
     "W-CPL-001",
-    "{component} does not declare which outputs depend directly on its inputs; taken as none, so that it steps first. "
-    "State order: if that is wrong",
+    "{component} does not declare which outputs depend directly on its inputs; cosim assumes that none does, so "
+    "{component} steps first. If an output does, give the order of the components with order:",
 )

@@ -17,8 +17,8 @@ DURATION_OUT_OF_RANGE = Template(
 )
 NO_STATES = Template(
     "E-EXP-004",
-    "{model} has no states, so no input over time tells more; see told_apart_by of the model for rows that separate "
-    "its rivals",
+    "{model} has no states, so an input over time adds no information; told_apart_by of the model names rows that "
+    "separate its rivals",
 )
 UNKNOWN_OUTPUT = Template("E-EXP-005", '--measured: no output "{name}"{cure}')
 NOTHING_MEASURED = Template(

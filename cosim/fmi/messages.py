@@ -3,8 +3,8 @@
 from cosim.base.messages import Template
 
 UNKNOWN_MACHINE = Template("E-FMI-001", "this machine, {machine} {system}, is none of {platforms}; name one of these")
-NO_COMPILER = Template("E-FMI-002", "no C compiler is found; {remedy}")
-NO_COMPILER_AT_ALL = Template("E-FMI-003", "no C compiler is found")
+NO_COMPILER = Template("E-FMI-002", "no C compiler is found in CC or on PATH; {remedy}")
+NO_COMPILER_AT_ALL = Template("E-FMI-003", "no C compiler is found in CC or on PATH")
 NO_CROSS_COMPILER = Template(
     "E-FMI-004", "no compiler for {platform} is found; {command}, which brings a compiler that crosses"
 )

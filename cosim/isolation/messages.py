@@ -4,8 +4,14 @@ from cosim.base.messages import Template
 
 CRASH = Template("E-ISO-001", "{call} {end}")
 CRASH_WITH_WORDS = Template("E-ISO-002", "{call} {end}; it said last: {words}")
-LONG_CALL = Template("E-ISO-003", "{call} takes longer than {limit:g} s (limits: {name})")
-LONG_RUN = Template("E-ISO-004", "{call} is being called after {limit:g} s in all (limits: total)")
+LONG_CALL = Template(
+    "E-ISO-003", "{call} takes longer than {limit:g} s (limits: {name}); raise this limit if the FMU is only slow"
+)
+LONG_RUN = Template(
+    "E-ISO-004",
+    "{call} was stopped: the run takes longer than {limit:g} s in all (limits: total); raise this limit or "
+    "shorten the run",
+)
 LARGE_PROCESS = Template(
     "E-ISO-005", "{call}: the process holds {size:.4g} MB, more than {limit:.4g} MB (limits: memory)"
 )

@@ -37,6 +37,6 @@ def kernel(
             place = Path(line.filename), line.lineno or 0, (line.colno or 0) + 1
             raise InputError([Fault(*place, messages.NUMBERS_ONLY(error=error))]) from error
         except (NoCompiler, CompilerFailed) as error:
-            message = messages.NO_COMPILED_FILTER(error=error, cure=cure("refine"))
+            message = messages.NO_COMPILED_FILTER.around(error, cure=cure("refine"))
             raise InputError.at(Path(sys.executable), message) from error
     return _kernels[key]

@@ -2,5 +2,7 @@
 
 from cosim.base.messages import Template
 
-NO_COMPILED_FILTER = Template("E-KRN-001", "the filter of a refinement is compiled, and {error}; {cure}")
-NUMBERS_ONLY = Template("E-KRN-002", "cannot be made of symbols: {error}")
+NO_COMPILED_FILTER = Template("E-KRN-001", "refine compiles its filter with a C compiler, but {error}; {cure}")
+NUMBERS_ONLY = Template(
+    "E-KRN-002", "this line works on numbers only, and refine replaces numbers by symbols to compile it: {error}"
+)

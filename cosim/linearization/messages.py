@@ -25,7 +25,7 @@ COMPONENT_MISFIT = Template(
     "E-LIN-012", "{component} lacks inputs and outputs of {model} ({missing}); name another component"
 )
 STATES_NOT_RECORDED = Template("E-LIN-013", "{component} of {scenario} records no {names}")
-UNKNOWN_SIDE = Template("E-LIN-014", "{side} is no side; the side of a kink is below or above{cure}")
+UNKNOWN_SIDE = Template("E-LIN-014", '"{side}" is not a side of a kink; give below or above{cure}')
 NO_DERIVATIVE = Template(
     "E-LIN-015", "{kink}; there is no derivative: choose --side below or --side above, or give a point next to it"
 )
@@ -34,7 +34,7 @@ NO_DERIVATIVE = Template(
 
 NOT_NAME_VALUE = Template("E-LIN-016", "{text} is not NAME=VALUE; for example mass=2")
 UNKNOWN_PARAMETER = Template("E-LIN-017", '{model} has no parameter "{name}"{cure}')
-UNSUITABLE_PARAMETER = Template("E-LIN-018", "{owner}{fault}")
+UNSUITABLE_PARAMETER = Template("E-LIN-018", "{owner}{fault}; correct this value")
 STEP_OF_EQUATIONS = Template("E-LIN-019", "is of FMUs only: equations are differentiated exactly; leave it out")
 STEP_SIZE = Template("E-LIN-020", "{step:g} is not between 0 and 1; give a small number, such as 1e-5")
 UNKNOWN_NAME = Template("E-LIN-021", '{model} has no {kind} "{name}"{cure}')
@@ -44,8 +44,16 @@ STATES_MISSING = Template(
     "E-LIN-024",
     "the selected states depend on {names}; add them, or, if they settle at once, name them as --residualize",
 )
-NO_STEADY_STATE = Template("E-LIN-025", "{names} do not settle by themselves: their own part of A is singular")
-NO_EQUILIBRIUM = Template("E-LIN-026", "{names} do not come to rest while the other states are constant")
+NO_STEADY_STATE = Template(
+    "E-LIN-025",
+    "{names} cannot be residualized: they do not settle while the other states are constant (their block of A is "
+    "singular); leave out states that only integrate",
+)
+NO_EQUILIBRIUM = Template(
+    "E-LIN-026",
+    "{names} cannot be residualized: no values were found at which they are at rest while the other states are "
+    "constant; name other states, or another operating point",
+)
 CO_SIMULATION_ONLY = Template(
     "E-LIN-027",
     "is for co-simulation only, and hides its states and derivatives; give the model's own file (model.yaml, "
@@ -55,28 +63,36 @@ DERIVATIVES_WITHOUT_STATES = Template(
     "E-LIN-028", "declares derivatives without their states; its modelDescription.xml needs the attribute `derivative`"
 )
 UNKNOWN_VARIABLE = Template("E-LIN-029", 'has no variable "{name}"{cure}')
-NOT_SETTABLE = Template("E-LIN-030", "{name} is {kind}, and has no start value; name a parameter, a state or an input")
+NOT_SETTABLE = Template(
+    "E-LIN-030", "{name} is {kind} without a start value, so it cannot be set; name a parameter, a state or an input"
+)
 UNSUITABLE_START = Template("E-LIN-031", "{name} is {value!r}; {reason}")
 
 # -- reasons of a failure at a point
 
 NO_VALUE_AT_POINT = Template("E-LIN-032", "the equations have no value there: {reason}")
-NOT_FINITE_AT_POINT = Template("E-LIN-033", "the equations or their slopes are not finite there")
+NOT_FINITE_AT_POINT = Template(
+    "E-LIN-033",
+    "the derivatives, the outputs or their slopes are not finite at this point; choose another operating point",
+)
 
 # -- remarks on a result
 
 OTHER_MODEL = Template("W-LIN-034", "{component} is not this model: driven alike, {output} differs by up to {size}")
-SLOPES_WITHDRAWN = Template("W-LIN-035", "differences of step {step:g} are taken: {reason} for its own slopes")
+SLOPES_WITHDRAWN = Template(
+    "W-LIN-035", "finite differences of step {step:g} replace the FMU's own derivatives: {reason}"
+)
 SLOPES_REPLACED = Template(
     "W-LIN-036", "differences of step {step:g} are taken for {rows}: the FMU's own slopes of these differ"
 )
 STATES_MOVED = Template("N-LIN-037", "an event of the FMU at this point has moved its states: {states}")
-EARLIER_POINT = Template("N-LIN-038", "between communication points, the last one before is taken")
+EARLIER_POINT = Template("N-LIN-038", "a time between two communication points is moved to the earlier of the two")
 INPUTS_SHAPED = Template("N-LIN-039", "{effect} ({equation}) acts on the inputs before they get here and is left out")
 ONE_SIDED = Template("N-LIN-040", "the equations end at this point: to one side of it they have no value")
 IDLE_INPUT = Template("N-LIN-041", "{name} moves nothing at this point: a dead band or a stop, perhaps")
 SIDE_OF_KINK = Template("N-LIN-042", "{kink}; the slopes here are those {side}")
 MORE_KINKS = Template("N-LIN-043", "{count} kinks more; linear.json has all")
 SIDE_WITHOUT_EFFECT = Template(
-    "N-LIN-044", "--side {side} changes nothing: slopes of what is kept are the same on both sides here"
+    "N-LIN-044",
+    "--side {side} has no effect: the chosen states, inputs and outputs have the same slopes on both sides here",
 )

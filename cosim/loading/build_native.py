@@ -135,7 +135,7 @@ def _unprintable(loaded: LoadedModel, error: Exception) -> Fault:
 
 
 def _compiler_error(error: Exception) -> InputError:
-    return InputError.at(Path("--native"), messages.COMPILER_FAILED(error=error))
+    return InputError.at(Path("--native"), messages.COMPILER_FAILED.around(error))
 
 
 def _check_platforms(platforms: Sequence[str]) -> None:

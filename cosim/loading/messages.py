@@ -16,7 +16,7 @@ STUDY_FOR_MODEL = Template(
     "this is a study, not a model: give its model, {model}, or, to `cosim excite`, the folder that `cosim refine` left",
 )
 NEAREST_WITHOUT_MODEL = Template(
-    "E-LOD-009", "says nothing without a model; name the folder of a refine as --model, or leave it out"
+    "E-LOD-009", "has no effect without a model; give the folder of a `cosim refine` as --model, or leave --nearest out"
 )
 NO_REFINE = Template(
     "E-LOD-010",
@@ -30,7 +30,7 @@ NO_NEAREST = Template("E-LOD-011", "{folder} holds no {name}; refine its study a
 UNKNOWN_MODEL = Template("E-LOD-012", 'no model "{name}"{cure}; {allowed}')
 NO_CLASS_FILE = Template("E-LOD-013", "no such file: {file}; {allowed}")
 UNKNOWN_NAME = Template("E-LOD-014", '{model} has no {kind} "{name}"{cure}')
-UNSUITABLE_VALUE = Template("E-LOD-015", "{owner}{fault}")
+UNSUITABLE_VALUE = Template("E-LOD-015", "{owner}{fault}; correct this value")
 NO_PARAMETERS_FILE = Template("E-LOD-016", "no such model file: {name}; name a model.yaml or the folder of a refine")
 PARAMETERS_IN_CIRCLE = Template("E-LOD-017", "{name} takes its parameters from here itself; leave one of them out")
 UNSUITABLE_FOREIGN_VALUE = Template("E-LOD-018", "{name}: {fault}; correct it there, or write it under parameters")
@@ -89,7 +89,9 @@ AWAKE_BY_DEFAULT = Template(
 )
 UNKNOWN_PARAMETER = Template("E-LOD-044", '{owner} has no parameter "{name}"{cure}')
 READ_OF_SEVERAL_OUTPUTS = Template(
-    "E-LOD-045", "{owner}: `read` is of one output; name it in `output`, or give `readings` a body"
+    "E-LOD-045",
+    "{owner}: `read` returns one output, but the class declares several `outputs`; declare one `output` instead, "
+    "or define `readings`",
 )
 NAMES_NO_TUPLE = Template(
     "E-LOD-046", '{owner}: {attribute} is a tuple of names, with a comma even after a single one: ("{value}",)'

@@ -69,7 +69,7 @@ def gate_faults(log: Log, findings: Sequence[Finding]) -> list[Fault]:
 def _warn_undeclared(log: Log) -> Iterator[Finding]:
     """Warn of columns with an undeclared unit."""
     for name, text in log.undeclared.items():
-        yield Finding("warning", "undeclared", name, messages.UNDECLARED_UNIT(text=text))
+        yield Finding("warning", "undeclared", name, text)
 
 
 def _unread(log: Log) -> Iterator[Finding]:

@@ -29,7 +29,6 @@ COLUMN_OPTION = Template("E-LOG-011", '--column "{text}" is not COLUMN=VARIABLE,
 TOO_FEW_ROWS = Template("E-LOG-012", "holds {count}; a {kind} has at least two, and {usual} to be of use")
 EMPTY_COLUMN = Template("E-LOG-013", 'column "{name}" holds no value (NaN in every row); delete the column')
 ABSURD_VALUE = Template("E-LOG-014", '{name} is {value:g} here, far beyond the rest: a mark for "invalid"? Then {cure}')
-UNDECLARED_UNIT = Template("W-LOG-015", "{text}")
 UNKNOWN_UNIT = Template("W-LOG-016", '"{unit}" is no unit known here: its numbers are taken as they are')
 SIMILAR_COLUMN = Template("W-LOG-017", "is not read: the model has none of this name{cure}")
 UNREAD_COLUMNS = Template("N-LOG-018", "{count} not read, for the model has none of this name: {names}")
@@ -83,7 +82,7 @@ ROWS_PER_STEP = Template(
 # -- inputs and outputs ---------------------------------------------------------------------------
 
 CONSTANT_INPUT = Template(
-    "N-LOG-032", "stands at {value}: it excites nothing, and what acts through it alone cannot be identified"
+    "N-LOG-032", "is constant at {value}: it excites nothing, and effects that act only through it cannot be identified"
 )
 NO_EXCITATION = Template("W-LOG-033", "no input moves: such a log says next to nothing about a model")
 EXCITATION = Template(
@@ -95,7 +94,7 @@ ALIKE_INPUTS = Template(
     "what one does cannot be separated from what the other does",
 )
 SPARSE_OUTPUT = Template("N-LOG-036", "measured in {share} of the rows, every {interval}")
-CONSTANT_OUTPUT = Template("W-LOG-037", "stands at {value} throughout: is the sensor connected?")
+CONSTANT_OUTPUT = Template("W-LOG-037", "is constant at {value} throughout; check that the sensor is connected")
 SLOWER_SENSOR = Template(
     "W-LOG-038",
     "changes only every {rows:.0f} rows: a slower sensor, held. "
@@ -103,8 +102,8 @@ SLOWER_SENSOR = Template(
 )
 FROZEN_SENSOR = Template(
     "W-LOG-039",
-    "repeats {value} for {rows} rows from t = {first:.6g} s, at its noise that is no measurement: "
-    "frozen, or at the end of its range",
+    "is exactly {value} in {rows} rows from t = {first:.6g} s, although its noise is larger: the sensor was "
+    "frozen or at the end of its range",
 )
 OUTLIERS = Template(
     "W-LOG-040",
@@ -146,6 +145,8 @@ TOO_FEW_MEASUREMENTS = Template(
     "E-LOG-053", "something is measured in {rows}; it takes {least}, and a dozen to be of use"
 )
 FEW_MEASUREMENTS = Template("W-LOG-054", "something is measured in {rows}; a dozen and more tell more")
-CONSTANT_TABLE_INPUT = Template("N-LOG-055", "stands at {value}: what acts through it alone cannot be identified")
+CONSTANT_TABLE_INPUT = Template(
+    "N-LOG-055", "is constant at {value}: effects that act only through it cannot be identified"
+)
 NO_VARIATION = Template("W-LOG-056", "no input varies: such a table says next to nothing about a model")
 SPARSE_TABLE_OUTPUT = Template("N-LOG-057", "measured in {share} of the rows")

@@ -7,7 +7,11 @@ NOT_SETTLED = Template(
     "values still change after {count} exchanges: an algebraic loop that exchanging values does not settle; an FMU "
     "without direct feedthrough in the loop breaks it",
 )
-STATE_NOT_RESTORED = Template("E-MAS-002", "it does not come back to the state that it gave away")
+STATE_NOT_RESTORED = Template(
+    "E-MAS-002",
+    "its outputs differ after a saved state is restored; use an FMU that restores its state, or one that does not "
+    "declare that it can",
+)
 OBSERVER_FAILED = Template("E-MAS-003", "{error}: {reason}")
 UNEXPECTED_ERROR = Template("E-MAS-004", "{call}: {error}: {reason} (--in-process shows where)")
 DISK_FULL = Template("E-MAS-005", "the disk is full: it has room for {count} of {rows} rows while the run lasts")

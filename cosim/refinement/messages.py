@@ -25,11 +25,13 @@ PIECES_TOO_SHORT = Template(
 )
 TOO_FEW_ROWS = Template(
     "E-REF-010",
-    "{rows} to learn from, and it takes {least}: {parameters} that may be off, one that is missing, and {spare} more "
-    "to see the noise; measure more",
+    "the logs of estimation have {rows}, and a study needs {least}: {parameters} that may be off, one for a "
+    "missing effect, and {spare} more to estimate the noise; record more rows",
 )
 LATENCY_TOO_LONG = Template(
-    "E-REF-011", "{sensor} is {latency} s, and {logs}: too little is left to be judged; correct it, or log longer"
+    "E-REF-011",
+    "{sensor} is {latency} s, and {logs}: the rest is too short to judge a model; correct this value, or record "
+    "longer logs",
 )
 DIVERGING_MODEL = Template(
     "E-REF-012",
@@ -67,8 +69,8 @@ UNKNOWN_PARAMETER = Template("E-REF-024", 'no parameter "{name}" of the model or
 PARAMETER_TWICE = Template("E-REF-025", "{name} stands there twice; keep one")
 LOG_WITHOUT_VALUE = Template(
     "E-REF-026",
-    "{name} cannot be learnt while the filter runs, as it would be on {log}; put {log} in a group with a log of "
-    "estimation",
+    "{name} needs a value for {log}, which no log of estimation gives, and the filter cannot estimate it during a "
+    "run; put {log} in a group with a log of estimation",
 )
 CANDIDATE_PER_LOG = Template(
     "E-REF-027", "{name} is per log too; one per log is free in every hypothesis; name it in one place"
@@ -85,13 +87,14 @@ NO_ERRORS = Template("E-REF-034", 'no errors of "{part}" are in refine.json; it 
 
 # Warnings
 READINGS_LEFT_OUT = Template(
-    "W-REF-035", "{log}: {readings} of {output} left out, which its neighbours and the model do not explain"
+    "W-REF-035",
+    "{log}: {readings} of {output} left out as outlying, far from the neighbouring readings and from the model",
 )
 SHORT_PIECES = Template("W-REF-036", "{log}: {pieces} between pauses too short to be used")
 LIKELIER_INTERPOLATION = Template(
     "W-REF-037",
-    "between rows {inputs}; the other way the logs are likelier by {gain} in log-likelihood, {steadiness} times its "
-    "scatter: if the rig commands so, say {line} in the study",
+    "between rows {inputs}; the other way raises the log-likelihood of the logs by {gain}, {steadiness} times its "
+    "scatter: if the rig commands its inputs that way, write {line} in the study",
 )
 NATIVE_FMU_UNUSED = Template(
     "W-REF-038", "the native FMU of the model is not used: {reason}; every error is that of FMUs in Python"

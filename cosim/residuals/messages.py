@@ -34,8 +34,8 @@ WRONG_SIGN = Template(
 )
 CONVERTED_UNIT = Template(
     "E-RES-013",
-    "moves as the model does in {unit}, which declares no unit: "
-    'leave "[{unit}]" out of the header, so that nothing is converted',
+    "was converted from {unit}, as the model declares no unit, but agrees with the model without this conversion: "
+    'leave "[{unit}]" out of the header',
 )
 PROBABLE_UNIT = Template(
     "E-RES-014",

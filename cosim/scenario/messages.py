@@ -5,7 +5,11 @@ from cosim.base.messages import Template
 # -- form -----------------------------------------------------------------------------------------
 NO_START_VALUE = Template("E-SCN-001", "a start value is a finite number, true or false, or text such as 12 deg")
 FIRST_FAULTS = Template("E-SCN-002", "the first {limit} faults are shown")
-MANY_STEPS = Template("E-SCN-003", "step is {step:g} s: {count:.3g} steps are more than the {limit:g} a run may have")
+MANY_STEPS = Template(
+    "E-SCN-003",
+    "step is {step:g} s, which makes {count:.3g} steps, and a run may have {limit:g}; give a longer step or a "
+    "shorter duration",
+)
 STEP_NOT_A_DIVISOR = Template(
     "E-SCN-004",
     "step is {step:g} s; use a whole divisor of duration {duration:g} s, {divisor:.6g} s for one",
@@ -33,8 +37,8 @@ NEAREST_OF_MANIFEST = Template(
 )
 NO_REFINED_MODEL = Template(
     "E-SCN-013",
-    "nothing in it comes from a refine, so --nearest says nothing; name the FMU or the model.yaml that `cosim"
-    " refine` left, or leave --nearest out",
+    "no component or design uses a result of `cosim refine`, so --nearest has no effect; name the FMU or the "
+    "model.yaml of such a result, or leave --nearest out",
 )
 NEAREST_WITHOUT_MODEL = Template("E-SCN-014", "nearest is of a refine; name its folder as model")
 

@@ -62,7 +62,7 @@ ROW_OF_OTHER_LENGTH = Template(
 ROW_WITH_DECIMAL_COMMAS = Template(
     "E-STO-041", "has {cells}, the header {header}; is each number cut in two by a decimal comma? Write a point"
 )
-UNREAD_REST = Template("E-STO-042", "nothing is read from here on")
+UNREAD_REST = Template("E-STO-042", "too many faults to read on; correct those of the earlier lines first")
 DECIMAL_COMMA = Template("E-STO-043", '"{cell}" in column {column} has a decimal comma: write a point')
 CELL_WITHOUT_NUMBER = Template("E-STO-044", '"{cell}" in column {column} is no number; {cure}')
 INFINITE_CELL = Template("E-STO-045", '"{cell}" in column {column} is not finite; {cure}')
@@ -104,14 +104,18 @@ LARGE_YAML = Template(
 NOT_YAML = Template("E-STO-066", "is not YAML: {problem}")
 NO_MAPPING = Template("E-STO-067", "is not a mapping of keys to values")
 DEEP_FILE = Template("E-STO-068", "is nested too deep; at most {limit} levels are read")
-MANY_PARTS = Template("E-STO-069", "has more than {limit} parts, aliases followed; write less")
+MANY_PARTS = Template(
+    "E-STO-069", "has more than {limit} values when its aliases are expanded; use fewer values or aliases"
+)
 CIRCULAR_MERGE = Template("E-STO-070", "merges itself; take the merge out")
 KEY_WITHOUT_TEXT = Template("E-STO-071", "a key is text, no list and no mapping")
 MERGE_WITHOUT_MAPPING = Template("E-STO-072", "only a mapping, or a list of mappings, can be merged")
 DUPLICATE_KEY = Template("E-STO-073", 'duplicate key "{key}"; keep one')
 BAD_NUMBER = Template("E-STO-074", '"{text}" is no number')
 UNKNOWN_TAG = Template("E-STO-075", 'the tag "{tag}" means nothing here; leave it out')
-HALF_CHARACTER = Template("E-STO-076", "holds half a character; write it whole")
+HALF_CHARACTER = Template(
+    "E-STO-076", "contains half a character (one half of a surrogate pair); write the whole character"
+)
 MANY_FAULTS = Template("E-STO-077", "{count} faults in all; the first {limit} are shown")
 UNKNOWN_KEY = Template("E-STO-078", 'unknown key "{key}"{hint} (known here: {keys})')
 MISSING_KEY = Template("E-STO-079", '"{name}" is missing; add it')
@@ -139,10 +143,11 @@ FOLDER_OF_OTHER_SCENARIO = Template(
     'holds the run of another scenario, "{name}"; give another folder as --out, or write over it by --force',
 )
 FOLDER_OF_OTHER_COMMAND = Template(
-    "E-STO-090", "holds what `{command}` left; give another folder as --out, or write over it by --force"
+    "E-STO-090", "contains results of `{command}`; give another folder with --out, or overwrite them with --force"
 )
 FOLDER_OF_OTHER_SOURCES = Template(
-    "E-STO-091", "holds what `{command}` left of {sources}; give another folder as --out, or write over it by --force"
+    "E-STO-091",
+    "contains results of `{command}` from {sources}; give another folder with --out, or overwrite them with --force",
 )
 FILE_FOR_EARLIER_RUNS = Template(
     "E-STO-092",

@@ -47,17 +47,17 @@ NO_LOGARITHM = Template("E-SWP-022", "{value:g} has no logarithm; give ends abov
 VARIED_TWICE = Template("E-SWP-023", '{entry} and "{other}" of line {line}: both give {place}; vary one of them')
 WHOLE_AFTER_PART = Template(
     "E-SWP-024",
-    '{entry} and "{other}" of line {line}: both give {place}, and the later is put over it; set the whole first, then'
-    " a part",
+    '{entry} and "{other}" of line {line} both set {place}, and the later entry replaces the earlier one; set the '
+    "whole first and its part after it",
 )
 SET_AND_VARIED = Template(
     "E-SWP-025",
-    '{entry} and "{other}" of line {line}: both give {place}, and what varies goes over it; leave it out of set',
+    '{entry} and "{other}" of line {line} both set {place}, and the varied value replaces this one; remove this one',
 )
 START_VALUE_OF_DESIGN = Template(
     "E-SWP-026",
-    '{entry} and "{other}" of line {line}: the design gives that start value, and the component\'s own goes over it;'
-    " keep one of them",
+    '{entry} and "{other}" of line {line} both give one start value, and that of the component replaces that of '
+    "the design; keep one of them",
 )
 NO_SCENARIO = Template("E-SWP-027", "no such scenario: {name}")
 DATABASE_NOT_A_FILE = Template("E-SWP-028", "is no file of a sweep; move it away, or give another --out")
@@ -89,7 +89,7 @@ STOPPED = Template("E-SWP-036", "stopped: {stored} of {runs} are kept in {path};
 NO_RUN_COMPLETED = Template("E-SWP-037", "all {runs} failed; run 0: {reason}")
 ARRAYS_DISAGREE = Template(
     "W-SWP-038",
-    "{runs} repeated through the FMUs DO NOT AGREE: the largest relative difference is {difference}; {allowed} is"
+    "{runs} repeated through the FMUs do not agree: the largest relative difference is {difference}; {allowed} is"
     " allowed",
 )
 TOO_FEW_RUNS = Template("W-SWP-039", "Too few runs for sensitivities: {completed} completed, {least} are needed.")

@@ -130,7 +130,7 @@ def _warnings(swept: Swept, indices: Sequence[Sensitivity]) -> list[str]:
     widest = max((half for s in indices for _, half in (*s.first, *s.total)), default=0.0)
     if widest > WIDE:
         texts.append(messages.WIDE_INTERVALS(width=plain(widest, 2)))
-    if "DO NOT" in swept.record["check"]["sentence"]:
+    if not swept.record["check"].get("agrees", True):
         texts.append(swept.record["check"]["sentence"])
     return texts
 

@@ -262,7 +262,7 @@ class _Sweep:
         """Return the comparison of array runs with FMU runs."""
         if way == "fmus":
             sentence = messages.ALL_THROUGH_FMUS(reason=f": {why}" if why else "")
-            return {"runs": count, "apart": 0.0, "sentence": sentence}
+            return {"runs": count, "apart": 0.0, "agrees": True, "sentence": sentence}
         checks, steps = {m.run: m for m in self.base.runs(CHECKS)}, self.study.scenario.steps
         columns = [self.study.system.columns.index(name) for name in self.study.job.signals]
         own, others = sampled_rows(steps, self.study.job.samples), sampled_rows(steps, MAX_COMPARED_ROWS)
@@ -276,11 +276,12 @@ class _Sweep:
                 run = replace(run, signals=run.signals[:, own_rows])
             differences.append(largest_difference(run, other))
         difference = max(differences, default=0.0)
-        template = messages.ARRAYS_AGREE if difference <= EQUAL else messages.ARRAYS_DISAGREE
+        agrees = bool(difference <= EQUAL)
+        template = messages.ARRAYS_AGREE if agrees else messages.ARRAYS_DISAGREE
         runs = counted(len(differences), "random run")
         sentence = template(runs=runs, difference=plain(difference, 2), allowed=plain(EQUAL, 1))
         apart = difference if np.isfinite(difference) else None
-        return {"runs": len(differences), "apart": apart, "sentence": sentence}
+        return {"runs": len(differences), "apart": apart, "agrees": agrees, "sentence": sentence}
 
 
 def _unit(kind: str, goal: Criterion, study: Sweep) -> str:

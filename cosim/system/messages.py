@@ -9,10 +9,11 @@ NO_VARIABLE = Template("E-SYS-003", '{component} has no variable "{name}"{hint}'
 NOT_SETTABLE = Template("E-SYS-004", "{name} is {kind}; it takes no start value")
 VALUE_MISFIT = Template("E-SYS-005", "{name} is {value!r}; {reason}")
 COUNT_NAME_TAKEN = Template(
-    "E-SYS-006", '"{name}" is the name under which their number goes out; give the signal another'
+    "E-SYS-006", '"{name}" is already the name of the output that counts the fixes; give the signal another name'
 )
 FIX_NAME_TAKEN = Template(
-    "E-SYS-007", '"{name}" is the name under which the fixes of another signal go out; give the signal another'
+    "E-SYS-007",
+    '"{name}" is already the name of an output with the fixes of another signal; give the signal another name',
 )
 FIX_RATE_TOO_HIGH = Template(
     "E-SYS-008",
@@ -85,9 +86,8 @@ WRONG_END = Template("E-SYS-034", "{signal} is one of the {side} of {component};
 ONLY_RECORDED = Template("E-SYS-035", "{signal} is recorded, but no output of {component}; an output goes to an input")
 UNKNOWN_END = Template("E-SYS-036", '{component} has no {side} "{name}"{hint} (its {side}s: {names})')
 SEVERAL_SOURCES = Template("E-SYS-037", "two sources for {target}: {first} and {second}; keep one")
-ASSUMED_UNIT = Template("W-SYS-038", "{target} {assumption}")
 INPUTS_NOT_CONNECTED = Template("W-SYS-039", "not connected, at the start value of the FMU: {names}")
-FIXES_NOT_CONNECTED = Template("W-SYS-040", "not connected, so its fixes are of 0: {names}")
+FIXES_NOT_CONNECTED = Template("W-SYS-040", "inputs not connected, so their fixes are 0: {names}")
 
 # Injected faults
 FAULT_NOT_ON_CONNECTION = Template("E-SYS-041", "no connection to {target}{hint}")

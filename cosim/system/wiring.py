@@ -9,6 +9,7 @@ from itertools import islice
 from typing import Any
 
 from cosim.base.errors import SimulationError
+from cosim.base.messages import with_prefix
 from cosim.base.units import UnitAssumption, assume_si
 from cosim.blocks.component import Component, Signal
 from cosim.blocks.faults import Addition, LinkFunction, Scaling, fault_function, points, whole_steps
@@ -245,7 +246,7 @@ class _Wiring:
         assumed = assumed_conversion(self.file, connection, source, target)
         if assumed is None:
             return connection.conversion or source.conversion(target) or (1.0, 0.0)
-        warning = messages.ASSUMED_UNIT(target=connection.target, assumption=assumed.sentence)
+        warning = with_prefix(f"{connection.target} ", assumed.sentence)
         if assumed.sentence and warning not in self.diagnosis.warnings:  # once for all elements of an array
             self.diagnosis.warnings.append(warning)
         return assumed.factor, assumed.offset

@@ -8,8 +8,8 @@ import signal
 import sys
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Annotated, Any
+from contextlib import contextmanager, suppress
+from typing import Annotated, Any, NoReturn
 
 import typer
 
@@ -93,19 +93,25 @@ def _run() -> None:
             say_partial(error.left)
         sys.exit(error.exit_code)
     except Terminated as end:
-        say_error(CosimError(messages.STOPPED(reason=end)))
-        sys.exit(end.exit_code)
+        _fail(str(end), end.exit_code)
     except MemoryError:
-        say_error(CosimError(messages.NO_MEMORY()))
-        sys.exit(4)
+        _fail(messages.NO_MEMORY(), SimulationError.exit_code)
     except OSError as error:  # a folder that cannot be written, a disk that is full
         file = f"{error.filename}: " if error.filename else ""
         reason = error.strerror or error
         is_disk = is_full(error)
-        say_error(
-            CosimError(messages.DISK_FULL(file=file) if is_disk else messages.FILE_ERROR(file=file, reason=reason))
-        )
-        sys.exit(SimulationError.exit_code if is_disk else 2)
+        message = messages.DISK_FULL(file=file) if is_disk else messages.FILE_ERROR(file=file, reason=reason)
+        _fail(message, SimulationError.exit_code if is_disk else 2)
+
+
+def _fail(message: str, exit_code: int) -> NoReturn:
+    """Print an error, with --json also as JSON, and exit."""
+    error = CosimError(message)
+    error.exit_code = exit_code
+    say_error(error)
+    with suppress(OSError):  # stdout may be on the disk that is full
+        say_failure(error)
+    sys.exit(exit_code)
 
 
 @contextmanager

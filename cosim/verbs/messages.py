@@ -6,7 +6,6 @@ from cosim.base.messages import Template
 NO_MEMORY = Template("E-CLI-001", "there is not enough memory; run shorter, in longer steps or with less recorded")
 DISK_FULL = Template("E-CLI-002", "{file}the disk is full")
 FILE_ERROR = Template("E-CLI-003", "{file}{reason}")
-STOPPED = Template("E-CLI-004", "{reason}")
 CRITERIA_MISSED = Template("E-CLI-005", "{missed} of {count} criteria missed{criteria}")
 NO_BROWSER = Template("W-CLI-006", "no browser is found here; open {page}")
 VERB_EXISTS = Template("W-CLI-007", "{name}: an installed package registers a verb that cosim has; it is ignored")
@@ -18,7 +17,7 @@ COMPILE_WITHOUT_LOAD = Template(
 )
 NOTHING_TO_CHECK = Template("E-CLI-010", "is {kind}, in which there is nothing to check: {cure}")
 NO_SPACE_TO_LOAD = Template("E-CLI-011", "the disk is full, so that no FMU can be tried; --no-load checks without")
-NOT_EXECUTED = Template("W-CLI-012", "{code} (--no-load); neither it nor what depends on it is checked")
+NOT_EXECUTED = Template("W-CLI-012", "{code} (--no-load); that file and everything that depends on it are not checked")
 NOT_A_DIAGRAM_FILE = Template("E-CLI-013", "name an .svg or .mmd file")
 NO_FOLDER = Template("E-CLI-014", "its folder is not there; make it first")
 KEYS_OF_STUDY = Template(

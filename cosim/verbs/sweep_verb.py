@@ -43,7 +43,7 @@ def command(
     with _progress() as progress:
         swept = run_sweep(study, out, workers=workers, dask=dask, report=report, force=force, progress=progress)
     warn(*swept.sweep.warnings)
-    if "DO NOT" in swept.record["check"]["sentence"]:
+    if not swept.record["check"].get("agrees", True):
         warn(swept.record["check"]["sentence"])
     if as_json:
         say_json({**{k: v for k, v in swept.record.items() if k != "scenario"}, "made": swept.made})

@@ -127,9 +127,11 @@ def say_note(*texts: str) -> None:
 
 
 def warn(*texts: str) -> None:
-    """Print warnings on stderr."""
-    for text in map(_record_message, texts):
-        echo(f"warning: {text}", err=True)
+    """Print warnings on stderr; texts with the code of a note are notes, which -q omits."""
+    for text in texts:
+        line, is_note = _record_message(text), code_of(text).startswith("N-")
+        if not (is_note and MANNER.quiet):
+            echo(f"{'note' if is_note else 'warning'}: {line}", err=True)
 
 
 def say_finding(line: str) -> None:

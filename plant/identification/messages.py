@@ -241,32 +241,42 @@ THRUST_AT_START = Template(
 
 # -- planned runs ---------------------------------------------------------------------------
 
-SHORT_STEP = Template("E-IDN-063", "a run of {time:g} s has {rows:.3g} rows, {limit} at most; {least:.1g} s or more")
-LONG_STEP = Template(
-    "E-IDN-064", "{step:g} s is too long: {place} and {others} need {least} rows; {limit:.3g} s or less"
+SHORT_STEP = Template(
+    "E-IDN-063",
+    "the step is too short: a run of {time:g} s would have {rows:.3g} rows, and {limit} are allowed; give "
+    "{least:.1g} s or more",
 )
-REPEATED_HEIGHT = Template("E-IDN-065", "{height:g} stands twice; repetitions are more runs at each height")
+LONG_STEP = Template(
+    "E-IDN-064",
+    "{step:g} s is too long: {place} and {others} need at least {least} rows each; give {limit:.3g} s or less",
+)
+REPEATED_HEIGHT = Template(
+    "E-IDN-065", "{height:g} is listed twice; list it once, and record more runs at each height to repeat it"
+)
 HEIGHT_IN_GROUND = Template(
-    "E-IDN-066", "{height:g} radii: the ground effect of eq 4.28 ends at {least:g}; write that or more"
+    "E-IDN-066",
+    "{height:g} radii is too low: the ground effect of eq 4.28 is valid from {least:g} radii; give that or more",
 )
 LOW_FREE_HEIGHT = Template(
     "E-IDN-067",
-    "{height:g} m is no higher than the heights near the ground, up to {limit:.3g} m ({ratio:g} radii of {radius:g} "
-    "m); take 10 radii or more, where the ground has no effect",
+    "{height:g} m is not above the heights near the ground, which reach {limit:.3g} m ({ratio:g} radii of "
+    "{radius:g} m); give 10 radii or more, where the ground has no effect",
 )
 VALIDATION_WITHOUT_THRUST = Template(
-    "E-IDN-068", "{duty:g} % gives no thrust, which begins above {limit:.4g} %; write a higher one"
+    "E-IDN-068", "a duty of {duty:g} % gives no thrust; thrust begins above {limit:.4g} %, give a higher duty"
 )
 VALIDATION_DUTY_OF_PHASES = Template(
-    "E-IDN-069", "{duty:g} % is that of the phases; a validation set has another duty, or leave it out"
+    "E-IDN-069",
+    "a duty of {duty:g} % is used by the phases already; give the validation set another duty, or leave it out",
 )
 REPEATED_FREQUENCY = Template(
-    "E-IDN-070", "{frequency:g} rad/s stands twice; repetitions are more runs at each frequency"
+    "E-IDN-070",
+    "{frequency:g} rad/s is listed twice; list it once, and record more runs at each frequency to repeat it",
 )
 HIGH_FREQUENCY = Template(
     "E-IDN-071",
-    "{frequency:g} rad/s at a step of {step:g} s is less than {least} rows a period; {limit:.3g} rad/s or less, or a "
-    "shorter `step`",
+    "{frequency:g} rad/s at a step of {step:g} s has less than {least} rows per period; give {limit:.3g} rad/s or "
+    "less, or a shorter `step`",
 )
 
 # -- model of the power-train ---------------------------------------------------------------
@@ -306,8 +316,8 @@ DROPOUTS = Template(
 )
 SHORT_RAMP = Template(
     "E-IDN-083",
-    "the ramp has too little thrust within the cell's range: a line needs {rows} readings over {least:g} % of duty; "
-    "let the window hold more of it",
+    "the ramp has too few readings with thrust within the range of the cell: a line needs {rows} over {least:g} % "
+    "of duty; give a window with more of the ramp",
 )
 RAMP_BEYOND_RANGE = Template(
     "E-IDN-084",
@@ -358,7 +368,9 @@ NO_FORCE = Template(
     "Record it under thrust",
 )
 LARGE_HORIZONTAL_FORCE = Template(
-    "E-IDN-095", "at {angle:.0f}° volts_x says more than volts_z: are the channels swapped? Change their names"
+    "E-IDN-095",
+    "at {angle:.0f}° the force of volts_x is larger than that of volts_z: are the channels swapped? If so, swap "
+    "the names of their columns",
 )
 MIRRORED_FORCE = Template(
     "E-IDN-096",
@@ -410,7 +422,7 @@ TOO_FEW_RUNS = Template(
     "E-IDN-111", "{count} are too few: the interval comes from scatter between {least} or more runs; add runs"
 )
 DISTANCES_UNLIKE_FILES = Template("E-IDN-112", "{distances} distances for {files} files; give one each, or one for all")
-NO_VALUE_OF_DISTANCE = Template("E-IDN-113", "{distance:g} is covered with no {parameter}: {reason}")
+NO_VALUE_OF_DISTANCE = Template("E-IDN-113", "no {parameter} makes the model cover the distance {distance:g}: {reason}")
 NO_COMMAND = Template("E-IDN-114", "no command changes in it: nothing moves, and nothing can be matched; leave it out")
 TOO_FEW_ROWS_AT_REST = Template(
     "E-IDN-115", "{rows} rows of {output} at rest, and {least} are needed; log longer (the thesis took 20 s)"

@@ -80,7 +80,7 @@ def _share_texts(c: Claims) -> Iterator[str]:
         disturbance = f"an unknown input of {percent(c.moves[c.disturbed])} of what moves {c.disturbed}"
         yield f"{IN_PART}: {disturbance} remains."
     elif c.replaced and c.claimed is not None:
-        yield f"{IN_PART}: a term without a name may take the place of {listed(c.replaced)}."
+        yield f"{IN_PART}: a term without a name may take the place of {join_names(c.replaced)}."
 
 
 def _remark_texts(c: Claims, subject: Subject) -> Iterator[str]:

@@ -181,7 +181,7 @@ def _next_step(r: Refinement) -> str:
         rest = "Nothing is claimed: the model is left as it was. Not visible in these logs, present or not:"
         if r.verdict.claimed:
             shared = [c.name for c in r.verdict.certain]
-            every = f"Claimed, since the rivals share it: {listed(shared)}. " if shared else ""
+            every = f"Claimed, since the rivals share it: {join_names(shared)}. " if shared else ""
             rest = (
                 f"{every}Until then the refined model contains the rival that fits best. The rivals, which predict "
                 "these runs equally well:"
