@@ -16,6 +16,7 @@ from cosim.estimation.problem import Problem, Settings
 from cosim.estimation.readings import readings_of, readings_of_table
 from cosim.kernel.kernel import CONSTANT, DISTURBANCE, MEMORY, Data, Layout, Simulated
 from cosim.logs.log import Log, slowness
+from cosim.subject.candidates import Free
 from cosim.subject.interface import Subject
 
 SAME, ALIKE = 0.5, 1e-5  # allowed NLL change by fewer substeps, absolute and relative to the NLL of a wrong model
@@ -48,22 +49,33 @@ def build_problem(
         readings = readings_of_table([d.y for d in data])
     else:
         readings = [readings_of(d.y, count_unscored(d)) for d in data]
-    values = {**dict.fromkeys(layout.parameters, 0.0), **subject.values}
     begins = origins(subject, layout, logs, data, settings)
-    values[MEMORY] = USUAL_MEMORY * max(slowness(d.step) for d in data)
-    own = tuple(
-        own_parameters(subject, settings.per_log, [begin.group for begin in begins], values, settings.tolerance)
-    )
-    values |= {f.name: values[f.parameter] for f in own}
+    values, own = _start_values(subject, layout, data, begins, settings)
     x0, P0 = [start_state(subject, d, measured, layout.states) for d in data], np.empty((0, 0))
-    variances = {**dict.fromkeys(measured, 1.0), **subject.sensor_variance, **{n: s * s for n, s in noise.items()}}
-    r = np.array([variances[name] for name in measured])
-    late = {name: [measured.index(n) for n in of if n in measured] for name, of in subject.late.items()}
+    stated_noise = {n: s * s for n, s in noise.items()}
+    r = np.array([{**subject.sensor_variance, **stated_noise}.get(name, 1.0) for name in measured])
+    late = _places_of_late(subject, measured)
     stated, adjusted = np.isin(measured, [*subject.sensor_variance]), ~np.isin(measured, [*noise])
     problem = Problem(
         kernel, data, readings, x0, P0, r, values, settle, settings, late, stated, adjusted, own=own, origins=begins
     )
     return replace(problem, P0=start_covariance(subject, problem))
+
+
+def _places_of_late(subject: Subject, measured: Sequence[str]) -> dict[str, list[int]]:
+    """Return latency parameter → indices of its measured outputs."""
+    return {name: [measured.index(n) for n in of if n in measured] for name, of in subject.late.items()}
+
+
+def _start_values(
+    subject: Subject, layout: Layout, data: Sequence[Data], begins: Sequence[Origin], settings: Settings
+) -> tuple[dict[str, float], tuple[Free, ...]]:
+    """Return the value of every parameter, and the free parameters of each group of logs."""
+    values = {**dict.fromkeys(layout.parameters, 0.0), **subject.values}
+    values[MEMORY] = USUAL_MEMORY * max(slowness(d.step) for d in data)
+    groups = [begin.group for begin in begins]
+    own = tuple(own_parameters(subject, settings.per_log, groups, values, settings.tolerance))
+    return values | {f.name: values[f.parameter] for f in own}, own
 
 
 def start_state(subject: Subject, data: Data, measured: Sequence[str], states: Sequence[str]) -> Array:

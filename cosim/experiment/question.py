@@ -212,13 +212,18 @@ def _question_of_model(path: Path, loaded: LoadedModel, against: Sequence[str]) 
     names = list(against) or sorted(set().union(*groups).difference(own))
     rivals, pairs = _rivals(base, candidates, names)
     if own and names:
-        free = tuple(f for n in own for f in candidates[n].free)
-        values = ModelSubject(loaded).values
-        present = Rival(" and ".join(own), {f.name: values[f.name] for f in free}, free)
+        present = _present_rival(loaded, own, candidates)
         rivals = (present, *(r for r in rivals if r.name != NOTHING))
         pairs = tuple((present.name, name) for name in names)
     measured = model.measured or tuple(model.sensor_variance)
     return Question(loaded, base, rivals, pairs, measured or tuple(q.name for q in model.outputs), {}, {})
+
+
+def _present_rival(loaded: LoadedModel, own: Sequence[str], candidates: Mapping[str, Candidate]) -> Rival:
+    """Return the rival of the effects that the model has, with their values."""
+    free = tuple(f for n in own for f in candidates[n].free)
+    values = ModelSubject(loaded).values
+    return Rival(" and ".join(own), {f.name: values[f.name] for f in free}, free)
 
 
 def _candidates(loaded: LoadedModel) -> dict[str, Candidate]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.linear_algebra import least_squares
+from cosim.base.messages import Template
 from cosim.base.text import amount, counted, plain
 from cosim.logs import messages
 from cosim.logs.finding import Finding, Severity
@@ -43,6 +44,12 @@ def frame_findings(log: Log, traits: Traits | None = None) -> Iterator[Finding]:
         yield from axis_findings(log, traits.planar)
 
 
+RATE_MESSAGES: dict[bool, tuple[Severity, Template, Template]] = {  # for a declared rate, and one known by its name
+    True: ("fault", messages.OPPOSITE_RATE, messages.DEGREES),
+    False: ("warning", messages.OPPOSITE_RATE_BY_NAME, messages.DEGREES_BY_NAME),
+}
+
+
 def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator[Finding]:
     """Compare a signal with the integral of its rate, Δy = s·∫ẏ dt + b·T over blocks.
 
@@ -52,23 +59,21 @@ def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator
     if change.size < 8 or np.std(integral) == 0.0 or np.std(change) <= STILL:
         return
     rho = float(np.corrcoef(change, integral)[0, 1])
+    if abs(rho) < 0.9:
+        return
     design = np.column_stack((integral, length))
     slope, drift = least_squares(design, change)
     residual = change - design @ (slope, drift)
     sigma = math.sqrt(float(residual @ residual) / (change.size - 2))
     error_slope, error_drift = sigma * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
     numbers = {"slope": float(slope), "correlation": rho, "drift": float(drift)}
-    if abs(rho) < 0.9:
-        return
-    severity: Severity = "fault" if declared else "warning"
+    severity, opposite, degrees_text = RATE_MESSAGES[declared]
     if slope < 0.0:
-        template = messages.OPPOSITE_RATE if declared else messages.OPPOSITE_RATE_BY_NAME
-        yield Finding(severity, "sign", rate, template(name=name, slope=plain(float(slope))), numbers)
+        yield Finding(severity, "sign", rate, opposite(name=name, slope=plain(float(slope))), numbers)
     elif any(0.7 < slope / scale < 1.4 for scale in (DEGREES, 1.0 / DEGREES)):
         degrees, other, unit = (name, rate, "deg") if slope > 1.0 else (rate, name, "deg/s")
         ratio, cure = plain(float(max(slope, 1 / slope)), 3), _unit_cure(log, degrees, other, unit)
-        template = messages.DEGREES if declared else messages.DEGREES_BY_NAME
-        yield Finding(severity, "degrees", degrees, template(factor=ratio, other=other, cure=cure), numbers)
+        yield Finding(severity, "degrees", degrees, degrees_text(factor=ratio, other=other, cure=cure), numbers)
     elif abs(slope - 1.0) > max(0.03, 5.0 * error_slope):
         message = messages.SCALED_RATE(factor=plain(float(1 / slope), 3), name=name)
         yield Finding("warning", "scale", rate, message, numbers)

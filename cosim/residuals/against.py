@@ -24,6 +24,12 @@ REGULAR = "or, the motion being so regular, a wrong friction or inertia"
 FASTER = 1.15  # ratio of mean frequencies from which fast changes are independent evidence
 
 
+DIRECTIONS = {  # of a delay and its likely causes, for positive and other times
+    True: ("trails", "a delay, a slower actuator"),
+    False: ("leads", "a faster actuator, a command logged late"),
+}
+
+
 def delays(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
     """Yield findings on channels with a delay of half a row or more; slow channels are too uncertain."""
     estimates = {n: d for n, y in log.outputs.items() if n in model and (d := delay(log, y, model[n])) is not None}
@@ -34,12 +40,12 @@ def delays(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
         confirmed = _same_when_faster(log, log.outputs[name], model[name], estimates[name])
         if confirmed is False:
             continue
-        serious = confirmed and abs(time) > log.step
+        serious, (direction, cause) = confirmed and abs(time) > log.step, DIRECTIONS[time > 0]
         message = (messages.DELAY if serious else messages.POSSIBLE_DELAY)(
-            direction="trails" if time > 0 else "leads",
+            direction=direction,
             delay=amount(abs(time) * 1000, "ms", 2),
             error=amount(error * 1000, "ms", 1),
-            cause="a delay, a slower actuator" if time > 0 else "a faster actuator, a command logged late",
+            cause=cause,
             doubt="or clocks that differ" if confirmed else REGULAR,
         )
         numbers = {"delay": time, "error": error, "correlation": rho}

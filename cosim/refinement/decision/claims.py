@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from typing import Any, Literal
 
 import numpy as np
@@ -189,16 +190,32 @@ def judge(
         still: True if nothing moves in the logs.
     """
     residual, large = _misfit(a, leftover, forced), _largest_disturbance(moves)
-    if not a.best.candidates:
-        if still or (a.is_blind and not large):  # Logs in which no effect would show support no claim.
-            rivals = a.hidden if len(a.hidden) > 1 else (*a.hidden, "no_effect")
-            experiment = usual_experiment(subject)
-            return Claims("ambiguous", None, rivals, experiment, residual, unshown=a.hidden, still=still)
-        if leftover.terms:
-            return Claims("unexplained", misfit=residual)
-        if large:
-            return Claims("unexplained", misfit={**residual, "equation": large})
-        return Claims("no_effect", misfit=residual, unshown=a.hidden, moves=moves, small=a.small_parts)
+    if a.best.candidates:
+        return _judge_claim(a, leftover, subject, residual, large, moves)
+    if still or (a.is_blind and not large):  # Logs in which no effect would show support no claim.
+        rivals = a.hidden if len(a.hidden) > 1 else (*a.hidden, "no_effect")
+        experiment = usual_experiment(subject)
+        return Claims("ambiguous", None, rivals, experiment, residual, unshown=a.hidden, still=still)
+    if leftover.terms:
+        return Claims("unexplained", misfit=residual)
+    if large:
+        return Claims("unexplained", misfit={**residual, "equation": large})
+    return Claims("no_effect", misfit=residual, unshown=a.hidden, moves=moves, small=a.small_parts)
+
+
+def _judge_claim(
+    a: Attribution,
+    leftover: Leftover,
+    subject: Subject,
+    residual: Mapping[str, Any],
+    large: str,
+    moves: Mapping[str, float],
+) -> Claims:
+    """Return the claim of the best hypothesis, as far as neither unknown inputs nor unnamed terms speak against it.
+
+    Args:
+        large: State with an unknown input that is no small disturbance, or "".
+    """
     gained = a.base.score - a.best.score
     explained = 1.0 - a.error_ratio**2  # share of the mean square error on held-out logs
     hides = large and explained < MUCH * (1.0 - explained)
@@ -232,8 +249,8 @@ def _ambiguous_claims(a: Attribution, subject: Subject, residual: Mapping[str, A
     """Claim the best hypothesis, and its shared candidates for certain."""
     hypotheses = (a.best, *a.rivals, *([a.fuller] if a.fuller and a.fuller.score < a.best.score else []))
     common = set(a.best.names).intersection(*(h.names for h in a.rivals))
-    apart = [[n for n in h.names if n not in common] for h in hypotheses]
-    experiment = experiment_for(subject, [n for names in apart for n in names])
+    apart = [sorted(set(h.names) - common) for h in hypotheses]
+    experiment = experiment_for(subject, list(chain(*apart)))
     rivals = tuple(TOGETHER.join(h.names) for h in hypotheses)
     short = tuple(TOGETHER.join(names) if len(names) <= MOST_NAMED else f"{len(names)} candidates" for names in apart)
     best = _with_intervals_of(a.best, a.rivals, common)

@@ -87,7 +87,7 @@ def check_claim(
     if claims.claimed is None:
         return claims
     is_of_sensors = claims.claimed.is_of_sensors
-    effects = recalibrated and any(c.kind == "effect" for c in claims.claimed.candidates)
+    effects = recalibrated and "effect" in {c.kind for c in claims.claimed.candidates}
     doubt = _error_doubt(error, floor) if is_of_sensors else _plant_doubt(error, floor, effects=effects)
     if doubt and not halves:
         return claims.withdraw(doubt)
@@ -96,10 +96,15 @@ def check_claim(
     worst, share = max(_remaining_excess(error, floor).items(), key=itemgetter(1), default=("", 0.0))
     if share <= PART:
         return claims
-    weak = tuple(n for n in claims.claimed.names if n in support and support[n].predicted < BETTER)
-    if weak and not halves:
+    weak = () if halves else _weak_parts(claims.claimed, support)
+    if weak:
         return claims.withdraw(Doubt("unsteady", names=weak))
     return replace(claims, grade="part", part=Part(worst, share))
+
+
+def _weak_parts(claimed: Hypothesis, support: Mapping[str, Support]) -> tuple[str, ...]:
+    """Return the parts that do not clearly improve predictions of held-out logs."""
+    return tuple(n for n in claimed.names if n in support and support[n].predicted < BETTER)
 
 
 def _error_doubt(error: ErrorOf, floor: Channels) -> Doubt | None:
