@@ -50,7 +50,7 @@ def test_no_text_without_a_code_becomes_a_message(package: str) -> None:
 def test_the_code_is_shown_with_v_and_in_json(tmp_path: Path) -> None:
     quiet, verbose = (cosim("report", tmp_path, *option) for option in ((), ("-v",)))
     assert (quiet.returncode, verbose.returncode) == (2, 2)
-    assert quiet.stderr.strip().endswith("left")
-    assert verbose.stderr.strip().endswith("left [E-CMP-006]")
+    assert quiet.stderr.strip().endswith("`cosim run`")
+    assert verbose.stderr.strip().endswith("`cosim run` [E-CMP-006]")
     asked = cosim("compare", tmp_path / "a", tmp_path / "b", "--json")
     assert {fault["code"][:2] for fault in json.loads(asked.stdout)["faults"]} == {"E-"}
