@@ -74,7 +74,7 @@ def measurement_matrix(p: ModelNumbers, estimator: str) -> Matrix:
 
 
 def fix_matrix(p: Timed) -> Matrix:
-    """Return H (1, 5) of a fix with age T: x(t − T) = x − T·ẋ to first order."""
+    """Return the measurement matrix H (1, 5) of a position fix with age T: x(t − T) = x − T·ẋ to first order."""
     H = _zeros(p, 1, 5)
     H[0, 0], H[0, 1] = 1.0, -p.fix_latency
     return H

@@ -89,7 +89,7 @@ class LqrDesigner:
         return self._gains(options, settings, law) | numbers
 
     def objections(self, options: Mapping[str, Any], law: str) -> list[Objection]:
-        """Return options out of bounds, impossible poles, and unequal tilt weights."""
+        """Return messages on design options out of bounds, impossible poles, and unequal weights of the two tilts."""
         from controller.placement import pole_faults
 
         declared = {p.name: p for p in parameters_of(_settings(law))}
@@ -109,7 +109,7 @@ class LqrDesigner:
         return objections
 
     def _gains(self, options: Mapping[str, Any], settings: Settings, law: str) -> dict[str, float]:
-        """Return the designed gains."""
+        """Return the designed gains by parameter name: feedback gains, and integral gains if the law has any."""
         from controller.judging import designed_gains
 
         K, K_i = designed_gains(options, settings, law)
@@ -119,7 +119,7 @@ class LqrDesigner:
     def _predictive(
         self, options: Mapping[str, Any], model: Model | None, numbers: Mapping[str, float], law: str
     ) -> dict[str, float]:
-        """Return weights, limits and craft parameters of a predictive law."""
+        """Return the weights and limits of a predictive law, and the craft parameters that its prediction needs."""
         values = {**numbers, **{name: float(value) for name, (_, value) in _values_of(options, law).items()}}
         if isinstance(model, Hovercraft) and law == TIME_VARIANT:
             from controller.time_variant_settings import OF_CRAFT

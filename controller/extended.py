@@ -72,7 +72,7 @@ class ExtendedSettings(Parametric):
 
     @property
     def fix_variances(self) -> tuple[float, ...]:
-        """Return the noise diagonal of a fix."""
+        """Return the noise variances of a position fix in x and y."""
         return self.measurement_variance_x, self.measurement_variance_y
 
 
@@ -133,7 +133,7 @@ class Craft(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy is untyped
         return np.array([y[k] for k in self.outputs])
 
     def sensed_slope(self, x: Matrix) -> Matrix:
-        """Return H of (ψ, ψ̇, a_x)."""
+        """Return the measurement matrix H = ∂(ψ, ψ̇, a_x)/∂state at the state x."""
         H = np.zeros((3, len(STATES)))
         H[0, STATES.index("psi")] = H[1, STATES.index("psi_dot")] = 1.0
         H[2] = self.slope("output", (1, len(STATES)))[0]
@@ -152,9 +152,10 @@ class Craft(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy is untyped
 
 
 class ExtendedFilter(SampledFilter):
-    """Estimator of the plant's 14 states: prediction with held command, update with (ψ, ψ̇, a_x), new fix.
+    """Extended Kalman filter for the plant's 14 states.
 
-    The start is known: P = 0. Positions are along the craft's own axes, fixes along the axes of `axes`.
+    Each sample predicts with the held command, updates with (ψ, ψ̇, a_x), and updates with a position fix if a new one
+    has arrived. The start is known exactly: P = 0. Positions are along the craft's own axes, fixes along `axes`.
     """
 
     def __init__(

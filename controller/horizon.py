@@ -56,7 +56,7 @@ class Condensed(NamedTuple):
     forced: Matrix
 
     def at(self, z: Matrix) -> Condensed:
-        """Return the cost for the initial deviation z."""
+        """Return the cost of the horizon that starts with the deviation z."""
         return self._replace(f=self.f @ z, free=self.free @ z)
 
 

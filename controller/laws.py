@@ -30,7 +30,7 @@ class Seen(NamedTuple):
 
 
 class Estimator(Protocol):
-    """Estimator of a law."""
+    """Interface of the state estimator that a control law uses."""
 
     def step(self, measured: Sequence[float], command: Sequence[float], fix: float, position: Sequence[float]) -> None:
         """Process one sample.

@@ -76,7 +76,7 @@ class Loop:
         return x, psi
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the complete state as plain numbers.
+        """Return the complete state of the control loop as plain numbers.
 
         Parts: the estimator's state, the last command, the law's state.
         """

@@ -69,7 +69,7 @@ def sines(steps: int) -> Matrix:
 
 @cache
 def manoeuvre(steps: int) -> Matrix:
-    """Return the noise-free LQR commands for the manoeuvre of App. G."""
+    """Return the commands of the LQR for the manoeuvre of App. G, simulated without noise."""
     loop, stepper = Loop(Settings(), (0.0,) * 5, *references(0.0)), Stepper(Hovercraft())
     moment, dt, commands = stepper.start(), loop.settings.sample_time, []
     for k in range(steps):
@@ -101,7 +101,7 @@ MANOEUVRE = Flight(
 
 @dataclass(frozen=True)
 class Case:
-    """An estimator, a truth and a flight, with or without fixes."""
+    """A case of the Monte Carlo test: an estimator, a true plant and a flight, with or without position fixes."""
 
     title: str
     truth: str

@@ -117,7 +117,7 @@ class DoubleIntegration:
         return math.sqrt(self.variances[0]), math.sqrt(self.noise[0]), 0.0
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the complete state."""
+        """Return the estimates and their variances, for a later restore."""
         return {"values": self.values, "variances": self.variances}
 
     def restore(self, snapshot: Mapping[str, Any]) -> None:

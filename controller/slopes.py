@@ -1,4 +1,4 @@
-"""Jacobians of the craft's equations at given points, from printed functions."""
+"""Jacobians of the craft's equations at given states and commands, computed by functions printed at build time."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
-"""Stability of fixed gains in the sampled loop with lag and filter, tested offline.
+"""Offline stability test of fixed gains in the sampled control loop with actuator lag and filter.
 
-Eqs 5.33/5.34 have no lag of the turn and no sampling. The real loop has both, and feeds back the filter's estimate.
+Eqs 5.33/5.34 describe the turn without lag and without sampling. The real loop has both, and it feeds back the
+filter's estimate instead of the true state.
 """
 
 from __future__ import annotations
@@ -28,14 +29,14 @@ MAX_CHANGE, MAX_UPDATES = 1e-9, 3000  # convergence of the filter gain
 
 
 class Mode(NamedTuple):
-    """A pole of the sampled loop as s = ln(z)/Δt [rad/s], and its axis: forward or turning."""
+    """A pole of the sampled loop, written as s = ln(z)/Δt [rad/s], and the axis of its motion: forward or turning."""
 
     pole: complex
     axis: str
 
     @property
     def grows(self) -> bool:
-        """Return True for a pole outside the unit circle."""
+        """Return True if the mode grows: its pole z is outside the unit circle."""
         return self.pole.real > GROWS
 
     @property

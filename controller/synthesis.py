@@ -49,7 +49,7 @@ def numbers_of(craft: Hovercraft) -> dict[str, float]:
 
 
 def roll_numbers_of(craft: Hovercraft) -> dict[str, float]:
-    """Return roll and motor parameters of a hovering craft with effects, for the predictive law.
+    """Return the roll and motor parameters that the predictive law uses for a hovering craft with effects.
 
     From the linearization: k/Ixx = −∂φ̈/∂φ, d_φ/Ixx = −∂φ̈/∂φ̇, L·Γ/Ixx = ∂φ̈/∂T, dT/dδ = τ·∂Ṫ/∂δ, averaged over both
     sides.
@@ -81,9 +81,9 @@ def _damping(craft: Hovercraft, state: str, rate: float) -> float:
 
 
 def _mean_delay(linear: LinearModel) -> float:
-    """Return the mean delay [s] of the right tilt after its command.
+    """Return the mean delay [s] from the command of the right tilt to the tilt.
 
-    −G'(0)/G(0) with G(s) = C·(sI − A)⁻¹·B.
+    The delay is −G'(0)/G(0) with the transfer function G(s) = C·(sI − A)⁻¹·B.
     """
     tilts = [k for k, name in enumerate(linear.states) if "tilt" in name]
     A = linear.A[np.ix_(tilts, tilts)]
@@ -94,7 +94,7 @@ def _mean_delay(linear: LinearModel) -> float:
 
 
 def lqr_gain(p: ModelNumbers, Q: Sequence[float] = Q_THESIS, R: Sequence[float] = R_THESIS) -> Matrix:
-    """Return K (2, 5) with minimal ∫ x'Qx + u'Ru for the design model, eqs 6.1-6.3.
+    """Return the LQR gain K (2, 5), which minimises ∫ x'Qx + u'Ru for the design model, eqs 6.1-6.3.
 
     Args:
         Q: Diagonal of the state weights.

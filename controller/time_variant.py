@@ -55,7 +55,7 @@ class TimeVariantLaw(Predicting):
         self.path, self.plan = np.zeros((0, len(NAMES))), np.zeros((0, len(INPUTS)))  # no plan yet
 
     def estimator(self, p: TimeVariantSettings, x_hat: Sequence[float], fix: float) -> Estimator:
-        """Return the extended filter, with tilts for the acceleration in x_hat."""
+        """Return the extended Kalman filter, started at x_hat with the tilts that cause its acceleration."""
         x, vx, psi, psi_dot, a = x_hat
         tilt = level_tilt(p.craft, a)
         start = {"x": x, "vx": vx, "psi": psi, "psi_dot": psi_dot, "y": self.y_hat}
@@ -81,11 +81,11 @@ class TimeVariantLaw(Predicting):
         return [self.filter.estimate[5], self.filter.sigma[2], float(self.iterations), float(self.solved)]
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state with the planned motion."""
+        """Return the state of the law with its planned motion."""
         return {"path": self.path.tolist(), "plan": self.plan.tolist(), **super().snapshot()}
 
     def restore(self, snapshot: Mapping[str, Any]) -> None:
-        """Restore the state with the planned motion."""
+        """Restore the state of the law with its planned motion."""
         self.path = np.array(snapshot["path"]).reshape(-1, len(NAMES))
         self.plan = np.array(snapshot["plan"]).reshape(-1, len(INPUTS))
         super().restore(snapshot)
@@ -111,7 +111,7 @@ class TimeVariantLaw(Predicting):
         return Steps(F, held @ B, held @ drift, self.Q, self.R, self.P)
 
     def _linear(self, states: Matrix, commands: Matrix) -> tuple[Matrix, Matrix]:
-        """Return A (N, 12, 12) and B (N, 12, 4) of the predicted states."""
+        """Return the Jacobians along the horizon: A (N, 12, 12) by predicted states, B (N, 12, 4) by commands."""
         n = len(STATES)
         A = self.slopes.along("state", states, commands, (n, n))
         B = self.slopes.along("command", states, commands, (n, len(INPUTS)))

@@ -105,6 +105,6 @@ def craft_faults(p: Any) -> list[tuple[tuple[str, ...], str]]:
 
 
 def _thrust_offset(p: Any) -> float:
-    """Return a [gf] of T_OGE = a + b·δ, eq 4.20, with Γ·T_OGE(δ_N) = T_N."""
+    """Return the offset a [gf] of the thrust line T_OGE = a + b·δ, eq 4.20, so that Γ·T_OGE(δ_N) = T_N."""
     gain = ground_effect(SCALAR, p.height, p.propeller_radius, p.ground_effect_exponent)
     return float(1000.0 * p.thrust_nominal / (p.gravity * gain) - p.thrust_slope * p.duty_nominal)

@@ -30,7 +30,7 @@ def __getattr__(name: str) -> Any:
 
 
 def _functions() -> dict[str, str]:
-    """Return name → place of the functions of all verbs."""
+    """Return the Python functions of all verbs: name → place as `module:object`."""
     from cosim.verbs import verbs
 
     return {name.replace("-", "_"): verb.function for name, verb in verbs() if verb.function}

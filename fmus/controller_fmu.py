@@ -18,7 +18,7 @@ from fmus.craft_ports import ESTIMATE, ESTIMATES, MEASURED, fix_ports, sigma_por
 
 
 def controller_ports(settings: Settings) -> tuple[Port, ...]:
-    """Return all variables of the controller: inputs, outputs, parameters, start values."""
+    """Return all variables of the controller FMU: inputs, outputs, parameters and start values."""
     duty = settings.duty_nominal
     return (
         *MEASURED,
@@ -92,7 +92,7 @@ class HovercraftController(Slave):
         return StateFeedback(settings)
 
     def initialize(self, given: dict[str, Value]) -> None:
-        """Start the filter at `*_hat_start` with P = 0, without update."""
+        """Start the control loop; its filter starts at `*_hat_start` with P = 0, without an update."""
         names = {p.name for p in parameters_of(self.settings)} | {"estimator"}
         values: dict[str, Any] = {name: v for name, v in given.items() if name in names}
         settings = replace(self.settings, **values)
@@ -113,7 +113,7 @@ class HovercraftController(Slave):
         self._publish()
 
     def terminate(self) -> None:
-        """Log the law's remarks on the run as a warning."""
+        """Log the control law's remarks on the run as a warning."""
         if self.phase is STEP and (words := self.loop.law.words(self.start_time)):
             self.log(words, Fmi2Status.warning)
 

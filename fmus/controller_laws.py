@@ -45,7 +45,7 @@ class HovercraftPolesController(HovercraftController):
 
 
 class HovercraftIntegralController(HovercraftController):
-    """LQR with integrals of measured errors: of x from fixes, of ψ from the IMU."""
+    """LQR with integral action on measured errors: of x from position fixes, of ψ from the IMU."""
 
     settings = integral_settings()
     ports = extended(controller_ports(settings), *INTEGRALS)
@@ -56,7 +56,10 @@ class HovercraftIntegralController(HovercraftController):
 
 
 class HovercraftPredictiveController(HovercraftController):
-    """Predictive control with limits of tilt and duty, and control of y with fixes. The host needs daqp too."""
+    """Model predictive control with limits of tilt and duty, and with control of y by position fixes.
+
+    The host also needs the solver daqp.
+    """
 
     settings = PredictiveSettings()
     ports = extended(controller_ports(settings), Y_REF, *LATERAL, Y_START)
@@ -81,7 +84,7 @@ class HovercraftTimeVariantController(HovercraftController):
     ports = extended(controller_ports(settings), Y_REF, *LATERAL, Y_START)
 
     def law(self, settings: Any, given: dict[str, Value]) -> Law:
-        """Return the law, with Jacobians printed at the build of the FMU."""
+        """Return the time-variant law, with the Jacobian functions that were printed when the FMU was built."""
         from controller import printed  # type: ignore[attr-defined]
         from controller.time_variant import TimeVariantLaw
 

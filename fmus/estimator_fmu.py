@@ -47,7 +47,7 @@ NUMBERS: tuple[Parameter, ...] = tuple(p for p in Hovercraft().parameters if not
 
 
 def filter_ports() -> tuple[Port, ...]:
-    """Return variables of linear filters and double integration: the controller's without gains."""
+    """Return the variables of the estimator FMU: those of the controller without its gains."""
     settings = Settings()
     numbers = [p for p in parameters_of(Settings) if not p.name.startswith("k_") and p.name != "tilt_max"]
     return (
@@ -112,7 +112,7 @@ class HovercraftFilter(Estimator):
     ports: ClassVar[tuple[Port, ...]] = filter_ports()
 
     def initialize(self, given: dict[str, Value]) -> None:
-        """Start the estimate at `*_hat_start` with P = 0, without update."""
+        """Start the estimator at `*_hat_start` with P = 0, without an update."""
         names = {p.name for p in parameters_of(Settings)}
         chosen = str(given.get("estimator", Settings().estimator))
         if chosen not in OBSERVERS:
@@ -130,7 +130,7 @@ class HovercraftFilter(Estimator):
 
 
 class HovercraftEkf(Estimator):
-    """Extended Kalman filter with the plant's equations."""
+    """Extended Kalman filter with the plant's equations as an FMU."""
 
     ports: ClassVar[tuple[Port, ...]] = extended_ports()
 

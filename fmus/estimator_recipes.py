@@ -12,7 +12,7 @@ from fmus import PACKAGES
 
 
 def filter_recipe() -> Recipe:
-    """Return the recipe of linear filters and double integration."""
+    """Return the build recipe of the FMU with linear filters and double integration."""
     from controller.kalman import discrete_model
     from controller.observers import DoubleIntegration, LinearFilter
     from fmus.estimator_fmu import HovercraftFilter

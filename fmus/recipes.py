@@ -37,7 +37,7 @@ def plant_recipe(values: Mapping[str, float | bool] | None = None) -> Recipe:
 
 
 def heavy_recipe() -> Recipe:
-    """Return the recipe of the heavier craft."""
+    """Return the build recipe of the FMU of the heavier craft."""
     return plant_recipe(HEAVY)
 
 
@@ -111,7 +111,7 @@ def _controller(
 
 
 def bench_recipe(values: Mapping[str, float | bool] | None = None) -> Recipe:
-    """Return the recipe of the testing bench, with defaults from `values`."""
+    """Return the build recipe of the testing bench's FMU; `values` replace default parameters."""
     import plant.bench as bench
 
     model = bench.Bench()

@@ -67,13 +67,13 @@ class BenchEffect(Effect):
     """A term of the bench."""
 
     def tilt_rate(self, m: Namespace, rate: Number, error: Number, states: Values) -> tuple[Number, Values]:
-        """Return the tilt rate [rad/s] in place of `rate`, and derivatives of own states."""
+        """Return the tilt rate [rad/s] that replaces `rate`, and the derivatives of the effect's states."""
         return rate, ()
 
 
 @dataclass(frozen=True, kw_only=True)
 class BenchDelay(Delay, BenchEffect):
-    """Delay of all commands by T, as `actuator_delay` of the craft."""
+    """Delay of all commands of the bench by T, like the craft's effect `actuator_delay`."""
 
     name = "actuator_delay"
     memory = tuple(Quantity(q.name, q.unit, f"{q.name} that acts until the delay has passed", q.start) for q in INPUTS)
@@ -94,14 +94,14 @@ class BenchSecondOrder(BenchEffect):
     damping_ratio: float = parameter(0.7, unit="1", bounds=(0.02, 2.5), doc="damping ratio ζ")
 
     def tilt_rate(self, m: Namespace, rate: Number, error: Number, states: Values) -> tuple[Number, Values]:
-        """Return the own tilt rate."""
+        """Return the tilt rate of the second-order lag, and the derivative of this rate."""
         w, (own,) = self.natural_frequency, states
         return m.where(w > 0.0, own, rate), (second_order(error, 0.0, own, w, self.damping_ratio),)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bench(Model):
-    """One power-train on three load cells, calibrated at the hub (§3.5); see `equations` for the model."""
+    """Testing bench: one power-train on three load cells, calibrated at the hub (§3.5); see `equations`."""
 
     title = "Testing bench of a tilting propeller"
     base_states, inputs, outputs = STATES, INPUTS, OUTPUTS
@@ -174,7 +174,7 @@ class Bench(Model):
         terms = overrides(self.awake, "tilt_rate", BenchEffect)  # only these effects have states
 
         def tilting(state: Values, target: Number) -> tuple[Number, Values]:
-            """Return tilt rate and state derivatives."""
+            """Return the tilt rate and the derivatives of the effects' states."""
             rate = servo_rate(m, target, state[1], self.lag, self.servo_dead_band, self.servo_speed)
             error = servo_error(m, target, state[1], self.servo_dead_band)
             added: Values = ()

@@ -30,7 +30,7 @@ def lag(target: Number, value: Number, time_constant: Number) -> Number:
 def second_order(target: Number, value: Number, rate: Number, frequency: Number, damping: Number) -> Number:
     """Return the second derivative of a second-order response: ẍ = ωₙ²·(x_target − x) − 2ζωₙ·ẋ.
 
-    §4.5.4 observed its overshoot.
+    The overshoot of this response was observed in §4.5.4.
     """
     return frequency * frequency * (target - value) - 2.0 * damping * frequency * rate
 

@@ -125,7 +125,10 @@ def _check_end(source: Path, start: float | None, end: float | None) -> None:
 
 @dataclass(frozen=True)
 class Recording:
-    """A recording for the inputs of an FMU: start, end and step [s], connections, and notes on unused columns."""
+    """A recording that drives the inputs of an FMU.
+
+    It has a start, an end and a step [s], the connections of its columns to inputs, and notes on unused columns.
+    """
 
     path: Path
     start: float
@@ -197,7 +200,10 @@ def write_draft(path: Path, fmus: Sequence[Path]) -> Draft:
 
 
 def _write_sound(path: Path, lines: str, fmu: Path) -> System:
-    """Write a scenario and return its system; raise InputError, with the FMU as place, if faulty."""
+    """Write a scenario and return its system.
+
+    If the scenario has faults, InputError names the FMU as their place, because the user has not written the scenario.
+    """
     path.write_text(lines, encoding="utf-8")
     try:
         return build_system(ScenarioFile(path))
@@ -226,7 +232,7 @@ def _drop_loops(parts: Sequence[Part], matches: Matches) -> Matches:
 
 
 def _algorithm(parts: Sequence[Part], matches: Sequence[Match]) -> Algorithm:
-    """Return the default algorithm, or for loops the one without order."""
+    """Return the default coupling algorithm; for an algebraic loop, the algorithm without stepping order."""
     blocks = {part.name: part.block for part in parts}
     edges = [(m.source[0], m.target[0], m.target[1].name, m.source[1].name) for m in matches]
     try:

@@ -34,10 +34,10 @@ def scenario_text(
     played: Path | None = None,
     verb: str = "init",
 ) -> str:
-    """Return the text of a scenario in `folder`.
+    """Return the text of a first scenario, to be written into `folder`.
 
     Args:
-        played: Recording behind the first connection.
+        played: Recording that supplies the first connections.
         verb: Command that writes the scenario.
     """
     guesses, choices = sum(bool(m.guess) for m in matches.connections), len(matches.choices)

@@ -174,7 +174,7 @@ def _model(file: ScenarioFile, name: str, system: System) -> Model:
 
 
 def _is_default(variable: Any, value: Any) -> bool:
-    """Return whether a start value equals the FMU's own."""
+    """Return whether a start value equals the FMU's own start value, so that it need not be exported."""
     if variable.start is None or variable.type == "Enumeration":
         return False
     if variable.type == "String":
@@ -230,7 +230,7 @@ def _recording_signals(path: Path, names: set[str]) -> dict[str, TimeSignal]:
 
 
 def _units(system: System, models: list[Model]) -> Units:
-    """Return SI definitions of the connectors' units."""
+    """Return the SI definition of each unit of the connectors: exponents of the base units, factor and offset."""
     units: dict[str, tuple[float, ...]] = {}
     for model in models:
         description = system.fmus[model.name][1] if model.name in system.fmus else None

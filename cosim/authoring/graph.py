@@ -25,7 +25,7 @@ DIAGRAM = re.compile(
 
 
 def graph_of(path: Path, overrides: Sequence[str] = ()) -> Graph:
-    """Return the diagram of a scenario, a manifest or an SSP.
+    """Return the block diagram of a scenario, a manifest or an SSP.
 
     Raises:
         InputError: The input is faulty.

@@ -48,10 +48,12 @@ class Match:
 
 @dataclass(frozen=True)
 class Matches:
-    """Connections in the order of inputs, and unconnected inputs with fitting outputs.
+    """Connections between FMUs, and inputs without a connection.
 
     Attributes:
-        choices: Unconnected inputs with several equally likely outputs.
+        connections: Connections in the order of the inputs.
+        unconnected: Unconnected inputs, each with the outputs that would fit.
+        choices: Unconnected inputs for which several outputs are equally likely.
     """
 
     connections: tuple[Match, ...]
@@ -65,7 +67,7 @@ class Matches:
 
 
 def text(port: Port) -> str:
-    """Return `component.variable`, for elements with the array's name."""
+    """Return a port as `component.variable`; an element of an array has the name of the array."""
     return f"{port[0]}.{port[1].array or port[1].name}"
 
 
@@ -121,7 +123,7 @@ class _Matching:
         self.used.add(text(match.source))
 
     def _leave(self, name: str, sources: Sequence[Port]) -> None:
-        """Leave an input to the user's choice."""
+        """Leave an input unconnected and record the likely outputs, from which the user must choose."""
         del self.open[name]
         self.choices[name] = sources
 
@@ -145,10 +147,7 @@ class _Matching:
         return [(net, source) for net, score, source in scored if score >= MIN_SCORE]
 
     def _best(self) -> tuple[Port, list[Port]] | None:
-        """Return the input of the best pair with its likely outputs.
-
-        The result is None without a distinct best pair.
-        """
+        """Return the input with the best matching output, and its likely outputs; None without a clear best."""
         best: tuple[float, Port, list[Port]] | None = None
         for target in self.open.values():
             likely = self._likely(target)
@@ -159,7 +158,7 @@ class _Matching:
         return None if best is None else best[1:]
 
     def _connect_remaining(self) -> None:
-        """Connect unique remaining outputs with unique remaining inputs."""
+        """Connect each remaining input for which only one output remains, if no other input needs that output."""
         sources: dict[str, Port] = {}
         for name, target in self.open.items():
             is_reference = _is_reference(target[1].name)

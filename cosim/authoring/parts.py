@@ -1,4 +1,4 @@
-"""FMUs of a scenario draft: component names and times."""
+"""FMUs of a scenario draft: their component names, ports, and times of the run."""
 
 from __future__ import annotations
 
@@ -69,11 +69,11 @@ class Part:
 
 @dataclass(frozen=True)
 class RequestedTimes:
-    """Requested times [s], None for the FMUs' own, with reasons.
+    """Start, stop and step [s] requested by the user; None for the values of the FMUs.
 
     Attributes:
-        usual_step: Step without a request or declaration.
-        because: Reason for the end.
+        usual_step: Step [s] if neither the user nor an FMU states one.
+        because: Reason for the stop time, for the draft's comments.
     """
 
     start: float | None = None
@@ -114,7 +114,7 @@ def component_name(stem: str, model: str = "") -> str:
 
 
 def _identifier(text: str) -> str:
-    """Return ASCII letters, digits and underscores; ä becomes ae."""
+    """Return a text as an identifier of ASCII letters, digits and underscores; ä becomes ae."""
     plain = unicodedata.normalize("NFKD", text.translate(SPELLING))
     return re.sub(r"[\W_]+", "_", "".join(c for c in plain if not unicodedata.combining(c)), flags=re.ASCII).strip("_")
 
@@ -160,7 +160,7 @@ def times_of(parts: Sequence[Part], request: RequestedTimes | None = None, *, mo
 
 
 def _span(request: RequestedTimes, experiments: Mapping[str, Mapping[str, float]]) -> tuple[float, float, str]:
-    """Return start and duration of the run [s] and a reason."""
+    """Return the start and the duration of the run [s], and the reason for the duration as text."""
     start = min((e.get("start", 0.0) for e in experiments.values()), default=0.0)
     start = start if request.start is None else request.start
     ends = {name: e["stop"] for name, e in experiments.items() if e.get("stop", start) > start}

@@ -1,4 +1,4 @@
-"""Files are written whole or not at all."""
+"""Writing of files through drafts: a file is replaced as a whole or not at all."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def draft_of(path: Path) -> Iterator[Path]:
 
 
 def remove_drafts(folder: Path, names: Sequence[str]) -> None:
-    """Remove drafts of killed processes. The caller must hold the folder's lock."""
+    """Remove drafts that killed processes have left behind. The caller must hold the folder's lock."""
     drafts = re.compile(rf"\.({'|'.join(map(re.escape, names))})\.\d+")
     with suppress(OSError):
         for path in folder.iterdir():

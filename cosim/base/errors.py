@@ -43,7 +43,7 @@ class CosimError(Exception):
 
 
 class InputError(CosimError):
-    """Faults of the user's input, sorted by file and place."""
+    """Error with all faults of the user's input, sorted by file and place."""
 
     def __init__(self, faults: Sequence[Fault]) -> None:
         self.faults = tuple(sorted(set(faults)))
@@ -51,7 +51,7 @@ class InputError(CosimError):
 
     @classmethod
     def at(cls, file: Path, message: str, exit_code: int = 2) -> InputError:
-        """Return the error of a file or folder as a whole."""
+        """Return an InputError with a single fault that concerns a file or folder as a whole."""
         return cls([Fault(file, 0, 0, message, exit_code)])
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -75,7 +75,7 @@ def refuse(faults: Iterable[Fault]) -> None:
 
 
 class NotExecuted(CosimError):
-    """A Python file named in a context without execution."""
+    """An error: a Python file was named where cosim must not execute code."""
 
     exit_code = 2
 

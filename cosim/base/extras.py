@@ -1,4 +1,4 @@
-"""Optional libraries, and the message with their installation command."""
+"""Import of optional libraries; a missing library gives a message with its installation command."""
 
 from __future__ import annotations
 

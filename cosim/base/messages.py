@@ -36,7 +36,7 @@ class Message(str):
         return type(self), (str.__str__(self), self.code, dict(self.fields))
 
     def after(self, prefix: str) -> Message:
-        """Return the message behind a prefix, e.g. the name of a file."""
+        """Return the message with text in front, e.g. the name of a file."""
         return Message(f"{prefix}{self}", self.code, self.fields)
 
 

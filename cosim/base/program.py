@@ -1,4 +1,4 @@
-"""A command as a process that ends with exit code 130 when stopped from the keyboard at any moment."""
+"""Process of a command: it ends with exit code 130 whenever it is stopped from the keyboard, even during imports."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def ending_when_stuck(patience: float = 5.0) -> Iterator[None]:
 
 
 def _ignore(number: int, frame: object) -> None:
-    """Ignore a signal. Unlike after SIG_IGN, a command may install its own handler."""
+    """Ignore a signal. Unlike after SIG_IGN, the running command may still install its own handler."""
 
 
 def _end(number: int, frame: object) -> None:

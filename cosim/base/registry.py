@@ -76,12 +76,14 @@ class Page:
 
 @dataclass(frozen=True)
 class Verb:
-    """A verb of another package, declared like cosim's own in `cosim.verbs`. Places are `module:object`, "" if absent.
+    """A verb of another package, declared like cosim's own verbs in `cosim.verbs`.
 
-    command:   place of the function behind `cosim NAME`, typer's options its parameters; "" if there is no command
-    function:  place of the function that `cosim.NAME` is in Python; "" if there is none
-    artefacts: place of a tuple of `Artefact` (cosim/storage/artefact.py), the files that the verb reads and writes
-    group:     heading of the verb in `cosim -h`: one of cosim's (cosim/verbs/__init__.py), or a new one
+    Attributes:
+        command: Place `module:object` of the function behind `cosim NAME`; its parameters are the command's options.
+            "" if the verb is not a command.
+        function: Place of the function `cosim.NAME` in Python; "" if the verb is not a function.
+        artefacts: Place of a tuple of `Artefact` (cosim/storage/artefact.py): the files that the verb reads and writes.
+        group: Heading of the verb in `cosim -h`: one of cosim's headings (cosim/verbs/__init__.py), or a new one.
     """
 
     command: str = ""
@@ -144,7 +146,7 @@ def twin_of(model_name: str) -> Any:
 
 
 def added_verbs() -> Iterator[tuple[str, Verb]]:
-    """Yield the verbs of packages by name."""
+    """Yield (name, verb) for each verb that an installed package adds."""
     for name in names(VERBS):
         if isinstance(verb := load(VERBS, name), Verb):
             yield name, verb

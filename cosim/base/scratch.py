@@ -91,7 +91,7 @@ def remove(folder: Path) -> None:
 
 
 def is_own(path: Path, of_kind: Callable[[int], bool]) -> bool:
-    """Return whether a path is this user's, of a kind and no link."""
+    """Return whether a path belongs to this user, has the expected kind, and is no symbolic link."""
     try:
         return _is_own(os.lstat(path), of_kind)
     except OSError:

@@ -151,7 +151,7 @@ def _finite(value: float, lowest: float = -math.inf, *, above: bool = False) -> 
 
 
 def _seconds(value: Any, lowest: float = -math.inf) -> float:
-    """Return a time [s] from a number or text."""
+    """Return a time [s] from a number, or from a text with a unit."""
     if isinstance(value, str):
         try:
             if not has_unit(value):

@@ -82,7 +82,7 @@ def counted(count: int, noun: str) -> str:
 
 
 def join_names(names: Sequence[str]) -> str:
-    """Return names as a sentence holds them: `a`, `a and b`, `a, b and c`; of more than three `a, b, c and 7 more`."""
+    """Return names as a phrase: `a`, `a and b`, `a, b and c`; with more than three names `a, b, c and 7 more`."""
     items = [*names] if len(names) <= MOST_NAMED else [*names[:MOST_NAMED], f"{len(names) - MOST_NAMED} more"]
     return " and ".join(filter(None, (", ".join(items[:-1]), *items[-1:])))
 

@@ -107,7 +107,7 @@ def parse(text: str) -> Unit | None:
 
 
 def _words(text: str) -> list[tuple[str, int]] | None:
-    """Return symbols and powers of a unit, if known."""
+    """Return the symbols of a unit and their powers, or None if a symbol is unknown."""
     words = []
     for place, part in enumerate(text.translate(ONE_WAY).split("/")):
         sign = 1 if place == 0 else -1
@@ -271,7 +271,10 @@ def computed_in(displayed: str) -> tuple[str, float]:
 
 
 def alternatives(wanted: str) -> list[str]:
-    """Return units convertible to `wanted`, beginning with `wanted`. Only the first part varies: `mm/s2` for `m/s2`."""
+    """Return units convertible to `wanted`, which comes first.
+
+    Only the first symbol of the unit varies, e.g. `mm/s2` for `m/s2`.
+    """
     head = re.match(r"[A-Za-z%°µΩ]+", wanted)
     units = [wanted]
     if head and head[0] in SYMBOLS:
@@ -281,7 +284,7 @@ def alternatives(wanted: str) -> list[str]:
 
 
 def unit_definitions(names: set[str]) -> Element:
-    """Return FMI's `UnitDefinitions`; raise ValueError for unknown units."""
+    """Return the FMI element `UnitDefinitions` for these units; raise ValueError for unknown units."""
     root = Element("UnitDefinitions")
     for name in sorted(names):
         unit = parse(name)

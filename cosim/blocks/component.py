@@ -17,7 +17,7 @@ SI = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
 
 class EarlyEnd(SimulationError):
-    """A simulation ended on request of an FMU at time `reached` [s], not a failure.
+    """End of a simulation at time `reached` [s], requested by an FMU. It is not a failure.
 
     Attributes:
         readable: Whether the outputs are valid at that time.
@@ -123,9 +123,9 @@ class Component(Protocol):
         """Step from `t` to `t + h` [s]; raise EarlyEnd if the component ends the simulation."""
 
     def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
-        """Return a function of (t, h) for put, advance and get.
+        """Return a function of (t, h) that makes a step: put the inputs, advance by h, get the outputs.
 
-        It is `in_turn` or a faster equivalent, valid after `start`.
+        The function is `in_turn` or a faster equivalent. It is valid after `start`.
         """
 
     def close(self) -> None:

@@ -55,7 +55,7 @@ class LinkFunction(Protocol):
         """Return the value at point k."""
 
     def link(self) -> Link:
-        """Return the C equivalent, continuing from the last point."""
+        """Return the equivalent of this fault for the loop in C, which continues from the last point."""
 
 
 @dataclass(frozen=True)

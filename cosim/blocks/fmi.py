@@ -52,7 +52,7 @@ class Calls(ABC):
 
     @property
     def identifier(self) -> str:
-        """Return the modelIdentifier of the interface."""
+        """Return the modelIdentifier of the FMI interface in use."""
         part = self.description.coSimulation if self.way == "co-simulation" else self.description.modelExchange
         return str(part.modelIdentifier)
 
@@ -68,7 +68,7 @@ class Calls(ABC):
         self.fmu = kind(guid=self.description.guid, unzipDirectory=str(folder), instanceName=self.name, **library)
 
     def instantiate(self, listen: Listen, logging: bool) -> None:
-        """Make the instance."""
+        """Instantiate the FMU and send its log messages to `listen`."""
         self.fmu.instantiate(callbacks=_callbacks2(_route(self.name, listen)), loggingOn=logging)
 
     def limit_logging(self) -> None:
@@ -190,7 +190,7 @@ class CoSimulation1(Version1):
 
 
 class CoSimulation3(Calls):
-    """FMI 3.0 co-simulation."""
+    """Calls of an FMU for FMI 3.0 co-simulation."""
 
     fmpy_class, prefix, exchange, step = "fmi3.FMU3Slave", "fmi3", EXCHANGE3, STEP3
 

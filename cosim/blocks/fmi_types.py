@@ -32,7 +32,7 @@ class Kind:
     largest: float = math.inf
 
     def encode(self, value: Any) -> Any:
-        """Return a value for C; raise ValueError outside the type."""
+        """Return a value as C expects it for this FMI type; raise ValueError if the type cannot hold it."""
         if self.function == "String":
             return value.encode() if isinstance(value, str) else value
         if self.low is None or self.high is None:

@@ -160,7 +160,7 @@ class FmuBlock:
 
     @property
     def log(self) -> deque[str]:
-        """Return the last log messages."""
+        """Return the last log messages of the FMU."""
         return self.instance.log
 
     @log.setter

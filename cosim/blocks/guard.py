@@ -76,7 +76,7 @@ def _numbers(description: Any) -> Iterator[tuple[bool, str, Any]]:
 
 
 def without_wrapping(words: str) -> str:
-    """Return a Python exception's message without pythonfmu's wrapping."""
+    """Return the message of a Python exception without the text that pythonfmu adds."""
     match = WRAPPED.match(words)
     if match is None:
         return words

@@ -211,9 +211,9 @@ class Instance:
             self.judge(error.function, error.status)
 
     def stepping(self) -> Step:
-        """Return the step function.
+        """Return the function that makes a step of the FMU.
 
-        For model exchange, with many calls per step, errors name the failed call and its time.
+        Model exchange makes many FMI calls per step. Its errors therefore name the failed call and the call's time.
         """
         calls, step = self.calls, self.calls.stepping()
         if not isinstance(calls, ModelExchange2):

@@ -183,7 +183,7 @@ class ModelExchange2(Calls):
 
 
 class ModelExchange1(Version1, ModelExchange2):
-    """FMI 1.0 model exchange: no modes, and a single call per event, including initialization."""
+    """Calls of an FMU for FMI 1.0 model exchange, without modes and with a single call per event."""
 
     fmpy_class = "fmi1.FMU1Model"
     _first: Any = None  # event information from the initialization

@@ -1,4 +1,4 @@
-"""Sensor noise on a connection: Gaussian noise and bias."""
+"""Sensor noise that a connection adds to its value: Gaussian noise and a bias."""
 
 from __future__ import annotations
 

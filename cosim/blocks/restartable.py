@@ -15,7 +15,7 @@ class RestartableFmu(FmuBlock):
     """An FMU that restarts without unpacking, by reset if possible."""
 
     def begin(self, values: Mapping[str, Any], start: float, stop: float) -> None:
-        """Enter initialization at `start` with new start values."""
+        """Reset or reload the FMU, and enter initialization at `start` with new start values."""
         self.start_values = values
         if self.instance.fmu is None or not self._reset():
             self.instance.free()

@@ -41,10 +41,10 @@ def solver(name: Solver | None, fmu: Any, **settings: Any) -> Any:
 
 
 class SolverFailed(Exception):
-    """A failure to reach the target time.
+    """Error: the solver could not reach the target time.
 
     Attributes:
-        derivative: Index and value of a non-finite derivative, if any.
+        derivative: Index and value of a derivative that is not finite; None if all were finite.
     """
 
     def __init__(self, reason: str, derivative: tuple[int, float] | None = None) -> None:
@@ -115,7 +115,7 @@ def cvode(fmu: Any, *, states: int, indicators: int, start: float, longest: floa
 
 
 def _silence(integrator: Any) -> None:
-    """Silence CVODE's own messages; `_failure` reports them."""
+    """Suppress the messages that CVODE prints itself; `_failure` reports its errors."""
     from fmpy.sundials.libraries import sundials_core
 
     logger = ctypes.c_void_p()
@@ -145,7 +145,7 @@ def derivatives_of(fmu: Any) -> Any:
 
 
 def nominals(fmu: Any, cells: Any, count: int) -> None:
-    """Write positive nominal values of the states; 1 if unknown."""
+    """Write the nominal values of the FMU's states into `cells`, as positive numbers; 1 if a value is unknown."""
     function = getattr(fmu, "getNominalsOfContinuousStates", None) or fmu.getNominalContinuousStates  # FMI 1.0
     function(cells, count)
     values = ctypes.cast(cells, DOUBLES)
@@ -154,7 +154,7 @@ def nominals(fmu: Any, cells: Any, count: int) -> None:
 
 
 class SolveIvp:
-    """scipy's solve_ivp (Radau) in the form of FMPy's solver."""
+    """The method Radau of scipy's solve_ivp, with the interface of FMPy's solvers."""
 
     def __init__(
         self, fmu: Any, *, states: int, indicators: int, start: float, longest: float, tolerance: float

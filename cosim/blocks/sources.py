@@ -57,7 +57,7 @@ class Source(RowComponent):
 
 
 def reference(name: str, profiles: Mapping[str, Profile]) -> Source:
-    """Return references from profiles; degrees become radians."""
+    """Return a source of reference signals that follow profiles; degrees become radians."""
     signals = {}
     for signal, profile in profiles.items():
         unit, factor = computed_in(profile.unit)

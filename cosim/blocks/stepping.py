@@ -90,7 +90,11 @@ class Move(ctypes.Structure):
 
 
 class Slot(ctypes.Structure):
-    """A stepped unit: an FMU of FMI `version` 2 or 3, or (0) `scalars` values prepared per point from `since` on."""
+    """Data of one stepped component for the loop in C.
+
+    The component is an FMU of FMI `version` 2 or 3. With version 0 it is a source with `scalars` values prepared for
+    each point, beginning at point `since`.
+    """
 
     keeping: Any
 

@@ -47,7 +47,7 @@ class Values:
         self.out, self._finite = ports.real_outputs()
 
     def look_up(self) -> None:
-        """Look up the library's bare functions for the new instance."""
+        """Look up the C functions that set and get values of the new instance."""
         calls, self._component = self._calls, self.instance.component
         real = "Float64" if self._fmi3 else "Real"
         self._set_real, self._get_real = (calls.bare(calls.exchange, f"{verb}{real}") for verb in ("Set", "Get"))
@@ -62,7 +62,7 @@ class Values:
     # -- all values --------------------------------------------------------------------------
 
     def put(self) -> None:
-        """Put the inputs into the FMU."""
+        """Set the inputs of the FMU, or only the changed inputs if changes are watched."""
         if self.watched is not None:
             self._put_if_changed()
         elif self.ports.fed:
@@ -85,9 +85,9 @@ class Values:
 
     @property
     def direct_arguments(self) -> tuple[Arguments | None, Arguments] | None:
-        """Return the arguments to put and get doubles directly.
+        """Return the arguments of the C calls that set and get doubles; None if variables of other types occur.
 
-        The first is None without connected inputs; the result is None if other types occur.
+        The first part is None without connected inputs.
         """
         if self._other_puts or self._other_gets or self._get_arguments is None:
             return None

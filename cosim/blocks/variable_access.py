@@ -18,8 +18,8 @@ class Ports:
     Attributes:
         fed: Connected inputs.
         unfed: Unconnected inputs.
-        read: Outputs, then recorded variables.
-        inward: All inputs, without unconnected optional ones.
+        read: Variables to read after each step: outputs, then recorded variables.
+        inward: Variables to set: all inputs except unconnected optional ones.
     """
 
     def __init__(

@@ -62,20 +62,21 @@ class Compared:
 
     @property
     def judged(self) -> bool:
-        """Return whether there is a tolerance."""
+        """Return whether the comparison has a tolerance, and so a verdict."""
         return self.tolerance is not None
 
     @property
     def same(self) -> bool:
-        """Return whether b matches a.
+        """Return whether run b matches run a.
 
-        Every signal of a must be in b within the tolerance (equal without one), over the whole time of both.
+        Every signal of a must be in b and agree within the tolerance (exactly, if there is none). Both runs must
+        cover the same time.
         """
         return not self.reasons
 
     @property
     def reasons(self) -> list[str]:
-        """Return the reasons against a match, in words."""
+        """Return the reasons why b does not match a, as phrases; empty for a match."""
         different = self.beyond if self.judged else [d for d in self.differences if d.largest]
         count = sum(d.alike for d in different)
         verb = "beyond the tolerance" if self.judged else _differ(count)
@@ -101,7 +102,7 @@ class Compared:
         return pandas.DataFrame([asdict(d) for d in self.ranking]).set_index("name")
 
     def plot(self, *names: str) -> Figure:
-        """Return a matplotlib figure of both runs and of b − a; without names of the signals that differ most.
+        """Return a matplotlib figure with both runs and b − a, by default for the signals that differ most.
 
         Raises:
             KeyError: A name is not numeric in both runs.
@@ -131,7 +132,7 @@ class Compared:
         return f"{self.a.name} and {self.b.name}: {sentence(self)}"
 
     def _table(self) -> tuple[list[tuple[str, str, str, str]], str]:
-        """Return the largest differences as text, and the omitted number."""
+        """Return the rows of the largest differences as texts, and a text with the number of omitted signals."""
         cells = [(d.name, format_size(d, d.largest), f"{d.at:.6g} s", format_share(d)) for d in self.ranking]
         return cells[:MAX_LISTED], f"… and {len(cells) - MAX_LISTED} more" if len(cells) > MAX_LISTED else ""
 
@@ -190,7 +191,10 @@ def _names(run: Ran) -> tuple[str, ...]:
 
 
 class _Overlap:
-    """Rows of a within the time of b; `values` holds both runs' numbers of compared signals."""
+    """Rows of run a within the time of run b.
+
+    The attribute `values` holds the numbers of both runs for each compared signal.
+    """
 
     def __init__(self, a: Ran, b: Ran, rows: slice, aligned: bool, allowed: Tolerance) -> None:
         self.a, self.b, self.rows, self.aligned, self.allowed = a, b, rows, aligned, allowed
@@ -243,7 +247,7 @@ def _differ(count: int) -> str:
 
 
 def sentence(c: Compared) -> str:
-    """Return a sentence on the result."""
+    """Return a sentence that summarises the comparison."""
     count, different = len(c.differences), sum(d.largest > 0 for d in c.differences)
     of_both = " that both have" if c.only_a else ""
     every = f"All {counted(count, 'signal')}{of_both} are" if count > 1 else ""
@@ -272,7 +276,7 @@ def _describe_largest(d: Difference) -> str:
 
 
 def _describe_ends(a: Ran, b: Ran) -> str:
-    """Return a phrase on late starts and early ends."""
+    """Return a phrase on a run that begins or ends before the other; "" if both cover the same time."""
     step = float(np.max(np.diff(a.results.time))) if a.results.time.size > 1 else 0.0
     parts = []
     for verb, row in (("begins", 0), ("ends", -1)):

@@ -1,4 +1,4 @@
-"""Rows of a run between rows of the other, where a spike counts as a difference too.
+"""Comparison of rows that lie between two rows of the other run, so that a spike there counts as a difference.
 
 Between two rows a signal is unknown except for its ends, whether it is held or interpolated. A row in between, or one
 of several at the same time, must therefore lie within the range spanned by the surrounding rows.
@@ -24,9 +24,9 @@ class Between:
     last: Rows
 
     def outside(self, a: Array, b: Array) -> tuple[float, float]:
-        """Return the largest distance of b outside the range, and its time [s].
+        """Return the largest distance of b from the range spanned by the surrounding rows of a, and its time [s].
 
-        It is infinite if only one run has a number, and 0 without such rows.
+        The distance is infinite if only one run has a number, and 0 if b has no rows between those of a.
         """
         if not self.rows.size:
             return 0.0, 0.0
@@ -43,7 +43,7 @@ class Between:
         return float(out[row]), float(self.time[row])
 
     def other_text(self, a: Sequence[str], b: Sequence[str]) -> float | None:
-        """Return the time of b's first text without equal in surrounding rows."""
+        """Return the time of the first text in b that equals no text in the surrounding rows of a; None without one."""
         for row, time, first, last in zip(self.rows, self.time, self.first, self.last, strict=True):
             if b[int(row)] not in a[int(first) : int(last) + 1]:
                 return float(time)
@@ -51,10 +51,10 @@ class Between:
 
 
 def rows_between(a: Array, b: Array, tolerance: float) -> Between:
-    """Return the rows of b between those of a.
+    """Return the rows of b that match no row of a, within the time of a.
 
     Args:
-        tolerance: Largest difference of equal times [s].
+        tolerance: Largest difference of times that count as equal [s].
     """
     after, upto = np.searchsorted(a, b - tolerance, side="left"), np.searchsorted(a, b + tolerance, side="right")
     is_apart = np.diff(b) > tolerance

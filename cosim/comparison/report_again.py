@@ -1,4 +1,4 @@
-"""The page of an earlier run, written again."""
+"""Rewriting of the report page of an earlier run from its files."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cosim.storage.results import rows_in
 
 @folder_locks()
 def report_of(folder: FilePath, *, figures: bool = False) -> Path:
-    """Write report.html of an earlier run again.
+    """Write report.html of an earlier run again from its files.
 
     Raises:
         InputError: The folder has no run, or a run without rows.

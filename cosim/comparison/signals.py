@@ -1,4 +1,4 @@
-"""Difference of a signal in two runs: numbers, text, and rows at other times."""
+"""Difference of one signal between two runs: numbers, texts, and rows at other times."""
 
 from __future__ import annotations
 
@@ -48,22 +48,23 @@ class Difference:
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Allowed difference: a share of each signal's range in a (None: no verdict), plus a size.
+    """Allowed difference of a signal between runs a and b.
 
     Attributes:
-        absolute: Size in the unit of the signal.
+        relative: Allowed share of the signal's range in a; None if no verdict is wanted.
+        absolute: Additional allowed difference in the unit of the signal.
     """
 
     relative: float | None
     absolute: float
 
     def is_exceeded(self, gap: float, scale: float) -> bool:
-        """Return whether a gap, even NaN, exceeds the tolerance."""
+        """Return whether a difference exceeds the tolerance; NaN always does, unless no verdict is wanted."""
         return self.relative is not None and not gap <= self.absolute + self.relative * scale
 
 
 def common_rows(a: Ran, b: Ran) -> tuple[slice, bool]:
-    """Return a's rows within the time of b, and whether times agree."""
+    """Return the rows of a within the time of b, and whether both runs have the same times in these rows."""
     first, second = a.results.time, b.results.time
     count = min(first.size, second.size)
     if not count:
@@ -88,10 +89,11 @@ def time_tolerance(time: Array) -> float:
 def compare_numbers(
     name: str, unit: str, time: Array, values: tuple[Array, Array], allowed: Tolerance, by: Conversion
 ) -> Difference:
-    """Return the difference of numbers in the same unit.
+    """Return the difference of a numeric signal whose units are equal or convertible.
 
     Args:
-        values: Values of a, and of b converted to a's unit, with rounding of the last bits.
+        values: Values of a, and of b converted to the unit of a.
+        by: The conversion of b; differences within its rounding count as 0.
     """
     first, second = values
     same = (first == second) | (np.isnan(first) & np.isnan(second))
@@ -120,7 +122,7 @@ def include_rows_between(d: Difference, outside: float, at: float, allowed: Tole
 
 
 def compare_other_units(name: str, unit: str, other: str, time: Array, *, has_tolerance: bool) -> Difference:
-    """Return the difference of incompatible units."""
+    """Return the difference of a signal whose units are incompatible, which is infinite."""
     note = f"in {unit} in one, in {other} in the other"
     return Difference(name, unit, math.inf, float(time[0]), math.inf, 1.0, math.inf, has_tolerance, note, alike=False)
 
@@ -152,7 +154,7 @@ def compare_text(a: Ran, b: Ran, name: str, rows: slice, between: Between | None
 
 
 def format_size(d: Difference, value: float) -> str:
-    """Return a size in the signal's unit, a dash if not comparable."""
+    """Return a difference as text in the signal's unit; a dash if the signal is not comparable."""
     return amount(value if d.alike else math.nan, d.unit)
 
 

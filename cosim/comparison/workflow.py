@@ -76,7 +76,7 @@ def compare(
 
 
 def context(c: Compared) -> Mapping[str, Any]:
-    """Return the variables of the template."""
+    """Return the variables of the page's template."""
     plotted = [d for d in c.ranking if d.name in c.values][:MAX_PLOTTED]
     drawing = Drawing(c.time, 3 * len(plotted))
     panels = [panel for d in plotted for panel in panels_of(d.name, d.unit, (c.a.name, c.b.name), c.values[d.name])]

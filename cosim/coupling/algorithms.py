@@ -25,9 +25,9 @@ class Algorithm:
     Attributes:
         name: Value of the scenario's key `algorithm`.
         title: Name in reports and messages.
-        about: Continuation of a sentence that begins with the name.
-        sequential: Whether components see new values of components stepped before them. Then the order matters, the
-            scenario may state it by `order`, and components in an algebraic loop have no order.
+        about: Description that follows the name in a sentence, e.g. "steps one after the other".
+        sequential: True if a component sees the new values of components stepped before it. The order then matters, the
+            scenario may state it by `order`, and an algebraic loop has no order.
     """
 
     name = ""
@@ -48,19 +48,19 @@ class Algorithm:
 
 
 class GaussSeidel(Algorithm):
-    """Sequential steps; inputs with direct feedthrough see values of the same time."""
+    """Gauss-Seidel: components step in sequence; inputs with direct feedthrough get values of the same time."""
 
     name = "gauss-seidel"
     title = "Gauss-Seidel"
     about = "steps one after the other"
 
     def plan(self, components: Mapping[str, Component], edges: Sequence[Edge], order: Sequence[str] | None) -> Plan:
-        """Return a plan in user order, else by dependencies."""
+        """Return a plan in the user's order, by default in the order of direct feedthrough."""
         return order_by_dependencies(components, edges, order)
 
 
 class Jacobi(Algorithm):
-    """Steps of all components from the values at the step's start."""
+    """Jacobi: all components step with the input values from the start of the step."""
 
     name = "jacobi"
     title = "Jacobi"
@@ -68,7 +68,7 @@ class Jacobi(Algorithm):
     sequential = False
 
     def plan(self, components: Mapping[str, Component], edges: Sequence[Edge], order: Sequence[str] | None) -> Plan:
-        """Return a plan in file order, copies at the end."""
+        """Return a plan that steps components in file order and copies all values at the end."""
         return Plan(tuple(components), (False,) * len(edges))
 
 
@@ -78,7 +78,7 @@ WITHOUT_ORDER = OWN[1]  # for components in an algebraic loop, which have no ord
 
 
 def algorithms() -> dict[str, Algorithm]:
-    """Return the algorithms by name, cosim's own first."""
+    """Return all available algorithms by name: cosim's own, then those of installed packages."""
     by_name = {algorithm.name: algorithm for algorithm in OWN}
     for algorithm in (load(ALGORITHMS, name) for name in names(ALGORITHMS)):
         if isinstance(algorithm, Algorithm):
@@ -87,7 +87,7 @@ def algorithms() -> dict[str, Algorithm]:
 
 
 class AlgorithmKey:
-    """Key of a file that names an available algorithm."""
+    """Type of the scenario's key `algorithm`: the name of an available coupling algorithm."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return no_info_plain_validator_function(self.validate)

@@ -18,11 +18,13 @@ Input = tuple[str, str]  # component, input
 
 
 class Plan(NamedTuple):
-    """Plan of a communication step: components get immediate inputs and step in order; the rest is copied at the end.
+    """Plan of a communication step.
+
+    Components step in order. Immediate values are copied right before their target steps, all others at the end.
 
     Attributes:
         order: Names of all components.
-        immediate: Whether each edge's value is copied right before its target steps.
+        immediate: For each connection, whether its value is copied right before the target steps.
         notes: Warnings about assumptions.
     """
 
@@ -32,7 +34,10 @@ class Plan(NamedTuple):
 
 
 class AlgebraicLoop(Exception):
-    """Components that need each other's value of the same time; `cycle` begins and ends with the same name."""
+    """Error: components need each other's outputs of the same time.
+
+    The attribute `cycle` holds their names; it begins and ends with the same name.
+    """
 
     def __init__(self, cycle: Sequence[str]) -> None:
         self.cycle = tuple(cycle)
@@ -42,9 +47,9 @@ class AlgebraicLoop(Exception):
 def order_by_dependencies(
     components: Mapping[str, Component], edges: Sequence[Edge], order: Sequence[str] | None
 ) -> Plan:
-    """Return a plan with values of the same time for feedthrough.
+    """Return a plan in which inputs with direct feedthrough get values of the same time.
 
-    An order of the user is kept: edges along the order are immediate, the rest held.
+    An order stated by the user is kept: connections along this order are immediate, all others are held.
 
     Raises:
         AlgebraicLoop: No order exists.
@@ -67,7 +72,10 @@ def order_by_dependencies(
 def _open_cycle(
     components: Mapping[str, Component], edges: Sequence[Edge], direct: set[Input], cycle: Sequence[str]
 ) -> tuple[set[Input], str]:
-    """Return inputs without feedthrough, to open a cycle, and a note. The note states an assumption, if made."""
+    """Return inputs of a cycle that have no direct feedthrough and so open the cycle, and a note.
+
+    The note states an assumption about undeclared feedthrough; "" if none was necessary.
+    """
     inputs = {(target, name) for source, target, name, _ in edges if {source, target} <= {*cycle}}
     # Only outputs used within the loop count.
     unneeded = {
@@ -84,7 +92,7 @@ def _open_cycle(
 
 
 def _find_connected(edges: Sequence[Edge], component: str) -> set[str]:
-    """Return the connected outputs of a component."""
+    """Return the outputs of a component that are connected to inputs."""
     return {output for source, _, _, output in edges if source == component}
 
 

@@ -105,7 +105,7 @@ def initial_fit(problem: Problem) -> Fit:
 
 
 def inverse(information: Array) -> Array:
-    """Return the pseudo-inverse in scaled units.
+    """Return the pseudo-inverse of an information matrix, computed in scaled parameters.
 
     Without scaling, the least identifiable parameter would be dropped.
     """
@@ -203,7 +203,7 @@ class _Scoring:
         return {**self.start, **values}, self.noise.like(self._noise_vector(theta))
 
     def _noise_vector(self, theta: Array) -> Array:
-        """Return the complete noise vector."""
+        """Return all noise values: the free ones from θ, the others from the start."""
         vector = self.noise_start.copy()
         vector[self.free_noise] = theta[len(self.free) :]
         return vector
@@ -257,7 +257,7 @@ class _Scoring:
         return self._evaluate(theta)
 
     def derivatives(self, de: Array, dls: Array) -> tuple[Array, Array]:
-        """Return the gradient ∂NLL/∂θ and the information, priors included, for scaled θ."""
+        """Return the gradient ∂NLL/∂θ and the information matrix for scaled θ; both include the priors."""
         e, s = self.scored.errors, self.scored.variances
         gradient = de @ (e / s) + 0.5 * dls @ (1.0 - e * e / s)
         information = (de / s) @ de.T + 0.5 * dls @ dls.T
@@ -273,7 +273,7 @@ class _Scoring:
         return gradient, information
 
     def _move(self, gradient: Array, information: Array) -> float:
-        """Take a damped step within the limits and return the improvement, or 0."""
+        """Take a damped Newton step within the limits; return the improvement of the objective, or 0 without one."""
         before = self._objective(self.theta, self.scored)
         for _ in range(8):
             # A parameter pushed beyond its limit stays fixed.

@@ -73,23 +73,23 @@ class NoiseLimits:
 
     @property
     def free(self) -> Rows:
-        """Return the indices of free values."""
+        """Return the indices of noise values that a fit may change."""
         return np.flatnonzero(self.low < self.high)
 
     def penalty(self, vector: Array) -> float:
-        """Return ½ Σ ((v − mean)/sigma)²."""
+        """Return the penalty of the priors on a noise vector: ½ Σ ((v − mean)/sigma)²."""
         has_prior = np.isfinite(self.sigma)
         return float(0.5 * np.sum(((vector[has_prior] - self.mean[has_prior]) / self.sigma[has_prior]) ** 2))
 
 
 def noise_range(variances: Callable[[Array, bool], Array], count: int) -> NoiseRange:
-    """Return the power range of each unknown input.
+    """Return the range of noise power to search for each unknown input.
 
-    The smallest level must be invisible at the longest memory too. Otherwise a fit with a longer memory would have an
-    unknown input for free.
+    The smallest level must be invisible at the longest memory too. Otherwise a fit with a longer memory would gain from
+    an unknown input that is meant to be off.
 
     Args:
-        variances: Innovation variances from ln power, and True for the longest memory instead of the usual one.
+        variances: Function from (ln power, whether to use the longest memory) to the innovation variances.
         count: Number of unknown inputs.
     """
     nothing = np.full(count, GRID[0])

@@ -116,7 +116,7 @@ def start_covariance(subject: Subject, problem: Problem) -> Array:
 
 
 def with_equations_trusted(subject: Subject, problem: Problem) -> Problem:
-    """Return the problem without unknown inputs; free runs start from the first readings."""
+    """Return the problem with exact equations: no unknown inputs, and free runs start from the first readings."""
     P0 = problem.P0.copy()
     if math.isinf(subject.horizon):
         fixed = np.isin(problem.layout.uncertain, [*_measured_at_start(subject, problem)])
@@ -131,9 +131,10 @@ def _measured_at_start(subject: Subject, problem: Problem) -> set[str]:
 
 
 def _range(problem: Problem) -> Array:
-    """Return the range of each simulated state.
+    """Return the range of each state in a simulation of the logs.
 
-    The range is 0 at rest, and for a run that leaves the measurements by more than their span (unstable model).
+    The range is 0 for a state at rest. All ranges are 0 if the run leaves the measurements by more than their span, as
+    an unstable model does.
     """
     runs = [own_run(problem, index) for index in range(len(problem.logs))]
     for log, run in zip(problem.logs, runs, strict=True):
@@ -169,10 +170,10 @@ def varied_inputs(subject: Subject, logs: Sequence[Log]) -> list[str]:
 
 
 def coarsen(problem: Problem, values: Mapping[str, float] | None = None) -> Problem:
-    """Return the problem with as few substeps as possible.
+    """Return the problem with the fewest substeps that give the same likelihood.
 
     Args:
-        values: Parameter values if not those of the base model; an active effect may need finer steps.
+        values: Parameter values to test with, by default the base model's. An active effect may need finer steps.
     """
     noise, values = problem.plain, {**problem.values, **(values or {})}
     exact = problem.score(values, noise).nll

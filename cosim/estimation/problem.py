@@ -169,7 +169,7 @@ class Problem:
 
     @property
     def plain(self) -> Noise:
-        """Return noise with plainly detected inputs, or none for trusted equations."""
+        """Return the usual noise: unknown inputs at a detectable level, or off for trusted equations."""
         return self.at(self.noise.smallest if self.trusted else self.noise.plain)
 
     @cached_property
@@ -213,7 +213,7 @@ class Problem:
         return plain
 
     def numbers(self, values: Mapping[str, float]) -> Array:
-        """Return parameter values in the kernel's order."""
+        """Return the parameter values as an array in the kernel's order; missing values come from the problem."""
         return np.array([values[name] if name in values else self.values[name] for name in self.layout.parameters])
 
     def of_log(self, values: Mapping[str, float], index: int) -> Mapping[str, float]:
@@ -229,7 +229,7 @@ class Problem:
         return start_of_log(self.kernel, self.logs[index], p, x0, own, self.origins[index].initial)
 
     def _own(self, values: Mapping[str, float], index: int) -> dict[str, tuple[float, float]]:
-        """Return parameter per log → value, standard deviation."""
+        """Return the parameters with a separate value per log: name → (value, standard deviation) for this log."""
         constants = {}
         for name in self.layout.constants:
             group = self.origins[index].group
@@ -269,7 +269,7 @@ class Problem:
         return replace(data, y=y, late=older)
 
     def variances(self, noise: Noise, index: int) -> Array:
-        """Return the variance of each reading."""
+        """Return the noise variance of each reading; errors of time stamps add to it where the signal changes fast."""
         r = np.exp(noise.sensors)
         if not np.isfinite(noise.timing).any():
             return r
@@ -293,10 +293,10 @@ class Problem:
     def filter_causally(
         self, data: Data, values: Mapping[str, float], noise: Noise, index: int, rows: Sequence[int]
     ) -> Filtered:
-        """Filter measurements in place of a log's, with causal states in `rows`.
+        """Filter other measurements with the inputs of a log; states in `rows` are causal.
 
-        A late reading arrives after the row of its measurement. States in `rows` use only readings available by then.
-        Readings that arrive while another requested state is computed are also ignored; few are, and long past.
+        A late reading arrives after the row of its measurement. States in `rows` use only readings that have arrived by
+        then. Several rows share a filter run, which ignores readings that arrive between them. These are few and old.
         """
         filtered = self.run(values, noise, index, states=True, data=data)
         late = {k: n for k, by in self.lateness(values, index).items() if (n := round(by)) > 0}

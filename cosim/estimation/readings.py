@@ -53,7 +53,7 @@ class Readings:
 
 
 def readings_of(y: Array, unscored: int) -> Readings:
-    """Return the readings of a log without scores in the first rows."""
+    """Return the readings of a log; the first `unscored` rows do not count in the likelihood."""
     scored = np.isfinite(y)
     scored[:unscored] = False
     return Readings(
@@ -65,7 +65,7 @@ def readings_of(y: Array, unscored: int) -> Readings:
 
 
 def readings_of_table(parts: Sequence[Array]) -> list[Readings]:
-    """Return readings of a table, without slopes."""
+    """Return the readings of each part of a table. Rows are independent, so the slopes over time are 0."""
     whole = readings_of(np.vstack(parts), 0)
     return [Readings(np.isfinite(y), np.zeros_like(y), whole.resolution, whole.spread) for y in parts]
 
@@ -85,7 +85,7 @@ def _slopes(column: Array) -> Array:
 
 
 def _resolution(column: Array) -> float:
-    """Return the quantisation step of readings, or 0."""
+    """Return the quantisation step of a column of readings, or 0 if the column is not quantised."""
     values = np.unique(column[np.isfinite(column)])
     if values.size < 3:
         return 0.0

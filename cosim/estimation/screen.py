@@ -48,7 +48,13 @@ class Terms:
 
 @dataclass(frozen=True)
 class Promise:
-    """Predicted log-likelihood gain, linear estimates, and True in `within` if the estimates respect their limits."""
+    """Predicted result of adding candidates.
+
+    Attributes:
+        gain: Predicted log-likelihood gain.
+        values: Linear estimates of the parameters.
+        within: True if the estimates respect their limits.
+    """
 
     gain: float
     values: Mapping[str, float]
@@ -92,7 +98,7 @@ class ScoreTest:
         return row - self.basis @ (self.basis.T @ row)
 
     def row(self, steps: Mapping[str, float]) -> Array:
-        """Return the projected change for finite parameter steps; zero where the model runs away with them."""
+        """Return the change of the innovations by finite parameter steps, projected; zero if the model diverges."""
         with np.errstate(over="ignore", invalid="ignore"):
             row = self._project(self._row(steps))
             return row if np.isfinite(row @ row) else np.zeros_like(row)
@@ -124,7 +130,7 @@ class ScoreTest:
         return self._away_from_fit(c, SHARE if at_neutral else DIFFERENCE)
 
     def _away_from_fit(self, c: Candidate, share: float) -> Terms:
-        """Return a candidate's terms with each parameter moved alone."""
+        """Return a candidate's linear terms, each from a finite step of one parameter."""
         rows, steps = [], []
         for f in c.free:
             step = share * f.size
@@ -209,7 +215,7 @@ class Choice:
         return Promise(0.5 * (self.square - remaining), values, within)
 
     def extensions(self, names: Sequence[str]) -> dict[str, Promise]:
-        """Return the prediction with each other candidate added."""
+        """Return the predictions for `names` with each other candidate added, largest gain first."""
         promises = {n: self.promise([*names, n]) for n in self.terms if n not in names}
         return dict(sorted(promises.items(), key=lambda item: -item[1].gain))
 

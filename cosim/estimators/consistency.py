@@ -63,7 +63,7 @@ class Consistency:
 
     @property
     def verdict(self) -> str:
-        """Return consistent, optimistic (errors larger than the covariance), pessimistic, or both."""
+        """Return the verdict: consistent, optimistic (errors larger than the covariance), pessimistic, or both."""
         low, high = self.region
         optimistic = self.mean > high or self.above > self.most
         pessimistic = self.mean < low or self.below > self.most
@@ -96,15 +96,16 @@ class Consistency:
         return f"{verdict}: {'; '.join(parts)}"
 
     def as_json(self) -> Mapping[str, Any]:
-        """Return plain data for scripts."""
+        """Return the measures and the verdict as plain data for JSON."""
         names = ("degrees", "runs", "mean", "region", "share", "above", "below", "most", "times", "verdict", "factor")
         return {name: getattr(self, name) for name in names}
 
 
 def consistency_of(squares: Array, degrees: int, *, white: bool = False) -> Consistency:
-    """Return the consistency of normalised squares, shape (runs, times).
+    """Return the consistency of normalised squared errors or innovations.
 
     Args:
+        squares: Normalised squares, shape (runs, times).
         degrees: Degrees of freedom of each square.
         white: True for squares without correlation within a run, such as innovations.
 
@@ -137,7 +138,7 @@ def consistency_of(squares: Array, degrees: int, *, white: bool = False) -> Cons
 
 
 def independent_times(squares: Array) -> float:
-    """Return the number of independent times with equally scattered shares.
+    """Return the number K of independent times that would scatter the share of exceeded limits as much as these times.
 
     p·(1 − p)/K = mean of cov(1(z_j > c), 1(z_k > c)), with z_j the nearly normal mean over the runs at time j, its
     correlations from the runs, and c the 97.5 % quantile.
@@ -151,7 +152,7 @@ def independent_times(squares: Array) -> float:
 
 
 def _covariances() -> tuple[Array, Array]:
-    """Return correlations ρ of two normal numbers and cov(1(z₁ > c), 1(z₂ > c)).
+    """Return a table: correlations ρ of two normal numbers, and cov(1(z₁ > c), 1(z₂ > c)) for each ρ.
 
     The covariance is ∫₀^asin ρ exp(−c²/(1 + sin θ)) dθ/2π.
     """
@@ -167,12 +168,14 @@ def _covariances() -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Row:
-    """Result of one case on one flight.
+    """Result of one case on one flight for one kind of normalised squares.
 
     Attributes:
         case: Estimator and true plant.
-        flight: Name of the motion; `motion` describes it.
-        of: Kind of squares; `at` are the times [s].
+        flight: Name of the motion.
+        motion: Description of the motion.
+        of: Kind of squares, such as NEES or NIS.
+        at: Times of the squares [s].
     """
 
     case: str
@@ -196,18 +199,18 @@ class CaseResult:
 
     @property
     def consistent(self) -> bool:
-        """Return True if every kind of squares is consistent."""
+        """Return True if the case is consistent in every kind of squares."""
         return all(row.result.verdict == CONSISTENT for row in self.rows)
 
     @property
     def verdict(self) -> str:
-        """Return consistent, optimistic, pessimistic, or both of the latter."""
+        """Return the verdict over all kinds of squares: consistent, optimistic, pessimistic, or both of the latter."""
         kinds = {kind for row in self.rows for kind in (OPTIMISTIC, PESSIMISTIC) if kind in row.result.verdict}
         return BOTH if len(kinds) == 2 else next(iter(kinds), CONSISTENT)
 
     @property
     def factor(self) -> float:
-        """Return mean square error over estimated variance."""
+        """Return the mean squared error divided by the variance that the estimator claims."""
         return self.rows[0].result.factor
 
 
@@ -220,7 +223,7 @@ def by_case(rows: Sequence[Row]) -> list[CaseResult]:
 
 
 def headline(rows: Sequence[Row]) -> str:
-    """Return how many cases are consistent, and in a second sentence the case with the largest errors."""
+    """Return a headline: the number of consistent cases, then the case with the largest errors."""
     results = by_case(rows)
     right, largest = sum(r.consistent for r in results), worst(results)
     opening = f"{right} of {len(results)} cases are consistent: errors match the variance that the estimator claims."
@@ -231,6 +234,6 @@ def headline(rows: Sequence[Row]) -> str:
 
 
 def worst(results: Sequence[CaseResult]) -> CaseResult | None:
-    """Return the case with the largest errors for the variance that it claims; None where all are consistent."""
+    """Return the inconsistent case whose errors are largest relative to the claimed variance; None without one."""
     largest = max(results, key=lambda r: r.factor)
     return None if largest.factor <= 1.0 or largest.consistent else largest

@@ -21,7 +21,7 @@ TEMPLATE = Path(__file__).with_name("templates") / "consistency.html.j2"
 
 
 def page(rows: Sequence[Row], steps: int, seed: int) -> str:
-    """Return a self-contained page."""
+    """Return the self-contained HTML page of a consistency test."""
     charts, runs, results = Charts(), rows[0].result.runs, by_case(rows)
     flights, main = {row.flight: row.motion for row in rows}, worst(results) or results[0]
     return render(
@@ -46,9 +46,9 @@ def page(rows: Sequence[Row], steps: int, seed: int) -> str:
 
 
 def _summary(case: str, results: Sequence[CaseResult], flights: Sequence[str]) -> Mapping[str, Any]:
-    """Return an estimator's verdict on each flight.
+    """Return a case's row of the summary table: its verdict on each flight.
 
-    `factor` is the squared error over the claimed variance.
+    The number `factor` is the mean squared error divided by the claimed variance.
     """
     own = {r.rows[0].flight: r for r in results if r.rows[0].case == case}
     cells = {f: {"verdict": r.verdict, "good": r.consistent, "factor": plain(r.factor, 3)} for f, r in own.items()}
@@ -75,7 +75,7 @@ def _cells(row: Row) -> Mapping[str, Any]:
 
 
 def _plot(row: Row, charts: Charts) -> Plot:
-    """Draw the mean and a consistent estimator's 95 % range."""
+    """Draw the mean over the runs and the 95 % range of a consistent estimator."""
     r = row.result
     low, high = (np.full(row.at.size, edge) for edge in r.at_time)
     traces = (Trace(f"mean of {counted(r.runs, 'run')}", r.at_times, "true"),)

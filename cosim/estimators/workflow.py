@@ -1,4 +1,4 @@
-"""Monte Carlo consistency test of the base model's estimators, with table and page."""
+"""Monte Carlo test of the consistency of the base model's estimators, with a table and a page."""
 
 from __future__ import annotations
 

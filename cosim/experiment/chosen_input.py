@@ -1,4 +1,4 @@
-"""Chosen input of an experiment: separation of the rivals, excursions, and sentences about both."""
+"""The chosen input of an experiment: separation of the rivals, excursions of signals, and sentences on both."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Excitation:
 
     @property
     def headline(self) -> str:
-        """Return the number of separated pairs and the hardest pair."""
+        """Return a sentence with the number of separated pairs of rivals and the pair that is hardest to separate."""
         count, pairs = (
             sum(distance >= MIN_SEPARATION for distance in self.apart.values()),
             counted(len(self.apart), "pair"),
@@ -89,7 +89,7 @@ class Excitation:
 
     @property
     def hardest_first(self) -> list[Pair]:
-        """Return the pairs of rivals, closest first."""
+        """Return the pairs of rivals, the hardest to separate first."""
         return sorted(self.apart, key=lambda pair: self.apart[pair])
 
     def _ranges(self, trial: Trial) -> str:

@@ -175,7 +175,7 @@ def _write(folder: Path, excitation: Excitation, seed: int) -> None:
 
 
 def _scenario(excitation: Excitation, seed: int) -> Iterator[str]:
-    """Yield the lines of the scenario."""
+    """Yield the lines of the scenario that plays the chosen input."""
     trial, question, rig = excitation.trial, excitation.question, excitation.rig
     model = question.loaded.model
     yield "name: excitation"

@@ -59,7 +59,7 @@ class Question:
 
 
 class Ranked(BaseModel):
-    """A hypothesis in refine.json."""
+    """A ranked hypothesis, as read from refine.json."""
 
     model_config = ConfigDict(extra="ignore", frozen=True)
 
@@ -89,7 +89,10 @@ def ask(
     measured: Sequence[str] = (),
     ranges: Sequence[str] = (),
 ) -> Question:
-    """Return the question for `base`, a model file, or a refine.json (or its folder).
+    """Return the question of an experiment: a model, its rival hypotheses, and limits of signals.
+
+    Args:
+        text: `base`, a model file, or a refine.json or its folder.
 
     Raises:
         InputError: An argument has faults, or the model has no states.
@@ -110,7 +113,7 @@ def ask(
 
 
 def _read_question(text: str, against: Sequence[str]) -> tuple[Path, Question]:
-    """Return the file and its question."""
+    """Return the file that the user named, and the question read from it."""
     path = Path(text)
     if path.exists() and not names_refine(path) and ".py:" not in text:
         (check_given if path.suffix == ".json" else check_form)(path, ANSWER, MODEL, CODE)
@@ -247,9 +250,9 @@ def _groups(model: Model, candidates: Mapping[str, Candidate]) -> list[set[str]]
 def _rivals(
     loaded: LoadedModel, candidates: Mapping[str, Candidate], names: Sequence[str]
 ) -> tuple[tuple[Rival, ...], tuple[Pair, ...]]:
-    """Return typical rivals and their pairs.
+    """Return rivals of typical size, and the pairs of rivals to separate.
 
-    A single name is compared with nothing; without names, the usual pairs count.
+    A single named candidate is compared with the model without it. Without names, the pairs come from the usual groups.
     """
     subject = ModelSubject(loaded)
     if len(names) == 1:

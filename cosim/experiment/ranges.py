@@ -35,7 +35,7 @@ def logged_ranges(logs: Sequence[Log]) -> dict[str, tuple[float, float]]:
 def limits_and_ranges(
     model: Model, limits: Sequence[str], ranges: Sequence[str], logged: Ranges, faults: list[Message]
 ) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
-    """Return the allowed excursions of signals and the ranges of inputs; extend `faults`.
+    """Return the largest allowed excursion of each limited signal, and the range of each input; extend `faults`.
 
     A range is the declared one, narrowed by NAME=MIN..MAX. For an input without range and limit, the logs' range
     counts.
@@ -81,7 +81,7 @@ def _limits(model: Model, texts: Sequence[str], faults: list[Message]) -> dict[s
 
 
 def _narrow_ranges(model: Model, texts: Sequence[str], spans: dict[str, tuple[float, float]]) -> Iterator[Message]:
-    """Narrow declared ranges by NAME=MIN..MAX with unit, and yield faults."""
+    """Narrow the declared ranges in `spans` by texts NAME=MIN..MAX with a unit; yield a message for each fault."""
     units = {q.name: q.unit for q in model.inputs}
     for text, name, match in _read_items(RANGE, texts):
         if name not in units:

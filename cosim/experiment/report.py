@@ -81,14 +81,14 @@ def _input_panels(excitation: Excitation) -> list[Panel]:
 
 
 def _outputs(excitation: Excitation) -> list[str]:
-    """Return the outputs with a chart: first limited, then measured outputs."""
+    """Return the outputs that get a chart: limited outputs first, then measured outputs."""
     question, outputs = excitation.question, excitation.trial.outputs
     limited = [name for name in outputs if name in question.limits]
     return list(dict.fromkeys((*limited, *question.measured)))[:MAX_OUTPUTS]
 
 
 def _output_plots(excitation: Excitation, names: list[str], drawing: Drawing) -> list[Plot]:
-    """Draw the outputs of model and rivals, with limits."""
+    """Draw each output of the model and of its rivals, with the limits."""
     rivals, units = list(excitation.rivals.items())[:MAX_RIVALS], _units(excitation)
     panels = []
     for name in names:
@@ -118,7 +118,7 @@ def _pair(excitation: Excitation, pair: Pair, largest: float) -> Mapping[str, An
 
 
 def _limits(excitation: Excitation) -> list[Mapping[str, Any]]:
-    """Return allowed, model's and largest excursion of each limited signal."""
+    """Return a table row for each limited signal: allowed excursion, the model's, and the largest of any rival."""
     model, units, trials = (
         excitation.question.loaded.model,
         _units(excitation),

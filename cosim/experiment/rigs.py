@@ -36,7 +36,10 @@ class Axis:
 
 @dataclass(frozen=True)
 class Trial:
-    """A noise-free trial: axis signals, model inputs, loop references and outputs by name."""
+    """A noise-free simulation of an experiment.
+
+    Each field maps names to values over time: chosen signals, model inputs, references of the loop, and outputs.
+    """
 
     time: Array
     signals: Signals
@@ -81,10 +84,10 @@ class Rig(Protocol):
         """Write `files`."""
 
     def components(self) -> Iterator[str]:
-        """Yield scenario lines of components beside `plant` and `excitation`."""
+        """Yield the scenario lines of further components, besides `plant` and `excitation`."""
 
     def connections(self, model: Model, trial: Trial, variance: Mapping[str, float]) -> Iterator[str]:
-        """Yield scenario lines of connections.
+        """Yield the scenario lines of the connections.
 
         Args:
             variance: Noise variance of each output.
@@ -92,7 +95,7 @@ class Rig(Protocol):
 
 
 class OpenLoop:
-    """Rig for any model in open loop: each input is an axis around its start value."""
+    """Open-loop rig for any model: each input gets a signal around its start value."""
 
     usual = "a step of each input in turn"
     files: tuple[str, ...] = ()
@@ -104,7 +107,7 @@ class OpenLoop:
         self.axes = tuple(Axis(q.name, limits[q.name], slowest, fastest) for q in model.inputs)
 
     def play(self, model: Model, signals: Signals) -> Trial:
-        """Return the response to inputs clipped to their ranges."""
+        """Simulate the model with input signals, clipped to the ranges of the inputs, and return the trial."""
         starts = {q.name: start for q, start in zip(model.inputs, model.start_command(), strict=True)}
         commands = [clip(start + signals[name], name, self.ranges).tolist() for name, start in starts.items()]
         rows = [*zip(*commands, strict=True)]

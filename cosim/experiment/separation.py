@@ -45,9 +45,9 @@ class Rival:
 
 
 def typical_rival(subject: Subject, candidate: Candidate) -> Rival:
-    """Return a candidate at a clearly detectable size.
+    """Return a rival in which a candidate has a clearly detectable size.
 
-    An effect is `typical` away from neutral, a base parameter 20 % wrong.
+    An effect differs from its neutral value by its `typical` size. A base parameter is wrong by 20 %.
     """
     if candidate.kind == "parameter":
         (free,) = candidate.free
@@ -68,10 +68,11 @@ def all_pairs(names: Iterable[str]) -> list[Pair]:
 
 
 class Separation:
-    """Measure of inputs.
+    """Measure of how well an input separates pairs of hypotheses.
 
     Args:
         problem: Fitting problem with the kernel.
+        rivals: Hypotheses at a detectable size.
         pairs: Pairs of `rivals` to separate.
     """
 
@@ -82,7 +83,7 @@ class Separation:
         self.noise, self.substeps = problem.plain, coarsen(problem).logs[0].substeps
 
     def of(self, log: Log) -> dict[Pair, float]:
-        """Return the distance of each pair on a noise-free log [standard deviations]."""
+        """Return the distance of each pair of rivals on a noise-free log [standard deviations]."""
         layout = self.problem.layout
         data = replace(data_of(self.subject, log, layout, self.problem.settle), substeps=self.substeps)
         start = start_state(self.subject, data, layout.outputs, layout.states)

@@ -32,7 +32,7 @@ def annotation(traits: Traits, state: str = "json") -> Element:
 
 
 def traits_of(fmu: Path) -> Traits | None:
-    """Return the traits of an FMU's signals; None for foreign FMUs."""
+    """Return the traits (rates, limits, planar frame) that cosim has stored in an FMU; None for FMUs of other tools."""
     node = own_annotation(fmu, "Traits")
     if node is None:
         return None

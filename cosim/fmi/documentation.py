@@ -43,7 +43,7 @@ def model_text(model: Model) -> str:
 def write_documentation(
     folder: Path, about: Description, text: str, version: str, licence: Path, way: str = "FMI 2.0 co-simulation"
 ) -> None:
-    """Write `index.html` and the licence."""
+    """Write the FMU's documentation page `index.html`, and the licence."""
     folder.mkdir(parents=True, exist_ok=True)
     title = escape(about.description)
     groups = (("Inputs", "input"), ("Outputs", "output"), ("Parameters", "parameter"))

@@ -81,7 +81,7 @@ def sort_values(values: Mapping[str, float | bool] | None) -> tuple[tuple[str, f
 
 
 def about_model(model: Model, text: str) -> Description:
-    """Return the content of a model's model description."""
+    """Return the data of a model from which its modelDescription.xml is written."""
     from cosim.fmi.ports import model_ports
     from cosim.model.symbolic.dependencies import direct_dependencies, initial_dependencies
 
@@ -111,7 +111,7 @@ def xml_of(recipe: Recipe, xml: bytes, guid: str) -> bytes:
 
 
 def _pack(recipe: Recipe, folder: Path) -> Path:
-    """Pack sources in a package named by their content."""
+    """Pack the sources of an FMU as a Python package named by their hash; return the draft of the FMU."""
     from pythonfmu.builder import FmuBuilder
 
     sources = dict(_sources(recipe))

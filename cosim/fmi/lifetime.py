@@ -1,4 +1,4 @@
-"""Workaround inside the FMU for double releases in pythonfmu 0.7.0.
+"""Workaround for pythonfmu 0.7.0, which releases two objects twice and so crashes the host of an FMU.
 
 pythonfmu runs the slave's script at import and again at every instantiation. It then releases the module's dictionary
 without owning it: the dictionary is freed while in use, and the host crashes at a later collection or at its end. Its

@@ -37,7 +37,7 @@ class Port:
 
 
 def parameter_port(p: Parameter, start: Value, prefix: str = "") -> Port:
-    """Return the port of a declared parameter."""
+    """Return the FMU variable of a model parameter, with its start value."""
     return Port(prefix + p.name, "parameter", start, p.unit, p.doc, p.bounds)
 
 

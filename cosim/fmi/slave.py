@@ -64,7 +64,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
         raise NotImplementedError
 
     def restore(self, snapshot: Any) -> None:
-        """Restore a snapshot."""
+        """Restore the state from a snapshot."""
         raise NotImplementedError
 
     @property

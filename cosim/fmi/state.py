@@ -44,7 +44,7 @@ def with_memory(data: bytes, memory: Memory) -> bytes:
 
 
 class _Doubles:
-    """Parsed state of a native FMU; invalid bytes raise ValueError."""
+    """State of a native FMU, parsed from its bytes; invalid bytes raise ValueError."""
 
     def __init__(self, data: bytes) -> None:
         count = (len(data) - GUID) // 8

@@ -1,1 +1,1 @@
-"""FMUs in a separate, watched process, so that their crashes stay there."""
+"""Worker processes for FMUs, which are supervised, so that a crash of an FMU does not end cosim."""

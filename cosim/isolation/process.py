@@ -82,7 +82,7 @@ class Worker:
         return self._scratch.path
 
     def take_along(self, folder: Path) -> None:
-        """Register a folder for removal if this process is killed. The worker then removes it."""
+        """Register a folder that the worker removes if this process is killed."""
         with suppress(OSError), (self._scratch.path / ALONG).open("a", encoding="utf-8") as stream:
             stream.write(f"{folder}\0")  # On a full disk the next command removes the folder.
 
@@ -94,18 +94,19 @@ class Worker:
     def call(
         self, function: Callable[..., Any], *arguments: Any, watch: Watch | None = None, doing: int = NOTHING
     ) -> Any:
-        """Return a function's result from the worker.
+        """Call a function in the worker and return its result.
 
         Errors of cosim are raised here. After a crash or an exceeded limit, shared rows and counters remain as they
         were, and the next call starts a new process.
 
         Args:
-            doing: Current call, for functions that do not report calls.
+            doing: Number of the current FMI call, for functions that do not report their calls.
 
         Raises:
             InputError: The arguments cannot be sent.
             Crashed: The process ended.
-            TimedOut: A time limit is exceeded; SimulationError for memory.
+            TimedOut: A time limit is exceeded.
+            SimulationError: The memory limit is exceeded.
         """
         self.start()
         self.progress.made[0], self.progress.doing[0], self.progress.named[0] = 0, doing, 0
@@ -128,7 +129,7 @@ class Worker:
         return answer
 
     def finish(self) -> None:
-        """Let the process end by itself, without further jobs."""
+        """Tell the process to end by itself, after its current jobs."""
         self._ask(b"")
         self._finishing = True
 
@@ -197,7 +198,7 @@ class Worker:
 
 
 class _Output:
-    """Output of FMUs, passed up to a limit; the last part is kept."""
+    """Text that FMUs print in the worker: passed on up to a limit, and the last part kept for messages."""
 
     def __init__(self, stream: Any) -> None:
         self.last = b""
@@ -220,7 +221,7 @@ class _Output:
         self._thread.join(1.0)
 
     def last_line(self) -> str:
-        """Return the last non-blank line."""
+        """Return the last line of the output that is not blank."""
         lines = [line.strip() for line in self.last.decode("utf-8", "replace").splitlines()]
         return next((line for line in reversed(lines) if line), "")
 

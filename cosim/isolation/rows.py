@@ -27,7 +27,7 @@ POPULATE_WRITE, AHEAD = 23, 2**26  # MADV_POPULATE_WRITE of Linux, and bytes of 
 
 
 class ExactValues(Protocol):
-    """The list operations needed for values beyond doubles."""
+    """Interface of the list for values that doubles cannot hold, such as text and 64-bit integers."""
 
     def append(self, row: tuple[Any, ...], /) -> None:
         """Append the values of a row."""

@@ -1,4 +1,4 @@
-"""Supervision of a worker by its caller: current call, duration, size and end."""
+"""Supervision of a worker by its caller: current FMI call, duration, process size, and end of the process."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def how_ended(code: int | None) -> str:
 
 
 class Clock:
-    """Supervision of durations and process size between checks."""
+    """Supervision of a worker between two checks: durations and process size."""
 
     def __init__(self, watch: Watch, progress: Progress) -> None:
         self.watch, self.progress = watch, progress

@@ -52,7 +52,7 @@ progress: Progress  # shared with the caller
 
 
 class SharedLog(deque[str]):
-    """Messages of an FMU; the caller sees the last even after a crash."""
+    """Log messages of an FMU; the last message is in shared memory, so that the caller sees it even after a crash."""
 
     def append(self, text: str) -> None:
         """Append a message and share it."""
@@ -61,7 +61,7 @@ class SharedLog(deque[str]):
 
 
 def share_log(component: Any) -> None:
-    """Share a component's messages with the caller."""
+    """Replace a component's log by one that shares the last message with the caller."""
     log = getattr(component, "log", None)
     if isinstance(log, deque):
         component.log = SharedLog(log, log.maxlen)
@@ -105,7 +105,10 @@ def main() -> None:
 
 
 def _end() -> None:
-    """End at once; unloading all modules would take longer than loading. The caller ends processes started by FMUs."""
+    """End the process at once, without unloading its modules, which would take longer than loading them.
+
+    The caller ends processes started by FMUs.
+    """
     sys.stdout.flush()
     sys.stderr.flush()
     if os.name == "posix":
@@ -132,9 +135,9 @@ def _restore(name: str, value: str | None) -> None:
 
 
 def _read(requests: BinaryIO, jobs: queue.SimpleQueue[bytes], scratch: Path) -> None:
-    """Queue jobs; an empty job ends the worker.
+    """Read requests and queue them as jobs; an empty job ends the worker.
 
-    After the caller's end, remove its files and end the process group.
+    If the caller has ended, remove its files and end the process group.
     """
     while (content := receive(requests)) is not None:
         jobs.put(content)
@@ -146,9 +149,9 @@ def _read(requests: BinaryIO, jobs: queue.SimpleQueue[bytes], scratch: Path) -> 
 
 
 def _registered_folders(scratch: Path) -> list[Path]:
-    """Return folders to remove after the caller's end.
+    """Return the folders to remove after the caller's end.
 
-    The caller lists them itself, because a job may not have begun.
+    The caller lists them in a file, because the job that uses them may not have begun.
     """
     try:
         return [Path(line) for line in (scratch / ALONG).read_text(encoding="utf-8").split("\0") if line]
@@ -207,7 +210,7 @@ def transfer_fault(error: Exception) -> InputError:
 
 
 def _pickled_error(error: Exception, place: str) -> bytes:
-    """Return a pickled error, or its text if not picklable."""
+    """Return an error in pickled form; an error that cannot be pickled becomes a RuntimeError with its text."""
     if not isinstance(error, CosimError):
         error.add_note(f"in a worker:\n{place}")
     try:

@@ -22,7 +22,9 @@ _kernels: dict[tuple[Any, ...], CompiledKernel] = {}
 def kernel(
     model: Model, measured: Sequence[str], unnamed: bool = False, constant: Sequence[str] = ()
 ) -> CompiledKernel:
-    """Return the cached kernel of a model and measured outputs; only flags are compiled in.
+    """Return the compiled kernel for a model and its measured outputs, from the cache if possible.
+
+    Only Boolean parameters are compiled in.
 
     Raises:
         InputError: No working C compiler exists, or the model compares symbols with ==.

@@ -1,4 +1,4 @@
-"""Filter in C, compiled once per model and measured outputs, cached by content."""
+"""Filter in C, compiled once for each model and its measured outputs; the library is cached by its source."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def _log(data: Data, u: Array, y: Array, ramps: Array, late: Array) -> _Log:
 
 
 def _contiguous(a: Array) -> Array:
-    """Return contiguous doubles."""
+    """Return an array as contiguous doubles, as C needs them."""
     return np.require(a, np.float64, ["C"])
 
 
@@ -89,7 +89,7 @@ def _address(a: Array) -> int | None:
 
 
 def _source(generated: Generated) -> str:
-    """Return the whole C file."""
+    """Return the C source of the filter: sizes, generated functions and hand-written code."""
     sizes = _sizes(generated.layout) | {"STIFF": str(int(generated.stiff))}
     head = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
     bodies = ((NATIVE / "step.c").read_text(encoding="utf-8"), FILTER.read_text(encoding="utf-8"))

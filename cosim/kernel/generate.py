@@ -43,10 +43,10 @@ class Generated:
 
 @dataclass(frozen=True)
 class Reach:
-    """States between process noise and measured outputs in the base model.
+    """States that process noise reaches, and states that reach measured outputs, in the base model.
 
     Attributes:
-        forced: States with process noise; other forced states are not observable.
+        forced: States with process noise. States whose noise no output would show have none.
         uncertain: States reached by the noise, forced ones included.
         drifting: States reached by noise without influence on a measured output.
         driven: Remaining states with influence on a measured output.
@@ -109,7 +109,7 @@ def _print_functions(
     shapes: Sequence[LocalShape],
     stiff: bool,
 ) -> str:
-    """Return the printed functions.
+    """Return the functions of the kernel as C code.
 
     Args:
         expressions: Derivatives and readings.
@@ -159,7 +159,7 @@ def _slope(expression: Any, by: Any, shapes: Sequence[LocalShape]) -> Any:
 
 
 def _rates(body: Body) -> dict[str, str]:
-    """Return state → state that is its derivative."""
+    """Return the states whose derivative is another state: name → name of the derivative."""
     names = {symbol: q.name for q, symbol in zip(body.symbols.model.states, body.symbols.state, strict=False)}
     return {name: names[e] for name, e in body.derivative.items() if e in names}
 
@@ -215,7 +215,10 @@ def _with_constants(
 
 
 def _reach(model: Model, measured: Sequence[str]) -> Reach:
-    """Return the reach of noise; coupling by effects counts in the mean, not in the covariance."""
+    """Return the states that process noise reaches.
+
+    A coupling that only effects cause is part of the mean, not of the covariance.
+    """
     body = Body.of(replace(model, effects=()), effects=False)
     names = list(body.derivative)
     forced = [names.index(n) for n in model.forced]
@@ -231,7 +234,7 @@ def _reach(model: Model, measured: Sequence[str]) -> Reach:
 
 
 def _downstream(body: Body, first: Sequence[int]) -> set[int]:
-    """Return the indices of states influenced by some states, themselves included."""
+    """Return the indices of all states that the states in `first` influence, including `first`."""
     feeds, reached = _feeds(body), set(first)
     while grown := {i for i, parts in enumerate(feeds) if parts & reached} - reached:
         reached |= grown
@@ -239,7 +242,7 @@ def _downstream(body: Body, first: Sequence[int]) -> set[int]:
 
 
 def _upstream(body: Body, expressions: Sequence[Any]) -> set[int]:
-    """Return the indices of states with influence on some expressions."""
+    """Return the indices of all states that influence some expressions, directly or through other states."""
     feeds, place = _feeds(body), {symbol: k for k, symbol in enumerate(body.symbols.state)}
     reaching = {place[v] for e in expressions for v in e.free_symbols if v in place}
     while grown := {j for i in reaching for j in feeds[i]} - reaching:
@@ -248,6 +251,6 @@ def _upstream(body: Body, expressions: Sequence[Any]) -> set[int]:
 
 
 def _feeds(body: Body) -> list[set[int]]:
-    """Return the states in each equation."""
+    """Return for each state equation the indices of the states in it."""
     place = {symbol: k for k, symbol in enumerate(body.symbols.state)}
     return [{place[v] for v in e.free_symbols if v in place} for e in body.derivative.values()]

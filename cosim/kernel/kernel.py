@@ -55,7 +55,7 @@ class Layout:
 
     @property
     def noise_places(self) -> list[int]:
-        """Return the state indices with process noise."""
+        """Return the indices of the states with process noise."""
         return [self.stochastic[k] for k in self.noisy]
 
     @property
@@ -65,12 +65,12 @@ class Layout:
 
     @property
     def forced(self) -> tuple[str, ...]:
-        """Return the state names of possibly deficient equations."""
+        """Return the names of the states with forced equations, which may lack an effect and so have process noise."""
         return tuple(self.states[k].removeprefix(DISTURBANCE) for k in self.noise_places)
 
     @cached_property
     def constants(self) -> Mapping[str, int]:
-        """Return parameter → state index of constant states."""
+        """Return the parameters that are constant states: name → index of the state."""
         return {n.removeprefix(CONSTANT): k for k, n in enumerate(self.states) if n.startswith(CONSTANT)}
 
     @property
@@ -81,14 +81,16 @@ class Layout:
 
 @dataclass(frozen=True)
 class Data:
-    """A log as input of the filter: u (rows, inputs), y (rows, outputs) with NaN if missing.
+    """A log as input of the filter.
 
     Attributes:
-        substeps: RK4 steps from row to row.
-        interpolated: Inputs interpolated between rows; others are held.
-        late: (rows, outputs) age of a reading in rows, −½ … ½; None for none.
-        settle: Rows after the first with constant covariance P0, while states settle.
-        table: True for independent rows.
+        u: Inputs, shape (rows, inputs).
+        y: Measurements, shape (rows, outputs), NaN if missing.
+        substeps: Number of RK4 steps from row to row.
+        interpolated: Inputs that are interpolated between rows; others are held.
+        late: Age of each reading in rows, −½ … ½, shape (rows, outputs); None if all are on time.
+        settle: Number of rows after the first in which the covariance stays P0, while states settle.
+        table: True if rows are independent of each other.
     """
 
     step: float
@@ -102,7 +104,7 @@ class Data:
     table: bool = False
 
     def rows(self, first: int, end: int) -> Data:
-        """Return the rows from `first` to `end` with all row data."""
+        """Return the part of the log from row `first` to before row `end`."""
         rows = slice(first, end)
         late = None if self.late is None else self.late[rows]
         return replace(self, start=self.start + first * self.step, u=self.u[rows], y=self.y[rows], late=late)
@@ -125,7 +127,7 @@ class Filtered:
 
 @dataclass(frozen=True)
 class Simulated:
-    """Noise-free outputs (rows, outputs), states and memory (rows, …); NaN before the first row."""
+    """Noise-free simulation: outputs (rows, outputs), states and memory (rows, …); NaN before the first row."""
 
     outputs: Array
     states: Array
@@ -140,9 +142,12 @@ class Kernel(Protocol):
         """Return the layout of the arrays."""
 
     def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
-        """Filter one log; a diverging run gives infinite errors.
+        """Filter one log; a diverging filter gives infinite errors.
 
         Args:
+            p: Parameter values.
+            x0: Initial state.
+            P0: Initial covariance.
             q: Noise density of each stochastic state.
             r: Variance of each output, or of each row and output.
         """

@@ -82,7 +82,7 @@ class LocalShape:
 def local_shape(
     slot: int, signals: dict[str, Any], equations: Sequence[str], number: Callable[[str], Any]
 ) -> LocalShape:
-    """Return a local shape, differentiated once for all states.
+    """Return the local shape of a slot, an unnamed term, with its derivatives by all states.
 
     Args:
         number: Function from a parameter's name to its symbol.
@@ -127,6 +127,6 @@ def clip(x: Any) -> Any:
 
 
 def rise(x: Any) -> Any:
-    """Return 0 below −1, 1 above 1, a cubic between."""
+    """Return a smooth step in x: 0 below −1, 1 above 1, and a cubic between."""
     c = clip(x)
     return (2 + 3 * c - c**3) / 4

@@ -1,4 +1,4 @@
-"""Settling time of unmeasured states after a wrong start of the filter."""
+"""Time in which unmeasured states forget a wrong start of the filter."""
 
 from __future__ import annotations
 

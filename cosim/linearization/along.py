@@ -29,10 +29,12 @@ MAX_NAMES = 8  # missing signals in a message
 
 
 class Along:
-    """Points of a model along a run; an FMU replaces the component in the scenario.
+    """Operating points of a model along a run of a scenario.
+
+    The model stands for a component of the scenario.
 
     Args:
-        component: Name in the scenario if several components fit.
+        component: Name in the scenario if several components have the model's inputs and outputs.
     """
 
     def __init__(self, source: Source, moment: Moment, component: str = "") -> None:
@@ -52,7 +54,7 @@ class Along:
 
     @property
     def start_values(self) -> dict[str, Any]:
-        """Return the scenario's start values and parameters of the component."""
+        """Return the start values and parameters that the scenario sets for the component."""
         return dict(self._manifest["scenario"]["components"].get(self._name, {}).get("start") or {})
 
     def points(self, source: Source) -> list[Point]:
@@ -72,7 +74,7 @@ class Along:
     # -- internals ----------------------------------------------------------------------------
 
     def _component(self, source: Source, name: str) -> str:
-        """Return the component with the model's inputs and outputs.
+        """Return the name of the scenario component that has the model's inputs and outputs.
 
         Raises:
             InputError: No component fits, or several do.
@@ -112,7 +114,7 @@ class Along:
         return [int(k) for k in rows]
 
     def _simulated_states(self, source: EquationSource, inputs: Array) -> Array:
-        """Return the states of the equations under the component's inputs."""
+        """Return the states of the model, simulated with the recorded inputs of the component."""
         stepper, time = Stepper(source.model), self._results.time
         memories = {f"{e.name}.{q.name}": q.unit for e in source.model.awake for q in e.memory}
         units = {**memories, **{n: source.units[n] for n in source.states}}
@@ -145,7 +147,7 @@ class Along:
 
 
 def _check(moment: Moment, component: str) -> None:
-    """Check times and names against the scenario before its run."""
+    """Check the requested times and the component's name against the scenario, before the scenario is run."""
     if not moment.scenario.is_file():
         raise InputError.at(moment.scenario, messages.NO_SCENARIO())
     if is_ssp(moment.scenario):

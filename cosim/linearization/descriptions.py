@@ -1,4 +1,4 @@
-"""Descriptions of a linear model in words and tables, for terminal and page."""
+"""Description of a linear model by sentences and tables, for the terminal and the report page."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def number(value: float) -> str:
 
 
 def headline(structure: Structure, linear: Linear) -> str:
-    """Return a sentence on the stability of the operating point, and one on controllability and observability."""
+    """Return a sentence on stability, and a sentence on controllability and observability."""
     n = len(linear.states)
     if not n:
         return "The model has no states: its outputs follow its inputs without delay."
@@ -72,7 +72,7 @@ def meaning(p: Pole) -> str:
 
 
 def pole_rows(structure: Structure) -> list[dict[str, str]]:
-    """Return the table of poles; a pair has one row."""
+    """Return the rows of the pole table; a complex pair has one row."""
     return [_row(p) for p in structure.poles if p.value.imag >= 0.0]
 
 

@@ -156,7 +156,7 @@ class ExchangeSource(Source):
         self.reach = DIFFERENCE_STEP if step is None else step
 
     def with_values(self, values: Mapping[str, Any], over: Sequence[str]) -> ExchangeSource:
-        """Return the source with start values of a scenario's component."""
+        """Return the source with the start values of a scenario's component; own start values take precedence."""
         names = {v.name for v in self._description.modelVariables}
         start = typed_values(self._path, self._description, {n: v for n, v in values.items() if n in names})
         return ExchangeSource(self._worker, self._path, self._description, {**start, **self._start}, self._step)

@@ -24,7 +24,7 @@ def frequencies(linear: Linear) -> Array:
 
 
 def response(linear: Linear, omega: Array) -> Response:
-    """Return G(jω), shape (outputs, inputs, frequencies)."""
+    """Return the frequency response G(jω), shape (outputs, inputs, frequencies)."""
     shifted = 1j * omega[:, None, None] * np.eye(len(linear.A)) - linear.A
     by_frequency = linear.C @ np.linalg.solve(shifted, linear.B) + linear.D
     return np.moveaxis(np.asarray(by_frequency, complex), 0, -1)

@@ -55,11 +55,11 @@ class Linear:
 
     @property
     def at_rest(self) -> bool:
-        """Return True at an equilibrium, whose stability follows from the poles."""
+        """Return True at an equilibrium. Only there the poles determine stability."""
         return float(np.abs(self.rates).max(initial=0.0)) < MAX_RATE_AT_REST
 
     def ss(self) -> Any:
-        """Return the model as a named `control.StateSpace`."""
+        """Return the linear model as a `control.StateSpace` with signal names."""
         import control
 
         names = {group: list(getattr(self, group)) for group in ("states", "inputs", "outputs")}
@@ -97,7 +97,7 @@ def residualize(linear: Linear, fast: Sequence[str]) -> Linear:
 
 
 def missing_states(linear: Linear, states: Sequence[str]) -> list[str]:
-    """Return states outside a selection with influence on selected states."""
+    """Return the states outside a selection that influence selected states."""
     rows = [linear.states.index(n) for n in states]
     influence = np.abs(linear.A[rows]).max(axis=0, initial=0.0)
     least = MIN_COUPLING * np.abs(linear.A).max(initial=0.0)

@@ -43,11 +43,11 @@ class Source(ABC):
 
     @abstractmethod
     def with_values(self, values: Mapping[str, Any], over: Sequence[str]) -> Source:
-        """Return the source with a scenario's values, except those set in `over`."""
+        """Return the source with the values that a scenario sets, except those named in `over`."""
 
     @abstractmethod
     def start(self) -> Point:
-        """Return the start point."""
+        """Return the operating point at the start values."""
 
     @abstractmethod
     def linear(self, points: Sequence[Point]) -> list[Linear]:

@@ -24,7 +24,7 @@ AT = Path("--at")
 
 @dataclass(frozen=True)
 class Moment:
-    """A scenario and times [s]."""
+    """Times of a scenario's run at which a model is linearized [s]."""
 
     scenario: Path
     times: Array

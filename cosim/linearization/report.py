@@ -156,7 +156,7 @@ def _pair(linear: Linear, g: Response, i: int, inputs: Sequence[int]) -> tuple[P
 
 
 def _draw(pairs: Sequence[tuple[Panel, Panel]], omega: Array, charts: Charts) -> list[tuple[Plot, ...]]:
-    """Draw Bode plots over a common frequency axis."""
+    """Draw the magnitude and the phase of each Bode plot over a common frequency axis."""
     if not pairs:
         return []
     curves = sum(len(size.traces) + len(phase.traces) for size, phase in pairs)

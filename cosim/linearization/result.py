@@ -1,4 +1,4 @@
-"""Result of a linearization."""
+"""Result of a linearization: linear models, their structure and notes."""
 
 from __future__ import annotations
 

@@ -156,9 +156,9 @@ def _pole(A: Array, B: Array, C: Array, values: Poles, size: float) -> Pole:
 
 
 def _is_controllable(A: Array, B: Array, value: complex) -> bool:
-    """Return True if (A − λI, B) has rank n (Popov, Belevitch, Hautus).
+    """Return True if the eigenvalue λ is controllable: (A − λI, B) has rank n (Popov, Belevitch, Hautus).
 
-    Columns of B are normalised.
+    The columns of B are normalised.
     """
     shifted = A - value * np.eye(len(A))
     size = max(float(np.linalg.norm(shifted, 2)), 1e-300)

@@ -40,7 +40,7 @@ MAX_KINK_NOTES = 10
 
 @dataclass(frozen=True)
 class Selection:
-    """Selection of a linear model's signals; empty for all.
+    """Selection of states, inputs and outputs of a linear model; an empty list selects all.
 
     Attributes:
         fast: States to eliminate at their steady state.
@@ -279,7 +279,12 @@ def _kinks(linear: Linear, selection: Selection) -> list[Kink]:
 
 
 def _move_off(source: Source, point: Point, name: str, sign: float) -> Point:
-    """Return a point a few difference steps to one side."""
+    """Return the point with one signal moved by a few difference steps.
+
+    Args:
+        name: State or input to move.
+        sign: Direction, 1 or −1.
+    """
 
     group = "states" if name in source.states else "inputs"
     values, k = getattr(point, group).copy(), getattr(source, group).index(name)

@@ -1,4 +1,4 @@
-"""Files of a linear model: linear.json, linear.mat for MATLAB and Octave, linear.py for python-control."""
+"""Writing of a linear model: linear.json, linear.mat for MATLAB and Octave, linear.py for python-control."""
 
 from __future__ import annotations
 

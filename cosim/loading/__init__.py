@@ -1,1 +1,1 @@
-"""Choice of a model and its checks."""
+"""Loading of models: by registered name, model file or Python class, with checks of their declarations."""

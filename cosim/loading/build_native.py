@@ -29,7 +29,7 @@ SUFFIX = {2: "-native.fmu", 3: "-native-fmi3.fmu"}
 
 @dataclass(frozen=True)
 class NativeFmu:
-    """A built archive, with the oldest glibc by platform, "" if none."""
+    """A built native FMU, with the oldest glibc of each platform; "" if a platform has none."""
 
     path: Path
     floors: Mapping[str, str]
@@ -119,7 +119,7 @@ def _natives(loaded: LoadedModel) -> Iterator[tuple[str, Native]]:
 
 
 def _unprintable(loaded: LoadedModel, error: Exception) -> Fault:
-    """Return a fault at the line that C cannot express."""
+    """Return a fault at the line of the model that cannot be expressed in C."""
     from cosim.fmi.native.printing import Unprintable
 
     file = loaded.source.rpartition(":")[0]

@@ -88,7 +88,7 @@ def _is_tuple_of(value: Any, kind: Any) -> bool:
 
 
 def _class_faults(kind: type[Model], name: str, base: type) -> Faults:
-    """Yield faults of the classes in the catalogue or the sensors."""
+    """Yield faults of the classes listed in the catalogue or in the sensors of a model."""
     value = getattr(kind, name)
     if _is_tuple_of(value, type) and all(issubclass(k, base) for k in value):
         yield from _label_faults(value)
@@ -99,7 +99,7 @@ def _class_faults(kind: type[Model], name: str, base: type) -> Faults:
 
 
 def _label_faults(owners: Sequence[type]) -> Faults:
-    """Yield faults of names, equations, states and memory of effects."""
+    """Yield faults in the names, equations, states and memory of effects and sensor errors."""
     for owner in owners:
         for name in ("name", "equation"):
             if not isinstance(getattr(owner, name, None), str):
@@ -144,7 +144,7 @@ def _is_size(value: Any, limit: float = MAX_NUMBER) -> bool:
 
 
 def _number_faults(kind: type[Model]) -> Faults:
-    """Yield times and variances that are not positive, and signal bounds that exclude the start value."""
+    """Yield faults of declared numbers: times and variances not positive, start values out of bounds."""
     for name, limit in (("rate", MAX_NUMBER), ("substep", MAX_NUMBER), ("horizon", math.inf)):
         if not _is_size(value := getattr(kind, name), limit):
             yield kind, name, messages.NOT_A_TIME(name=name, value=value)
@@ -198,7 +198,7 @@ def _sensor_faults(kind: type[Model]) -> Faults:
 
 
 def _output_faults(owner: type[SensorError], attribute: str, outputs: Sequence[str]) -> Faults:
-    """Yield names of a sensor error that are no outputs."""
+    """Yield faults of a sensor error that names signals other than outputs."""
     value = getattr(owner, attribute, ())
     if attribute != "output" and isinstance(value, str):
         yield owner, attribute, messages.NAMES_NO_TUPLE(owner=owner.name, attribute=attribute, value=value)
@@ -210,7 +210,7 @@ def _output_faults(owner: type[SensorError], attribute: str, outputs: Sequence[s
 
 
 def _unknown_signal(owner: Any, kind: str, name: str, names: Sequence[str], place: str = "") -> str:
-    """Return a message on an unknown or missing signal name."""
+    """Return a message about a signal name that is unknown or missing."""
     fields = {"owner": owner.name, "kind": kind, "place": place, "names": ", ".join(names)}
     if not name:
         return messages.NO_SIGNAL_NAMED(**fields)

@@ -190,7 +190,7 @@ def _shaping_faults(model: Model, source: Source) -> list[Fault]:
 
 
 def _length(values: Any) -> int:
-    """Return the number of values, -1 for other types."""
+    """Return the number of values in a tuple or list; −1 for other types."""
     return len(values) if isinstance(values, (tuple, list)) else -1
 
 

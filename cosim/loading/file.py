@@ -1,4 +1,4 @@
-"""Model files: a model with parameters and sensor errors, written by a refine and named by studies."""
+"""Model files: a model with its parameters and sensor errors. `cosim refine` writes them, and studies name them."""
 
 from __future__ import annotations
 
@@ -269,7 +269,10 @@ def _absolute(text: str, folder: Path) -> str:
 
 
 def _relative(source: str, folder: Path) -> str:
-    """Return a source relative to a folder at or below its file. Both can then move together."""
+    """Return a model's source with its path relative to a folder, so that both can be moved together.
+
+    The path stays absolute unless the folder is at or below the folder of the source.
+    """
     file, _, name = source.rpartition(":")
     if not file or not folder.is_relative_to(Path(file).parent):
         return source
@@ -359,7 +362,7 @@ def _execute(path: Path) -> tuple[Source, ModuleType]:
 
 
 def _model_classes(module: ModuleType) -> dict[str, type[Model]]:
-    """Return the model classes in a module by name."""
+    """Return the classes in a module that derive from `Model`, by name."""
     return {n: v for n, v in vars(module).items() if isinstance(v, type) and issubclass(v, Model) and v is not Model}
 
 
@@ -383,9 +386,9 @@ def write_model(path: Path, loaded: LoadedModel, folder: Path | None = None) -> 
 
 
 def meant_model(model: str | None, *, nearest: bool) -> LoadedModel:
-    """Return the named model, by default base.
+    """Return the model that the user named, by default the base model.
 
-    A refine stands for its refined model, or with `nearest` for its nearest.
+    A refine folder means its refined model, or with `nearest` its nearest model.
     """
     if model is None and nearest:
         raise InputError.at(Path("--nearest"), messages.NEAREST_WITHOUT_MODEL())

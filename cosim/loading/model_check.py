@@ -12,7 +12,7 @@ from cosim.storage.artefact import Checking
 
 
 def check_model_file(path: Path, checking: Checking) -> list[str]:
-    """Return notes on a model.yaml; InputError lists its faults."""
+    """Check a model.yaml and return notes on it; InputError lists its faults."""
     return substep_notes(read_model(path))
 
 

@@ -46,7 +46,7 @@ def duplicate_variables(model: Model) -> Faults:
 
 
 def undefined_names(kind: type[Model]) -> Faults:
-    """Yield references to undefined names."""
+    """Yield a fault for each declaration that refers to an undefined name."""
     if kind.planar is not None and not isinstance(kind.planar, PlanarFrame):
         fields = ", ".join(f'{field.name}="…"' for field in dataclasses.fields(PlanarFrame))
         yield kind, "planar", messages.NO_PLANAR_FRAME(fields=fields)
@@ -66,7 +66,7 @@ def undefined_names(kind: type[Model]) -> Faults:
 
 
 def _references(kind: type[Model]) -> list[tuple[str, str, Iterable[str], list[str]]]:
-    """Return attributes with kind of reference, names and defined names."""
+    """Return the declarations that refer to names: attribute, kind of name, used names and defined names."""
     states, inputs, outputs = ([q.name for q in group] for group in (kind.base_states, kind.inputs, kind.outputs))
     numbers = [p.name for p in parameters_of(kind) if not isinstance(p.default, bool)]
     candidates = [*(k.name for k in (*kind.catalogue, *kind.sensors)), *numbers]

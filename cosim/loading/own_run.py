@@ -19,7 +19,7 @@ MAX_GAP = 10.0  # rows; integration over longer gaps is limited to this length
 
 
 class Record(Protocol):
-    """The part of a log needed to run a model; see `cosim.logs.log.Log`."""
+    """Interface of the part of a log that is needed to run a model; see `cosim.logs.log.Log`."""
 
     @property
     def path(self) -> Path:
@@ -106,7 +106,7 @@ def predicted_outputs(model: Model, log: Record, ignored: Mapping[str, Rows]) ->
 
 
 def _as_read(state: Values, readings: Mapping[int, list[float]], k: int) -> Values:
-    """Return the state with the readings of row k."""
+    """Return the state in which measured states have their readings of row k."""
     if not readings:
         return state
     values = list(state)

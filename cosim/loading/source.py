@@ -1,4 +1,4 @@
-"""Places in a model's file: of classes, declarations and exceptions."""
+"""Places in the Python file of a model: lines of classes, declarations and exceptions."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def _start(node: ast.stmt) -> tuple[int, int]:
 
 
 def _find_declarations(node: ast.ClassDef) -> dict[str, tuple[int, int]]:
-    """Return attributes and methods of a class with their places."""
+    """Return the place of each attribute and method of a class: name → (line, column)."""
     places: dict[str, tuple[int, int]] = {}
     for statement in node.body:
         if isinstance(statement, ast.FunctionDef):

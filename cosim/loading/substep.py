@@ -65,7 +65,7 @@ class Mode:
 
 
 def with_substep(loaded: LoadedModel, logs: Sequence[Record] = ()) -> tuple[LoadedModel, list[Message]]:
-    """Return the model with suitable integrator and substep, and notes.
+    """Return the model with an integrator and a substep that suit its fastest mode, and notes.
 
     Modes are computed at the start and along the model's run on each log. Registered models keep their settings.
 
@@ -146,7 +146,7 @@ class _Fastest:
         return self._at(self.model.start(), self.model.start_command(), 0.0, "at the start")
 
     def along(self, log: Record) -> Mode:
-        """Return the fastest mode along a log."""
+        """Return the fastest mode of the model at points of a log."""
         rows = min(len(log.time), MAX_ROWS)
         commands, every = command_rows(self.model, log), max(1, rows // POINTS)
         stepper, fastest = Stepper(self.model), self.at_start()

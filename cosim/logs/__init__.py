@@ -1,1 +1,1 @@
-"""Measured logs: reading and consistency checks."""
+"""Measured logs: reading them, and checking their consistency."""

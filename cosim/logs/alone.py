@@ -32,7 +32,10 @@ def findings_without_model(path: Path, columns: Mapping[str, str] = MappingProxy
 
 
 class _AloneReader(LogReader):
-    """Reader of every column as an output, in SI for headers with a unit; text columns are skipped."""
+    """Reader of a log without a model.
+
+    Every numeric column is an output, in SI if its header has a unit. Text columns are skipped.
+    """
 
     def __init__(self, path: Path, columns: Mapping[str, str]) -> None:
         self.unknown: dict[str, str] = {}  # column → unit unknown to the framework
@@ -52,7 +55,7 @@ class _AloneReader(LogReader):
         return super()._column(heading)
 
     def _check_header(self) -> None:
-        """Note a fault if nothing is measured."""
+        """Note a fault if the log has no column besides time."""
         if not self.outputs:
             self.faults.note(self.table.header, 1, messages.ONLY_TIME())
 

@@ -27,7 +27,7 @@ def least_noise_level(values: Array, model: Array) -> float:
 
 
 def white_noise(deviations: Array) -> float:
-    """Return the white-noise level of these deviations by their median, NaN without any."""
+    """Return the standard deviation of white noise, estimated by the median of deviations; NaN without any."""
     deviations = deviations[np.isfinite(deviations)]
     return float(1.4826 * np.median(np.abs(deviations))) if deviations.size else math.nan
 

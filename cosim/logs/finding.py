@@ -13,9 +13,10 @@ Severity = Literal["note", "warning", "fault"]
 
 @dataclass(frozen=True)
 class Finding:
-    """A finding on a log; a fault makes the log unusable.
+    """A finding on a log.
 
     Attributes:
+        severity: A fault makes the log unusable; a warning or a note does not.
         kind: One word for programs.
         channel: "time", a column, or "" for the whole log.
         numbers: Values in the sentence.

@@ -107,14 +107,14 @@ def _blocks(log: Log, values: Array, rates: Array) -> tuple[Array, Array, Array]
 
 
 def angle_cure(log: Log, name: str) -> str:
-    """Return the cure for a large angle."""
+    """Return advice for an angle that is too large: check the unit in the header, or state degrees."""
     if written := log.written.get(name):
         return f'its header says "{written}": is it so, and may the model not go there?'
     return f'if it is in degrees, call it "{name} [deg]"'
 
 
 def _magnitude(log: Log, name: str, values: Array, bounds: tuple[float, float] | None) -> Iterator[Finding]:
-    """Yield findings on angles too large for radians and on jumps of a turn.
+    """Yield findings on angles that are too large for radians, and on jumps by a full turn.
 
     Args:
         bounds: Limits declared by the model.

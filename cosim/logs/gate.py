@@ -73,7 +73,7 @@ def _warn_undeclared(log: Log) -> Iterator[Finding]:
 
 
 def _unread(log: Log) -> Iterator[Finding]:
-    """Note unread columns; warn of each with a similar name in the model."""
+    """Yield a note on columns unknown to the model, and a warning for each name similar to a signal."""
     for name, hint in log.unread.items():
         if hint:
             yield Finding("warning", "unread", name, messages.SIMILAR_COLUMN(cure=hint))
@@ -168,7 +168,7 @@ def _inputs(log: Log) -> Iterator[Finding]:
 
 
 def _excitation(log: Log, name: str, values: Array) -> Finding:
-    """Return RMS, 95 % power bandwidth and saturation of an input as a finding."""
+    """Return a finding on the excitation by an input: RMS, 95 % power bandwidth and saturation."""
     power = np.abs(np.fft.rfft(values - values.mean())) ** 2
     power[0] = 0.0
     below = int(np.searchsorted(np.cumsum(power), 0.95 * power.sum()))
@@ -203,7 +203,10 @@ def _outputs(log: Log) -> Iterator[Finding]:
 
 
 def _repeats(log: Log, name: str, time: Array, values: Array) -> Iterator[Finding]:
-    """Warn of a held slow sensor or a frozen one, which look like a delay or an effect."""
+    """Yield a warning if a sensor repeats values, because it is slow or frozen.
+
+    Its residual would look like a delay or an effect.
+    """
     starts = np.concatenate(([0], 1 + np.flatnonzero(np.diff(values)), [values.size]))
     runs = np.diff(starts)
     usual = float(np.median(runs))

@@ -49,7 +49,7 @@ class SignalLike(Protocol):
 
     @property
     def unit(self) -> str:
-        """Return the unit, "" without one."""
+        """Return the unit of the signal; "" without one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,12 +94,12 @@ class Log:
 
     @property
     def slowness(self) -> int:
-        """Return the time scale of slow logs, see `slowness`."""
+        """Return the time scale of slow logs, by which time constants of the checks are lengthened."""
         return slowness(self.step)
 
     @property
     def pause(self) -> float:
-        """Return the time without a row from which commands and state are unknown [s]."""
+        """Return the longest time between rows [s] that is no pause. During a pause, commands and state are unknown."""
         return max(GAP, LOST * self.step)
 
     @cached_property
@@ -264,7 +264,7 @@ class LogReader:
                 self.faults.note(line, 1, messages.UNKNOWN_COLUMN(column=column, cure=cure, name=name))
 
     def _is_of_model(self) -> bool:
-        """Return True if some column matches the model."""
+        """Return True if some column belongs to the model, or has a name similar to one of its signals."""
         if self.renamings or len(self.unread) > HINTS or any(name in self.table.columns for name in self.signals):
             return True
         return any(closest(name, self.unread) for name in self.signals)
@@ -378,9 +378,10 @@ def slowness(step: float) -> int:
 
 
 def _measured_ranges(log: Log, first: int, end: int) -> list[tuple[int, int]]:
-    """Return measured ranges (first, end) without pauses, relative to `first`; all rows without measurement.
+    """Return ranges (first, end) of rows without pauses in the measurements, relative to `first`.
 
-    A pause exceeds the usual spacing of measurements too, so a slow sensor is no pause.
+    A pause is longer than the usual spacing of measurements, so that a slow sensor makes no pauses. Without
+    measurements, the range is all rows.
     """
     measured = np.zeros(end - first, bool)
     for values in log.outputs.values():

@@ -1,4 +1,4 @@
-"""Outliers of the recorder: single readings unexplained by neighbours and model.
+"""Outliers of the recorder: single readings that neither their neighbours nor the model explain.
 
 `check`, `replay` and `refine` share one rule. A reading is suspect if its neighbours agree without it and the reading
 is far away from them. A suspect is genuine if the model moves as sharply, for example with an inrush current. Without a
@@ -50,7 +50,7 @@ def find_spikes(log: Log, predict: Prediction | None = None) -> dict[str, Rows]:
 
 
 def drop_outliers(log: Log, spikes: Spikes) -> Log:
-    """Return the log without outliers."""
+    """Return the log with outliers replaced by NaN."""
     outputs = dict(log.outputs)
     for name, rows in spikes.items():
         outputs[name] = outputs[name].copy()
@@ -69,7 +69,7 @@ def out_of_line(log: Log, values: Array) -> Array:
 
 
 def _suspects(log: Log, values: Array) -> Rows:
-    """Return rows far from neighbours that agree among themselves."""
+    """Return the rows that differ from their neighbours although the neighbours agree with each other."""
     level = noise_level(values) * SCALE
     if not level > 0.0:
         return np.zeros(0, np.intp)
@@ -93,7 +93,7 @@ def _is_motion(values: Array, model: Array | None, rows: Rows) -> Flags:
 
 
 def _deviation_from_neighbours(values: Array) -> Array:
-    """Return the deviation from the four nearest readings."""
+    """Return the deviation of each reading from the four nearest readings."""
     return SCALE * np.nan_to_num(np.abs(surprise(values)))
 
 
@@ -123,7 +123,7 @@ def _outlier_groups(values: Array, limit: float) -> list[int]:
 
 
 def _rows_off_cubic(y: Array, rows: Rows, limit: float) -> Rows:
-    """Return rows off the cubic through SIDE readings on each side, none for a step."""
+    """Return the rows that deviate from the cubic through SIDE readings on each side; none at a step."""
     time = (rows - rows[0]).astype(np.float64)
     sides = [slice(None, SIDE), slice(-SIDE, None)]
     around = np.concatenate([np.arange(y.size)[s] for s in sides])

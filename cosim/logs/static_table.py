@@ -1,4 +1,4 @@
-"""Findings on a table with independent rows: no clock, neighbours or sampling."""
+"""Findings on a static table, whose rows are independent: no clock, no neighbours, no sampling."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def table_findings(log: Log, traits: Traits | None = None) -> Iterator[Finding]:
 
 
 def _angles(log: Log, bounds: Mapping[str, tuple[float, float]]) -> Iterator[Finding]:
-    """Yield faults of angles beyond limits."""
+    """Yield a fault for each angle beyond the limits that the model declares."""
     columns = {**log.inputs, **log.outputs}
     for name, (low, high) in bounds.items():
         if name not in columns or log.units[name] != "rad":

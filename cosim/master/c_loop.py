@@ -1,4 +1,4 @@
-"""Stepping in C for components callable from C, with returns to Python.
+"""Stepping loop in C, for components that C can call. It returns to Python when Python must act.
 
 The loop returns for events, progress, new values of sources, any status other than OK, and once a second for signals of
 the operating system. Python then acts as in its own loop, so the rows have the same bytes.
@@ -28,7 +28,7 @@ PREPARED_POINTS = 1000  # points of source values computed at a time
 
 @dataclass(frozen=True)
 class Run:
-    """Data of a run for the loop, after its first row.
+    """Data of a run that the stepping loop in C needs, after the first row is complete.
 
     Attributes:
         links: Conversions of a transfer's value, in order.
@@ -48,7 +48,7 @@ class Run:
 
 
 def prepare_steps(run: Run) -> CompiledSteps:
-    """Return the steps in C; raise NotCompiled with the reason if impossible."""
+    """Return the steps of a run, prepared for C; raise NotCompiled with the reason if C cannot make them."""
     if run.system.beside:
         raise NotCompiled(f"{run.system.beside[0]} is no number that a double holds")
     slots = []
@@ -70,7 +70,7 @@ def compile_beforehand(system: System) -> None:
 
 
 class CompiledSteps:
-    """All steps of a run after initialization."""
+    """All steps of a run after initialization, made in C."""
 
     def __init__(self, run: Run, slots: Sequence[Slot]) -> None:
         self.run, system = run, run.system
@@ -125,7 +125,7 @@ class CompiledSteps:
     def _transfers(
         self, transfers: Iterable[Transfer], every: Mapping[str, int] = MappingProxyType({})
     ) -> list[CTransfer]:
-        """Return transfers for C; held ones act when their target steps."""
+        """Return transfers in the form for C. A held value is transferred when its target steps."""
         c_transfers = []
         for t in transfers:
             links = [linked.link() for linked in self.run.links(t)]
@@ -145,7 +145,7 @@ class CompiledSteps:
             self.loop.prepare(k, self._values[-1], first)
 
     def _raise_no_item(self) -> None:
-        """Raise SimulationError for a value that is no item."""
+        """Raise SimulationError for a value that is no item of its target's enumeration."""
         system, plan = self.run.system, self.loop.plan
         stages = system.stages
         transfers = stages[plan.place].pulls if plan.place < len(stages) else system.held

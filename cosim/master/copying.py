@@ -1,4 +1,4 @@
-"""Copies between places of the row and beside the row, prepared once per run."""
+"""Copies of signals, prepared once per run: within the row of doubles, and of values that doubles cannot hold."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Copies = tuple[Plain, Noisy, Through]
 
 
 class Copying:
-    """Prepared transfers of a run over `steps` steps of `h` [s], with noise and faults.
+    """Prepared transfers of a run over `steps` steps of `h` [s], with sensor noise and injected faults.
 
     Attributes:
         links: Transfer name → conversions of its value.
@@ -46,7 +46,7 @@ class Copying:
         return {stage.component.name: self.of(stage.pulls) for stage in self.system.stages}
 
     def _join(self, places: Sequence[tuple[int, int]]) -> Plain:
-        """Return adjacent copies joined into contiguous parts."""
+        """Return copies joined into contiguous blocks: first source, first target, length."""
         parts: list[tuple[int, int, int]] = []  # first source, first target, length
         for source, target in places:
             first, goal, count = parts[-1] if parts else (0, 0, 0)

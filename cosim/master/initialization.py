@@ -80,5 +80,5 @@ class Initialization:
 
 
 def is_settled(before: Iterable[float], after: Iterable[float]) -> bool:
-    """Return whether all changes are within rounding."""
+    """Return whether all values agree with those of the previous exchange, within rounding."""
     return all(abs(a - b) <= SETTLED_CHANGE * max(1.0, abs(b)) for a, b in zip(after, before, strict=True))

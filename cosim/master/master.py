@@ -72,7 +72,7 @@ def simulate(
 
 
 class Master:
-    """A run from opening to closing, with its signals and its table of rows.
+    """The master: a run from the opening to the closing of its components, with its signals and its table of rows.
 
     Subclasses step differently by overriding `_step_on`.
     """
@@ -140,7 +140,7 @@ class Master:
         self.done = self.row_count[0] = 1
 
     def _step_on(self) -> None:
-        """Make all steps, in C if possible."""
+        """Make all steps, in C if possible, otherwise in Python."""
         try:
             steps = self._prepare_c()
         except NotCompiled as reason:
@@ -154,7 +154,7 @@ class Master:
             self.done = self.row_count[0]
 
     def _step_in_python(self) -> None:
-        """Make all steps in Python; its inner calls determine the run time."""
+        """Make all steps in Python. The calls in its inner loop determine the run time."""
         row, h, begin, calls = self.view, self.h, self.system.start, self.calls
         table, width = doubles(self.table), len(row)
         rounds = itertools.islice(itertools.cycle(self._cycle()), 1, None)  # The first round belongs to point 0.
@@ -185,7 +185,10 @@ class Master:
             self.done = done
 
     def _record_last(self, end: EarlyEnd) -> None:
-        """Note an early end; with a single FMU, add a last row. Other FMUs would have no state at the end time."""
+        """Note that an FMU ended the run early. A run of a single FMU gets a last row at that time.
+
+        With several FMUs, the others would have no state at that time.
+        """
         self.notes.append(messages.ENDED_EARLY(component=end.component, time=end.reached, reason=end.reason))
         alone = len(self.system.fmus) == 1
         k = self.done
@@ -202,7 +205,7 @@ class Master:
     # -- parts --------------------------------------------------------------------------------
 
     def _prepare_c(self) -> CompiledSteps:
-        """Return the steps in C; raise NotCompiled if impossible."""
+        """Return the steps, prepared for C; raise NotCompiled with the reason if C cannot make them."""
         if not self.in_c:
             raise NotCompiled("asked for")
         links = self.copying.links
@@ -228,7 +231,7 @@ class Master:
         return min(points, default=NEVER)
 
     def _calls(self, progress: Progress | None) -> tuple[Progress, ...]:
-        """Return the calls at requested points, before rows are stored."""
+        """Return the functions to call at requested points before rows are stored: events, exact values, progress."""
         calls: list[Progress] = []
         if self.system.events:
             calls.append(self._apply_events)

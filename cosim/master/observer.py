@@ -55,7 +55,7 @@ class ProgressObserver(Observer):
         self._progress, self._done, self._steps = progress, 0, 0
 
     def begin(self, run: ObservedRun) -> None:
-        """Count from the first row."""
+        """Start to count at the first row of a run."""
         self._done, self._steps = 0, run.rows - 1
 
     def rows(self, time: Array, values: Array) -> None:
@@ -86,7 +86,7 @@ class Feed:
         return self.stop or self.failure is not None
 
     def __call__(self, done: int) -> None:
-        """Give observers the new rows among `done` rows."""
+        """Deliver to the observers those of the first `done` rows that they have not received yet."""
         first, self._delivered = self._delivered, max(self._delivered, done)
         if self.table is None or first >= done or self.failure is not None:
             return

@@ -113,7 +113,7 @@ class OwnProcess:
         return in_turn(self, doing, first)
 
     def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
-        """Set the places of the signals."""
+        """Set the places of the component's signals in the row and in the list of exact values."""
         self._row, self._beside = row, [] if beside is None else beside
         self._in, self._out = _consecutive_slices(first, self.inputs, self.outputs)
         self._in_beside, self._out_beside = _consecutive_slices(first_beside, self.exact_inputs, self.exact_outputs)
@@ -132,7 +132,7 @@ class OwnProcess:
         self._call(OTHER, begin, self.name)
 
     def change(self, values: Mapping[str, Any]) -> None:
-        """Apply an event's values."""
+        """Set the values of an event in the component."""
         self._write_inputs(self._call(OTHER, change, self.name, dict(values)))
 
     def put(self) -> None:

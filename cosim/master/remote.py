@@ -36,7 +36,7 @@ DISK_RETRY_SHARE = 0.9  # share of rows to try next on a full disk
 
 @dataclass(frozen=True)
 class SteppedRun:
-    """Results of the steps, messages of the FMUs, and the failure, if any."""
+    """Outcome of a stepped run: results, messages of the FMUs, and the failure, if any."""
 
     results: Results
     log: Sequence[str]
@@ -145,7 +145,7 @@ def simulate_rows(system: System, steps: int, h: float, table: Path, limits: Lim
 
 
 def _store_loop(loop: str) -> None:
-    """Store the kind of loop for the caller, even in case of a crash."""
+    """Store which loop steps the run (C or Python), for the caller to read even after a crash."""
     here.progress.loop = loop.encode()[:255]
 
 
@@ -232,9 +232,9 @@ def _disk_full(time: float, count: int, rows: int) -> DiskFull:
 
 
 def _allocate_rows(folders: Sequence[Path], rows: int, width: int) -> tuple[ScratchFolder, int]:
-    """Return a folder with the rows file, and its number of rows.
+    """Create the file of the rows; return its folder and the number of rows that fit.
 
-    The folder is beside the results, or elsewhere for lack of space. A full disk takes fewer rows.
+    The folder is beside the results, or elsewhere for lack of space. On a full disk, the number is smaller.
 
     Raises:
         DiskFull: No row fits.

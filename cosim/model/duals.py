@@ -1,6 +1,6 @@
-"""Dual numbers, which give the Jacobian of the equations without symbols.
+"""Dual numbers, which compute the Jacobian of the equations without symbols.
 
-A dual number is a value with its derivative by each state. A branch has the derivatives of the chosen side.
+A dual number is a value with its derivatives by all states. At a branch, the derivatives are those of the chosen side.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ class DualNamespace(ScalarNamespace):
 def jacobian(
     derivative: Callable[..., Sequence[Any]], t: float, state: Sequence[float], command: Sequence[float]
 ) -> list[list[float]]:
-    """Return ∂f/∂x by rows for a derivative bound to dual numbers."""
+    """Return the rows of the Jacobian ∂f/∂x; `derivative` must accept dual numbers."""
     n = len(state)
     units = [[float(i == j) for j in range(n)] for i in range(n)]
     rates = derivative(t, tuple(map(Dual, state, units)), command)

@@ -17,7 +17,7 @@ Derivative = Callable[[Number, Values, Values], Values]
 
 
 def substeps(step: float, longest: float) -> int:
-    """Return the number of substeps, with tolerance for rounding."""
+    """Return the number of substeps in a step so that none is longer than `longest`, apart from rounding."""
     return max(1, math.ceil(step / longest - 1e-6))
 
 
@@ -34,7 +34,7 @@ def rk4(f: Derivative, t: Number, x: Values, u: Values, h: Number) -> Values:
 
 @dataclass(frozen=True)
 class Moment:
-    """Complete simulation state: time [s], continuous states, memory of each shaping effect."""
+    """Complete state of a simulation: time [s], continuous states, and memory of each shaping effect."""
 
     t: Number
     state: Values

@@ -38,7 +38,7 @@ class Parametric:
 
 @dataclass(frozen=True, kw_only=True)
 class Effect(Parametric):
-    """A term with optional continuous states, and memory updated once per substep.
+    """A term of the equations, with optional continuous states and with memory that is updated once per substep.
 
     Attributes:
         name: Name in the catalogue and the FMU (`name.parameter`).
@@ -60,7 +60,7 @@ class Effect(Parametric):
 
     @property
     def prefix(self) -> str:
-        """Return the effect's name and a dot."""
+        """Return the prefix of the effect's parameters: its name and a dot."""
         return f"{self.name}."
 
     @property
@@ -70,11 +70,15 @@ class Effect(Parametric):
         return all(isinstance(v := getattr(self, p.name), (int, float)) and v == p.neutral for p in switches)
 
     def remember(self, t: Number, start: Values) -> Values:
-        """Return the initial memory at time `t` [s]."""
+        """Return the memory of the effect at the initial time `t` [s].
+
+        Args:
+            start: Start values of the memory.
+        """
         return start
 
     def shape(self, m: Namespace, t: Number, h: Number, command: Values, memory: Values) -> tuple[Values, Values]:
-        """Return the command over a substep from `t` to `t + h` [s], and the new memory."""
+        """Return the command as the effect changes it from `t` to `t + h` [s], and the new memory."""
         return command, memory
 
     def transmit(self, m: Namespace, command: Mapping[str, Number]) -> Mapping[str, Number]:
@@ -182,7 +186,7 @@ class Model(Parametric):
         return None
 
     def start_input(self) -> dict[str, Number]:
-        """Return start values that override inputs."""
+        """Return start values of inputs that differ from the declared ones: name → value."""
         return {}
 
     # -- common to all models ----------------------------------------------------------------
@@ -218,7 +222,7 @@ class Model(Parametric):
 
     @property
     def states(self) -> tuple[Quantity, ...]:
-        """Return base states, then states of effects."""
+        """Return the states of the base model, then the states of the active effects."""
         return self.base_states + tuple(
             Quantity(f"{e.name}.{s.name}", s.unit, s.doc, s.start) for e in self.awake for s in e.states
         )
@@ -275,6 +279,6 @@ class Model(Parametric):
         return tuple(values.get(s.name, own.get(s.name, s.start)) for s in self.states)
 
     def start_command(self) -> Values:
-        """Return the start values of the inputs."""
+        """Return the start values of the inputs, in their order."""
         own = self.start_input()
         return tuple(own.get(q.name, q.start) for q in self.inputs)

@@ -37,7 +37,7 @@ class PlanarFrame:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return all signal names."""
+        """Return the names of all signals of the frame."""
         return self.x, self.y, self.heading, self.forward, self.right
 
     @property

@@ -46,7 +46,10 @@ class Parameter:
     tolerance: float | None = None
 
     def fault(self, value: object) -> str | None:
-        """Return the fault of a value, or None; arrays and symbols are not checked."""
+        """Return a sentence on why the parameter cannot have this value; None for a valid value.
+
+        Arrays and symbols are not checked.
+        """
         if isinstance(self.default, bool):
             return None if isinstance(value, bool) else f"{self.name} is {value!r}; it is true or false"
         if isinstance(value, (bool, str)) or value is None:

@@ -17,11 +17,11 @@ from cosim.model.quantities import parameter
 
 @dataclass(frozen=True, kw_only=True)
 class SensorError(Effect):
-    """A wrong reading of one output.
+    """An error in the reading of an output.
 
-    `measure` gives the reading for a true value, a straight line. An error common to several outputs lists them in
-    `outputs` instead of `output`. A reading that depends on time or other outputs overrides `read` (for several
-    outputs, `readings`): the true output plus a term of time and the other outputs.
+    `measure` returns the reading of a true value; it is a linear function. An error common to several outputs lists
+    them in `outputs` instead of `output`. A reading that depends on time or on other outputs overrides `read` (for
+    several outputs, `readings`), which returns the true output plus a term of time and the other outputs.
     """
 
     output: ClassVar[str]
@@ -87,7 +87,7 @@ class Drift(SensorError):
     value: float
 
     def read(self, m: Namespace, t: Number, outputs: Mapping[str, Number]) -> Number:
-        """Return y + d·t."""
+        """Return the reading with a drift over time: y + d·t."""
         return outputs[self.output] + self.value * t
 
 

@@ -46,7 +46,7 @@ def rate_of(name: str, names: Container[str]) -> str | None:
 
 
 def rates_of(model: Model) -> dict[str, str]:
-    """Return output → derivative, confirmed by the equations."""
+    """Return the outputs whose derivative is another output, confirmed by the equations: name → derivative."""
     import numpy as np
 
     names = [q.name for q in model.outputs]

@@ -19,7 +19,7 @@ from cosim.subject.interface import Subject
 
 @dataclass(frozen=True)
 class Refinement:
-    """A study's result with everything that a report shows."""
+    """Result of a study, with everything that its report shows."""
 
     study: Study
     attribution: Attribution

@@ -234,7 +234,7 @@ def read_study(path: Path) -> Study:
 
 @dataclass(frozen=True)
 class _Arguments:
-    """Location of faults in a study written in Python; `path` names the subject."""
+    """Places of faults in a study written in Python; `path` names the subject."""
 
     path: Path
 

@@ -22,13 +22,13 @@ Numbers = list[float | None]
 
 
 def sample_rows(count: int, limit: int) -> Rows:
-    """Return every n-th row and the last, about `limit`."""
+    """Return about `limit` row numbers at equal distance, and the last row."""
     rows = np.arange(0, count, max(1, math.ceil(count / limit)))
     return rows if not count or rows[-1] == count - 1 else np.append(rows, count - 1)
 
 
 def round_values(values: Array, digits: int) -> Numbers:
-    """Round values for JSON, with null for non-finite values."""
+    """Return values rounded for JSON; a value that is not finite becomes null."""
     numbers = [round(value, digits) if math.isfinite(value) else None for value in values.tolist()]
     return [int(n) if n is not None and n == int(n) and abs(n) < 1e15 else n for n in numbers]
 
@@ -37,12 +37,13 @@ def round_values(values: Array, digits: int) -> Numbers:
 class Abscissa:
     """The x axis of charts.
 
-    over:   name and unit
-    ends:   limits of the axis, by default its first and last value
-    sparse: signals have values at few rows each; a missing value is no gap in a line
-    breaks: rows after which traces with `anew` restart
-    log:    x holds logarithms to base 10 of the displayed values
-    points: the cursor reads the nearest point of a plane
+    Attributes:
+        over: Name and unit.
+        ends: Limits of the axis, by default its first and last value.
+        sparse: Signals have values at few rows each; a missing value is no gap in a line.
+        breaks: Rows after which traces with `anew` restart.
+        log: x holds logarithms to base 10 of the displayed values.
+        points: The cursor reads the nearest point of a plane.
     """
 
     over: tuple[str, str] = TIME
@@ -71,7 +72,8 @@ OVER_TIME = Abscissa()
 class Series:
     """Signals over one axis for the script, each under a short key.
 
-    rows: rows in the page; every n-th row if all signals together exceed MOST_CELLS
+    Attributes:
+        rows: Rows in the page; every n-th row if all signals together exceed MOST_CELLS.
     """
 
     def __init__(self, time: Array, curves: int, abscissa: Abscissa = OVER_TIME, *, name: str = "") -> None:
@@ -115,7 +117,9 @@ def to_json(series: Series, more: Mapping[str, Any] = MappingProxyType({}), *, f
     """Return all data of the scripts as JSON.
 
     `<`, `>` and `&` are escaped, since no text may end the script element.
-    further: signals over further axes, each series with its own name
+
+    Args:
+        further: Signals over further axes, each series with its own name.
     """
     data = {**_block(series), **({"further": [_block(s) for s in further]} if further else {}), **more}
     text = json.dumps(data, separators=(",", ":"), allow_nan=False)
@@ -123,9 +127,9 @@ def to_json(series: Series, more: Mapping[str, Any] = MappingProxyType({}), *, f
 
 
 def _block(series: Series) -> dict[str, Any]:
-    """Return the data of one axis.
+    """Return the data of one axis for the page's script.
 
-    every: distance of the page's rows; of: number of all rows
+    Its key `every` is the distance of the page's rows, `of` the number of all rows.
     """
     every = int(series.rows[1] - series.rows[0]) if series.rows.size > 1 else 1
     return {

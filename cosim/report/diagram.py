@@ -37,7 +37,7 @@ class Port:
 
 @dataclass(frozen=True)
 class Box:
-    """A box: its name, a line about it, inputs at the left and outputs at the right."""
+    """A box of the diagram: its name, a line of description, inputs on the left and outputs on the right."""
 
     name: str
     about: str
@@ -85,7 +85,9 @@ def diagram(
     """Return a block diagram as SVG.
 
     Boxes stand from left to right. Wires back run below the boxes, wires past a box above.
-    alone: for a separate file, with light and dark colours
+
+    Args:
+        alone: True for a separate file, with light and dark colours.
     """
     if not boxes:
         return ""
@@ -117,7 +119,7 @@ def diagram(
 
 
 def _role(wire: Wire, gap: int) -> str:
-    """Return a wire's course in the gap before a box."""
+    """Return the course of a wire in the gap before a box: out of or into a neighbour, and its direction."""
     source, target = wire.source[0], wire.target[0]
     if source + 1 == gap:
         return "out back" if target < gap else "out near" if target == gap else "out on"

@@ -33,8 +33,10 @@ ALL_POINTS = 60_000  # of all curves: limits the size of a page of a hundred sig
 class Drawing:
     """Panels on a common x axis; the script has every row.
 
-    few: thinned rows for an animated picture
     A logarithmic axis requires x > 0. A single row gives dots over an axis with a single tick.
+
+    Attributes:
+        few: Thinned rows for an animated picture.
     """
 
     def __init__(self, time: Array, curves: int, abscissa: Abscissa = OVER_TIME, *, name: str = "") -> None:
@@ -82,23 +84,22 @@ class Drawing:
 
 
 class Charts:
-    """The charts of a page; the charts of one drawing share cursor and zoom."""
+    """The charts of a page. The charts of one drawing have a common cursor and zoom."""
 
     def __init__(self) -> None:
         self.blocks: list[Series] = []
 
     def over(self, x: Array, curves: int, abscissa: Abscissa = OVER_TIME) -> Drawing:
-        """Start a drawing of panels over rising x."""
+        """Start a drawing, whose panels share the increasing values x."""
         drawing = Drawing(x, curves, abscissa, name=self._name())
         self.blocks.append(drawing.series)
         return drawing
 
     def alone(self, panel: Panel, axis: Axis, over: tuple[str, str], *, log: bool = False) -> Plot:
-        """Draw a chart of traces with their own x.
+        """Draw a chart whose traces have their own x, in `Trace.x` and `Band.x`.
 
-        The x are `Trace.x` and `Band.x`.
-
-        log: over a logarithmic axis (`log_axis`)
+        Args:
+            log: True for a logarithmic axis (`log_axis`).
         """
         panel = _logarithmic(panel) if log else panel
         places = [np.asarray(t.x) for t in panel.traces]

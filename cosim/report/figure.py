@@ -1,4 +1,4 @@
-"""Figures of matplotlib, for users with or without a home folder."""
+"""Figures by matplotlib, which also works for users without a home folder."""
 
 from __future__ import annotations
 

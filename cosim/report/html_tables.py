@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Row:
-    """A labelled value; `note` explains its measurement."""
+    """A row of a table: a label, a value, and a note on how the value was measured."""
 
     label: str
     value: str

@@ -51,7 +51,7 @@ def power_of_time(time: Array) -> int:
 
 
 def on_grid(values: Array, decimals: int) -> Integers:
-    """Round values to the grid; a missing value repeats its predecessor."""
+    """Return values as whole multiples of 10^−decimals; a missing value repeats its predecessor."""
     good = np.isfinite(values)
     last = np.maximum.accumulate(np.where(good, np.arange(values.size), -1))
     filled = np.where(last >= 0, values[np.maximum(last, 0)], 0.0)

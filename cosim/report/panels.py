@@ -20,15 +20,18 @@ LINE, HELD, DOTS, STEMS, BARS, CROSSES = range(6)
 
 @dataclass(frozen=True)
 class Trace:
-    """One line: its values in the panel's unit.
+    """One line of a panel.
 
-    held:  each value is held until the next sample, for commands
-    anew:  the line restarts at each break of its drawing
-    x:     own places, rising; by default the places of its drawing
-    stems: lines from zero to each value, displaced by `shift`
-    upper: upper ends of bars that begin at the values
-    items: texts shown instead of values
-    The word `dots` or `crosses` in a style draws points.
+    The word `dots` or `crosses` in `style` draws points.
+
+    Attributes:
+        values: Values in the panel's unit.
+        held: True if each value is held until the next sample, as commands are.
+        anew: True if the line restarts at each break of its drawing.
+        x: Increasing places of the values; by default those of the drawing.
+        stems: True for lines from zero to each value, displaced by `shift`.
+        upper: Upper ends of bars that begin at the values.
+        items: Texts shown instead of values.
     """
 
     label: str
@@ -61,7 +64,11 @@ class Trace:
 
 @dataclass(frozen=True)
 class Band:
-    """A shaded region between two lines; x: own places, rising."""
+    """A shaded region between two lines.
+
+    Attributes:
+        x: Increasing places of the values; by default those of the drawing.
+    """
 
     label: str
     lower: Array

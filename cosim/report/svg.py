@@ -36,7 +36,11 @@ class Tick:
 
 @dataclass(frozen=True)
 class Axis:
-    """A range of values with ticks; factor: power of ten that multiplies the labels."""
+    """A range of values with ticks.
+
+    Attributes:
+        factor: Power of ten that multiplies the labels.
+    """
 
     low: float
     high: float
@@ -51,7 +55,11 @@ class Axis:
 
 @dataclass(frozen=True)
 class Curve:
-    """One drawn line; value: its text if it has a single row."""
+    """One drawn line.
+
+    Attributes:
+        value: Text of its value if it has a single row.
+    """
 
     label: str
     style: str
@@ -78,10 +86,14 @@ class Keys:
 
 @dataclass(frozen=True)
 class Plot:
-    """A panel ready for a template: curves, band and limits in the box, ticks in percent.
+    """A panel ready for a template: curves, band and limits in the drawing's box, ticks in percent.
 
-    levels: limits in the panel's unit; keys: series of its rows; also: values shown but not drawn
-    uprights: values of x with a vertical line; reach: ends of y, if the script needs them
+    Attributes:
+        levels: Limits in the panel's unit.
+        keys: Keys of its series in the rows of the script.
+        also: Values shown by the cursor but not drawn.
+        uprights: Values of x with a vertical line.
+        reach: Ends of the y axis, if the script needs them.
     """
 
     title: str
@@ -113,7 +125,7 @@ def extent(signals: Sequence[Array]) -> tuple[float, float] | None:
 
 
 def make_axis(low: float, high: float, count: int, angle: bool = False) -> Axis:
-    """Return an axis with about `count` round ticks.
+    """Return an axis with about `count` ticks at round values.
 
     Huge and tiny ticks share a power of ten.
     """
@@ -140,7 +152,7 @@ def power_of_ten(largest: float) -> int:
 
 
 def round_step(step: float, angle: bool = False) -> float:
-    """Round up to 1, 2, 2.5 or 5 × 10^n, or to a part of a turn."""
+    """Return a step rounded up to 1, 2, 2.5 or 5 × 10^n; an angle [deg] to a fraction of a turn."""
     if angle and 10 < step <= 360:
         return next(float(part) for part in (15, 30, 45, 90, 180, 360) if part >= step)
     power = 10.0 ** math.floor(math.log10(step))
@@ -185,7 +197,7 @@ def lone_axis(value: float) -> Axis:
 
 
 def thin(values: Array, limit: int) -> Rows:
-    """Return about `limit` rows with every peak and gap.
+    """Return about `limit` row numbers of a signal that keep every peak and gap.
 
     Each bucket keeps its least and largest value, and its first gap.
     """
@@ -230,7 +242,7 @@ def polyline(u: Integers, v: Integers, held: bool = False) -> str:
 
 
 def curve_path(x: Axis, y: Axis, time: Array, trace: Trace, limit: int) -> str:
-    """Return a trace's line, broken at gaps, or its marks."""
+    """Return the SVG path of a trace: a line that is broken at gaps, or marks."""
     time = time if trace.x is None else trace.x
     if trace.form in (DOTS, STEMS, BARS, CROSSES):
         return _marks(x, y, time + trace.shift, trace)
@@ -271,7 +283,7 @@ def band_path(x: Axis, y: Axis, time: Array, lower: Array, upper: Array, limit: 
 
 
 def value_axis(panel: Panel) -> Axis:
-    """Return an axis for curves, limits and band.
+    """Return a y axis that contains the curves, limits and band of a panel.
 
     An absurdly wide band is cut off. Without values the axis has no ticks.
     """
@@ -288,7 +300,7 @@ def value_axis(panel: Panel) -> Axis:
 
 
 def time_axis(time: Array) -> Axis:
-    """Return the common axis of a run's plots."""
+    """Return the time axis that all plots of a run share."""
     low, high = extent([time]) or (0.0, 1.0)
     return make_axis(low, high if high > low else low + 1.0, TICKS_ACROSS)
 
@@ -305,7 +317,9 @@ def make_plot(
 ) -> Plot:
     """Draw a panel.
 
-    keys: series of its curves; over: name and unit of x
+    Args:
+        keys: Keys of its series, one for each curve.
+        over: Name and unit of x.
     """
     y = y or value_axis(panel)
     names = list(keys.traces) + [""] * (len(panel.traces) - len(keys.traces))

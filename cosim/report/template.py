@@ -12,7 +12,7 @@ SCRIPTS = ("axes.js", "charts.js", "report.js")  # in this order
 
 
 def render(page: Path, values: Mapping[str, Any], folders: Sequence[Path] = ()) -> str:
-    """Return a self-contained page.
+    """Return a self-contained HTML page, made from a template.
 
     Its template may use the shared templates and templates in `folders`. Every `.css` and `.js` in the page's
     folder is inlined. Lines of a template literal lose their indentation.

@@ -75,13 +75,13 @@ def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
 
 
 def _other_unit(unit: str, slope: float) -> str | None:
-    """Return the unit that explains a slope."""
+    """Return the unit whose conversion factor explains the slope between measurement and model; None without one."""
     sizes = {other: factor(other, unit) for other in alternatives(unit)} if unit else {}
     return next((u for u, f in sizes.items() if f and 0.7 < slope * f < 1.4 and not 0.2 < slope < 5.0), None)
 
 
 def _is_converted_wrongly(log: Log, name: str, slope: float) -> bool:
-    """Return True if an undeclared unit was converted, but the model uses the header's unit."""
+    """Return True if a conversion from the header's unit was wrong, because the model uses that unit itself."""
     by = factor(log.written[name], log.units[name]) if name in log.undeclared else None
     return by is not None and not 0.2 < by < 5.0 and 0.7 < slope / by < 1.4
 
@@ -124,7 +124,7 @@ def delay(log: Log, measured: Array, model: Array) -> Delay | None:
 
 
 def _same_when_faster(log: Log, measured: Array, model: Array, slow: Delay) -> bool | None:
-    """Return True if fast changes show the same delay; None without fast changes.
+    """Return True if fast changes have the same delay as slow ones; None without fast changes.
 
     A wrong friction or inertia has a frequency-dependent delay.
     """
@@ -137,7 +137,7 @@ def _same_when_faster(log: Log, measured: Array, model: Array, slow: Delay) -> b
 
 
 def _fast(log: Log, values: Array) -> Array:
-    """Return the deviation from the moving mean over SLOW seconds, NaN at the ends."""
+    """Return the fast part of a signal: its deviation from the moving mean over SLOW seconds; NaN at the ends."""
     half = max(1, round(0.5 * SLOW * log.slowness / log.step))
     out = np.full(values.size, np.nan)
     if values.size > 2 * half:

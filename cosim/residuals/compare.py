@@ -59,7 +59,7 @@ class ChannelSummary:
 
     @property
     def lost(self) -> bool:
-        """Return True if windows drift beyond noise."""
+        """Return True if noise alone lets the windows drift further than the noise floor."""
         return self.floor.astray > self.floor.rmse
 
     @property

@@ -175,7 +175,7 @@ class Drive:
         return {s.name: s.unit for s in self.block.outputs}
 
     def on(self, log: Log) -> Drive:
-        """Return a copy with other measurements."""
+        """Return a copy of this drive for another log."""
         other = copy.copy(self)
         other.log = log
         return other
@@ -201,7 +201,7 @@ class Drive:
     def run_and_keep(
         self, first: int, last: int, start: Mapping[str, Any], rows: Container[int]
     ) -> tuple[Array, dict[int, Own]]:
-        """Run and return the outputs and the states of a cosim FMU at some rows."""
+        """Run the FMU; return its outputs, and the complete states of a cosim FMU at the rows in `rows`."""
         states: dict[int, Own] = {}
 
         def keep(k: int) -> None:
@@ -267,7 +267,7 @@ class Drive:
         return self._at_rows(table, steps.reached, first, last)
 
     def rows(self, start: Mapping[str, Any]) -> Array:
-        """Return the outputs for each row of a table, shape (rows, outputs).
+        """Return the FMU's outputs for each row of a table, shape (rows, outputs).
 
         Raises:
             StoppedReplay: The FMU fails.

@@ -40,7 +40,7 @@ class Floor(NamedTuple):
 
 
 def draws(log: Log, horizon: float) -> int:
-    """Return the number of draws of the log; few windows need more."""
+    """Return the number of random draws that estimate the noise floor of a log; few windows need more draws."""
     runs = [] if horizon == FREE_RUN else chains(log, horizon)
     count = sum(sum(row >= c.begin for row in c.rows[:-1]) for c in runs)
     return max(FEWEST_DRAWS, math.ceil(WINDOWS / max(1, count)))
@@ -110,7 +110,7 @@ class _LinearDrive(Drive):
 def _linearize(
     drive: Drive, parameters: Mapping[str, StartParameter], free: Replay, levels: Mapping[str, float]
 ) -> Drive:
-    """Return the drive linearized in its start values.
+    """Return the drive linearized about its start values, to save FMU runs.
 
     Each start value needs one FMU run, instead of five runs per draw. If a run fails, the drive itself is returned.
     """

@@ -1,4 +1,4 @@
-"""Correlation plots over the lag, for residuals of replays and innovations of filters."""
+"""Plots of correlations over the lag, for residuals of replays and innovations of filters."""
 
 from __future__ import annotations
 
@@ -26,5 +26,5 @@ def lag_drawing(charts: Charts, rows: Rows, step: float, curves: int) -> Drawing
 
 
 def neighbours(test: Whiteness) -> str:
-    """Return the autocorrelation at one row as text."""
+    """Return the autocorrelation of neighbouring rows as text."""
     return plain(float(test.rho[1]), 2) if test.rho.size > 1 else MISSING

@@ -141,7 +141,7 @@ class DriveApart(Drive):
         return answer
 
     def rows(self, start: Mapping[str, Any]) -> Array:
-        """Return the outputs of a table, as `Drive.rows`."""
+        """Return the outputs for each row of a table, computed in the worker; see `Drive.rows`."""
         try:
             answer: Array = self._ask("rows", start, times=self.log.time.tolist())
         except StoppedReplay:

@@ -19,10 +19,13 @@ def horizon_name(horizon: float) -> str:
 
 @dataclass(frozen=True)
 class _Outcome:
-    """Facts of a verdict: all channels, unmeasurable ones, and ones with errors above noise.
+    """Facts from which the sentences of a verdict are made.
 
     Attributes:
+        channels: All channels.
         measure: Decisive horizon [s].
+        lost: Channels whose error cannot be measured, because windows drift by noise alone.
+        beyond: Channels with errors above the noise.
         lead: Size of the error in words.
     """
 

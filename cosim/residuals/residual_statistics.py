@@ -78,7 +78,7 @@ class InputCorrelation:
 
     @property
     def stands_out(self) -> bool:
-        """Return True for a correlation beyond chance."""
+        """Return True if the correlation is too strong to be due to chance."""
         return self.strength > STANDS_OUT
 
 
@@ -131,7 +131,7 @@ def whiteness(residual: Array, lags: int) -> Whiteness:
 
 
 def input_correlations(residual: Array, inputs: Mapping[str, Array], lags: int) -> tuple[InputCorrelation, ...]:
-    """Return the correlation with each moving input, strongest first.
+    """Return the correlation of the residual with each changing input, strongest first.
 
     The band is Bartlett's, 1.96·√(Σ_k ρ_r(k)·ρ_u(k) / n), because slow signals correlate by chance.
     """

@@ -55,7 +55,7 @@ class StartParameter:
     places: tuple[int, ...] = ()
 
     def value(self, output: float) -> float:
-        """Return the parameter value for an output value."""
+        """Return the start parameter that gives an output value, within its limits."""
         return min(max(output / self.gain, self.low), self.high)
 
 
@@ -144,7 +144,7 @@ def window_start(
     since: int,
     k: int,
 ) -> dict[str, float]:
-    """Return the start of a window at row k from the carrier and past measurements.
+    """Return the start values of a window at row k, from the carrier run and from past measurements.
 
     For a cosim FMU, the result has only corrected states; `kept` provides the rest. The carrier is valid from `since`.
     """

@@ -151,7 +151,7 @@ def horizons(log: Log) -> tuple[float, ...]:
 
 
 def chains(log: Log, horizon: float) -> list[Chain]:
-    """Return chains of windows, separated by pauses.
+    """Return chains of consecutive windows of a log; a pause in the log begins a new chain.
 
     After a pause, the state settles in short windows.
     """

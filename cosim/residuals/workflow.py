@@ -185,7 +185,7 @@ def write_replay(
 
 
 def _free_run(drive: Drive, start: Mapping[str, Any] | None, file: Path) -> Replay:
-    """Run the whole log and write its rows, finished ones after a failure too."""
+    """Run the FMU over the whole log and write its rows. After a failure, write the finished rows."""
     try:
         free = free_run(drive, start)
         hold_stops()  # From here, rows exist that must not be lost.

@@ -55,7 +55,7 @@ class _Options(Design):
 
 
 def designed_values(file: ScenarioFile) -> dict[str, dict[str, Any]]:
-    """Return the designed start values by component.
+    """Design the controller and return its start values by component.
 
     The scenario gets the options with their defaults. Failures and warnings are added to the file's.
     """
@@ -140,7 +140,7 @@ def _fault(file: ScenarioFile, objection: Objection, own: Mapping[str, Any], com
 def _contradictions(
     file: ScenarioFile, component: str, options: Mapping[str, Any], own: Mapping[str, Any]
 ) -> list[Fault]:
-    """Return a fault for each option contradicting a start value."""
+    """Return a fault for each design option that contradicts a start value of the component."""
     faults = []
     for name, value in options.items():
         if isinstance(value, str) and name in own and own[name] != value:
@@ -150,7 +150,7 @@ def _contradictions(
 
 
 def _read_design(file: ScenarioFile, design: Design) -> tuple[Model | None, Designer]:
-    """Return the design's model, if named, and its designer."""
+    """Return the model that the design names, None without one, and its designer."""
     if design.model is None and design.nearest:
         raise InputError([file.fault(("design", "nearest"), messages.NEAREST_WITHOUT_MODEL())])
     if design.model is None:

@@ -1,4 +1,7 @@
-"""Pinned files of a repeated run: files with the content hash of the manifest, at their place or beside it."""
+"""Files of a repeated run, which must have the content hash in the manifest.
+
+A file is searched at its path, then beside the manifest.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ def key_of(component: Component) -> str:
 
 
 def with_files_beside(scenario: Scenario, folder: Path) -> Scenario:
-    """Return a manifest's scenario with missing files replaced.
+    """Return a manifest's scenario with missing or changed files replaced by those beside the manifest.
 
     A file missing at its path is taken by name from `folder` or from the system of an SSP there. A file with different
     content is replaced too, if the file in `folder` has the content of the run.

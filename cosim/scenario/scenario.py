@@ -31,7 +31,7 @@ Variable = Annotated[str, Field(pattern=r"(?s)^[A-Za-z_][A-Za-z0-9_]*\..+$")]
 
 
 def _scalar(value: Any) -> Any:
-    """Return a valid start value: a finite number, true or false, or text.
+    """Return a start value if valid: a finite number, true or false, or text.
 
     Text is a number with a unit, a string value or an enumeration item. An array has a list of values.
     """

@@ -135,7 +135,7 @@ STAND_INS: dict[str, Any] = {"name": "?", "duration": 1.0, "step": 0.1}
 
 
 class Salvage:
-    """Scenario data from which faulty parts are removed, for checks of the rest."""
+    """Data of a faulty scenario without its faulty parts, so that the rest can be checked."""
 
     def __init__(self, data: dict[str, Any]) -> None:
         self.data = data
@@ -265,7 +265,7 @@ def from_here(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _absolute(name: Any) -> Any:
-    """Return the absolute path of a file name; leave others unchanged."""
+    """Return the absolute path of a file name; return model names and other values unchanged."""
     return os.path.abspath(name) if isinstance(name, str) and name and not is_model(name) and name != BASE else name
 
 

@@ -1,4 +1,4 @@
-"""Unit conversion of scenario quantities in the unit of a signal, before validation.
+"""Unit conversion of scenario values that are in the unit of a signal, before validation.
 
 Quantities with a fixed unit, such as `duration`, are converted by `cosim.storage.yaml_file.InUnit`.
 """
@@ -25,7 +25,10 @@ Note = Callable[[Location, str], None]
 
 
 class Measure(NamedTuple):
-    """Unit of a signal, and a function (text, is difference) → number, which may raise ValueError."""
+    """Unit of a signal, and a function from (text, is difference) to a number in this unit.
+
+    The function may raise ValueError.
+    """
 
     unit: str
     number: Callable[[str, bool], float]
@@ -50,10 +53,12 @@ class Measure(NamedTuple):
 
 @dataclass(frozen=True)
 class Place:
-    """A quantity of a scenario, with its location, its signal and its kind.
+    """A value in a scenario whose unit depends on a signal.
 
     Attributes:
+        location: Place in the file.
         of: Signal as `component.variable`, or the measure itself.
+        kind: Relation to the signal, see `Measure.of_kind`.
     """
 
     location: Location

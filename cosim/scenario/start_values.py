@@ -25,7 +25,7 @@ class Misfit:
 
 
 def settable(variable: Any) -> bool:
-    """Return whether FMI allows setting a start value."""
+    """Return whether FMI allows setting a start value of this variable."""
     if variable.variability == "constant" or variable.causality in {"independent", "structuralParameter"}:
         return False
     has_start = variable.initial is None and variable.start is not None  # FMI 1.0 has no `initial`.
@@ -33,7 +33,7 @@ def settable(variable: Any) -> bool:
 
 
 def kind_of(variable: Any) -> str:
-    """Return a phrase for a variable without start value."""
+    """Return a phrase on why a variable cannot have a start value, for messages."""
     phrases = {
         "output": "an output",
         "calculatedParameter": "calculated",
@@ -61,7 +61,7 @@ def with_elements(start: Mapping[str, Any], variables: Mapping[str, Any]) -> dic
 
 
 def _elements(value: Any, count: int) -> list[Any] | None:
-    """Return an array's value as a list; None for a misfit, reported elsewhere."""
+    """Return the values of an array as a list, or None if their number is wrong, which is reported elsewhere."""
     if value is None or isinstance(value, (int, float)):
         return [value or 0.0] * count
     values = value.split() if isinstance(value, str) else value
@@ -81,7 +81,10 @@ def _number(text: Any) -> Any:
 
 
 def convert_value(description: Any, variable: Any, value: Any) -> Any:
-    """Return a value in FMI's type, or the misfit. An array has a list of values."""
+    """Return a start value in the variable's FMI type, or the reason why it does not fit.
+
+    An array has a list of values.
+    """
     if not variable.shape:
         return _scalar(description, variable, value)
     count = math.prod(variable.shape)

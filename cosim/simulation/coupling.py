@@ -101,7 +101,7 @@ def differences(whole: Results, halved: Results, names: Sequence[str]) -> dict[s
 def _results(
     path: Path, overrides: tuple[str, ...], nearest: bool, parts: int, worker: Worker | None, *, halved: bool = False
 ) -> Results | str:
-    """Return the rows of a run, or the reason for missing rows.
+    """Run a scenario with other steps and return its rows, or a reason why there are none.
 
     Args:
         parts: Number of parts into which the scenario's step is divided.

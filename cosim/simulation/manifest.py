@@ -23,7 +23,7 @@ PACKAGES = ("FMPy", "pythonfmu", "numpy", "scipy", "filterpy", "control", "pydan
 
 
 def resolve_scenario(file: ScenarioFile, designed: Mapping[str, Mapping[str, Any]], system: System) -> Scenario:
-    """Return the scenario as run.
+    """Return the scenario as it was run, for the manifest.
 
     It has designed values in place of `design`, absolute paths, and the hash of each file.
     """
@@ -102,9 +102,9 @@ def manifest(
 
 
 def software_versions() -> dict[str, Any]:
-    """Return the versions behind a run.
+    """Return the versions of the packages and the platform, and this package's git revision.
 
-    These are packages, the platform and this package's revision. The call takes a while, because it starts git.
+    The call takes a while, because it starts git.
     """
     return {
         "versions": {"python": platform.python_version(), "platform": platform.platform(), **_versions()},

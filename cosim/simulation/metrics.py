@@ -40,7 +40,7 @@ def rms_error(signal: Array, target: Array | float) -> float:
 
 
 def final_error(signal: Array, target: Array | float) -> float:
-    """Return the absolute error of the last sample."""
+    """Return the absolute error at the last sample."""
     return float(np.abs(signal - target)[-1])
 
 

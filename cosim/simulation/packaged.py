@@ -1,4 +1,4 @@
-"""An SSP as a scenario: a scenario.json with its FMUs, and the place in the SSP of each part."""
+"""SSP files as scenarios: a scenario.json with the FMUs, and the place of each part in the SSP."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def lay_out(
 
 
 def _without_folder(fault: Fault, trial: Path, package: Package) -> Fault:
-    """Return a fault without the folders of the unpacked SSP."""
+    """Return a fault whose message and place name the SSP instead of its temporary folder."""
     if package.packed:
         text = fault.message.replace(f"{package.folder}/", f"{package.shown}/")
         fault = replace(fault, message=Message(text, fault.code))

@@ -1,4 +1,4 @@
-"""Results of a run, a replay or another tool: a folder, or a CSV with time in the first column."""
+"""Reading of results by a run, a replay or another tool: a folder, or a CSV file with time in the first column."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WANTED = "the folder of a run or a table of its rows"
 
 @dataclass(frozen=True)
 class Ran:
-    """Results read from files, with source, name and manifest, if any."""
+    """Results read from files, with their path, their name, and the manifest if there is one."""
 
     path: Path
     name: str

@@ -1,4 +1,4 @@
-"""A run, in order: scenario → design → system → master → results → manifest → report."""
+"""Workflow of `cosim run`: scenario → design → system → master → results → manifest → report."""
 
 from __future__ import annotations
 

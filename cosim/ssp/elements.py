@@ -1,4 +1,4 @@
-"""XML elements with their places."""
+"""XML elements with their line and column in the file."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ NAMESPACES = {
 
 @dataclass
 class Element:
-    """An element; `tag` has the standard's prefix of its namespace, regardless of the file's prefix."""
+    """An XML element.
+
+    Its `tag` has the standard's prefix of the namespace, whichever prefix the file uses.
+    """
 
     file: Path
     tag: str
@@ -34,7 +37,7 @@ class Element:
     children: list[Element] = field(default_factory=list)
 
     def all(self, *tags: str) -> Iterator[Element]:
-        """Yield the elements at a path of tags, within the first of each outer tag."""
+        """Yield all elements at a path of tags; of the outer tags, only the first element of each is searched."""
         parent = self.first(*tags[:-1])
         return (child for child in (parent.children if parent else ()) if child.tag == tags[-1])
 

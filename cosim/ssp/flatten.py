@@ -22,7 +22,7 @@ Target = tuple[Part, str, Hops]  # a variable of an FMU and the connections to i
 
 
 def read(reader: Reader) -> tuple[Structure, Flat]:
-    """Return a package flattened, without faulty parts; raise InputError if nothing remains."""
+    """Return the structure of an SSP and its flat system without faulty parts; raise InputError without one."""
     structure = reader.structure()
     if structure is None:
         raise InputError(reader.faults)
@@ -76,7 +76,7 @@ class _Flattener:
     # -- connections ----------------------------------------------------------------------------
 
     def _check(self, root: Level) -> None:
-        """Note connections with unknown ends or several sources."""
+        """Note a fault for each connection with an unknown end, and for each input with several sources."""
         for level in levels(root):
             for connection in level.system.connections:
                 for side, (name, connector) in (("start", connection.start), ("end", connection.end)):
@@ -100,7 +100,7 @@ class _Flattener:
             self.reader.note(element, message)
 
     def _links(self, level: Level) -> Iterator[Link]:
-        """Yield connections to a level's FMUs, followed back to outputs."""
+        """Yield the connections to the FMUs of a level, each followed back to the output of an FMU."""
         for connection in level.system.connections:
             part = level.parts.get(connection.end[0] or "")
             if part is None or connection.end[1] not in part.component.connectors:
@@ -116,7 +116,7 @@ class _Flattener:
             yield Link(*ends, self._along(source, hops, connection.element), connection.element)
 
     def _hops(self, level: Level, last: Connection) -> Hops | None:
-        """Return the chain of connections from an FMU's output, if any."""
+        """Return the chain of connections that leads from an FMU's output to `last`; empty if none does."""
         hops: Hops = ((level, last),)
         while True:
             at, connection = hops[0]
@@ -132,7 +132,7 @@ class _Flattener:
             hops = ((outer, before), *hops)
 
     def _along(self, source: Part, hops: Hops, element: Element) -> Linear | None:
-        """Return a chain's conversion; None if the FMUs' units suffice."""
+        """Return the conversion of a value along a chain of connections; None if the FMUs' units suffice."""
         output = hops[0][1].start[1]
         first = source.component.connectors.get(output)
         ends = [self._end(*hop) for hop in hops]
@@ -158,7 +158,7 @@ class _Flattener:
         return connector, Signal(name, unit, self.structure.units.get(unit))
 
     def _signal(self, part: Part, name: str, connector: Connector | None) -> Signal:
-        """Return an FMU's signal in the connector's unit, else its own."""
+        """Return a variable of an FMU as a signal, in the unit of its connector or else in its own unit."""
         variable = part.variables.get(name)
         own = "" if variable is None else unit_of(variable)
         unit = own if connector is None or connector.unit is None else connector.unit
@@ -216,7 +216,7 @@ class _Flattener:
                 yield from self._targets(inner, name[len(element) + 1 :])
 
     def _forward(self, level: Level, connector: str, hops: Hops) -> Iterator[Target]:
-        """Yield the inner targets of a system's connector."""
+        """Yield the FMU inputs inside a system to which one of its connectors leads."""
         for connection in level.system.connections:
             # With two sources, a noted fault, the first counts.
             if connection.start != (None, connector) or level.into[connection.end] is not connection:
@@ -229,7 +229,7 @@ class _Flattener:
                 yield from self._forward(level.systems[name], variable, further)
 
     def _set_start(self, part: Part, variable: str, parameter: Parameter, hops: Hops) -> None:
-        """Set a start value in the unit of its variable."""
+        """Set a start value of an FMU, converted to the unit of its variable."""
         value = parameter.value
         if not isinstance(value, (bool, str)):
             first = self._signal(part, variable, None)

@@ -25,7 +25,11 @@ class Part:
 
 @dataclass(frozen=True)
 class Link:
-    """A connection of output and input, `name.variable`; `linear` is None for pure unit conversion."""
+    """A connection between an output and an input, each `name.variable`.
+
+    Attributes:
+        linear: Conversion of the value; None if only units are converted.
+    """
 
     source: str
     target: str
@@ -43,7 +47,12 @@ class Flat:
 
 @dataclass
 class Level:
-    """A system in its hierarchy; `systems` and `parts` are its elements."""
+    """A system in the hierarchy of systems.
+
+    Attributes:
+        systems: Its nested systems by name.
+        parts: Its FMUs by name.
+    """
 
     system: System
     parent: Level | None
@@ -57,7 +66,10 @@ class Level:
 
 
 def direct_connections(system: System) -> System:
-    """Return a system with connections directed from source to target. FMPy and OMSimulator accept both directions."""
+    """Return a system whose connections lead from source to target.
+
+    FMPy and OMSimulator accept both directions in a file.
+    """
 
     def sends(end: tuple[str | None, str]) -> bool | None:
         name, connector_name = end

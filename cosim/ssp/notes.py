@@ -65,7 +65,7 @@ class Notes:
         return units
 
     def _number(self, element: Element, name: str, default: Default) -> float | Default:
-        """Return a number, or the default after noting a fault and for a missing attribute."""
+        """Return the number in an attribute; return the default if it is missing or faulty; note the fault."""
         text = element.get(name)
         if text is None:
             return default

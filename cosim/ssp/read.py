@@ -1,4 +1,4 @@
-"""Reading of an SSD with its parameter sets and mappings; all faults have places."""
+"""Reading of an SSD (system structure description) with its parameter sets and mappings; all faults have places."""
 
 from __future__ import annotations
 

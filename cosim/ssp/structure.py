@@ -24,7 +24,7 @@ class Linear:
 
 @dataclass(frozen=True)
 class Connector:
-    """A possible end of a connection; `unit` is None if absent."""
+    """A connector: a possible end of a connection. Its `unit` is None if the file states none."""
 
     name: str
     kind: str
@@ -46,7 +46,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Component:
-    """An FMU with its file and interface."""
+    """An FMU in a system, with its file and its FMI interface."""
 
     name: str
     fmu: Path
@@ -68,7 +68,7 @@ class Connection:
 
 @dataclass(frozen=True)
 class System:
-    """Elements by name, and their connections."""
+    """A system: its elements (FMUs and nested systems) by name, and their connections."""
 
     name: str
     connectors: Mapping[str, Connector]

@@ -30,7 +30,7 @@ Value = float | int | bool | str
 
 @dataclass(frozen=True)
 class Port:
-    """A connector with its SSP type."""
+    """A connector to be written, with its kind and its SSP type."""
 
     name: str
     kind: str
@@ -83,7 +83,7 @@ def _xml(root: Element) -> bytes:
 
 
 def _namespaces(*prefixes: str) -> dict[str, str]:
-    """Return the attributes that declare namespaces."""
+    """Return the XML attributes that declare the namespaces in use."""
     return {f"xmlns:{prefix}": uri for uri, prefix in NAMESPACES.items() if prefix in prefixes}
 
 

@@ -75,7 +75,7 @@ def check_archive(path: Path) -> None:
 
 
 def description_of(path: Path) -> bytes:
-    """Return the bytes of modelDescription.xml after all checks."""
+    """Check an FMU archive and return the bytes of its modelDescription.xml."""
     return _read(path, lambda archive: archive.read(DESCRIPTION))
 
 
@@ -101,7 +101,7 @@ def unpack(path: Path, folder: Path, kind: Contents = FMU) -> None:
 
 
 def check_identifier(identifier: str | None) -> None:
-    """Raise BadArchive for a library name outside its folder."""
+    """Raise BadArchive if the name of a library could lead out of its folder."""
     if identifier is None or not re.fullmatch(r"[^/\\\x00-\x1f:]+", identifier) or identifier in {".", ".."}:
         raise BadArchive(messages.BAD_IDENTIFIER(name=str(identifier)[:SHOWN]))
 
@@ -192,7 +192,7 @@ def _check_sizes(members: Sequence[zipfile.ZipInfo], kind: Contents) -> None:
 
 
 def check_xml(name: str, text: bytes, standard: str) -> None:
-    """Raise BadArchive for invalid or deep XML, or a DOCTYPE.
+    """Raise BadArchive if XML is invalid, is nested too deeply, or has a DOCTYPE.
 
     Entities of a DOCTYPE could grow without bound or name files of this machine.
     """

@@ -123,7 +123,7 @@ def _home() -> Path | None:
 
 
 def _make(folder: Path) -> None:
-    """Make a private folder and its parents."""
+    """Create a folder and its missing parents, accessible to this user only."""
     if not folder.is_dir():
         _make(folder.parent)
         folder.mkdir(mode=0o700, exist_ok=True)

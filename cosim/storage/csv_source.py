@@ -254,7 +254,7 @@ def _column(name: str, unit: str, cells: Sequence[str], is_text: bool) -> Source
 
 
 def _read_table(cells: _Cells, request: TableRequest) -> Table:
-    """Read the requested columns, cell by cell if any has a fault."""
+    """Return the requested columns of a table; each cell is checked if any has a fault."""
     faults, table = cells.faults, Table(header=cells.line)
     if not cells.header:
         if not faults.items:

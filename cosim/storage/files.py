@@ -173,7 +173,10 @@ def check_folder(folder: Path) -> None:
 
 
 def _is_of_other_user(path: Path) -> bool:
-    """Return whether only another owner may replace a file. Folders such as the temporary folder have this rule."""
+    """Return whether a file belongs to another user and its folder allows only the owner to replace it.
+
+    Folders such as the temporary folder have this rule.
+    """
     if not hasattr(os, "geteuid") or not os.path.lexists(path):
         return False
     owner, folder = path.lstat().st_uid, path.parent.stat()

@@ -102,9 +102,10 @@ def take_folder(folder: Path) -> bool:
 
 
 def _lock(folder: Path) -> int | None:
-    """Return the descriptor of a folder's lock.
+    """Lock a folder and return the descriptor of its lock file; None if no lock is possible.
 
-    None means no lock is possible; BlockingIOError means another process holds the lock.
+    Raises:
+        BlockingIOError: Another process holds the lock.
     """
     try:
         lock = os.open(folder / LOCK_FILE, os.O_RDWR | os.O_CREAT | NO_LINK, 0o600)

@@ -103,7 +103,7 @@ def check_run_folder(
 
 
 def check_left(folder: Path, by: str, *sources: str, force: bool = False, keep: bool = False) -> None:
-    """Lock a folder for a command.
+    """Lock a results folder; refuse results of another command or of other sources.
 
     Args:
         keep: Whether files of an earlier run will move to `runs` in the folder.
@@ -138,7 +138,7 @@ def _is_same(one: str, other: str) -> bool:
 
 
 def prepare_folder(folder: Path, *, keep: bool) -> None:
-    """Lock a folder and finish an interrupted move.
+    """Lock a results folder, and finish a move of earlier results that was interrupted.
 
     Raises:
         InputError: `keep` is impossible, or a link would lead files out of the folder.

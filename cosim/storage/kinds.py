@@ -107,7 +107,10 @@ def _other_kind(form: Form) -> str | None:
 
 
 def _is_named(path: Path, beside: tuple[str, str]) -> bool:
-    """Return whether a file has a name and a required neighbour. Rows in formats besides CSV match the same name."""
+    """Return whether a file has a certain name and a certain other file is in its folder.
+
+    For rows in formats other than CSV, only the suffix differs.
+    """
     name, other = beside
     rows = name.endswith(".csv") and path.stem == Path(name).stem and path.suffix in suffixes()
     return (path.name == name or rows) and (path.parent / other).is_file()
@@ -123,7 +126,10 @@ def _is_tabular(text: str) -> bool:
 
 
 def _is_binary(head: bytes) -> bool:
-    """Return whether bytes are binary. Loggers use various encodings, and a torn row contains zero bytes."""
+    """Return whether the first bytes of a file are binary rather than text.
+
+    Loggers use various encodings, and a row that was cut off contains zero bytes.
+    """
     if head.startswith(UTF_16):
         return False
     controls = sum(byte < 9 or 13 < byte < 32 for byte in head)
@@ -138,7 +144,7 @@ def _has_keys(text: str) -> bool:
 
 
 def next_step(kind: str, path: Path) -> str:
-    """Return advice for a file of a kind."""
+    """Return a sentence on what to do with a file of a kind."""
     artefact = of_kind(kind)
     return UNREAD if artefact is None else artefact.next_step.format(file=shell_path(path))
 

@@ -52,7 +52,7 @@ class Parquet(Source):
             return []
 
     def check_writable(self) -> None:
-        """Raise InputError without pyarrow."""
+        """Raise InputError if pyarrow, which writes the format, is not installed."""
         optional("pyarrow", "--format parquet")
 
     def write(self, path: Path, columns: Sequence[SourceColumn]) -> None:
@@ -128,7 +128,7 @@ READERS: tuple[tuple[str, Callable[[Any], Any]], ...] = (  # column types and th
 
 
 def _no_numbers(types: Any, kind: Any) -> str:
-    """Return the reason against a column type, with remedy."""
+    """Return why a column type cannot be read as numbers, and a remedy."""
     if types.is_temporal(kind):
         return f"holds moments or durations ({kind}); write seconds as numbers"
     if types.is_decimal(kind):

@@ -107,7 +107,7 @@ class Results:
         return len(self.time)
 
     def _write_whole_that_fits(self, path: Path) -> int:
-        """Write ever fewer rows until the file fits; return their number."""
+        """Write as many of the first rows as fit on the disk, and return their number."""
         count = len(self.time)
         while True:
             try:

@@ -1,4 +1,4 @@
-"""Tables of numbers in any format, with or without time, read with the place of every fault."""
+"""Reading of tables of numbers in any format, with or without time, with the place of every fault."""
 
 from __future__ import annotations
 

@@ -79,12 +79,12 @@ class Column:
 
 @dataclass
 class Table:
-    """A table as far as readable.
+    """A table, as far as it could be read.
 
     Attributes:
-        columns: Name → reading instructions, in header order.
+        columns: Name → reading instructions, in the order of the header.
         values: Name → numbers by row.
-        lines: Line of each row; its number in formats without lines.
+        lines: Line of each row in the file; the row number in formats without lines.
         header: Line of the header; 0 in formats without lines.
         first: Name of the first column.
         spoiled: Optional columns with a non-finite cell.
@@ -157,7 +157,7 @@ class Faults:
 
     @property
     def is_full(self) -> bool:
-        """Return whether further reading would reveal nothing new."""
+        """Return whether so many faults are noted that reading can stop."""
         return any(count > MOST_FAULTS for count in self.counts.values())
 
     def raise_any(self) -> None:

@@ -45,7 +45,7 @@ class InUnit:
     difference: bool = False
 
     def number(self, value: Any) -> Any:
-        """Return the number of a text; leave others unchanged."""
+        """Return the number of a text with a unit; return other values unchanged."""
         if not isinstance(value, str):
             return value
         if not has_unit(value):
@@ -181,7 +181,10 @@ class YamlFile:
         return numbers, faults
 
     def _override_of(self, location: Location) -> str | None:
-        """Return the last option that set a part or its parent. For a missing part, options inside the part count."""
+        """Return the last command-line option that sets a part of the document or its parent.
+
+        For a missing part, options that set something inside it count too.
+        """
         for at, option in reversed(self.overrides.items()):
             if location[: len(at)] == at or (at[: len(location)] == location and not self._holds(location)):
                 return option
@@ -205,10 +208,10 @@ class YamlFile:
             raise InputError(self._faults(model, error, data, at)) from None
 
     def partly(self, model: type[M], first: str) -> tuple[M | None, list[Fault]]:
-        """Return the document without faulty parts, and their faults.
+        """Return the document as a model without its faulty parts, and the faults.
 
         The model is None if a faulty part is essential or a faulty key at the top may affect the rest. An unknown
-        top-level key does not, unless it resembles `first`, on which the reading of the rest depends.
+        top-level key does not affect the rest, unless it resembles the key `first`, which the others need.
         """
         data = copy.deepcopy(self.root)
         try:
@@ -418,7 +421,7 @@ def _without_metadata(annotation: Any) -> Any:
 
 
 def _branches(annotation: Any) -> dict[str, Any]:
-    """Return the branches of a union by tag."""
+    """Return the members of a tagged union: tag → type."""
     return {
         mark.tag: branch
         for branch in get_args(_without_metadata(annotation))

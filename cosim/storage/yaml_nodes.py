@@ -114,7 +114,7 @@ class Document:
         return place
 
     def _value(self, node: Any, depth: int) -> Any:
-        """Return the plain data of a node."""
+        """Return the plain data of a YAML node; raise a fault if the file is too large or nested too deeply."""
         self._parts += 1
         if self._parts > MOST_PARTS:
             raise _fault(node, messages.MANY_PARTS(limit=MOST_PARTS))

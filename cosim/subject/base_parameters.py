@@ -14,7 +14,7 @@ WIDTHS = 2.0  # standard deviations in a tolerance on each side
 
 
 def base_parameters(subject: Subject, values: Mapping[str, float], tolerance: Mapping[str, float]) -> list[Free]:
-    """Return the parameters that every fit recalibrates, with priors.
+    """Return the base parameters that every fit recalibrates, with their priors.
 
     Args:
         tolerance: Parameter → relative tolerance from the study, which overrides the model's.
@@ -30,7 +30,7 @@ def tolerances(subject: Subject, tolerance: Mapping[str, float]) -> dict[str, fl
 
 
 def base_parameter(subject: Subject, name: str, values: Mapping[str, float], tolerance: float | None) -> Free:
-    """Return a base parameter for a fit."""
+    """Return a base parameter as a free parameter of a fit, with a prior if a tolerance is stated."""
     p, value = subject.declared[name], values[name]
     prior = None if tolerance is None else (value, spread_of_base(p, value, tolerance))
     return Free(name, *p.bounds, 0.05 * _scale(p, value), prior)
@@ -46,5 +46,5 @@ def _scale(p: Parameter, value: float) -> float:
 
 
 def kind_within(c: Candidate, subject: Subject) -> Kind:
-    """Return the kind of a candidate; an effect of the model counts as a parameter."""
+    """Return the kind of a candidate; an effect that the model already contains counts as a parameter."""
     return "parameter" if c.name in subject.present else c.kind

@@ -68,11 +68,16 @@ def usual_size(p: Parameter) -> float:
 
 @dataclass(frozen=True)
 class Free:
-    """A free parameter of a fit: limits, step size and optional prior.
+    """A free parameter of a fit.
 
     Attributes:
+        low: Lower limit.
+        high: Upper limit.
+        size: Typical change, for steps of the fit.
+        prior: Mean and standard deviation; None without a prior.
         neutral: Value without effect; None for a base parameter.
-        parameter, group: Parameter and group of logs of a value per log.
+        parameter: Parameter of which this is the value for a group of logs; "" if common to all logs.
+        group: The group of logs.
         above: Parameter that is a lower bound.
     """
 

@@ -55,7 +55,7 @@ class Workplace(ExitStack):
 
     @cached_property
     def worker(self) -> Worker | None:
-        """Return the process of the FMUs; None to load them into this process."""
+        """Return the worker process that loads the FMUs; None if FMUs are loaded into this process."""
         return None if self.in_process else self.enter_context(Worker(*MODULES))
 
 
@@ -71,7 +71,7 @@ class Replayer(Protocol):
     def replays(
         self, log: Log, data: Data, values: Mapping[str, float], starts: Mapping[float, Mapping[int, Start]]
     ) -> Generator[Replay, None, None]:
-        """Yield a replay for each horizon [s], in the order of `starts`.
+        """Yield the replayed outputs for each horizon [s], in the order of `starts`.
 
         A run begins at each row of `starts[horizon]`, numbered as in `log`, and ends at the next start. Start rows are
         not predicted. A table (`log.table`) has one replay, each row from its own inputs.
@@ -141,7 +141,7 @@ class Subject(Protocol):
         ...
 
     def kernel(self, measured: Sequence[str], *, unnamed: bool = False, constant: Sequence[str] = ()) -> Kernel:
-        """Return a filter for logs with these outputs.
+        """Return a filter kernel for logs with these measured outputs.
 
         Args:
             unnamed: Include unnamed terms (`cosim.kernel.nameless`), if available.
@@ -157,7 +157,7 @@ class Subject(Protocol):
         ...
 
     def replayer(self, place: Workplace) -> Replayer:
-        """Return a replayer of the delivered object."""
+        """Return an object that replays logs with the delivered FMU or model, stored at `place`."""
         ...
 
     def refined(self, claims: Mapping[str, float]) -> Subject:
@@ -196,7 +196,7 @@ class Subject(Protocol):
         return 1
 
     def settling(self, states: Sequence[str]) -> float:
-        """Return the time after which noise-free states have forgotten a wrong start [s]."""
+        """Return the time in which states without process noise forget a wrong start [s]."""
         return 0.0
 
     def prediction(self, log: Log) -> Predict | None:
@@ -229,5 +229,5 @@ class Subject(Protocol):
         return ()
 
     def use(self, folder: Path) -> Sequence[str]:
-        """Return the command that uses files in `folder`; empty without files."""
+        """Return the command line that uses the delivered files in `folder`; empty if there are none."""
         return ()

@@ -36,11 +36,11 @@ FILES = {"refined": REFINED, "nearest": NEAREST}
 
 
 class ModelSubject(Subject):
-    """A model with the values of a model.yaml.
+    """A model, with the values of its model.yaml, as the subject of a refinement.
 
     Attributes:
         loaded: Model with origin, parameter values and known sensor errors.
-        fmu: FMU, once built.
+        fmu: FMU of the model, once built.
     """
 
     def __init__(self, loaded: LoadedModel) -> None:
@@ -68,7 +68,7 @@ class ModelSubject(Subject):
 
     @cached_property
     def declared(self) -> Mapping[str, Parameter]:
-        """Return every parameter by name."""
+        """Return the declarations of all parameters of the model and its sensor errors, by name."""
         return self.model.declared | self.model.sensor_parameters
 
     @property
@@ -78,7 +78,7 @@ class ModelSubject(Subject):
 
     @property
     def measured_states(self) -> frozenset[str]:
-        """Return states that an output of the same name measures, tested at one state."""
+        """Return the states that an output of the same name measures; this is tested at a single state."""
         return frozenset(shown_states(self.model))
 
     def candidates(self, varied: Sequence[str]) -> list[Candidate]:
@@ -96,7 +96,7 @@ class ModelSubject(Subject):
         return replace(c, starts=({name: self.values[name] for name in c.parameters},))
 
     def _suspects(self, varied: Sequence[str]) -> Iterator[Candidate]:
-        """Yield base parameters, suspect ones only if a required input varies."""
+        """Yield base parameters as candidates; a suspect parameter only if an input varies that would reveal it."""
         suspects = [name for name, inputs in self.model.suspect.items() if any(i in varied for i in inputs)]
         for name in (*self.model.calibrated, *suspects):
             free = base_parameter(self, name, self.values, None)
@@ -119,7 +119,7 @@ class ModelSubject(Subject):
         return settling(self.model, states)
 
     def prediction(self, log: Log) -> Predict | None:
-        """Return the model's prediction from row to row."""
+        """Return a function that predicts each row of a log from the previous row."""
         return partial(predicted_outputs, self.model, log)
 
     def nameless(self, signal: str) -> tuple[Callable[..., Any], Sequence[str]] | None:
@@ -138,7 +138,7 @@ class ModelSubject(Subject):
         return sympy.lambdify(symbols, basis, "numpy"), free
 
     def refined(self, claims: Mapping[str, float]) -> ModelSubject:
-        """Return the model with other values; sensor values are stored separately."""
+        """Return the model with the claimed values; values of sensor errors are stored separately."""
         loaded = self.loaded
         parameters = {**loaded.parameters, **{n: v for n, v in claims.items() if n not in self.sensor_parameters}}
         sensors = {**loaded.sensors, **{n: v for n, v in claims.items() if n in self.sensor_parameters}}
@@ -182,7 +182,7 @@ class ModelSubject(Subject):
 
 
 def neutral_values(model: Model) -> dict[str, float]:
-    """Return every kernel parameter: base parameters, effects of the model, error-free sensors."""
+    """Return a value for every kernel parameter: the model's own values, all other effects and sensor errors off."""
     own = {p.name: getattr(model, p.name) for p in model.parameters}
     own |= {f"{e.name}.{p.name}": getattr(e, p.name) for e in model.effects for p in parameters_of(e)}
     declared = model.declared | model.sensor_parameters

@@ -44,13 +44,13 @@ def kinds_of(system: System) -> dict[str, Kind] | str:
 
 
 def obstacle_to_arrays(system: System) -> str:
-    """Return the reason for using FMUs; "" for arrays."""
+    """Return why the runs cannot be computed on arrays and need the FMUs; "" if arrays suffice."""
     kinds = kinds_of(system)
     return kinds if isinstance(kinds, str) else ""
 
 
 def max_runs_at_once(system: System, steps: int, signals: int) -> int:
-    """Return the number of runs that fit into memory at once. It is a multiple of the width of compiled code."""
+    """Return the number of runs that fit into memory at once, a multiple of the width of compiled code."""
     noisy = sum(t.noise is not None for t in _transfers(system))
     return max(WIDTH, min(1024, MAX_MEMORY // (8 * (steps + 1) * (signals + noisy + 1)) // WIDTH * WIDTH))
 

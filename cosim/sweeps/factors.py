@@ -100,7 +100,7 @@ class Factors:
         return Factor("seed", values=values)
 
     def _settable_variable(self, name: str, block: Any) -> Any:
-        """Return an FMU's settable variable, or the message against it."""
+        """Return the FMU variable of a factor, or a message on why the factor cannot be varied."""
         component, _, variable_name = name.partition(".")
         if not isinstance(block, FmuBlock):
             return messages.NO_START_VALUES(component=component)
@@ -198,7 +198,7 @@ class Factors:
         return float(number)
 
     def _test_values(self, factor: Factor, varied: Varied, *paths: str) -> None:
-        """Test some values of a factor; note faults and the first warning."""
+        """Check the scenario with some values of a factor; note faults, and the first warning."""
         values = factor.values
         if values is None:
             values = factor.drawn(np.array([0.01, 0.5, 0.99])).tolist() if factor.drawn else []

@@ -18,7 +18,7 @@ Place = tuple[str, ...]
 def overlap_faults(
     yaml: YamlFile, file: SweepFile, components: Collection[str], designed: str | None
 ) -> Iterator[Fault]:
-    """Yield a fault for each overridden entry of `vary` and `set`.
+    """Yield a fault for each entry of `vary` and `set` that another entry overrides.
 
     In a run, start values override paths, and `vary` overrides `set`. A path includes everything below it. Setting a
     whole and varying a part of it is allowed.

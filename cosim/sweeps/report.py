@@ -33,7 +33,7 @@ WIDE = 0.2  # half-width of a sensitivity's interval; the page asks for more run
 
 
 def page(swept: Swept) -> str:
-    """Return a self-contained page of a sweep."""
+    """Return the self-contained HTML page of a sweep."""
     table, _ = read_table(swept.folder / TABLE)
     record, charts = swept.record, Charts()
     names = swept.sweep.job.signals[:MOST_BANDS]

@@ -1,4 +1,4 @@
-"""Runs of a sweep inside a worker: on arrays at once, or through FMUs in sequence.
+"""Computation of a sweep's runs in a worker: all at once on arrays, or one after the other through FMUs.
 
 Requests and results are plain data, so that workers may run anywhere.
 """
@@ -118,7 +118,7 @@ class _AssembledScenario:
     system: System
 
     def with_changes(self, request: RunRequest) -> System:
-        """Return the system of a run."""
+        """Return the system with the start values and the seed of one run."""
         stages = []
         for stage in self.system.stages:
             component, own = stage.component, request.starts.get(stage.component.name)
@@ -255,7 +255,7 @@ def _run_arrays(job: Job, assembled: _AssembledScenario, requests: Sequence[RunR
 
 
 def _run_fmus(job: Job, assembled: _AssembledScenario, request: RunRequest) -> RunResult:
-    """Make a run through the FMUs in this process."""
+    """Make one run through the FMUs in this process and return its result."""
     system, scenario = assembled.with_changes(request), assembled.scenario
     progress = getattr(here, "progress", None)
     rows = Rows.in_memory(scenario.steps + 1, len(system.columns))

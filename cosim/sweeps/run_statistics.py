@@ -80,7 +80,7 @@ def sensitivity(
 
 
 def _sobol(outcome: str, values: Array, names: list[str], X: Array, seed: int) -> Sensitivity:
-    """Return Sobol indices of runs drawn for them."""
+    """Return the Sobol indices of an outcome; the runs must be drawn by Saltelli's scheme."""
     sobol = optional("SALib.analyze.sobol", SENSITIVITY_USE)
     indices = sobol.analyze(_problem(names, X), values, calc_second_order=False, num_resamples=RESAMPLES, seed=seed)
     order = np.argsort(-np.asarray(indices["ST"]))

@@ -82,7 +82,7 @@ class Database:
         return {run for (run,) in self._base.execute(f"SELECT run FROM {table}")}
 
     def runs(self, table: str = RUNS) -> Iterator[RunResult]:
-        """Yield all runs in order, without loading them at once."""
+        """Yield the results of all runs in order, without loading them into memory at once."""
         rows = self._base.execute(f"SELECT * FROM {table} ORDER BY run")
         for run, status, through, figures, met, signals, count in rows:
             shaped = np.frombuffer(signals).reshape(count, -1) if count else np.empty((0, 0))

@@ -17,7 +17,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class Runs:
-    """Runs of a sweep: `record` is sweep.json; sweep.parquet is in `folder`."""
+    """The runs of a sweep.
+
+    Attributes:
+        record: Content of sweep.json.
+        folder: Folder with sweep.parquet.
+    """
 
     record: Mapping[str, Any]
     folder: Path

@@ -31,10 +31,13 @@ Values = Mapping[str, Any]  # variable → value, or an array over the runs
 
 
 class Twin(Protocol):
-    """A component as seen by the stepping loop; `inputs` and `outputs` are views of its rows, shape (signals, runs)."""
+    """Interface of a component that computes many runs at once on arrays.
+
+    Its inputs and outputs are views of the rows of the stepping loop, shape (signals, runs).
+    """
 
     def begin(self, inputs: Array, outputs: Array, t: float) -> None:
-        """Set the views and the start values of unconnected inputs."""
+        """Set the views of inputs and outputs, and the start values of unconnected inputs."""
 
     def settle(self) -> None:
         """Compute the outputs of initialization from the inputs."""
@@ -70,7 +73,7 @@ def kind_of(component: Component) -> Kind | None:
 
 
 class _SourceTwin:
-    """A source with equal values in every run, and the maker of such twins."""
+    """Array twin of a source, whose values are equal in every run; it also makes such twins."""
 
     def __init__(self, source: Source) -> None:
         self.source = source

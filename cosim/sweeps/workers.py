@@ -53,7 +53,7 @@ class Executor(ABC):
         """Submit runs and return a future."""
 
     def wait(self, pending: set[Any]) -> tuple[set[Any], set[Any]]:
-        """Wait for futures; return finished and pending ones."""
+        """Wait until a future is finished; return the finished futures and the pending ones."""
         finished, others = wait(pending, return_when=FIRST_COMPLETED)
         return finished, others
 
@@ -69,7 +69,7 @@ class Executor(ABC):
 
 
 def run_chunk(chunk: Chunk) -> list[RunResult]:
-    """Make runs in a reusable worker process. A run that ends the process has failed."""
+    """Make the runs of a chunk in a worker process that is reused; a run that ends the process has failed."""
     with _borrow_worker() as worker:
         return _call_worker(worker, chunk)
 
@@ -135,7 +135,7 @@ class LocalExecutor(Executor):
 
 
 class DirectExecutor(Executor):
-    """This process, for a debugger."""
+    """Executor that makes the runs in this process, for a debugger."""
 
     count = 1
 

@@ -111,7 +111,7 @@ def sweep(
 
 
 def _read_completed(folder: Path, key: str) -> dict[str, Any] | None:
-    """Return the record of a completed equal sweep; raise InputError for a different sweep."""
+    """Return the record of the same sweep if it is complete in this folder; raise InputError for a different sweep."""
     try:
         _, about = read_table(folder / TABLE)
     except (OSError, ValueError):

@@ -132,7 +132,7 @@ def _recorded_names(patterns: Sequence[str], name: str, description: Any) -> fro
 
 
 def _start_values(component: str, description: Any, stated: Mapping[str, Any], diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return converted start values; note a fault for each misfit."""
+    """Return start values in the types of their variables; note a fault for each value that does not fit."""
     variables = {v.name: v for v in description.modelVariables} if stated else {}
     values = {}
     for name, value in with_elements(stated, variables).items():

@@ -1,4 +1,4 @@
-"""Feasibility of a scenario: steps accepted by its FMUs, and results of manageable size."""
+"""Feasibility of a scenario: its FMUs accept its steps, and its results have a manageable size."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ def _edge(connection: Connection) -> Edge:
 
 
 def _names_all(order: Sequence[str], components: Components, diagnosis: Diagnosis) -> bool:
-    """Return whether an order names each component with inputs once. Faults are noted."""
+    """Return whether a stated order names each component with inputs exactly once; note faults."""
     missing = sorted(name for name in components.keys() - set(order) if components[name].inputs)
     unknown = [name for name in order if name not in components]
     twice = len(set(order)) != len(order)

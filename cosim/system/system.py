@@ -96,7 +96,7 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
 
 
 def _check_record(file: ScenarioFile, components: Mapping[str, Component], diagnosis: Diagnosis) -> None:
-    """Note faults of `record` and warn of components without recording."""
+    """Note a fault for each pattern of `record` without component, and warn of patterns that record nothing."""
     for k, pattern in enumerate(file.scenario.record):
         name = pattern.partition(".")[0]
         component = components.get(name)

@@ -129,7 +129,7 @@ class _Checked:
 
 
 def through(chain: Sequence[LinkFunction]) -> Callable[[int, Any], Any]:
-    """Return the composition of a chain as a single function."""
+    """Return one function that applies all functions of a chain in turn."""
 
     def value(k: int, v: Any) -> Any:
         for one in chain:
@@ -154,10 +154,7 @@ def lay_out(components: Components) -> RowLayout:
 def connect(
     file: ScenarioFile, components: Components, layout: RowLayout, diagnosis: Diagnosis
 ) -> list[tuple[Transfer, ...]]:
-    """Return the transfers of each connection, one per element.
-
-    A faulty connection has none.
-    """
+    """Return the transfers of each connection, one per element of an array; none for a faulty connection."""
     _check_sources(file, diagnosis)
     _check_faults(file, diagnosis)
     wiring = _Wiring(file, components, layout, diagnosis)
@@ -168,9 +165,9 @@ def connect(
 def assumed_conversion(
     file: ScenarioFile, connection: Connection, source: Signal, target: Signal
 ) -> UnitAssumption | None:
-    """Return the conversion for an input without unit, if needed.
+    """Return the conversion to SI for an input without unit; None if no conversion is needed.
 
-    Only numbers with a unit written by people are converted.
+    Only references and recordings, whose units are written by people, are converted.
     """
     component = file.scenario.components.get(connection.source.partition(".")[0])
     written = isinstance(component, ReferenceComponent | PlaybackComponent) and source.unit
@@ -203,7 +200,7 @@ class _Wiring:
             self._faults.setdefault(fault.on, []).append(fault)
 
     def transfers(self, k: int, connection: Connection) -> tuple[Transfer, ...]:
-        """Return the transfers of a connection; none after noting a fault."""
+        """Return the transfers of a connection; note a fault and return none if it is faulty."""
         sources = self._ends(("connections", k, "from"), connection.source, "outputs")
         targets = self._ends(("connections", k, "to"), connection.target, "inputs")
         if not sources or not targets:
@@ -242,7 +239,7 @@ class _Wiring:
         return Transfer(at, to, name, noise, factor, offset, faults, sides, target.items, origin)
 
     def _conversion(self, connection: Connection, source: Signal, target: Signal) -> tuple[float, float]:
-        """Return factor and offset; note a warning for an assumed unit."""
+        """Return the factor and the offset of a connection; note a warning if a unit is assumed."""
         assumed = assumed_conversion(self.file, connection, source, target)
         if assumed is None:
             return connection.conversion or source.conversion(target) or (1.0, 0.0)
@@ -276,7 +273,7 @@ class _Wiring:
         return []
 
     def _signals(self, component: Component, side: str) -> dict[str, list[Signal]]:
-        """Return signals by name, and elements by name of their array."""
+        """Return the signals of one side of a component by name; an array's name stands for all its elements."""
         key = component.name, side
         if key not in self._by_side:
             by_name = self._by_side[key] = {}
@@ -301,7 +298,7 @@ def _signals(component: Component, side: str) -> tuple[Signal, ...]:
 
 
 def _check_faults(file: ScenarioFile, diagnosis: Diagnosis) -> None:
-    """Note faults of injected faults.
+    """Check the faults that the scenario injects on connections.
 
     Each must act on a connection, within the run, and have its required keys.
     """
@@ -339,10 +336,7 @@ def _check_sources(file: ScenarioFile, diagnosis: Diagnosis) -> None:
 
 
 def connection_warnings(file: ScenarioFile, components: Components) -> Iterator[str]:
-    """Yield a warning for each component with unconnected inputs.
-
-    Inputs with a value in the scenario do not count.
-    """
+    """Yield a warning for each component with unconnected inputs that have no value in the scenario."""
     driven = {c.target for c in file.scenario.connections}
     driven |= {target for event in file.scenario.events for target in event.set}
     for name, component in components.items():

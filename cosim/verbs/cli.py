@@ -53,7 +53,7 @@ def main(
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *place: Any, **options: Any) -> None:
-    """Show a package that cannot be loaded as one line, other warnings as Python does."""
+    """Show a warning; a package that cannot be loaded is reported in one line."""
     if issubclass(category, ExtensionWarning):
         warn(message.args[0] if isinstance(message, Warning) else message)
     else:

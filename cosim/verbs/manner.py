@@ -27,7 +27,7 @@ def _refuse_blank(hint: Any) -> None:
 
 
 def _set_placeholders(hints: Iterable[Any]) -> None:
-    """Give every option without a placeholder that of its type."""
+    """Set the placeholder of each option that has none to that of the option's type."""
     for hint in hints:
         for option in get_args(hint):
             if isinstance(option, OptionInfo) and option.metavar is None:

@@ -1,4 +1,4 @@
-"""Streams of a command, which may be closed before the start or by their reader."""
+"""Standard streams of a command, which may be closed before its start or by their reader."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import typer
 
 
 def open_streams() -> None:
-    """Open a substitute for each closed stream; otherwise later files would take its number."""
+    """Open /dev/null for each closed standard stream; otherwise a file opened later would take its number."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(number)

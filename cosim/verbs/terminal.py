@@ -154,7 +154,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def some(names: Sequence[str], most: int) -> str:
-    """Return the first names, and a sign if there are more."""
+    """Return the first `most` names as a list, followed by an ellipsis if there are more."""
     return ", ".join(names[:most]) + (", …" if len(names) > most else "")
 
 
@@ -165,13 +165,13 @@ def show(report: Path, *, open_: bool) -> None:
 
 
 def files_in(folder: Path, *names: str) -> dict[str, str]:
-    """Return the existing files of a folder by name without suffix."""
+    """Return the paths of those result files that exist in a folder: name without suffix → path."""
     return {name.partition(".")[0]: str(folder / name) for name in (*names, "report.html") if (folder / name).is_file()}
 
 
 @contextmanager
 def progress_bar(activity: str = "simulating") -> Iterator[Callable[[int, int], None] | None]:
-    """Show a bar for long runs on a terminal."""
+    """Show a progress bar on a terminal; yield the function that moves it, or None without a terminal."""
     if MANNER.quiet or not sys.stderr.isatty():
         yield None
         return
@@ -201,7 +201,8 @@ def progress_bar(activity: str = "simulating") -> Iterator[Callable[[int, int], 
 def stages(numbered: StageNumber | None = None) -> Iterator[Callable[[str, float], None] | None]:
     """Show the current stage with its completed share and a clock on a terminal; with -v, one line per stage elsewhere.
 
-    numbered: number of a stage and of all stages; a stage without a number belongs to the previous one
+    Args:
+        numbered: Number of a stage and of all stages; a stage without a number belongs to the previous one.
     """
     if MANNER.quiet or not (sys.stderr.isatty() or MANNER.verbose):
         yield None

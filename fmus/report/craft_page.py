@@ -53,7 +53,7 @@ class CraftPage:
 
 
 def subject(run: Run, drawing: Drawing) -> ComponentPage:
-    """Return the sections of a run's crafts."""
+    """Return the report sections for the crafts of a run."""
     crafts = find_crafts(run)
     called = [craft.name if len(crafts) > 1 else "the craft" for craft in crafts]
     rows = drawing.few
@@ -94,7 +94,7 @@ def craft_page(craft: Craft, called: str, drawing: Drawing) -> CraftPage:
 
 
 def readout(panel: Panel, plot: Plot) -> Readout:
-    """Return truth, estimate and reference of a state, if recorded."""
+    """Return the last truth, estimate and reference of a state, as far as recorded, for display."""
     cells = []
     for style in ("true", "estimate", "reference"):
         pairs = zip(plot.curves, panel.traces, strict=True)

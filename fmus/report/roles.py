@@ -1,4 +1,4 @@
-"""Roles in a run: crafts, their estimators and their references.
+"""Roles of components in a run: crafts, their estimators and their references.
 
 Component names are the user's, so variables define the roles: a craft has `x_world`, `y_world` and `psi`, an estimator
 has `x_hat` and `x_sigma`. Connections assign the estimators to crafts.

@@ -33,7 +33,7 @@ ON_TARGET = 0.02  # m; largest initial distance of the craft from a reference pa
 
 @dataclass(frozen=True)
 class Track:
-    """Poses of all rows: world position [m] and heading [rad]."""
+    """Track of a craft: world position [m] and heading [rad] in each row."""
 
     x: Array
     y: Array
@@ -103,7 +103,7 @@ def true_track(craft: Craft) -> Track:
 
 
 def estimated_track(craft: Craft) -> Track | None:
-    """Return the estimated track: estimated distance along the estimated heading."""
+    """Return the estimated track, made of estimated distance and estimated heading; None without one."""
     x_hat, psi_hat = craft.estimate("x_hat"), craft.estimate("psi_hat")
     return None if x_hat is None or psi_hat is None else _lay_out(craft, x_hat, psi_hat)
 
@@ -193,7 +193,7 @@ def make_view(crafts: Sequence[Craft], rows: Rows) -> View | None:
 
 
 def _companions(craft: Craft) -> list[Track | None]:
-    """Return estimated and reference tracks; None if far from the craft's track."""
+    """Return the estimated and the reference track; None for a track far from the craft's own."""
     true = true_track(craft)
     own = extent([true.x, true.y]) or (0.0, 0.0)
     reach = 2 * (own[1] - own[0]) + 2

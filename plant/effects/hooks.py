@@ -26,20 +26,20 @@ class Motion(NamedTuple):
 
 
 class HovercraftEffect(Effect):
-    """A term of the hovercraft. Pairs are (right, left)."""
+    """An effect of the hovercraft's equations. Pairs are (right, left)."""
 
     def tilt_rate(self, m: Namespace, rate: Pair, command: Pair, tilt: Pair, states: Values) -> tuple[Pair, Values]:
         """Return tilt rates [rad/s] in place of `rate`, and derivatives of own states."""
         return rate, ()
 
     def thrust_factor(self, m: Namespace, t: Number, vx: Number) -> Pair:
-        """Return the factors on both thrusts."""
+        """Return the factors by which the effect multiplies the right and the left thrust."""
         return 1.0, 1.0
 
     def wrench(self, m: Namespace, motion: Motion) -> Wrench:
-        """Return forward and rightward force [N], yaw and roll moment [N m].
+        """Return the contact force of the effect, forward and rightward [N], and its yaw and roll moment [N m].
 
-        The accelerometer senses these contact forces.
+        The accelerometer senses these forces.
         """
         return 0.0, 0.0, 0.0, 0.0
 

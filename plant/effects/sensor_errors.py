@@ -45,7 +45,10 @@ class GyroBias(Bias):
 
 @dataclass(frozen=True, kw_only=True)
 class AccelerometerLeverArm(LeverArm):
-    """Accelerometer l ahead of the CoM, with the centripetal part of a_P = a + ψ̈×r + ψ̇×(ψ̇×r)."""
+    """Accelerometer mounted l ahead of the centre of mass.
+
+    Its reading has the centripetal part of a_P = a + ψ̈×r + ψ̇×(ψ̇×r).
+    """
 
     name = "accelerometer_lever_arm"
     equation = "reading a_x − l·ψ̇²"
@@ -103,7 +106,7 @@ class MagnetometerDisturbance(SensorError):
     )
 
     def read(self, m: Namespace, t: Number, outputs: Mapping[str, Number]) -> Number:
-        """Return ψ + k·(T_R + T_L − 2·T_N)."""
+        """Return the heading with the error by the thrust: ψ + k·(T_R + T_L − 2·T_N)."""
         beyond_hover = outputs["thrust_right"] + outputs["thrust_left"] - 2.0 * HOVER_THRUST
         return outputs["psi"] + self.value * beyond_hover
 

@@ -62,7 +62,7 @@ class Cell:
         return float(np.interp(0.0, loads[order], grid[order]))
 
     def force(self, volts: Array) -> Array:
-        """Return force [N] or moment [N m]."""
+        """Return the force [N] or moment [N m] for the voltages of the cell."""
         low, high = self.volts[0], self.volts[-1]
         slopes = self.curve([low, high], 1)
         inside = self.curve(np.clip(volts, low, high))
@@ -110,7 +110,7 @@ def cell_of(loads: Sequence[float], volts: Sequence[float], error: float, satura
 
 
 def calibrate(protocol: Protocol, hung: Mapping[str, Sequence[Recording]]) -> dict[str, Cell]:
-    """Return the cells from simulated loads or measured points.
+    """Calibrate the load cells by simulated loads or measured points, and return them by channel.
 
     Raises:
         InputError: The points of a cell give no curve.

@@ -1,4 +1,4 @@
-"""Requirements of each test on its commands, for recordings and for planned phases."""
+"""Requirements of each test on its commands, checked in recordings and in planned phases."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def lacks(bench: Bench, name: str, test: Test, r: Recording, place: str, *, own:
 
 
 def moves(duty: Array) -> bool:
-    """Return True for a changing duty, in total or from first to last quarter."""
+    """Return True if the duty changes over the run, or from its first to its last quarter."""
     quarter = max(1, duty.size // 4)
     return bool(np.ptp(duty) > MIN_DUTY_RANGE or abs(duty[:quarter].mean() - duty[-quarter:].mean()) > SAME_DUTY)
 
@@ -274,7 +274,7 @@ def frequency_of(r: Recording, test: SineTest) -> float:
 
 
 def _squared_misfit(w: float, t: Array, values: Array) -> float:
-    """Return the sum of squares that a sine plus constant leaves."""
+    """Return the sum of squared residuals of a sine with a constant, fitted at the frequency w."""
     rest = residuals(values, sine_basis(w * t))
     return float(rest @ rest)
 

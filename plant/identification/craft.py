@@ -74,7 +74,7 @@ class Craft:
 
     @property
     def files(self) -> list[Path]:
-        """Return the files of the identification."""
+        """Return all files that the identification reads."""
         return [self.yaml.path, *(log.path for log in (*self.rest, *self.runs))]
 
 
@@ -105,7 +105,7 @@ class CraftOutcome:
         return [text for r in self.results for text in r.warnings]
 
     def closing(self, out: Path) -> str:
-        """Return the places of the results."""
+        """Return a text that names the files of the results."""
         return f"model: {out / 'model.yaml'}, numbers: {out / 'identify.json'}"
 
 
@@ -148,7 +148,7 @@ def _logs(
     read: Callable[[Path], Log],
     faults: list[Fault],
 ) -> list[Log]:
-    """Return the logs of a part of the file, and extend `faults`."""
+    """Return the logs that a part of the file names; append faults to `faults`."""
     logs, names = list[Log](), dict[bytes, str]()
     for k, name in enumerate(content.files if content else ()):
         path, place = yaml.path.parent / name, (part, "files", k)

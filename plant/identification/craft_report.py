@@ -17,7 +17,7 @@ TITLES = {"rest": "Noise at rest, eqs 5.44\u20135.46", "distance": "Distance cov
 
 
 def page(outcome: CraftOutcome) -> str:
-    """Return a self-contained page."""
+    """Return the self-contained HTML page of a craft identification."""
     craft, charts = outcome.craft, Charts()
     logs = len(craft.rest) + len(craft.runs)
     rows = []

@@ -184,7 +184,11 @@ def make_estimates(
 
 
 def pseudo_values(estimate: Callable[[Rows], Array], n: int) -> Array:
-    """Return jackknife pseudo-values, shape (n, p), of an estimate from selected repetitions."""
+    """Return the jackknife pseudo-values of an estimate over n repetitions, shape (n, p).
+
+    Args:
+        estimate: Function from the selected repetitions to the estimate.
+    """
     whole = estimate(np.arange(n))
     others = np.array([estimate(np.delete(np.arange(n), k)) for k in range(n)])
     return np.asarray(n * whole - (n - 1) * others)

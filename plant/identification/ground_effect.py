@@ -136,7 +136,10 @@ def _sets(recordings: Sequence[Recording], test: HeightTest) -> list[dict[float,
 
 
 def _thesis(ratios: Array, gains: Array) -> tuple[float, int]:
-    """Return k by ln((Γ−1)/Γ) = k·ln(1/(4Z̄)) with weights 1/Z̄, and the number of undefined ratios."""
+    """Return the thesis' estimate of k, and the number of ratios without logarithm.
+
+    The estimate fits ln((Γ−1)/Γ) = k·ln(1/(4Z̄)) with weights 1/Z̄.
+    """
     good = gains > 1.0
     z, g = np.repeat(ratios[:, None], gains.shape[1], axis=1)[good], gains[good]
     x, y, w = np.log(1.0 / (4.0 * z)), np.log((g - 1.0) / g), 1.0 / z

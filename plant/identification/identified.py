@@ -50,7 +50,7 @@ class Outcome:
 
     @property
     def sentences(self) -> list[str]:
-        """Return one line per estimate."""
+        """Return a line for each estimate: value, confidence interval, value as in the thesis, true value."""
         lines = []
         for key, e in self.estimates.items():
             unit = "" if e.unit == "1" else f" {e.unit}"

@@ -19,7 +19,7 @@ def craft_file(path: Path) -> YamlFile | None:
 
 
 def results_of(path: Path) -> Path:
-    """Return the results folder, named after the file's `name` or the file."""
+    """Return the results folder of an input file, named by the file's key `name`, or else like the file."""
     try:
         name = YamlFile(path).root.get("name")
     except InputError:  # reported by the reader

@@ -84,7 +84,7 @@ def sine_basis(angle: Array) -> Array:
 
 @dataclass(frozen=True)
 class Drift:
-    """A coefficient of each recording, 0 without drift, and its standard error by noise.
+    """Drift during the recordings: a coefficient for each recording, 0 without drift, and its standard error by noise.
 
     Attributes:
         is_above_noise: True if the mean exceeds the noise of the readings.
@@ -174,7 +174,7 @@ def odd_group(groups: Sequence[Array]) -> tuple[int, list[int]]:
 
 
 def _split(groups: Sequence[Array]) -> tuple[Array, Array, Array]:
-    """Return remaining scatter, group and lower size of the best split, for each row."""
+    """Return for each row the best split of a group in two: remaining scatter, group, and size of the lower part."""
     total = sum(((v - v.mean(axis=1, keepdims=True)) ** 2).sum(axis=1) for v in groups)
     gains, sizes = [], []
     for v in groups:

@@ -1,4 +1,4 @@
-"""Test 5: moment about the tilting axis over the tilt, motor off (§4.5.5, eq 4.10, App. D.3.5)."""
+"""Test 5: moment about the tilting axis as a function of the tilt, motor off (§4.5.5, eq 4.10, App. D.3.5)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Plausibility of results: impossible numbers are faults, intervals with impossible values are warnings."""
+"""Plausibility of results: an impossible value is a fault, an interval with impossible values a warning."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Input of an identification before any simulation: protocol, model and recordings."""
+"""Input of an identification, prepared before any simulation: protocol, model and recordings."""
 
 from __future__ import annotations
 

@@ -284,7 +284,7 @@ def _cell_faults(yaml: YamlFile, content: ProtocolFile) -> Iterator[Fault]:
 
 
 def _calibration_faults(yaml: YamlFile, content: ProtocolFile, name: str, cell: CellFile) -> Iterator[Fault]:
-    """Yield faults of calibration loads or points."""
+    """Yield faults in the calibration of a cell: its loads or its measured points."""
     at, unit, key = ("cells", name), cell.unit, "loads" if cell.loads else "points"
     if cell.loads and content.bench is None:
         yield yaml.fault((*at, key), messages.LOADS_WITHOUT_BENCH())

@@ -91,7 +91,7 @@ class _Check:
         return np.asarray(servo_angle(self.run.servo_duty, self.bench.servo_neutral, self.bench.servo_slope))
 
     def delayed_angle(self) -> Array:
-        """Return the angle of the servo after the assumed lag."""
+        """Return the angle of the servo, delayed by the assumed lag."""
         return np.asarray(held_lag(self.angle(), self.run.step, self.bench.lag))
 
     def range_faults(self) -> Iterator[Fault]:
@@ -182,7 +182,7 @@ class _Check:
         return self.run.rows((self.test.window[1] - 0.3, self.test.window[1]))
 
     def end_faults(self) -> Iterator[Fault]:
-        """Yield wrong sizes of the forces at the end of a step."""
+        """Yield faults if the forces at the end of a step are too small or do not match the angle."""
         after = self.end_of_step()
         fz, fx = (float(self.force(c)[after].mean()) for c in "zx")
         angle = float(np.mean(self.angle()[after]))

@@ -166,7 +166,7 @@ def to_recording(run: Run, volts: Array) -> Recording:
 
 
 class FmuPlayer:
-    """Simulation of runs on an FMU with the bench's variables."""
+    """Player that simulates runs of the tests on an FMU with the bench's variables."""
 
     def __init__(
         self, fmu: Path, parameters: Mapping[str, float], progress: Callable[[int], None] | None = None
@@ -220,7 +220,7 @@ class FmuPlayer:
 
 
 def _inputs(run: Run) -> Array:
-    """Return the inputs over the step that ends at t_k in row k, reading noise included."""
+    """Return the inputs of the FMU by row: row k holds the inputs, with reading noise, of the step that ends at t_k."""
     before = np.maximum(np.arange(run.time.size) - 1, 0)
     same = np.ones(run.time.size)
     return np.column_stack(

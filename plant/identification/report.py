@@ -145,7 +145,7 @@ def _cell(outcome: Outcome, channel: str) -> Mapping[str, str]:
 
 
 def plot_of(figure: Figure, charts: Charts) -> Plot:
-    """Draw a figure of lines with separate x."""
+    """Draw a figure whose lines have separate x values."""
     traces = [_trace(label, over, values, style) for label, over, values, style in figure.lines]
     traces += [Trace("95 %", low, "bar", x=over, upper=high) for over, low, high in figure.bars]
     band = Band(figure.band[0], figure.band[2], figure.band[3], figure.band[1]) if figure.band else None

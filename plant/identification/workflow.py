@@ -167,7 +167,7 @@ def analyse(
 def checked_results(
     protocol: Protocol, cells: Cells, recordings: Mapping[str, Sequence[Recording]], *, draw: bool = True
 ) -> list[Result]:
-    """Return the results of all tests.
+    """Analyse the recordings and return the results of all tests, checked for plausibility.
 
     Raises:
         InputError: Every impossible number.

@@ -92,7 +92,7 @@ class GeneratedCode:
 
 @dataclass(frozen=True)
 class Case:
-    """Active effects and positions of switches."""
+    """A case of the comparison: the active effects and the values of the model's switches."""
 
     awake: tuple[Any, ...]
     switches: Mapping[str, bool]
@@ -138,7 +138,7 @@ class Check:
                     raise self.refusal(difference, code)
 
     def first_difference(self, case: Case, code: GeneratedCode) -> Difference | None:
-        """Return the first difference in a case."""
+        """Return the first difference between Python and generated code in a case; None without one."""
         count = 0
         for k in range(TRIES):
             at = self.draw_point(case, k)
@@ -155,7 +155,7 @@ class Check:
         return None
 
     def compare(self, case: Case, at: Point, code: GeneratedCode) -> Iterator[tuple[str, str, float, float]]:
-        """Yield quantity, hook, and values by Python and generated code."""
+        """Yield each compared quantity: its name, its hook, and its values by Python and by generated code."""
         names = {e.name for e in case.awake}
         base = {n: v for n, v in at.values.items() if "." not in n or n.partition(".")[0] in names}
         stepper = Stepper(replace(self.model, effects=()).with_values(base))
@@ -175,7 +175,10 @@ class Check:
     def compare_shaping(
         self, model: Model, at: Point, names: set[str], code: GeneratedCode
     ) -> Iterator[tuple[str, str, float, float]]:
-        """Yield shaped commands and memory, also at the start. A delay has C code of its own."""
+        """Yield the shaped commands and the memory of effects by Python and by generated code, also at the start.
+
+        A delay is skipped because it has hand-written C code.
+        """
         command, place = tuple(at.command), 0
         shaped, starts = code.values("shape", at, names), code.values("remember", at, names)
         awake = {e.name: e for e in model.awake}
@@ -197,7 +200,10 @@ class Check:
     # -- points -------------------------------------------------------------------------------------
 
     def draw_point(self, case: Case, k: int) -> Point:
-        """Return a random point, at first with unchanged parameters. Later points lie closer to the start."""
+        """Return the random point of test k.
+
+        The first points have unchanged parameters. Points of late tests are near the start.
+        """
         size = 1.0 if k < POINTS else 10.0 ** -(k - POINTS + 1)
         around: Callable[[float], float] = lambda v: v + size * self.random.uniform(-1, 1) * max(1.0, abs(v))  # noqa: E731
         values = {name: self.draw_value(p, getattr(self.model, name), k) for name, p in self.parameters.items()}

@@ -31,7 +31,7 @@ PLAIN, PACKED = (b"\x7fELF", b"MZ"), (b"\xcf\xfa\xed\xfe", b"\xca\xfe\xba\xbe")
 
 
 class NoCompiler(LookupError):
-    """A missing compiler for a platform, with the remedy."""
+    """Error: no compiler for a platform exists; the message names the remedy."""
 
 
 def compiler() -> list[str] | None:
@@ -224,7 +224,7 @@ def load_library(source: str, *headers: Path) -> ctypes.CDLL:
 
 
 def _find_cached(stem: Path) -> list[Path]:
-    """Return the trusted cached libraries of a source."""
+    """Return the cached libraries of a source that pass the check of trust; delete the others."""
     paths = list(stem.parent.glob(f"{stem.name}-*.so"))
     return [path for path in paths if discard_untrusted([path]) and path.exists()]
 

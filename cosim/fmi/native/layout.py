@@ -1,4 +1,4 @@
-"""Variables of a native FMU by value reference, and their dependencies, as the basis of its descriptions."""
+"""Variables of a native FMU in the order of their value references, and their dependencies."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ class Local:
 
 @dataclass(frozen=True)
 class Layout:
-    """Variables in order of value reference: ports, then local variables.
+    """Variables of a native FMU in the order of their value references: ports, then local variables.
 
     Attributes:
-        dependencies: Output or derivative → names of inputs and states.
+        dependencies: Output or derivative → names of the inputs and states on which it depends.
     """
 
     about: Description

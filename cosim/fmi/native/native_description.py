@@ -44,7 +44,7 @@ def description2(layout: Layout, name: str, identifier: str, version: str, guid:
 
 
 def description3(layout: Layout, name: str, identifier: str, version: str, guid: str) -> bytes:
-    """Return modelDescription.xml of FMI 3.0. `sources/buildDescription.xml` describes the sources."""
+    """Return modelDescription.xml of FMI 3.0, which does not list the sources: `buildDescription.xml` does."""
     head = {"fmiVersion": "3.0", "modelName": name, "instantiationToken": guid, **_head(layout, version)}
     common = {"modelIdentifier": identifier, "needsExecutionTool": "false"}
     common |= {"canGetAndSetFMUState": "true", "canSerializeFMUState": "true"}
@@ -111,7 +111,7 @@ def _variables(layout: Layout, local: Sequence[Local], fmi: Version) -> Element:
 
 
 def _variable(kind: str, attributes: dict[str, str], fmi: Version) -> tuple[Element, Element]:
-    """Return a variable, and the element with the attributes of its type."""
+    """Return the XML element of a variable, and the element that carries the attributes of its type."""
     if fmi == 3:
         node = Element(KINDS3[kind], attributes)
         return node, node

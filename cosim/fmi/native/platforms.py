@@ -47,6 +47,6 @@ def this_platform() -> Platform | None:
 
 
 def glibc_floor(library: bytes) -> str:
-    """Return the oldest glibc for a Linux library, by its symbol versions."""
+    """Return the oldest version of glibc with which a Linux library runs, from the versions of its symbols."""
     versions = {tuple(map(int, v.split(b"."))) for v in re.findall(rb"GLIBC_(\d+(?:\.\d+)+)", library)}
     return ".".join(map(str, max(versions, default=())))

@@ -62,7 +62,7 @@ def number(value: float) -> str:
 
 
 def table(kind: str, name: str, rows: Iterable[str]) -> str:
-    """Return a constant table, never empty as C requires."""
+    """Return a constant table in C; an empty table gets a 0, because C allows no empty arrays."""
     inner = "".join(f"    {row},\n" for row in rows) or "    0,\n"
     return f"static const {kind} {name}[] = {{\n{inner}}};\n"
 
@@ -126,7 +126,7 @@ class Printer:
         return self.place[name]
 
     def sources(self) -> Sources:
-        """Return all generated code."""
+        """Return all C code that is generated for the model."""
         tables, texts = variable_tables(self.ports)
         functions, body_kinks, kinks_in_all, calls = load_or_make(self._serialize(), self._functions)
         parts = [tables, self._tables(), *functions, self._starts(), self._wake(), self._remembers(), self._counting()]
@@ -277,7 +277,7 @@ class Printer:
         return f"{head}\n{{\n    (void)p, (void)awake;\n{''.join(lines)}}}\n"
 
     def _remembers(self) -> str:
-        """Return C code that tests for active effects with memory."""
+        """Return a C function that tells whether any effect with memory is active."""
         remembering = {e.name for e, _ in self.remembering}
         places = [k for k, e in enumerate(self.trace.effects) if e.name in remembering]
         head = "static int remembers(const unsigned char *awake)\n{\n    (void)awake;\n"

@@ -75,7 +75,7 @@ def native_source(name: str, signals: Mapping[str, TimeSignal], step: float, sto
 
 
 def tables(signals: Mapping[str, TimeSignal]) -> str:
-    """Return the changes of all signals as C."""
+    """Return the C tables of all changes of the reference signals."""
     changes = [change for signal in signals.values() for change in signal.pieces]
     columns = {
         "AT": [c.at for c in changes],

@@ -120,7 +120,7 @@ def extract_calls(blocks: Sequence[Block], results: Sequence[Any]) -> tuple[list
 
 @dataclass
 class _Node:
-    """A printed unit: symbols with their expressions for each branch of an effect's block."""
+    """A block of the printed code: an effect's block has symbols and expressions for each of its branches."""
 
     branches: tuple[dict[Any, Any], ...]
     effect: int | None
@@ -194,7 +194,7 @@ def _order(nodes: Sequence[_Node], results: Sequence[Any]) -> list[_Node]:
 
 
 def _sink(nodes: list[_Node], results: Sequence[Any]) -> list[_Node]:
-    """Return nodes, moved into branches where possible."""
+    """Move each node into the only branch that uses it, and return the nodes that stay outside."""
     homes: dict[Any, set[tuple[int, int] | None]] = {}
 
     def use(expressions: Sequence[Any], home: tuple[int, int] | None) -> None:

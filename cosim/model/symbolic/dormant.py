@@ -1,4 +1,4 @@
-"""Detection of costly functions without effect while terms are dormant.
+"""Detection of costly functions whose values do not matter while terms are dormant.
 
 A term is dormant at its neutral values. A function that is then multiplied by 0 can be replaced by 0 without a change
 of any bit of the results.

@@ -37,7 +37,7 @@ class Shaping:
 
 @dataclass(frozen=True)
 class Body:
-    """The equations of a model as expressions with all, some or no effects of the catalogue.
+    """The equations of a model as symbolic expressions, with all, some or no effects of the catalogue.
 
     Attributes:
         derivative: State → expression of its derivative.
@@ -111,7 +111,7 @@ class Body:
 
     @property
     def terms(self) -> list[dict[Any, float]]:
-        """Return the neutral parameter values of each effect."""
+        """Return for each effect its parameters' symbols with the neutral values."""
         every = (
             {self.parameters[f"{e.name}.{p.name}"]: p.neutral for p in parameters_of(e) if p.neutral is not None}
             for e in self.symbols.model.effects

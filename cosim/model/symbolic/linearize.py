@@ -73,7 +73,7 @@ class Linearizer:
 
 
 def linearize(model: Model, state: Values | None = None, command: Values | None = None, t: float = 0.0) -> LinearModel:
-    """Return the linear model at a state and command, by default at the model's start."""
+    """Return the linear model at a state and command, by default at the start values of the model."""
     point_x = model.start() if state is None else state
     point_u = model.start_command() if command is None else command
     return Linearizer(model)(point_x, point_u, t)

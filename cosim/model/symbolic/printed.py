@@ -41,7 +41,7 @@ class Below(_Printed):
 
 
 class Clip(_Printed):
-    """The argument x limited to the range from `low` to `high`."""
+    """Symbolic function: the argument x limited to the range from `low` to `high`."""
 
     c, python = "fmin(fmax({}, {}), {})", "min(max({}, {}), {})"
 

@@ -12,11 +12,11 @@ from cosim.model.quantities import parameters_of
 
 @dataclass(frozen=True)
 class SymbolicModel:
-    """A model with all effects active, and its symbols by FMI name.
+    """A model whose parameters, states and inputs are symbols, with all effects active.
 
     Attributes:
         model: Model with symbols as parameters; Booleans are fixed by `flags`.
-        parameters: `mass`, `coulomb_friction.force`, … → symbol.
+        parameters: FMI name, such as `mass` or `coulomb_friction.force` → symbol.
     """
 
     model: Model
@@ -29,7 +29,7 @@ class SymbolicModel:
 def symbolic(
     model: Model, flags: bool | Mapping[str, bool] | None = None, effects: bool | Collection[str] = True
 ) -> SymbolicModel:
-    """Return the model with symbols as numbers and all, some or no effects.
+    """Return the model with symbols in place of numbers and with all, some or no effects.
 
     Args:
         flags: Value of all Booleans, or values by FMI name; default: those of the model.

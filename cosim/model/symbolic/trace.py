@@ -77,7 +77,7 @@ class Trace:
 
     @classmethod
     def of(cls, model: Model, flags: Mapping[str, bool] | None = None) -> Trace:
-        """Return the trace of a model with its whole catalogue and switches from `flags`.
+        """Return the symbolic trace of a model with all effects of its catalogue; `flags` sets the switches.
 
         Raises:
             Untraceable: An effect has no symbolic form.

@@ -153,7 +153,7 @@ class Claims:
 
     @property
     def nearest_hypothesis(self) -> Hypothesis | None:
-        """Return the nearest hypothesis or a complete claim."""
+        """Return the hypothesis of the nearest model; if there is none, the claimed hypothesis."""
         return self.claimed if self.nearest is None else self.nearest.hypothesis
 
     @property

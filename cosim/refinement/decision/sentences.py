@@ -70,7 +70,7 @@ def _answer_text(c: Claims, subject: Subject) -> str:
 
 
 def _share_texts(c: Claims) -> Iterator[str]:
-    """Yield how much a claim leaves unexplained, and where that is."""
+    """Yield phrases on the share of the error that a claim leaves unexplained, and on its channels."""
     if c.left_share is not None and c.left_of is not None:
         of = f"of the mean square error of {c.left_of[0]} after recalibration"
         yield part_text(c.residual, f"{percent(c.left_share)} {of} remain")
@@ -119,9 +119,12 @@ def little_excitation_text(effects: int, experiment: str, *, still: bool) -> str
 
 
 def no_effect_text(hidden: Sequence[str], moves: Mapping[str, float]) -> str:
-    """Return the verdict without a missing effect: the size of a disturbance, and the effects hidden in these logs.
+    """Return the verdict for logs without a missing effect.
 
-    moves: forced state → size of its unknown input over that of its derivative on the logs, where there is one
+    It states the size of an unknown input, and the number of effects that these logs would not show.
+
+    Args:
+        moves: Forced state → RMS of its unknown input relative to the RMS of its derivative, where available.
     """
     sizes = [f"{percent(share)} of what moves {name}" for name, share in moves.items()]
     text = f"{DISTURBED} Its size: {join_names(sizes)}." if sizes else NOTHING

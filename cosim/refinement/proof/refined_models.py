@@ -54,7 +54,7 @@ def variants_of(
 
 
 def with_log_noise(after: Variant, a: Attribution, claimed: Hypothesis | None, sensors: Array | None) -> Variant:
-    """Return the refined subject with the logs' noise.
+    """Return the refined subject with noise values estimated from the logs.
 
     Args:
         sensors: ln of the sensor noise variances to use if the fitted variances include model errors.

@@ -76,13 +76,13 @@ def check_claim(
     recalibrated: bool = True,
     halves: bool = False,
 ) -> Claims:
-    """Grade or withdraw a claim according to replays.
+    """Return the claims, graded or withdrawn according to replays.
 
     A term that reduces innovations one row ahead may still be wrong; only replays show the difference.
 
     Args:
         recalibrated: True if the recalibrated base model is within its tolerances and so an alternative.
-        halves: True if the claim halves the error on held-out logs; it is then a part of the answer at least.
+        halves: True if the claim halves the error on held-out logs. It is then at least a part of the answer.
     """
     if claims.claimed is None:
         return claims
@@ -114,7 +114,7 @@ def _error_doubt(error: ErrorOf, floor: Channels) -> Doubt | None:
 
 
 def _plant_doubt(error: ErrorOf, floor: Channels, *, effects: bool) -> Doubt | None:
-    """Doubt effects without improvement in replays."""
+    """Return a doubt if the effects do not reduce the replay error, or if most excess error remains; else None."""
     recalibrated, after = error["recalibrated"], error["after"]
     if effects and floor and all(after[n] >= recalibrated[n] for n in floor):
         return Doubt("no_nearer")
@@ -134,7 +134,7 @@ def _remaining_excess(error: ErrorOf, floor: Channels) -> dict[str, float]:
 def claim_single_number(
     claims: Claims, a: Attribution, subject: Subject, result: SearchResult, ratios: Channels
 ) -> Claims:
-    """Claim a single parameter or input gain.
+    """Return a claim of a single parameter or input gain that explains the logs by itself.
 
     All other parameters must stay within their tolerances. If the logs do not separate several such claims, the best is
     claimed until an experiment separates them.
@@ -168,7 +168,7 @@ def _single_errors(result: SearchResult, base: Hypothesis) -> list[Hypothesis]:
 
 
 def _moved_parameters(f: Fit, names: Sequence[str]) -> tuple[MovedParameter, ...]:
-    """Return base parameters with stated and fitted values."""
+    """Return the named base parameters with their stated and their fitted values."""
     return tuple(MovedParameter(x.name, x.prior[0], f.values[x.name]) for x in f.free if x.prior and x.name in names)
 
 

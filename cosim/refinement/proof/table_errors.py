@@ -82,7 +82,7 @@ def _strongest_dependence(problem: Problem, h: Hypothesis, subject: Subject) -> 
 
 
 def _residuals(problem: Problem, h: Hypothesis) -> Array:
-    """Return measured − model of every row, shape (rows, outputs)."""
+    """Return the residual (measured − model) of every row of a table, shape (rows, outputs)."""
     return np.vstack([open_loop(problem, 0.0, h.fit.values, h.fit, k)[:, 0] for k in range(len(problem.logs))])
 
 

@@ -107,7 +107,7 @@ def bins(x: Array, count: int, least: int = 1) -> list[Rows]:
 
 
 def choose(signals: Mapping[str, Regressor], suggested: Sequence[str], values: Array) -> Regressor:
-    """Return the signal explaining most of `values`.
+    """Return the signal that explains most of `values`.
 
     Signals suggested for a term have precedence.
     """

@@ -92,7 +92,7 @@ def _join_with_gaps(parts: Sequence[Array], lags: int) -> Array:
 
 
 def _autocorrelation(channel: str, tests: Sequence[Whiteness], names: Sequence[str], over: Drawing) -> Panel:
-    """Return two autocorrelations as stems side by side."""
+    """Return a panel with two autocorrelations side by side, drawn as stems."""
     rows, lag = every_lag(tests[0].rho.size - 1, STEMS), over.series.time
     offset = 0.16 * (lag[1] - lag[0] if lag.size > 1 else lag[0])
     traces = [

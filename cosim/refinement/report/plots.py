@@ -33,7 +33,7 @@ FAR = 1.5  # times the noise floor; a larger error is worth a plot
 
 @dataclass(frozen=True)
 class Pairs:
-    """Measured and model, and the residual, of one channel on one log."""
+    """Plots of one channel on one log: measurement with model, and residual."""
 
     channel: str
     plots: tuple[Plot, ...]
@@ -162,9 +162,9 @@ def _heading(s: EffectComparison) -> str:
 
 
 def _standard_error(s: EffectComparison, rows: Rows) -> float:
-    """Return the standard error of a mean of correlated rows.
+    """Return the standard error of a mean over correlated rows.
 
-    A slope of the rows is not counted as error.
+    A linear trend in the rows does not count as scatter.
     """
     alike = 1.0 if s.kind == "sensor" else max(1.0, MEMORIES * slowness(s.step) / s.step)
     count = max(1.0, rows.size / alike)

@@ -1,4 +1,4 @@
-"""Hypotheses, parameters and process noise as tables."""
+"""Tables of the report: hypotheses, parameters and process noise."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ def write_refine_report(path: Path, r: Refinement) -> None:
 
 
 def context(r: Refinement) -> Mapping[str, Any]:
-    """Return the values of the template."""
+    """Return the variables of the page's template."""
     charts = Charts()
     headline, details = split_sentence(str(r.record["sentence"]))
     tables = error_tables(r)

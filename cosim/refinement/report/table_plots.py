@@ -32,7 +32,7 @@ COLUMNS = {"before": "Before", "recalibrated": "Recalibrated", "after": "Refined
 
 @dataclass(frozen=True)
 class LabelledPlot:
-    """A plot with the label of its axis."""
+    """A plot with the label of its x axis."""
 
     plot: Plot
     label: str

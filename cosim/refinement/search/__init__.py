@@ -1,1 +1,1 @@
-"""Candidates, hypotheses and their fits."""
+"""Search for missing effects: candidates, hypotheses and their fits."""

@@ -58,7 +58,7 @@ class Attributor:
         self.identifiable: dict[str, float] = {}
 
     def run(self) -> SearchResult:
-        """Fit the base, rounds of promising sets, and the finalists."""
+        """Fit the base model, then promising sets of candidates in rounds, then the finalists; return the result."""
         search = self.search
         self.progress("recalibrating the base model", 0.0)
         base = self._with_stamp_errors(self._with_stated_noise(search.hypothesis((), None)))

@@ -194,7 +194,7 @@ class Search:
         return fitted
 
     def _refit_if_better(self, h: Hypothesis, noise: Noise) -> Hypothesis:
-        """Refit a hypothesis from another noise if better."""
+        """Refit a hypothesis from other noise values, and return the better of both fits."""
         goal = h.fit.objective - DONE
         other = self.hypothesis(h.candidates, replace(h.fit, noise=noise), LEADING, goal, loosen=False)
         return replace(other, ended=h.ended) if other.fit.objective < goal else h

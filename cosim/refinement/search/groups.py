@@ -17,7 +17,7 @@ Groups = Mapping[str, Sequence[str]]  # group → files
 
 
 class Places(Protocol):
-    """Location of a study's keys: a `YamlFile` or the arguments of a call."""
+    """Interface that locates faults in a study's keys: a `YamlFile`, or the arguments of a call."""
 
     @property
     def path(self) -> Path:

@@ -109,7 +109,7 @@ class Attribution:
 
     @property
     def small_parts(self) -> tuple[str, ...]:
-        """Return parts with gains explained by chance."""
+        """Return the parts of the fuller hypothesis whose likelihood gain may be due to chance."""
         return tuple(n for n in self.fuller.names if n not in self.best.names) if self.fuller else ()
 
     @property

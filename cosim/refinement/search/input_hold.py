@@ -52,7 +52,7 @@ class Between:
 
 
 def between_rows(problem: Problem, base: Hypothesis) -> Between:
-    """Refit the recalibrated model with the opposite interpolation of every input."""
+    """Refit the recalibrated model with every input held instead of interpolated between rows, or vice versa."""
     ramped, names = problem.settings.interpolated, problem.layout.inputs
     flipped = frozenset(names) - ramped
     logs = [replace(data, interpolated=flipped) for data in problem.logs]

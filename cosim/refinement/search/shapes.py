@@ -75,7 +75,7 @@ class Shape:
 
     @property
     def entry(self) -> dict[str, Any]:
-        """Return the entry for refine.json."""
+        """Return the shape as an entry of refine.json."""
         return {n: list(v) if isinstance(v, tuple) else v for n, v in vars(self).items() if n != "equation"}
 
     @property
@@ -210,7 +210,7 @@ class _Selection:
             (self.groups if len(sizes) > 1 else self.single).append((gain, shape, basis @ sizes))
 
     def select(self) -> list[Shape]:
-        """Return the most promising distinct shapes."""
+        """Return the most promising shapes that differ from each other."""
         chosen: list[tuple[Shape, Array]] = []
         for _, shape, row in sorted(self.single, key=lambda entry: -entry[0]):
             direction = row / np.linalg.norm(row)
@@ -240,7 +240,7 @@ class _Ground:
     factors: Mapping[tuple[str, ...], float]
 
     def shapes(self) -> Iterator[Shape]:
-        """Yield every shape on trial."""
+        """Yield every shape to be tested on a signal."""
         if len(self.flat.of) == 1 and self.flat.unit == "rad" and self.high - self.low > TURN:
             yield from self._turning_shapes()
             return
@@ -288,7 +288,7 @@ def _grounds(problem: Problem, equation: str, signals: Signals, units: Mapping[s
 
 
 def _factors(problem: Problem, equation: str, signals: Signals, of: tuple[str, ...]) -> dict[tuple[str, ...], float]:
-    """Return the possible factors of a shape, and the value within which the sign of each turns."""
+    """Return the signals that may multiply a shape, each with the size below which its sign is uncertain."""
     rates = tuple(problem.layout.rates.get(n, "") for n in of)
     times = [t for t in dict.fromkeys((rates, (equation,))) if signals.keys() >= {*t} and not {*t} & {*of}]
     ranges = {t: float(np.ptp(np.percentile(_difference(signals, t), INSIDE))) for t in times}

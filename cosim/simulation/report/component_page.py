@@ -17,11 +17,12 @@ from cosim.simulation.report.recorded import Run
 class ComponentPage:
     """Sections for some components, on a page with the signals of every run.
 
-    template: extends run.html.j2
-    values:   values of the template besides the values of every page
-    tiles:    key figures
-    shown:    columns in these sections, omitted from the signals
-    data:     data of the script
+    Attributes:
+        template: Extends run.html.j2.
+        values: Values of the template besides the values of every page.
+        tiles: Key figures.
+        shown: Columns in these sections, omitted from the signals.
+        data: Data of the script.
     """
 
     template: Path

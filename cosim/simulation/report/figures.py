@@ -44,7 +44,7 @@ MAX_POINTS = 4000  # points per curve, about five per pixel
 
 
 def write_figures(folder: Path, results: Results, manifest: Mapping[str, Any]) -> list[Path]:
-    """Write PNG figures of a run; return their paths. A run without rows has none."""
+    """Write PNG figures of a run and return their paths; a run without rows has none."""
     run = drawable_run(results, manifest)
     if run.time.size == 0:
         return []
@@ -66,7 +66,7 @@ def panels_figure(path: Path, run: Run, panels: Sequence[Panel]) -> Path:
 
 
 def figure_of(results: Results, names: Sequence[str]) -> Figure:
-    """Return a figure of signals; those of the same unit share a panel."""
+    """Return a matplotlib figure of some signals; signals of the same unit share a panel."""
     run = drawable_run(results, {})
     return sheet(run.time, signal_panels(run, frozenset(results.columns) - set(names)))
 

@@ -23,7 +23,7 @@ def mappings(value: Any) -> list[Mapping[str, Any]]:
 
 
 def texts(value: Any) -> list[str]:
-    """Return a list's items as text, also of a single text."""
+    """Return the items of a list as texts; a single text counts as a list of one."""
     if isinstance(value, str):
         return [value]
     return [str(item) for item in value] if isinstance(value, list | tuple) else []

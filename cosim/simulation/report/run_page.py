@@ -110,7 +110,7 @@ def _diagram(run: Run) -> str:
 
 
 def _goals(judged: Sequence[Criterion]) -> list[Row]:
-    """Return the scenario's criteria, missed criteria first."""
+    """Return table rows of the scenario's criteria, missed criteria first."""
     first = sorted(judged, key=lambda c: c.met)[:MAX_TILES]
     allowed = {c: f", allowed {c.allowed}" if c.allowed else "" for c in first}
     return [Row(c.title, c.value, f"{'met' if c.met else 'missed'}{allowed[c]}") for c in first]

@@ -68,7 +68,7 @@ def outcome(run: Run, judged: list[Criterion]) -> str:
 
 
 def _describe_simulation(run: Run) -> str:
-    """Return a sentence on components, duration and steps."""
+    """Return a sentence on the simulated components, the duration and the number of steps."""
     names = list(mapping(run.scenario.get("components"))) or list(run.variables)
     if not names or not run.time.size:
         return "Nothing was recorded."
