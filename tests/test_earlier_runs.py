@@ -272,6 +272,8 @@ def test_a_results_folder_that_is_the_link_of_another_user_is_refused_before_its
     os.chown(link, OTHER, OTHER, follow_symlinks=False)
     with folder_locks(), pytest.raises(InputError, match="is a link of another user; give another folder as --out"):
         check_left(link, "cosim run")
+    with folder_locks(), pytest.raises(InputError, match="is a link of another user"):
+        check_left(link / "tank", "cosim run")
     assert not list(target.iterdir())
 
 

@@ -160,8 +160,10 @@ def refuse_links(folder: Path) -> None:
     inner = {EARLIER, *(name.partition("/")[0] for a in artefacts() for name in a.files if "/" in name)}
     links = [folder / name for name in sorted(inner) if (folder / name).is_symlink()]
     faults = [Fault(link, 0, 0, messages.LINK_IN_FOLDER()) for link in links]
-    if folder.is_symlink() and hasattr(os, "geteuid") and folder.lstat().st_uid not in (os.geteuid(), 0):
-        faults.append(Fault(folder, 0, 0, messages.LINK_OF_OTHER_USER()))
+    if hasattr(os, "geteuid"):
+        path = folder.absolute()
+        planted = [p for p in (path, *path.parents) if p.is_symlink() and p.lstat().st_uid not in (os.geteuid(), 0)]
+        faults += [Fault(link, 0, 0, messages.LINK_OF_OTHER_USER()) for link in planted]
     refuse(faults)
 
 
