@@ -85,8 +85,8 @@ def test_a_tank_that_is_filled_in_steps_holds_its_inputs(tmp_path: Path) -> None
 def test_inputs_that_are_taken_differently_are_told_one_by_one() -> None:
     (warning,) = Between({"a": "held", "b": "interpolated", "c": "held"}, 12.0, 4.0).warnings
     assert warning.startswith("between rows a and c are taken as held and b is taken as interpolated; the other way")
-    assert "12.0 in log-likelihood, 4.0 times its scatter" in warning
-    assert warning.endswith("say `inputs: {a: interpolated, b: held, c: interpolated}` in the study")
+    assert "raises the log-likelihood of the logs by 12.0, 4.0 times its scatter" in warning
+    assert warning.endswith("write `inputs: {a: interpolated, b: held, c: interpolated}` in the study")
     assert not Between({"a": "held"}, 12.0, 2.0).warnings
     assert not Between({"a": "held"}, 4.0, 9.0).warnings
 

@@ -103,7 +103,7 @@ def test_every_fault_of_a_sensor_is_told_with_its_line_and_cure(tmp_path: Path) 
     said = str(told.value)
     assert "rate is 20 Hz, communication points come at 10 Hz; use at most 10 Hz, or a shorter step" in said
     assert '"fix" is already the name of the output that counts the fixes' in said
-    assert '"level_meas" is the name under which the fixes of another signal go out' in said
+    assert '"level_meas" is already the name of an output with the fixes of another signal' in said
     assert "level.yaml:15" in said
     with pytest.raises(InputError, match="less than or equal to 1"):
         run(tmp_path, dropout=1.5)

@@ -159,7 +159,7 @@ def test_a_point_without_a_derivative_is_refused_with_what_each_side_gives(tank:
     assert not (tmp_path / "out" / "linear.json").exists()
     empty = linearize(f"{tank}:Tank", at=["level=1e-6"], side="below").first
     assert empty.A.tolist() == [[0.0]]
-    assert 'is below or above; did you mean "above"?' in refused(f"{tank}:Tank", "level=1", side="abov")
+    assert 'give below or above; did you mean "above"?' in refused(f"{tank}:Tank", "level=1", side="abov")
 
 
 SERVO = """

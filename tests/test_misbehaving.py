@@ -116,7 +116,7 @@ def test_loading_is_apart_and_has_a_limit_of_its_own(tmp_path: Path) -> None:
 
 def test_all_together_may_not_take_longer_than_the_total(tmp_path: Path) -> None:
     path = deeds_scenario(tmp_path, "DoStep", "slow", at=0, duration=1000.0, limits="{total: 300 ms}")
-    with pytest.raises(TimedOut, match=r"after 0.3 s in all \(limits: total\)"):
+    with pytest.raises(TimedOut, match=r"longer than 0.3 s in all \(limits: total\)"):
         run(path, tmp_path / "out", report=False)
     assert rows_in(tmp_path / "out") > 1
 

@@ -158,7 +158,7 @@ def test_refine_names_a_magnetometer_that_the_motors_disturb_where_the_duty_vari
         ('input = "force"', 'input = "forse"', 'motor_gain: no input "forse"; did you mean "force"?'),
         ('    input = "force"\n', "", "motor_gain: no input is named"),
         ('    name = "gyro_drift"\n    output = "rate"', '    name = "gyro_drift"\n    outputs = ("rate", "ahead")',
-         "gyro_drift: `read` is of one output"),
+         "gyro_drift: `read` returns one output"),
     ],
 )  # fmt: skip
 def test_a_sensor_or_a_gain_of_what_is_not_there_is_told(tmp_path: Path, old: str, new: str, message: str) -> None:

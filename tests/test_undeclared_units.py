@@ -228,9 +228,9 @@ def test_a_folder_that_another_command_left_is_refused_in_python_without_force(t
     (tmp_path / "log.csv").write_text(f"time,r_in,i_in,e_in,b_in,r_out\n{rows}")
     out.mkdir()
     (out / "manifest.json").write_text("{}")
-    with pytest.raises(InputError, match="holds what `cosim run` left"):
+    with pytest.raises(InputError, match="contains results of `cosim run`"):
         cosim.replay(tmp_path / "log.csv", out, fmu, report=False, in_process=True)
-    with pytest.raises(InputError, match="holds what `cosim run` left"):
+    with pytest.raises(InputError, match="contains results of `cosim run`"):
         cosim.compare(tmp_path / "log.csv", tmp_path / "log.csv", out)
     cosim.replay(tmp_path / "log.csv", out, fmu, report=False, in_process=True, force=True)
     assert (out / "replay.json").is_file()
