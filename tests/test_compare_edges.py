@@ -297,7 +297,10 @@ def test_panels_show_both_runs_in_the_unit_that_people_read_and_how_far_b_is_fro
     (difference,) = apart.traces
     np.testing.assert_allclose(difference.values, [0, 3, -2], atol=1e-12)
     assert {trace.style for trace in (*both.traces, difference)} == {"s0", "s1", "error"}  # told apart by eye
-    assert [panel.unit for panel in panels_of("n", "", ("a", "b"), (first, second))] == ["no unit declared", "no unit declared"]
+    assert [panel.unit for panel in panels_of("n", "", ("a", "b"), (first, second))] == [
+        "no unit declared",
+        "no unit declared",
+    ]
 
 
 def test_criteria_of_a_run_are_those_of_a_manifest_that_holds_some() -> None:

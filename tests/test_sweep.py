@@ -489,7 +489,8 @@ def test_a_start_value_that_contradicts_the_design_is_told_as_a_run_tells_it(cra
     estimators = "  design.estimator: {values: [lagged]}\n  controller.estimator: {values: [lagged]}\n"
     sweep_file.write_text(head + estimators)
     assert any(
-        t.startswith('6:3 controller.estimator and "design.estimator" of line 5 both give one start value') for t in faults_of(sweep_file)
+        t.startswith('6:3 controller.estimator and "design.estimator" of line 5 both give one start value')
+        for t in faults_of(sweep_file)
     )
 
 
