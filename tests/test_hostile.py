@@ -123,7 +123,7 @@ HOSTILE: dict[str, tuple[Callable[[Path], object], str]] = {
     "elements": (described(f"<a>{600_000 * '<b/>'}</a>"), "more than the 500000 elements"),
     "attributes": (described("<a " + " ".join(f'b{k}=""' for k in range(300)) + "/>"), "100 attributes each"),
     "large": (described(DESCRIPTION + 21_000_000 * " "), "21 MB, more than the 20 MB"),
-    "encoding": (described(DESCRIPTION.replace("UTF-8", "UF-8")), "an encoding that is not known"),
+    "encoding": (described(DESCRIPTION.replace("UTF-8", "UF-8")), "in an unknown encoding"),
     "cut": (described(DESCRIPTION[:300]), "is not XML"),
     "identifier": (described(DESCRIPTION.replace('Identifier="m"', 'Identifier="../../m"')), "is no name of a file"),
     "none": (described(DESCRIPTION.replace('fmiVersion="2.0"', "")), "is not a valid FMU"),

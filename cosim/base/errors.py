@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base import messages
-from cosim.base.messages import Message, code_of
+from cosim.base.messages import code_of, with_prefix
 
 
 @dataclass(frozen=True, order=True)
@@ -23,7 +23,7 @@ class Fault:
 
     def __str__(self) -> str:
         place = f"{self.file}:{self.line}:{self.column}" if self.line else str(self.file)
-        return Message(f"{place}: {self.message}", self.code)  # A warning thus keeps its code.
+        return with_prefix(f"{place}: ", self.message)  # A warning made of a fault keeps its code.
 
     @property
     def code(self) -> str:
@@ -91,6 +91,11 @@ class FmuError(CosimError):
     """An unreadable or invalid FMU, or a failure to load one."""
 
     exit_code = 3
+
+    def fault(self, file: Path, name: Path | None = None) -> Fault:
+        """Return the error as a fault of a file; `name`, by default the file, no longer begins the message."""
+        beginning = f"{name or file} "
+        return Fault(file, 0, 0, str(self).removeprefix(beginning), self.exit_code)
 
 
 class SimulationError(CosimError):

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
+from typing import Any, SupportsIndex
 
 
 class Message(str):
@@ -34,6 +34,14 @@ class Message(str):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (str.__str__(self), self.code, dict(self.fields))
+
+    def replace(self, old: str, new: str, count: SupportsIndex = -1) -> Message:
+        """Return the message with a part of its text replaced."""
+        return Message(super().replace(old, new, count), self.code, self.fields)
+
+    def removeprefix(self, prefix: str) -> Message:
+        """Return the message without text at its beginning, e.g. the name of a file."""
+        return Message(super().removeprefix(prefix), self.code, self.fields)
 
     def after(self, prefix: str) -> Message:
         """Return the message with text in front, e.g. the name of a file."""

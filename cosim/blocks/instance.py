@@ -13,7 +13,7 @@ from typing import Any
 
 from cosim.base.drafts import is_full
 from cosim.base.errors import DiskFull, FmuError, SimulationError, Terminated
-from cosim.base.messages import Message, code_of
+from cosim.base.messages import Message
 from cosim.base.scratch import process_folder
 from cosim.blocks import messages
 from cosim.blocks.compiling import compile_library
@@ -106,8 +106,7 @@ class Instance:
 
     def _load_fault(self, reason: str) -> Message:
         """Return the message of an FMU that does not load; a reason with a code of its own keeps that code."""
-        message = messages.NOT_LOADED(file=self.path, reason=reason)
-        return Message(message, code_of(reason) or message.code, message.fields)
+        return messages.NOT_LOADED.around(reason, file=self.path)
 
     def _unpack(self) -> Path:
         if self.place is not None:

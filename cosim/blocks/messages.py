@@ -20,7 +20,7 @@ UNSUPPORTED_INTERFACE = Template(
 
 # -- loading its library ---------------------------------------------------------------------------
 
-NOT_LOADED = Template("E-BLK-008", "{file} does not load: {reason}")
+NOT_LOADED = Template("E-BLK-008", "{file} does not load: {error}")
 NO_LIBRARY = Template("E-BLK-009", "it has no library for {platform} or another platform")
 OTHER_PLATFORMS = Template("E-BLK-010", "it has no library for {platform}; it has some for {others}")
 SOURCES_ONLY = Template(

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import Fault, FmuError, InputError, refuse
-from cosim.base.messages import Message
 from cosim.blocks.description import (
     platform_of,
     platforms_among,
@@ -96,8 +95,7 @@ def read_fmus(paths: Sequence[Path]) -> list[Any]:
         except InputError as error:
             faults += error.faults
         except FmuError as error:
-            text = Message(str(error).removeprefix(f"{path} "), error.code)
-            faults.append(Fault(path, 0, 0, text, FmuError.exit_code))
+            faults.append(error.fault(path))
     refuse(faults)
     return descriptions
 

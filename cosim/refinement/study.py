@@ -16,7 +16,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Dis
 
 from cosim.base.arrays import Rows
 from cosim.base.errors import Fault, InputError, NotExecuted, refuse
-from cosim.base.messages import Message, code_of
+from cosim.base.messages import with_prefix
 from cosim.base.registry import BASE
 from cosim.base.text import counted, plain
 from cosim.base.units import has_unit, read_quantity
@@ -192,7 +192,7 @@ def check_study(path: Path, checking: Checking) -> list[str]:
     Raises:
         InputError: The study has faults.
     """
-    return [_after("warning: ", text) for text in read_study(path).warnings]
+    return [with_prefix("warning: ", text) for text in read_study(path).warnings]
 
 
 def read_study(path: Path) -> Study:
@@ -228,7 +228,7 @@ def read_study(path: Path) -> Study:
     latency_faults = _latency_faults(path.parent / content.model, loaded, [*logs["estimation"], *logs["validation"]])
     refuse([*faults, *log_faults, *latency_faults])
     loaded, notes = with_substep(loaded, logs["estimation"])
-    warnings += [_after(f"{content.model}: ", text) for text in notes]
+    warnings += [with_prefix(f"{content.model}: ", text) for text in notes]
     return Study(path, content, ModelSubject(loaded), tuple(logs["estimation"]), tuple(warnings))
 
 
@@ -240,7 +240,7 @@ class _Arguments:
 
     def fault(self, location: Sequence[str | int], message: str, *, key: bool = False) -> Fault:
         """Return a fault of an argument."""
-        text = _after(f"{'.'.join(map(str, location))}: ", message)
+        text = with_prefix(f"{'.'.join(map(str, location))}: ", message)
         return Fault(self.path, 0, 0, text)
 
 
@@ -272,11 +272,6 @@ def study_of(
     usable, warnings, log_faults = _read_logs(places, content, subject)
     refuse([*_key_faults(places, content, subject, unlisted=not logs), *log_faults])
     return Study(None, content, subject, tuple(usable["estimation"]), tuple(warnings))
-
-
-def _after(prefix: str, text: str) -> str:
-    """Return a text behind a prefix, with its code."""
-    return Message(f"{prefix}{text}", code_of(text))
 
 
 def _key_faults(places: Places, content: StudyFile, subject: Subject, *, unlisted: bool) -> Iterator[Fault]:
@@ -323,7 +318,9 @@ def _read_logs(
         ]
         usable = _usable_stretches(log, subject.horizon)
         faults += [] if usable else [_short_log(log, subject.horizon)]
-        warnings += [_after(f"{name}: ", f.whole) for f in findings if f.severity == "warning" and f.kind != "outliers"]
+        warnings += [
+            with_prefix(f"{name}: ", f.whole) for f in findings if f.severity == "warning" and f.kind != "outliers"
+        ]
         if count := 0 if log.table else len(stretches(log)) - len(usable):
             warnings.append(messages.SHORT_PIECES(log=name, pieces=counted(count, "piece")))
         logs[part] += usable

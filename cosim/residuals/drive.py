@@ -15,7 +15,6 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import Fault, FmuError, InputError, SimulationError, refuse
-from cosim.base.messages import Message
 from cosim.base.units import Conversion, conversion
 from cosim.blocks.component import Signal
 from cosim.blocks.description import takes_any_step
@@ -74,8 +73,7 @@ def check_files(log: Path, fmu: Path | None) -> None:
         except InputError as error:
             faults += error.faults
         except FmuError as error:
-            message = Message(str(error).removeprefix(f"{path} "), error.code)
-            faults.append(Fault(path, 0, 0, message, error.exit_code))
+            faults.append(error.fault(path))
     refuse(faults)
 
 

@@ -13,7 +13,6 @@ from typing import Any
 
 from cosim.base.drafts import draft_of
 from cosim.base.errors import Fault, InputError
-from cosim.base.messages import Message
 from cosim.base.scratch import temporary_folder
 from cosim.coupling.algorithms import Jacobi
 from cosim.scenario.pinned import SYSTEM
@@ -128,8 +127,7 @@ def lay_out(
 def _without_folder(fault: Fault, trial: Path, package: Package) -> Fault:
     """Return a fault whose message and place name the SSP instead of its temporary folder."""
     if package.packed:
-        text = fault.message.replace(f"{package.folder}/", f"{package.shown}/")
-        fault = replace(fault, message=Message(text, fault.code))
+        fault = replace(fault, message=fault.message.replace(f"{package.folder}/", f"{package.shown}/"))
     return replace(fault, file=package.shown) if fault.file == trial else fault
 
 

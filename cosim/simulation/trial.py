@@ -11,7 +11,7 @@ from typing import Any
 
 from cosim.base import errors
 from cosim.base.errors import Fault, FmuError, InputError, refuse
-from cosim.base.messages import Message, code_of
+from cosim.base.messages import with_prefix
 from cosim.base.scratch import temporary_folder
 from cosim.blocks.compiling import LIMIT, permission
 from cosim.blocks.fmu import read_description
@@ -45,7 +45,7 @@ def check_fmu(path: Path, worker: Worker | None = None) -> list[Fault]:
     try:
         description = read_description(path)
     except FmuError as error:
-        return [_fault_of(error, path, path)]
+        return [error.fault(path, path)]
     if worker is None:
         return []
     start, step = _experiment(description)
@@ -104,19 +104,12 @@ def check_ssp(path: Path, checking: Checking) -> list[str]:
     with temporary_folder("check") as folder:
         file, warnings = lay_out(path, folder)
         if worker is not None and (faults := _run_once(file, build_system(file), path, worker)):
-            texts = [f.message.replace(f"{file.path.parent}/", "") for f in faults]
-            refuse(replace(f, message=Message(text, f.code)) for f, text in zip(faults, texts, strict=True))
+            refuse(replace(f, message=f.message.replace(f"{file.path.parent}/", "")) for f in faults)
         return _as_warnings(warnings)
 
 
 def _as_warnings(texts: Iterable[str]) -> list[str]:
-    return [Message(f"warning: {text}", code_of(text)) for text in texts]
-
-
-def _fault_of(error: FmuError, path: Path, name: Path) -> Fault:
-    """Return the fault of an FMU, without the name at the beginning of the error."""
-    text = str(error).removeprefix(f"{name} ")
-    return Fault(path, 0, 0, Message(text, error.code), error.exit_code)
+    return [with_prefix("warning: ", text) for text in texts]
 
 
 def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) -> list[Fault]:
@@ -127,7 +120,7 @@ def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) ->
     try:
         failure = simulate_apart(worker, system, 1, file.scenario.step, Path(tempfile.gettempdir()), limits).failure
     except FmuError as error:
-        return [_fault_of(error, path, path.resolve())]
+        return [error.fault(path, path.resolve())]
     except errors.DiskFull as error:
         return [Fault(path, 0, 0, messages.NO_SPACE_FOR_TRIAL(reason=error.reason), FmuError.exit_code)]
     if failure is None:

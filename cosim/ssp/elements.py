@@ -9,7 +9,7 @@ from typing import Any
 from xml.parsers import expat
 
 from cosim.base.errors import Fault
-from cosim.base.messages import Message, code_of
+from cosim.base.messages import with_prefix
 from cosim.ssp import messages
 from cosim.storage.archive import MOST_XML, BadArchive, check_xml
 
@@ -53,7 +53,7 @@ class Element:
         """Return a fault of this element."""
         name = self.get("name")
         label = f'{self.tag} "{name[:60]}"' if name else self.tag
-        message = Message(f"{label}: {message}", code_of(message))
+        message = with_prefix(f"{label}: ", message)
         return Fault(self.file, self.line, self.column, message)
 
 

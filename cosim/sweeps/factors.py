@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.errors import Fault, InputError, refuse
-from cosim.base.messages import Message, code_of
+from cosim.base.messages import Message, with_prefix
 from cosim.base.units import split_quantity
 from cosim.blocks.description import unit_of
 from cosim.blocks.fmu import FmuBlock
@@ -210,7 +210,7 @@ class Factors:
             warnings += texts
         if new := [t for t in warnings if t not in {*self.scenario.warnings, *self.system.warnings}]:
             line = self.yaml.place(("vary", factor.name), key=True)[0]
-            self.warnings.append(Message(f"{self.yaml.path}:{line}: {new[0]}", code_of(new[0])))
+            self.warnings.append(with_prefix(f"{self.yaml.path}:{line}: ", new[0]))
 
     def _test_variant(self, *overrides: str) -> tuple[Sequence[Fault], list[str]]:
         """Return the faults and warnings of a variant of the scenario."""

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import InputError, refuse
-from cosim.base.messages import Message, code_of
+from cosim.base.messages import with_prefix
 from cosim.base.version import __version__
 from cosim.blocks.fmu import FmuBlock
 from cosim.scenario.controller_design import designed_values
@@ -78,7 +78,7 @@ class Sweep:
 
 def check_sweep(path: Path, checking: Checking) -> list[str]:
     """Return the warnings of a sweep; InputError lists its faults."""
-    return [Message(f"warning: {text}", code_of(text)) for text in read_sweep(path).warnings]
+    return [with_prefix("warning: ", text) for text in read_sweep(path).warnings]
 
 
 def read_sweep(path: Path) -> Sweep:

@@ -23,7 +23,7 @@ from cosim.base.errors import (
     Terminated,
     refuse,
 )
-from cosim.base.messages import Message, code_of
+from cosim.base.messages import with_prefix
 from cosim.base.program import STOPPED
 from cosim.base.registry import resolve
 from cosim.base.settings import Files, ModelName
@@ -76,7 +76,7 @@ def check(
             checking = Checking(model, dict(columns or {}), worker)
             for path in map(Path, [files] if isinstance(files, (str, os.PathLike)) else files):
                 try:
-                    lines += [Message(f"{path}: {line}", code_of(line)) for line in _check_isolated(path, checking)]
+                    lines += [with_prefix(f"{path}: ", line) for line in _check_isolated(path, checking)]
                 except InputError as error:
                     faults += error.faults
     refuse(faults)

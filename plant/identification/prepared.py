@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cosim.base.errors import Fault, InputError, NotExecuted, refuse
-from cosim.base.messages import Message
 from cosim.base.registry import is_model
 from cosim.loading.file import load_model, named_model
 from cosim.model import Model
@@ -64,10 +63,7 @@ def _model_of(protocol: Protocol) -> Model:
         model = named_model(text) if is_model(text) else load_model(text, protocol.folder, protocol.yaml).model
     except InputError as error:
         raise InputError(
-            [
-                f if f.file == protocol.yaml.path else Fault(protocol.yaml.path, *where, Message(str(f), f.code))
-                for f in error.faults
-            ]
+            [f if f.file == protocol.yaml.path else Fault(protocol.yaml.path, *where, str(f)) for f in error.faults]
         ) from None
     if not NUMBERS & {p.name for p in model.parameters}:
         message = messages.MODEL_WITHOUT_NUMBERS(model=text, names=", ".join(sorted(NUMBERS)))
