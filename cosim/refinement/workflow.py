@@ -255,7 +255,7 @@ def _remaining(claims: Claims, played: Replayed, subject: Subject) -> Mapping[st
     if not claims.claimed_candidates or "validation" not in played["before"]:
         return {}
     before, after = (
-        keep_finite(rmse(played[name]["validation"][subject.horizon])) for name in (claims.beside, "after")
+        keep_finite(rmse(played[name]["validation"][subject.horizon])) for name in (claims.baseline, "after")
     )
     return {name: (after[name] / size) ** 2 for name, size in before.items() if size > 0.0 and name in after}
 

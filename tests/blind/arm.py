@@ -13,7 +13,7 @@ import json
 import math
 import shutil
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -73,21 +73,6 @@ def draw(seed: int) -> ArmStudy:
     stiffness, phase = float(rng.uniform(40.0, 90.0)), float(rng.uniform(0.0, 2.0 * math.pi))
     gains = tuple(1.0 + 0.01 * rng.standard_normal(2))
     return ArmStudy(seed, {} if seed % 6 == 5 else truth, base, stiffness, (0.02, 12.0, phase), (gains[0], gains[1]))
-
-
-def rates(
-    p: Mapping[str, float], friction: Sequence[float], x: Sequence[float], torque: Sequence[float]
-) -> list[float]:
-    """Accelerations of the rigid arm."""
-    q1, q2, w1, w2 = x
-    c, sin, cos = p["coupling"], math.sin(q2), math.cos(q2)
-    lower = p["gravity_2"] * math.cos(q1 + q2)
-    t1 = torque[0] + c * sin * (2.0 * w1 + w2) * w2 - p["gravity_1"] * math.cos(q1) - lower - p["viscous_1"] * w1
-    t2 = torque[1] - c * sin * w1 * w1 - lower - p["viscous_2"] * w2
-    t1, t2 = t1 - friction[0] * math.tanh(w1 / CREEP), t2 - friction[1] * math.tanh(w2 / CREEP)
-    m11, m12 = p["inertia_1"] + p["inertia_2"] + 2.0 * c * cos, p["inertia_2"] + c * cos
-    m22 = p["inertia_2"] + p["rotor_2"]
-    return np.linalg.solve([[m11, m12], [m12, m22]], [t1, t2]).tolist()
 
 
 def _elastic(study: ArmStudy, x: np.ndarray, torque: Sequence[float]) -> list[float]:

@@ -106,7 +106,7 @@ class Claims:
         restricted: True if the study limits the candidates.
         left_out: Errors on held-out rows of a table, by model and output.
         risen: Channel → error before and after, if the error rises on sealed logs.
-        remaining: Channel → share of the squared error of the model `beside` that remains with the claim on sealed
+        remaining: Channel → share of the squared error of the model `baseline` that remains with the claim on sealed
             logs.
         written: True if files of the refined and the nearest subject are written.
     """
@@ -157,7 +157,7 @@ class Claims:
         return self.claimed if self.nearest is None else self.nearest.hypothesis
 
     @property
-    def beside(self) -> str:
+    def baseline(self) -> str:
         """Return the model with which a claim is compared: recalibrated, or before for wrong parameters alone."""
         return "recalibrated" if any(c.kind != "parameter" for c in self.claimed_candidates) else "before"
 

@@ -111,7 +111,7 @@ def held_out_gains(search: Search, better: Hypothesis, worse: Hypothesis) -> tup
         objectives, errors = [], []
         for h in (worse, better):
             others = fit_without(search, problem, h, log)
-            errors.append(open_loop(problem, search.subject.horizon, others.values, others, log))
+            errors.append(open_loop(problem, search.subject.horizon, others, log))
             if problem.table:  # A few rows of a table cannot determine parameters.
                 objectives.append(problem.score(others.values, others.noise, [log]).nll)
                 continue
@@ -134,9 +134,7 @@ def open_loop_gain(problem: Problem, horizon: float, better: Fit, worse: Fit) ->
     def errors(log: int) -> list[Array]:
         others = [k for k in logs if k != log]
         fits = [fit(problem, f.free, f.values, f.noise, others, SCREEN_ITERATIONS) for f in (worse, better)]
-        return [
-            open_loop(problem, horizon, f.values, f, log) for f in (fit_for_held_out(problem, f, log) for f in fits)
-        ]
+        return [open_loop(problem, horizon, fit_for_held_out(problem, f, log), log) for f in fits]
 
     return sum_per_scatter(_error_decreases(in_parallel(errors, logs)))
 
@@ -144,7 +142,7 @@ def open_loop_gain(problem: Problem, horizon: float, better: Fit, worse: Fit) ->
 def log_error(problem: Problem, horizon: float, fits: Iterable[Fit], logs: Iterable[int] | None = None) -> float:
     """Return the mean log RMSE of the outputs in open-loop predictions, with a fit for each log, by default all."""
     logs = range(len(problem.logs)) if logs is None else logs
-    errors = [open_loop(problem, horizon, f.values, f, k) for f, k in zip(fits, logs, strict=False)]
+    errors = [open_loop(problem, horizon, f, k) for f, k in zip(fits, logs, strict=False)]
     rows = np.concatenate([e.reshape(-1, e.shape[-1]) for e in errors])
     sums, counts = np.nansum(rows**2, axis=0), np.isfinite(rows).sum(axis=0)
     seen = (counts > 0) & (sums > 0.0)  # not an output without readings in these logs
@@ -221,30 +219,39 @@ def _error_decreases(errors: Sequence[Sequence[Array]]) -> Array:
     return np.asarray(per_replay[both.any(axis=(1, 2))])
 
 
-def open_loop(problem: Problem, horizon: float, values: Mapping[str, float], f: Fit, index: int) -> Array:
-    """Return the open-loop residual of each replay.
-
-    Each replay starts from the filtered state. Consecutive replays last one horizon of the model, or an eighth of the
-    log for a free run.
-
-    Returns:
-        Residuals, shape (replays, rows, outputs).
-    """
+def open_loop(problem: Problem, horizon: float, f: Fit, index: int) -> Array:
+    """Return the open-loop residuals of a log, shape (replays, rows, outputs)."""
     if problem.table:  # Each row is predicted from its own inputs.
-        return problem.innovations(values, f.noise, index)[0][:, None, :]
-    data, first = problem.data(values, index), count_unscored(problem.logs[index])
-    rows = len(data.u)
-    length = rows // PREDICTED if math.isinf(horizon) else round(horizon / data.step)
-    length = max(2, min(length, (rows - first) // 2))
-    run = problem.run(values, f.noise, index, states=True)
-    p = problem.numbers(problem.of_log(values, index))
-    residuals = np.full((max(1, (rows - 1 - first) // length), length, data.y.shape[1]), np.nan)
-    for replay, row in zip(residuals, range(first, rows - length, length), strict=False):
-        back = min(row, BACK)
-        part, start = data.rows(row - back, row + length + 1), problem.drop_unknown_inputs(run.states[row])
-        predicted = problem.kernel.simulate(part, p, start, run.memory[row], first=back).outputs
-        replay[:] = data.y[row + 1 : row + 1 + length] - predicted[back + 1 : back + 1 + length]
-    return np.where(np.abs(residuals) < 1e30, residuals, np.nan)
+        return problem.innovations(f.values, f.noise, index)[0][:, None, :]
+    return Replays(problem, horizon, f, index).residuals(f.values)
+
+
+class Replays:
+    """Consecutive open-loop predictions of a log, each from the state that a fit's filter estimates.
+
+    Each lasts one horizon of the model, or an eighth of the log for a free run.
+    """
+
+    def __init__(self, problem: Problem, horizon: float, f: Fit, index: int) -> None:
+        self.problem, self.index = problem, index
+        self.data, first = problem.data(f.values, index), count_unscored(problem.logs[index])
+        rows = len(self.data.u)
+        length = rows // PREDICTED if math.isinf(horizon) else round(horizon / self.data.step)
+        self.length = max(2, min(length, (rows - first) // 2))
+        self.rows = range(first, rows - self.length, self.length)
+        run = problem.run(f.values, f.noise, index, states=True)
+        self.starts = [(problem.drop_unknown_inputs(run.states[k]), run.memory[k]) for k in self.rows]
+
+    def residuals(self, values: Mapping[str, float]) -> Array:
+        """Return measurement − prediction with these parameters, NaN beyond 1e30, shape (replays, rows, outputs)."""
+        problem, data = self.problem, self.data
+        p = problem.numbers(problem.of_log(values, self.index))
+        residuals = np.full((len(self.rows), self.length, data.y.shape[1]), np.nan)
+        for replay, row, (state, memory) in zip(residuals, self.rows, self.starts, strict=True):
+            back, end = min(row, BACK), row + self.length + 1
+            predicted = problem.kernel.simulate(data.rows(row - back, end), p, state, memory, first=back).outputs
+            replay[:] = data.y[row + 1 : end] - predicted[back + 1 :]
+        return np.where(np.abs(residuals) < 1e30, residuals, np.nan)
 
 
 def fit_given_model(problem: Problem, base: Fit, left_out: int | None = None) -> Fit:

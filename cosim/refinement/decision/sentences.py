@@ -37,7 +37,7 @@ def sentence(c: Claims, subject: Subject) -> str:
     units = {q.name: q.unit for q in subject.outputs}
     files = (REFINED[0], NEAREST[0]) if c.written else ("the refined object", "the nearest object")
     rise = rise_text(c.risen, units, files[c.claimed is None])  # a reader must know it before the answer
-    opening = rise or improvement_text(c.remaining, c.beside)
+    opening = rise or improvement_text(c.remaining, c.baseline)
     return " ".join(filter(None, (opening, _answer_text(c, subject), *_share_texts(c), *_remark_texts(c, subject))))
 
 

@@ -8,18 +8,17 @@ better; its intervals then hold the values of both.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.estimation.data import count_unscored
 from cosim.estimation.fit import Fit
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
 from cosim.logs.channel_noise import NORMAL_95
-from cosim.refinement.decision.evidence import fit_without, log_error
+from cosim.refinement.decision.evidence import Replays, fit_without, log_error
 from cosim.refinement.decision.trust import CLEARLY
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Hypothesis
@@ -55,15 +54,15 @@ def _refit(problem: Problem, f: Fit, horizon: float, logs: Sequence[int]) -> Fit
     """Return the fit with free parameters that minimise the squared errors of predictions, priors included."""
     from scipy.optimize import least_squares
 
-    windows = [_Windows(problem, f, horizon, k) for k in logs]
-    errors = np.concatenate([w.errors(f.values).reshape(-1, w.width) for w in windows])
+    replays = [Replays(problem, horizon, f, k) for k in logs]
+    errors = np.concatenate([e.reshape(-1, e.shape[-1]) for e in (r.residuals(f.values) for r in replays)])
     scale = np.sqrt(np.nansum(errors**2, axis=0) / np.maximum(1, np.isfinite(errors).sum(axis=0)))
-    scale = np.where(scale > 0.0, scale, 1.0) * math.sqrt(max(w.length for w in windows))
+    scale = np.where(scale > 0.0, scale, 1.0) * math.sqrt(max(r.length for r in replays))
     priors = [(k, *x.prior) for k, x in enumerate(f.free) if x.prior]
 
     def residuals(theta: Array) -> Array:
         values = {**f.values, **{x.name: float(v) for x, v in zip(f.free, theta, strict=True)}}
-        parts = [np.nan_to_num(w.errors(values) / scale, nan=0.0, posinf=1e6, neginf=-1e6).ravel() for w in windows]
+        parts = [np.nan_to_num(r.residuals(values) / scale, nan=0.0, posinf=1e6, neginf=-1e6).ravel() for r in replays]
         return np.concatenate([*parts, [(theta[k] - mean) / sigma for k, mean, sigma in priors]])
 
     start = np.array([f.values[x.name] for x in f.free])
@@ -74,28 +73,3 @@ def _refit(problem: Problem, f: Fit, horizon: float, logs: Sequence[int]) -> Fit
     done = least_squares(residuals, inside, bounds=(low, high), x_scale=sizes, diff_step=1e-4, max_nfev=EVALUATIONS)
     values = {x.name: float(v) for x, v in zip(f.free, done.x, strict=True)}
     return replace(f, values={**f.values, **values})
-
-
-class _Windows:
-    """Predictions of a log over the horizon, one after another, from the states that a fit's filter estimates."""
-
-    def __init__(self, problem: Problem, f: Fit, horizon: float, index: int) -> None:
-        self.problem, self.index = problem, index
-        self.data = problem.data(f.values, index)
-        rows, first = len(self.data.u), count_unscored(problem.logs[index])
-        self.length = max(2, min(round(horizon / self.data.step), (rows - first) // 2))
-        self.width = self.data.y.shape[1]
-        self.rows = range(first, rows - self.length, self.length)
-        run = problem.run(f.values, f.noise, index, states=True)
-        self.starts = {k: (problem.drop_unknown_inputs(run.states[k]), run.memory[k]) for k in self.rows}
-
-    def errors(self, values: Mapping[str, float]) -> Array:
-        """Return measurement − prediction, shape (windows, rows, outputs)."""
-        problem, data = self.problem, self.data
-        p = problem.numbers(problem.of_log(values, self.index))
-        errors = np.full((len(self.rows), self.length, self.width), np.nan)
-        for window, (k, (state, memory)) in zip(errors, self.starts.items(), strict=True):
-            end = k + self.length
-            predicted = problem.kernel.simulate(data.rows(0, end + 1), p, state, memory, first=k).outputs
-            window[:] = data.y[k + 1 : end + 1] - predicted[k + 1 : end + 1]
-        return np.where(np.abs(errors) < 1e30, errors, np.nan)

@@ -37,9 +37,9 @@ def _rmse(search: Search, h: Hypothesis | None) -> Channels:
     """Return the RMSE of a hypothesis, None for the given model, on held-out rows."""
     problem, rows = search.problem, []
     for k in range(len(problem.logs)):
-        fit = search.tried[()].fit if h is None else fit_without(search, problem, h, k)
-        values = problem.values if h is None else fit.values
-        rows.append(open_loop(problem, search.subject.horizon, values, fit, k)[:, 0])
+        given = replace(search.tried[()].fit, values=problem.values)
+        fit = given if h is None else fit_without(search, problem, h, k)
+        rows.append(open_loop(problem, search.subject.horizon, fit, k)[:, 0])
     return dict(zip(problem.layout.outputs, _root_mean_squares(np.vstack(rows)).tolist(), strict=True))
 
 
@@ -83,7 +83,7 @@ def _strongest_dependence(problem: Problem, h: Hypothesis, subject: Subject) -> 
 
 def _residuals(problem: Problem, h: Hypothesis) -> Array:
     """Return the residual (measured − model) of every row of a table, shape (rows, outputs)."""
-    return np.vstack([open_loop(problem, 0.0, h.fit.values, h.fit, k)[:, 0] for k in range(len(problem.logs))])
+    return np.vstack([open_loop(problem, 0.0, h.fit, k)[:, 0] for k in range(len(problem.logs))])
 
 
 def _root_mean_squares(residuals: Array) -> Array:

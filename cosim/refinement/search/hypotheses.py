@@ -10,7 +10,7 @@ from cosim.estimation.fit import Fit
 from cosim.subject.candidates import Candidate
 
 TOGETHER = " + "  # separator between the names of a rival with several candidates
-HALF = 0.5  # ratio of held-out errors from which an effect is never passed over
+MAX_HALVED_RATIO = 0.5  # ratio of held-out errors from which an effect is never passed over
 NOISE = 4.0  # log-likelihood gain from which an equation has an unknown input
 
 
@@ -100,7 +100,7 @@ class Attribution:
     @property
     def halves_error(self) -> bool:
         """Return True if the best hypothesis halves the held-out error and reduces it on every log."""
-        return self.error_ratio <= HALF and max(self.error_ratios) < 1.0
+        return self.error_ratio <= MAX_HALVED_RATIO and max(self.error_ratios) < 1.0
 
     @property
     def has_unknown_input(self) -> tuple[bool, ...]:
