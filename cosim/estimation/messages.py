@@ -4,7 +4,7 @@ from cosim.base.messages import Template
 
 DIFFERENT_NOISE = Template(
     "W-FIT-001",
-    "the noise in the logs differs from the model's ({levels}); the noise of the logs is used. "
+    "the noise in the logs differs from the stated noise ({levels}); the noise of the logs is used. "
     "Write {line} into the study to state it",
 )
 UNSTATED_NOISE = Template(

@@ -55,7 +55,7 @@ def build_problem(
     stated_noise = {n: s * s for n, s in noise.items()}
     r = np.array([{**subject.sensor_variance, **stated_noise}.get(name, 1.0) for name in measured])
     late = _places_of_late(subject, measured)
-    stated, adjusted = np.isin(measured, [*subject.sensor_variance]), ~np.isin(measured, [*noise])
+    stated, adjusted = np.isin(measured, [*subject.sensor_variance, *noise]), np.ones(len(measured), bool)
     problem = Problem(
         kernel, data, readings, x0, P0, r, values, settle, settings, late, stated, adjusted, own=own, origins=begins
     )

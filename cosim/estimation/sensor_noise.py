@@ -69,12 +69,10 @@ def erring_stamps(problem: Problem, at: Fit) -> Flags:
 def noise_warnings(problem: Problem, noise: Noise, subject: Subject) -> tuple[Message, ...]:
     """Return warnings about noise different from the stated noise, or not stated."""
     stated, units = np.sqrt(problem.r).tolist(), {q.name: q.unit for q in subject.outputs}
-    levels = zip(problem.layout.outputs, np.exp(0.5 * noise.sensors).tolist(), stated, problem.adjusted, strict=True)
+    levels = zip(problem.layout.outputs, np.exp(0.5 * noise.sensors).tolist(), stated, problem.stated, strict=True)
     different, unstated, comparisons = {}, {}, []
-    for name, level, expected, adjusted in levels:
-        if not adjusted:
-            continue
-        if name not in subject.sensor_variance:
+    for name, level, expected, is_stated in levels:
+        if not is_stated:
             unstated[name] = level
         elif not expected / OFF <= level <= OFF * expected:
             different[name] = level
