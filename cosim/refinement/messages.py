@@ -99,6 +99,11 @@ LIKELIER_INTERPOLATION = Template(
 NATIVE_FMU_UNUSED = Template(
     "W-REF-038", "the native FMU of the model is not used: {reason}; every error is that of FMUs in Python"
 )
+SHORTER_HORIZON = Template(
+    "W-REF-040",
+    "errors of the start state grow exponentially in these logs. Predictions therefore last {new} s, in which these "
+    "errors grow tenfold, and not the model's {old}",
+)
 FLOOR_ABOVE_ERROR = Template(
     "W-REF-039",
     "on the {logs} logs the error is below its noise floor ({pairs}). These logs hold less noise and disturbance than "

@@ -7,17 +7,21 @@ opened after all decisions.
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from cosim.base.errors import Fault, refuse
+from cosim.base.text import plain
 from cosim.estimation.fit import Fit
 from cosim.estimation.per_log import drop_own_parameters
 from cosim.estimation.posing import build_problem, coarsen, varied_inputs
+from cosim.estimation.predictability import predictable_horizon
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import at_rest, noise_warnings, sensor_noise
 from cosim.loading.refined import ANSWER, NEAREST, REFINED
@@ -102,11 +106,12 @@ def refine(
     progress("reading the logs", 0.0)
     folder = named_path(folder)
     study = study if isinstance(study, Study) else read_study(Path(study))
-    subject = study.subject
     check_left(folder, "cosim refine", *filter(None, [str(study.path or "")]), force=force, keep=keep)
     check_writable(folder, (*RESULTS, "report.html"), study.files)
     problem = _build_problem(study)
     refuse(_divergences(study, problem))
+    study = _with_predictable_horizon(study, problem)
+    subject = study.subject
     result = attribute(subject, problem, _candidates(study), progress)
     progress("weighing what was found", 0.0)
     attribution = decide(result)
@@ -163,6 +168,19 @@ def _build_problem(study: Study) -> Problem:
     problem = build_problem(study.subject, study.logs, noise=noise, settings=study.settings)
     stated = {*study.subject.sensor_variance, *noise}
     return problem.with_noise({n: s for n, s in sensor_noise(problem).items() if n not in stated and s > 0.0})
+
+
+def _with_predictable_horizon(study: Study, problem: Problem) -> Study:
+    """Return the study with the horizon over which the given model can predict, and a warning if it is shorter."""
+    horizon = study.subject.horizon
+    shorter = predictable_horizon(problem, horizon)
+    if shorter >= horizon:
+        return study
+    subject = copy(study.subject)
+    subject.horizon = shorter
+    name = f"{plain(horizon)} s" if math.isfinite(horizon) else "free run"
+    warning = messages.SHORTER_HORIZON(new=plain(shorter, 2), old=name)
+    return replace(study, subject=subject, warnings=(*study.warnings, warning))
 
 
 def _divergences(study: Study, problem: Problem) -> Iterator[Fault]:

@@ -38,7 +38,14 @@ def refined_subject(subject: Subject, settings: Settings, claimed: Hypothesis | 
     fitted = {f.name: float(claimed.fit.values[f.name]) for f in claimed.fit.free if not f.group} | means(claimed.fit)
     stated = {p.name for p in subject.parameters if p.tolerance is not None} | {*settings.tolerance}
     unchanged = {n for n in fitted if n not in subject.sensor_parameters and n not in stated and claimed.is_of_sensors}
-    return subject.refined({n: v for n, v in fitted.items() if n not in unchanged})
+    return _with_values(subject, {n: v for n, v in fitted.items() if n not in unchanged})
+
+
+def _with_values(subject: Subject, values: Mapping[str, float]) -> Subject:
+    """Return the subject with other parameter values and the same horizon."""
+    other = subject.refined(values)
+    other.horizon = subject.horizon
+    return other
 
 
 def variants_of(
@@ -46,7 +53,7 @@ def variants_of(
 ) -> dict[str, Variant]:
     """Return the variants before, recalibrated and after."""
     base = a.base.fit
-    recalibrated = subject.refined({f.name: float(base.values[f.name]) for f in base.free if not f.group})
+    recalibrated = _with_values(subject, {f.name: float(base.values[f.name]) for f in base.free if not f.group})
     before = after = variant_of(subject, settings, a.unfitted)
     if claimed:
         after = variant_of(refined, settings, claimed.fit)

@@ -1,0 +1,76 @@
+"""Growth of small errors of the start state, and the time over which a model can predict.
+
+On an unstable or chaotic plant, a small error of the start state grows exponentially. Predictions beyond that time
+measure the start, not the model. The growth is measured on the logs: the given model is simulated from filtered states
+and from states beside them. Errors count in units of each signal's standard deviation.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.estimation.data import count_unscored
+from cosim.estimation.problem import Problem
+from cosim.kernel.kernel import CONSTANT, DISTURBANCE, Data
+
+FAR, NEAR = 100.0, 10.0  # growth of a start error from which a horizon is too long; growth within the shorter horizon
+EXPONENTIAL = 5.0  # growth over the second half of a time, from which growth is exponential; quadratic growth has 4
+STARTS = 8  # simulations per log and state
+DISPLACEMENT = 1e-4  # displacement of a state, as a share of its standard deviation
+ADDED = (DISTURBANCE, CONSTANT)  # prefixes of states that the filter adds to those of the model
+LEAST_ROWS = 5  # rows of the shortest horizon
+
+
+def predictable_horizon(problem: Problem, horizon: float) -> float:
+    """Return the horizon [s], shortened if start errors of the given model grow exponentially and a hundredfold.
+
+    Within the shorter horizon, start errors grow tenfold in the median over starts and logs.
+    """
+    if problem.table or not problem.layout.states:
+        return horizon
+    step = problem.logs[0].step
+    curves = [curve for index in range(len(problem.logs)) for curve in _growth_curves(problem, index, horizon)]
+    rows = min(map(len, curves), default=0)
+    if not rows:
+        return horizon
+    growth = np.maximum.accumulate(np.median([curve[:rows] for curve in curves], axis=0))
+    halves = growth[np.arange(rows) // 2]
+    is_far = (growth > FAR) & (growth > EXPONENTIAL * halves)
+    if not is_far.any():
+        return horizon
+    near = int(np.argmax(growth > NEAR))
+    return min(horizon, max(near, LEAST_ROWS) * step)
+
+
+def _growth_curves(problem: Problem, index: int, horizon: float) -> list[Array]:
+    """Return the growth of start errors by row of a prediction, for some starts of a log."""
+    data, first = problem.data(problem.values, index), count_unscored(problem.logs[index])
+    run = problem.run(problem.values, problem.plain, index, states=True)
+    rows = len(data.u)
+    length = rows - first - 1 if math.isinf(horizon) else round(horizon / data.step)
+    length = min(length, rows - first - 1)
+    spreads = np.std(run.states[first:], axis=0)
+    moving = [k for k, name in enumerate(problem.layout.states) if spreads[k] > 0.0 and not name.startswith(ADDED)]
+    scale = np.array([np.std(column[np.isfinite(column)]) if np.isfinite(column).any() else 0.0 for column in data.y.T])
+    if length < 2 or not moving or not np.isfinite(spreads).all():
+        return []
+    p, scale = problem.numbers(problem.of_log(problem.values, index)), np.where(scale > 0.0, scale, np.inf)
+    curves = []
+    for row in np.unique(np.linspace(first, rows - 1 - length, STARTS).astype(int)).tolist():
+        start, part = problem.drop_unknown_inputs(run.states[row]), data.rows(row, row + length + 1)
+
+        def simulate(begin: Array, part: Data = part, memory: Array = run.memory[row]) -> Array:
+            return np.asarray(problem.kernel.simulate(part, p, begin, memory).outputs / scale)
+
+        plain, largest = simulate(start), np.zeros(length + 1)
+        for k in moving:
+            beside = start.copy()
+            beside[k] += DISPLACEMENT * spreads[k]
+            with np.errstate(over="ignore", invalid="ignore"):
+                apart = np.linalg.norm(simulate(beside) - plain, axis=1) / DISPLACEMENT
+            largest = np.maximum(largest, np.nan_to_num(apart, nan=np.inf))
+        curves.append(largest)
+    return curves
