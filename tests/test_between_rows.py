@@ -69,8 +69,9 @@ def test_the_way_that_the_rig_went_is_likelier_and_the_other_is_warned_of(tmp_pa
             assert bool(found.warnings) == (rig != taken)
             if rig != taken:
                 (warning,) = found.warnings
-                assert warning.startswith(f"between rows voltage is taken as {taken}; the other way the logs are lik")
-                assert warning.endswith(f"if the rig commands so, say `inputs: {rig}` in the study")
+                assert warning.code == "W-REF-037"
+                assert warning.startswith(f"between rows voltage is taken as {taken}; ")
+                assert warning.endswith(f"write `inputs: {rig}` in the study")
     for rig, other in (("held", "interpolated"), ("interpolated", "held")):
         # both ways are fitted to the end, wherever one begins
         assert gains[rig, rig] == pytest.approx(-gains[rig, other], rel=0.02)

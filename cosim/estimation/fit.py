@@ -8,6 +8,7 @@ deficient equation and decreases when the correct term is added.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -27,6 +28,7 @@ NOISE_DIFFERENCE = 0.05
 LONGER = 3  # factor on the iterations of a fit above the objective of its parts
 FAIR = 3  # iterations granted to a fit that starts away from its base; otherwise one
 FAR, LEVELS = 3.0, 9  # innovations in standard deviations, from which so many levels of the unknown inputs are compared
+MAX_SECONDS = 120.0  # [s] of one fit, after which the search goes on with the values reached
 PROMISE = 3.0  # factor on the improvement of the quadratic model before a fit is abandoned
 
 
@@ -50,7 +52,12 @@ ENDLESS = Patience()
 
 @dataclass(frozen=True)
 class Fit:
-    """Result of a fit: parameter values, noise, NLL by log, and the information of free parameters, noise last."""
+    """Result of a fit: parameter values, noise, NLL by log, and the information of free parameters, noise last.
+
+    Attributes:
+        scattered: Covariance of the free parameters by scatter over blocks of time.
+        is_cut: Whether the fit was stopped after MAX_SECONDS.
+    """
 
     values: Mapping[str, float]
     noise: Noise
@@ -60,7 +67,8 @@ class Fit:
     information: Array
     iterations: int
     converged: bool
-    scattered: Array | None = None  # covariance of the free parameters by scatter over blocks of time
+    scattered: Array | None = None
+    is_cut: bool = False
 
     @property
     def nll(self) -> float:
@@ -175,11 +183,12 @@ class _Scoring:
     def run(self, iterations: int, patience: Patience) -> Fit:
         """Iterate until the objective converges."""
         self.scored = self._evaluate(self.theta)
-        done, converged, pace, limit = 0, False, 0.0, iterations
+        done, converged, is_cut, pace, limit = 0, False, False, 0.0, iterations
+        end = time.monotonic() + MAX_SECONDS
         information = np.zeros((len(self.theta),) * 2)
         if not np.isfinite(self.scored.nll):
             limit = 0  # The filter diverges at the start values.
-        while done < limit and not converged:
+        while done < limit and not (converged or is_cut):
             gradient, curvature = self.derivatives(*self.sensitivities())
             if not (np.isfinite(gradient).all() and np.isfinite(curvature).all()):
                 break  # The model diverges near this point, so no search direction exists.
@@ -194,9 +203,11 @@ class _Scoring:
                 break
             pace = self._move(gradient, information)
             converged = pace < self.enough
+            is_cut = not converged and time.monotonic() > end
             done += 1
         unscaled, penalty = information / np.outer(self.size, self.size), self._penalty(self.theta)
-        return Fit(*self._unpack(self.theta), self.free, self.scored.by_log, penalty, unscaled, done, converged)
+        reached = *self._unpack(self.theta), self.free, self.scored.by_log
+        return Fit(*reached, penalty, unscaled, done, converged, is_cut=is_cut)
 
     def _unpack(self, theta: Array) -> tuple[dict[str, float], Noise]:
         values = {f.name: float(v) for f, v in zip(self.free, theta[: len(self.free)], strict=True)}

@@ -39,7 +39,7 @@ from cosim.refinement.decision.sentences import floor_warning
 from cosim.refinement.decision.trust import attribute
 from cosim.refinement.proof.measure import FLOOR_SEED, final_log_parameters, noise_floor, rmse
 from cosim.refinement.proof.nearest import nearest
-from cosim.refinement.proof.prediction_fit import fit_to_predictions
+from cosim.refinement.proof.prediction_fit import compare_with_predictions
 from cosim.refinement.proof.proof_replays import LogSets, Proof, warnings_of
 from cosim.refinement.proof.refined_models import Variant, refined_subject, variant_of, variants_of, with_log_noise
 from cosim.refinement.proof.replay_check import check_with_replays
@@ -223,9 +223,9 @@ def _judge(study: Study, a: Attribution, result: SearchResult, progress: Progres
     claims = judge(a, leftover, subject, problem.layout.forced, moves, still=at_rest(problem))
     if claims.claimed is not None and claims.claimed.fit.scattered is None:
         claims = replace(claims, claimed=with_intervals(search, claims.claimed))
-    if claims.claimed is not None and claims.grade == "part":
+    if claims.claimed is not None:
         progress("fitting predictions over the horizon", 0.0)
-        claims = replace(claims, claimed=fit_to_predictions(search, claims.claimed))
+        claims = compare_with_predictions(search, a, claims)
     progress("replaying with the claim and without", 0.0)
     claims = check_with_replays(study, a, claims, result, problem)
     return add_dependence(claims, a, problem, subject) if subject.static else claims

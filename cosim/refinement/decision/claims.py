@@ -25,7 +25,7 @@ from cosim.subject.interface import Subject
 Name = Literal["effect_found", "parameter_error", "sensor_error", "no_effect", "ambiguous", "unexplained"]
 Grade = Literal["claimed", "part", "nearest"]
 MUCH = 0.3  # share of a claim's gain from which an unnamed term beside the claim disputes it
-MOVED = 0.5  # relative change of a claimed part beside unnamed terms from which the part is disputed
+MOVED = 0.5  # relative change of a claimed part in another fit from which the part is disputed
 LARGE = 0.02  # share of the derivative from which an unknown input is no longer a small disturbance
 DEFAULT_EXPERIMENT = "larger and broader commands on all inputs, one at a time and together"
 MORE_ROWS = "more rows, over a wider range of every input, each with each"
@@ -48,10 +48,11 @@ class Doubt:
         kind: `missed`: replays with the claim still miss `channel` by `size` times the noise floor;
             `no_nearer`: no channel is closer than with the recalibrated model;
             `kept`: a share `size` of the excess error remains;
-            `unsteady`: much error remains, and `names` do not clearly improve predictions of held-out logs.
+            `unsteady`: much error remains, and `names` do not clearly improve predictions of held-out logs;
+            `disagreeing`: a fit to predictions gives other values of `names` and predicts held-out logs better.
     """
 
-    kind: Literal["missed", "no_nearer", "kept", "unsteady"]
+    kind: Literal["missed", "no_nearer", "kept", "unsteady", "disagreeing"]
     channel: str = ""
     size: float = 0.0
     names: tuple[str, ...] = ()
@@ -95,6 +96,7 @@ class Claims:
         term, gained: Unnamed term beside a claim, and the log-likelihood gain of the claim.
         disturbed: State whose unknown input is no small disturbance beside the claim.
         replaced: Parts of the best hypothesis that an unnamed term replaces.
+        disagreeing: Parts of the best hypothesis for which a fit to predictions gives other values.
         further: Other base parameters outside their tolerances beside a claim (from replays, as up to `left_share`).
         missed_channel: Channel and its error with the unchanged model, as a multiple of the noise floor.
         recalibrated: Base parameters moved beyond their tolerances.
@@ -127,6 +129,7 @@ class Claims:
     gained: float = 0.0
     disturbed: str = ""
     replaced: tuple[str, ...] = ()
+    disagreeing: tuple[str, ...] = ()
 
     further: tuple[MovedParameter, ...] = ()
     missed_channel: tuple[str, float] | None = None
@@ -220,7 +223,7 @@ def _judge_claim(
     explained = 1.0 - a.error_ratio**2  # share of the mean square error on held-out logs
     hides = large and explained < MUCH * (1.0 - explained)
     disputed = _disputed_parts(a, leftover)
-    certain = _fit_without(a, disputed) if disputed else a.best
+    certain = fit_of_rest(a, disputed) if disputed else a.best
     if hides or certain is None:
         return Claims("unexplained", rivals=a.best.names, misfit=residual)
     if a.rivals:
@@ -234,7 +237,7 @@ def _judge_claim(
     return replace(claims, grade="part", disturbed=large, moves=moves, replaced=tuple(sorted(disputed)))
 
 
-def _fit_without(a: Attribution, disputed: Collection[str]) -> Hypothesis | None:
+def fit_of_rest(a: Attribution, disputed: Collection[str]) -> Hypothesis | None:
     """Return the fit of the undisputed parts, if any."""
     names = tuple(n for n in a.best.names if n not in disputed)
     return next((h for h in a.tried if names and h.names == names), None)
@@ -302,15 +305,15 @@ def _disputed_parts(a: Attribution, leftover: Leftover) -> set[str]:
     return {
         c.name
         for c in a.best.candidates
-        if loss_without(refitted, c, neutral) < leftover.cost or any(_is_moved(f, a.best.fit, other) for f in c.free)
+        if loss_without(refitted, c, neutral) < leftover.cost or any(is_moved(f, a.best.fit, other) for f in c.free)
     }
 
 
-def _is_moved(f: Free, alone: Fit, with_terms: Fit) -> bool:
-    """Return True if unnamed terms move a parameter of a claim clearly and by a large share."""
+def is_moved(f: Free, alone: Fit, other: Fit) -> bool:
+    """Return True if another fit moves a parameter of a claim clearly and by a large share."""
     if f.neutral is None:
         return False
-    change = abs(with_terms.values[f.name] - alone.values[f.name])
+    change = abs(other.values[f.name] - alone.values[f.name])
     return change > MOVED * abs(alone.values[f.name] - f.neutral) and change > SIGNIFICANT * alone.sigma(f.name)
 
 

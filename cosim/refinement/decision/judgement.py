@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cosim.base.text import join_names
-from cosim.estimation.fit import Fit, inverse
+from cosim.estimation.fit import MAX_SECONDS, Fit, inverse
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
 from cosim.logs.channel_noise import NORMAL_95
@@ -254,6 +254,8 @@ def _reason(
         return f"a rival: explains as well as {than}"
     if extra := [n for n in h.names if n in dropped]:
         return f"{extra[0]}: {dropped[extra[0]]}"
+    if h.fit.is_cut:
+        return f"its fit was stopped after {MAX_SECONDS:.0f} s"
     if h.fit.objective >= base.fit.objective:
         return "no gain"
     if base.score - h.score < 0.0:

@@ -81,6 +81,8 @@ def _share_texts(c: Claims) -> Iterator[str]:
         yield f"{IN_PART}: {disturbance} remains."
     elif c.replaced and c.claimed is not None:
         yield f"{IN_PART}: a term without a name may take the place of {join_names(c.replaced)}."
+    if c.disagreeing and c.claimed is not None:
+        yield f"{IN_PART}: {_other_values_text(c.disagreeing)}."
 
 
 def _remark_texts(c: Claims, subject: Subject) -> Iterator[str]:
@@ -169,7 +171,13 @@ def doubt_text(doubt: Doubt) -> str:
         return "Replays with it are nearer on no channel than those of the model recalibrated without it."
     if doubt.kind == "kept":
         return f"With it, replays keep {plain(100 * doubt.size, 2)}\u00a0% of the excess error."
+    if doubt.kind == "disagreeing":
+        return f"A filter and predictions disagree: {_other_values_text(doubt.names)}."
     return f"Much remains, and predictions of held-out logs are not plainly better for {join_names(doubt.names)}."
+
+
+def _other_values_text(names: Sequence[str]) -> str:
+    return f"predictions of held-out logs are clearly better with other values of {join_names(names)}"
 
 
 def part_text(residual: Mapping[str, Any], rest: str) -> str:

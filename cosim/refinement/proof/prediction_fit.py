@@ -2,7 +2,7 @@
 
 A filter corrects its state at every row, so its fit weighs the next row most. Where the equations are not complete, the
 best parameters of predictions differ. The fit to predictions replaces the filter's if it predicts held-out logs clearly
-better; its intervals then hold the values of both.
+better; its intervals then hold the values of both. A part on which both fits disagree is not claimed.
 """
 
 from __future__ import annotations
@@ -18,12 +18,31 @@ from cosim.estimation.fit import Fit
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
 from cosim.logs.channel_noise import NORMAL_95
-from cosim.refinement.decision.evidence import Replays, fit_without, log_error
+from cosim.refinement.decision.claims import Claims, Doubt, fit_of_rest, is_moved, name_of
+from cosim.refinement.decision.evidence import Replays, fit_without, log_error, with_intervals
 from cosim.refinement.decision.trust import CLEARLY
 from cosim.refinement.search.fits import Search
-from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.refinement.search.hypotheses import Attribution, Hypothesis
 
 EVALUATIONS = 8  # largest number of Jacobians of a fit
+
+
+def compare_with_predictions(search: Search, a: Attribution, claims: Claims) -> Claims:
+    """Return the claims with the parameters that predict best, without parts on which filter and predictions disagree.
+
+    A claim that halves the held-out error keeps all its parts.
+    """
+    h = claims.claimed
+    if h is None or h.is_of_sensors or (fitted := fit_to_predictions(search, h)) is h:
+        return claims
+    moved = {c.name for c in claims.claimed_candidates if any(is_moved(f, h.fit, fitted.fit) for f in c.free)}
+    if not moved or a.halves_error or claims.name == "ambiguous":
+        return replace(claims, claimed=fitted)
+    rest, names = fit_of_rest(a, moved), tuple(sorted(moved))
+    if rest is None:
+        return claims.withdraw(Doubt("disagreeing", names=names))
+    name = name_of(rest.candidates, search.subject)
+    return replace(claims, name=name, claimed=with_intervals(search, rest), grade="part", disagreeing=names)
 
 
 def fit_to_predictions(search: Search, h: Hypothesis) -> Hypothesis:

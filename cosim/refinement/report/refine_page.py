@@ -327,8 +327,8 @@ def _inputs(r: Refinement) -> list[Row]:
     if not inputs:
         return []
     gain = inputs["gain_otherwise"]
-    likelier = "likelier" if gain is not None and gain > 0.0 else "less likely"
-    by = "" if gain is None else f"the other way the logs are {likelier} by {plain(abs(gain))} in log-likelihood"
+    raises = "raises" if gain is not None and gain > 0.0 else "lowers"
+    by = "" if gain is None else f"the other way {raises} the log-likelihood of the logs by {plain(abs(gain))}"
     return [Row("Inputs between rows", ", ".join(f"{name} {way}" for name, way in inputs["taken"].items()), by)]
 
 

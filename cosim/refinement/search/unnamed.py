@@ -9,7 +9,7 @@ logs do not distinguish, the simplest is kept.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
@@ -31,6 +31,7 @@ SMALL = 0.1  # share of a plainly detected disturbance within a second, for the 
 FITTED = 3  # largest number of terms fitted beside a hypothesis
 DETECTABLE = 3.0  # standard deviations of a term's difference
 STRAIGHT = 1e-4  # share of that, from which a smaller difference is linear and one filter run suffices
+NOISE_FACTORS = (1.0 / 3.0, 3.0)  # on the standard deviation of sensor noise, under which a stable term must lead
 ALIKE = 0.95  # correlation of two terms' differences from which one represents both
 
 
@@ -86,6 +87,8 @@ class UnnamedTerm:
         return entry | {"place": self.shape.place, "width": self.shape.width, "local": local}
 
 
+Key = tuple[str, str, Shape | None]  # equation, signal and shape of a term
+Effects = dict[Key, list[Array]]  # effect of each coefficient of a term
 LocalTerm = tuple[UnnamedTerm, list[Array]]  # a term with a local shape, and the effect of each coefficient
 
 
@@ -99,7 +102,7 @@ class Leftover:
         gain: Log-likelihood gain of all terms together.
         cost: Least gain of a term that counts.
         among: Number of terms tried.
-        is_stable: Whether the first term leads on the logs without any one of them, too.
+        is_stable: Whether the first term also leads without any one log, and with other sensor noise.
     """
 
     terms: tuple[UnnamedTerm, ...]
@@ -116,7 +119,7 @@ class Leftover:
 
     @property
     def stable_first(self) -> UnnamedTerm | None:
-        """Return the most promising term if it leads on the logs without any one of them."""
+        """Return the most promising term if it is stable."""
         return self.first if self.is_stable else None
 
 
@@ -160,7 +163,8 @@ class _Terms:
         self.problem, self.at, self.price = problem, at, price
         self.names = [name for name in problem.layout.parameters if name.startswith(f"{PREFIX}.")]
         self.tried = 0
-        self.rows: dict[tuple[str, str, Shape | None], list[Array]] = {}  # effects of each term
+        self.moves: dict[Key, list[Mapping[str, float]]] = {}  # parameter steps of each term
+        self.rows: Effects = {}
         self.test = ScoreTest(problem, at)
         self.steps = dict(zip(problem.layout.forced, SMALL * np.sqrt(problem.plain.density), strict=True))
 
@@ -187,7 +191,7 @@ class _Terms:
             _, equation, signal = name.split(".", 2)
             step, row = self._size_step(equation, {}, name)
             gain, (size,) = self.test.gain([row])
-            self.rows[equation, signal, None] = [row]
+            self.moves[equation, signal, None], self.rows[equation, signal, None] = [{name: step}], [row]
             return UnnamedTerm(equation, signal, gain, float(size * step), gain), row
 
         terms = [(u, row) for u, row in in_parallel(term, self.names) if u.gain > 0.0]
@@ -199,12 +203,15 @@ class _Terms:
         shapes, self.tried = promising_shapes(self.problem, self.at, units, self.cost)
 
         def term(shape: Shape) -> LocalTerm:
-            sized = [self._size_step(shape.equation, shape.settings(1), name) for name in shape.coefficients(1)]
+            names, settings = shape.coefficients(1), shape.settings(1)
+            sized = [self._size_step(shape.equation, settings, name) for name in names]
             rows = [row for _, row in sized]
             gain, steps = self.test.gain(rows)
             sizes = tuple(float(t * step) for t, (step, _) in zip(steps, sized, strict=True))
             largest = max(sizes, key=abs)
-            self.rows[shape.equation, shape.signal, shape] = rows
+            key = shape.equation, shape.signal, shape
+            self.moves[key] = [{**settings, name: step} for name, (step, _) in zip(names, sized, strict=True)]
+            self.rows[key] = rows
             return UnnamedTerm(shape.equation, shape.signal, gain, largest, gain, shape=shape, sizes=sizes), rows
 
         return in_parallel(term, shapes)
@@ -229,18 +236,19 @@ class _Terms:
         return selected
 
     def leads_everywhere(self, first: UnnamedTerm) -> bool:
-        """Return True if the term, or an equivalent one, gains most on the logs without any one of them."""
-        own = self.rows[first.equation, first.signal, first.shape]
+        """Return True if the term, or an equivalent one, gains most without any one log and with other sensor noise."""
 
-        def leads(part: int) -> bool:
-            gains = {key: self.test.gain_without(rows, part) for key, rows in self.rows.items()}
-            leader = max(gains, key=lambda key: gains[key])
-            if leader[:2] == (first.equation, first.signal):
-                return True
-            sizes = np.linalg.norm(own[0]) * np.linalg.norm(self.rows[leader][0])
-            return leader[0] == first.equation and bool(abs(own[0] @ self.rows[leader][0]) > ALIKE * sizes)
+        def leads_without(part: int) -> bool:
+            return _is_leader(first, self.rows, lambda rows: self.test.gain_without(rows, part))
 
-        return all(in_parallel(leads, list(range(max(2, len(self.problem.logs))))))
+        def leads_with_noise(factor: float) -> bool:
+            noise = replace(self.at.noise, sensors=self.at.noise.sensors + 2.0 * math.log(factor))
+            test = ScoreTest(self.problem, replace(self.at, noise=noise))
+            rows = in_parallel(lambda item: (item[0], [*map(test.row, item[1])]), list(self.moves.items()))
+            return _is_leader(first, dict(rows), lambda of_term: test.gain(of_term)[0])
+
+        parts = range(max(2, len(self.problem.logs)))
+        return all(in_parallel(leads_without, list(parts))) and all(map(leads_with_noise, NOISE_FACTORS))
 
     def net(self, u: UnnamedTerm) -> float:
         """Return the predicted gain of a term minus its cost."""
@@ -256,6 +264,16 @@ class _Terms:
         if STRAIGHT * DETECTABLE < size < DETECTABLE:
             return step, row * (step / first)
         return step, self.test.row({**settings, name: step})
+
+
+def _is_leader(first: UnnamedTerm, effects: Effects, gain: Callable[[Sequence[Array]], float]) -> bool:
+    """Return True if a term, or one with an equivalent effect on the same equation, gains most."""
+    gains = {key: gain(rows) for key, rows in effects.items()}
+    leader = max(gains, key=lambda key: gains[key])
+    if leader[:2] == (first.equation, first.signal):
+        return True
+    own, other = effects[first.equation, first.signal, first.shape][0], effects[leader][0]
+    return leader[0] == first.equation and bool(abs(own @ other) > ALIKE * np.linalg.norm(own) * np.linalg.norm(other))
 
 
 def _with_slots(terms: Sequence[UnnamedTerm]) -> list[UnnamedTerm]:
