@@ -18,7 +18,7 @@ from cosim.estimation.fit import Fit
 from cosim.estimation.per_log import own
 from cosim.estimation.problem import Problem
 from cosim.logs.channel_noise import NORMAL_95
-from cosim.refinement.decision.claims import Claims, Grade, Name
+from cosim.refinement.decision.claims import Claims, Grade, Name, Rung
 from cosim.refinement.decision.sentences import sentence
 from cosim.refinement.proof.measure import Evidence, Floor, rmse
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis
@@ -188,6 +188,19 @@ class LeftOut(_Entry):
     nearest: Channels | None = Field(default=None, description="what nearest.yaml has, likewise, where there is one")
 
 
+class RungEntry(_Entry):
+    """Error of predictions of held-out logs by one model, each log predicted by a fit to the others."""
+
+    model: Literal["before", "recalibrated", "candidates"] = Field(
+        description="the model of the study, that model recalibrated, or it with the candidates in `names`"
+    )
+    names: list[str] = Field(description="its candidates")
+    ratio: Finite = Field(description="error relative to `before`, geometric mean over outputs and logs")
+    standard_error: Finite | None = Field(
+        description="standard error over the logs of ln(error / least error of the ladder); null with a single log"
+    )
+
+
 class Errors(_Entry):
     """RMSE of measured − model over FMU replays, pooled over the logs of each set.
 
@@ -247,6 +260,9 @@ class Record(_Entry):
     nearest: list[str] = Field(
         description="what nearest.yaml has more than the model that was given, where not all is claimed; none where "
         "it is that model, recalibrated or as it was"
+    )
+    ladder: list[RungEntry] = Field(
+        description="errors of predictions of held-out logs, from the model of the study to more and more candidates"
     )
     per_log: dict[str, PerLog] = Field(default={}, description="parameters that the study gives each group of logs")
     candidates: list[CandidateEntry] = Field(description="every hypothesis that was fitted, best first")
@@ -322,6 +338,7 @@ def record(
         rivals=list(claims.rivals) if claims.name == "ambiguous" else [],
         experiment=claims.experiment,
         nearest=list(claims.nearest.names) if claims.nearest else [],
+        ladder=_rungs(claims.ladder),
         per_log=per_log(study, claimed.fit if claimed else a.unfitted, proof.ends),
         candidates=ranking(a, claims),
         hidden=hidden_effects(a, claims),
@@ -340,6 +357,24 @@ def record(
         held_out_gain=a.total.held_out,
         seconds=proof.seconds,
     )
+
+
+def _rungs(ladder: Sequence[Rung]) -> list[RungEntry]:
+    """Return the entries of the ladder; a model whose predictions diverge is omitted."""
+    finite = [rung for rung in ladder if np.isfinite(rung.errors).all()]
+    if not finite or finite[0].hypothesis is not None:
+        return []
+    given, least = finite[0].errors, min(finite, key=lambda rung: float(np.mean(rung.errors))).errors
+    entries = []
+    for rung in finite:
+        h, excess = rung.hypothesis, rung.errors - least
+        model: Literal["before", "recalibrated", "candidates"] = (
+            "before" if h is None else "candidates" if h.candidates else "recalibrated"
+        )
+        scatter = float(np.std(excess, ddof=1) / math.sqrt(excess.size)) if excess.size > 1 else None
+        ratio = float(np.exp(np.mean(rung.errors - given)))
+        entries.append(RungEntry(model=model, names=list(h.names) if h else [], ratio=ratio, standard_error=scatter))
+    return entries
 
 
 class _Untitled(GenerateJsonSchema):

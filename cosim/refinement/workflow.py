@@ -38,7 +38,7 @@ from cosim.refinement.decision.judgement import BETTER, decide
 from cosim.refinement.decision.sentences import floor_warning
 from cosim.refinement.decision.trust import attribute
 from cosim.refinement.proof.measure import FLOOR_SEED, final_log_parameters, noise_floor, rmse
-from cosim.refinement.proof.nearest import nearest
+from cosim.refinement.proof.nearest import ladder, nearest
 from cosim.refinement.proof.prediction_fit import compare_with_predictions
 from cosim.refinement.proof.proof_replays import LogSets, Proof, warnings_of
 from cosim.refinement.proof.refined_models import Variant, refined_subject, variant_of, variants_of, with_log_noise
@@ -239,10 +239,11 @@ def _is_steady(problem: Problem, leftover: Leftover, with_terms: Fit, alone: Fit
 
 
 def _add_nearest(study: Study, claims: Claims, result: SearchResult, a: Attribution) -> Claims:
-    """Return the claims with the nearest model, if incomplete, and held-out errors of a table."""
+    """Return the claims with held-out errors by number of candidates, and the nearest model if incomplete."""
+    close = {h.names: h for h in (a.best, result.best) if h.candidates}
+    claims = replace(claims, ladder=ladder(result.search, a, list(close.values())))
     if claims.grade != "claimed":
-        close = {h.names: h for h in (a.best, result.best) if h.candidates}
-        claims = replace(claims, nearest=Nearest(nearest(result.search, a, list(close.values()))))
+        claims = replace(claims, nearest=Nearest(nearest(claims.ladder)))
     left_out = errors_on_held_out_rows(result.search, a, claims) if result.search.problem.table else None
     return replace(claims, restricted=study.content.candidates is not None, left_out=left_out)
 

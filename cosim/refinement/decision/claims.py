@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from cosim.base.arrays import Array
 from cosim.base.text import MOST_NAMED
 from cosim.estimation.fit import Fit
 from cosim.logs.channel_noise import NORMAL_95
@@ -78,6 +79,18 @@ class Nearest:
         return self.hypothesis.names if self.hypothesis else ()
 
 
+@dataclass(frozen=True, eq=False)
+class Rung:
+    """A model on the ladder from the given model (None) to the hypotheses, simplest first.
+
+    Attributes:
+        errors: Mean log RMSE of the outputs in predictions of each held-out log.
+    """
+
+    hypothesis: Hypothesis | None
+    errors: Array
+
+
 @dataclass(frozen=True)
 class Claims:
     """Facts of a verdict, filled stage by stage.
@@ -105,6 +118,7 @@ class Claims:
         left_of: Output of a table with a systematic residual, and the input on which the residual depends.
         left_share: Remaining share of the mean square if the claim explains only a part.
         nearest: Nearest model; None if the claim is complete (from held-out and sealed logs, as the rest).
+        ladder: Errors of predictions of held-out logs by number of candidates.
         restricted: True if the study limits the candidates.
         left_out: Errors on held-out rows of a table, by model and output.
         risen: Channel → error before and after, if the error rises on sealed logs.
@@ -140,6 +154,7 @@ class Claims:
     left_share: float | None = None
 
     nearest: Nearest | None = None
+    ladder: tuple[Rung, ...] = ()
     restricted: bool = False
     left_out: Mapping[str, Mapping[str, float]] | None = None
     risen: Mapping[str, tuple[float, float]] = field(default_factory=dict)

@@ -13,6 +13,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.estimation.posing import halve_log
+from cosim.refinement.decision.claims import Rung
 from cosim.refinement.decision.evidence import fit_given_model, fit_without, log_error
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis
@@ -20,8 +21,8 @@ from cosim.refinement.search.hypotheses import Attribution, Hypothesis
 SIMPLER = 0.01  # difference of log error within which the simpler model is chosen
 
 
-def nearest(search: Search, a: Attribution, best: Sequence[Hypothesis]) -> Hypothesis | None:
-    """Return the best predictor of held-out logs, None for the given model.
+def ladder(search: Search, a: Attribution, best: Sequence[Hypothesis]) -> tuple[Rung, ...]:
+    """Return the errors of predictions of held-out logs, from the given model to the hypotheses, simplest first.
 
     Args:
         best: Hypotheses close to a claim.
@@ -35,9 +36,13 @@ def nearest(search: Search, a: Attribution, best: Sequence[Hypothesis]) -> Hypot
         return np.array([log_error(problem, search.subject.horizon, [f], [k]) for k, f in zip(logs, fits, strict=True)])
 
     hypotheses = sorted({h.names: h for h in (*_parts(search, best), *best)}.values(), key=lambda h: len(h.names))
-    measured = [(h, errors(h)) for h in (None, a.base, *hypotheses)]
-    _, least = min(measured, key=lambda entry: float(np.mean(entry[1])))
-    return next(h for h, error in measured if _is_as_good(error - least))
+    return tuple(Rung(h, errors(h)) for h in (None, a.base, *hypotheses))
+
+
+def nearest(rungs: Sequence[Rung]) -> Hypothesis | None:
+    """Return the simplest of the best predictors of held-out logs, None for the given model."""
+    least = min(rungs, key=lambda rung: float(np.mean(rung.errors))).errors
+    return next(rung.hypothesis for rung in rungs if _is_as_good(rung.errors - least))
 
 
 def _is_as_good(excess: Array) -> bool:

@@ -190,7 +190,7 @@ def _marks(before: float, after: float, floor: float) -> Marks | None:
 def second_sentence(r: Refinement) -> str:
     """Report the largest relative drop of an error, on sealed logs if available."""
     part = decisive_part(r)
-    noun = "rows" if r.problem.table else "runs"
+    noun = "rows" if r.problem.table else "logs"
     where = (
         f"On sealed {noun}"
         if part == "validation"

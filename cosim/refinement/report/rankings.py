@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from cosim.base.text import amount, append_unit, display, plain
+from cosim.base.text import amount, append_unit, display, percent, plain
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.proof.refined_models import refined_subject
 from cosim.refinement.refinement import Refinement
@@ -28,6 +28,18 @@ class RankingRow:
     fitted: str
     why: str
     claimed: bool
+
+
+@dataclass(frozen=True)
+class LadderRow:
+    """A model and the error of its predictions of held-out logs relative to the model of the study."""
+
+    names: str
+    count: int
+    error: str
+    width: float
+    scatter: str
+    chosen: bool
 
 
 @dataclass(frozen=True)
@@ -96,6 +108,22 @@ def _ranking_row(r: Refinement, row: Mapping[str, Any], best: float, claimed: Se
 def _gain(row: Mapping[str, Any]) -> float:
     """Return the gain in score, −∞ for a diverged filter."""
     return -math.inf if row["score_gain"] is None else float(row["score_gain"])
+
+
+def ladder_rows(r: Refinement) -> list[LadderRow]:
+    """Return the errors of predictions of held-out logs from the given model to the largest set of candidates."""
+    entries = r.record.get("ladder", [])
+    most = max((float(e["ratio"]) for e in entries), default=0.0)
+    titles = {"before": "model of the study", "recalibrated": "recalibrated"}
+    chosen = next((list(h.names) for h in (r.verdict.claimed, r.verdict.nearest_hypothesis) if h), None)
+    rows = []
+    for e in entries:
+        scatter = f"± {plain(100.0 * e['ratio'] * e['standard_error'], 2)}\u00a0%" if e["standard_error"] else ""
+        width = round(100.0 * float(e["ratio"]) / most, 1)
+        names = titles.get(e["model"], " + ".join(e["names"]))
+        is_chosen = e["names"] == chosen and e["model"] != "before"
+        rows.append(LadderRow(names, len(e["names"]), percent(e["ratio"]), width, scatter, is_chosen))
+    return rows
 
 
 # -- parameters -------------------------------------------------------------------------------

@@ -31,7 +31,7 @@ from cosim.refinement.report.error_tables import (
 from cosim.refinement.report.innovations import innovations, modes
 from cosim.refinement.report.log_parameters import per_log_rows
 from cosim.refinement.report.plots import Pairs, Run, against_signal, axis_label, over_time, rows_shown, runs
-from cosim.refinement.report.rankings import SHOWN_PAIRS, noise_rows, parameter_tables, ranking_tables
+from cosim.refinement.report.rankings import SHOWN_PAIRS, ladder_rows, noise_rows, parameter_tables, ranking_tables
 from cosim.refinement.report.table_plots import table_parts
 from cosim.report.drawing import Charts
 from cosim.report.html_tables import Badge, Row
@@ -93,6 +93,10 @@ def context(r: Refinement) -> Mapping[str, Any]:
     }
 
 
+LADDER_NOTE = (
+    "Each log is predicted by a fit to the other logs; the error is relative to the model of the study. The standard "
+    "error is that of the difference from the best. Within it, a model with fewer candidates is as good."
+)
 _NO_TIME: Mapping[str, Any] = {"horizons": None, "terms": [], "runs": [], "lead": None, "whiteness": []}  # for tables
 
 
@@ -148,6 +152,8 @@ def _ranking(r: Refinement) -> Mapping[str, Any]:
         "pairs_count": len(pairs),
         "pairs_open": r.verdict.claimed is not None and len(r.verdict.claimed.candidates) > 1,
         "ranking_lead": _ranking_lead(r),
+        "ladder": ladder_rows(r),
+        "ladder_note": LADDER_NOTE,
     }
 
 
