@@ -363,6 +363,19 @@ def test_a_fit_of_what_must_be_physical_stops_where_it_would_not_be(rail: Model,
     assert is_at_limit(h, rest, problem.values)  # so that nobody claims it
 
 
+def test_a_fit_beyond_its_time_stops_with_the_values_reached_and_says_so(
+    rail: Model, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem = coarsen(posed(rail, tmp_path, 0, numbers={"drag": 3.0}))
+    (drag,) = parts_of(problem, rail, "drag")
+    search = searched(rail, problem)
+    monkeypatch.setattr("cosim.estimation.fit.MAX_SECONDS", 0.0)
+    h = search.hypothesis((drag,), None)
+    assert h.fit.is_cut
+    assert not h.fit.converged
+    assert h.fit.iterations == 1
+
+
 @pytest.mark.thorough
 def test_friction_that_is_more_at_rest_is(tmp_path: Path) -> None:
     numbers = {"viscous": 3.0, "sliding": 0.5, "rest": 1.0}

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -13,11 +14,14 @@ import pytest
 from cosim.base.linear_algebra import square_roots
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
-from cosim.refinement.decision.claims import Claims, judge, name_of
+from cosim.refinement.decision.claims import Claims, Rung, judge, name_of
 from cosim.refinement.decision.sentences import improvement_text
-from cosim.refinement.proof.nearest import _is_as_good
+from cosim.refinement.proof import prediction_fit
+from cosim.refinement.proof.nearest import _is_as_good, nearest
+from cosim.refinement.proof.prediction_fit import compare_with_predictions
 from cosim.refinement.proof.replay_check import check_claim
 from cosim.refinement.record import effects
+from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
 from cosim.refinement.search.unnamed import Leftover, UnnamedTerm
 from cosim.refinement.workflow import refine
@@ -166,3 +170,42 @@ def test_friction_of_an_arm_is_claimed_beside_what_no_catalogue_has(tmp_path: Pa
     for channel, before in errors["before"]["validation"].items():
         assert errors["after"]["validation"][channel] < 0.15 * before
         assert floor[channel] < before
+
+
+@pytest.mark.parametrize(
+    ("moved", "ratios", "expected"),
+    [
+        ((DRAG,), (0.7, 0.8), ("effect_found", "part", (FRICTION,), (DRAG,))),
+        ((FRICTION, DRAG), (0.7, 0.8), ("unexplained", "nearest", None, ())),
+        ((DRAG,), (0.3, 0.4), ("effect_found", "claimed", (FRICTION, DRAG), ())),  # it halves the error
+        ((), (0.7, 0.8), ("effect_found", "claimed", (FRICTION, DRAG), ())),
+    ],
+)
+def test_a_part_on_which_filter_and_predictions_disagree_is_not_claimed(
+    monkeypatch: pytest.MonkeyPatch, moved: tuple[str, ...], ratios: tuple[float, ...], expected: tuple[Any, ...]
+) -> None:
+    best = fitted(FRICTION, DRAG)
+    values = {n: 0.0 if n.partition(".")[0] in moved else 1.01 * v for n, v in best.fit.values.items()}
+    other = replace(best, fit=replace(best.fit, values=values))
+    monkeypatch.setattr(prediction_fit, "fit_to_predictions", lambda search, h: other)
+    monkeypatch.setattr(prediction_fit, "with_intervals", lambda search, h: h)
+    a = attribution(best, ratios=ratios)
+    claims = Claims("effect_found", best, grade="claimed")
+    after = compare_with_predictions(cast(Search, SimpleNamespace(subject=CRAFT)), a, claims)
+    names = after.claimed.names if after.claimed else None
+    assert (after.name, after.grade, names, after.disagreeing) == expected
+    if after.claimed is None:
+        assert after.doubt is not None
+        assert after.doubt.kind == "disagreeing"
+
+
+def test_the_simplest_model_within_a_standard_error_of_the_best_is_the_nearest() -> None:
+    one, two = fitted(FRICTION), fitted(FRICTION, DRAG)
+    rungs = [
+        Rung(None, np.array([0.0, 0.0, 0.0])),
+        Rung(replace(fitted(), candidates=()), np.array([-0.2, -0.3, -0.2])),
+        Rung(one, np.array([-1.0, -1.1, -1.05])),
+        Rung(two, np.array([-1.06, -1.05, -1.09])),
+    ]
+    assert nearest(rungs) is one
+    assert nearest([*rungs[:2], rungs[3]]) is two

@@ -238,7 +238,7 @@ def test_the_second_sentence_says_what_the_record_says_of_sealed_runs(cart: Refi
     expected = [error["before"]["validation"]["s"], error["after"]["validation"]["s"], floor]
     # three digits are printed: 0.5 % at most off
     assert [float(x) for x in shown_sizes] == pytest.approx([1000 * v for v in expected], rel=5e-3)
-    assert "On sealed runs" in second_sentence(cart)
+    assert "On sealed logs" in second_sentence(cart)
 
 
 @pytest.mark.thorough
