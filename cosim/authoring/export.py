@@ -202,7 +202,7 @@ def _source(file: ScenarioFile, name: str, component: ReferenceComponent | Playb
     try:
         fmu = build_source(name, signals, folder / f"{name}.fmu", file.scenario.step, file.scenario.duration)
     except (NoCompiler, CompilerFailed) as error:
-        raise InputError([file.fault(("components", name), messages.NOT_COMPILED(reason=str(error)))]) from None
+        raise InputError([file.fault(("components", name), messages.NOT_COMPILED.around(error))]) from None
     return Model(name, fmu, [Port(n, "output", "Real", s.unit) for n, s in signals.items()])
 
 

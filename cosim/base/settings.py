@@ -158,7 +158,7 @@ def _seconds(value: Any, lowest: float = -math.inf) -> float:
                 raise ValueError(allowed_quantity("s"))
             value = read_quantity(value, "s")
         except ValueError as error:
-            raise ValueError(messages.WRONG_TIME(value=_represent(value), reason=error)) from None
+            raise ValueError(messages.WRONG_TIME.around(error, value=_represent(value))) from None
     return _finite(value, lowest, above=math.isfinite(lowest))
 
 

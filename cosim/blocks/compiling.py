@@ -89,9 +89,9 @@ def compile_library(folder: Path, description: Any, identifier: str) -> Path:
         files = {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
         binary = library_of(files, last, command, [entry], libraries=libraries, limit=LIMIT).read_bytes()
     except NoCompiler as error:
-        raise FmuError(messages.NO_COMPILER(reason=str(error))) from None
+        raise FmuError(messages.NO_COMPILER.around(error)) from None
     except CompilerFailed as error:
-        raise FmuError(messages.COMPILER_ERROR(reason=str(error), output=_excerpt(error.output))) from None
+        raise FmuError(messages.COMPILER_ERROR.around(error, output=_excerpt(error.output))) from None
     library = library_file(folder, description, identifier)
     library.parent.mkdir(parents=True, exist_ok=True)
     draft = library.with_name(f".{library.name}.{os.getpid()}")

@@ -103,7 +103,7 @@ class StoppedReplay(SimulationError):
         self.reason, self.exit_code = error.reason, error.exit_code
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (SimulationError(self.component, self.time, self.reason), self.done)
+        return type(self), (SimulationError(self.component, self.time, self.reason), self.done), self.__dict__
 
 
 class Drive:

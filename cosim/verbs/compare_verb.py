@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cosim.base.errors import CriterionMissed
+from cosim.base.messages import join
 from cosim.base.settings import NotNegative
 from cosim.storage.files import FilePath
 from cosim.verbs.options import Force, Json, Open, Report, out_option
@@ -105,7 +106,7 @@ def command(
             say(f"report:      {folder / 'report.html'}")
     show(folder / "report.html", open_=report and open_)
     if comparison.judged and not comparison.same:
-        raise CriterionMissed("; ".join(comparison.reasons))
+        raise CriterionMissed(join("; ", comparison.reasons))
 
 
 def _lines(comparison: Compared) -> list[str]:
