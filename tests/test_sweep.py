@@ -233,7 +233,7 @@ def test_a_sweep_of_which_no_run_ends_is_a_failure(tanks: Callable[..., Path]) -
     for _ in range(2):  # the second time from sweep.json
         with pytest.raises(SweepFailed, match="all 2 runs failed; run 0: ") as failed:
             sweep(path, path.parent / "out", in_process=True, report=False)
-        assert failed.value.code == "E-BLK-041"  # that of run 0
+        assert failed.value.code == "E-BLK-035"  # that of run 0
 
 
 @pytest.mark.parametrize(

@@ -51,7 +51,7 @@ def with_permission(allowed: bool, function: Callable[..., Answer], *arguments: 
 
 
 @dataclass(frozen=True)
-class Sources:
+class LibrarySources:
     """Sources of a library below the folder `sources` of an FMU.
 
     Attributes:
@@ -99,12 +99,12 @@ def compile_library(folder: Path, description: Any, identifier: str) -> Path:
     return draft.replace(library)
 
 
-def _sources_of(folder: Path, description: Any, identifier: str) -> Sources:
+def _sources_of(folder: Path, description: Any, identifier: str) -> LibrarySources:
     """Return the listed sources, else `all.c`, else all sources."""
     sources = _declared_sources(description, identifier)
     if sources is None:
         names = (p.name for p in folder.glob("*") if p.suffix.lower() in (*C, *CPP))
-        sources = Sources(("all.c",) if (folder / "all.c").is_file() else tuple(sorted(names)))
+        sources = LibrarySources(("all.c",) if (folder / "all.c").is_file() else tuple(sorted(names)))
     for name in (*sources.files, *sources.includes):
         if not (folder / name).resolve().is_relative_to(folder.resolve()):
             raise FmuError(messages.SOURCE_OUTSIDE(name=name[:60]))
@@ -115,7 +115,7 @@ def _sources_of(folder: Path, description: Any, identifier: str) -> Sources:
     return sources
 
 
-def _declared_sources(description: Any, identifier: str) -> Sources | None:
+def _declared_sources(description: Any, identifier: str) -> LibrarySources | None:
     """Return the sources in the library's build description.
 
     The first build description replaces a missing one; the result is None without any.
@@ -124,7 +124,7 @@ def _declared_sources(description: Any, identifier: str) -> Sources | None:
     sets = builds[0].sourceFileSets if builds else []
     if not sets:
         return None
-    return Sources(
+    return LibrarySources(
         files=tuple(dict.fromkeys(name for part in sets for name in part.sourceFiles)),
         standard=_standard(part.language for part in sets),
         definitions=tuple(dict.fromkeys(_definition(d) for part in sets for d in part.preprocessorDefinitions)),

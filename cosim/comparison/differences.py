@@ -17,7 +17,7 @@ from cosim.base.units import Conversion, conversion
 from cosim.comparison import messages, signals
 from cosim.comparison.intermediate_rows import rows_between
 from cosim.comparison.signals import Difference, Tolerance, format_share, format_size
-from cosim.simulation.run_files import Ran
+from cosim.simulation.run_files import RecordedRun
 
 if TYPE_CHECKING:
     import pandas
@@ -39,8 +39,8 @@ class Compared:
         shorter: Note about a run that begins or ends before the other; "" for none.
     """
 
-    a: Ran
-    b: Ran
+    a: RecordedRun
+    b: RecordedRun
     differences: tuple[Difference, ...]
     only_a: tuple[str, ...]
     only_b: tuple[str, ...]
@@ -158,7 +158,7 @@ class Compared:
         }
 
 
-def compare_runs(a: Ran, b: Ran, tolerance: float | None = None, absolute: float = 0.0) -> Compared:
+def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None, absolute: float = 0.0) -> Compared:
     """Compare b with a at the times of a.
 
     Rows of b between rows of a are compared with the range that a spans there.
@@ -187,7 +187,7 @@ def compare_runs(a: Ran, b: Ran, tolerance: float | None = None, absolute: float
     return Compared(a, b, *data, _describe_ends(a, b), tolerance, absolute)
 
 
-def _names(run: Ran) -> tuple[str, ...]:
+def _names(run: RecordedRun) -> tuple[str, ...]:
     return (*run.results.columns, *run.results.exact)
 
 
@@ -197,7 +197,7 @@ class _Overlap:
     The attribute `values` holds the numbers of both runs for each compared signal.
     """
 
-    def __init__(self, a: Ran, b: Ran, rows: slice, aligned: bool, allowed: Tolerance) -> None:
+    def __init__(self, a: RecordedRun, b: RecordedRun, rows: slice, aligned: bool, allowed: Tolerance) -> None:
         self.a, self.b, self.rows, self.aligned, self.allowed = a, b, rows, aligned, allowed
         times = a.results.time, b.results.time
         self.time = times[0][rows]
@@ -276,7 +276,7 @@ def _describe_largest(d: Difference) -> str:
     return f"most {d.name}, by {amount(d.largest, d.unit)} at {d.at:.6g} s ({format_share(d)} of its range)"
 
 
-def _describe_ends(a: Ran, b: Ran) -> Message:
+def _describe_ends(a: RecordedRun, b: RecordedRun) -> Message:
     """Return a phrase on a run that begins or ends before the other; "" if both cover the same time."""
     step = float(np.max(np.diff(a.results.time))) if a.results.time.size > 1 else 0.0
     parts = []

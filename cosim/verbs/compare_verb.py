@@ -57,13 +57,13 @@ def compare(
 
 
 def _run_of(side: FilePath | Signals) -> Any:
-    from cosim.simulation.run_files import Ran, read_ran
+    from cosim.simulation.run_files import RecordedRun, read_ran
     from cosim.simulation.run_signals import Run, Signals
 
     if not isinstance(side, Signals):
         return read_ran(Path(side))
     manifest = side.manifest if isinstance(side, Run) else {}
-    return Ran(side.folder or Path(side.title), side.title, side.results, manifest)
+    return RecordedRun(side.folder or Path(side.title), side.title, side.results, manifest)
 
 
 def command(
