@@ -19,7 +19,7 @@ from controller.loop import Loop
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.blocks.profile import Change, Profile, profile_function
-from cosim.experiment.rigs import FASTEST, SLOWEST, Axis, Ranges, Signals, Trial, clip, played_lines, trial_of
+from cosim.experiment.rigs import FASTEST, SLOWEST, Ranges, RigAxis, Signals, Trial, clip, played_lines, trial_of
 from cosim.fmi.fmu_build import build
 from cosim.model import Model, Values
 from cosim.storage.table import write_columns
@@ -47,12 +47,12 @@ class ClosedLoop:
         band = min(SLOWEST / duration, FASTEST / model.rate), FASTEST / model.rate
         dither = DITHER * self.settings.tilt_max
         self.axes = (
-            Axis("x_ref", TRAVEL * room, *REFERENCE_BAND),
-            Axis("psi_ref", TURN, *REFERENCE_BAND),
-            Axis("tilt_common", dither, *band),
-            Axis("tilt_difference", dither, *band),
-            Axis("duty_common", (1.0 - DUTY_DIFFERENCE) * duty, *band),
-            Axis("duty_difference", DUTY_DIFFERENCE * duty, *band),
+            RigAxis("x_ref", TRAVEL * room, *REFERENCE_BAND),
+            RigAxis("psi_ref", TURN, *REFERENCE_BAND),
+            RigAxis("tilt_common", dither, *band),
+            RigAxis("tilt_difference", dither, *band),
+            RigAxis("duty_common", (1.0 - DUTY_DIFFERENCE) * duty, *band),
+            RigAxis("duty_difference", DUTY_DIFFERENCE * duty, *band),
         )
 
     def _tilts(self, limits: Mapping[str, float]) -> Iterator[float]:

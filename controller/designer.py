@@ -145,7 +145,7 @@ class LqrDesigner:
             objections = []
             for names, reason in faults:
                 place = next((places[name] for name in names if name in places), ())
-                objections.append(Objection(place, messages.INVALID_PARAMETERS(reason=reason), names))
+                objections.append(Objection(place, messages.INVALID_PARAMETERS.around(reason), names))
             return Judged(objections)
         from controller.judging import judged_gains
 

@@ -90,7 +90,7 @@ def carried(psi: float) -> Matrix:
     return G
 
 
-class Craft(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy is untyped
+class FilterEquations(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy is untyped
     """Craft equations for filterpy's extended Kalman filter.
 
          x̂ = f(x̂, u),   P = F·P·F' + G·Q·G',   F = I + Δt·A + … + (Δt·A)⁴/24,   A = ∂f/∂x at x̂
@@ -166,7 +166,7 @@ class ExtendedFilter(SampledFilter):
         start: Mapping[str, float],
         fix: float = 0.0,
     ) -> None:
-        self.filter = Craft(model, settings, jacobians)
+        self.filter = FilterEquations(model, settings, jacobians)
         self.filter.x = np.array(model.start(start), dtype=float)
         self.fix = fix
         self.damping = model.friction / model.mass  # [1/s]

@@ -22,7 +22,7 @@ HARD, SOFT = 0, 8  # kinds of limits in DAQP
 ROUNDING = 1e-9  # multipliers below are zero
 
 
-class Found(NamedTuple):
+class Solution(NamedTuple):
     """Result of the solver.
 
     Attributes:
@@ -60,7 +60,7 @@ class Condensed(NamedTuple):
         return self._replace(f=self.f @ z, free=self.free @ z)
 
 
-class Steps(NamedTuple):
+class PredictionSteps(NamedTuple):
     """Prediction z_{j+1} = F_j·z_j + G_j·u_j + e_j for steps j of N, and its weights.
 
     F (N, n, n), G (N, n, m), e (N, n, 1); Q, R of a step, P (n, n) of the last state.
@@ -91,11 +91,13 @@ def predicted(p: PredictiveSettings) -> tuple[Matrix, Matrix]:
     return A[np.ix_(PREDICTED, PREDICTED)], B[PREDICTED]
 
 
-def steady(p: PredictiveSettings) -> Steps:
+def steady(p: PredictiveSettings) -> PredictionSteps:
     """Return the steps of a prediction linearized at hover."""
     F, G = discretize(*predicted(p), p.prediction_step)
     n, (Q, R) = len(of_steps(p)), (p.prediction_step * weight for weight in weights(p))
-    return Steps(np.tile(F, (n, 1, 1)), np.tile(G, (n, 1, 1)), np.zeros((n, len(F), 1)), Q, R, cost_to_go(F, G, Q, R))
+    return PredictionSteps(
+        np.tile(F, (n, 1, 1)), np.tile(G, (n, 1, 1)), np.zeros((n, len(F), 1)), Q, R, cost_to_go(F, G, Q, R)
+    )
 
 
 def cost_to_go(F: Matrix, G: Matrix, Q: Matrix, R: Matrix) -> Matrix:
@@ -103,7 +105,7 @@ def cost_to_go(F: Matrix, G: Matrix, Q: Matrix, R: Matrix) -> Matrix:
     return np.asarray(solve_discrete_are(F, G, Q, R))
 
 
-def condensed(p: PredictionSettings, steps: Steps, start: Matrix, scale: Matrix) -> Condensed:
+def condensed(p: PredictionSettings, steps: PredictionSteps, start: Matrix, scale: Matrix) -> Condensed:
     """Return the horizon cost as a function of the scaled commands alone.
 
     The cost is Σ (z'·Q·z + u'·R·u) + z_N'·P·z_N.
@@ -174,7 +176,7 @@ class Program:
         """Return the start of the first sample, without active limits."""
         return np.zeros(len(self.kinds))
 
-    def solve(self, cost: Condensed, hot: Matrix) -> Found:
+    def solve(self, cost: Condensed, hot: Matrix) -> Solution:
         """Return the optimal commands, started from the previous multipliers.
 
         At the iteration limit, the unconstrained commands are clipped instead.
@@ -188,4 +190,4 @@ class Program:
             hot = np.where(np.abs(info["lam"]) > ROUNDING, info["lam"], 0.0)
         else:  # The solver's output is then incomplete.
             U, hot = np.clip(-np.linalg.solve(cost.H, cost.f), self.low, self.high), self.cold()
-        return Found(self.scale * U[: len(self.scale)], hot, int(info["iterations"]), int(flag), np.array(U))
+        return Solution(self.scale * U[: len(self.scale)], hot, int(info["iterations"]), int(flag), np.array(U))

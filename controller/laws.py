@@ -11,7 +11,7 @@ from controller.observers import LinearFilter
 from controller.variants import IntegralSettings
 
 
-class Seen(NamedTuple):
+class LawInput(NamedTuple):
     """Input of a law at a sample besides the estimate (x, vx, ψ, ψ̇, a).
 
     Attributes:
@@ -67,7 +67,7 @@ class Law(Protocol):
     def duties(self) -> tuple[float, float]:
         """Return the duties [%] of the last command, right and left."""
 
-    def command(self, x_hat: Sequence[float], seen: Seen) -> tuple[float, ...]:
+    def command(self, x_hat: Sequence[float], seen: LawInput) -> tuple[float, ...]:
         """Return the tilts [rad], right and left."""
 
     def outputs(self) -> list[float]:
@@ -83,7 +83,7 @@ class Law(Protocol):
         """Restore a snapshot exactly."""
 
 
-def wanted(seen: Seen) -> tuple[float, ...]:
+def wanted(seen: LawInput) -> tuple[float, ...]:
     """Return the reference of the five states, at rest."""
     return seen.x_ref, 0.0, seen.psi_ref, 0.0, 0.0
 
@@ -118,7 +118,7 @@ class StateFeedback(OfLinearFilter):
         self.gain, self.limit = p.gain_matrix, p.tilt_max
         self.duties = (p.duty_nominal, p.duty_nominal)
 
-    def command(self, x_hat: Sequence[float], seen: Seen) -> tuple[float, ...]:
+    def command(self, x_hat: Sequence[float], seen: LawInput) -> tuple[float, ...]:
         """Return the tilts [rad]."""
         return feedback(self.gain, x_hat, wanted(seen), self.limit)
 
@@ -140,7 +140,7 @@ class IntegralFeedback(OfLinearFilter):
         self.duties = (p.duty_nominal, p.duty_nominal)
         self.integrals = (0.0, 0.0)
 
-    def command(self, x_hat: Sequence[float], seen: Seen) -> tuple[float, ...]:
+    def command(self, x_hat: Sequence[float], seen: LawInput) -> tuple[float, ...]:
         """Return the tilts [rad]."""
         if seen.started:
             x = seen.x_meas if seen.fix else x_hat[0]
@@ -151,7 +151,7 @@ class IntegralFeedback(OfLinearFilter):
                 self.integrals = grown[0], grown[1]
         return tuple(max(-self.limit, min(self.limit, u)) + 0.0 for u in self._tilts(x_hat, seen, self.integrals))
 
-    def _tilts(self, x_hat: Sequence[float], seen: Seen, integrals: Sequence[float]) -> tuple[float, ...]:
+    def _tilts(self, x_hat: Sequence[float], seen: LawInput, integrals: Sequence[float]) -> tuple[float, ...]:
         """Return the tilts before saturation."""
         error = [a - b for a, b in zip(x_hat, wanted(seen), strict=True)]
         rows = zip(self.gain, self.integral_gain, strict=True)

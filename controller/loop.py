@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from controller.gains import Settings
-from controller.laws import Law, Seen, StateFeedback
+from controller.laws import Law, LawInput, StateFeedback
 
 
 class Loop:
@@ -40,7 +40,7 @@ class Loop:
         self.settings = settings
         self.law = StateFeedback(settings) if law is None else law
         self.estimator = self.law.estimator(settings, x_hat, fix)
-        self.command = self.law.command(self.estimate, Seen(x_ref, psi_ref, y_ref, fix=fix))
+        self.command = self.law.command(self.estimate, LawInput(x_ref, psi_ref, y_ref, fix=fix))
 
     def step(
         self,
@@ -60,7 +60,7 @@ class Loop:
             fix: Number of the latest fix, 0 before the first; a new number makes x_meas and y_meas [m] valid.
         """
         self.estimator.step(measured, (*self.law.duties, *self.command), fix, (x_meas, y_meas))
-        seen = Seen(x_ref, psi_ref, y_ref, measured[0], x_meas, y_meas, fix, started=True)
+        seen = LawInput(x_ref, psi_ref, y_ref, measured[0], x_meas, y_meas, fix, started=True)
         self.command = self.law.command(self.estimate, seen)
         return self.command
 

@@ -13,8 +13,8 @@ UNEQUAL_TILT_WEIGHTS = Template(
     "E-CTL-004",
     "{weights} weighs one tilt more; the predictive law takes one weight for both: write the same number twice",
 )
-INVALID_PARAMETERS = Template("E-CTL-005", "the settings are not possible together: {reason}")
-INVALID_POLES = Template("E-CTL-006", "the poles cannot be placed: {reasons}")
+INVALID_PARAMETERS = Template("E-CTL-005", "the settings are not possible together: {error}")
+INVALID_POLES = Template("E-CTL-006", "the poles cannot be placed: {error}")
 REPEATED_POLE = Template("E-CTL-007", "{pole} stands twice in the {axis} axis; one input places a pole once")
 POLE_WITHOUT_CONJUGATE = Template("E-CTL-008", "{pole} needs {conjugate} in the same axis")
 UNSTABLE_POLE = Template("E-CTL-009", "{pole} rad/s is not stable; the real part of a pole is below 0")

@@ -100,7 +100,7 @@ MANOEUVRE = Flight(
 
 
 @dataclass(frozen=True)
-class Case:
+class FlightCase:
     """A case of the Monte Carlo test: an estimator, a true plant and a flight, with or without position fixes."""
 
     title: str
@@ -111,16 +111,16 @@ class Case:
 
 
 ON_SINES = (
-    Case("consistent on its own model, disturbed with V", "linear", "consistent"),
-    Case("consistent on its own model, with fixes", "linear", "consistent", fixes=True),
-    Case("appendix_f on the model of consistent, disturbed with V", "linear", "appendix_f"),
-    Case("lagged on the model of consistent, disturbed with V", "linear", "lagged"),
-    Case("extended on the plant, disturbed with its Q", "disturbed", "extended"),
-    Case("extended on the disturbed plant, with fixes", "disturbed", "extended", fixes=True),
-    Case("appendix_f on the plant as it is", "plant", "appendix_f"),
-    Case("lagged on the plant as it is", "plant", "lagged"),
-    Case("consistent on the plant as it is", "plant", "consistent"),
-    Case("extended on the plant as it is", "plant", "extended"),
+    FlightCase("consistent on its own model, disturbed with V", "linear", "consistent"),
+    FlightCase("consistent on its own model, with fixes", "linear", "consistent", fixes=True),
+    FlightCase("appendix_f on the model of consistent, disturbed with V", "linear", "appendix_f"),
+    FlightCase("lagged on the model of consistent, disturbed with V", "linear", "lagged"),
+    FlightCase("extended on the plant, disturbed with its Q", "disturbed", "extended"),
+    FlightCase("extended on the disturbed plant, with fixes", "disturbed", "extended", fixes=True),
+    FlightCase("appendix_f on the plant as it is", "plant", "appendix_f"),
+    FlightCase("lagged on the plant as it is", "plant", "lagged"),
+    FlightCase("consistent on the plant as it is", "plant", "consistent"),
+    FlightCase("extended on the plant as it is", "plant", "extended"),
 )
 CASES = (*ON_SINES, *(replace(case, flight=MANOEUVRE) for case in ON_SINES))
 
@@ -158,7 +158,7 @@ def plant_truth(runs: int, u: Matrix, rng: np.random.Generator, *, disturbed: bo
     return _with_noise(S, np.array(sensors), position, p, u, rng)
 
 
-def squares_of(case: Case, runs: int, steps: int, rng: np.random.Generator) -> Squares:
+def squares_of(case: FlightCase, runs: int, steps: int, rng: np.random.Generator) -> Squares:
     """Return normalised errors and innovations, each (runs, times), after the first second."""
     truth = _TRUTHS[case.truth](runs, case.flight.commands(steps), rng)
     nees, nis, fixed = (np.zeros((runs, steps)) for _ in range(3))

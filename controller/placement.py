@@ -8,7 +8,7 @@ import numpy as np
 
 from controller import messages
 from controller.design_model import STATES, Matrix, ModelNumbers, design_model
-from cosim.base.messages import Message
+from cosim.base.messages import Message, join
 
 # Section 6.2 prints no poles. Forward: those of the LQR (-10.68, -3.39, -1.56), the slow ones moved slightly left;
 # turn: its pair (-4.26 ± 0.77j) made real. -4 occurs in both axes, but only once in each.
@@ -36,7 +36,7 @@ def placed_gain(p: ModelNumbers, poles: Sequence[complex] = POLES) -> Matrix:
     check_controllable(A, B)
     numbers = [complex(pole) for pole in poles]
     if faults := pole_faults(numbers):
-        raise ValueError(messages.INVALID_POLES(reasons="; ".join(reason for _, reason in faults)))
+        raise ValueError(messages.INVALID_POLES.around(join("; ", (reason for _, reason in faults))))
     K = np.zeros((2, 5))
     for states, own, signs in zip((FORWARD, TURN), (numbers[:3], numbers[3:]), SIGNS, strict=True):
         axis = np.ix_(states, states)

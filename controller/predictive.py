@@ -12,7 +12,7 @@ from filterpy.kalman import KalmanFilter
 from controller.design_model import Matrix, discretize
 from controller.full_model import INPUTS
 from controller.horizon import AT_LIMIT, NAMES, Condensed, Program, condensed, limits, predicted, steady
-from controller.laws import OfLinearFilter, Seen
+from controller.laws import LawInput, OfLinearFilter
 from controller.variants import PredictionSettings, PredictiveSettings
 
 ESTIMATED = [NAMES.index(name) for name in ("x", "vx", "psi", "psi_dot")]  # states from the five-state filter
@@ -105,7 +105,7 @@ class PredictiveLaw(Predicting, OfLinearFilter):
         self.cost = condensed(p, steady(p), np.eye(len(NAMES)), self.program.scale)
         self.fix = 0.0
 
-    def command(self, x_hat: Sequence[float], seen: Seen) -> tuple[float, ...]:
+    def command(self, x_hat: Sequence[float], seen: LawInput) -> tuple[float, ...]:
         """Return the tilts [rad]; `duties` holds the duties."""
         if seen.started:
             self.observer.predict(u=self.last)

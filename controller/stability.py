@@ -28,7 +28,7 @@ MIN_DAMPING = 0.1  # a swing keeps exp(-2π·0.1), more than half of its size, f
 MAX_CHANGE, MAX_UPDATES = 1e-9, 3000  # convergence of the filter gain
 
 
-class Mode(NamedTuple):
+class LoopMode(NamedTuple):
     """A pole of the sampled loop, written as s = ln(z)/Δt [rad/s], and the axis of its motion: forward or turning."""
 
     pole: complex
@@ -85,11 +85,11 @@ class FlownLoop:
         integrals = now[10:] + self.sample * np.vstack([x_hat[:1], x[PSI : PSI + 1]]) if n > 10 else now[10:]
         return np.vstack([x, x_hat, integrals])
 
-    def modes(self, K: Matrix, K_i: Matrix | None = None) -> list[Mode]:
+    def modes(self, K: Matrix, K_i: Matrix | None = None) -> list[LoopMode]:
         """Return all modes, fastest growth first."""
         values, vectors = np.linalg.eig(self.matrix(K, K_i))
         pairs = zip(values.tolist(), vectors.T, strict=True)
-        modes = [Mode(cmath.log(z) / self.sample, _axis(vector)) for z, vector in pairs if z]
+        modes = [LoopMode(cmath.log(z) / self.sample, _axis(vector)) for z, vector in pairs if z]
         return sorted(modes, key=lambda mode: -mode.pole.real)
 
 
@@ -100,9 +100,9 @@ def _axis(vector: Matrix) -> str:
     return "turning" if turning > 0.5 * weight.sum() else "forward"
 
 
-def worst_modes(modes: Sequence[Mode]) -> list[Mode]:
+def worst_modes(modes: Sequence[LoopMode]) -> list[LoopMode]:
     """Return the worst growing or weakly damped mode of each axis."""
-    by_axis: dict[str, Mode] = {}
+    by_axis: dict[str, LoopMode] = {}
     for mode in sorted(modes, key=lambda m: (not m.grows, -m.pole.real if m.grows else m.damping)):
         if mode.grows or mode.damping < MIN_DAMPING:
             by_axis.setdefault(mode.axis, mode)

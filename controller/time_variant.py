@@ -11,8 +11,8 @@ import numpy as np
 from controller.design_model import Matrix
 from controller.extended import ExtendedFilter, level_tilt
 from controller.full_model import INPUTS, STATES
-from controller.horizon import NAMES, PREDICTED, Steps, condensed, cost_to_go, of_steps, weights
-from controller.laws import Estimator, Seen
+from controller.horizon import NAMES, PREDICTED, PredictionSteps, condensed, cost_to_go, of_steps, weights
+from controller.laws import Estimator, LawInput
 from controller.predictive import POSITIONS, Predicting
 from controller.slopes import Slopes
 from controller.time_variant_settings import TimeVariantSettings
@@ -63,7 +63,7 @@ class TimeVariantLaw(Predicting):
         self.filter = ExtendedFilter(p.craft, p.noise, self.printed, start | tilts, fix)
         return self.filter
 
-    def command(self, x_hat: Sequence[float], seen: Seen) -> tuple[float, ...]:
+    def command(self, x_hat: Sequence[float], seen: LawInput) -> tuple[float, ...]:
         """Return the tilts [rad]; `duties` holds the duties."""
         x = self.filter.filter.x[PREDICTED]
         target = self.hover.copy()
@@ -100,7 +100,7 @@ class TimeVariantLaw(Predicting):
         share = (at - before)[:, None]
         return (1.0 - share) * self.path[before] + share * self.path[before + 1], self.plan[before]
 
-    def _steps(self, path: Matrix, plan: Matrix, target: Matrix) -> Steps:
+    def _steps(self, path: Matrix, plan: Matrix, target: Matrix) -> PredictionSteps:
         """Return the prediction steps as deviations from target and rest command."""
         states = np.zeros((len(path), len(STATES)))
         states[:, PREDICTED] = path
@@ -108,7 +108,7 @@ class TimeVariantLaw(Predicting):
         rates = np.stack(np.broadcast_arrays(*self.rates(0.0, tuple(states.T), tuple(plan.T))), axis=1)[:, PREDICTED]
         drift = rates[..., None] + A @ (target - path)[..., None] + B @ (self.rest - plan)[..., None]
         F, held = held_over(A, self.p.prediction_step, self.doublings)
-        return Steps(F, held @ B, held @ drift, self.Q, self.R, self.P)
+        return PredictionSteps(F, held @ B, held @ drift, self.Q, self.R, self.P)
 
     def _linear(self, states: Matrix, commands: Matrix) -> tuple[Matrix, Matrix]:
         """Return the Jacobians along the horizon: A (N, 12, 12) by predicted states, B (N, 12, 4) by commands."""

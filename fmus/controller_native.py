@@ -9,9 +9,9 @@ from typing import Any
 from controller.design_model import design_model, fix_matrix, measurement_matrix
 from controller.gains import ESTIMATORS, Settings
 from controller.kalman import discrete_model
-from cosim.fmi.native.layout import Layout
+from cosim.fmi.native.layout import VariableLayout
 from cosim.fmi.native.package import Native, part
-from cosim.fmi.native.printing import LANGUAGE, Sources, quote, variable_tables
+from cosim.fmi.native.printing import LANGUAGE, GeneratedSources, quote, variable_tables
 from cosim.model import parameters_of
 from fmus.craft_ports import ESTIMATE
 from fmus.recipes import controller_recipe
@@ -92,8 +92,8 @@ def controller_native() -> Native:
     body = "".join((tables, DESIGN % counts, NAMES % place, _design(place)))
     return Native(
         "HovercraftController",
-        Layout(recipe.about),
-        Sources(body, sizes),
+        VariableLayout(recipe.about),
+        GeneratedSources(body, sizes),
         {n: part(n) for n in ("filter.c", "steps_only.c")},
         recipe.text,
     )

@@ -25,11 +25,11 @@ def filter_recipe() -> Recipe:
 
 def extended_recipe() -> Recipe:
     """Return the recipe of the extended Kalman filter, with printed Jacobians instead of sympy."""
-    from controller.extended import Craft, ExtendedFilter
+    from controller.extended import ExtendedFilter, FilterEquations
     from fmus.estimator_fmu import HovercraftEkf
 
     about = _about("Extended Kalman filter of the hovercraft on the plant's equations", HovercraftEkf.ports)
-    text = docstrings_html(ExtendedFilter, Craft, HovercraftEkf)
+    text = docstrings_html(ExtendedFilter, FilterEquations, HovercraftEkf)
     slave = ("fmus.estimator_fmu", "HovercraftEkf")
     printed = (("controller.printed", jacobians()),)
     return Recipe(slave, PACKAGES, about, text, printed=printed)

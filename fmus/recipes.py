@@ -82,14 +82,14 @@ def predictive_recipe() -> Recipe:
 
 def time_variant_recipe() -> Recipe:
     """Return the recipe of the predictive controller with A(t), B(t)."""
-    from controller.extended import Craft, ExtendedFilter
+    from controller.extended import ExtendedFilter, FilterEquations
     from controller.time_variant import TimeVariantLaw
     from controller.variants import TIME_VARIANT
     from fmus.controller_laws import HovercraftTimeVariantController, time_variant_dependencies
     from fmus.estimator_recipes import jacobians
 
     text = "Flight controller of the hovercraft: extended Kalman filter and predictive control along the planned motion"
-    more = TimeVariantLaw, ExtendedFilter, Craft
+    more = TimeVariantLaw, ExtendedFilter, FilterEquations
     slave = HovercraftTimeVariantController
     recipe = _controller(slave, text, time_variant_dependencies(), TIME_VARIANT, *more)
     return replace(recipe, printed=(("controller.printed", jacobians()),))

@@ -15,11 +15,11 @@ from plant.identification.cells import calibrate
 from plant.identification.identified import Outcome
 from plant.identification.planned import planned_faults
 from plant.identification.protocol import Protocol, read_partly
-from plant.identification.recordings import Recording, Run, load_runs, runs_of, to_recording
+from plant.identification.recordings import Recording, SimulatedRecording, load_runs, runs_of, to_recording
 from plant.identification.workflow import analyse
 
 LANES = 1000  # simultaneous runs
-Play = Callable[[Sequence[Run]], list[Recording]]
+Play = Callable[[Sequence[SimulatedRecording]], list[Recording]]
 
 
 def read_protocol(path: Path) -> Protocol:
@@ -32,7 +32,7 @@ def read_protocol(path: Path) -> Protocol:
 def play_plain(bench: Bench) -> Play:
     """Return a simulator of runs by plain equations, with equal commands in parallel."""
 
-    def play(runs: Sequence[Run]) -> list[Recording]:
+    def play(runs: Sequence[SimulatedRecording]) -> list[Recording]:
         groups: dict[tuple[object, ...], list[int]] = {}
         for k, run in enumerate(runs):
             key = (run.duty.tobytes(), run.servo_duty.tobytes(), run.height, run.low_pass)
@@ -48,7 +48,7 @@ def play_plain(bench: Bench) -> Play:
     return play
 
 
-def _play_lanes(bench: Bench, runs: Sequence[Run]) -> list[Recording]:
+def _play_lanes(bench: Bench, runs: Sequence[SimulatedRecording]) -> list[Recording]:
     m, first = arrays(), runs[0]
     values = {"thrust_factor": np.array([r.thrust for r in runs]), "filter_time": first.low_pass}
     stepper = Stepper(bench.with_values(values), m)
@@ -77,7 +77,7 @@ def simulate_seeds(protocol: Protocol, play: Play, seeds: Sequence[int]) -> list
     return outcomes
 
 
-def _play_groups(play: Play, groups: Sequence[dict[str, list[Run]]]) -> list[dict[str, list[Recording]]]:
+def _play_groups(play: Play, groups: Sequence[dict[str, list[SimulatedRecording]]]) -> list[dict[str, list[Recording]]]:
     """Return the recordings of each group by name; one name of all groups is played at once."""
     recordings: list[dict[str, list[Recording]]] = [{} for _ in groups]
     for name in groups[0]:

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from controller.designer import DESIGNER
 from controller.gains import ESTIMATORS, Settings
-from controller.laws import IntegralFeedback, Law, Seen, StateFeedback
+from controller.laws import IntegralFeedback, Law, LawInput, StateFeedback
 from controller.loop import Loop
 from controller.predictive import PredictiveLaw
-from controller.stability import FlownLoop, Mode
+from controller.stability import FlownLoop, LoopMode
 from controller.time_variant import TimeVariantLaw
 from controller.time_variant_settings import TimeVariantSettings
 from controller.variants import (
@@ -173,7 +173,7 @@ def fly(
         x_ref, psi_ref = references((k + 1) * STEP)
         began = time.perf_counter()
         if truth:
-            seen = Seen(x_ref, psi_ref, psi=there[PSI], x_meas=at[0], y_meas=at[1], fix=fix, started=True)
+            seen = LawInput(x_ref, psi_ref, psi=there[PSI], x_meas=at[0], y_meas=at[1], fix=fix, started=True)
             if isinstance(law, TimeVariantLaw):
                 law.filter.filter.x = np.array(moment.state)
             loop.command = law.command(_true(moment, there, settings), seen)
@@ -277,9 +277,9 @@ def cost(rounds: int = 5) -> dict[str, Array]:
     return {name: np.percentile(spent[name], [50, 99]) for name in LAWS}
 
 
-def swings() -> dict[str, dict[str, Mode]]:
+def swings() -> dict[str, dict[str, LoopMode]]:
     """Estimator → law of fixed gains → the swing of its turn as it flies, by the designs that the FMUs carry."""
-    found: dict[str, dict[str, Mode]] = {}
+    found: dict[str, dict[str, LoopMode]] = {}
     for estimator in ESTIMATORS:
         p = FullSettings(estimator=estimator)
         loop = FlownLoop(p, p)

@@ -20,7 +20,7 @@ from cosim.base.errors import CosimError, InputError
 from cosim.simulation.packaged import open_scenario
 from cosim.simulation.workflow import run
 from cosim.ssp.flatten import read
-from cosim.ssp.levels import Part
+from cosim.ssp.levels import FmuPart
 from cosim.ssp.read import Reader
 from cosim.ssp.ssp_package import open_package
 from tests.hosts import HOSTS, Refused, reason
@@ -29,7 +29,7 @@ STEPS = 200
 READ_BY = ("libcosim", "ecos", "FMPy")
 
 
-def parts_of(path: Path) -> tuple[Part, ...]:
+def parts_of(path: Path) -> tuple[FmuPart, ...]:
     with open_package(path) as package:
         return read(Reader(package))[1].parts
 

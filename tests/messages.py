@@ -6,9 +6,10 @@ import ast
 import importlib
 import pkgutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import ModuleType
+from typing import TypeGuard
 
 from cosim.base.messages import Template
 
@@ -19,13 +20,16 @@ SEVERITY = {"E": "Errors", "W": "Warnings", "N": "Notes"}
 SINKS = {
     "Fault": 3, "fault": 1, "_fault": 1, "note": 1, "note_cell": 3, "at": 1, "FmuError": 0, "SimulationError": 2,
     "Crashed": 2, "DiskFull": 2, "TimedOut": 2, "warn": 0, "say_note": 0, "CosimError": 0,
+    "CriterionMissed": 0, "SweepFailed": 0, "SweepStopped": 0, "failed_run": 1, "say_finding": 0, "_fail": 0,
 }  # fmt: skip
+KEEPING = {"around", "after", "with_prefix", "Message"}  # functions whose result has the code of a message
 HEAD = """# Messages
 
 Every error (E), warning (W) and note (N) has a code. `-v` prints the code behind the message, and `--json` has it as
 `code`. Codes are stable; wording may change. Words in braces are values. A fault begins with its file, line and column.
-The subject "it", or a missing subject, is the file, FMU or component named before the message. Texts of modules that
-run inside FMUs have no code.
+The subject "it", or a missing subject, is the file, FMU or component named before the message. A message made of
+several has the code of the first. Texts of modules that run inside FMUs have no code. Results have none either: values,
+outcomes of criteria, and the sentence of a verdict or a report.
 """
 
 
@@ -57,22 +61,63 @@ def page() -> str:
 def bare(folder: Path) -> Iterator[str]:
     """Yield the places in a folder where a text without a code becomes a message."""
     for path in sorted(folder.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if not isinstance(node, ast.Call):
-                continue
-            name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
-            at = SINKS.get(name)
-            if at is None or len(node.args) <= at:
-                continue
-            if any(_is_text(part) for part in ast.walk(node.args[at])):
-                yield f"{path.relative_to(ROOT)}:{node.lineno}: {name}"
+        for line, name in bare_calls(ast.parse(path.read_text(encoding="utf-8"))):
+            yield f"{path.relative_to(ROOT)}:{line}: {name}"
+
+
+def bare_calls(tree: ast.AST) -> list[tuple[int, str]]:
+    """Return line and name of each call that takes a message and gets a text without a code.
+
+    The text is in the call, or the argument is a name to which the same function assigns a text.
+    """
+    calls = set()
+    for scope in ast.walk(tree):
+        if not isinstance(scope, (ast.Module, ast.FunctionDef)):
+            continue
+        nodes = [*ast.walk(scope)]
+        texts = set() if isinstance(scope, ast.Module) else set(_names_of_texts(nodes))
+        for node in nodes:
+            if isinstance(node, ast.Call) and (sink := _sink(node)) is not None:
+                name, argument = sink
+                if _has_text(argument) or (isinstance(argument, ast.Name) and argument.id in texts):
+                    calls.add((node.lineno, name))
+    return sorted(calls)
+
+
+def _sink(call: ast.Call) -> tuple[str, ast.expr] | None:
+    """Return the name of a call that takes a message, and the message."""
+    name = _name_of(call)
+    at = SINKS.get(name)
+    return None if at is None or len(call.args) <= at else (name, call.args[at])
+
+
+def _name_of(call: ast.Call) -> str:
+    return call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
+
+
+def _names_of_texts(nodes: Iterable[ast.AST]) -> Iterator[str]:
+    """Yield the names to which a text without a code is assigned."""
+    for node in nodes:
+        if isinstance(node, ast.Assign) and _has_text(node.value):
+            yield from (target.id for target in node.targets if isinstance(target, ast.Name))
+
+
+def _has_text(value: ast.AST) -> bool:
+    """Return whether a value contains a sentence outside of templates and of functions that keep codes."""
+    if isinstance(value, ast.Call) and (_name_of(value).isupper() or _name_of(value) in KEEPING):
+        return False
+    return _is_text(value) or any(map(_has_text, ast.iter_child_nodes(value)))
 
 
 def _is_text(node: ast.AST) -> bool:
-    """Return whether a node is a sentence: a formatted string, or a constant with a blank."""
-    return isinstance(node, ast.JoinedStr) or (
-        isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value.strip()
-    )
+    """Return whether a node is a formatted string, a constant with a blank, or `str.join`, which drops codes."""
+    if isinstance(node, ast.Call):
+        return isinstance(node.func, ast.Attribute) and node.func.attr == "join" and _is_string(node.func.value)
+    return isinstance(node, ast.JoinedStr) or (_is_string(node) and " " in node.value.strip())
+
+
+def _is_string(node: ast.AST) -> TypeGuard[ast.Constant]:
+    return isinstance(node, ast.Constant) and isinstance(node.value, str)
 
 
 if __name__ == "__main__":

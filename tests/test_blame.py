@@ -11,7 +11,7 @@ import pytest
 
 from cosim.base.errors import SimulationError, TimedOut
 from cosim.blocks.component import EarlyEnd
-from cosim.blocks.sources import Source
+from cosim.blocks.sources import SourceBlock
 from cosim.isolation import watch
 from cosim.isolation.limits import Limits
 from cosim.isolation.rows import CALLS, NOTHING, OTHER, Progress, Rows
@@ -69,7 +69,7 @@ def test_halved_steps_announce_the_component_whose_state_they_save(monkeypatch: 
 
 
 def test_halved_steps_are_one_whole_and_two_halves_from_the_same_time() -> None:
-    source = Source("s", {"y": ("", lambda t: t)})  # type: ignore[dict-item]
+    source = SourceBlock("s", {"y": ("", lambda t: t)})  # type: ignore[dict-item]
     system = system_of([], {}, start=3.0)
     stage = Stage(source)
     system = type(system)((stage,), (), ("s.y",), {"s.y": ""}, start=3.0, signals={"s.y": source.outputs[0]})
@@ -109,7 +109,7 @@ def test_the_difference_of_halves_is_that_of_the_values(monkeypatch: pytest.Monk
 
 
 def test_what_cannot_be_taken_back_is_named() -> None:
-    block, source = Block("a", [], ["y"], lambda t, h, u: [t]), Source("s", {})
+    block, source = Block("a", [], ["y"], lambda t, h, u: [t]), SourceBlock("s", {})
     assert rollback_objection(system_of([block], {})) == "a cannot be taken back"
     plain = system_of([], {})
     of = type(plain)

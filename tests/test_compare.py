@@ -11,7 +11,7 @@ import pytest
 
 from cosim.base.errors import InputError
 from cosim.comparison.differences import Compared, compare_runs
-from cosim.simulation.run_files import Ran
+from cosim.simulation.run_files import RecordedRun
 from cosim.storage.results import Results, read_results
 from tests.seen import faults
 from tests.test_first_steps import told
@@ -20,9 +20,11 @@ from tests.typed import typed_fmu
 TIME = np.linspace(0, 1, 101)
 
 
-def ran(name: str = "a", time: np.ndarray = TIME, units: dict[str, str] | None = None, **signals: np.ndarray) -> Ran:
+def ran(
+    name: str = "a", time: np.ndarray = TIME, units: dict[str, str] | None = None, **signals: np.ndarray
+) -> RecordedRun:
     values = np.column_stack(list(signals.values()))
-    return Ran(Path(name), name, Results(time, tuple(signals), values, units or {}))
+    return RecordedRun(Path(name), name, Results(time, tuple(signals), values, units or {}))
 
 
 def held(a: np.ndarray, b: np.ndarray, tolerance: float | None = None, absolute: float = 0.0) -> Compared:
@@ -98,7 +100,7 @@ def test_a_signal_that_only_the_baseline_has_is_missed_and_one_that_only_the_oth
 
 def test_text_that_only_the_baseline_has_is_missed_too() -> None:
     text = Results(TIME, ("x",), TIME[:, None], exact={"mode": ["on"] * TIME.size})
-    assert compare_runs(Ran(Path("a"), "a", text), ran("b", x=TIME), 0.0).only_a == ("mode",)
+    assert compare_runs(RecordedRun(Path("a"), "a", text), ran("b", x=TIME), 0.0).only_a == ("mode",)
 
 
 def test_a_run_that_begins_late_is_not_the_same_whichever_stands_first() -> None:
@@ -124,9 +126,9 @@ def test_units_of_one_dimension_are_converted_and_those_of_two_are_told_by_name(
 
 
 def test_text_at_other_times_is_that_of_the_row_before() -> None:
-    def mode(name: str, time: np.ndarray, since: float) -> Ran:
+    def mode(name: str, time: np.ndarray, since: float) -> RecordedRun:
         said = ["on" if t >= since else "off" for t in time]
-        return Ran(Path(name), name, Results(time, ("x",), time[:, None], exact={"mode": said}))
+        return RecordedRun(Path(name), name, Results(time, ("x",), time[:, None], exact={"mode": said}))
 
     fine = np.linspace(0, 1, 1001)
     assert compare_runs(mode("a", TIME, 0.5), mode("b", fine, 0.5), 1e-9).same
@@ -273,8 +275,10 @@ def test_rows_between_those_of_the_other_are_held_against_what_these_span(
 
 
 def test_text_between_rows_may_change_a_row_early_and_say_nothing_else() -> None:
-    def said(name: str, time: list[float], words: list[str]) -> Ran:
-        return Ran(Path(name), name, Results(np.array(time), (), np.zeros((len(time), 0)), {}, exact={"s": words}))
+    def said(name: str, time: list[float], words: list[str]) -> RecordedRun:
+        return RecordedRun(
+            Path(name), name, Results(np.array(time), (), np.zeros((len(time), 0)), {}, exact={"s": words})
+        )
 
     a = said("a", [0.0, 1.0, 2.0], ["x", "x", "y"])
     assert compare_runs(a, said("b", [0.0, 1.0, 1.5, 2.0], ["x", "x", "y", "y"]), 0.0).same
@@ -310,8 +314,8 @@ def test_without_a_tolerance_the_same_is_what_is_equal_and_nothing_is_beyond() -
     assert (other.same, other.beyond, other.reasons) == (False, [], ["1 signal differs"])
     assert other.as_json()["within"] is None
 
-    def said(word: str) -> Ran:
-        return Ran(Path(word), word, Results(COARSE, (), np.zeros((3, 0)), {}, exact={"s": [word] * 3}))
+    def said(word: str) -> RecordedRun:
+        return RecordedRun(Path(word), word, Results(COARSE, (), np.zeros((3, 0)), {}, exact={"s": [word] * 3}))
 
     found = compare_runs(said("x"), said("y"))
     assert (found.same, found.beyond) == (False, [])

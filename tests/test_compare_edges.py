@@ -18,7 +18,7 @@ from cosim.comparison.intermediate_rows import rows_between
 from cosim.comparison.signal_panels import panels_of
 from cosim.comparison.signals import common_rows, time_tolerance
 from cosim.comparison.workflow import compare, context
-from cosim.simulation.run_files import Ran
+from cosim.simulation.run_files import RecordedRun
 from cosim.storage.results import Results
 
 TIME = np.linspace(0.0, 1.0, 101)
@@ -27,14 +27,14 @@ EPS = float(np.finfo(float).eps)
 
 def ran(
     name: str, time: Array = TIME, /, text: Any = None, units: Any = None, criteria: Any = (), **signals: Any
-) -> Ran:
+) -> RecordedRun:
     table = (
         np.column_stack([np.broadcast_to(v, time.shape) for v in signals.values()])
         if signals
         else np.zeros((time.size, 0))
     )
     results = Results(time, tuple(signals), table, units or {}, exact=text or {})
-    return Ran(Path(name), name, results, {"criteria": list(criteria)})
+    return RecordedRun(Path(name), name, results, {"criteria": list(criteria)})
 
 
 def held(a: Any, b: Any, tolerance: float | None = None, absolute: float = 0.0) -> Compared:
@@ -306,7 +306,7 @@ def test_panels_show_both_runs_in_the_unit_that_people_read_and_how_far_b_is_fro
 def test_criteria_of_a_run_are_those_of_a_manifest_that_holds_some() -> None:
     results = ran("a", x=TIME).results
     for manifest, count in (({}, 0), ({"criteria": "none"}, 0), ({"criteria": [CRITERION, "torn", None]}, 1)):
-        assert len(Ran(Path("a"), "a", results, manifest).criteria) == count
+        assert len(RecordedRun(Path("a"), "a", results, manifest).criteria) == count
 
 
 def test_a_plot_is_of_the_signals_that_are_named_or_of_the_four_most_different() -> None:

@@ -15,9 +15,16 @@ from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 from controller.extended import STATES
-from controller.monte_carlo import CASES, MANOEUVRE, Case, references, squares_of
+from controller.monte_carlo import CASES, MANOEUVRE, FlightCase, references, squares_of
 from cosim.base.errors import InputError
-from cosim.estimators.consistency import Consistency, Row, by_case, consistency_of, headline, independent_times
+from cosim.estimators.consistency import (
+    Consistency,
+    ConsistencyRow,
+    by_case,
+    consistency_of,
+    headline,
+    independent_times,
+)
 from cosim.estimators.report import page
 from cosim.estimators.workflow import consistency
 from cosim.model import Stepper
@@ -126,14 +133,14 @@ def test_a_filter_of_another_system_is_judged_by_what_it_is_told(q_told: float, 
     assert [c.verdict for c in level(q_told, r_told)] == [verdict, verdict]
 
 
-def judged(case: Case, runs: int, steps: int) -> dict[str, Consistency]:
+def judged(case: FlightCase, runs: int, steps: int) -> dict[str, Consistency]:
     found = squares_of(case, runs, steps, np.random.default_rng(5))
     return {name: consistency_of(v, n, white=name != "NEES") for name, (v, n, _) in found.items()}
 
 
 @pytest.mark.parametrize("fixes", [False, True])
 def test_consistent_on_the_linear_model_disturbed_with_v_is_within_the_95_percent_region(fixes: bool) -> None:
-    found = judged(Case("", "linear", "consistent", fixes), 30, 200)
+    found = judged(FlightCase("", "linear", "consistent", fixes), 30, 200)
     assert {name: c.verdict for name, c in found.items()} == dict.fromkeys(found, "consistent")
     assert len(found) == 2 + fixes
 
@@ -141,16 +148,16 @@ def test_consistent_on_the_linear_model_disturbed_with_v_is_within_the_95_percen
 @pytest.mark.thorough
 @pytest.mark.parametrize("fixes", [False, True])
 def test_the_extended_filter_on_the_plant_disturbed_with_its_q_is_within_the_95_percent_region(fixes: bool) -> None:
-    found = judged(Case("", "disturbed", "extended", fixes), 15, 120)
+    found = judged(FlightCase("", "disturbed", "extended", fixes), 15, 120)
     assert {name: c.verdict for name, c in found.items()} == dict.fromkeys(found, "consistent")
     assert found["NEES"].degrees == 12
 
 
 def test_elsewhere_it_is_said_which_way_an_estimator_is_wrong() -> None:
-    memoryless = judged(Case("", "linear", "appendix_f"), 15, 200)
+    memoryless = judged(FlightCase("", "linear", "appendix_f"), 15, 200)
     assert memoryless["NEES"].verdict == memoryless["NIS"].verdict == "optimistic"
     # the plant has no disturbances at all, so with V of eq 5.47 errors are smaller than what is believed
-    undisturbed = judged(Case("", "plant", "consistent"), 15, 200)
+    undisturbed = judged(FlightCase("", "plant", "consistent"), 15, 200)
     assert undisturbed["NEES"].verdict == undisturbed["NIS"].verdict == "pessimistic"
 
 
@@ -201,9 +208,9 @@ def test_the_filter_of_appendix_f_is_off_by_far_more_in_the_manoeuvre_than_on_th
     assert manoeuvre.verdict.startswith("optimistic")
 
 
-def row(case: str, flight: str, of: str, scale: float) -> Row:
+def row(case: str, flight: str, of: str, scale: float) -> ConsistencyRow:
     squares = scale * np.random.default_rng(1).chisquare(3, (50, 400))
-    return Row(case, flight, "up and down", of, consistency_of(squares, 3, white=True), np.arange(400.0))
+    return ConsistencyRow(case, flight, "up and down", of, consistency_of(squares, 3, white=True), np.arange(400.0))
 
 
 def test_the_headline_counts_cases_and_names_the_worst_with_its_flight() -> None:

@@ -18,7 +18,7 @@ from controller.extended import ExtendedFilter
 from controller.full_model import INPUTS, STATES, full_model
 from controller.gains import Settings
 from controller.horizon import NAMES, PREDICTED, Condensed, Program, condensed, predicted, steady, weights
-from controller.laws import IntegralFeedback, Seen
+from controller.laws import IntegralFeedback, LawInput
 from controller.loop import Loop
 from controller.placement import POLES, check_controllable, placed_gain
 from controller.predictive import PredictiveLaw
@@ -45,7 +45,7 @@ STEP = 0.02
 MPC = PredictiveSettings()
 LTV = TimeVariantSettings()
 RECIPES = {"pole": poles_recipe, "lqi": integral_recipe, "mpc": predictive_recipe, "ltv-mpc": time_variant_recipe}
-REST = Seen(0.0, 0.0)
+REST = LawInput(0.0, 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -132,7 +132,7 @@ def test_an_integral_without_weight_is_refused(weights_of: tuple[float, float]) 
 
 def test_integrals_stand_still_while_a_tilt_is_saturated() -> None:
     law = IntegralFeedback(integral_settings())
-    far = Seen(5.0, 0.0, started=True)
+    far = LawInput(5.0, 0.0, started=True)
     assert law.command([0.0] * 5, far) == (law.limit, law.limit)
     assert law.integrals == (0.0, 0.0)
     near = far._replace(x_ref=0.01)
@@ -205,7 +205,7 @@ def test_prediction_without_limits_is_a_regulator_of_the_discrete_riccati_equati
 def test_commands_keep_their_limits_wherever_the_craft_is() -> None:
     rng, law, p = np.random.default_rng(6), PredictiveLaw(MPC), MPC
     for k in range(60):
-        seen = Seen(*rng.normal(size=3), x_meas=0.0, y_meas=float(rng.normal()), fix=k // 5, started=True)
+        seen = LawInput(*rng.normal(size=3), x_meas=0.0, y_meas=float(rng.normal()), fix=k // 5, started=True)
         tilts = law.command(rng.normal(size=5).tolist(), seen)
         assert max(map(abs, tilts)) <= p.tilt_max
         assert p.duty_min <= min(law.duties) <= max(law.duties) <= p.duty_max
@@ -241,10 +241,10 @@ def test_how_often_the_solver_gave_up_is_a_warning_of_the_run_and_part_of_the_st
 def test_a_limit_of_speed_is_kept_where_it_can_be_and_given_up_where_it_cannot() -> None:
     limited = PredictiveLaw(replace(MPC, speed_max=0.2))
     # beyond the limit from the start: there is no solution without slack, yet a command, and it brakes
-    tilts = limited.command([0.0, 0.6, 0.0, 0.0, 0.0], Seen(2.0, 0.0))
+    tilts = limited.command([0.0, 0.6, 0.0, 0.0, 0.0], LawInput(2.0, 0.0))
     assert limited.solved
     assert sum(tilts) == pytest.approx(-2 * MPC.tilt_max, abs=1e-3)
-    assert sum(PredictiveLaw(MPC).command([0.0, 0.6, 0.0, 0.0, 0.0], Seen(2.0, 0.0))) > 0
+    assert sum(PredictiveLaw(MPC).command([0.0, 0.6, 0.0, 0.0, 0.0], LawInput(2.0, 0.0))) > 0
 
 
 def test_what_is_restored_goes_on_bit_for_bit() -> None:
@@ -303,9 +303,9 @@ def planned(x_ref: float, psi_ref: float, y_ref: float = 0.0, times: int = 4) ->
     law = time_variant(LTV)
     law.estimator(LTV, [0.0] * 5, 0.0)
     for _ in range(times):
-        law.command([], Seen(x_ref, psi_ref, y_ref))
+        law.command([], LawInput(x_ref, psi_ref, y_ref))
         law.path[1:], law.plan[1:] = law.path[:-1].copy(), law.plan[:-1].copy()  # no time passes
-    law.command([], Seen(x_ref, psi_ref, y_ref))
+    law.command([], LawInput(x_ref, psi_ref, y_ref))
     return law
 
 

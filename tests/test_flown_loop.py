@@ -15,7 +15,7 @@ from controller.designer import DESIGNER
 from controller.gains import ESTIMATORS, Settings
 from controller.laws import IntegralFeedback, StateFeedback
 from controller.placement import POLES, placed_gain
-from controller.stability import MIN_DAMPING, FlownLoop, Mode, swing_ratio, worst_modes
+from controller.stability import MIN_DAMPING, FlownLoop, LoopMode, swing_ratio, worst_modes
 from controller.synthesis import integral_gain, lqr_gain
 from controller.variants import GAINS, INTEGRALS, FullSettings, integral_settings, mirrored
 from cosim.base.errors import InputError
@@ -30,7 +30,7 @@ BY_POLES = ["components.controller.fmu=../build/controller-pole.fmu"]
 FAST = (-2.0, -4.0, -11.0, -15.0, -16.0)  # stable on eqs 5.33/5.34, not where the turn lags
 
 
-def slowest(K: Any, K_i: Any = None, *, axis: str, estimator: str = "appendix_f") -> Mode:
+def slowest(K: Any, K_i: Any = None, *, axis: str, estimator: str = "appendix_f") -> LoopMode:
     p = FullSettings(estimator=estimator)
     return next(mode for mode in FlownLoop(p, p).modes(K, K_i) if mode.axis == axis and mode.pole.imag >= 0)
 

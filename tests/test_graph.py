@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import pytest
 
 from cosim.authoring.graph import graph_of
-from cosim.report.diagram import Box, Port, Wire, diagram
+from cosim.report.diagram import Box, DiagramPort, Wire, diagram
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.system.system import build_system
 from cosim.verbs.run_verb import run
@@ -84,7 +84,7 @@ def test_a_file_that_is_no_scenario_or_picture_is_told(scenario: Path, tmp_path:
 
 
 def test_lines_lie_in_lanes_and_slots_of_their_own() -> None:
-    ports = tuple(Port(f"p{k}") for k in range(3))
+    ports = tuple(DiagramPort(f"p{k}") for k in range(3))
     boxes = [Box(name, "", ports, ports) for name in "abc"]
     wires = [Wire((i, k), (j, k), False, "") for i, j in ((0, 1), (0, 2), (2, 0)) for k in range(3)]
     svg = diagram(boxes, wires, "three")

@@ -2,20 +2,33 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import pickle
 import re
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from cosim.base.errors import Fault, InputError, SimulationError
-from cosim.base.messages import Template, code_of
+from cosim.base.errors import (
+    CosimError,
+    Fault,
+    InputError,
+    NotExecuted,
+    SimulationError,
+    SweepStopped,
+    Terminated,
+)
+from cosim.base.messages import Message, Template, code_of
+from cosim.blocks.component import EarlyEnd
 from tests.conftest import ROOT
-from tests.messages import PACKAGES, bare, message_modules, page, templates
+from tests.messages import PACKAGES, bare, bare_calls, message_modules, page, templates
 from tests.users import cosim
 
 MADE = Template("E-TST-001", "is {value:.1f} s; the largest is {most:g} s")
+MESSAGE = MADE(value=2.25, most=1.0)
 
 
 def test_a_message_keeps_code_and_fields_through_exceptions_pickles_and_prefixes() -> None:
@@ -29,12 +42,45 @@ def test_a_message_keeps_code_and_fields_through_exceptions_pickles_and_prefixes
     assert error.faults[0].code == "E-TST-001"
 
 
+def all_errors() -> Iterator[BaseException]:
+    """One error of every class of the tree."""
+    texts, stops = [CosimError], [SimulationError]
+    yield from (InputError([Fault(Path("b"), 1, 2, MESSAGE), Fault(Path("a"), 0, 0, MESSAGE, 3)]), InputError([]))
+    yield from (NotExecuted(Path("a.py")), Terminated("SIGHUP"), EarlyEnd("a", 1.5, MESSAGE, readable=True))
+    while texts:
+        kind = texts.pop()
+        texts += [k for k in kind.__subclasses__() if k not in {InputError, NotExecuted, SimulationError}]
+        yield kind(MESSAGE)
+    while stops:
+        kind = stops.pop()
+        stops += [k for k in kind.__subclasses__() if k.__module__ == "cosim.base.errors"]
+        yield kind("a", 0.5, MESSAGE)
+
+
+@pytest.mark.parametrize("error", [*all_errors()], ids=lambda error: type(error).__name__)
+def test_every_error_survives_a_pickle_with_code_and_fields(error: BaseException) -> None:
+    if isinstance(error, SimulationError):
+        error.left = Path("results")
+    if isinstance(error, SweepStopped):
+        error.exit_code = 4  # ended by a signal
+    again = pickle.loads(pickle.dumps(error))
+    assert type(again) is type(error)
+    assert (str(again), again.args, vars(again)) == (str(error), error.args, vars(error))
+    assert code_of(again) == code_of(error) == getattr(error, "code", "E-BAS-002")
+    if isinstance(error.args[0], Message):
+        assert again.args[0].fields == error.args[0].fields
+    if not isinstance(error, InputError) or error.faults:
+        assert code_of(error)
+        assert again.exit_code == error.exit_code  # type: ignore[attr-defined]
+
+
 def test_codes_are_unique_and_well_formed_and_every_template_is_used() -> None:
     every = [(m.__name__, name, t) for m in message_modules() for name, t in templates(m).items()]
     codes = [t.code for _, _, t in every]
     assert [code for code in codes if codes.count(code) > 1 or not re.fullmatch(r"[EWN]-[A-Z]{3}-\d{3}", code)] == []
     text = "\n".join(p.read_text(encoding="utf-8") for package in PACKAGES for p in (ROOT / package).rglob("*.py"))
-    assert [f"{m}.{name}" for m, name, _ in every if len(re.findall(rf"\b{name}\b", text)) < 2] == []
+    uses = Counter(re.findall(r"\w+", text))
+    assert [f"{m}.{name}" for m, name, _ in every if uses[name] < 2] == []
 
 
 def test_the_page_of_messages_is_made_from_the_templates() -> None:
@@ -45,6 +91,49 @@ def test_the_page_of_messages_is_made_from_the_templates() -> None:
 @pytest.mark.parametrize("package", PACKAGES)
 def test_no_text_without_a_code_becomes_a_message(package: str) -> None:
     assert list(bare(ROOT / package)) == []
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "raise CriterionMissed('; '.join(reasons))",
+        "failed_run(0, f'ended at {t}', 0, way)",
+        "def f(late):\n    reason = f'it ended at {late}'\n    return failed_run(0, reason, 0, 'fmus')",
+        "raise SweepFailed('no run was completed')",
+    ],
+)
+def test_a_text_that_loses_its_code_is_noticed(text: str) -> None:
+    assert len(bare_calls(ast.parse(text))) == 1
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "raise CriterionMissed(join('; ', reasons))",
+        "def f(t):\n    reason = messages.ENDED(of=f'a {t}')\n    return failed_run(0, reason, 0, 'fmus')",
+        "raise SweepFailed(messages.NO_RUN.around(error, runs=', '.join(runs)))",
+    ],
+)
+def test_a_text_that_keeps_its_code_is_no_finding(text: str) -> None:
+    assert bare_calls(ast.parse(text)) == []
+
+
+@pytest.mark.parametrize("line", [("run",), ("run", "a", "--none"), ("none",), ("run", "a", "--seed", "x")])
+def test_a_wrong_command_line_has_a_code(line: tuple[str, ...]) -> None:
+    for option in ((), ("-v",)):
+        answer = cosim(*line, *option)
+        assert answer.returncode == 2
+        assert answer.stderr.rstrip().endswith(" [E-CLI-018]") == bool(option)
+    answer = json.loads(cosim(*line, "--json").stdout)
+    assert (answer["code"], answer["exit_code"], answer["faults"]) == ("E-CLI-018", 2, [])
+
+
+def test_a_missed_tolerance_has_the_code_of_its_first_reason(tmp_path: Path) -> None:
+    for name, value in (("a", 1), ("b", 2)):
+        (tmp_path / f"{name}.csv").write_text(f"time,x,y{name}\n0,0,0\n1,{value},0\n")
+    answer = cosim("compare", tmp_path / "a.csv", tmp_path / "b.csv", "--tol", "0.1", "-v", "--out", tmp_path / "out")
+    assert answer.returncode == 5
+    assert answer.stderr.strip().endswith("missing in " + f"{tmp_path / 'b.csv'}: ya [E-CMP-009]")
 
 
 def test_the_code_is_shown_with_v_and_in_json(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from cosim.base.errors import Fault, InputError
 from cosim.blocks.fmu import read_description
 from cosim.loading.declared import make_model
 from cosim.loading.file import load_model, own_model, read_model
-from cosim.loading.source import Source
+from cosim.loading.source import ModelText
 from cosim.model import Model
 from cosim.simulation.trial import check_fmu
 from cosim.storage.yaml_file import YamlFile
@@ -276,7 +276,7 @@ def test_a_model_may_have_neither_title_nor_catalogue(tmp_path: Path) -> None:
 
 
 def test_the_models_of_this_project_have_no_fault() -> None:
-    make_model(Hovercraft, Source(ROOT / "plant" / "hovercraft.py"))
+    make_model(Hovercraft, ModelText(ROOT / "plant" / "hovercraft.py"))
     own_model("drive.py:Drive", ROOT / "examples" / "drive")
 
 

@@ -10,7 +10,7 @@ from fmpy.validation import validate_fmu
 
 from cosim.base.errors import InputError
 from cosim.fmi.native.check import Check
-from cosim.fmi.native.printing import Printer
+from cosim.fmi.native.printing import ModelPrinter
 from cosim.fmi.ports import model_ports
 from cosim.kernel.backend import kernel
 from cosim.loading.build import build
@@ -172,7 +172,7 @@ def test_names_that_are_not_structured_are_said_to_be_flat(tmp_path: Path) -> No
 @pytest.mark.parametrize("name", ["", "tanks.py:Tanks", "quarter_car.py:QuarterCar", "drive_train.py:DriveTrain"])
 def test_what_is_printed_says_what_the_python_says(name: str) -> None:
     model: Model = load_model(str(PLANTS / name), Path()).model if name else Hovercraft()
-    Check(model, Printer(model, model_ports(model))).run()
+    Check(model, ModelPrinter(model, model_ports(model))).run()
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from cosim.fmi.state import MEMORY, STATE
 from cosim.logs.log import Log
 from cosim.model.planar import PlanarFrame
 from cosim.residuals import starts
-from cosim.residuals.drive import Drive, Steps, as_columns
+from cosim.residuals.drive import Drive, DriveSteps, as_columns
 from cosim.residuals.starts import (
     StartParameter,
     first_start,
@@ -333,7 +333,7 @@ def test_steps_are_as_logged_and_over_a_hole_about_as_long_as_the_others() -> No
     assert steps.reads == [True, False, True, True, False, False, False, True, True]
     assert steps.reached == pytest.approx(time)
     assert drive_of(time)._steps(2, 4).rows == [2, 3, 3, 3, 3]
-    assert drive_of(time)._steps(3, 3) == Steps([], [], [], [], [0.36])
+    assert drive_of(time)._steps(3, 3) == DriveSteps([], [], [], [], [0.36])
 
 
 def test_the_rounding_of_printed_times_is_no_jitter() -> None:
@@ -361,7 +361,7 @@ def test_an_input_that_is_interpolated_is_the_mean_of_each_step_and_any_other_is
     middle = np.array(steps.times) + 0.5 * np.array(steps.lengths)
     np.testing.assert_allclose(commands[:, 0], 10.0 * middle)
     np.testing.assert_allclose(commands[:, 1], -drive.log.time[steps.rows])
-    last = Steps([0.3], [0.1], [2], [True], [])
+    last = DriveSteps([0.3], [0.1], [2], [True], [])
     assert drive._puts(last, 2) == [[pytest.approx(3.0), pytest.approx(-0.3)]]  # of the last row: held
 
 

@@ -36,7 +36,7 @@ from cosim.sweeps.run_chunks import RunResult, make_runs
 from cosim.sweeps.run_statistics import sensitivity, share_interval
 from cosim.sweeps.sampling import Factor, columns_of, distribution
 from cosim.sweeps.store import DATABASE, TABLE, Database, read_table, signal_of
-from cosim.sweeps.sweep_result import repeat_command
+from cosim.sweeps.sweep_result import Swept, repeat_command
 from cosim.sweeps.workflow import EQUAL, sweep
 from cosim.verbs.cli import app
 from tests.tank import MODEL
@@ -222,6 +222,7 @@ def test_a_run_that_crashes_its_process_fails_alone(tmp_path: Path) -> None:
     (failure,) = study.record["failures"]
     assert failure["run"] == 1
     assert failure["why"].startswith("tank at t = 0 s: fmi2DoStep crashed: abort")
+    assert failure["code"].startswith("E-ISO-")
     assert "Run 1:" in (study.folder / "report.html").read_text()
 
 
@@ -229,8 +230,30 @@ def test_a_sweep_of_which_no_run_ends_is_a_failure(tanks: Callable[..., Path]) -
     path = tanks("scenario: tanks.yaml\nset: {duration: 5}\nvary: {tank.draw.flow: {values: [1.0e-1, -1.0e-1]}}\n")
     text = (path.parent / "tanks.yaml").read_text()
     (path.parent / "tanks.yaml").write_text(text.replace("factor: 0.01,", "factor: 1.0e+308, offset: 1.0e+308,"))
-    with pytest.raises(SweepFailed, match="all 2 runs failed; run 0: "):
-        sweep(path, path.parent / "out", in_process=True, report=False)
+    for _ in range(2):  # the second time from sweep.json
+        with pytest.raises(SweepFailed, match="all 2 runs failed; run 0: ") as failed:
+            sweep(path, path.parent / "out", in_process=True, report=False)
+        assert failed.value.code == "E-BLK-035"  # that of run 0
+
+
+@pytest.mark.parametrize(
+    ("check", "code"),
+    [
+        ({"agrees": True, "apart": 0.0}, "N-SWP-041"),
+        ({"agrees": False, "apart": 1.0}, "W-SWP-038"),
+        ({"apart": 1e-12}, "N-SWP-041"),
+        ({"apart": 1e-3}, "W-SWP-038"),
+        ({"apart": None}, "W-SWP-038"),  # infinite
+        ({}, "W-SWP-045"),
+    ],
+)
+def test_a_record_without_a_verdict_is_judged_by_its_difference_or_not_compared(
+    tanks: Callable[..., Path], check: dict[str, object], code: str
+) -> None:
+    record = {"way": "arrays", "through_fmus": 0, "runs": 1, "check": {"sentence": "compared", **check}}
+    swept = Swept(read_sweep(tanks()), Path("out"), record, 1)
+    assert swept.check.code == code
+    assert (swept.check == "compared") == (code != "W-SWP-045")
 
 
 # -- kept and gone on with ---------------------------------------------------------------------------

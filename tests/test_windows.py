@@ -25,7 +25,7 @@ from cosim.residuals.against import delay, delays, scales
 from cosim.residuals.compare import ChannelSummary
 from cosim.residuals.comparison_data import as_json
 from cosim.residuals.drive import rows_of
-from cosim.residuals.floor import Floor, draws
+from cosim.residuals.floor import ChannelFloor, draws
 from cosim.residuals.lags import every_lag, lag_drawing, neighbours
 from cosim.residuals.replay_sentences import horizon_name, input_words, quality, verdict, whiteness_words
 from cosim.residuals.residual_statistics import (
@@ -326,7 +326,7 @@ def channel(
     )
     inputs = more.get("inputs", ())
     white = more.get("whiteness", Whiteness(np.array([1.0, 0.3]), 0.1, 0.5))
-    return ChannelSummary(name, "m", 2.0, 0.1, Floor(noise, limit, astray), scores, white, inputs)
+    return ChannelSummary(name, "m", 2.0, 0.1, ChannelFloor(noise, limit, astray), scores, white, inputs)
 
 
 def comparison(*channels: ChannelSummary, findings: Any = ()) -> Any:

@@ -13,7 +13,7 @@ import numpy as np
 from cosim.authoring import messages
 from cosim.authoring.draft_text import BY, is_edited, scenario_text, seal
 from cosim.authoring.matching import Match, Matches, Port, match_ports, text
-from cosim.authoring.parts import SLACK, STEPS, STOP, Part, RequestedTimes, parts_of, times_of
+from cosim.authoring.parts import SLACK, STEPS, STOP, DraftPart, RequestedTimes, parts_of, times_of
 from cosim.base.drafts import draft_of
 from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.units import computed_in
@@ -95,7 +95,7 @@ def _read_earlier(path: Path) -> str:
 
 
 def _choose_times(
-    part: Part, recording: Recording | None, stop: float | None, step: float | None
+    part: DraftPart, recording: DraftRecording | None, stop: float | None, step: float | None
 ) -> tuple[RequestedTimes, tuple[str, ...]]:
     """Return the requested times of a run and notes. A recording is played from its first row to its last."""
     declared = experiment_of(part.description).get("start")
@@ -124,7 +124,7 @@ def _check_end(source: Path, start: float | None, end: float | None) -> None:
 
 
 @dataclass(frozen=True)
-class Recording:
+class DraftRecording:
     """A recording that drives the inputs of an FMU.
 
     It has a start, an end and a step [s], the connections of its columns to inputs, and notes on unused columns.
@@ -138,7 +138,7 @@ class Recording:
     notes: tuple[str, ...]
 
 
-def _read_recording(path: Path, part: Part) -> Recording:
+def _read_recording(path: Path, part: DraftPart) -> DraftRecording:
     check_given(path, LOG)
     inputs = {text(port).partition(".")[2]: port for port in part.ports[0]}
     log = read_columns(path, inputs)
@@ -151,10 +151,10 @@ def _read_recording(path: Path, part: Part) -> Recording:
     notes = (messages.UNUSED_COLUMNS(recording=path.name, component=part.name, columns=unused),) if unused else ()
     time = log["time"]
     usual_step = float(f"{np.median(np.diff(time)) if time.size > 1 else STOP / STEPS:.6g}")
-    return Recording(path, float(time[0]), float(time[-1]), usual_step, Matches(connections, ()), notes)
+    return DraftRecording(path, float(time[0]), float(time[-1]), usual_step, Matches(connections, ()), notes)
 
 
-def _driving_columns(path: Path, part: Part, columns: Sequence[str], inputs: Collection[str]) -> list[str]:
+def _driving_columns(path: Path, part: DraftPart, columns: Sequence[str], inputs: Collection[str]) -> list[str]:
     """Return the columns that are inputs; raise InputError without any, or if one has a start value."""
     driving = [name for name in columns if name in inputs]
     if not driving:
@@ -211,7 +211,7 @@ def _write_sound(path: Path, lines: str, fmu: Path) -> System:
         raise InputError([Fault(fmu, 0, 0, f.message, f.exit_code) for f in error.faults]) from None
 
 
-def _platform_warnings(parts: Sequence[Part]) -> Iterator[str]:
+def _platform_warnings(parts: Sequence[DraftPart]) -> Iterator[str]:
     """Yield a warning for each FMU without a library for this machine."""
     for part in parts:
         here, there = platform_of(part.description), platforms_of(part.path)
@@ -219,7 +219,7 @@ def _platform_warnings(parts: Sequence[Part]) -> Iterator[str]:
             yield messages.OTHER_PLATFORM(component=part.name, reason=no_library(here, there))
 
 
-def _drop_loops(parts: Sequence[Part], matches: Matches) -> Matches:
+def _drop_loops(parts: Sequence[DraftPart], matches: Matches) -> Matches:
     """Remove guessed connections that close an algebraic loop."""
     every = matches.connections
     connections = [m for m in every if not m.guess]
@@ -231,7 +231,7 @@ def _drop_loops(parts: Sequence[Part], matches: Matches) -> Matches:
     return Matches(tuple(m for m in every if m in connections), (*matches.unconnected, *dropped), matches.choices)
 
 
-def _algorithm(parts: Sequence[Part], matches: Sequence[Match]) -> Algorithm:
+def _algorithm(parts: Sequence[DraftPart], matches: Sequence[Match]) -> Algorithm:
     """Return the default coupling algorithm; for an algebraic loop, the algorithm without stepping order."""
     blocks = {part.name: part.block for part in parts}
     edges = [(m.source[0], m.target[0], m.target[1].name, m.source[1].name) for m in matches]

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.authoring.matching import Match, Matches, text
-from cosim.authoring.parts import Part, Times
+from cosim.authoring.parts import DraftPart, Times
 from cosim.base.text import counted
 from cosim.blocks.description import unit_of
 from cosim.coupling.algorithms import DEFAULT, Algorithm
@@ -26,7 +26,7 @@ NOT_TEXT = {"true", "false", "yes", "no", "on", "off", "null", "y", "n"}  # YAML
 
 def scenario_text(
     folder: Path,
-    parts: Sequence[Part],
+    parts: Sequence[DraftPart],
     matches: Matches,
     times: Times,
     algorithm: Algorithm,
@@ -90,7 +90,7 @@ def _whole(value: float) -> str:
     return short if float(short := f"{value:.12g}") == value else repr(float(value))
 
 
-def _component(folder: Path, part: Part, times: Times) -> Iterator[str]:
+def _component(folder: Path, part: DraftPart, times: Times) -> Iterator[str]:
     d = part.description
     about = f"{d.modelName}, FMI {d.fmiVersion}" + (f", by {d.generationTool}" if d.generationTool else "")
     yield f"  {part.name}: # {_comment(about)}"
@@ -141,7 +141,7 @@ def _why(m: Match) -> str:
     return _comment("; ".join(parts))
 
 
-def _more(parts: Sequence[Part]) -> list[str]:
+def _more(parts: Sequence[DraftPart]) -> list[str]:
     first = next((text(o) for part in parts for o in part.ports[1] if o[1].kind in ("Real", "Float64")), None)
     if first is None:
         return []

@@ -17,7 +17,7 @@ from cosim.blocks.description import enumeration_items, unit_definition, ways
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.profile import Profile, profile_function
 from cosim.coupling.algorithms import algorithms
-from cosim.fmi.native.signal_source import Change, CompilerFailed, NoCompiler, TimeSignal, build_source
+from cosim.fmi.native.signal_source import CompilerFailed, NoCompiler, SignalChange, TimeSignal, build_source
 from cosim.scenario.controller_design import designed_values
 from cosim.scenario.nearest_models import take_nearest
 from cosim.scenario.scenario import Connection, FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent
@@ -26,7 +26,7 @@ from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import IMPORTERS
 from cosim.ssp.notes import BASE_UNITS
 from cosim.ssp.structure import Units
-from cosim.ssp.write import Model, Port, Value, Whole, write_ssp
+from cosim.ssp.write import SspConnector, SspFmu, Value, Whole, write_ssp
 from cosim.storage.files import FilePath, named_path
 from cosim.storage.table import read_columns
 from cosim.system.system import System, build_system
@@ -160,17 +160,17 @@ def _objections(file: ScenarioFile, system: System, connection: Connection) -> I
 # -- models ---------------------------------------------------------------------------------------
 
 
-def _model(file: ScenarioFile, name: str, system: System) -> Model:
+def _model(file: ScenarioFile, name: str, system: System) -> SspFmu:
     """Return an FMU's outputs, connected inputs, changed start values."""
     block = next(stage.component for stage in system.stages if stage.component.name == name)
     assert isinstance(block, FmuBlock)
     targets = {c.target for c in file.scenario.connections}
-    ports = [Port(s.name, "input", s.kind, s.unit) for s in block.inputs if f"{name}.{s.name}" in targets]
-    ports += [Port(s.name, "output", s.kind, s.unit) for s in block.outputs if s.kind in TYPES and not s.local]
+    ports = [SspConnector(s.name, "input", s.kind, s.unit) for s in block.inputs if f"{name}.{s.name}" in targets]
+    ports += [SspConnector(s.name, "output", s.kind, s.unit) for s in block.outputs if s.kind in TYPES and not s.local]
     variables = {v.name: v for v in block.description.modelVariables}
     values = {n: (variables[n], value) for n, value in block.start_values.items()}
     start = {n: _convert_value(*value) for n, value in values.items() if not _is_default(*value)}
-    return Model(name, block.path, ports, start)
+    return SspFmu(name, block.path, ports, start)
 
 
 def _is_default(variable: Any, value: Any) -> bool:
@@ -192,7 +192,7 @@ def _convert_value(variable: Any, value: Any) -> tuple[str, Value]:
     return variable.type, value
 
 
-def _source(file: ScenarioFile, name: str, component: ReferenceComponent | PlaybackComponent, folder: Path) -> Model:
+def _source(file: ScenarioFile, name: str, component: ReferenceComponent | PlaybackComponent, folder: Path) -> SspFmu:
     """Return a reference or recording as a C FMU."""
     if isinstance(component, ReferenceComponent):
         signals = {signal: _profile(profile) for signal, profile in component.signals.items()}
@@ -202,8 +202,8 @@ def _source(file: ScenarioFile, name: str, component: ReferenceComponent | Playb
     try:
         fmu = build_source(name, signals, folder / f"{name}.fmu", file.scenario.step, file.scenario.duration)
     except (NoCompiler, CompilerFailed) as error:
-        raise InputError([file.fault(("components", name), messages.NOT_COMPILED(reason=str(error)))]) from None
-    return Model(name, fmu, [Port(n, "output", "Real", s.unit) for n, s in signals.items()])
+        raise InputError([file.fault(("components", name), messages.NOT_COMPILED.around(error))]) from None
+    return SspFmu(name, fmu, [SspConnector(n, "output", "Real", s.unit) for n, s in signals.items()])
 
 
 def _profile(profile: Profile) -> TimeSignal:
@@ -212,7 +212,7 @@ def _profile(profile: Profile) -> TimeSignal:
     changes = []
     for k, change in enumerate(profile.changes):
         before = profile_function(profile.model_copy(update={"changes": profile.changes[:k]}))(change.at)
-        changes.append(Change(change.at, factor * before, factor * change.to, abs(factor) * (change.rate or 0.0)))
+        changes.append(SignalChange(change.at, factor * before, factor * change.to, abs(factor) * (change.rate or 0.0)))
     return TimeSignal(unit, factor * profile.start, changes)
 
 
@@ -224,12 +224,12 @@ def _recording_signals(path: Path, names: set[str]) -> dict[str, TimeSignal]:
     for column in (c for c in table.columns.values() if c.name in names):
         unit, factor = computed_in(column.heading.unit)
         values = [factor * v for v in table.values[column.name]]
-        changes = [Change(t, v, v) for t, v in zip(times, values, strict=True) if math.isfinite(v)]
+        changes = [SignalChange(t, v, v) for t, v in zip(times, values, strict=True) if math.isfinite(v)]
         signals[column.name] = TimeSignal(unit, values[0], changes)
     return signals
 
 
-def _units(system: System, models: list[Model]) -> Units:
+def _units(system: System, models: list[SspFmu]) -> Units:
     """Return the SI definition of each unit of the connectors: exponents of the base units, factor and offset."""
     units: dict[str, tuple[float, ...]] = {}
     for model in models:

@@ -85,7 +85,7 @@ CONVERTING_CONNECTION = Template(
     "the connection converts: {source} [{source_unit}] to {target} [{target_unit}]; not all importers of SSPs convert; "
     "let both ends have one unit, or an FMU between them convert",
 )
-NOT_COMPILED = Template("E-AUT-035", "becomes an FMU of C, which cannot be compiled: {reason}")
+NOT_COMPILED = Template("E-AUT-035", "becomes an FMU of C, which cannot be compiled: {error}")
 NOISE_OMITTED = Template("N-AUT-036", "noise is left out: SSP has no word for it")
 TOLERANCE_OMITTED = Template(
     "N-AUT-037", "tolerance is left out: importers take that of each FMU's default experiment, or none"

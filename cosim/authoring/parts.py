@@ -30,7 +30,7 @@ SLACK = 1e-9  # relative tolerance for a whole number of steps
 
 
 @dataclass(frozen=True)
-class Part:
+class DraftPart:
     """An FMU of a scenario draft: component name, description and start values."""
 
     name: str
@@ -119,18 +119,18 @@ def _identifier(text: str) -> str:
     return re.sub(r"[\W_]+", "_", "".join(c for c in plain if not unicodedata.combining(c)), flags=re.ASCII).strip("_")
 
 
-def parts_of(paths: Sequence[Path], start: Mapping[str, Any] | None = None) -> list[Part]:
+def parts_of(paths: Sequence[Path], start: Mapping[str, Any] | None = None) -> list[DraftPart]:
     """Return FMUs with unique component names; raise InputError with all faults."""
-    parts: list[Part] = []
+    parts: list[DraftPart] = []
     for path, description in zip(paths, read_fmus(paths), strict=True):
         stem = component_name(path.stem, description.modelName or "")
         names = {p.name for p in parts}
         name = next(n for n in (stem, *(f"{stem}_{k}" for k in range(2, 10_000))) if n not in names)
-        parts.append(Part(name, path, description, start or {}))
+        parts.append(DraftPart(name, path, description, start or {}))
     return parts
 
 
-def times_of(parts: Sequence[Part], request: RequestedTimes | None = None, *, most: int = MOST_STEPS) -> Times:
+def times_of(parts: Sequence[DraftPart], request: RequestedTimes | None = None, *, most: int = MOST_STEPS) -> Times:
     """Return start, duration and step of a run.
 
     A step that is requested or required by an FMU stays, and the end moves to a whole number of steps. Otherwise the
@@ -218,7 +218,7 @@ def _step(
     return _round(duration / STEPS), "no FMU says how fine; a guess"
 
 
-def _own_step(part: Part) -> float:
+def _own_step(part: DraftPart) -> float:
     """Return an FMU's required communication step [s], 0 for any."""
     parameter = sampled_by(part.path)
     if parameter is not None:

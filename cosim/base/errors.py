@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base import messages
-from cosim.base.messages import code_of, with_prefix
+from cosim.base.messages import code_of, join, with_prefix
 
 
 @dataclass(frozen=True, order=True)
@@ -38,7 +38,7 @@ class CosimError(Exception):
 
     @property
     def code(self) -> str:
-        """Return the code of the message; faults have their own."""
+        """Return the code of the message, of several faults that of the first."""
         return code_of(self)
 
 
@@ -47,7 +47,7 @@ class InputError(CosimError):
 
     def __init__(self, faults: Sequence[Fault]) -> None:
         self.faults = tuple(sorted(set(faults)))
-        super().__init__("\n".join(map(str, self.faults)))
+        super().__init__(join("\n", map(str, self.faults)))
 
     @classmethod
     def at(cls, file: Path, message: str, exit_code: int = 2) -> InputError:
@@ -55,12 +55,7 @@ class InputError(CosimError):
         return cls([Fault(file, 0, 0, message, exit_code)])
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.faults,)
-
-    @property
-    def code(self) -> str:
-        """Return the code of the first fault."""
-        return self.faults[0].code if self.faults else ""
+        return type(self), (self.faults,), self.__dict__
 
     @property
     def exit_code(self) -> int:  # type: ignore[override]
@@ -84,7 +79,7 @@ class NotExecuted(CosimError):
         super().__init__(messages.PYTHON_FILE(file=file))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.file,)
+        return type(self), (self.file,), self.__dict__
 
 
 class FmuError(CosimError):
@@ -110,15 +105,10 @@ class SimulationError(CosimError):
 
     def __init__(self, component: str, time: float, reason: str) -> None:
         self.component, self.time, self.reason = component, time, reason
-        super().__init__(f"{component} at t = {time:.6g} s: {reason}")
-
-    @property
-    def code(self) -> str:
-        """Return the code of the reason."""
-        return code_of(self.reason)
+        super().__init__(with_prefix(f"{component} at t = {time:.6g} s: ", reason))  # keeps the code of the reason
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.component, self.time, self.reason)
+        return type(self), (self.component, self.time, self.reason), self.__dict__
 
 
 class Crashed(SimulationError):
@@ -163,7 +153,11 @@ class Terminated(BaseException):
     exit_code = 4
 
     def __init__(self, signal: str = "SIGTERM") -> None:
+        self.signal = signal
         super().__init__(messages.END_BY_SIGNAL(signal=signal))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.signal,), self.__dict__
 
 
 def stop_error(stop: BaseException, now: float, subject: str = "the run") -> SimulationError:

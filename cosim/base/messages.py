@@ -6,7 +6,7 @@ N note), the room and a number, e.g. E-SCN-012. Codes never change their meaning
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, SupportsIndex
@@ -61,7 +61,7 @@ class Template:
 
     def around(self, error: object, **fields: Any) -> Message:
         """Return the message with an error in its field `error`; the code of the error is kept, if it has one."""
-        message = self(error=error, **fields)
+        message = self(error=str(error), **fields)  # errors themselves need not survive a pickle
         return Message(message, code_of(error) or self.code, message.fields)
 
 
@@ -70,6 +70,13 @@ def code_of(text: object) -> str:
     if isinstance(text, BaseException):
         text = text.args[0] if text.args else ""
     return getattr(text, "code", "")
+
+
+def join(separator: str, texts: Iterable[str]) -> Message:
+    """Return texts as one message, with code and fields of the first."""
+    every = [*texts]
+    first = next((text for text in every if isinstance(text, Message)), Message(""))
+    return Message(separator.join(every), first.code, first.fields)
 
 
 def with_prefix(prefix: str, text: str) -> str:
@@ -86,7 +93,7 @@ NO_MODEL = Template("E-BAS-005", 'no model "{name}" is installed; {cure}')
 REPEATED_NAME = Template("E-BAS-006", '"{name}" is registered by {owners}; uninstall one of them')
 BROKEN_OBJECT = Template("W-BAS-007", "{owner}: {place} cannot be loaded: {reason}")
 WRONG_ARGUMENT = Template("E-BAS-008", "is {value}; give {wanted}")
-WRONG_TIME = Template("E-BAS-009", "is {value}; {reason}")
+WRONG_TIME = Template("E-BAS-009", "is {value}; {error}")
 WRONG_SETTINGS = Template("E-BAS-010", "{value}: give {wanted}")
 WRONG_KEY = Template("E-BAS-011", "{key} is a key; a key is text")
 WRONG_TYPE = Template(

@@ -158,7 +158,7 @@ def _seconds(value: Any, lowest: float = -math.inf) -> float:
                 raise ValueError(allowed_quantity("s"))
             value = read_quantity(value, "s")
         except ValueError as error:
-            raise ValueError(messages.WRONG_TIME(value=_represent(value), reason=error)) from None
+            raise ValueError(messages.WRONG_TIME.around(error, value=_represent(value))) from None
     return _finite(value, lowest, above=math.isfinite(lowest))
 
 
@@ -233,7 +233,7 @@ def _same(value: Any) -> Any:
     return value
 
 
-class Kind(NamedTuple):
+class ArgumentKind(NamedTuple):
     """Accepted values of an annotation: a predicate, their conversion and their description."""
 
     accepts: Callable[[Any], bool]
@@ -244,33 +244,33 @@ class Kind(NamedTuple):
 SETTINGS = 'a mapping, {"name": value}, or a list of "name=value"'
 TIME = 'a number of seconds{}, or text with a unit such as "4 min"'
 KINDS = {  # by annotation
-    "None": Kind(_is(type(None)), _same, ""),
-    "bool": Kind(_is(bool), _same, "True or False"),
-    "int": Kind(_is(int), _integer, "a whole number"),
-    "Seed": Kind(_is(int), lambda value: _integer(value, 0), "a whole number from 0 on"),
-    "Count": Kind(_is(int), lambda value: _integer(value, 1), "a whole number from 1 on"),
-    "float": Kind(_is(int, float), _finite, "a number"),
-    "Positive": Kind(_is(int, float), lambda value: _finite(value, 0.0, above=True), "a number above 0"),
-    "NotNegative": Kind(_is(int, float), lambda value: _finite(value, 0.0), "a number from 0 on"),
-    "Seconds": Kind(_is(int, float, str), _seconds, TIME.format("")),
-    "PositiveSeconds": Kind(_is(int, float, str), lambda value: _seconds(value, 0.0), TIME.format(" above 0")),
-    "str": Kind(_is(str), _text, "text"),
-    "FilePath": Kind(_is(str, os.PathLike), _file, "the name of a file or folder"),
-    "ModelName": Kind(
+    "None": ArgumentKind(_is(type(None)), _same, ""),
+    "bool": ArgumentKind(_is(bool), _same, "True or False"),
+    "int": ArgumentKind(_is(int), _integer, "a whole number"),
+    "Seed": ArgumentKind(_is(int), lambda value: _integer(value, 0), "a whole number from 0 on"),
+    "Count": ArgumentKind(_is(int), lambda value: _integer(value, 1), "a whole number from 1 on"),
+    "float": ArgumentKind(_is(int, float), _finite, "a number"),
+    "Positive": ArgumentKind(_is(int, float), lambda value: _finite(value, 0.0, above=True), "a number above 0"),
+    "NotNegative": ArgumentKind(_is(int, float), lambda value: _finite(value, 0.0), "a number from 0 on"),
+    "Seconds": ArgumentKind(_is(int, float, str), _seconds, TIME.format("")),
+    "PositiveSeconds": ArgumentKind(_is(int, float, str), lambda value: _seconds(value, 0.0), TIME.format(" above 0")),
+    "str": ArgumentKind(_is(str), _text, "text"),
+    "FilePath": ArgumentKind(_is(str, os.PathLike), _file, "the name of a file or folder"),
+    "ModelName": ArgumentKind(
         _is(str, os.PathLike), lambda value: str(_file(value)), "the name of a model, a file or a folder"
     ),
-    "Sequence": Kind(_are_names, _names, "a list of names"),
-    "tuple": Kind(_are_names, _names, "a list of texts"),
-    "Files": Kind(_are(_is(str, os.PathLike)), _files, "a list of names of files"),
-    "Mapping": Kind(_is(Mapping), plain, "a mapping of names to values"),
-    "Given": Kind(lambda value: isinstance(value, Mapping) or _are_names(value), _settings, SETTINGS),
-    "Callable": Kind(callable, _same, "a function"),
-    "Progress": Kind(callable, _same, "a function"),
-    "Signals": Kind(_is_a("cosim.simulation.run_signals", "Signals"), _same, "a result of a function of cosim"),
-    "Subject": Kind(
+    "Sequence": ArgumentKind(_are_names, _names, "a list of names"),
+    "tuple": ArgumentKind(_are_names, _names, "a list of texts"),
+    "Files": ArgumentKind(_are(_is(str, os.PathLike)), _files, "a list of names of files"),
+    "Mapping": ArgumentKind(_is(Mapping), plain, "a mapping of names to values"),
+    "Given": ArgumentKind(lambda value: isinstance(value, Mapping) or _are_names(value), _settings, SETTINGS),
+    "Callable": ArgumentKind(callable, _same, "a function"),
+    "Progress": ArgumentKind(callable, _same, "a function"),
+    "Signals": ArgumentKind(_is_a("cosim.simulation.run_signals", "Signals"), _same, "a result of a function of cosim"),
+    "Subject": ArgumentKind(
         _is_a("cosim.subject.interface", "Subject"), _same, "an object of a subclass of cosim.subject.interface.Subject"
     ),
-    "Observers": Kind(
+    "Observers": ArgumentKind(
         _are(_is_a("cosim.master.observer", "Observer")),
         _same,
         "a list of objects of subclasses of cosim.master.observer.Observer",

@@ -51,7 +51,7 @@ def with_permission(allowed: bool, function: Callable[..., Answer], *arguments: 
 
 
 @dataclass(frozen=True)
-class Sources:
+class LibrarySources:
     """Sources of a library below the folder `sources` of an FMU.
 
     Attributes:
@@ -89,9 +89,9 @@ def compile_library(folder: Path, description: Any, identifier: str) -> Path:
         files = {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
         binary = library_of(files, last, command, [entry], libraries=libraries, limit=LIMIT).read_bytes()
     except NoCompiler as error:
-        raise FmuError(messages.NO_COMPILER(reason=str(error))) from None
+        raise FmuError(messages.NO_COMPILER.around(error)) from None
     except CompilerFailed as error:
-        raise FmuError(messages.COMPILER_ERROR(reason=str(error), output=_excerpt(error.output))) from None
+        raise FmuError(messages.COMPILER_ERROR.around(error, output=_excerpt(error.output))) from None
     library = library_file(folder, description, identifier)
     library.parent.mkdir(parents=True, exist_ok=True)
     draft = library.with_name(f".{library.name}.{os.getpid()}")
@@ -99,12 +99,12 @@ def compile_library(folder: Path, description: Any, identifier: str) -> Path:
     return draft.replace(library)
 
 
-def _sources_of(folder: Path, description: Any, identifier: str) -> Sources:
+def _sources_of(folder: Path, description: Any, identifier: str) -> LibrarySources:
     """Return the listed sources, else `all.c`, else all sources."""
     sources = _declared_sources(description, identifier)
     if sources is None:
         names = (p.name for p in folder.glob("*") if p.suffix.lower() in (*C, *CPP))
-        sources = Sources(("all.c",) if (folder / "all.c").is_file() else tuple(sorted(names)))
+        sources = LibrarySources(("all.c",) if (folder / "all.c").is_file() else tuple(sorted(names)))
     for name in (*sources.files, *sources.includes):
         if not (folder / name).resolve().is_relative_to(folder.resolve()):
             raise FmuError(messages.SOURCE_OUTSIDE(name=name[:60]))
@@ -115,7 +115,7 @@ def _sources_of(folder: Path, description: Any, identifier: str) -> Sources:
     return sources
 
 
-def _declared_sources(description: Any, identifier: str) -> Sources | None:
+def _declared_sources(description: Any, identifier: str) -> LibrarySources | None:
     """Return the sources in the library's build description.
 
     The first build description replaces a missing one; the result is None without any.
@@ -124,7 +124,7 @@ def _declared_sources(description: Any, identifier: str) -> Sources | None:
     sets = builds[0].sourceFileSets if builds else []
     if not sets:
         return None
-    return Sources(
+    return LibrarySources(
         files=tuple(dict.fromkeys(name for part in sets for name in part.sourceFiles)),
         standard=_standard(part.language for part in sets),
         definitions=tuple(dict.fromkeys(_definition(d) for part in sets for d in part.preprocessorDefinitions)),

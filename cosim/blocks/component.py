@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Collection, Mapping, MutableSequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, Protocol
 
 from cosim.base.errors import SimulationError
@@ -26,9 +25,6 @@ class EarlyEnd(SimulationError):
     def __init__(self, component: str, reached: float, reason: str, *, readable: bool = False) -> None:
         super().__init__(component, reached, reason)
         self.reached, self.readable = reached, readable
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return partial(type(self), readable=self.readable), (self.component, self.reached, self.reason)
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ def read_description(path: Path) -> Any:
         except fmpy.model_description.ValidationError as error:
             description, slips = fmpy.read_model_description(str(path), validate=False), tuple(error.problems)
     except Exception as error:  # FMPy raises bare Exceptions, lxml its own.
-        raise FmuError(messages.INVALID_FMU(file=path, reason=reason_of(error))) from None
+        raise FmuError(messages.INVALID_FMU.around(reason_of(error), file=path)) from None
     check_identifiers(path, description)
     if slips:
         check_numbers(path, description)

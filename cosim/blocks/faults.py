@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from cosim.blocks.stepping import Link, LinkKind, link
+from cosim.blocks.stepping import ConvertedLink, LinkKind, link
 
 MOST = 1e18  # steps, more than any run has
 
@@ -54,7 +54,7 @@ class LinkFunction(Protocol):
     def __call__(self, k: int, v: Any) -> Any:
         """Return the value at point k."""
 
-    def link(self) -> Link:
+    def link(self) -> ConvertedLink:
         """Return the equivalent of this fault for the loop in C, which continues from the last point."""
 
 
@@ -68,7 +68,7 @@ class Scaling:
     def __call__(self, k: int, v: Any) -> Any:
         return v * self.factor + self.offset
 
-    def link(self) -> Link:
+    def link(self) -> ConvertedLink:
         return link(LinkKind.AFFINE, a=self.factor, b=self.offset)
 
 
@@ -81,7 +81,7 @@ class Addition:
     def __call__(self, k: int, v: Any) -> Any:
         return v + self.samples[k]
 
-    def link(self) -> Link:
+    def link(self) -> ConvertedLink:
         return link(LinkKind.ADDED, values=self.samples)
 
 
@@ -101,7 +101,7 @@ class WindowFault:
         first, last = self.window
         return self._effect(v) if first <= k <= last else v
 
-    def link(self) -> Link:
+    def link(self) -> ConvertedLink:
         return link(self.kind, self.window, a=self.value)
 
 
@@ -115,7 +115,7 @@ class Spikes:
         first, last = self.window
         return v + self.value if first <= k <= last and self.marks[k] else v
 
-    def link(self) -> Link:
+    def link(self) -> ConvertedLink:
         return link(LinkKind.SPIKES, self.window, a=self.value, marks=self.marks)
 
 
@@ -132,7 +132,7 @@ class Hold:
             self._value = v
         return self._value
 
-    def link(self) -> Link:
+    def link(self) -> ConvertedLink:
         return link(LinkKind.HELD, self.window, marks=self.marks, past=array("d", [self._value]))
 
 
@@ -150,7 +150,7 @@ class Delay:
         past.pop(k - delay - 1, None)
         return past.get(k - delay, past[min(past)]) if first <= k <= last else v
 
-    def link(self) -> Link:
+    def link(self) -> ConvertedLink:
         ring = array("d", [self._past[0], *[0.0] * self.delay])
         return link(LinkKind.DELAYED, self.window, past=ring, count=len(ring))
 

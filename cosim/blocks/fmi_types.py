@@ -13,7 +13,7 @@ EXACT_IN_A_DOUBLE = 2**53
 
 
 @dataclass(frozen=True)
-class Kind:
+class FmiType:
     """An FMI type in C.
 
     Attributes:
@@ -46,31 +46,31 @@ class Kind:
         return int(value)
 
 
-def _integer(function: str, bits: int, signed: bool) -> Kind:
+def _integer(function: str, bits: int, signed: bool) -> FmiType:
     ctype = getattr(ctypes, f"c_{'' if signed else 'u'}int{bits}")
     low, high = (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if signed else (0, 2**bits - 1)
-    return Kind(function, ctype, low, high, beside=bits == 64)
+    return FmiType(function, ctype, low, high, beside=bits == 64)
 
 
-REAL, TEXT = Kind("Real", ctypes.c_double), Kind("String", ctypes.c_char_p, beside=True)
+REAL, TEXT = FmiType("Real", ctypes.c_double), FmiType("String", ctypes.c_char_p, beside=True)
 INTEGER = _integer("Integer", 32, True)
 FMI2 = {
     "Real": REAL,
     "Integer": INTEGER,
     "Enumeration": INTEGER,
-    "Boolean": Kind("Boolean", ctypes.c_int, 0, 1),
+    "Boolean": FmiType("Boolean", ctypes.c_int, 0, 1),
     "String": TEXT,
 }
-FMI1 = {**FMI2, "Boolean": Kind("Boolean", ctypes.c_ubyte, 0, 1)}
+FMI1 = {**FMI2, "Boolean": FmiType("Boolean", ctypes.c_ubyte, 0, 1)}
 FMI3 = {
-    "Float64": Kind("Float64", ctypes.c_double),
-    "Float32": Kind("Float32", ctypes.c_float, largest=(2 - 2**-23) * 2.0**127),
+    "Float64": FmiType("Float64", ctypes.c_double),
+    "Float32": FmiType("Float32", ctypes.c_float, largest=(2 - 2**-23) * 2.0**127),
     **{f"Int{bits}": _integer(f"Int{bits}", bits, True) for bits in (8, 16, 32, 64)},
     **{f"UInt{bits}": _integer(f"UInt{bits}", bits, False) for bits in (8, 16, 32, 64)},
-    "Enumeration": Kind("Int64", ctypes.c_int64, -EXACT_IN_A_DOUBLE, EXACT_IN_A_DOUBLE),
-    "Boolean": Kind("Boolean", ctypes.c_bool, 0, 1),
+    "Enumeration": FmiType("Int64", ctypes.c_int64, -EXACT_IN_A_DOUBLE, EXACT_IN_A_DOUBLE),
+    "Boolean": FmiType("Boolean", ctypes.c_bool, 0, 1),
     "String": TEXT,
-    "Binary": Kind("Binary", None, beside=True),
+    "Binary": FmiType("Binary", None, beside=True),
 }
 FAMILIES = {
     **dict.fromkeys(("Real", "Float32", "Float64"), "real"),
@@ -90,7 +90,7 @@ FLOWS = {  # allowed connections: no value may be lost
 }
 
 
-def kinds_of(version: str) -> dict[str, Kind]:
+def kinds_of(version: str) -> dict[str, FmiType]:
     """Return an FMI version's supported types by name."""
     return FMI1 if version == "1.0" else FMI2 if version == "2.0" else FMI3
 
@@ -108,7 +108,7 @@ class Exchange:
         places: Their places in the row or beside the row.
     """
 
-    def __init__(self, kind: Kind, variables: Sequence[Any]) -> None:
+    def __init__(self, kind: FmiType, variables: Sequence[Any]) -> None:
         self.kind, self.variables = kind, tuple(variables)
         self.names = tuple(name for variable in variables for name in element_names(variable))
         self.count = len(self.names)

@@ -24,7 +24,7 @@ def check_fmu_file(path: Path) -> None:
     try:
         check_archive(path)
     except BadArchive as error:
-        raise FmuError(messages.NO_ARCHIVE(file=path, reason=str(error))) from None
+        raise FmuError(messages.NO_ARCHIVE.around(error, file=path)) from None
     except OSError as error:
         raise FmuError(messages.UNREADABLE_FILE(file=path, reason=error.strerror)) from None
 
@@ -44,7 +44,7 @@ def check_identifiers(path: Path, description: Any) -> None:
         for way in filter(None, (description.coSimulation, description.modelExchange)):
             check_identifier(way.modelIdentifier)
     except BadArchive as error:
-        raise FmuError(messages.INVALID_FMU(file=path, reason=str(error))) from None
+        raise FmuError(messages.INVALID_FMU.around(error, file=path)) from None
 
 
 def check_numbers(path: Path, description: Any) -> None:

@@ -4,9 +4,9 @@ from cosim.base.messages import Template
 
 # -- reading an FMU --------------------------------------------------------------------------------
 
-NO_ARCHIVE = Template("E-BLK-001", "{file} is no FMU: {reason}")
+NO_ARCHIVE = Template("E-BLK-001", "{file} is no FMU: {error}")
 UNREADABLE_FILE = Template("E-BLK-002", "{file} cannot be read: {reason}")
-INVALID_FMU = Template("E-BLK-003", "{file} is not a valid FMU: {reason}")
+INVALID_FMU = Template("E-BLK-003", "{file} is not a valid FMU: {error}")
 INVALID_NUMBER = Template("E-BLK-004", '{file} is not a valid FMU: {place} is "{value}", which is no number')
 INVALID_WHOLE_NUMBER = Template(
     "E-BLK-005", '{file} is not a valid FMU: {place} is "{value}", which is no whole number'
@@ -87,8 +87,8 @@ LOADER_ERROR = Template("E-BLK-027", "its library {library}: {reason}")
 
 # -- compiling its sources -------------------------------------------------------------------------
 
-NO_COMPILER = Template("E-BLK-028", "its sources cannot be compiled: {reason}")
-COMPILER_ERROR = Template("E-BLK-029", "its sources do not compile: {reason}{output}")
+NO_COMPILER = Template("E-BLK-028", "its sources cannot be compiled: {error}")
+COMPILER_ERROR = Template("E-BLK-029", "its sources do not compile: {error}{output}")
 SOURCE_OUTSIDE = Template("E-BLK-030", 'its sources cannot be compiled: "{name}" lies outside its folder')
 MISSING_SOURCES = Template(
     "E-BLK-031",

@@ -18,7 +18,7 @@ from cosim.blocks.stepping import Slot
 from cosim.storage.table import read_columns
 
 
-class Source(RowComponent):
+class SourceBlock(RowComponent):
     """Signals as functions of time; their `over` equals single calls at ordered times."""
 
     def __init__(self, name: str, signals: Mapping[str, tuple[str, ProfileFunction | Recorded]]) -> None:
@@ -56,16 +56,16 @@ class Source(RowComponent):
         self._t = t
 
 
-def reference(name: str, profiles: Mapping[str, Profile]) -> Source:
+def reference(name: str, profiles: Mapping[str, Profile]) -> SourceBlock:
     """Return a source of reference signals that follow profiles; degrees become radians."""
     signals = {}
     for signal, profile in profiles.items():
         unit, factor = computed_in(profile.unit)
         signals[signal] = (unit, profile_function(profile, factor))
-    return Source(name, signals)
+    return SourceBlock(name, signals)
 
 
-def playback(name: str, path: Path, names: Collection[str] = ()) -> Source:
+def playback(name: str, path: Path, names: Collection[str] = ()) -> SourceBlock:
     """Return the columns of a CSV file as signals.
 
     The first column is `time`; header cells are `name` or `name [unit]`. Degrees become radians.
@@ -81,7 +81,7 @@ def playback(name: str, path: Path, names: Collection[str] = ()) -> Source:
     for column in (c for c in table.columns.values() if c.name != "time"):
         unit, factor = computed_in(column.heading.unit)
         signals[column.name] = (unit, Recorded(times, [factor * v for v in table.values[column.name]]))
-    return Source(name, signals)
+    return SourceBlock(name, signals)
 
 
 class Recorded:

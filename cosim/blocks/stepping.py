@@ -61,7 +61,7 @@ def _fields(declaration: str) -> list[tuple[str, Any]]:
     return [(name, C_TYPES[kind]) for kind, names in declarations for name in names.split(", ")]
 
 
-class Link(ctypes.Structure):
+class ConvertedLink(ctypes.Structure):
     """Conversion of a value in transit; `keeping` keeps its buffers alive."""
 
     keeping: Any
@@ -154,9 +154,9 @@ def fmu_slot(version: int, step: Any, instance: Any, puts: Sequence[Move], gets:
     return slot
 
 
-def transfer(row: Row, origin: int, to: int, links: Sequence[Link] = (), every: int = 1) -> Transfer:
+def transfer(row: Row, origin: int, to: int, links: Sequence[ConvertedLink] = (), every: int = 1) -> Transfer:
     """Return a transfer between two places of the row."""
-    chain, first = (Link * len(links))(*links), ctypes.addressof(row)
+    chain, first = (ConvertedLink * len(links))(*links), ctypes.addressof(row)
     result = Transfer(first + 8 * origin, first + 8 * to, every, len(chain), ctypes.addressof(chain))
     result.keeping = chain, [getattr(link, "keeping", None) for link in links]
     return result
@@ -172,14 +172,14 @@ def link(
     marks: Any = None,
     past: Any = None,
     count: int = 0,
-) -> Link:
+) -> ConvertedLink:
     """Return a link; buffers are referenced, not copied.
 
     Args:
         values: Buffer of doubles, like `past`.
         marks: Buffer of bytes.
     """
-    result = Link(kind, *window, a, b, _address(values), _address(marks), _address(past), count)
+    result = ConvertedLink(kind, *window, a, b, _address(values), _address(marks), _address(past), count)
     result.keeping = values, marks, past
     return result
 

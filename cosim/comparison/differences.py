@@ -11,12 +11,13 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
+from cosim.base.messages import Message, join
 from cosim.base.text import amount, counted
 from cosim.base.units import Conversion, conversion
 from cosim.comparison import messages, signals
 from cosim.comparison.intermediate_rows import rows_between
 from cosim.comparison.signals import Difference, Tolerance, format_share, format_size
-from cosim.simulation.run_files import Ran
+from cosim.simulation.run_files import RecordedRun
 
 if TYPE_CHECKING:
     import pandas
@@ -38,15 +39,15 @@ class Compared:
         shorter: Note about a run that begins or ends before the other; "" for none.
     """
 
-    a: Ran
-    b: Ran
+    a: RecordedRun
+    b: RecordedRun
     differences: tuple[Difference, ...]
     only_a: tuple[str, ...]
     only_b: tuple[str, ...]
     time: Array
     values: dict[str, tuple[Array, Array]]
     aligned: bool
-    shorter: str
+    shorter: Message
     tolerance: float | None
     absolute: float
 
@@ -75,17 +76,17 @@ class Compared:
         return not self.reasons
 
     @property
-    def reasons(self) -> list[str]:
+    def reasons(self) -> list[Message]:
         """Return the reasons why b does not match a, as phrases; empty for a match."""
         different = self.beyond if self.judged else [d for d in self.differences if d.largest]
         count = sum(d.alike for d in different)
-        verb = "beyond the tolerance" if self.judged else _differ(count)
-        reasons = [f"{counted(count, 'signal')} {verb}"] if count else []
-        reasons += [f"{d.name} is {d.note}" for d in different if not d.alike]
+        template = messages.SIGNALS_BEYOND if self.judged else messages.SIGNALS_DIFFER
+        reasons = [template(count=counted(count, "signal"), verb=_differ(count))] if count else []
+        reasons += [messages.NOT_COMPARABLE(name=d.name, note=d.note) for d in different if not d.alike]
         if missing := len(self.only_a):
-            more = ", …" if missing > MAX_LISTED else ""
-            subject = f"{counted(missing, 'signal')} of {self.a.path} {_are(missing)} missing in {self.b.path}"
-            reasons.append(f"{subject}: {', '.join(self.only_a[:MAX_LISTED])}{more}")
+            names = ", ".join(self.only_a[:MAX_LISTED]) + (", …" if missing > MAX_LISTED else "")
+            subject = {"count": counted(missing, "signal"), "path": self.a.path, "verb": _are(missing)}
+            reasons.append(messages.SIGNALS_MISSING(**subject, other=self.b.path, names=names))
         return reasons + ([self.shorter] if self.shorter else [])
 
     def __repr__(self) -> str:
@@ -157,7 +158,7 @@ class Compared:
         }
 
 
-def compare_runs(a: Ran, b: Ran, tolerance: float | None = None, absolute: float = 0.0) -> Compared:
+def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None, absolute: float = 0.0) -> Compared:
     """Compare b with a at the times of a.
 
     Rows of b between rows of a are compared with the range that a spans there.
@@ -186,7 +187,7 @@ def compare_runs(a: Ran, b: Ran, tolerance: float | None = None, absolute: float
     return Compared(a, b, *data, _describe_ends(a, b), tolerance, absolute)
 
 
-def _names(run: Ran) -> tuple[str, ...]:
+def _names(run: RecordedRun) -> tuple[str, ...]:
     return (*run.results.columns, *run.results.exact)
 
 
@@ -196,7 +197,7 @@ class _Overlap:
     The attribute `values` holds the numbers of both runs for each compared signal.
     """
 
-    def __init__(self, a: Ran, b: Ran, rows: slice, aligned: bool, allowed: Tolerance) -> None:
+    def __init__(self, a: RecordedRun, b: RecordedRun, rows: slice, aligned: bool, allowed: Tolerance) -> None:
         self.a, self.b, self.rows, self.aligned, self.allowed = a, b, rows, aligned, allowed
         times = a.results.time, b.results.time
         self.time = times[0][rows]
@@ -275,7 +276,7 @@ def _describe_largest(d: Difference) -> str:
     return f"most {d.name}, by {amount(d.largest, d.unit)} at {d.at:.6g} s ({format_share(d)} of its range)"
 
 
-def _describe_ends(a: Ran, b: Ran) -> str:
+def _describe_ends(a: RecordedRun, b: RecordedRun) -> Message:
     """Return a phrase on a run that begins or ends before the other; "" if both cover the same time."""
     step = float(np.max(np.diff(a.results.time))) if a.results.time.size > 1 else 0.0
     parts = []
@@ -283,5 +284,6 @@ def _describe_ends(a: Ran, b: Ran) -> str:
         at = [float(r.results.time[row]) for r in (a, b)]
         if abs(at[0] - at[1]) > 1e-6 * step + 1e-9:
             first, second = (a, b) if at[0] < at[1] else (b, a)
-            parts.append(f"{first.path} {verb} at {min(at):.6g} s, {second.path} at {max(at):.6g} s")
-    return "; ".join(parts)
+            ends = {"path": first.path, "time": min(at), "other": second.path, "later": max(at)}
+            parts.append(messages.OTHER_END(verb=verb, **ends))
+    return join("; ", parts)

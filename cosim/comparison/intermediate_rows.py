@@ -15,7 +15,7 @@ from cosim.base.arrays import Array, Rows
 
 
 @dataclass(frozen=True)
-class Between:
+class RowsBetween:
     """Rows of b without equivalent in a, and the surrounding rows of a from `first` to `last`."""
 
     rows: Rows
@@ -50,7 +50,7 @@ class Between:
         return None
 
 
-def rows_between(a: Array, b: Array, tolerance: float) -> Between:
+def rows_between(a: Array, b: Array, tolerance: float) -> RowsBetween:
     """Return the rows of b that match no row of a, within the time of a.
 
     Args:
@@ -62,4 +62,4 @@ def rows_between(a: Array, b: Array, tolerance: float) -> Between:
     matched = alone & (upto - after == 1)
     within = (b >= a[0] - tolerance) & (b <= a[-1] + tolerance)
     rows = np.flatnonzero(within & ~matched)
-    return Between(rows, b[rows], np.maximum(after[rows] - 1, 0), np.minimum(upto[rows], a.size - 1))
+    return RowsBetween(rows, b[rows], np.maximum(after[rows] - 1, 0), np.minimum(upto[rows], a.size - 1))

@@ -10,8 +10,8 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.text import amount, plain
 from cosim.base.units import Conversion
-from cosim.comparison.intermediate_rows import Between
-from cosim.simulation.run_files import Ran
+from cosim.comparison.intermediate_rows import RowsBetween
+from cosim.simulation.run_files import RecordedRun
 
 SAME_TIME = 1e-9  # fraction of a step
 ROUNDING = 8 * float(np.finfo(float).eps)  # fraction of a value, for a unit conversion there and back
@@ -63,7 +63,7 @@ class Tolerance:
         return self.relative is not None and not gap <= self.absolute + self.relative * scale
 
 
-def common_rows(a: Ran, b: Ran) -> tuple[slice, bool]:
+def common_rows(a: RecordedRun, b: RecordedRun) -> tuple[slice, bool]:
     """Return the rows of a within the time of b, and whether both runs have the same times in these rows."""
     first, second = a.results.time, b.results.time
     count = min(first.size, second.size)
@@ -134,7 +134,9 @@ def unit_note(unit: str, other: str, d: Difference) -> str:
     return f"no unit in {'b' if unit else 'a'}, taken as {d.unit}" if (unit or other) and d.largest else ""
 
 
-def compare_text(a: Ran, b: Ran, name: str, rows: slice, between: Between | None, *, has_tolerance: bool) -> Difference:
+def compare_text(
+    a: RecordedRun, b: RecordedRun, name: str, rows: slice, between: RowsBetween | None, *, has_tolerance: bool
+) -> Difference:
     """Return the difference of text: 1 if any row differs, else 0.
 
     At other times, b's text holds until its next row.

@@ -19,7 +19,7 @@ from cosim.comparison.signals import Difference, format_share, format_size
 from cosim.report.chart_data import to_json
 from cosim.report.drawing import Drawing
 from cosim.report.template import render
-from cosim.simulation.run_files import Ran
+from cosim.simulation.run_files import RecordedRun
 from cosim.storage.files import FilePath, check_writable, named_path, write_json, write_text
 from cosim.storage.folder_lock import folder_locks
 from cosim.storage.folders import check_left, folder_named, keep_earlier
@@ -32,8 +32,8 @@ FILES = ("comparison.json", "report.html")
 @folder_locks()
 @far_beyond
 def compare(
-    a: Ran,
-    b: Ran,
+    a: RecordedRun,
+    b: RecordedRun,
     folder: FilePath | None = None,
     *,
     tolerance: float | None = None,

@@ -167,7 +167,7 @@ def _covariances() -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True)
-class Row:
+class ConsistencyRow:
     """Result of one case on one flight for one kind of normalised squares.
 
     Attributes:
@@ -195,7 +195,7 @@ class Row:
 class CaseResult:
     """All results of one case on one flight."""
 
-    rows: Sequence[Row]
+    rows: Sequence[ConsistencyRow]
 
     @property
     def consistent(self) -> bool:
@@ -214,7 +214,7 @@ class CaseResult:
         return self.rows[0].result.factor
 
 
-def by_case(rows: Sequence[Row]) -> list[CaseResult]:
+def by_case(rows: Sequence[ConsistencyRow]) -> list[CaseResult]:
     """Return rows grouped by case and flight."""
     return [
         CaseResult([row for row in rows if (row.case, row.flight) == key])
@@ -222,7 +222,7 @@ def by_case(rows: Sequence[Row]) -> list[CaseResult]:
     ]
 
 
-def headline(rows: Sequence[Row]) -> str:
+def headline(rows: Sequence[ConsistencyRow]) -> str:
     """Return a headline: the number of consistent cases, then the case with the largest errors."""
     results = by_case(rows)
     right, largest = sum(r.consistent for r in results), worst(results)

@@ -10,7 +10,7 @@ import numpy as np
 
 from cosim.base.text import counted, percent, plain
 from cosim.base.version import __version__
-from cosim.estimators.consistency import CONSISTENT, CaseResult, Row, by_case, headline, worst
+from cosim.estimators.consistency import CONSISTENT, CaseResult, ConsistencyRow, by_case, headline, worst
 from cosim.report.drawing import Charts
 from cosim.report.html_tables import Badge
 from cosim.report.panels import Band, Panel, Trace
@@ -20,7 +20,7 @@ from cosim.report.template import render
 TEMPLATE = Path(__file__).with_name("templates") / "consistency.html.j2"
 
 
-def page(rows: Sequence[Row], steps: int, seed: int) -> str:
+def page(rows: Sequence[ConsistencyRow], steps: int, seed: int) -> str:
     """Return the self-contained HTML page of a consistency test."""
     charts, runs, results = Charts(), rows[0].result.runs, by_case(rows)
     flights, main = {row.flight: row.motion for row in rows}, worst(results) or results[0]
@@ -55,7 +55,7 @@ def _summary(case: str, results: Sequence[CaseResult], flights: Sequence[str]) -
     return {"case": case, "flights": [cells.get(flight) for flight in flights]}
 
 
-def _cells(row: Row) -> Mapping[str, Any]:
+def _cells(row: ConsistencyRow) -> Mapping[str, Any]:
     r = row.result
     verdict, _, more = r.sentence.partition(": ")
     return {
@@ -74,7 +74,7 @@ def _cells(row: Row) -> Mapping[str, Any]:
     }
 
 
-def _plot(row: Row, charts: Charts) -> Plot:
+def _plot(row: ConsistencyRow, charts: Charts) -> Plot:
     """Draw the mean over the runs and the 95 % range of a consistent estimator."""
     r = row.result
     low, high = (np.full(row.at.size, edge) for edge in r.at_time)

@@ -11,7 +11,7 @@ from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.registry import model_entry, resolve
 from cosim.base.settings import Count, Seed
 from cosim.estimators import messages
-from cosim.estimators.consistency import Row, consistency_of
+from cosim.estimators.consistency import ConsistencyRow, consistency_of
 from cosim.estimators.report import page
 from cosim.storage.files import check_writable, write_json, write_text
 from cosim.storage.folders import check_left, keep_earlier
@@ -24,7 +24,7 @@ RECORD, PAGE = "consistency.json", "report.html"
 
 def consistency(
     runs: Count = 50, steps: Count = 500, seed: Seed = 1, progress: Callable[[int, int], None] | None = None
-) -> Sequence[Row]:
+) -> Sequence[ConsistencyRow]:
     """Test the estimators of the base model by Monte Carlo runs.
 
     Args:
@@ -52,7 +52,7 @@ def consistency(
             raise InputError.at(Path("--runs"), message, exit_code=4) from None
         for name, (values, degrees, at) in squares.items():
             result, flight = consistency_of(values, degrees, white=name != "NEES"), case.flight
-            rows.append(Row(case.title, flight.name, flight.doc, name, result, at))
+            rows.append(ConsistencyRow(case.title, flight.name, flight.doc, name, result, at))
         if progress is not None:
             progress(k + 1, len(cases))
     return rows
@@ -82,7 +82,9 @@ def check_folder(folder: Path, *, force: bool = False, keep: bool = False) -> No
     check_writable(folder, [RECORD, PAGE])
 
 
-def write(folder: Path, rows: Sequence[Row], steps: int, seed: int, *, report: bool = True, keep: bool = False) -> None:
+def write(
+    folder: Path, rows: Sequence[ConsistencyRow], steps: int, seed: int, *, report: bool = True, keep: bool = False
+) -> None:
     """Write consistency.json and report.html to a checked folder.
 
     Args:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.experiment.rigs import Axis
+from cosim.experiment.rigs import RigAxis
 
 TONES = 12
 MAX_PARTS = 6  # parts of a trial in which an axis moves or rests
@@ -17,7 +17,7 @@ AMPLITUDE_SHARE = (0.3, 1.0)  # share of an axis' amplitude
 KINDS = ("multisine", "chirp", "steps", "ramps")
 
 
-def draw_signals(rng: np.random.Generator, axes: Sequence[Axis], time: Array) -> dict[str, Array]:
+def draw_signals(rng: np.random.Generator, axes: Sequence[RigAxis], time: Array) -> dict[str, Array]:
     """Return random signals of one experiment for all axes."""
     parts = int(rng.integers(1, MAX_PARTS + 1))
     part = np.minimum((time / time[-1] * parts).astype(int), parts - 1)
@@ -30,7 +30,7 @@ def draw_signals(rng: np.random.Generator, axes: Sequence[Axis], time: Array) ->
     return signals
 
 
-def _wave(rng: np.random.Generator, kind: str, axis: Axis, time: Array) -> Array:
+def _wave(rng: np.random.Generator, kind: str, axis: RigAxis, time: Array) -> Array:
     """Return a signal of a kind within ±1."""
     if kind == "multisine":
         frequency = np.geomspace(axis.slowest, axis.fastest, TONES)

@@ -69,7 +69,7 @@ class Ranked(BaseModel):
     log_likelihood_gain: float | None
 
 
-class Refined(BaseModel):
+class RefineResultPart(BaseModel):
     """Required part of a refine.json."""
 
     model_config = ConfigDict(extra="ignore", frozen=True)
@@ -132,7 +132,7 @@ def refinement_folder(text: str) -> Path | None:
 def _question_of_refinement(path: Path, against: Sequence[str]) -> Question:
     """Return the question of a refinement, with fitted rivals, or typical ones if invisible."""
     yaml = YamlFile(path)
-    content = yaml.validate(Refined)
+    content = yaml.validate(RefineResultPart)
     file = Path(content.study)
     if not file.is_file():
         raise InputError([yaml.fault(("study",), messages.NO_STUDY(study=file))])
@@ -155,7 +155,9 @@ def _question_of_refinement(path: Path, against: Sequence[str]) -> Question:
     return Question(loaded, loaded, fitted, tuple(pairs), tuple(content.measured), noise, {}, ranges)
 
 
-def _joint_rival(text: str, names: Sequence[str], content: Refined, candidates: Mapping[str, Candidate]) -> Rival:
+def _joint_rival(
+    text: str, names: Sequence[str], content: RefineResultPart, candidates: Mapping[str, Candidate]
+) -> Rival:
     """Return a rival of several candidates."""
     parameters = next((h.parameters for h in content.candidates if set(h.names) == set(names)), {})
     return Rival(text, parameters, tuple(f for n in names for f in candidates[n].free))
@@ -178,7 +180,11 @@ def _read_logged_ranges(model: Model, folder: Path, study: StudyFile) -> Ranges:
 
 
 def _fitted_rival(
-    r: Rival, names: Sequence[str], content: Refined, candidates: Mapping[str, Candidate], values: Mapping[str, float]
+    r: Rival,
+    names: Sequence[str],
+    content: RefineResultPart,
+    candidates: Mapping[str, Candidate],
+    values: Mapping[str, float],
 ) -> Rival:
     """Return a rival as fitted without the other rivals, or unchanged if invisible.
 
@@ -193,7 +199,7 @@ def _fitted_rival(
     return r
 
 
-def _is_significant(c: Candidate, h: Ranked, content: Refined, values: Mapping[str, float]) -> bool:
+def _is_significant(c: Candidate, h: Ranked, content: RefineResultPart, values: Mapping[str, float]) -> bool:
     """Return True if a candidate is fitted, within its limits, and significant."""
     if c.name in content.hidden or not h.fitted or h.log_likelihood_gain is None:
         return False

@@ -25,7 +25,7 @@ SLOWEST = 2.0  # periods in a trial
 
 
 @dataclass(frozen=True)
-class Axis:
+class RigAxis:
     """An axis of an experiment: up to ±amplitude, between two frequencies [Hz]."""
 
     name: str
@@ -72,7 +72,7 @@ class Rig(Protocol):
 
     usual: str
     files: tuple[str, ...]
-    axes: tuple[Axis, ...]
+    axes: tuple[RigAxis, ...]
 
     def play(self, model: Model, signals: Signals) -> Trial:
         """Return a model's response to axis signals."""
@@ -104,7 +104,7 @@ class OpenLoop:
         self.ranges = ranges
         fastest = FASTEST / model.rate
         slowest = min(SLOWEST / duration, fastest)
-        self.axes = tuple(Axis(q.name, limits[q.name], slowest, fastest) for q in model.inputs)
+        self.axes = tuple(RigAxis(q.name, limits[q.name], slowest, fastest) for q in model.inputs)
 
     def play(self, model: Model, signals: Signals) -> Trial:
         """Simulate the model with input signals, clipped to the ranges of the inputs, and return the trial."""

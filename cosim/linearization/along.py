@@ -15,8 +15,8 @@ from cosim.base.scratch import temporary_folder
 from cosim.base.units import read_quantity
 from cosim.linearization import messages
 from cosim.linearization.linear_model import Point
-from cosim.linearization.linear_sources import EquationSource, Source
-from cosim.linearization.point import AT, Moment
+from cosim.linearization.linear_sources import EquationSource, LinearizableSystem
+from cosim.linearization.point import AT, LinearizationTimes
 from cosim.model.integrate import Stepper
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.packaged import is_ssp
@@ -37,7 +37,7 @@ class Along:
         component: Name in the scenario if several components have the model's inputs and outputs.
     """
 
-    def __init__(self, source: Source, moment: Moment, component: str = "") -> None:
+    def __init__(self, source: LinearizableSystem, moment: LinearizationTimes, component: str = "") -> None:
         self.notes: list[str] = []
         self._moment = moment
         _check(moment, component)
@@ -57,7 +57,7 @@ class Along:
         """Return the start values and parameters that the scenario sets for the component."""
         return dict(self._manifest["scenario"]["components"].get(self._name, {}).get("start") or {})
 
-    def points(self, source: Source) -> list[Point]:
+    def points(self, source: LinearizableSystem) -> list[Point]:
         """Return one point for each time, from a source with the scenario's parameters."""
         inputs = self._columns(source.inputs)
         if isinstance(source, EquationSource):
@@ -73,7 +73,7 @@ class Along:
 
     # -- internals ----------------------------------------------------------------------------
 
-    def _component(self, source: Source, name: str) -> str:
+    def _component(self, source: LinearizableSystem, name: str) -> str:
         """Return the name of the scenario component that has the model's inputs and outputs.
 
         Raises:
@@ -146,7 +146,7 @@ class Along:
             self.notes.append(messages.OTHER_MODEL(component=self._name, output=output, size=size))
 
 
-def _check(moment: Moment, component: str) -> None:
+def _check(moment: LinearizationTimes, component: str) -> None:
     """Check the requested times and the component's name against the scenario, before the scenario is run."""
     if not moment.scenario.is_file():
         raise InputError.at(moment.scenario, messages.NO_SCENARIO())
@@ -160,7 +160,7 @@ def _check(moment: Moment, component: str) -> None:
         raise InputError.at(Path("--component"), message)
 
 
-def _check_times(moment: Moment, first: float, last: float) -> None:
+def _check_times(moment: LinearizationTimes, first: float, last: float) -> None:
     for time in moment.times.tolist():
         if not first - TIME_SLACK <= time <= last + TIME_SLACK:
             message = messages.TIME_OUTSIDE(time=time, scenario=moment.scenario, first=first, last=last)

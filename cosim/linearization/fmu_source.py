@@ -32,7 +32,7 @@ from cosim.isolation.watch import Watch, fmi_calls
 from cosim.linearization import messages
 from cosim.linearization.kinks import Kink, kinks_at
 from cosim.linearization.linear_model import Linear, Point
-from cosim.linearization.linear_sources import Source
+from cosim.linearization.linear_sources import LinearizableSystem
 from cosim.scenario.start_values import Misfit, convert_value, kind_of, settable
 from cosim.storage.yaml_file import did_you_mean
 
@@ -132,7 +132,7 @@ def _check_slopes(
 # -- in the caller ----------------------------------------------------------------------------
 
 
-class ExchangeSource(Source):
+class ExchangeSource(LinearizableSystem):
     """An FMU with access to its derivatives.
 
     Args:

@@ -19,7 +19,7 @@ RATE, OUTPUT = "rate", "output"
 
 
 @dataclass(frozen=True)
-class Row:
+class KinkSlopes:
     """One-sided slopes of a rate or an output, and its jump; 0 at a mere kink."""
 
     of: str
@@ -40,7 +40,7 @@ class Kink:
 
     variable: str
     value: float
-    rows: tuple[Row, ...]
+    rows: tuple[KinkSlopes, ...]
     side: str = ""
 
     @property
@@ -95,6 +95,6 @@ def kinks_at(
         jump = (2.0 * up - further) - (2.0 * down - back)
         jump = np.where(np.abs(jump) > 0.5 * np.abs(up - down), jump, 0.0)
         if bent.any():
-            at = [Row(*rows[i], *(float(v[i]) for v in (below, above, jump))) for i in np.flatnonzero(bent)]
+            at = [KinkSlopes(*rows[i], *(float(v[i]) for v in (below, above, jump))) for i in np.flatnonzero(bent)]
             kinks.append(Kink(name, float(z[k]), tuple(at)))
     return kinks

@@ -25,7 +25,7 @@ MAX_RATE_AT_STEADY_STATE = 1e-12  # of fast states, relative to slope and size o
 MAX_NEWTON_STEPS = 50
 
 
-class Source(ABC):
+class LinearizableSystem(ABC):
     """A system that can be linearized.
 
     Attributes:
@@ -42,7 +42,7 @@ class Source(ABC):
     units: Mapping[str, str]
 
     @abstractmethod
-    def with_values(self, values: Mapping[str, Any], over: Sequence[str]) -> Source:
+    def with_values(self, values: Mapping[str, Any], over: Sequence[str]) -> LinearizableSystem:
         """Return the source with the values that a scenario sets, except those named in `over`."""
 
     @abstractmethod
@@ -58,7 +58,7 @@ class Source(ABC):
         """
 
 
-class EquationSource(Source):
+class EquationSource(LinearizableSystem):
     """A model with its equations and active effects."""
 
     def __init__(self, loaded: LoadedModel, name: str) -> None:
@@ -126,7 +126,7 @@ class EquationSource(Source):
             return [], [messages.ONE_SIDED()]
 
 
-def settle(source: Source, point: Point, fast: Sequence[str]) -> Point:
+def settle(source: LinearizableSystem, point: Point, fast: Sequence[str]) -> Point:
     """Return the point with fast states at rest, by Newton steps.
 
     The other states and the inputs are held: f₂(x₂) = 0.

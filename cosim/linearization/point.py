@@ -14,7 +14,7 @@ from cosim.base.errors import Fault, refuse
 from cosim.base.units import read_quantity
 from cosim.linearization import messages
 from cosim.linearization.linear_model import Point
-from cosim.linearization.linear_sources import Source
+from cosim.linearization.linear_sources import LinearizableSystem
 from cosim.storage.yaml_file import did_you_mean, short
 
 SCENARIOS = {".yaml", ".yml", ".json", ".ssp", ".ssd"}
@@ -23,7 +23,7 @@ AT = Path("--at")
 
 
 @dataclass(frozen=True)
-class Moment:
+class LinearizationTimes:
     """Times of a scenario's run at which a model is linearized [s]."""
 
     scenario: Path
@@ -35,7 +35,7 @@ class Where:
     """Content of `--at`: values by name, which override those of the moment or the start."""
 
     values: Mapping[str, str]
-    moment: Moment | None
+    moment: LinearizationTimes | None
 
 
 def read_at(texts: Sequence[str]) -> Where:
@@ -47,13 +47,13 @@ def read_at(texts: Sequence[str]) -> Where:
         InputError: Every invalid text.
     """
     values: dict[str, str] = {}
-    moments: list[Moment] = []
+    moments: list[LinearizationTimes] = []
     faults: list[str] = []
     for text in texts:
         head, at, tail = text.rpartition("@")
         if at and (Path(head).suffix.lower() in SCENARIOS or "=" not in head):
             try:
-                moments.append(Moment(Path(head), _times(tail)))
+                moments.append(LinearizationTimes(Path(head), _times(tail)))
             except ValueError as error:
                 faults.append(messages.INVALID_TIMES(text=short(text), reason=error))
             continue
@@ -89,7 +89,7 @@ def _times(text: str) -> Array:
     return np.asarray(first + step * np.arange(count))
 
 
-def move(source: Source, point: Point, values: Mapping[str, str]) -> Point:
+def move(source: LinearizableSystem, point: Point, values: Mapping[str, str]) -> Point:
     """Return the point with states and inputs of `--at`.
 
     Raises:

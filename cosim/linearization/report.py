@@ -15,7 +15,7 @@ from cosim.base.text import counted, plain, split_sentence, written
 from cosim.base.version import __version__
 from cosim.linearization.descriptions import headline, number, pole_rows
 from cosim.linearization.frequency_response import Response, frequencies, response
-from cosim.linearization.kinks import RATE, Kink, Row
+from cosim.linearization.kinks import RATE, Kink, KinkSlopes
 from cosim.linearization.linear_model import Linear
 from cosim.linearization.result import Outcome
 from cosim.linearization.system_structure import Pole, poles
@@ -75,7 +75,7 @@ def page(outcome: Outcome) -> str:
     )
 
 
-def _kink_row(kink: Kink, row: Row) -> dict[str, str]:
+def _kink_row(kink: Kink, row: KinkSlopes) -> dict[str, str]:
     slope = f"rate of {row.name}" if row.of == RATE else row.name
     values = {"value": kink.value, "below": row.below, "above": row.above, "jump": row.jump}
     return {"variable": kink.variable, "row": slope, "side": kink.side, **{n: number(v) for n, v in values.items()}}

@@ -21,7 +21,7 @@ from cosim.linearization.fmu_source import MODULES, ExchangeSource, typed_values
 from cosim.linearization.kinks import OUTPUT, RATE, SIDES, STEPS_OFF_KINK, Kink
 from cosim.linearization.linear_model import Linear, Point, missing_states, select
 from cosim.linearization.linear_model import residualize as residualize_states
-from cosim.linearization.linear_sources import EquationSource, Source, settle
+from cosim.linearization.linear_sources import EquationSource, LinearizableSystem, settle
 from cosim.linearization.point import AT, move, read_at
 from cosim.linearization.result import Outcome
 from cosim.linearization.set_parameters import with_parameters
@@ -149,7 +149,7 @@ def _notes(linear: Sequence[Linear], notes: Sequence[str]) -> list[str]:
     return [*more, *(n for n in own if n not in (*notes, *more))]
 
 
-def _source(stack: ExitStack, path: Path, values: Sequence[str], step: float | None) -> Source:
+def _source(stack: ExitStack, path: Path, values: Sequence[str], step: float | None) -> LinearizableSystem:
     """Return the source for a model name or file."""
     text = str(path)
     if not is_model(text) and text != BASE and ".py:" not in text and not names_refine(path):
@@ -166,7 +166,7 @@ def _source(stack: ExitStack, path: Path, values: Sequence[str], step: float | N
     return EquationSource(replace(loaded, model=with_parameters(loaded.model, values)), text)
 
 
-def _fmu(stack: ExitStack, path: Path, values: Sequence[str], step: float | None) -> Source:
+def _fmu(stack: ExitStack, path: Path, values: Sequence[str], step: float | None) -> LinearizableSystem:
     from cosim.blocks.summary import read_fmus
     from cosim.isolation.process import Worker
 
@@ -178,7 +178,7 @@ def _fmu(stack: ExitStack, path: Path, values: Sequence[str], step: float | None
     return ExchangeSource(worker, path, description, start, step)
 
 
-def _complete(source: Source, selection: Selection) -> Selection:
+def _complete(source: LinearizableSystem, selection: Selection) -> Selection:
     """Return the selected names, by default all.
 
     Raises:
@@ -207,7 +207,9 @@ def _name_faults(model: str, kind: str, chosen: Sequence[str], names: Sequence[s
             yield messages.REPEATED_NAME(name=name)
 
 
-def _linear(source: Source, points: Sequence[Point], selection: Selection, side: str | None) -> list[Linear]:
+def _linear(
+    source: LinearizableSystem, points: Sequence[Point], selection: Selection, side: str | None
+) -> list[Linear]:
     """Return the reduced linear model at every point."""
     try:
         whole = source.linear([settle(source, point, selection.fast) for point in points])
@@ -234,7 +236,7 @@ def _check_smooth(linear: Sequence[Linear], selection: Selection) -> None:
     refuse(Fault(AT, 0, 0, messages.NO_DERIVATIVE(kink=kink.description)) for kink in kinks)
 
 
-def _one_sided(source: Source, linear: Sequence[Linear], selection: Selection, sign: float) -> list[Linear]:
+def _one_sided(source: LinearizableSystem, linear: Sequence[Linear], selection: Selection, sign: float) -> list[Linear]:
     """Return models with one-sided slopes at kinks.
 
     The point leaves one kink after another, inputs first, so that all slopes belong to the same branch. A kink between
@@ -278,7 +280,7 @@ def _kinks(linear: Linear, selection: Selection) -> list[Kink]:
     return [k for k in kinks if k.rows]
 
 
-def _move_off(source: Source, point: Point, name: str, sign: float) -> Point:
+def _move_off(source: LinearizableSystem, point: Point, name: str, sign: float) -> Point:
     """Return the point with one signal moved by a few difference steps.
 
     Args:

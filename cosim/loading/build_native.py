@@ -14,7 +14,7 @@ from cosim.base.registry import is_model, model_entry, resolve
 from cosim.base.scratch import temporary_folder
 from cosim.loading import messages
 from cosim.loading.file import LoadedModel, meant_model
-from cosim.loading.source import Source
+from cosim.loading.source import ModelText
 from cosim.loading.substep import with_substep
 from cosim.model.model import Model
 from cosim.storage.files import FilePath, check_folder, named_path
@@ -107,12 +107,12 @@ _of_class: WeakKeyDictionary[type[Model], dict[tuple[str, float | None, str | No
 def _natives(loaded: LoadedModel) -> Iterator[tuple[str, Native]]:
     """Yield the plant and further native FMUs of a registered model."""
     from cosim.fmi.native.package import native_model
-    from cosim.fmi.native.printing import Unprintable
+    from cosim.fmi.native.printing import UnprintableModel
 
     kind = type(loaded.model).__name__
     try:
         yield "plant", native_model(loaded.model, loaded.recipe(), f"{kind}Plant")
-    except (Unprintable, TypeError, AttributeError) as error:
+    except (UnprintableModel, TypeError, AttributeError) as error:
         raise InputError([_unprintable(loaded, error)]) from error
     for name, recipe in model_entry(loaded.source).native.items() if is_model(loaded.source) else ():
         yield name, resolve(recipe)()
@@ -120,14 +120,14 @@ def _natives(loaded: LoadedModel) -> Iterator[tuple[str, Native]]:
 
 def _unprintable(loaded: LoadedModel, error: Exception) -> Fault:
     """Return a fault at the line of the model that cannot be expressed in C."""
-    from cosim.fmi.native.printing import Unprintable
+    from cosim.fmi.native.printing import UnprintableModel
 
     file = loaded.source.rpartition(":")[0]
     cure = "let its equations take functions and branches from m, or build it without --native"
     if not file:
         return Fault(Path(loaded.source), 0, 0, messages.NOT_PRINTABLE(error=error, cure=cure))
-    source = Source(Path(file))
-    if isinstance(error, Unprintable):
+    source = ModelText(Path(file))
+    if isinstance(error, UnprintableModel):
         owner = error.owner or type(loaded.model)
         hook = error.hook if error.owner else "equations"
         return source.fault(owner, hook, messages.NOT_PRINTABLE(error=error, cure=error.cure or cure))

@@ -17,7 +17,7 @@ from cosim.base.units import parse
 from cosim.loading import messages
 from cosim.loading.equations import effect_faults, equation_faults
 from cosim.loading.names import Faults, duplicate_names, duplicate_variables, undefined_names
-from cosim.loading.source import Source
+from cosim.loading.source import ModelText
 from cosim.model.delay import Delay
 from cosim.model.gain import Gain
 from cosim.model.model import INTEGRATORS, Effect, Model, Validity, overrides
@@ -29,7 +29,7 @@ MAX_NUMBER = sys.float_info.max
 MAX_TOLERANCE = 2.0  # share of a value; larger tolerances are meaningless
 
 
-def make_model(kind: type[Model], source: Source) -> Model:
+def make_model(kind: type[Model], source: ModelText) -> Model:
     """Return a model with default parameters; raise InputError with all faults of its class."""
     refuse(source.fault(*fault) for fault in _shape_faults(kind))
     declared = [*_effect_faults(kind), *_sensor_faults(kind), *_delay_faults(kind), *_gain_faults(kind)]

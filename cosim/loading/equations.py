@@ -9,7 +9,7 @@ from typing import Any
 
 from cosim.base.errors import Fault
 from cosim.loading import messages
-from cosim.loading.source import Source
+from cosim.loading.source import ModelText
 from cosim.model.integrate import Stepper
 from cosim.model.model import Effect, Equations, Model, overrides
 from cosim.model.namespaces import SCALAR, Namespace, SymbolNamespace
@@ -19,7 +19,7 @@ from cosim.model.symbolic.symbols import SymbolicModel, symbolic
 from cosim.storage.yaml_file import did_you_mean
 
 
-def equation_faults(kind: type[Model], source: Source) -> list[Fault]:
+def equation_faults(kind: type[Model], source: ModelText) -> list[Fault]:
     """Return the faults of `equations` and start values. No effect is active on floats, all are on symbols."""
     model = _try(source, "cannot be made", kind)
     if isinstance(model, Fault):
@@ -31,7 +31,7 @@ def equation_faults(kind: type[Model], source: Source) -> list[Fault]:
     return [*faults, *_symbol_faults(model, source)]
 
 
-def effect_faults(kind: type[Model], source: Source) -> list[Fault]:
+def effect_faults(kind: type[Model], source: ModelText) -> list[Fault]:
     """Return the faults of effects and sensor errors.
 
     Each effect takes a substep alone, and commands are shaped as symbols.
@@ -41,7 +41,7 @@ def effect_faults(kind: type[Model], source: Source) -> list[Fault]:
     return [*faults, *_shaping_faults(model, source), *_sensor_faults(model, source)]
 
 
-def _try(source: Source, doing: str, call: Callable[..., Any], *arguments: Any) -> Any:
+def _try(source: ModelText, doing: str, call: Callable[..., Any], *arguments: Any) -> Any:
     """Return a call's result, or the fault of its exception."""
     try:
         return call(*arguments)
@@ -49,7 +49,7 @@ def _try(source: Source, doing: str, call: Callable[..., Any], *arguments: Any) 
         return source.convert_error(error, doing)
 
 
-def _start_faults(model: Model, source: Source) -> list[Fault]:
+def _start_faults(model: Model, source: ModelText) -> list[Fault]:
     """Return faults of unknown start values."""
     faults = []
     for hook, quantities in (("start_state", model.base_states), ("start_input", model.inputs)):
@@ -67,7 +67,7 @@ def _start_faults(model: Model, source: Source) -> list[Fault]:
     return faults
 
 
-def _symbol_faults(model: Model, source: Source) -> list[Fault]:
+def _symbol_faults(model: Model, source: ModelText) -> list[Fault]:
     """Return faults with all effects active, for both switch positions."""
     flags = any(isinstance(p.default, bool) for p in model.parameters)
     faults: list[Fault] = []
@@ -83,7 +83,7 @@ def _symbol_faults(model: Model, source: Source) -> list[Fault]:
     return faults
 
 
-def _time_faults(s: SymbolicModel, source: Source) -> list[Fault]:
+def _time_faults(s: SymbolicModel, source: ModelText) -> list[Fault]:
     """Return the fault of time-dependent outputs without states."""
     import sympy
 
@@ -100,7 +100,7 @@ Objection = Callable[[Any], str]  # why a value is unsuitable, "" if it is suita
 
 
 def _body_faults(
-    model: Model, source: Source, m: Namespace, arguments: tuple[Any, ...], objection: Objection
+    model: Model, source: ModelText, m: Namespace, arguments: tuple[Any, ...], objection: Objection
 ) -> list[Fault]:
     """Return faults of derivative and output: exceptions, number and values."""
     body = _try(source, "`equations` raises", model.equations, m)
@@ -149,7 +149,7 @@ def _symbol_objection(value: Any) -> str:
     return "" if is_expression else f"{type(value).__name__}, no number,"
 
 
-def _step_faults(model: Model, owner: type[Effect], source: Source) -> list[Fault]:
+def _step_faults(model: Model, owner: type[Effect], source: ModelText) -> list[Fault]:
     """Return the fault of a substep with one effect at typical size."""
     typical = {
         p.name: min(max(p.neutral + p.typical, p.bounds[0]), p.bounds[1])
@@ -167,7 +167,7 @@ def _step_faults(model: Model, owner: type[Effect], source: Source) -> list[Faul
     return [fault] if isinstance(fault, Fault) else []
 
 
-def _shaping_faults(model: Model, source: Source) -> list[Fault]:
+def _shaping_faults(model: Model, source: ModelText) -> list[Fault]:
     """Return faults of command shaping on symbols. A delay is taken from the log and needs no check."""
     import sympy
 
@@ -194,7 +194,7 @@ def _length(values: Any) -> int:
     return len(values) if isinstance(values, (tuple, list)) else -1
 
 
-def _sensor_faults(model: Model, source: Source) -> list[Fault]:
+def _sensor_faults(model: Model, source: ModelText) -> list[Fault]:
     """Return faults of symbolic readings of sensor errors."""
     import sympy
 

@@ -24,7 +24,7 @@ from cosim.base.registry import names as registered_names
 from cosim.loading import messages
 from cosim.loading.declared import make_model
 from cosim.loading.refined import NoNearest, names_refine, refined_file
-from cosim.loading.source import Source
+from cosim.loading.source import ModelText
 from cosim.model.model import Model
 from cosim.storage.artefact import kind_by_keys
 from cosim.storage.files import write_text
@@ -146,7 +146,7 @@ def load_model(text: str, folder: Path, named_in: YamlFile | None = None) -> Loa
     if own:
         return LoadedModel(own_model(text, folder), _absolute(text, folder))
     if path.suffix == ".py":
-        kind = (Source(path).classes or ["Class"])[-1]
+        kind = (ModelText(path).classes or ["Class"])[-1]
         message = messages.NO_CLASS_NAMED(name=text, kind=kind, allowed=ALLOWED)
         raise InputError([named_in.fault(("model",), message) if named_in else Fault(path, 0, 0, message)])
     if not path.exists():
@@ -328,7 +328,7 @@ def without_execution() -> Iterator[list[Path]]:
         _skipped.reset(token)
 
 
-def _execute(path: Path) -> tuple[Source, ModuleType]:
+def _execute(path: Path) -> tuple[ModelText, ModuleType]:
     """Execute a file and return its text and its module.
 
     This is the only place that executes a model's Python.
@@ -339,7 +339,7 @@ def _execute(path: Path) -> tuple[Source, ModuleType]:
     """
     if not path.is_file():
         raise InputError.at(path, messages.NO_MODEL_FILE())
-    source = Source(path)
+    source = ModelText(path)
     if (skipped := _skipped.get()) is not None:
         try:
             compile(path.read_bytes(), str(path), "exec", dont_inherit=True)

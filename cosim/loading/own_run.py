@@ -18,7 +18,7 @@ from cosim.model.namespaces import SCALAR
 MAX_GAP = 10.0  # rows; integration over longer gaps is limited to this length
 
 
-class Record(Protocol):
+class RunLog(Protocol):
     """Interface of the part of a log that is needed to run a model; see `cosim.logs.log.Log`."""
 
     @property
@@ -51,7 +51,7 @@ def shown_states(model: Model) -> set[str]:
 
 
 def moments(
-    stepper: Stepper, log: Record, ignored: Mapping[str, Rows] | None = None
+    stepper: Stepper, log: RunLog, ignored: Mapping[str, Rows] | None = None
 ) -> Iterator[tuple[int, Moment, Moment]]:
     """Yield row, predicted moment, and moment with the row's readings.
 
@@ -83,13 +83,13 @@ def moments(
                 return
 
 
-def command_rows(model: Model, log: Record) -> list[Values]:
+def command_rows(model: Model, log: RunLog) -> list[Values]:
     """Return the commands by row, in the model's input order."""
     columns = [log.inputs[q.name].tolist() for q in model.inputs]
     return list(zip(*columns, strict=True)) if columns else [()] * len(log.time)
 
 
-def predicted_outputs(model: Model, log: Record, ignored: Mapping[str, Rows]) -> dict[str, Array]:
+def predicted_outputs(model: Model, log: RunLog, ignored: Mapping[str, Rows]) -> dict[str, Array]:
     """Return one-step-ahead predictions of outputs, NaN after divergence.
 
     Args:

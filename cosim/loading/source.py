@@ -16,7 +16,7 @@ FORMER = {"delay", "design", "gain", "integrate", "model", "namespaces", "planar
 FOREIGN = ("Cannot convert expression to float", "must be real number", "ufunc", "Namespace' object has no attribute")
 
 
-class Source:
+class ModelText:
     """The text of a model file."""
 
     def __init__(self, path: Path) -> None:

@@ -27,8 +27,8 @@ from cosim.base.registry import is_model
 from cosim.base.text import amount, plain
 from cosim.loading import messages
 from cosim.loading.file import LoadedModel
-from cosim.loading.own_run import Record, command_rows, moments
-from cosim.loading.source import Source
+from cosim.loading.own_run import RunLog, command_rows, moments
+from cosim.loading.source import ModelText
 from cosim.model.integrate import Stepper, substeps
 from cosim.model.model import AUTO, RK4, STIFF, Model, Values
 from cosim.model.symbolic.linearize import Linearizer
@@ -45,7 +45,7 @@ MAX_ROWS = 20_000  # of a log for running the model
 
 
 @dataclass(frozen=True)
-class Mode:
+class StateMode:
     """An eigenvalue of the Jacobian [1/s], the state with the largest participation, and its place."""
 
     eigenvalue: complex
@@ -64,7 +64,7 @@ class Mode:
         return f"{self.state} has a fast mode ({speed}, {self.place})"
 
 
-def with_substep(loaded: LoadedModel, logs: Sequence[Record] = ()) -> tuple[LoadedModel, list[Message]]:
+def with_substep(loaded: LoadedModel, logs: Sequence[RunLog] = ()) -> tuple[LoadedModel, list[Message]]:
     """Return the model with an integrator and a substep that suit its fastest mode, and notes.
 
     Modes are computed at the start and along the model's run on each log. Registered models keep their settings.
@@ -88,7 +88,7 @@ def with_substep(loaded: LoadedModel, logs: Sequence[Record] = ()) -> tuple[Load
     return _choose(loaded, fastest, max((mode for mode, _ in modes), key=lambda m: m.speed))
 
 
-def _refuse_growth(loaded: LoadedModel, modes: Sequence[tuple[Mode, float]]) -> None:
+def _refuse_growth(loaded: LoadedModel, modes: Sequence[tuple[StateMode, float]]) -> None:
     """Raise InputError if the stated substep makes a decaying mode grow. The message names the fastest such mode."""
     for mode, h in sorted(modes, key=lambda pair: -pair[0].speed * pair[1]):
         if _grows(mode.eigenvalue * h):
@@ -96,7 +96,7 @@ def _refuse_growth(loaded: LoadedModel, modes: Sequence[tuple[Mode, float]]) -> 
             raise _error(loaded, "substep", messages.UNSTABLE_SUBSTEP(mode=mode, **lengths))
 
 
-def _choose(loaded: LoadedModel, fastest: _Fastest, mode: Mode) -> tuple[LoadedModel, list[Message]]:
+def _choose(loaded: LoadedModel, fastest: _Fastest, mode: StateMode) -> tuple[LoadedModel, list[Message]]:
     """Return the model with integrator and substep for its fastest mode."""
     model = loaded.model
     count = math.ceil(model.rate * mode.speed / MAX_CHOSEN) if math.isfinite(mode.speed) else math.inf
@@ -141,11 +141,11 @@ class _Fastest:
         except (NotImplementedError, ValueError):  # A function without derivative, e.g. `%`: the default substep stays.
             self.linearized = None
 
-    def at_start(self) -> Mode:
+    def at_start(self) -> StateMode:
         """Return the fastest mode at the start values."""
         return self._at(self.model.start(), self.model.start_command(), 0.0, "at the start")
 
-    def along(self, log: Record) -> Mode:
+    def along(self, log: RunLog) -> StateMode:
         """Return the fastest mode of the model at points of a log."""
         rows = min(len(log.time), MAX_ROWS)
         commands, every = command_rows(self.model, log), max(1, rows // POINTS)
@@ -176,17 +176,17 @@ class _Fastest:
         z = self.row * np.abs(np.concatenate([np.zeros(1), *self.eigenvalues]))
         return self.row / max(LEAST_STIFF, math.ceil(float(z[z <= FOLLOWED].max()) / MAX_CHOSEN))
 
-    def _at(self, state: Values, command: Values, t: float, place: str) -> Mode:
+    def _at(self, state: Values, command: Values, t: float, place: str) -> StateMode:
         try:
             A = self.linearized(state, command, t).A if self.linearized else np.zeros((0, 0))
         except (ArithmeticError, ValueError):  # no derivative at this point
             A = np.zeros((0, 0))
         values = eigenvalues(A)
         if not values.size:
-            return Mode(0.0, "", place)
+            return StateMode(0.0, "", place)
         self.eigenvalues.append(values)
         value = complex(values[np.argmax(np.abs(values))])
-        return Mode(value, self._state(A, value), place)
+        return StateMode(value, self._state(A, value), place)
 
     def _state(self, A: Array, value: complex) -> str:
         """Return the state with the largest participation in a mode.
@@ -200,12 +200,12 @@ class _Fastest:
         return self.model.states[int(np.argmax(np.abs(rows[:, k] * columns[:, k])))].name
 
 
-def _accurate(model: Model, mode: Mode) -> float:
+def _accurate(model: Model, mode: StateMode) -> float:
     """Return a substep for finding modes, at most the model's own."""
     return min(model.substep, MAX_CHOSEN / mode.speed) if mode.speed > 0.0 else model.substep
 
 
-def _stiff(model: Model, mode: Mode) -> Message:
+def _stiff(model: Model, mode: StateMode) -> Message:
     """Return the message on a mode too fast for the model's rate."""
     name = type(model).__name__
     if mode.eigenvalue.real > 0.0:
@@ -222,4 +222,4 @@ def _ms(seconds: float) -> str:
 
 
 def _error(loaded: LoadedModel, attribute: str, message: str) -> InputError:
-    return InputError([Source(Path(loaded.source.rpartition(":")[0])).fault(type(loaded.model), attribute, message)])
+    return InputError([ModelText(Path(loaded.source.rpartition(":")[0])).fault(type(loaded.model), attribute, message)])

@@ -16,7 +16,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.blocks.faults import LinkFunction
-from cosim.blocks.sources import Source
+from cosim.blocks.sources import SourceBlock
 from cosim.blocks.stepping import Loop, NotCompiled, Slot, StopReason, library, transfer
 from cosim.blocks.stepping import Transfer as CTransfer
 from cosim.isolation.rows import CALLS, Rows
@@ -27,7 +27,7 @@ PREPARED_POINTS = 1000  # points of source values computed at a time
 
 
 @dataclass(frozen=True)
-class Run:
+class LoopData:
     """Data of a run that the stepping loop in C needs, after the first row is complete.
 
     Attributes:
@@ -47,7 +47,7 @@ class Run:
     next_call: Callable[[int], int]
 
 
-def prepare_steps(run: Run) -> CompiledSteps:
+def prepare_steps(run: LoopData) -> CompiledSteps:
     """Return the steps of a run, prepared for C; raise NotCompiled with the reason if C cannot make them."""
     if run.system.beside:
         raise NotCompiled(f"{run.system.beside[0]} is no number that a double holds")
@@ -63,7 +63,7 @@ def prepare_steps(run: Run) -> CompiledSteps:
 
 def compile_beforehand(system: System) -> None:
     """Compile the loop now, outside the time limits of calls."""
-    fmus = (stage.component for stage in system.stages if not isinstance(stage.component, Source))
+    fmus = (stage.component for stage in system.stages if not isinstance(stage.component, SourceBlock))
     if not system.beside and not any(fmu.nominal_step for fmu in fmus):  # Python steps FMUs made of Python.
         with suppress(NotCompiled):
             library()
@@ -72,7 +72,7 @@ def compile_beforehand(system: System) -> None:
 class CompiledSteps:
     """All steps of a run after initialization, made in C."""
 
-    def __init__(self, run: Run, slots: Sequence[Slot]) -> None:
+    def __init__(self, run: LoopData, slots: Sequence[Slot]) -> None:
         self.run, system = run, run.system
         every = {stage.component.name: stage.every for stage in system.stages}
         for k, (slot, stage) in enumerate(zip(slots, system.stages, strict=True)):
@@ -88,7 +88,7 @@ class CompiledSteps:
             counter=run.rows.made,
             doing=run.rows.doing,
         )
-        self.sources = {k: c for k, c in enumerate(run.components) if isinstance(c, Source)}
+        self.sources = {k: c for k, c in enumerate(run.components) if isinstance(c, SourceBlock)}
         self._values: list[Array] = []
 
     def make_all(self) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 from cosim.base.errors import SimulationError
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.sources import Source
+from cosim.blocks.sources import SourceBlock
 from cosim.isolation.rows import GET, OTHER
 from cosim.master import messages
 from cosim.master.copying import copy_values
@@ -31,7 +31,7 @@ def rollback_objection(system: System) -> str:
         if isinstance(component, FmuBlock):
             if not component.instance.rolls_back:
                 return f"{component.name} gives no state away, or takes no step of another length"
-        elif not isinstance(component, Source):
+        elif not isinstance(component, SourceBlock):
             return f"{component.name} cannot be taken back"
     return ""
 

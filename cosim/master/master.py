@@ -22,7 +22,7 @@ from cosim.blocks.component import EarlyEnd
 from cosim.blocks.stepping import NEVER, NotCompiled
 from cosim.isolation.rows import CALLS, OTHER, Rows
 from cosim.master import messages
-from cosim.master.c_loop import CompiledSteps, Run, prepare_steps
+from cosim.master.c_loop import CompiledSteps, LoopData, prepare_steps
 from cosim.master.copying import Copying, Noisy, Plain, Through, doubles
 from cosim.master.initialization import Initialization
 from cosim.storage.files import hold_stops
@@ -210,7 +210,7 @@ class Master:
             raise NotCompiled("asked for")
         links = self.copying.links
         data = self.system, self.components, self.steps, self.h, self.row, self.rows
-        return prepare_steps(Run(*data, lambda t: links[t.name], self.calls, self._next_call))
+        return prepare_steps(LoopData(*data, lambda t: links[t.name], self.calls, self._next_call))
 
     def announce(self, component: Any, call: int = OTHER) -> None:
         """Store the next call, so that a crash or a hang is blamed on its component."""

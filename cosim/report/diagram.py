@@ -16,7 +16,7 @@ STYLES = ("diagram.css", "diagram_alone.css")
 
 
 @dataclass(frozen=True)
-class Port:
+class DiagramPort:
     """An input or output of a box; each note below the port has a text and a tone, warn or bad."""
 
     name: str
@@ -41,8 +41,8 @@ class Box:
 
     name: str
     about: str
-    inputs: tuple[Port, ...]
-    outputs: tuple[Port, ...]
+    inputs: tuple[DiagramPort, ...]
+    outputs: tuple[DiagramPort, ...]
 
     @property
     def width(self) -> float:
@@ -67,7 +67,7 @@ class Wire:
 
 
 @dataclass(frozen=True)
-class Layout:
+class DiagramLayout:
     """Places of a diagram's boxes [px], and the order of the wires in gaps and lanes."""
 
     boxes: Sequence[Box]
@@ -100,7 +100,7 @@ def diagram(
         lefts.append(x)
         x += box.width + SLOT * (3 + len(gaps[number + 1]))
     bottom = top + max(box.height for box in boxes) + 12
-    layout = Layout(boxes, lefts, top, bottom, gaps, above, below)
+    layout = DiagramLayout(boxes, lefts, top, bottom, gaps, above, below)
     parts = [_box(box, lefts[k], top) for k, box in enumerate(boxes)]
     parts += [_path(number, wire, layout) for number, wire in enumerate(wires)]
     key_top = bottom + LANE * len(below) + 22
@@ -172,11 +172,11 @@ def _box(box: Box, x: float, y: float) -> str:
     return "".join(parts)
 
 
-def _port_y(ports: Sequence[Port], number: int, top: float) -> float:
+def _port_y(ports: Sequence[DiagramPort], number: int, top: float) -> float:
     return top + HEAD + 6 + sum(p.height for p in ports[:number]) + 11
 
 
-def _path(number: int, wire: Wire, layout: Layout) -> str:
+def _path(number: int, wire: Wire, layout: DiagramLayout) -> str:
     source, target = wire.source[0], wire.target[0]
     x1, x2 = layout.lefts[source] + layout.boxes[source].width, layout.lefts[target]
     y1 = _port_y(layout.boxes[source].outputs, wire.source[1], layout.top)

@@ -86,7 +86,7 @@ def _is_converted_wrongly(log: Log, name: str, slope: float) -> bool:
     return by is not None and not 0.2 < by < 5.0 and 0.7 < slope / by < 1.4
 
 
-class Delay(NamedTuple):
+class MeasuredDelay(NamedTuple):
     """Time delay of a measured signal relative to the model [s], with its standard error.
 
     Attributes:
@@ -100,7 +100,7 @@ class Delay(NamedTuple):
     frequency: float
 
 
-def delay(log: Log, measured: Array, model: Array) -> Delay | None:
+def delay(log: Log, measured: Array, model: Array) -> MeasuredDelay | None:
     """Return the delay of a measured signal relative to the model, or None for dissimilar signals.
 
     Slow parts are removed, so that drift has no influence. A parabola refines the peak of the cross-correlation.
@@ -120,10 +120,10 @@ def delay(log: Log, measured: Array, model: Array) -> Delay | None:
     independent = max(2.0, np.isfinite(fast).sum() * log.step / (SLOW * log.slowness) * 2.0)
     error = size / slope * math.sqrt(max(0.0, 1.0 / float(rho[k]) ** 2 - 1.0) / independent)
     error = max(error, 0.02 * log.step)  # limit of the parabola's accuracy
-    return Delay((k - lags + float(top)) * log.step, error, float(rho[k]), slope / size)
+    return MeasuredDelay((k - lags + float(top)) * log.step, error, float(rho[k]), slope / size)
 
 
-def _same_when_faster(log: Log, measured: Array, model: Array, slow: Delay) -> bool | None:
+def _same_when_faster(log: Log, measured: Array, model: Array, slow: MeasuredDelay) -> bool | None:
     """Return True if fast changes have the same delay as slow ones; None without fast changes.
 
     A wrong friction or inertia has a frequency-dependent delay.

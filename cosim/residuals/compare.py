@@ -14,7 +14,7 @@ from cosim.logs.log import Log
 from cosim.residuals import messages
 from cosim.residuals.against import delays, scales
 from cosim.residuals.drive import Drive
-from cosim.residuals.floor import EXACT, Floor, draws, floors
+from cosim.residuals.floor import EXACT, ChannelFloor, draws, floors
 from cosim.residuals.residual_statistics import (
     FREE_RUN,
     InputCorrelation,
@@ -47,7 +47,7 @@ class ChannelSummary:
     unit: str
     horizon: float
     noise: float
-    floor: Floor
+    floor: ChannelFloor
     scores: Mapping[float, Score]
     whiteness: Whiteness
     inputs: tuple[InputCorrelation, ...]
@@ -137,7 +137,9 @@ def _hidden_states(channels: Sequence[ChannelSummary]) -> Iterator[Finding]:
             yield Finding("warning", "hidden_state", c.name, message, {"rmse": c.floor.astray, "noise": c.floor.rmse})
 
 
-def _summary(log: Log, replays: Mapping[float, Replay], name: str, horizon: float, floor: Floor) -> ChannelSummary:
+def _summary(
+    log: Log, replays: Mapping[float, Replay], name: str, horizon: float, floor: ChannelFloor
+) -> ChannelSummary:
     measured = log.outputs[name]
     scores = {horizon: score(measured, r.outputs[name]) for horizon, r in sorted(replays.items())}
     residual = measured - replays[min(replays)].outputs[name]

@@ -35,7 +35,7 @@ PER_ROW = 8  # steps between rows for interpolated inputs, each held at its midp
 
 
 @dataclass(frozen=True)
-class Steps:
+class DriveSteps:
     """Steps of an FMU along a stretch of a log.
 
     Attributes:
@@ -103,7 +103,7 @@ class StoppedReplay(SimulationError):
         self.reason, self.exit_code = error.reason, error.exit_code
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (SimulationError(self.component, self.time, self.reason), self.done)
+        return type(self), (SimulationError(self.component, self.time, self.reason), self.done), self.__dict__
 
 
 class Drive:
@@ -298,13 +298,13 @@ class Drive:
             self.block.put()
         self.block.get()
 
-    def _count(self, steps: Steps) -> None:
+    def _count(self, steps: DriveSteps) -> None:
         """Add finished steps and report progress."""
         self._driven[0] += len(steps.times)
         if self.progress is not None:
             self.progress(self._driven[0])
 
-    def _steps(self, first: int, last: int) -> Steps:
+    def _steps(self, first: int, last: int) -> DriveSteps:
         """Return the steps between two rows of the log.
 
         An FMU with variable step follows the logged times, with several steps over a gap. Another FMU takes equal steps
@@ -326,9 +326,9 @@ class Drive:
             lengths, reads = np.full(times.size, step), np.ones(times.size, bool)
             rows = first + np.searchsorted(time, times + 1e-6 * step, side="right") - 1
         reached = [float(time[0]), *(times + lengths)[reads].tolist()]
-        return Steps(times.tolist(), lengths.tolist(), rows.tolist(), reads.tolist(), reached)
+        return DriveSteps(times.tolist(), lengths.tolist(), rows.tolist(), reads.tolist(), reached)
 
-    def _puts(self, steps: Steps, first: int) -> list[Any]:
+    def _puts(self, steps: DriveSteps, first: int) -> list[Any]:
         """Return the command before each step, None if unchanged.
 
         An interpolated input takes its value at the midpoint of the step.

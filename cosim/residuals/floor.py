@@ -27,7 +27,7 @@ STEP = 1e-6  # change of a start value without known noise
 EXACT = 1e-4  # share of a channel's spread; a log without noise is matched to rounding
 
 
-class Floor(NamedTuple):
+class ChannelFloor(NamedTuple):
     """RMSE of one channel explained by noise, and the limit of a correct model relative to the RMSE.
 
     Attributes:
@@ -46,7 +46,9 @@ def draws(log: Log, horizon: float) -> int:
     return max(FEWEST_DRAWS, math.ceil(WINDOWS / max(1, count)))
 
 
-def floors(drive: Drive, parameters: Mapping[str, StartParameter], free: Replay, measured: Replay) -> dict[str, Floor]:
+def floors(
+    drive: Drive, parameters: Mapping[str, StartParameter], free: Replay, measured: Replay
+) -> dict[str, ChannelFloor]:
     """Return channel → noise floor over the horizon of `measured`.
 
     The model is replayed against its free run, with the noise and gaps of the log, and with gaps only. An error without
@@ -76,7 +78,7 @@ def floors(drive: Drive, parameters: Mapping[str, StartParameter], free: Replay,
     totals, starts = pool_errors(errors), sorted(measured.starts)
     squares = {n: np.concatenate([_mean_squares(e[n], starts) for e in errors]) for n in sampled}
     astray = {n: 0.0 if horizon == FREE_RUN else _restart_error(v, restarted[n]) for n, v in sampled.items()}
-    return {n: Floor(totals[n], _limit(squares[n], count), astray[n]) for n in sampled}
+    return {n: ChannelFloor(totals[n], _limit(squares[n], count), astray[n]) for n in sampled}
 
 
 class _LinearDrive(Drive):

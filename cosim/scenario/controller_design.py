@@ -251,7 +251,7 @@ class _Design:
         except Undesigned:
             raise
         except ValueError as error:
-            raise InputError([self.file.yaml.fault(("design",), messages.NO_DESIGN(reason=error), key=True)]) from None
+            raise InputError([self.file.yaml.fault(("design",), messages.NO_DESIGN.around(error), key=True)]) from None
         return {name: float(value) for name, value in values.items()}
 
     def verdict(self, values: Mapping[str, Any], own: Mapping[str, Any]) -> Judged:

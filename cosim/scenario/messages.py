@@ -47,7 +47,7 @@ NO_COMPLEX_NUMBER = Template("E-SCN-015", "{value} is no number; write -4 or, co
 CRASHED_PYTHON = Template("E-SCN-016", "does not load: {reason}")
 CONTRADICTION = Template("E-SCN-017", "{name} is {start} here and {option} in design: leave one of them out")
 MODEL_WITHOUT_DESIGNER = Template("E-SCN-018", "{name} is {title}; no controller is designed for it here")
-NO_DESIGN = Template("E-SCN-019", "design: {reason}")
+NO_DESIGN = Template("E-SCN-019", "design: {error}")
 TWO_NUMBERS = Template(
     "W-SCN-020",
     "{name} is {start:g} in components.{component}.start and {design:g} in design: it runs with the first and"

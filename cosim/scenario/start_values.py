@@ -11,7 +11,7 @@ from typing import Any
 from cosim.base.units import allowed_quantity, split_quantity
 from cosim.blocks.component import Signal
 from cosim.blocks.description import enumeration_items, is_difference, unit_definition, unit_of
-from cosim.blocks.fmi_types import Kind, element_names, kinds_of
+from cosim.blocks.fmi_types import FmiType, element_names, kinds_of
 from cosim.storage.yaml_file import did_you_mean
 
 HEX = re.compile(r"(?:[0-9A-Fa-f]{2})*")
@@ -120,7 +120,7 @@ NOT_NUMBERS: dict[str, tuple[Callable[[Any], bool], str]] = {
 }
 
 
-def _why_no_number(variable: Any, kind: Kind, value: Any) -> str:
+def _why_no_number(variable: Any, kind: FmiType, value: Any) -> str:
     """Return the reason for rejecting a number, or ""."""
     unit = unit_of(variable)
     if isinstance(value, bool) or not isinstance(value, (int, float)):
@@ -135,7 +135,7 @@ def _why_no_number(variable: Any, kind: Kind, value: Any) -> str:
     return ""
 
 
-def _bounds(variable: Any, kind: Kind) -> tuple[float, float]:
+def _bounds(variable: Any, kind: FmiType) -> tuple[float, float]:
     """Return the bounds of a variable.
 
     Its own bounds take precedence over its declared type's; the range of the FMI type always applies.

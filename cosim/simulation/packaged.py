@@ -23,7 +23,7 @@ from cosim.ssp.flatten import read
 from cosim.ssp.levels import Flat
 from cosim.ssp.read import Reader
 from cosim.ssp.ssp_package import Package, open_package
-from cosim.ssp.structure import Structure
+from cosim.ssp.structure import SspStructure
 from cosim.storage.files import check_writable, write_json
 from cosim.storage.folders import keep_earlier
 from cosim.storage.kinds import SSP, kind_by_form
@@ -41,7 +41,7 @@ def is_ssp(path: Path) -> bool:
 
 
 @dataclass
-class Places:
+class SspPlaces:
     """Places in an SSP of the parts of its scenario."""
 
     package: Package
@@ -67,7 +67,7 @@ class PackagedScenario:
 
     scenario: dict[str, Any]
     files: dict[str, Path]
-    places: Places
+    places: SspPlaces
     warnings: list[str]
 
 
@@ -143,10 +143,14 @@ def _files(flat: Flat) -> dict[str, Path]:
 
 
 def _scenario(
-    package: Package, structure: Structure, flat: Flat, files: dict[str, Path], notes: tuple[list[str], frozenset[str]]
-) -> tuple[dict[str, Any], Places]:
+    package: Package,
+    structure: SspStructure,
+    flat: Flat,
+    files: dict[str, Path],
+    notes: tuple[list[str], frozenset[str]],
+) -> tuple[dict[str, Any], SspPlaces]:
     """Return the scenario and the places of its parts."""
-    places = Places(package, structure.experiment, {})
+    places = SspPlaces(package, structure.experiment, {})
     name_of = {path: name for name, path in files.items()}
     components: dict[str, Any] = {}
     for part in flat.parts:
@@ -180,7 +184,7 @@ def _scenario(
     return scenario, places
 
 
-def _times(structure: Structure, flat: Flat, warnings: list[str], overrides: Set[str]) -> tuple[float, float, float]:
+def _times(structure: SspStructure, flat: Flat, warnings: list[str], overrides: Set[str]) -> tuple[float, float, float]:
     """Return start, duration and communication step [s].
 
     Defaulted values add a warning, unless `overrides` contains their key.

@@ -18,7 +18,7 @@ WANTED = "the folder of a run or a table of its rows"
 
 
 @dataclass(frozen=True)
-class Ran:
+class RecordedRun:
     """Results read from files, with their path, their name, and the manifest if there is one."""
 
     path: Path
@@ -33,13 +33,13 @@ class Ran:
         return [c for c in entries if isinstance(c, dict)] if isinstance(entries, list) else []
 
 
-def read_ran(path: Path) -> Ran:
+def read_ran(path: Path) -> RecordedRun:
     """Return results of a path; raise InputError if none."""
     if not path.exists():
         raise InputError.at(path, messages.NO_RESULTS(kind=WANTED))
     if not path.is_dir():
         check_given(path, LOG)
-        return Ran(path, path.stem, read_results(path))
+        return RecordedRun(path, path.stem, read_results(path))
     rows = rows_in(path)
     if rows is None:
         refuse_folder(path, WANTED)
@@ -49,4 +49,4 @@ def read_ran(path: Path) -> Ran:
     units = manifest.get("units") or replay_record(path).get("units")
     text = manifest.get("beside")
     results = read_results(rows, units if isinstance(units, dict) else {}, text if isinstance(text, list) else ())
-    return Ran(path, path.resolve().name, results, manifest)
+    return RecordedRun(path, path.resolve().name, results, manifest)

@@ -122,11 +122,11 @@ def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) ->
     except FmuError as error:
         return [error.fault(path, path.resolve())]
     except errors.DiskFull as error:
-        return [Fault(path, 0, 0, messages.NO_SPACE_FOR_TRIAL(reason=error.reason), FmuError.exit_code)]
+        return [Fault(path, 0, 0, messages.NO_SPACE_FOR_TRIAL.around(error.reason), FmuError.exit_code)]
     if failure is None:
         return []
     if isinstance(failure, (errors.Interrupted, errors.Signalled)):
         raise failure
     code = failure.exit_code if isinstance(failure, errors.TimedOut) else FmuError.exit_code
     cure = "; --no-load checks it without" if isinstance(failure, (errors.Crashed, errors.TimedOut)) else ""
-    return [Fault(path, 0, 0, messages.FAILED_TRIAL(reason=failure, cure=cure), code)]
+    return [Fault(path, 0, 0, messages.FAILED_TRIAL.around(failure, cure=cure), code)]

@@ -12,16 +12,25 @@ from cosim.blocks.component import Signal
 from cosim.blocks.description import read_description, unit_definition, unit_of
 from cosim.ssp import messages
 from cosim.ssp.elements import Element
-from cosim.ssp.levels import Flat, Level, Link, Part, direct_connections, levels
+from cosim.ssp.levels import Flat, FmuPart, Level, SignalLink, direct_connections, levels
 from cosim.ssp.read import Reader
-from cosim.ssp.structure import Component, Connection, Connector, Linear, Parameter, Structure, System, Units
+from cosim.ssp.structure import (
+    Connector,
+    LinearTransformation,
+    SspComponent,
+    SspConnection,
+    SspParameter,
+    SspStructure,
+    SspSystem,
+    Units,
+)
 from cosim.storage.yaml_file import did_you_mean, format_value
 
-Hops = tuple[tuple[Level, Connection], ...]  # successive connections with their levels, from the source
-Target = tuple[Part, str, Hops]  # a variable of an FMU and the connections to it
+Hops = tuple[tuple[Level, SspConnection], ...]  # successive connections with their levels, from the source
+Target = tuple[FmuPart, str, Hops]  # a variable of an FMU and the connections to it
 
 
-def read(reader: Reader) -> tuple[Structure, Flat]:
+def read(reader: Reader) -> tuple[SspStructure, Flat]:
     """Return the structure of an SSP and its flat system without faulty parts; raise InputError without one."""
     structure = reader.structure()
     if structure is None:
@@ -30,9 +39,9 @@ def read(reader: Reader) -> tuple[Structure, Flat]:
 
 
 class _Flattener:
-    def __init__(self, structure: Structure, reader: Reader) -> None:
+    def __init__(self, structure: SspStructure, reader: Reader) -> None:
         self.structure, self.reader = structure, reader
-        self.parts: dict[str, Part] = {}  # by name
+        self.parts: dict[str, FmuPart] = {}  # by name
 
     def flat(self) -> Flat:
         root = self._level(direct_connections(self.structure.system), None, ())
@@ -41,16 +50,16 @@ class _Flattener:
         links = [link for level in levels(root) for link in self._links(level)]
         return Flat(tuple(self.parts.values()), tuple(links))
 
-    def _level(self, system: System, parent: Level | None, path: tuple[str, ...]) -> Level:
+    def _level(self, system: SspSystem, parent: Level | None, path: tuple[str, ...]) -> Level:
         level = Level(system, parent)
         for name, element in system.elements.items():
-            if isinstance(element, System):
+            if isinstance(element, SspSystem):
                 level.systems[name] = self._level(element, level, (*path, name))
             elif (part := self._part(element, (*path, name))) is not None:
                 level.parts[name] = self.parts[part.name] = part
         return level
 
-    def _part(self, component: Component, path: tuple[str, ...]) -> Part | None:
+    def _part(self, component: SspComponent, path: tuple[str, ...]) -> FmuPart | None:
         if not component.fmu.name:  # This fault has already been noted.
             return None
         try:
@@ -59,7 +68,7 @@ class _Flattener:
             self.reader.faults.append(replace(component.element.fault(str(error)), exit_code=error.exit_code))
             return None
         variables = {v.name: v for v in description.modelVariables}
-        part = Part(self._name(path), ".".join(path), component, description, variables)
+        part = FmuPart(self._name(path), ".".join(path), component, description, variables)
         for name, connector in component.connectors.items():
             if name not in variables and connector.kind in {"input", "output", "parameter"}:
                 hint = did_you_mean(name, variables)
@@ -99,7 +108,7 @@ class _Flattener:
             message = messages.UNKNOWN_CONNECTOR(side=side, owner=owner, name=format_value(connector), hint=hint)
             self.reader.note(element, message)
 
-    def _links(self, level: Level) -> Iterator[Link]:
+    def _links(self, level: Level) -> Iterator[SignalLink]:
         """Yield the connections to the FMUs of a level, each followed back to the output of an FMU."""
         for connection in level.system.connections:
             part = level.parts.get(connection.end[0] or "")
@@ -113,9 +122,9 @@ class _Flattener:
             first_level, first = hops[0]
             source = first_level.parts[first.start[0] or ""]
             ends = f"{source.name}.{first.start[1]}", f"{part.name}.{connection.end[1]}"
-            yield Link(*ends, self._along(source, hops, connection.element), connection.element)
+            yield SignalLink(*ends, self._along(source, hops, connection.element), connection.element)
 
-    def _hops(self, level: Level, last: Connection) -> Hops | None:
+    def _hops(self, level: Level, last: SspConnection) -> Hops | None:
         """Return the chain of connections that leads from an FMU's output to `last`; empty if none does."""
         hops: Hops = ((level, last),)
         while True:
@@ -131,7 +140,7 @@ class _Flattener:
                 return None
             hops = ((outer, before), *hops)
 
-    def _along(self, source: Part, hops: Hops, element: Element) -> Linear | None:
+    def _along(self, source: FmuPart, hops: Hops, element: Element) -> LinearTransformation | None:
         """Return the conversion of a value along a chain of connections; None if the FMUs' units suffice."""
         output = hops[0][1].start[1]
         first = source.component.connectors.get(output)
@@ -139,11 +148,11 @@ class _Flattener:
         stages = [(signal, connection.linear) for (_, signal), (_, connection) in zip(ends, hops, strict=True)]
         factors = self._chain(self._signal(source, output, first), stages, element)
         has_units = any(connector and connector.unit is not None for connector in (first, *(c for c, _ in ends)))
-        if factors is None or not (has_units or any(linear != Linear() for _, linear in stages)):
+        if factors is None or not (has_units or any(linear != LinearTransformation() for _, linear in stages)):
             return None
-        return Linear(*factors)
+        return LinearTransformation(*factors)
 
-    def _end(self, level: Level, connection: Connection) -> tuple[Connector | None, Signal]:
+    def _end(self, level: Level, connection: SspConnection) -> tuple[Connector | None, Signal]:
         name, variable = connection.end
         part = level.parts.get(name or "")
         if part is not None:
@@ -151,13 +160,13 @@ class _Flattener:
             return connector, self._signal(part, variable, connector)
         return self._boundary(level.system if name is None else level.systems[name].system, variable)
 
-    def _boundary(self, system: System, name: str) -> tuple[Connector | None, Signal]:
+    def _boundary(self, system: SspSystem, name: str) -> tuple[Connector | None, Signal]:
         """Return a system's own connector and its signal."""
         connector = system.connectors.get(name)
         unit = (connector.unit if connector else None) or ""
         return connector, Signal(name, unit, self.structure.units.get(unit))
 
-    def _signal(self, part: Part, name: str, connector: Connector | None) -> Signal:
+    def _signal(self, part: FmuPart, name: str, connector: Connector | None) -> Signal:
         """Return a variable of an FMU as a signal, in the unit of its connector or else in its own unit."""
         variable = part.variables.get(name)
         own = "" if variable is None else unit_of(variable)
@@ -166,7 +175,7 @@ class _Flattener:
         return Signal(name, unit, definition, relative=bool(getattr(variable, "relativeQuantity", False)))
 
     def _chain(
-        self, signal: Signal, stages: Iterable[tuple[Signal, Linear]], element: Element
+        self, signal: Signal, stages: Iterable[tuple[Signal, LinearTransformation]], element: Element
     ) -> tuple[float, float] | None:
         """Return factor and offset of successive unit conversions, each followed by its transformation."""
         factor, offset = 1.0, 0.0
@@ -228,7 +237,7 @@ class _Flattener:
             elif name in level.systems:
                 yield from self._forward(level.systems[name], variable, further)
 
-    def _set_start(self, part: Part, variable: str, parameter: Parameter, hops: Hops) -> None:
+    def _set_start(self, part: FmuPart, variable: str, parameter: SspParameter, hops: Hops) -> None:
         """Set a start value of an FMU, converted to the unit of its variable."""
         value = parameter.value
         if not isinstance(value, (bool, str)):
@@ -242,14 +251,14 @@ class _Flattener:
             value = value if factors == (1.0, 0.0) else value * factors[0] + factors[1]
         part.start[variable] = value, parameter.element
 
-    def _of(self, parameter: Parameter) -> Signal:
+    def _of(self, parameter: SspParameter) -> Signal:
         unit = parameter.unit or ""
         units: Units = {**self.structure.units, **parameter.units}
         if unit not in units and unit.startswith("[") and unit.endswith("]"):  # some tools write units in brackets
             unit = unit[1:-1]
         return Signal(parameter.name, unit, units.get(unit))
 
-    def _warn_of_name(self, parameter: Parameter, names: Iterable[str]) -> None:
+    def _warn_of_name(self, parameter: SspParameter, names: Iterable[str]) -> None:
         hint = did_you_mean(parameter.name, names)
         message = messages.PARAMETER_WITHOUT_TARGET(name=format_value(parameter.name), hint=hint)
         self.reader.warn(parameter.element, message)

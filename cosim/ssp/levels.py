@@ -8,23 +8,23 @@ from functools import cached_property
 from typing import Any
 
 from cosim.ssp.elements import Element
-from cosim.ssp.structure import Component, Connection, Linear, System
+from cosim.ssp.structure import LinearTransformation, SspComponent, SspConnection, SspSystem
 
 
 @dataclass
-class Part:
+class FmuPart:
     """An FMU of the system; `name` is its scenario name, `path` its SSP path."""
 
     name: str
     path: str
-    component: Component
+    component: SspComponent
     description: Any
     variables: dict[str, Any]
     start: dict[str, tuple[Any, Element]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
-class Link:
+class SignalLink:
     """A connection between an output and an input, each `name.variable`.
 
     Attributes:
@@ -33,7 +33,7 @@ class Link:
 
     source: str
     target: str
-    linear: Linear | None
+    linear: LinearTransformation | None
     element: Element
 
 
@@ -41,8 +41,8 @@ class Link:
 class Flat:
     """A system without nested systems."""
 
-    parts: tuple[Part, ...]
-    links: tuple[Link, ...]
+    parts: tuple[FmuPart, ...]
+    links: tuple[SignalLink, ...]
 
 
 @dataclass
@@ -54,18 +54,18 @@ class Level:
         parts: Its FMUs by name.
     """
 
-    system: System
+    system: SspSystem
     parent: Level | None
     systems: dict[str, Level] = field(default_factory=dict)
-    parts: dict[str, Part] = field(default_factory=dict)
+    parts: dict[str, FmuPart] = field(default_factory=dict)
 
     @cached_property
-    def into(self) -> dict[tuple[str | None, str], Connection]:
+    def into(self) -> dict[tuple[str | None, str], SspConnection]:
         """Return the connections by end."""
         return {connection.end: connection for connection in reversed(self.system.connections)}
 
 
-def direct_connections(system: System) -> System:
+def direct_connections(system: SspSystem) -> SspSystem:
     """Return a system whose connections lead from source to target.
 
     FMPy and OMSimulator accept both directions in a file.
@@ -81,11 +81,11 @@ def direct_connections(system: System) -> System:
 
     connections = [
         replace(c, start=c.end, end=c.start)
-        if c.linear == Linear() and sends(c.start) is False and sends(c.end) is True
+        if c.linear == LinearTransformation() and sends(c.start) is False and sends(c.end) is True
         else c
         for c in system.connections
     ]
-    elements = {name: direct_connections(e) if isinstance(e, System) else e for name, e in system.elements.items()}
+    elements = {name: direct_connections(e) if isinstance(e, SspSystem) else e for name, e in system.elements.items()}
     return replace(system, connections=tuple(connections), elements=elements)
 
 

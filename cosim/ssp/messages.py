@@ -5,7 +5,7 @@ from cosim.base.messages import Template
 # Files
 TOO_LARGE = Template("E-SSP-001", "it has more than the {megabytes:.0f} MB that are read; split it")
 UNREADABLE = Template("E-SSP-002", "cannot be read: {reason}")
-NOT_AN_SSP = Template("E-SSP-003", "is no SSP: {reason}")
+NOT_AN_SSP = Template("E-SSP-003", "is no SSP: {error}")
 NOT_UNPACKED = Template("E-SSP-004", "cannot be unpacked: {reason}")
 XML_VIOLATION = Template("E-SSP-005", "breaks the rules of XML: {reason}")
 SCHEMA_VIOLATION = Template("W-SSP-006", "breaks the schema of SSP: {reason}")

@@ -9,7 +9,7 @@ from cosim.base.errors import Fault, InputError
 from cosim.ssp import messages
 from cosim.ssp.elements import Element
 from cosim.ssp.ssp_package import Package
-from cosim.ssp.structure import Definition, Linear, Units
+from cosim.ssp.structure import Definition, LinearTransformation, Units
 from cosim.storage.yaml_file import MOST_FAULTS, format_value
 
 VERSIONS = ("1.0", "2.0")
@@ -40,15 +40,15 @@ class Notes:
         """Note a warning on an element."""
         self.warnings.append(str(Fault(element.file, element.line, element.column, message)))
 
-    def _linear(self, element: Element) -> Linear:
+    def _linear(self, element: Element) -> LinearTransformation:
         """Return the transformation of a connection or a mapping."""
         exact = element.get("suppressUnitConversion") in {"true", "1"}
         for other in filter(None, map(element.first, OTHER_TRANSFORMATIONS)):
             self.note(other, messages.TRANSFORMATION_NOT_RUN())
         linear = element.first("ssc:LinearTransformation") or element.first("ssd:LinearTransformation")
         if linear is None:
-            return Linear(exact=exact)
-        return Linear(self._number(linear, "factor", 1.0), self._number(linear, "offset", 0.0), exact)
+            return LinearTransformation(exact=exact)
+        return LinearTransformation(self._number(linear, "factor", 1.0), self._number(linear, "offset", 0.0), exact)
 
     def _units(self, element: Element, tag: str) -> Units:
         """Return the units in a child of an element."""

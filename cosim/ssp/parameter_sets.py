@@ -10,7 +10,7 @@ from cosim.base.errors import InputError
 from cosim.ssp import messages
 from cosim.ssp.elements import Element
 from cosim.ssp.notes import Notes
-from cosim.ssp.structure import Linear, Parameter
+from cosim.ssp.structure import LinearTransformation, SspParameter
 from cosim.storage.yaml_file import did_you_mean, format_value
 
 SET = "application/x-ssp-parameter-set"
@@ -23,7 +23,7 @@ TYPES = (*REALS, *WHOLE, "Boolean", "String", "Enumeration", "Binary")
 class ParameterReader(Notes):
     """Reader of parameter bindings."""
 
-    def _parameters(self, element: Element) -> Iterator[Parameter]:
+    def _parameters(self, element: Element) -> Iterator[SspParameter]:
         """Yield an element's bound parameters under mapped names."""
         for binding in element.all("ssd:ParameterBindings", "ssd:ParameterBinding"):
             if (kind := binding.get("type") or SET) != SET:
@@ -62,7 +62,7 @@ class ParameterReader(Notes):
         self._version(root)
         return root
 
-    def _set(self, holder: Element) -> Iterator[Parameter]:
+    def _set(self, holder: Element) -> Iterator[SspParameter]:
         units = self._units(holder, "ssv:Units")
         for element in holder.all("ssv:Parameters", "ssv:Parameter"):
             name = element.get("name")
@@ -70,7 +70,7 @@ class ParameterReader(Notes):
             if not name or typed is None:
                 self.note(element, messages.NO_VALUE() if name else messages.NO_NAME())
             elif (value := self._value(typed)) is not None:
-                yield Parameter(name, value, typed.get("unit"), units, element)
+                yield SspParameter(name, value, typed.get("unit"), units, element)
 
     def _value(self, typed: Element) -> Any:
         """Return a typed value; None after noting a fault."""
@@ -103,10 +103,10 @@ class ParameterReader(Notes):
             return None
         return int(text) if text.strip().lstrip("+-").isdigit() else int(value)
 
-    def _map_names(self, mapping: Element, values: list[Parameter]) -> Iterator[Parameter]:
+    def _map_names(self, mapping: Element, values: list[SspParameter]) -> Iterator[SspParameter]:
         """Yield parameters renamed by a mapping, without unmapped ones."""
         holder = self._content(mapping, "ssm:ParameterMapping")
-        by_name: dict[str, list[Parameter]] = {}
+        by_name: dict[str, list[SspParameter]] = {}
         for value in values:
             by_name.setdefault(value.name, []).append(value)
         for entry in () if holder is None else holder.all("ssm:MappingEntry"):
@@ -120,7 +120,7 @@ class ParameterReader(Notes):
                 self.warn(entry, messages.UNKNOWN_SOURCE(name=format_value(source), hint=did_you_mean(source, by_name)))
             linear = self._linear(entry)
             for value in by_name.get(source, ()):
-                if linear != Linear(exact=linear.exact) and isinstance(value.value, (bool, str)):
+                if linear != LinearTransformation(exact=linear.exact) and isinstance(value.value, (bool, str)):
                     self.note(entry, messages.TRANSFORMED_TEXT(value=format_value(value.value)))
                 else:
                     yield replace(value, name=target, linear=linear)

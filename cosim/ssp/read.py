@@ -9,7 +9,7 @@ from pathlib import Path
 from cosim.ssp import messages
 from cosim.ssp.elements import Element
 from cosim.ssp.parameter_sets import ParameterReader
-from cosim.ssp.structure import Component, Connection, Connector, Structure, System
+from cosim.ssp.structure import Connector, SspComponent, SspConnection, SspStructure, SspSystem
 from cosim.storage.yaml_file import format_value
 
 FMU = "application/x-fmu-sharedlibrary"
@@ -21,7 +21,7 @@ STEPS = {"FixedStepAlgorithm": "baseStepSize", "FixedStepMaster": "stepSize"}  #
 class Reader(ParameterReader):
     """Reader of a system description."""
 
-    def structure(self) -> Structure | None:
+    def structure(self) -> SspStructure | None:
         """Return the description; None after noting a fault."""
         root = self.package.element(self.package.structure)
         if root.tag != "ssd:SystemStructureDescription":
@@ -34,7 +34,7 @@ class Reader(ParameterReader):
             return None
         experiment = root.first("ssd:DefaultExperiment")
         start, stop = self._times(experiment)
-        return Structure(
+        return SspStructure(
             root.get("name") or "system",
             system.get("description") or root.get("description") or "",
             self._system(system),
@@ -45,8 +45,8 @@ class Reader(ParameterReader):
             experiment or root,
         )
 
-    def _system(self, element: Element) -> System:
-        elements: dict[str, System | Component] = {}
+    def _system(self, element: Element) -> SspSystem:
+        elements: dict[str, SspSystem | SspComponent] = {}
         listed = element.first("ssd:Elements")
         for child in listed.children if listed else ():
             if (inner := self._element(child)) is not None:
@@ -56,7 +56,7 @@ class Reader(ParameterReader):
         connections = [self._connection(c) for c in element.all("ssd:Connections", "ssd:Connection")]
         if (dictionaries := element.first("ssd:SignalDictionaries")) is not None and dictionaries.children:
             self.note(dictionaries, messages.SIGNAL_DICTIONARY())
-        return System(
+        return SspSystem(
             element.get("name") or "",
             self._connectors(element),
             tuple(self._parameters(element)),
@@ -65,7 +65,7 @@ class Reader(ParameterReader):
             element,
         )
 
-    def _element(self, child: Element) -> System | Component | None:
+    def _element(self, child: Element) -> SspSystem | SspComponent | None:
         if child.tag == "ssd:SignalDictionaryReference":
             self.note(child, messages.SIGNAL_DICTIONARY())
         elif child.tag not in {"ssd:Component", "ssd:System", "ssd:Annotations"}:
@@ -78,7 +78,7 @@ class Reader(ParameterReader):
             return self._component(child)
         return None
 
-    def _component(self, element: Element) -> Component:
+    def _component(self, element: Element) -> SspComponent:
         kind, source = element.get("type") or FMU, element.get("source")
         fmu: Path | str
         if kind == NESTED:
@@ -96,7 +96,7 @@ class Reader(ParameterReader):
             self.note(element, messages.INTERFACE_NOT_RUN(interface=format_value(interface), interfaces=names))
         connectors, parameters = self._connectors(element), tuple(self._parameters(element))
         name = element.get("name") or ""
-        return Component(name, fmu, INTERFACES.get(interface), connectors, parameters, element)
+        return SspComponent(name, fmu, INTERFACES.get(interface), connectors, parameters, element)
 
     def _connectors(self, element: Element) -> dict[str, Connector]:
         connectors: dict[str, Connector] = {}
@@ -111,14 +111,14 @@ class Reader(ParameterReader):
             connectors[name] = Connector(name, each.get("kind") or "", next(filter(None, units), None), each)
         return connectors
 
-    def _connection(self, element: Element) -> Connection | None:
+    def _connection(self, element: Element) -> SspConnection | None:
         start, end = (element.get(f"{side}Connector") for side in ("start", "end"))
         if not start or not end:
             self.note(element, messages.MISSING_ATTRIBUTE(name="endConnector" if start else "startConnector"))
             return None
         # OMSimulator writes an empty name for the system itself.
         ends = (element.get("startElement") or None, start), (element.get("endElement") or None, end)
-        return Connection(*ends, self._linear(element), element)
+        return SspConnection(*ends, self._linear(element), element)
 
     def _step(self, root: Element, system: Element, experiment: Element | None) -> float | None:
         """Return the communication step of another tool's annotation, if any."""

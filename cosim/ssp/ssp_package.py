@@ -90,7 +90,7 @@ def open_package(path: Path) -> Iterator[Package]:
         try:
             unpack(path, folder, SSP)
         except BadArchive as error:
-            raise InputError.at(path, messages.NOT_AN_SSP(reason=str(error))) from None
+            raise InputError.at(path, messages.NOT_AN_SSP.around(error)) from None
         except OSError as error:
             raise InputError.at(path, messages.NOT_UNPACKED(reason=error.strerror)) from None
         yield Package(path, folder, folder / STRUCTURE, packed=True)

@@ -14,7 +14,7 @@ Units = Mapping[str, Definition]
 
 
 @dataclass(frozen=True)
-class Linear:
+class LinearTransformation:
     """factor·value + offset; `exact` replaces any unit conversion."""
 
     factor: float = 1.0
@@ -33,7 +33,7 @@ class Connector:
 
 
 @dataclass(frozen=True)
-class Parameter:
+class SspParameter:
     """A named value: a number, true or false, or text."""
 
     name: str
@@ -41,50 +41,50 @@ class Parameter:
     unit: str | None
     units: Units
     element: Element
-    linear: Linear = Linear()
+    linear: LinearTransformation = LinearTransformation()
 
 
 @dataclass(frozen=True)
-class Component:
+class SspComponent:
     """An FMU in a system, with its file and its FMI interface."""
 
     name: str
     fmu: Path
     interface: str | None
     connectors: Mapping[str, Connector]
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[SspParameter, ...]
     element: Element
 
 
 @dataclass(frozen=True)
-class Connection:
+class SspConnection:
     """A connection; each end is (element, or None for the system itself; connector)."""
 
     start: tuple[str | None, str]
     end: tuple[str | None, str]
-    linear: Linear
+    linear: LinearTransformation
     element: Element
 
 
 @dataclass(frozen=True)
-class System:
+class SspSystem:
     """A system: its elements (FMUs and nested systems) by name, and their connections."""
 
     name: str
     connectors: Mapping[str, Connector]
-    parameters: tuple[Parameter, ...]
-    elements: Mapping[str, System | Component]
-    connections: tuple[Connection, ...]
+    parameters: tuple[SspParameter, ...]
+    elements: Mapping[str, SspSystem | SspComponent]
+    connections: tuple[SspConnection, ...]
     element: Element
 
 
 @dataclass(frozen=True)
-class Structure:
+class SspStructure:
     """A complete description; times [s] are None if absent."""
 
     name: str
     description: str
-    system: System
+    system: SspSystem
     units: Units
     start: float | None
     stop: float | None

@@ -29,7 +29,7 @@ Value = float | int | bool | str
 
 
 @dataclass(frozen=True)
-class Port:
+class SspConnector:
     """A connector to be written, with its kind and its SSP type."""
 
     name: str
@@ -39,12 +39,12 @@ class Port:
 
 
 @dataclass(frozen=True)
-class Model:
+class SspFmu:
     """An FMU of the system, with start values: name → (type, value)."""
 
     name: str
     fmu: Path
-    ports: Sequence[Port]
+    ports: Sequence[SspConnector]
     start: Mapping[str, tuple[str, Value]] = field(default_factory=dict)
 
 
@@ -54,7 +54,7 @@ class Whole:
 
     name: str
     description: str
-    models: Sequence[Model]
+    models: Sequence[SspFmu]
     connections: Sequence[tuple[tuple[str, str], tuple[str, str]]]
     units: Units
     start: float
@@ -116,7 +116,7 @@ def _description(whole: Whole, files: Mapping[str, str]) -> Element:
     return root
 
 
-def _component(model: Model, source: str) -> Element:
+def _component(model: SspFmu, source: str) -> Element:
     kind = "application/x-fmu-sharedlibrary"
     element = Element("ssd:Component", name=model.name, type=kind, source=source, implementation="CoSimulation")
     if model.ports:

@@ -16,7 +16,7 @@ from cosim.base.arrays import Array
 from cosim.blocks.noise import samples_of, stream
 from cosim.master.initialization import EXACT_SWEEPS
 from cosim.sweeps.c_lanes import WIDTH
-from cosim.sweeps.twins import Kind, Twin, kind_of, merge_values
+from cosim.sweeps.twins import Twin, TwinMaker, kind_of, merge_values
 from cosim.system.system import System
 from cosim.system.wiring import Transfer
 
@@ -24,7 +24,7 @@ Starts = Mapping[str, Mapping[str, Any]]  # component → variable → value
 MAX_MEMORY = 1 << 28  # rows and noise in memory at once [bytes]
 
 
-def kinds_of(system: System) -> dict[str, Kind] | str:
+def kinds_of(system: System) -> dict[str, TwinMaker] | str:
     """Return the makers of all twins, or the reason for using FMUs."""
     obstacles = {
         "events change parameters while it runs": system.events,
@@ -64,7 +64,7 @@ class Batch:
     """
 
     system: System
-    kinds: Mapping[str, Kind]
+    kinds: Mapping[str, TwinMaker]
     steps: int
     h: float
     compiled: bool = True

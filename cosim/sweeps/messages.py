@@ -86,7 +86,7 @@ DASK_WORKER_FAILED = Template(
     "a dask worker failed: {reason}; see the log of the worker; the same command goes on with the runs that are there",
 )
 STOPPED = Template("E-SWP-036", "stopped: {stored} of {runs} are kept in {path}; the same command goes on with them")
-NO_RUN_COMPLETED = Template("E-SWP-037", "all {runs} failed; run 0: {reason}")
+NO_RUN_COMPLETED = Template("E-SWP-037", "all {runs} failed; run 0: {error}")
 ARRAYS_DISAGREE = Template(
     "W-SWP-038",
     "{runs} repeated through the FMUs do not agree: the largest relative difference is {difference}; {allowed} is"
@@ -102,4 +102,8 @@ ARRAYS_AGREE = Template(
     "{runs} repeated through the FMUs agree: the largest relative difference is {difference}; {allowed} is allowed",
 )
 ALL_THROUGH_FMUS = Template("N-SWP-042", "every run was made through the FMUs{reason}")
+ENDED_EARLY = Template("E-SWP-044", "it ended at t = {time:g} s")
+NOT_COMPARED = Template(
+    "W-SWP-045", "this sweep does not record whether its runs were repeated through the FMUs; --force begins anew"
+)
 NO_PANDAS = Template("E-SWP-043", "to_pandas needs pandas: pip install pandas")

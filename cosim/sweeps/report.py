@@ -59,7 +59,7 @@ def page(swept: Swept) -> str:
             "failures": record["failures"],
             "more_failures": max(0, failed - len(record["failures"])),
             "way": way_sentence(record),
-            "check": record["check"]["sentence"],
+            "check": swept.check,
             "sampling": swept.sweep.file.sampling,
             "repeat": f"cosim sweep {swept.sweep.yaml.path}",
             "version": __version__,
@@ -130,8 +130,8 @@ def _warnings(swept: Swept, indices: Sequence[Sensitivity]) -> list[str]:
     widest = max((half for s in indices for _, half in (*s.first, *s.total)), default=0.0)
     if widest > WIDE:
         texts.append(messages.WIDE_INTERVALS(width=plain(widest, 2)))
-    if not swept.record["check"].get("agrees", True):
-        texts.append(swept.record["check"]["sentence"])
+    if swept.check.code.startswith("W-"):
+        texts.append(swept.check)
     return texts
 
 

@@ -14,7 +14,8 @@ from typing import Any, Literal
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import CosimError
+from cosim.base.errors import CosimError, InputError
+from cosim.base.messages import Message, code_of
 from cosim.blocks.fmu import FmuBlock
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
@@ -27,6 +28,7 @@ from cosim.scenario.scenario_file import ScenarioFile
 from cosim.scenario.start_values import Misfit, convert_value
 from cosim.simulation.criteria import evaluate
 from cosim.storage.results import Results
+from cosim.sweeps import messages
 from cosim.sweeps.batch import Batch, Starts, kinds_of, max_runs_at_once
 from cosim.sweeps.twins import unpack_once
 from cosim.system.system import System, build_system
@@ -97,7 +99,7 @@ class RunResult:
     """Result of a run.
 
     Attributes:
-        status: "ok", or the reason of failure.
+        status: "ok", or the reason of failure, a `Message`.
         values: Values of the criteria, NaN if undefined, e.g. for a settling time never reached.
         met: Outcomes of the criteria.
         signals: Shape (signals, samples), empty after a failure.
@@ -192,7 +194,7 @@ def make_runs(job: Job, requests: Sequence[RunRequest], way: Way) -> list[RunRes
         try:
             assembled = assemble(job.scenario, (*job.overrides, *overrides))
         except CosimError as error:
-            results += [failed_run(request.run, str(error).splitlines()[0], 0, way) for request in members]
+            results += [failed_run(request.run, _first_reason(error), 0, way) for request in members]
             continue
         if way == "arrays":
             results += _run_arrays(job, assembled, members)
@@ -275,7 +277,7 @@ def _run_fmus(job: Job, assembled: _AssembledScenario, request: RunRequest) -> R
     else:
         if len(results.time) > scenario.steps:
             return _make_result(job, assembled, request, results, "fmus")
-        reason = f"it ended at t = {results.time[-1]:g} s"
+        reason = messages.ENDED_EARLY(time=results.time[-1])
     return failed_run(request.run, reason, len(scenario.goals), "fmus")
 
 
@@ -296,6 +298,12 @@ def _make_result(job: Job, assembled: _AssembledScenario, request: RunRequest, r
     return RunResult(request.run, "ok", values, tuple(bool(c["met"]) for c in criteria), signals, way)
 
 
+def _first_reason(error: CosimError) -> str:
+    """Return the message of an error, of several faults that of the first."""
+    return str(error.faults[0] if isinstance(error, InputError) else error)
+
+
 def failed_run(run: int, reason: str, criteria: int, way: Way) -> RunResult:
-    """Return the result of a failed run."""
-    return RunResult(run, " ".join(reason.split()), (np.nan,) * criteria, (False,) * criteria, np.empty((0, 0)), way)
+    """Return the result of a failed run; its status keeps the code of the reason."""
+    status = Message(" ".join(reason.split()), code_of(reason))
+    return RunResult(run, status, (np.nan,) * criteria, (False,) * criteria, np.empty((0, 0)), way)

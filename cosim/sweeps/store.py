@@ -17,6 +17,7 @@ from cosim.base.arrays import Array
 from cosim.base.drafts import draft_of
 from cosim.base.errors import InputError
 from cosim.base.extras import optional
+from cosim.base.messages import Message, code_of
 from cosim.sweeps import messages
 from cosim.sweeps.run_chunks import RunResult
 
@@ -73,7 +74,8 @@ class Database:
         rows = []
         for m in runs:
             blobs = (np.array(m.values).tobytes(), np.array(m.met, bool).tobytes(), m.signals.tobytes())
-            rows.append((m.run, m.status, m.through, *blobs, len(m.signals)))
+            status = f"{m.status}\t{code_of(m.status)}"  # a status has no tab
+            rows.append((m.run, status, m.through, *blobs, len(m.signals)))
         with self._base:
             self._base.executemany(f"INSERT INTO {table} VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
 
@@ -84,10 +86,11 @@ class Database:
     def runs(self, table: str = RUNS) -> Iterator[RunResult]:
         """Yield the results of all runs in order, without loading them into memory at once."""
         rows = self._base.execute(f"SELECT * FROM {table} ORDER BY run")
-        for run, status, through, figures, met, signals, count in rows:
+        for run, stored, through, figures, met, signals, count in rows:
             shaped = np.frombuffer(signals).reshape(count, -1) if count else np.empty((0, 0))
-            values = tuple(np.frombuffer(figures).tolist())
-            yield RunResult(run, status, values, tuple(np.frombuffer(met, bool).tolist()), shaped, through)
+            values, goals = tuple(np.frombuffer(figures).tolist()), tuple(np.frombuffer(met, bool).tolist())
+            status, _, code = stored.partition("\t")
+            yield RunResult(run, Message(status, code), values, goals, shaped, through)
 
     def remove(self) -> None:
         """Close and delete the database."""

@@ -12,9 +12,13 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
+from cosim.base.messages import Message
 from cosim.base.text import counted, join_names, plain
+from cosim.sweeps import messages
 from cosim.sweeps.reading import Sweep
 from cosim.sweeps.run_chunks import RunResult
+
+EQUAL = 1e-9  # largest allowed difference relative to max(1, largest value)
 
 
 @dataclass(frozen=True)
@@ -39,8 +43,21 @@ class Swept:
         completed = f"{r['runs'] - r['failed']} of {counted(r['runs'], 'run')} completed"
         lines = [headline(r), f"{completed}, {way_of(r)}{rate}"]
         lines += [f"{c['name']}: met by {c['met']} of {c['of']} ({_interval(c)})" for c in r["criteria"]]
-        lines.append(r["check"]["sentence"])
-        return lines
+        return [*lines, self.check]
+
+    @property
+    def check(self) -> Message:
+        """Result of the comparison with runs through the FMUs; a warning if they disagree or were not compared."""
+        check = self.record["check"]
+        if self.record["way"] == "fmus":
+            return Message(check["sentence"], messages.ALL_THROUGH_FMUS.code)
+        if "agrees" in check:
+            agrees = check["agrees"]
+        elif "apart" in check:  # a sweep of an earlier version; None is an infinite difference
+            agrees = check["apart"] is not None and check["apart"] <= EQUAL
+        else:
+            return messages.NOT_COMPARED()
+        return Message(check["sentence"], (messages.ARRAYS_AGREE if agrees else messages.ARRAYS_DISAGREE).code)
 
 
 def headline(record: Mapping[str, Any]) -> str:

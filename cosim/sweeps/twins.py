@@ -22,7 +22,7 @@ from cosim.base.registry import models, resolve, twin_of
 from cosim.base.scratch import process_folder
 from cosim.blocks.component import Component
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.sources import Source
+from cosim.blocks.sources import SourceBlock
 from cosim.model.quantities import parameters_of
 from cosim.storage.archive import unpack
 from cosim.sweeps.c_lanes import compile_model
@@ -46,7 +46,7 @@ class Twin(Protocol):
         """Step from `t` to `t + h` [s] and write the outputs."""
 
 
-class Kind(Protocol):
+class TwinMaker(Protocol):
     """A maker of twins for a component."""
 
     def pattern(self, values: Values) -> Hashable:
@@ -56,9 +56,9 @@ class Kind(Protocol):
         """Return a twin of `count` runs, compiled if possible."""
 
 
-def kind_of(component: Component) -> Kind | None:
+def kind_of(component: Component) -> TwinMaker | None:
     """Return the maker of twins for a component, if any."""
-    if isinstance(component, Source):
+    if isinstance(component, SourceBlock):
         return _SourceTwin(component)
     if not isinstance(component, FmuBlock) or component.exact_inputs or component.exact_outputs:
         return None
@@ -75,7 +75,7 @@ def kind_of(component: Component) -> Kind | None:
 class _SourceTwin:
     """Array twin of a source, whose values are equal in every run; it also makes such twins."""
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: SourceBlock) -> None:
         self.source = source
 
     def pattern(self, values: Values) -> Hashable:

@@ -15,6 +15,7 @@ import numpy as np
 
 from cosim.base.errors import InputError, SweepFailed, SweepStopped, Terminated
 from cosim.base.extras import optional
+from cosim.base.messages import Message, code_of
 from cosim.base.settings import Count
 from cosim.base.text import counted, plain
 from cosim.base.version import __version__
@@ -29,12 +30,11 @@ from cosim.sweeps.reading import Sweep, read_sweep
 from cosim.sweeps.run_chunks import MAX_COMPARED_ROWS, Job, Way, sampled_rows
 from cosim.sweeps.run_statistics import share_interval
 from cosim.sweeps.store import CHECKS, DATABASE, RUNS, TABLE, Database, read_table, write_table
-from cosim.sweeps.sweep_result import Swept, criterion_names, largest_difference
+from cosim.sweeps.sweep_result import EQUAL, Swept, criterion_names, largest_difference
 from cosim.sweeps.workers import AHEAD, Chunk, Executor, dask_client, executor, fault_maker
 
 RECORD, REPORT = "sweep.json", "report.html"
 REPEATED = 20  # random runs repeated through FMUs
-EQUAL = 1e-9  # largest allowed difference relative to max(1, largest value)
 # runs per job; fixed, so that results do not depend on the workers
 CHUNK: Mapping[Way, int] = {"arrays": 512, "fmus": 8}
 MAX_LISTED_FAILURES = 20
@@ -105,8 +105,9 @@ def sweep(
         with atomic_write(folder / REPORT) as stream:
             stream.write(page(swept))
     if record["failed"] == record["runs"]:
-        runs = counted(study.count, "run")
-        raise SweepFailed(messages.NO_RUN_COMPLETED(runs=runs, reason=record["failures"][0]["why"]))
+        first = record["failures"][0]
+        reason = Message(first["why"], first.get("code", ""))
+        raise SweepFailed(messages.NO_RUN_COMPLETED.around(reason, runs=counted(study.count, "run")))
     return swept
 
 
@@ -222,7 +223,8 @@ class _Sweep:
                 met_all += all(m.met)
             else:
                 failed += 1
-                failures += [{"run": m.run, "why": m.status}] if failed <= MAX_LISTED_FAILURES else []
+                if failed <= MAX_LISTED_FAILURES:
+                    failures.append({"run": m.run, "why": m.status, "code": code_of(m.status)})
         rows = sampled_rows(scenario.steps, study.job.samples)
         return {
             "schema_version": SCHEMA_VERSION,

@@ -15,7 +15,7 @@ from cosim.blocks.component import Component, Signal
 from cosim.blocks.faults import Addition, LinkFunction, Scaling, fault_function, points, whole_steps
 from cosim.blocks.fmi_types import is_compatible
 from cosim.blocks.noise import gaussian, stream
-from cosim.blocks.stepping import Link, LinkKind, link
+from cosim.blocks.stepping import ConvertedLink, LinkKind, link
 from cosim.scenario.diagnosis import Diagnosis, Place
 from cosim.scenario.scenario import (
     Connection,
@@ -123,7 +123,7 @@ class _Checked:
             self.transfer.check_item(v, self.start + k * self.step)
         return v
 
-    def link(self) -> Link:
+    def link(self) -> ConvertedLink:
         items = array("d", (self.transfer.items or {}).values())
         return link(LinkKind.ITEMS, values=items, count=len(items))
 

@@ -82,10 +82,7 @@ def _run() -> None:
     """Run the command of this process; exit with its code."""
     try:
         check_text([*sys.argv[1:], *_current_folder(), os.environ.get("TMPDIR", "")])
-        app(standalone_mode=True)
-    except SystemExit as end:
-        say_usage(end.__context__)
-        raise
+        sys.exit(app(standalone_mode=False))
     except CosimError as error:
         say_error(error)
         say_failure(error)
@@ -102,6 +99,12 @@ def _run() -> None:
         is_disk = is_full(error)
         message = messages.DISK_FULL(file=file) if is_disk else messages.FILE_ERROR(file=file, reason=reason)
         _fail(message, SimulationError.exit_code if is_disk else 2)
+    except typer.Abort:
+        _fail(messages.NO_ANSWER(), CosimError.exit_code)
+    except Exception as error:
+        if not hasattr(error, "format_message"):  # Typer has classes of its own or those of click, by its version.
+            raise
+        sys.exit(say_usage(error))
 
 
 def _fail(message: str, exit_code: int) -> NoReturn:

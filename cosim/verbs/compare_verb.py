@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cosim.base.errors import CriterionMissed
+from cosim.base.messages import join
 from cosim.base.settings import NotNegative
 from cosim.storage.files import FilePath
 from cosim.verbs.options import Force, Json, Open, Report, out_option
@@ -56,13 +57,13 @@ def compare(
 
 
 def _run_of(side: FilePath | Signals) -> Any:
-    from cosim.simulation.run_files import Ran, read_ran
+    from cosim.simulation.run_files import RecordedRun, read_ran
     from cosim.simulation.run_signals import Run, Signals
 
     if not isinstance(side, Signals):
         return read_ran(Path(side))
     manifest = side.manifest if isinstance(side, Run) else {}
-    return Ran(side.folder or Path(side.title), side.title, side.results, manifest)
+    return RecordedRun(side.folder or Path(side.title), side.title, side.results, manifest)
 
 
 def command(
@@ -105,7 +106,7 @@ def command(
             say(f"report:      {folder / 'report.html'}")
     show(folder / "report.html", open_=report and open_)
     if comparison.judged and not comparison.same:
-        raise CriterionMissed("; ".join(comparison.reasons))
+        raise CriterionMissed(join("; ", comparison.reasons))
 
 
 def _lines(comparison: Compared) -> list[str]:

@@ -41,15 +41,15 @@ def _out_path(value: Any) -> Path:
     return Path(value)
 
 
-def with_manner(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a command that also has the options -q and -v."""
+def with_manner(command: Callable[..., Any]) -> Callable[..., None]:
+    """Return a command that also has the options -q and -v; it returns nothing, which is exit code 0."""
 
     @wraps(command)
-    def run(*arguments: Any, quiet: bool = False, verbose: bool = False, **options: Any) -> Any:
+    def run(*arguments: Any, quiet: bool = False, verbose: bool = False, **options: Any) -> None:
         MANNER.quiet, MANNER.verbose = quiet, verbose
         MANNER.as_json, MANNER.has_json = bool(options.get("as_json")), False
         MANNER.messages.clear()
-        return command(*arguments, **options)
+        command(*arguments, **options)
 
     kind = inspect.Parameter.KEYWORD_ONLY
     more = {"quiet": Quiet, "verbose": Verbose}

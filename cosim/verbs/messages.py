@@ -9,6 +9,8 @@ FILE_ERROR = Template("E-CLI-003", "{file}{reason}")
 CRITERIA_MISSED = Template("E-CLI-005", "{missed} of {count} criteria missed{criteria}")
 NO_BROWSER = Template("W-CLI-006", "no browser is found here; open {page}")
 VERB_EXISTS = Template("W-CLI-007", "{name}: an installed package registers a verb that cosim has; it is ignored")
+WRONG_USAGE = Template("E-CLI-018", "{reason}")
+NO_ANSWER = Template("E-CLI-019", "the input ended at a prompt; run it on a terminal")
 
 # Single commands
 NATIVE_ONLY = Template("E-CLI-008", "is of native FMUs; add --native, or leave it out")

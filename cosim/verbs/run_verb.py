@@ -20,8 +20,7 @@ from cosim.verbs import messages
 from cosim.verbs.options import Compile, Force, Format, InProcess, Json, Nearest, Open, Overrides, Report, out_option
 from cosim.verbs.outcome import say_outcome
 from cosim.verbs.scratch_results import results_in
-from cosim.verbs.streams import echo
-from cosim.verbs.terminal import progress_bar, say
+from cosim.verbs.terminal import progress_bar, say, say_finding
 
 if TYPE_CHECKING:
     from cosim.master.observer import Observers
@@ -149,5 +148,5 @@ def command(
         source = Path(outcome.manifest["source"])
         with compiling(compile_):
             sentence = coupling_error(source, overrides, nearest=nearest, in_process=in_process).sentence
-        echo(sentence, err=True) if as_json else say(sentence)
+        say_finding(sentence) if as_json else say(sentence)
     say_outcome(outcome, report=report, open_=open_, as_json=as_json)

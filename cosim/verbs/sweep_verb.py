@@ -43,8 +43,8 @@ def command(
     with _progress() as progress:
         swept = run_sweep(study, out, workers=workers, dask=dask, report=report, force=force, progress=progress)
     warn(*swept.sweep.warnings)
-    if not swept.record["check"].get("agrees", True):
-        warn(swept.record["check"]["sentence"])
+    if swept.check.code.startswith("W-"):
+        warn(swept.check)
     if as_json:
         say_json({**{k: v for k, v in swept.record.items() if k != "scenario"}, "made": swept.made})
     else:

@@ -112,11 +112,16 @@ def _describe_stop(error: SimulationError) -> dict[str, Any]:
     return {"status": "failed", "component": error.component, "time": time, "reason": error.reason, **files}
 
 
-def say_usage(error: BaseException | None) -> None:
-    """Print wrong options as JSON if --json is among them; click prints the usage."""
-    message = getattr(error, "format_message", None)
-    if message is not None and "--json" in sys.argv[1:]:
-        say_json({"error": message(), "exit_code": getattr(error, "exit_code", 2), "faults": []})
+def say_usage(error: Any) -> int:
+    """Print a faulty command line, also as JSON if it has --json; return the exit code."""
+    options = {*sys.argv[1:]}
+    MANNER.verbose = not options.isdisjoint({"-v", "--verbose"})
+    message = messages.WRONG_USAGE(reason=error.format_message())
+    error.format_message = lambda: _with_code(message, message.code)
+    error.show()
+    if "--json" in options:
+        say_json({"error": message, "code": message.code, "exit_code": error.exit_code, "faults": []})
+    return int(error.exit_code)
 
 
 def say_note(*texts: str) -> None:

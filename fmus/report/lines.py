@@ -14,7 +14,7 @@ from fmus.report.roles import COLOURS, SIDES, Craft
 
 
 @dataclass(frozen=True)
-class Quantity:
+class PlottedQuantity:
     """A controlled and estimated state, with its displayed unit."""
 
     name: str
@@ -25,10 +25,10 @@ class Quantity:
 
 
 QUANTITIES = (
-    Quantity("x", "Distance along the craft's axis", "x", "m"),
-    Quantity("psi", "Heading, positive to the left", "ψ", "°", DEGREES),
-    Quantity("vx", "Forward speed", "v", "m/s"),
-    Quantity("psi_dot", "Yaw rate, positive to the left", "ψ̇", "°/s", DEGREES),
+    PlottedQuantity("x", "Distance along the craft's axis", "x", "m"),
+    PlottedQuantity("psi", "Heading, positive to the left", "ψ", "°", DEGREES),
+    PlottedQuantity("vx", "Forward speed", "v", "m/s"),
+    PlottedQuantity("psi_dot", "Yaw rate, positive to the left", "ψ̇", "°/s", DEGREES),
 )
 
 
@@ -38,7 +38,7 @@ def state_panels(craft: Craft) -> list[Panel]:
     return [panel for panel in panels if panel is not None]
 
 
-def _state_panel(craft: Craft, quantity: Quantity) -> Panel | None:
+def _state_panel(craft: Craft, quantity: PlottedQuantity) -> Panel | None:
     true, estimate = craft.signal(quantity.name), craft.estimate(f"{quantity.name}_hat")
     sigma, reference = craft.estimate(f"{quantity.name}_sigma"), craft.reference(quantity.name)
     if true is None:

@@ -56,7 +56,7 @@ class CraftFile(Part):
 
 
 @dataclass(frozen=True)
-class Craft:
+class CraftUnderTest:
     """The file and its logs."""
 
     yaml: YamlFile
@@ -82,7 +82,7 @@ class Craft:
 class CraftOutcome:
     """Result of the identification."""
 
-    craft: Craft
+    craft: CraftUnderTest
     results: list[Result] = field(default_factory=list)
 
     @property
@@ -109,7 +109,7 @@ class CraftOutcome:
         return f"model: {out / 'model.yaml'}, numbers: {out / 'identify.json'}"
 
 
-def read_craft(yaml: YamlFile) -> Craft:
+def read_craft(yaml: YamlFile) -> CraftUnderTest:
     """Read the file and its logs.
 
     Raises:
@@ -138,7 +138,7 @@ def read_craft(yaml: YamlFile) -> Craft:
     if content.distance is not None and not faults:
         faults += matching_faults(model, runs)
     refuse(faults)
-    return Craft(yaml, content, loaded, rest, runs)
+    return CraftUnderTest(yaml, content, loaded, rest, runs)
 
 
 def _logs(

@@ -30,7 +30,7 @@ DEGREE = np.pi / 180.0
 
 
 @dataclass(frozen=True)
-class Run:
+class SimulatedRecording:
     """A run for simulation; noise has one row per cell, one value per reading. `thrust`: battery factor."""
 
     label: str
@@ -108,7 +108,7 @@ def _sine(
     return f" at {w:g} rad/s", time, duty, bench.servo_neutral + angle * DEGREE / bench.servo_slope, test.height
 
 
-def runs_of(protocol: Protocol, name: str, seed: int) -> list[Run]:
+def runs_of(protocol: Protocol, name: str, seed: int) -> list[SimulatedRecording]:
     """Return the runs of a test with random variation, reproducible by the seed."""
     file, runs = protocol.file, []
     number = list(type(file.tests).model_fields).index(name)
@@ -119,7 +119,9 @@ def runs_of(protocol: Protocol, name: str, seed: int) -> list[Run]:
             thrust = max(0.1, 1.0 + file.draws.thrust * rng.standard_normal())
             noise = _noise(protocol, rng, time.size)
             name_of_run = f"{name}{label}, repetition {repetition + 1}"
-            runs.append(Run(name_of_run, time, duty, servo_duty, height, test.low_pass, noise, thrust=thrust))
+            runs.append(
+                SimulatedRecording(name_of_run, time, duty, servo_duty, height, test.low_pass, noise, thrust=thrust)
+            )
     return runs
 
 
@@ -130,9 +132,9 @@ def _noise(protocol: Protocol, rng: np.random.Generator, rows: int, *, tare: boo
     return np.asarray(drift[:, None] + spread[:, None] * rng.standard_normal((3, rows)))
 
 
-def load_runs(protocol: Protocol, seed: int) -> dict[str, list[Run]]:
+def load_runs(protocol: Protocol, seed: int) -> dict[str, list[SimulatedRecording]]:
     """Return calibration runs of one second per load, with random load errors."""
-    file, by_channel = protocol.file, dict[str, list[Run]]()
+    file, by_channel = protocol.file, dict[str, list[SimulatedRecording]]()
     time = np.asarray(file.step * np.arange(round(SECONDS / file.step) + 1), dtype=np.float64)
     at_rest = np.full_like(time, REST_DUTY), np.full_like(time, NEUTRAL_DUTY)
     for place, channel in enumerate(CHANNELS):
@@ -144,7 +146,7 @@ def load_runs(protocol: Protocol, seed: int) -> dict[str, list[Run]]:
             noise = _noise(protocol, rng, time.size, tare=False)
             loads = tuple((load + e) * to_si * (c == channel) for c in CHANNELS)
             by_channel[channel].append(
-                Run(f"load {load:g} {cell.unit}", time, *at_rest, FREE_HEIGHT, 0.0, noise, loads)
+                SimulatedRecording(f"load {load:g} {cell.unit}", time, *at_rest, FREE_HEIGHT, 0.0, noise, loads)
             )
     return by_channel
 
@@ -159,7 +161,7 @@ def load_in_si(protocol: Protocol, channel: str) -> float:
 # -- simulation ---------------------------------------------------------------------------
 
 
-def to_recording(run: Run, volts: Array) -> Recording:
+def to_recording(run: SimulatedRecording, volts: Array) -> Recording:
     """Return a run with its voltages, shape (rows, cells)."""
     by_cell = dict(zip(CHANNELS, np.ascontiguousarray(volts.T), strict=True))
     return Recording(run.label, run.time, run.duty, run.servo_duty, np.full(run.time.size, run.height), by_cell)
@@ -182,11 +184,11 @@ class FmuPlayer:
         self.row = (ctypes.c_double * (len(inputs) + len(outputs)))()
         self.block.bind(self.row, 0)
 
-    def __call__(self, runs: Sequence[Run]) -> list[Recording]:
+    def __call__(self, runs: Sequence[SimulatedRecording]) -> list[Recording]:
         """Simulate runs one after another."""
         return [self._play(run) for run in runs]
 
-    def _play(self, run: Run) -> Recording:
+    def _play(self, run: SimulatedRecording) -> Recording:
         """Simulate a run; row k has the reading at t_k and the command from t_k.
 
         The noise belongs to the reading at the end of a step.
@@ -219,7 +221,7 @@ class FmuPlayer:
         self.block.close()
 
 
-def _inputs(run: Run) -> Array:
+def _inputs(run: SimulatedRecording) -> Array:
     """Return the inputs of the FMU by row: row k holds the inputs, with reading noise, of the step that ends at t_k."""
     before = np.maximum(np.arange(run.time.size) - 1, 0)
     same = np.ones(run.time.size)

@@ -28,7 +28,7 @@ MIN_ROWS, MIN_DUTY_RANGE = 50, 0.1  # rows of a repetition, [%] of its ramp with
 
 
 @dataclass(frozen=True)
-class Rows:
+class LineReadings:
     """Readings of a line fit: rows of each repetition, and the duty [%] of their thrust."""
 
     end: float
@@ -44,7 +44,7 @@ class Rows:
         return all(d.size >= MIN_ROWS and np.ptp(d) >= MIN_DUTY_RANGE for d in self.delayed)
 
 
-def rows_with_thrust(m: Measurement) -> Rows:
+def rows_with_thrust(m: Measurement) -> LineReadings:
     """Return rows in the window and the cell's range where T = max(0, a + b·δ), eq 4.20, is positive.
 
     Selection is by command only: zero thrust ends at the kink of the equation fitted to all readings.
@@ -54,13 +54,13 @@ def rows_with_thrust(m: Measurement) -> Rows:
     thrust = [_thrust(m, r, k) for r, k in zip(m.recordings, inside, strict=True)]
     delayed = [_delay_duty(r, bench, test, -np.inf)[k] for r, k in zip(m.recordings, inside, strict=True)]
     if min(d.size for d in delayed) < MIN_ROWS:
-        return Rows(end, -np.inf, inside, delayed, 0, sum(d.size for d in delayed))
+        return LineReadings(end, -np.inf, inside, delayed, 0, sum(d.size for d in delayed))
     begins = dead_end(np.concatenate(delayed), np.concatenate(thrust))
     following = [_delay_duty(r, bench, test, begins) for r in m.recordings]
     above = [k & (d > begins + MARGIN) for k, d in zip(inside, following, strict=True)]
     whole = sum(int(k.sum()) for k in inside)
     idle = whole - sum(int(k.sum()) for k in above)
-    return Rows(end, begins, above, [d[k] for d, k in zip(following, above, strict=True)], idle, whole)
+    return LineReadings(end, begins, above, [d[k] for d, k in zip(following, above, strict=True)], idle, whole)
 
 
 def _thrust(m: Measurement, r: Recording, rows: Flags, using: Cells | None = None) -> Array:
@@ -151,7 +151,7 @@ def analyse(m: Measurement, *, draw: bool = True) -> Result:
     return result
 
 
-def _add_notes(result: Result, m: Measurement, rows: Rows) -> None:
+def _add_notes(result: Result, m: Measurement, rows: LineReadings) -> None:
     """Add notes on excluded readings and their reasons."""
     if rows.idle:
         result.warnings.append(messages.IDLE_READINGS(idle=rows.idle, total=rows.whole, duty=rows.dead_end))

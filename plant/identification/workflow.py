@@ -31,7 +31,7 @@ from plant.identification.plausible import result_faults
 from plant.identification.prepared import prepare
 from plant.identification.protocol import BENCH, Protocol
 from plant.identification.recording_faults import recording_faults
-from plant.identification.recordings import FmuPlayer, Recording, Run, load_runs, runs_of
+from plant.identification.recordings import FmuPlayer, Recording, SimulatedRecording, load_runs, runs_of
 from plant.identification.write import RECORD, REPORT, model_text, write
 
 FILES = ("powertrain.yaml", RECORD, REPORT)
@@ -115,7 +115,7 @@ def _outcome(
     return Outcome(protocol, cells, checked_results(protocol, cells, recordings), recordings)
 
 
-Runs = Mapping[str, Sequence[Run]]
+Runs = Mapping[str, Sequence[SimulatedRecording]]
 
 
 def _on_fmu(protocol: Protocol, *groups: Runs, progress: Progress | None) -> list[dict[str, list[Recording]]]:

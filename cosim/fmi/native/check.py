@@ -14,7 +14,7 @@ from functools import cached_property
 from itertools import product
 from typing import Any
 
-from cosim.fmi.native.printing import Printer, Unprintable
+from cosim.fmi.native.printing import ModelPrinter, UnprintableModel
 from cosim.model.integrate import Stepper
 from cosim.model.model import Effect, Model, overrides
 from cosim.model.namespaces import SCALAR
@@ -37,7 +37,7 @@ NOT_NEUTRAL = (
 
 
 @dataclass(frozen=True)
-class Point:
+class EvaluationPoint:
     """A point of evaluation: all possible states, inputs and memory, and parameters by FMI name."""
 
     t: float
@@ -76,7 +76,7 @@ class GeneratedCode:
         for name, arguments, blocks, results in functions:
             exec(function(Python(), name, arguments, blocks, results, places), self._functions)
 
-    def values(self, name: str, at: Point, awake: set[str]) -> list[float]:
+    def values(self, name: str, at: EvaluationPoint, awake: set[str]) -> list[float]:
         """Return a function's values with given active effects."""
         import numpy as np
 
@@ -91,7 +91,7 @@ class GeneratedCode:
 
 
 @dataclass(frozen=True)
-class Case:
+class SwitchCase:
     """A case of the comparison: the active effects and the values of the model's switches."""
 
     awake: tuple[Any, ...]
@@ -105,10 +105,10 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Difference:
+class CodeDifference:
     """A difference between Python and generated code for a quantity of the model."""
 
-    case: Case
+    case: SwitchCase
     quantity: str
     hook: str
     python: float
@@ -118,7 +118,7 @@ class Difference:
 class Check:
     """A model and its generated code."""
 
-    def __init__(self, model: Model, printer: Printer) -> None:
+    def __init__(self, model: Model, printer: ModelPrinter) -> None:
         self.model, self.printer = model, printer
         self.random = random.Random(0)
 
@@ -133,11 +133,11 @@ class Check:
         flags = list(product((False, True), repeat=len(self.printer.switches)))
         for awake in dict.fromkeys([(), *((kind,) for kind in kinds), kinds]):
             for code, position in zip(self.variants, flags, strict=True):
-                case = Case(awake, dict(zip(self.printer.switches, position, strict=True)))
+                case = SwitchCase(awake, dict(zip(self.printer.switches, position, strict=True)))
                 if difference := self.first_difference(case, code):
                     raise self.refusal(difference, code)
 
-    def first_difference(self, case: Case, code: GeneratedCode) -> Difference | None:
+    def first_difference(self, case: SwitchCase, code: GeneratedCode) -> CodeDifference | None:
         """Return the first difference between Python and generated code in a case; None without one."""
         count = 0
         for k in range(TRIES):
@@ -148,13 +148,15 @@ class Check:
                 continue
             for quantity, hook, python, other in pairs:
                 if math.isfinite(python) and not abs(python - other) <= TOLERANCE * max(1.0, abs(python)):
-                    return Difference(case, quantity, hook, python, other)
+                    return CodeDifference(case, quantity, hook, python, other)
             count += 1
             if count == POINTS:
                 break
         return None
 
-    def compare(self, case: Case, at: Point, code: GeneratedCode) -> Iterator[tuple[str, str, float, float]]:
+    def compare(
+        self, case: SwitchCase, at: EvaluationPoint, code: GeneratedCode
+    ) -> Iterator[tuple[str, str, float, float]]:
         """Yield each compared quantity: its name, its hook, and its values by Python and by generated code."""
         names = {e.name for e in case.awake}
         base = {n: v for n, v in at.values.items() if "." not in n or n.partition(".")[0] in names}
@@ -173,7 +175,7 @@ class Check:
         yield from self.compare_shaping(stepper.model, at, names, code)
 
     def compare_shaping(
-        self, model: Model, at: Point, names: set[str], code: GeneratedCode
+        self, model: Model, at: EvaluationPoint, names: set[str], code: GeneratedCode
     ) -> Iterator[tuple[str, str, float, float]]:
         """Yield the shaped commands and the memory of effects by Python and by generated code, also at the start.
 
@@ -199,7 +201,7 @@ class Check:
 
     # -- points -------------------------------------------------------------------------------------
 
-    def draw_point(self, case: Case, k: int) -> Point:
+    def draw_point(self, case: SwitchCase, k: int) -> EvaluationPoint:
         """Return the random point of test k.
 
         The first points have unchanged parameters. Points of late tests are near the start.
@@ -218,7 +220,7 @@ class Check:
         state = [around(float(v)) for v in self.starts]
         command = [around(float(v)) for v in self.model.start_command()]
         substep = self.model.substep * self.random.uniform(0.1, 1.0)
-        return Point(self.random.uniform(0.0, 10.0), substep, state, command, memory, values)
+        return EvaluationPoint(self.random.uniform(0.0, 10.0), substep, state, command, memory, values)
 
     @cached_property
     def parameters(self) -> dict[str, Parameter]:
@@ -253,7 +255,7 @@ class Check:
 
     # -- messages --------------------------------------------------------------------------------
 
-    def refusal(self, difference: Difference, code: GeneratedCode) -> Unprintable:
+    def refusal(self, difference: CodeDifference, code: GeneratedCode) -> UnprintableModel:
         """Return the error for a difference, with probable class and remedy."""
         kinds, case = self.model.catalogue, difference.case
         values = f"{difference.python:.9g} in Python and {difference.generated:.9g} as printed"
@@ -262,17 +264,17 @@ class Check:
         hook, cure = "equations", DECIDED
         if len(case.awake) == 1:
             (owner,), hook = case.awake, difference.hook if difference.hook != "equations" else ""
-        elif not case.awake and kinds and not self.first_difference(Case(kinds, case.switches), code):
+        elif not case.awake and kinds and not self.first_difference(SwitchCase(kinds, case.switches), code):
             cure = NOT_NEUTRAL
             culprits = [kind for kind in kinds if self.differs_without(kind, case, code)]
             if len(culprits) == 1:
                 (owner,), hook = culprits, ""
-        return Unprintable(text, owner, hook, cure)
+        return UnprintableModel(text, owner, hook, cure)
 
-    def differs_without(self, kind: type[Any], case: Case, code: GeneratedCode) -> bool:
+    def differs_without(self, kind: type[Any], case: SwitchCase, code: GeneratedCode) -> bool:
         """Return whether a difference remains with this effect dormant."""
         others = tuple(k for k in self.model.catalogue if k is not kind)
-        return self.first_difference(Case(others, case.switches), code) is not None
+        return self.first_difference(SwitchCase(others, case.switches), code) is not None
 
 
 def _non_neutral_value(p: Parameter) -> float:

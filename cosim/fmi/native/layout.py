@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from cosim.fmi.model_description import Description
-from cosim.fmi.native.printing import Printer
+from cosim.fmi.native.printing import ModelPrinter
 from cosim.fmi.ports import Port, model_ports
 from cosim.model.quantities import Quantity
 
@@ -26,7 +26,7 @@ class Local:
 
 
 @dataclass(frozen=True)
-class Layout:
+class VariableLayout:
     """Variables of a native FMU in the order of their value references: ports, then local variables.
 
     Attributes:
@@ -58,7 +58,7 @@ def per_second(unit: str) -> str:
     return f"{unit}2" if unit.endswith("/s") else f"{unit if unit != '1' else ''}/s" if unit not in ("", "1") else "1/s"
 
 
-def model_layout(printer: Printer, about: Description, indicators: int) -> Layout:
+def model_layout(printer: ModelPrinter, about: Description, indicators: int) -> VariableLayout:
     """Return a model's layout: states, derivatives, memory and event indicators."""
     if list(about.ports) != list(model_ports(printer.model)):
         raise ValueError("the description is of another model")
@@ -71,14 +71,14 @@ def model_layout(printer: Printer, about: Description, indicators: int) -> Layou
     kinks = [
         Local(f"event_indicator_{k + 1}", "indicator", "", "passes through zero at a kink") for k in range(indicators)
     ]
-    return Layout(about, (*states, *rates, *memory, *kinks), _dependencies(printer, names), indicators)
+    return VariableLayout(about, (*states, *rates, *memory, *kinks), _dependencies(printer, names), indicators)
 
 
 def _rate(q: Quantity, k: int) -> Local:
     return Local(f"der({q.name}_state)", "derivative", per_second(q.unit), f"derivative: {q.doc}", k)
 
 
-def _dependencies(printer: Printer, names: Sequence[str]) -> dict[str, list[str]]:
+def _dependencies(printer: ModelPrinter, names: Sequence[str]) -> dict[str, list[str]]:
     """Return inputs and states behind each output and derivative. They cover all effects and switch positions."""
     sources: dict[str, set[str]] = {}
     inputs, states = [q.name for q in printer.model.inputs], [f"{n}_state" for n in names]

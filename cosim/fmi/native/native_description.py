@@ -16,7 +16,7 @@ from cosim.fmi.model_description import (
     set_unit,
     xml_bytes,
 )
-from cosim.fmi.native.layout import Layout, Local
+from cosim.fmi.native.layout import Local, VariableLayout
 from cosim.fmi.ports import Port
 from cosim.fmi.sampled import AUTHOR, sampled_annotation
 
@@ -26,7 +26,7 @@ LOG = {"logStatusWarning": "what the model was not made for", "logStatusError": 
 Version = Literal[2, 3]  # of FMI
 
 
-def description2(layout: Layout, name: str, identifier: str, version: str, guid: str) -> bytes:
+def description2(layout: VariableLayout, name: str, identifier: str, version: str, guid: str) -> bytes:
     """Return modelDescription.xml of FMI 2.0; sources are in `all.c`."""
     head = {"fmiVersion": "2.0", "modelName": name, "guid": guid, **_head(layout, version)}
     head |= {"numberOfEventIndicators": str(layout.indicators)}
@@ -43,7 +43,7 @@ def description2(layout: Layout, name: str, identifier: str, version: str, guid:
     return xml_bytes(root)
 
 
-def description3(layout: Layout, name: str, identifier: str, version: str, guid: str) -> bytes:
+def description3(layout: VariableLayout, name: str, identifier: str, version: str, guid: str) -> bytes:
     """Return modelDescription.xml of FMI 3.0, which does not list the sources: `buildDescription.xml` does."""
     head = {"fmiVersion": "3.0", "modelName": name, "instantiationToken": guid, **_head(layout, version)}
     common = {"modelIdentifier": identifier, "needsExecutionTool": "false"}
@@ -62,7 +62,7 @@ def description3(layout: Layout, name: str, identifier: str, version: str, guid:
     return xml_bytes(root)
 
 
-def _head(layout: Layout, version: str) -> dict[str, str]:
+def _head(layout: VariableLayout, version: str) -> dict[str, str]:
     return {
         "description": layout.about.description,
         "author": AUTHOR,
@@ -74,7 +74,7 @@ def _head(layout: Layout, version: str) -> dict[str, str]:
     }
 
 
-def _root(layout: Layout, head: dict[str, str], common: dict[str, str], slopes: str) -> Element:
+def _root(layout: VariableLayout, head: dict[str, str], common: dict[str, str], slopes: str) -> Element:
     """Return a description up to its default experiment.
 
     Args:
@@ -95,13 +95,13 @@ def _root(layout: Layout, head: dict[str, str], common: dict[str, str], slopes: 
     return root
 
 
-def _annotations(layout: Layout) -> list[Element]:
+def _annotations(layout: VariableLayout) -> list[Element]:
     about = layout.about
     traits = [] if about.traits is None else [annotation(about.traits, "doubles")]
     return traits + ([sampled_annotation(about.sampled, about.optional)] if about.sampled else [])
 
 
-def _variables(layout: Layout, local: Sequence[Local], fmi: Version) -> Element:
+def _variables(layout: VariableLayout, local: Sequence[Local], fmi: Version) -> Element:
     """Return the ports and these local variables."""
     states = {v.state: k for k, v in layout.of("state")}
     variables = Element("ModelVariables")
@@ -157,7 +157,7 @@ def _local(k: int, v: Local, states: Mapping[int, int], fmi: Version) -> Element
     return variable
 
 
-def _structure(layout: Layout, fmi: Version) -> Element:
+def _structure(layout: VariableLayout, fmi: Version) -> Element:
     """Return ModelStructure with dependencies."""
     numbers = {v.name: k + (fmi == 2) for k, v in enumerate(layout.variables)}
     states, rates, indicators = ([v.name for _, v in layout.of(r)] for r in ("state", "derivative", "indicator"))

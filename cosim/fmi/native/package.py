@@ -14,10 +14,10 @@ from cosim.fmi.documentation import GUID_PLACEHOLDER, write_documentation
 from cosim.fmi.fmu_build import ASSETS, Recipe, digest, write_zip
 from cosim.fmi.native.check import Check
 from cosim.fmi.native.compiler import commands, fmi_headers, library_of
-from cosim.fmi.native.layout import Layout, model_layout
+from cosim.fmi.native.layout import VariableLayout, model_layout
 from cosim.fmi.native.native_description import description2, description3
 from cosim.fmi.native.platforms import PLATFORMS, Platform, glibc_floor
-from cosim.fmi.native.printing import Printer, Sources
+from cosim.fmi.native.printing import GeneratedSources, ModelPrinter
 from cosim.model.model import Model
 
 FOLDER = Path(__file__).resolve().parent
@@ -48,8 +48,8 @@ class Native:
     """
 
     name: str
-    layout: Layout
-    printed: Sources
+    layout: VariableLayout
+    printed: GeneratedSources
     parts: Mapping[str, bytes]
     text: str
 
@@ -64,7 +64,7 @@ class Built:
 
 def native_model(model: Model, recipe: Recipe, name: str) -> Native:
     """Return a model for a native FMU, checked against its Python; raise Unprintable on failure."""
-    printer = Printer(model, recipe.about.ports)
+    printer = ModelPrinter(model, recipe.about.ports)
     printed = printer.sources()
     Check(model, printer).run()
     layout = model_layout(printer, recipe.about, int(str(printed.sizes["KINKS"])))

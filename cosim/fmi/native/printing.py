@@ -23,7 +23,7 @@ LANGUAGE = C()
 Function = tuple[str, str, str]  # name, arguments, text
 
 
-class Unprintable(ValueError):
+class UnprintableModel(ValueError):
     """A model without C equivalent.
 
     Attributes:
@@ -38,7 +38,7 @@ class Unprintable(ValueError):
 
 
 @dataclass(frozen=True)
-class Sources:
+class GeneratedSources:
     """Generated code of a model: `model.c` and the definitions of `config.h`."""
 
     body: str
@@ -83,7 +83,7 @@ def variable_tables(ports: Sequence[Port]) -> tuple[str, int]:
     return variables.replace("[]", "[VARIABLES + 1]", 1) + strings.replace("[]", "[TEXTS + 1]", 1), len(texts)
 
 
-class Printer:
+class ModelPrinter:
     """Code generator of a model, with a body per switch position chosen at run time."""
 
     def __init__(self, model: Model, ports: Sequence[Port]) -> None:
@@ -94,12 +94,12 @@ class Printer:
             names = ", ".join(self.switches)
             text = f"{len(self.switches)} parameters are true or false ({names}); {MOST_SWITCHES} are printed at most"
             cure = "make the rest numbers that m.where looks at, or constants of the class"
-            raise Unprintable(text, type(model), self.switches[MOST_SWITCHES].rpartition(".")[2], cure)
+            raise UnprintableModel(text, type(model), self.switches[MOST_SWITCHES].rpartition(".")[2], cure)
         positions = product((False, True), repeat=len(self.switches))
         try:
             self.variants = [Trace.of(model, dict(zip(self.switches, flags, strict=True))) for flags in positions]
         except Untraceable as error:
-            raise Unprintable(str(error), error.owner, error.hook, error.cure) from error
+            raise UnprintableModel(str(error), error.owner, error.hook, error.cure) from error
         self.trace = self.variants[0]
 
     # -- sizes and places -----------------------------------------------------------------------
@@ -125,7 +125,7 @@ class Printer:
         """Return the value reference of a variable."""
         return self.place[name]
 
-    def sources(self) -> Sources:
+    def sources(self) -> GeneratedSources:
         """Return all C code that is generated for the model."""
         tables, texts = variable_tables(self.ports)
         functions, body_kinks, kinks_in_all, calls = load_or_make(self._serialize(), self._functions)
@@ -152,7 +152,7 @@ class Printer:
             "STIFF": int(self.model.integrator == STIFF),
             "EXCHANGE": 1,
         }
-        return Sources("\n".join(parts), sizes)
+        return GeneratedSources("\n".join(parts), sizes)
 
     # -- functions ------------------------------------------------------------------------------
 
@@ -219,7 +219,7 @@ class Printer:
             rest = [(f, a, function(LANGUAGE, f, a, blocks, results, places)) for f, a, blocks, results in functions]
             return [derivatives, *rest]
         except ValueError as error:
-            raise Unprintable(str(error)) from error
+            raise UnprintableModel(str(error)) from error
 
     def _merge(self, variants: Sequence[Function]) -> str:
         """Return a function that switches between variants."""
@@ -244,7 +244,7 @@ class Printer:
         with number_guard():
             state, inputs = model.start_state(m), model.start_input()
         if any(t.s.model.start_state(m) != state or t.s.model.start_input() != inputs for t in self.variants):
-            raise Unprintable("start values that a switch decides")
+            raise UnprintableModel("start values that a switch decides")
         printer = LANGUAGE.printer(places_of(self.trace, {n: f"p[{self.vr(n)}]" for n in self.trace.s.parameters}))
 
         def line(target: str, value: Any) -> str:
@@ -303,7 +303,7 @@ class Printer:
         places: Callable[[Iterable[str]], list[str]] = lambda names: [str(self.vr(n)) for n in names]  # noqa: E731
         delayed = [f"{self.delay.name}.{q.name}_start" for q in self.delay.memory] if self.delay else []
         if self.delay and len(delayed) != len(self.model.inputs):
-            raise Unprintable(
+            raise UnprintableModel(
                 f"{self.delay.name} remembers {len(delayed)} commands; there are {len(self.model.inputs)}"
             )
         inputs = {q.name: k for k, q in enumerate(self.model.inputs)}

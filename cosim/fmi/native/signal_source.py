@@ -10,18 +10,18 @@ from pathlib import Path
 from cosim.base.units import parse
 from cosim.fmi.model_description import Description
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler
-from cosim.fmi.native.layout import Layout
+from cosim.fmi.native.layout import VariableLayout
 from cosim.fmi.native.package import Native, build_native, part
-from cosim.fmi.native.printing import Sources, variable_tables
+from cosim.fmi.native.printing import GeneratedSources, variable_tables
 from cosim.fmi.ports import Port
 
 ALWAYS = -1e300  # before any time [s]
 TEXT = "<p>Outputs that are functions of time: steps, ramps, recorded values.</p>"
-__all__ = ["Change", "CompilerFailed", "NoCompiler", "TimeSignal", "build_source"]
+__all__ = ["CompilerFailed", "NoCompiler", "SignalChange", "TimeSignal", "build_source"]
 
 
 @dataclass(frozen=True)
-class Change:
+class SignalChange:
     """A change at time `at` [s] between two values, with `rate` per second, at once if 0."""
 
     at: float
@@ -36,12 +36,12 @@ class TimeSignal:
 
     unit: str
     begin: float
-    changes: Sequence[Change]
+    changes: Sequence[SignalChange]
 
     @property
-    def pieces(self) -> tuple[Change, ...]:
+    def pieces(self) -> tuple[SignalChange, ...]:
         """Return the first value and the changes."""
-        return (Change(ALWAYS, self.begin, self.begin), *self.changes)
+        return (SignalChange(ALWAYS, self.begin, self.begin), *self.changes)
 
 
 def build_source(
@@ -71,7 +71,9 @@ def native_source(name: str, signals: Mapping[str, TimeSignal], step: float, sto
     sizes |= dict.fromkeys(("INPUTS", "STATES", "MEMORIES", "KINKS", "RANGES", "EFFECTS", "OWN", "EXCHANGE"), 0)
     identifier = re.sub(r"[^A-Za-z0-9_]", "_", f"source_{name}")
     parts = {file: part(file) for file in ("source.c", "steps_only.c")}
-    return Native(identifier, Layout(about), Sources(f"{variables}\n{tables(signals)}\n", sizes), parts, TEXT)
+    return Native(
+        identifier, VariableLayout(about), GeneratedSources(f"{variables}\n{tables(signals)}\n", sizes), parts, TEXT
+    )
 
 
 def tables(signals: Mapping[str, TimeSignal]) -> str:

@@ -23,7 +23,7 @@ from cosim.simulation.report.component_page import ComponentPage, component_page
 from cosim.simulation.report.fmi_kinds import fmi_kinds
 from cosim.simulation.report.recorded import Run, mappings, number, texts
 from cosim.simulation.report.run_rows import (
-    Connection,
+    ConnectionRow,
     badges,
     component_rows,
     connections,
@@ -34,7 +34,7 @@ from cosim.simulation.report.run_rows import (
     spelled_values,
 )
 from cosim.simulation.report.system_diagram import graph_of_run
-from cosim.simulation.report.verdicts import Criterion, criteria, has_failed, outcome
+from cosim.simulation.report.verdicts import CriterionText, criteria, has_failed, outcome
 from cosim.storage.files import write_text
 from cosim.storage.results import Results
 
@@ -109,7 +109,7 @@ def _diagram(run: Run) -> str:
     return graph.svg(alone=False) if graph is not None and graph.links else ""
 
 
-def _goals(judged: Sequence[Criterion]) -> list[Row]:
+def _goals(judged: Sequence[CriterionText]) -> list[Row]:
     """Return table rows of the scenario's criteria, missed criteria first."""
     first = sorted(judged, key=lambda c: c.met)[:MAX_TILES]
     allowed = {c: f", allowed {c.allowed}" if c.allowed else "" for c in first}
@@ -143,7 +143,7 @@ def judged_panels(run: Run) -> list[Panel]:
 
 
 def connection_panels(
-    run: Run, connected: Sequence[Connection], shown: frozenset[str] = frozenset()
+    run: Run, connected: Sequence[ConnectionRow], shown: frozenset[str] = frozenset()
 ) -> dict[tuple[str, str], Panel]:
     """Return sent and received signal of each connection, if recorded in one unit."""
     panels: dict[tuple[str, str], Panel] = {}

@@ -14,7 +14,7 @@ from cosim.base.text import amount, counted, plain
 from cosim.coupling.algorithms import algorithms
 from cosim.report.html_tables import Badge, Row
 from cosim.simulation.report.recorded import Run, mapping, mappings, number, texts
-from cosim.simulation.report.verdicts import Criterion, has_failed
+from cosim.simulation.report.verdicts import CriterionText, has_failed
 from cosim.storage.yaml_file import short
 
 MAX_SPELLED, MAX_CHANGES = 200, 8  # signals on a page, and changes of each
@@ -22,7 +22,7 @@ STEP = "time between two exchanges of values among the components"
 
 
 @dataclass(frozen=True)
-class Connection:
+class ConnectionRow:
     """A connection with its noise and faults."""
 
     source: str
@@ -30,7 +30,7 @@ class Connection:
     noise: str
 
 
-def badges(run: Run, judged: Sequence[Criterion]) -> list[Badge]:
+def badges(run: Run, judged: Sequence[CriterionText]) -> list[Badge]:
     """Return badges: status, criteria, algorithm, noise, seed and warnings."""
     met = sum(criterion.met for criterion in judged)
     seed, warnings = run.manifest.get("seed"), texts(run.manifest.get("warnings"))
@@ -92,10 +92,10 @@ def _over_time(run: Run, points: Sequence[int], texts: Sequence[str]) -> str:
     return "; ".join([*parts, *([f"and {counted(more, 'more change')}"] if more > 0 else [])])
 
 
-def connections(run: Run) -> list[Connection]:
+def connections(run: Run) -> list[ConnectionRow]:
     """Return the connections of the scenario."""
     return [
-        Connection(str(link.get("from", "?")), str(link.get("to", "?")), "; ".join(disturbances(run, link)))
+        ConnectionRow(str(link.get("from", "?")), str(link.get("to", "?")), "; ".join(disturbances(run, link)))
         for link in mappings(run.scenario.get("connections"))
     ]
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from cosim.base.text import counted, written
 from cosim.coupling.algorithms import DEFAULT, Algorithm, algorithms
-from cosim.report.diagram import Box, Port, Wire, diagram
+from cosim.report.diagram import Box, DiagramPort, Wire, diagram
 from cosim.simulation.report.recorded import Run, mapping, mappings
 from cosim.simulation.report.run_rows import disturbances
 from cosim.storage.results import Results
@@ -29,7 +29,7 @@ FACTS = {  # key of a component → its text in the diagram
 
 
 @dataclass(frozen=True)
-class Link:
+class DiagramLink:
     """A connection with its ends, units, noise and faults; `held` passes on the value from the step's start."""
 
     source: str
@@ -50,7 +50,7 @@ class Graph:
 
     name: str
     about: Mapping[str, str]
-    links: Sequence[Link]
+    links: Sequence[DiagramLink]
     algorithm: Algorithm
 
     def svg(self, *, alone: bool = True) -> str:
@@ -59,12 +59,14 @@ class Graph:
         Args:
             alone: Whether for a file of its own.
         """
-        ports: dict[str, tuple[dict[str, Port], dict[str, Port]]] = {name: ({}, {}) for name in self.about}
+        ports: dict[str, tuple[dict[str, DiagramPort], dict[str, DiagramPort]]] = {
+            name: ({}, {}) for name in self.about
+        }
         for link in self.links:
             for side, (end, unit) in enumerate(zip((link.target, link.source), link.units[::-1], strict=True)):
                 owner, _, variable = end.partition(".")
                 notes = tuple((text, "bad" if text.startswith("fault") else "warn") for text in link.acting)
-                port = Port(_cut(variable), written(unit), notes if side == 0 else ())
+                port = DiagramPort(_cut(variable), written(unit), notes if side == 0 else ())
                 ports[owner][side].setdefault(variable, port)
         boxes = [
             Box(f"{k} {name}", self.about[name], tuple(inputs.values()), tuple(outputs.values()))
@@ -75,7 +77,7 @@ class Graph:
         title = f"{counted(len(boxes), 'component')} of {self.name} in the order in which they step"
         return diagram(boxes, wires, f"{title}, {counted(len(wires), 'connection')}", self._keys(), alone=alone)
 
-    def _wire(self, link: Link, ports: Mapping[str, Any], place: Mapping[str, int]) -> Wire:
+    def _wire(self, link: DiagramLink, ports: Mapping[str, Any], place: Mapping[str, int]) -> Wire:
         ends = []
         for side, end in ((1, link.source), (0, link.target)):
             owner, _, variable = end.partition(".")
@@ -135,7 +137,7 @@ def graph_from(scenario: Mapping[str, Any], order: Sequence[str], held: set[str]
         texts = ((text, text.startswith("fault")) for text in disturbances(run, link))
         acting = tuple(text if is_fault else f"noise {text}" for text, is_fault in texts if is_fault or not silent)
         pair = units.get(source, ""), units.get(target, "")
-        edge = Link(source, target, pair, acting, target in held | arrays)
+        edge = DiagramLink(source, target, pair, acting, target in held | arrays)
         links += [edge] if about.keys() >= {*edge.ends} else []
     algorithm = algorithms().get(str(scenario.get("algorithm")), DEFAULT)
     return Graph(str(scenario.get("name") or ""), about, links, algorithm)
@@ -150,12 +152,12 @@ def _cut(text: str) -> str:
     return text if len(text) <= MAX_NAME else f"{text[: MAX_NAME - 1]}…"
 
 
-def _title(link: Link) -> str:
+def _title(link: DiagramLink) -> str:
     parts = [f"{link.source} → {link.target}", *link.acting, "the value of the step's start" if link.held else ""]
     return "; ".join(filter(None, parts))
 
 
-def _label(link: Link) -> str:
+def _label(link: DiagramLink) -> str:
     names = [end.partition(".")[2] for end in (link.source, link.target)]
     name = names[0] if names[0] == names[1] else " → ".join(names)
     units = list(dict.fromkeys(written(u) for u in link.units if u))

@@ -12,7 +12,7 @@ from cosim.simulation.report.recorded import Run, mapping, mappings, number
 
 
 @dataclass(frozen=True)
-class Criterion:
+class CriterionText:
     """A criterion in the page's words."""
 
     title: str
@@ -22,12 +22,12 @@ class Criterion:
     met: bool
 
 
-def criteria(run: Run) -> list[Criterion]:
+def criteria(run: Run) -> list[CriterionText]:
     """Return the manifest's criteria as text."""
     return [_criterion(entry, run.unit(str(entry.get("of")))) for entry in mappings(run.manifest.get("criteria"))]
 
 
-def _criterion(entry: Mapping[str, Any], unit_of_signal: str) -> Criterion:
+def _criterion(entry: Mapping[str, Any], unit_of_signal: str) -> CriterionText:
     unit, value, bound = str(entry.get("unit") or ""), number(entry.get("value")), number(entry.get("max"))
     kind = str(entry.get("kind", "criterion"))
     met = bool(entry["met"]) if "met" in entry else value <= bound
@@ -41,7 +41,7 @@ def _criterion(entry: Mapping[str, Any], unit_of_signal: str) -> Criterion:
     rest = bound - value
     margin = "" if not math.isfinite(rest) else f"{amount(abs(rest), unit)} {'left' if rest >= 0 else 'over'}"
     allowed = f"≤ {amount(bound, unit, None)}" if math.isfinite(bound) else ""
-    return Criterion(" ".join(parts), text, allowed, margin, met)
+    return CriterionText(" ".join(parts), text, allowed, margin, met)
 
 
 def has_failed(run: Run) -> bool:
@@ -49,7 +49,7 @@ def has_failed(run: Run) -> bool:
     return str(run.manifest.get("status") or "ok") != "ok"
 
 
-def outcome(run: Run, judged: list[Criterion]) -> str:
+def outcome(run: Run, judged: list[CriterionText]) -> str:
     """Return the run's outcome in one or two sentences."""
     missed = [c for c in judged if not c.met]
     if has_failed(run):
