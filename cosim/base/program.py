@@ -51,8 +51,7 @@ def as_program(entry: Callable[[], None]) -> None:
 class _Keyboard:
     """Handler of SIGINT: interrupt a running command, end the process of a finished command.
 
-    Python runs handlers after calls. No handler can therefore run between a command's end and the assignment after it.
-    Changing the handler instead would be a call, and a signal during this call could raise KeyboardInterrupt.
+    A finished command sets `is_done`. Exchanging the handler instead would leave a moment for a KeyboardInterrupt.
     """
 
     is_done = False

@@ -42,7 +42,7 @@ class ScratchFolder:
 
 
 def scratch(prefix: str, beside: Path | None = None) -> ScratchFolder:
-    """Return a new locked folder in a swept place. The place is `beside`, by default the folder for temporary files."""
+    """Return a new locked folder in `beside`, by default in the folder for temporary files; remove abandoned ones."""
     sweep(beside or Path(tempfile.gettempdir()), prefix if beside else PREFIX)
     return ScratchFolder(Path(tempfile.mkdtemp(prefix=prefix, dir=beside)))
 

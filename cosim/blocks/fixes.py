@@ -106,9 +106,9 @@ class Fixes(RowComponent):
         return math.ceil(fix / (self.sensor.rate * self.step) - 1e-9)
 
     def _draw(self) -> list[float] | None:
-        """Return the errors of a fix, or None for a lost one.
+        """Return the errors of a position fix, or None for a lost fix.
 
-        Errors are drawn for lost fixes too, so that losses do not change them.
+        Lost fixes use random numbers too, so that losses do not change the errors of later fixes.
         """
         errors = [bias + scale * rng.standard_normal() for rng, scale, bias in self._noise]
         return None if self._losses.random() < self.sensor.dropout else errors

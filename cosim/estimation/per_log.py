@@ -49,7 +49,7 @@ def own_parameters(
     values: Mapping[str, float],
     tolerance: Mapping[str, float],
 ) -> Iterator[Free]:
-    """Yield each parameter once per group, with a prior around the subject's value."""
+    """Yield each parameter once per group of logs, with a prior around the subject's value."""
     for name in names:
         p, value = subject.declared[name], values[name]
         share = tolerance.get(name, p.tolerance)

@@ -322,7 +322,7 @@ class Problem:
         return e, s
 
     def score(self, values: Mapping[str, float], noise: Noise, only: Sequence[int] | None = None) -> Scored:
-        """Filter some logs, by default all."""
+        """Return innovations and variances of some logs, by default all, one after the other."""
         errors, variances, rows = [], [], []
         for index in range(len(self.logs)) if only is None else only:
             (e, s), readings = self.innovations(values, noise, index), self.readings[index]

@@ -125,13 +125,15 @@ def named_model(name: str) -> Model:
 
 
 def load_model(text: str, folder: Path, named_in: YamlFile | None = None) -> LoadedModel:
-    """Return `base`, a model.yaml or `file.py:Class`, loaded.
+    """Load a model from its name in a command or study.
 
     Args:
+        text: `base`, path of a model.yaml, or `file.py:Class`.
+        folder: Folder of relative paths.
         named_in: Study that names the model; a missing file is a fault of its key `model`.
 
     Raises:
-        InputError: The model has faults; it lists all of them.
+        InputError: Every fault of the model.
     """
     if text == BASE:
         try:
@@ -237,7 +239,7 @@ def _named_model(yaml: YamlFile, content: ModelFile) -> Model:
 
 
 def _in_units(yaml: YamlFile, content: ModelFile, model: Model) -> tuple[ModelFile, list[Fault]]:
-    """Return the file with numbers in the model's units, and faults. Sensor errors are differences."""
+    """Return the file with numbers converted to the model's units (sensor errors without offset), and faults."""
     units = {n: p.unit for n, p in model.declared.items()}
     parameters, faults = yaml.in_units(("parameters",), content.parameters, units)
     units = {n: p.unit for n, p in model.sensor_parameters.items()}

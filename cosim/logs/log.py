@@ -370,9 +370,9 @@ def usual_step(time: Array) -> float:
 
 
 def slowness(step: float) -> int:
-    """Return the time scale for slow rows.
+    """Return a factor for durations in the checks of a log with a long step [s], 1 for a usual step.
 
-    A tank logged every half second is slow: a second, or a memory of 0.15 s, would be two rows or none.
+    Durations such as 0.15 s or 1 s would otherwise contain too few rows, e.g. of a tank logged every 0.5 s.
     """
     return max(1, math.ceil(step / USUAL - 0.1))
 

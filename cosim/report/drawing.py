@@ -63,9 +63,9 @@ class Drawing:
         return Keys(tuple(self.series.add(panel)), self.series.band(panel))
 
     def _split_at_breaks(self, panel: Panel) -> Panel:
-        """Return a panel with a row inserted at each break.
+        """Return a panel with a row inserted at each break of the curves.
 
-        A lone row gives dots.
+        A drawing of a single row shows dots instead of lines.
         """
         if self.lone:
             return replace(panel, traces=[replace(t, style=f"{t.style} dots", held=False) for t in panel.traces])

@@ -28,7 +28,7 @@ class Trace:
         values: Values in the panel's unit.
         held: True if each value is held until the next sample, as commands are.
         anew: True if the line restarts at each break of its drawing.
-        x: Increasing places of the values; by default those of the drawing.
+        x: Increasing values of the horizontal axis; None takes the values of the drawing.
         stems: True for lines from zero to each value, displaced by `shift`.
         upper: Upper ends of bars that begin at the values.
         items: Texts shown instead of values.
@@ -67,7 +67,7 @@ class Band:
     """A shaded region between two lines.
 
     Attributes:
-        x: Increasing places of the values; by default those of the drawing.
+        x: Increasing values of the horizontal axis; None takes the values of the drawing.
     """
 
     label: str

@@ -318,7 +318,7 @@ def make_plot(
     """Draw a panel.
 
     Args:
-        keys: Keys of its series, one for each curve.
+        keys: Keys of the panel's data series in the page, one for each curve.
         over: Name and unit of x.
     """
     y = y or value_axis(panel)

@@ -36,7 +36,7 @@ class CouplingError:
         of: Signal → largest difference.
         stopped: Reason for missing differences.
         steps: Signal → largest difference caused by a single step, and its time [s].
-        without: Reason for not repeating single steps.
+        without: Reason for missing `steps`.
     """
 
     of: Mapping[str, float]

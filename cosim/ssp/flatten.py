@@ -216,7 +216,7 @@ class _Flattener:
                 yield from self._targets(inner, name[len(element) + 1 :])
 
     def _forward(self, level: Level, connector: str, hops: Hops) -> Iterator[Target]:
-        """Yield the FMU inputs inside a system to which one of its connectors leads."""
+        """Yield the FMU inputs inside a system that are connected to a connector of the system."""
         for connection in level.system.connections:
             # With two sources, a noted fault, the first counts.
             if connection.start != (None, connector) or level.into[connection.end] is not connection:

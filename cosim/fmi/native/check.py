@@ -254,7 +254,7 @@ class Check:
     # -- messages --------------------------------------------------------------------------------
 
     def refusal(self, difference: Difference, code: GeneratedCode) -> Unprintable:
-        """Return the error for a difference, with probable class and remedy."""
+        """Return the error for a difference between Python and C, with the class at fault and a remedy."""
         kinds, case = self.model.catalogue, difference.case
         values = f"{difference.python:.9g} in Python and {difference.generated:.9g} as printed"
         text = f"{difference.quantity} is {values}, with {case.words}"

@@ -163,7 +163,7 @@ class Claims:
 
     @property
     def claimed_candidates(self) -> tuple[Candidate, ...]:
-        """Return the claimed candidates; beside rivals, those that all of them contain."""
+        """Return the claimed candidates; for an ambiguous verdict, the candidates common to all rivals."""
         if self.claimed is None:
             return ()
         return self.certain if self.name == "ambiguous" else self.claimed.candidates

@@ -137,7 +137,12 @@ def _counted_names(names: Sequence[str], noun: str) -> str:
 
 
 def rivals_text(names: Sequence[str], experiment: str, certain: str, subject: Subject) -> str:
-    """Say what rivals leave open, beside what they have in common."""
+    """Return a sentence on undecided rivals, with an experiment to separate them.
+
+    Args:
+        names: Rival hypotheses.
+        certain: Sentence on the candidates common to all rivals, or "".
+    """
     opening = f"{certain} Beside it, these logs" if certain else "These logs"
     designed = "" if subject.static else " `cosim excite` designs it, and says whether any would."
     many = f"decide between {_counted_names(names, 'hypothesis')}"
@@ -173,7 +178,11 @@ def doubt_text(doubt: Doubt) -> str:
 
 
 def part_text(residual: Mapping[str, Any], rest: str) -> str:
-    """Say that a claim is a part of what is missing: how much remains, and where that acts."""
+    """Return sentences on a claim that explains only part of the error: the remaining share and its place.
+
+    Args:
+        rest: Phrase on the remaining share.
+    """
     where = f"acts on {residual['equation']}" if residual["equation"] else "has no place in the equations"
     on = f" and {_residual_text(residual)}" if residual["signals"] else ""
     return f"{IN_PART}: {rest}. The rest {where}{on}."

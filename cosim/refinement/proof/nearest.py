@@ -41,7 +41,12 @@ def nearest(search: Search, a: Attribution, best: Sequence[Hypothesis]) -> Hypot
 
 
 def _is_as_good(excess: Array) -> bool:
-    """Return True if a simpler model misses the logs by no more than one standard error, or predicts a log better."""
+    """Return True if a simpler model predicts the logs as well as a richer model.
+
+    Args:
+        excess: Log error of the simpler model minus log error of the richer model, for each log. The mean may be up to
+            a standard error. A single clearly negative value is enough.
+    """
     standard_error = float(np.std(excess, ddof=1)) / np.sqrt(excess.size) if excess.size > 1 else 0.0
     return bool(np.mean(excess) <= max(SIMPLER, standard_error) or np.min(excess) < -SIMPLER)
 

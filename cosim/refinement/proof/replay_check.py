@@ -32,7 +32,7 @@ ErrorOf = Mapping[str, Channels]  # replays before, recalibrated and after → e
 
 
 def check_with_replays(study: Study, a: Attribution, claims: Claims, result: SearchResult, problem: Problem) -> Claims:
-    """Compare the verdict with replays of the logs."""
+    """Return the claims, changed or withdrawn if replays of the logs contradict the verdict."""
     is_within, is_single = not _beyond_tolerance(a.base.fit), False
     if claims.name == "no_effect":
         error, floor = _replay_errors(study, a, claims, problem, result.sensors)

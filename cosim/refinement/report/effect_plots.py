@@ -94,9 +94,9 @@ def compare_effects(r: Refinement) -> list[EffectComparison]:
 
 
 def _term(subject: Subject, problem: Problem, c: Candidate, without: Fit, with_it: Fit) -> EffectComparison:
-    """Compare a term with the missing acceleration.
+    """Compare an effect's term in the equations with the acceleration that the model lacks.
 
-    The comparison is in the equation with the largest term, relative to its uncertainty.
+    The comparison is for the equation whose term is largest relative to the uncertainty.
     """
     parts, _, sigma = smooth_logs(problem, without)
     terms = np.vstack([contributions(problem, without, with_it, k) for k, _ in parts])

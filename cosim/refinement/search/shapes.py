@@ -93,7 +93,7 @@ class Shape:
 
     @property
     def per(self) -> float:
-        """Return ζ per unit of the signal, for a turning angle per unit of 1 − cosine."""
+        """Return the normalised signal ζ per unit of the signal, for a turning angle per unit of 1 − cosine."""
         if self.turned:
             return float(HALF / (1.0 - np.cos(0.5 * self.width)))
         return float({"bump": 2.0 * HALF, "step": 2.0, "spline": 1.0}[self.kind] / self.width)

@@ -278,7 +278,7 @@ def _fit_terms(problem: Problem, at: Fit, terms: Sequence[UnnamedTerm]) -> Fit:
 
 
 def _with_coefficients(u: UnnamedTerm, fitted: Fit) -> UnnamedTerm:
-    """Return the term with its fitted coefficients and its gain beside the other terms."""
+    """Return the term with its fitted coefficients and its likelihood gain in addition to all other terms."""
     sizes = [fitted.values[name] for name in u.names]
     gain = 0.5 * float(np.array(sizes) @ fitted.marginal(u.names) @ np.array(sizes))
     return replace(u, gain=gain, most=gain, coefficient=max(sizes, key=abs), sizes=tuple(sizes) if u.shape else ())
