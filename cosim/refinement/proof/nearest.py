@@ -21,7 +21,7 @@ SIMPLER = 0.01  # difference of log error within which the simpler model is chos
 
 
 def nearest(search: Search, a: Attribution, best: Sequence[Hypothesis]) -> Hypothesis | None:
-    """Return the best predictor of held-out logs, None for the given model.
+    """Return the hypothesis that predicts held-out logs best, None for the given model.
 
     Args:
         best: Hypotheses close to a claim.
@@ -52,7 +52,7 @@ def _is_as_good(excess: Array) -> bool:
 
 
 def _parts(search: Search, best: Sequence[Hypothesis]) -> Iterator[Hypothesis]:
-    """Yield, for each smaller number of candidates, the best fitted part of the hypotheses."""
+    """Yield, for each smaller number of candidates, the best fitted subset of the hypotheses."""
     tried = sorted((h for h in search.tried.values() if h.names), key=lambda h: h.score)
     for h in best:
         for count in range(1, len(h.names)):

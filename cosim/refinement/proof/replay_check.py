@@ -108,7 +108,7 @@ def _weak_parts(claimed: Hypothesis, support: Mapping[str, Support]) -> tuple[st
 
 
 def _error_doubt(error: ErrorOf, floor: Channels) -> Doubt | None:
-    """Doubt a claim without effects if replays miss much."""
+    """Return a doubt about a claim without effects if replays miss a channel by far; else None."""
     worst, times = max(_errors_per_floor(error["after"], floor).items(), key=itemgetter(1), default=("", 0.0))
     return Doubt("missed", worst, times) if worst else None
 
@@ -156,7 +156,7 @@ def claim_single_number(
 
 
 def _single_errors(result: SearchResult, base: Hypothesis) -> list[Hypothesis]:
-    """Return hypotheses of a single wrong parameter."""
+    """Return hypotheses of a single wrong parameter or input gain, best first."""
     search = result.search
     single = [c for c in result.candidates if c.kind == "parameter" or c.gain]
     # Fits start from stated values: a fit from recalibrated values would have to follow a ridge of shared effects.

@@ -97,7 +97,7 @@ _NO_TIME: Mapping[str, Any] = {"horizons": None, "terms": [], "runs": [], "lead"
 
 
 def _in_time(r: Refinement, charts: Charts) -> Mapping[str, Any]:
-    """Return the drawings and texts over time."""
+    """Return the template's values for plots over time."""
     plots = runs(r, charts)
     lead = _lead(plots, leading_channel(r))
     return {
@@ -113,10 +113,7 @@ def _in_time(r: Refinement, charts: Charts) -> Mapping[str, Any]:
 
 
 def _lead(plots: Sequence[Run], channel: str) -> tuple[Run, Pairs, list[Run]] | None:
-    """Return a channel of the last log, and the remaining plots of all logs.
-
-    The last log is the sealed log, if any.
-    """
+    """Return log and plots of a channel in the last log (sealed, if any), and the remaining plots of all logs."""
     if not plots:
         return None
     *others, last = plots
@@ -126,7 +123,7 @@ def _lead(plots: Sequence[Run], channel: str) -> tuple[Run, Pairs, list[Run]] | 
 
 
 def _whiteness(r: Refinement, charts: Charts) -> Mapping[str, Any]:
-    """Return the innovations, with white channels folded."""
+    """Return the template's values for innovations, with white channels folded."""
     white = innovations(r, charts)
     coloured = [w for w in white if w.tells]
     return {
@@ -139,7 +136,7 @@ def _whiteness(r: Refinement, charts: Charts) -> Mapping[str, Any]:
 
 
 def _ranking(r: Refinement) -> Mapping[str, Any]:
-    """Return the hypotheses: single candidates and combinations."""
+    """Return the template's values for hypotheses: single candidates and combinations."""
     singles, more, pairs = ranking_tables(r)
     return {
         "singles": singles,
@@ -176,7 +173,7 @@ def _badges(r: Refinement) -> list[Badge]:
 
 
 def _next_step(r: Refinement) -> str:
-    """Return the next step for an open question."""
+    """Return a text on the next step after a verdict without a complete claim."""
     if r.verdict.name == "ambiguous":
         rest = "Nothing is claimed: the model is left as it was. Not visible in these logs, present or not:"
         if r.verdict.claimed:
@@ -216,7 +213,7 @@ def _term(s: EffectComparison, charts: Charts) -> Mapping[str, Any]:
 
 
 def _term_sentence(s: EffectComparison) -> str:
-    """State the explained share and the correlation of a term."""
+    """Return a sentence on the explained share and the correlation of a term."""
     quantity = s.quantity
     if s.term is None:
         return f"The {quantity} is drawn against {s.against.name}, which it follows most ({rows_shown(s)})."
@@ -232,7 +229,7 @@ def _term_sentence(s: EffectComparison) -> str:
 
 
 def _error_lead(r: Refinement) -> str:
-    """Explain the errors."""
+    """Return an introduction to the table of errors."""
     if r.problem.table:
         how = "over the rows, each predicted through the FMU from its own inputs"
     else:
@@ -244,7 +241,7 @@ def _error_lead(r: Refinement) -> str:
 
 
 def _error_words(r: Refinement, tables: Sequence[ErrorTable]) -> list[Row]:
-    """Explain the columns of the errors."""
+    """Return explanations of the columns in the table of errors."""
     claimed = r.verdict.claimed is not None
     cause = "sensor noise" if r.problem.table else "sensor noise and the estimated disturbance"
     rows = [
@@ -259,7 +256,7 @@ def _error_words(r: Refinement, tables: Sequence[ErrorTable]) -> list[Row]:
 
 
 def _share_words(tables: Sequence[ErrorTable]) -> str:
-    """Explain the remaining share and the texts in place of it."""
+    """Return an explanation of the remaining share and of texts in its place."""
     shown = {row.excess for table in tables for row in table.rows}
     text = "The part of the squared error above the noise floor that the refined model keeps."
     if NOTHING_TO_EXPLAIN in shown:
@@ -270,7 +267,7 @@ def _share_words(tables: Sequence[ErrorTable]) -> str:
 
 
 def _sealed_text(r: Refinement) -> str:
-    """Explain sealed logs, if any."""
+    """Return an explanation of sealed logs, "" without sealed logs."""
     if "validation" not in r.record["error"]["before"]:
         return ""
     noun = "tables" if r.problem.table else "logs"
@@ -322,7 +319,7 @@ def _provenance(r: Refinement) -> list[Row]:
 
 
 def _inputs(r: Refinement) -> list[Row]:
-    """Return the inputs' interpolation, and the likelihood gain of the alternative."""
+    """Return rows on the interpolation of inputs, and the likelihood gain of the alternative."""
     inputs = r.record.get("inputs")
     if not inputs:
         return []
