@@ -194,9 +194,9 @@ def read_model(path: Path, readers: tuple[Path, ...] = ()) -> LoadedModel:
 def _read_common_parameters(
     yaml: YamlFile, name: str, model: Model, readers: tuple[Path, ...]
 ) -> dict[str, float | bool]:
-    """Return common parameters of another model's file.
+    """Return the values of common parameters from another model's file.
 
-    Parameters refined on a rig can thus be used in the whole model.
+    A larger model can thus use parameters refined on a test rig.
     """
     path = yaml.path.parent / name
     path = refined_file(path) if names_refine(path) else path
@@ -248,7 +248,7 @@ def _in_units(yaml: YamlFile, content: ModelFile, model: Model) -> tuple[ModelFi
 
 
 def _value_faults(yaml: YamlFile, content: ModelFile, model: Model) -> Iterator[Fault]:
-    """Yield unknown names and values out of bounds."""
+    """Yield faults of unknown names and values out of bounds."""
     sections = (
         ("parameters", model.declared, content.parameters),
         ("sensors", model.sensor_parameters, content.sensors),
@@ -265,7 +265,7 @@ def _value_faults(yaml: YamlFile, content: ModelFile, model: Model) -> Iterator[
 
 
 def _absolute(text: str, folder: Path) -> str:
-    """Return `file.py:Class` with an absolute path. Model files in other folders can then find the file."""
+    """Return `file.py:Class` with an absolute path, for model files in other folders."""
     file, _, name = text.rpartition(":")
     return f"{(folder / file).resolve()}:{name}"
 
@@ -321,7 +321,10 @@ _skipped: ContextVar[list[Path] | None] = ContextVar("files of Python that are n
 
 @contextmanager
 def without_execution() -> Iterator[list[Path]]:
-    """Prevent the execution of model files; yield the skipped files. A model in such a file raises NotExecuted."""
+    """Prevent the execution of model files; yield the skipped files.
+
+    A model in such a file raises NotExecuted.
+    """
     skipped: list[Path] = []
     token = _skipped.set(skipped)
     try:
@@ -388,7 +391,7 @@ def write_model(path: Path, loaded: LoadedModel, folder: Path | None = None) -> 
 
 
 def meant_model(model: str | None, *, nearest: bool) -> LoadedModel:
-    """Return the model that the user named, by default the base model.
+    """Return the model named by the user, by default the base model.
 
     A refine folder means its refined model, or with `nearest` its nearest model.
     """

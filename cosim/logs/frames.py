@@ -51,7 +51,7 @@ RATE_MESSAGES: dict[bool, tuple[Severity, Template, Template]] = {  # for a decl
 
 
 def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator[Finding]:
-    """Compare a signal with the integral of its rate, Δy = s·∫ẏ dt + b·T over blocks.
+    """Yield findings from comparing a signal with the integral of its rate, Δy = s·∫ẏ dt + b·T over blocks.
 
     With consistent units, signs and sensors, s is 1 and b is 0.
     """

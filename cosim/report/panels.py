@@ -47,7 +47,7 @@ class Trace:
 
     @property
     def form(self) -> int:
-        """Return the form for the page's script: LINE, HELD, DOTS, STEMS, BARS or CROSSES."""
+        """Return the kind of drawing for the page's script: LINE, HELD, DOTS, STEMS, BARS or CROSSES."""
         if self.upper is not None:
             return BARS
         if self.stems:
@@ -92,9 +92,9 @@ class Panel:
 def by_unit(
     names: Iterable[str], unit: Callable[[str], str], values: Callable[[str], Array]
 ) -> list[tuple[str, list[str]]]:
-    """Return unit and names of each shared panel.
+    """Return unit and signal names of each panel.
 
-    Signals without a unit may be of any kind: they share a panel only if each is visible on its axis.
+    Signals without a unit share a panel only if each is visible on the common axis.
     """
     groups: list[tuple[str, list[str], _Range]] = []
     for name in names:
@@ -111,7 +111,7 @@ def by_unit(
 
 @dataclass(frozen=True)
 class _Range:
-    """Range of the signals on an axis, and the smallest range of a varying signal among them."""
+    """Range of the signals on an axis, and the smallest range of a varying signal."""
 
     low: float
     high: float

@@ -20,14 +20,14 @@ PLACEHOLDERS = {int: "INTEGER", float: "NUMBER", Path: "PATH", str: "TEXT", list
 
 
 def _refuse_blank(hint: Any) -> None:
-    """Make the option --out refuse a blank, which as a path would be the current folder."""
+    """Let the option --out refuse a blank, which as a path would be the current folder."""
     for option in get_args(hint):
         if isinstance(option, OptionInfo):
             option.parser, option.metavar = _out_path, "PATH"
 
 
 def _set_placeholders(hints: Iterable[Any]) -> None:
-    """Set the placeholder of each option that has none to that of the option's type."""
+    """Set missing placeholders of options according to the types of their values."""
     for hint in hints:
         for option in get_args(hint):
             if isinstance(option, OptionInfo) and option.metavar is None:
@@ -42,7 +42,7 @@ def _out_path(value: Any) -> Path:
 
 
 def with_manner(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a command that also has the options -q and -v."""
+    """Return a command with the additional options -q and -v."""
 
     @wraps(command)
     def run(*arguments: Any, quiet: bool = False, verbose: bool = False, **options: Any) -> Any:
