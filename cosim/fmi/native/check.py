@@ -49,7 +49,7 @@ class Point:
 
 
 class _Math:
-    """Functions of `math` that return NaN or infinity as in C, instead of raising."""
+    """Functions of `math` with NaN or infinity as result, as in C, instead of exceptions."""
 
     def __getattr__(self, name: str) -> Any:
         import numpy as np
@@ -116,7 +116,7 @@ class Difference:
 
 
 class Check:
-    """A model and its generated code."""
+    """Comparison of a model's Python equations with its generated code."""
 
     def __init__(self, model: Model, printer: Printer) -> None:
         self.model, self.printer = model, printer
@@ -276,7 +276,7 @@ class Check:
 
 
 def _non_neutral_value(p: Parameter) -> float:
-    """Return a value apart from the neutral one."""
+    """Return a value different from the neutral value."""
     neutral = p.neutral or 0.0
     high = p.bounds[1] if math.isfinite(p.bounds[1]) else neutral + 1.0
     return neutral + 0.5 * (high - neutral) if high > neutral else neutral - 1.0
