@@ -116,7 +116,7 @@ class _Flattener:
             yield Link(*ends, self._along(source, hops, connection.element), connection.element)
 
     def _hops(self, level: Level, last: Connection) -> Hops | None:
-        """Return the chain of connections that leads from an FMU's output to `last`; empty if none does."""
+        """Return the chain of connections from an FMU's output to `last`; None without output."""
         hops: Hops = ((level, last),)
         while True:
             at, connection = hops[0]
@@ -205,7 +205,7 @@ class _Flattener:
                 self._warn_of_name(parameter, chain(level.system.connectors, self._names(level)))
 
     def _targets(self, level: Level, name: str) -> Iterator[Target]:
-        """Yield all variables for a hierarchical name in a system."""
+        """Yield the FMU variables that a hierarchical name in a system means."""
         if name in level.system.connectors:
             yield from self._forward(level, name, ())
         for element, part in level.parts.items():

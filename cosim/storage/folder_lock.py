@@ -71,7 +71,7 @@ def folder_locks() -> Iterator[None]:
 def take_folder(folder: Path) -> bool:
     """Lock a folder for the running verb, and make it if missing.
 
-    A folder that cannot be made is reported elsewhere.
+    The caller reports a folder that cannot be made.
 
     Returns:
         Whether the folder is locked.
