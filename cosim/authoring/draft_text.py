@@ -80,7 +80,7 @@ def seal(text: str) -> str:
 
 
 def is_edited(text: str) -> bool:
-    """Return whether a scenario differs from the digest in its last line."""
+    """Return whether a scenario contradicts its digest."""
     lines, digest, _ = text.rpartition(SEAL)
     return bool(digest) and text != seal(lines)
 
@@ -110,7 +110,7 @@ def _component(folder: Path, part: Part, times: Times) -> Iterator[str]:
 
 
 def _parameter(v: Any) -> str:
-    """Return a parameter as a YAML comment: name, start value, unit, description."""
+    """Return a commented YAML line: name, start value, unit, description."""
     text, start = v.type == "String", "" if v.start is None else str(v.start)
     about = ", ".join(filter(None, (unit_of(v), _comment(v.description or "")[:80])))
     value = scalar(start if text else start.strip(), literal=not text)

@@ -139,7 +139,7 @@ def _faults(file: ScenarioFile, system: System) -> Iterator[Fault]:
 
 
 def _objections(file: ScenarioFile, system: System, connection: Connection) -> Iterator[str]:
-    """Yield the reasons why importing tools cannot hold a connection."""
+    """Yield reasons why importing tools cannot hold a connection."""
     signals = system.signals
     if connection.source not in signals or connection.target not in signals:
         yield messages.ARRAY_CONNECTION()
@@ -207,7 +207,7 @@ def _source(file: ScenarioFile, name: str, component: ReferenceComponent | Playb
 
 
 def _profile(profile: Profile) -> TimeSignal:
-    """Return a reference profile as steps and ramps, with degrees converted to radians."""
+    """Return a reference profile as steps and ramps in radians."""
     unit, factor = computed_in(profile.unit)
     changes = []
     for k, change in enumerate(profile.changes):
@@ -217,7 +217,7 @@ def _profile(profile: Profile) -> TimeSignal:
 
 
 def _recording_signals(path: Path, names: set[str]) -> dict[str, TimeSignal]:
-    """Return the columns `names` of a recording as signals held between rows."""
+    """Return columns of a recording, held between rows."""
     table = read_columns(path, names)
     times = table.values["time"]
     signals = {}

@@ -98,7 +98,7 @@ class _Matching:
         self.used: set[str] = set()  # connected outputs
 
     def matches(self) -> Matches:
-        """Connect equal names, then similar names, then remaining unique pairs."""
+        """Connect equal names, similar names, then remaining unique pairs."""
         self._connect_same_names()
         while best := self._best():
             target, (source, *others) = best
@@ -158,7 +158,7 @@ class _Matching:
         return None if best is None else best[1:]
 
     def _connect_remaining(self) -> None:
-        """Connect inputs and unused outputs that fit only each other."""
+        """Connect unused outputs and inputs that have no alternative."""
         sources: dict[str, Port] = {}
         for name, target in self.open.items():
             is_reference = _is_reference(target[1].name)
@@ -180,7 +180,7 @@ def fits(source: Port, target: Port, sizes: Mapping[str, int]) -> bool:
 
 
 def similarity(a: str, b: str) -> float:
-    """Return the similarity of two names, 0 … 1, from equal and similar words."""
+    """Return the similarity of two names, 0 … 1."""
     first, second = sorted((_words(a), _words(b)), key=len)
     if not first or _is_reference(a) != _is_reference(b):
         return 0.0

@@ -228,6 +228,6 @@ def _own_step(part: Part) -> float:
 
 
 def _round(step: float) -> float:
-    """Return the largest of 1, 2 or 5 × 10^n not above a step."""
+    """Return a step rounded down to 1, 2 or 5 × 10^n."""
     power = 10.0 ** math.floor(math.log10(step) + 1e-9)
     return float(f"{max(m * power for m in (1, 2, 5) if m * power <= step * (1 + 1e-9)):.12g}")

@@ -29,7 +29,7 @@ def pseudo_inverse(matrix: Array) -> Array:
 
 
 def solution(matrix: Array, side: Array) -> Array:
-    """Return the solution of square equations, for singular equations the least-squares solution."""
+    """Return the solution of square equations, least-squares if singular."""
     result = _result(np.linalg.solve, matrix, side)
     return least_squares(matrix, side) if result is None else result
 

@@ -61,13 +61,13 @@ def process_folder() -> Path:
 
 @contextmanager
 def temporary_folder(name: str) -> Iterator[Path]:
-    """Yield a new folder that is removed after the `with` block."""
+    """Yield a new folder, removed after the `with` block."""
     with tempfile.TemporaryDirectory(prefix=f"{name}-", dir=process_folder(), ignore_cleanup_errors=True) as folder:
         yield Path(folder)
 
 
 def sweep(folder: Path, prefix: str) -> None:
-    """Remove folders of this user that killed processes have left behind."""
+    """Remove this user's folders left by killed processes."""
     try:
         names = [name for name in os.listdir(folder) if name.startswith(prefix)]
     except OSError:  # The folder may be writable but not readable.

@@ -56,7 +56,7 @@ def name_states(path: Path, description: Any, references: Sequence[int]) -> None
 
 
 def reals(description: Any, causality: str) -> list[Any]:
-    """Return the real inputs or outputs; inputs must be continuous."""
+    """Return real outputs, or continuous real inputs."""
     variables = [v for v in description.modelVariables if v.causality == causality and v.type in REALS]
     return [v for v in variables if causality != "input" or v.variability in (None, "continuous")]
 
@@ -147,7 +147,7 @@ class DifferentiableFmu(FmuBlock):
         return self._vector(self.instance.fmu.getContinuousStates)
 
     def _vector(self, function: Any) -> Array:
-        """Return the numbers written by a function of the FMU, one per state."""
+        """Return the numbers, one per state, from an FMU function."""
         values = np.zeros(self.order)
         if self.order:
             with self.instance.check_calls():

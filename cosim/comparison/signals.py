@@ -86,7 +86,7 @@ def time_tolerance(time: Array) -> float:
 def compare_numbers(
     name: str, unit: str, time: Array, values: tuple[Array, Array], allowed: Tolerance, by: Conversion
 ) -> Difference:
-    """Return the difference of a numeric signal whose units are equal or convertible.
+    """Return the difference of a numeric signal with convertible units.
 
     Args:
         values: Values of a, and of b converted to the unit of a.
@@ -110,7 +110,7 @@ def compare_numbers(
 
 
 def include_rows_between(d: Difference, outside: float, at: float, allowed: Tolerance) -> Difference:
-    """Return a difference enlarged by the rows of b between rows of a.
+    """Return a difference enlarged by intermediate rows of b.
 
     Args:
         outside: Largest distance of these rows from the range of a, at time `at` [s].
@@ -123,7 +123,7 @@ def include_rows_between(d: Difference, outside: float, at: float, allowed: Tole
 
 
 def compare_other_units(name: str, unit: str, other: str, time: Array, *, has_tolerance: bool) -> Difference:
-    """Return an infinite difference for a signal with incompatible units."""
+    """Return an infinite difference for incompatible units."""
     note = f"in {unit} in one, in {other} in the other"
     return Difference(name, unit, math.inf, float(time[0]), math.inf, 1.0, math.inf, has_tolerance, note, alike=False)
 

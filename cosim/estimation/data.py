@@ -53,7 +53,7 @@ def _data_of_table(log: Log, layout: Layout) -> Data:
 
 
 def _outputs(log: Log, layout: Layout) -> Array:
-    """Return the measurements of all outputs, NaN for outputs missing in the log."""
+    """Return the measurements of all outputs, NaN if missing."""
     nothing = np.full(log.rows, np.nan)
     return np.column_stack([log.outputs.get(name, nothing) for name in layout.outputs])
 

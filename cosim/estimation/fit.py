@@ -73,7 +73,7 @@ class Fit:
         return self.nll + self.penalty
 
     def marginal(self, names: Sequence[str]) -> Array:
-        """Return the marginal information matrix of some parameters (Schur complement)."""
+        """Return the marginal information of some parameters (Schur complement)."""
         F = self.information
         own = np.isin([f.name for f in self.free] + [""] * (len(F) - len(self.free)), names)
         shared = F[np.ix_(own, ~own)] @ inverse(F[np.ix_(~own, ~own)]) @ F[np.ix_(~own, own)]
@@ -203,7 +203,7 @@ class _Scoring:
         return {**self.start, **values}, self.noise.like(self._noise_vector(theta))
 
     def _noise_vector(self, theta: Array) -> Array:
-        """Return all noise values: free values from θ, fixed values from the start."""
+        """Return all noise values, fixed and free (from θ)."""
         vector = self.noise_start.copy()
         vector[self.free_noise] = theta[len(self.free) :]
         return vector
@@ -251,7 +251,7 @@ class _Scoring:
         return np.nan_to_num(de, posinf=0.0, neginf=0.0), np.nan_to_num(dls, posinf=0.0, neginf=0.0)
 
     def _evaluate_step(self, i: int, h: float) -> Scored:
-        """Return the errors and variances with component `i` of θ changed by `h`."""
+        """Return errors and variances after a step of θ_i."""
         theta = self.theta.copy()
         theta[i] += h
         return self._evaluate(theta)

@@ -165,7 +165,7 @@ class Problem:
         return max(LONGEST_MEMORY * longest, 4.0 * min(d.step for d in self.logs))
 
     def at(self, power: Array) -> Noise:
-        """Return the current noise with a given power of the unknown inputs."""
+        """Return the noise with a given unknown input power."""
         if self.sensing is not None:
             return replace(self.sensing, power=power)
         return Noise(power, float(np.log(self.values[MEMORY])), np.log(self.r), np.full(len(self.r), -np.inf))
@@ -206,7 +206,7 @@ class Problem:
         return NoiseLimits(*map(np.concatenate, zip(*parts, strict=True)))
 
     def drop_unknown_inputs(self, state: Array) -> Array:
-        """Return a state with unknown inputs at zero, within bounds."""
+        """Return a state within bounds, with unknown inputs zero."""
         plain = state.copy()
         for f in self.own:
             place = self.layout.constants[f.parameter]
@@ -317,7 +317,7 @@ class Problem:
         return replace(filtered, states=states)
 
     def innovations(self, values: Mapping[str, float], noise: Noise, index: int) -> tuple[Array, Array]:
-        """Return the innovations of a log and their variances, shape (rows, outputs)."""
+        """Return innovations and variances of a log (rows, outputs)."""
         filtered = self.run(values, noise, index)
         e, s = filtered.errors, filtered.variances
         for k, late in self.lateness(values, index).items():

@@ -215,7 +215,7 @@ class Choice:
         return Promise(0.5 * (self.square - remaining), values, within)
 
     def extensions(self, names: Sequence[str]) -> dict[str, Promise]:
-        """Return the predictions for `names` with each further candidate added, largest gain first."""
+        """Return the predictions for each further candidate, best first."""
         promises = {n: self.promise([*names, n]) for n in self.terms if n not in names}
         return dict(sorted(promises.items(), key=lambda item: -item[1].gain))
 

@@ -25,7 +25,7 @@ SMOOTH = 0.3  # share of a channel's level that may come from motion between row
 
 
 def sensor_noise(problem: Problem) -> dict[str, float]:
-    """Return the noise standard deviation of each output that allows an estimate.
+    """Return output → noise standard deviation, where it can be estimated.
 
     The level is the deviation of readings from four neighbours, which also contains fast motion. The model's own run
     estimates the share of motion. Outputs with a large share, such as sensors slower than the motion, are omitted.

@@ -38,7 +38,7 @@ class Excitation:
 
     @property
     def score(self) -> tuple[int, float]:
-        """Return the merit, reduced if a rival exceeds the limits."""
+        """Return the merit, reduced if rivals exceed the limits."""
         return merit_of(self.apart, max([1.0, *(trial.excess(self.question.limits) for trial in self.rivals.values())]))
 
     @property
@@ -54,7 +54,7 @@ class Excitation:
 
     @property
     def distances(self) -> list[str]:
-        """Return one line for each pair with both distances, hardest pair first."""
+        """Return a line per pair, the hardest pair first."""
         return [
             f"{a} from {b}: {self.apart[a, b]:.1f} standard deviations ({self.rig.usual}: {self.usual[a, b]:.1f})"
             for a, b in self.hardest_first

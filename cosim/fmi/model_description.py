@@ -49,7 +49,7 @@ STRUCTURED = re.compile(rf"{_PART}(\.{_PART})*|der\({_PART}(\.{_PART})*\)", re.A
 
 
 def naming_convention(names: Iterable[str]) -> str:
-    """Return FMI's naming convention for variable names: `structured` if possible, else `flat`."""
+    """Return FMI's naming convention, `structured` if possible, else `flat`."""
     return "structured" if all(STRUCTURED.fullmatch(name) for name in names) else "flat"
 
 

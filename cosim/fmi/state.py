@@ -37,7 +37,7 @@ def own_of(data: bytes) -> Own:
 
 
 def with_memory(data: bytes, memory: Memory) -> bytes:
-    """Return an FMU state with changed values of its own part."""
+    """Return an FMU state with changed memory."""
     if not data.startswith(JSON):
         return _Doubles(data).bytes_with(memory)
     state = json.loads(data)

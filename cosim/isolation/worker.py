@@ -105,7 +105,7 @@ def main() -> None:
 
 
 def _end() -> None:
-    """End the process at once, without unloading its modules, since unloading takes long.
+    """End the process at once, without unloading its modules.
 
     The caller ends processes started by FMUs.
     """
@@ -128,7 +128,7 @@ def _take_streams() -> tuple[BinaryIO, BinaryIO]:
 
 
 def _restore(name: str, value: str | None) -> None:
-    """Restore an environment variable of the caller, changed to find this module."""
+    """Restore a changed environment variable of the caller."""
     os.environ.pop(name, None)
     if value is not None:
         os.environ[name] = value

@@ -159,7 +159,7 @@ def _slope(expression: Any, by: Any, shapes: Sequence[LocalShape]) -> Any:
 
 
 def _rates(body: Body) -> dict[str, str]:
-    """Return state → state equal to its derivative, e.g. position → velocity."""
+    """Return state → state equal to its derivative."""
     names = {symbol: q.name for q, symbol in zip(body.symbols.model.states, body.symbols.state, strict=False)}
     return {name: names[e] for name, e in body.derivative.items() if e in names}
 
@@ -215,7 +215,7 @@ def _with_constants(
 
 
 def _reach(model: Model, measured: Sequence[str]) -> Reach:
-    """Return the states reached by process noise in the model without effects.
+    """Return the states reached by process noise without effects.
 
     The filter's covariance thus ignores couplings between states that only effects cause.
     """
@@ -234,7 +234,7 @@ def _reach(model: Model, measured: Sequence[str]) -> Reach:
 
 
 def _downstream(body: Body, first: Sequence[int]) -> set[int]:
-    """Return the indices of `first` and of all states influenced by `first`."""
+    """Return the indices of states influenced by `first`, inclusive."""
     feeds, reached = _feeds(body), set(first)
     while grown := {i for i, parts in enumerate(feeds) if parts & reached} - reached:
         reached |= grown
@@ -251,6 +251,6 @@ def _upstream(body: Body, expressions: Sequence[Any]) -> set[int]:
 
 
 def _feeds(body: Body) -> list[set[int]]:
-    """Return for each state equation the indices of its states."""
+    """Return the state indices in each state equation."""
     place = {symbol: k for k, symbol in enumerate(body.symbols.state)}
     return [{place[v] for v in e.free_symbols if v in place} for e in body.derivative.values()]

@@ -45,7 +45,7 @@ def effect_faults(kind: type[Model], source: Source) -> list[Fault]:
 
 
 def _try(source: Source, doing: str, call: Callable[..., Any], *arguments: Any) -> Any:
-    """Return a call's result, or a fault made from its exception."""
+    """Return a call's result, or its exception as fault."""
     try:
         return call(*arguments)
     except Exception as error:  # A user's file may raise any error.

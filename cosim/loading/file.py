@@ -125,7 +125,7 @@ def named_model(name: str) -> Model:
 
 
 def load_model(text: str, folder: Path, named_in: YamlFile | None = None) -> LoadedModel:
-    """Load a model from its name in a command or study.
+    """Load a model named in a command or study.
 
     Args:
         text: `base`, path of a model.yaml, or `file.py:Class`.
@@ -194,7 +194,7 @@ def read_model(path: Path, readers: tuple[Path, ...] = ()) -> LoadedModel:
 def _read_common_parameters(
     yaml: YamlFile, name: str, model: Model, readers: tuple[Path, ...]
 ) -> dict[str, float | bool]:
-    """Return the values of common parameters from another model's file.
+    """Return common parameters from another model's file.
 
     A larger model can thus use parameters refined on a test rig.
     """
@@ -248,7 +248,7 @@ def _in_units(yaml: YamlFile, content: ModelFile, model: Model) -> tuple[ModelFi
 
 
 def _value_faults(yaml: YamlFile, content: ModelFile, model: Model) -> Iterator[Fault]:
-    """Yield faults of unknown names and values out of bounds."""
+    """Yield faults of unknown names and invalid values."""
     sections = (
         ("parameters", model.declared, content.parameters),
         ("sensors", model.sensor_parameters, content.sensors),
@@ -321,7 +321,7 @@ _skipped: ContextVar[list[Path] | None] = ContextVar("files of Python that are n
 
 @contextmanager
 def without_execution() -> Iterator[list[Path]]:
-    """Prevent the execution of model files; yield the skipped files.
+    """Prevent the execution of model files; yield skipped files.
 
     A model in such a file raises NotExecuted.
     """
@@ -391,7 +391,7 @@ def write_model(path: Path, loaded: LoadedModel, folder: Path | None = None) -> 
 
 
 def meant_model(model: str | None, *, nearest: bool) -> LoadedModel:
-    """Return the model named by the user, by default the base model.
+    """Return the model named by the user.
 
     A refine folder means its refined model, or with `nearest` its nearest model.
     """

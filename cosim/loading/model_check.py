@@ -17,7 +17,7 @@ def check_model_file(path: Path, checking: Checking) -> list[str]:
 
 
 def check_model_class(path: Path, checking: Checking) -> list[str]:
-    """Return notes on a model class; InputError lists its faults.
+    """Return notes on a model class; InputError lists faults.
 
     The class is `FILE.py:Class`, or the only class in FILE.py.
     """

@@ -53,7 +53,7 @@ def shown_states(model: Model) -> set[str]:
 def moments(
     stepper: Stepper, log: Record, ignored: Mapping[str, Rows] | None = None
 ) -> Iterator[tuple[int, Moment, Moment]]:
-    """Yield row, predicted moment, and moment with the row's readings.
+    """Yield row, predicted moment, and moment with the readings.
 
     The iteration ends if the model diverges.
 
@@ -106,7 +106,7 @@ def predicted_outputs(model: Model, log: Record, ignored: Mapping[str, Rows]) ->
 
 
 def _as_read(state: Values, readings: Mapping[int, list[float]], k: int) -> Values:
-    """Return the state with measured states replaced by the readings of row k."""
+    """Return the state with measured states from row k."""
     if not readings:
         return state
     values = list(state)

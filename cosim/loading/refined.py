@@ -23,7 +23,7 @@ def folder_of(path: Path) -> Path | None:
 
 
 def refined_file(path: Path, *, nearest: bool = False) -> Path:
-    """Return the model.yaml or FMU for a path into a refine.
+    """Return the model.yaml or FMU in a refine.
 
     Args:
         path: Folder of the refine, its refine.json or another of its files.

@@ -113,7 +113,7 @@ def _choose(loaded: LoadedModel, fastest: _Fastest, mode: Mode) -> tuple[LoadedM
 
 
 def _longest(model: Model, step: float) -> float:
-    """Return the length of the substeps in a communication step [s]."""
+    """Return the substep length of a communication step [s]."""
     return step / substeps(step, model.substep)
 
 

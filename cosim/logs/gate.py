@@ -67,7 +67,7 @@ def gate_faults(log: Log, findings: Sequence[Finding]) -> list[Fault]:
 
 
 def _warn_undeclared(log: Log) -> Iterator[Finding]:
-    """Yield a warning for each column without a unit in the model."""
+    """Yield a warning for each column without unit."""
     for name, text in log.undeclared.items():
         yield Finding("warning", "undeclared", name, text)
 

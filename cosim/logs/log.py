@@ -94,7 +94,7 @@ class Log:
 
     @property
     def slowness(self) -> int:
-        """Return the factor for durations in the checks of the log, see `slowness`."""
+        """Return the log's factor for durations, see `slowness`."""
         return slowness(self.step)
 
     @property

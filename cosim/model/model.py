@@ -192,7 +192,7 @@ class Model(Parametric):
     # -- common to all models ----------------------------------------------------------------
 
     def acting(self, m: Namespace) -> Equations:
-        """Return the equations with the commands transmitted by all effects."""
+        """Return the equations with commands transmitted by effects."""
         derivative, output = equations = self.equations(m)
         names = [q.name for q in self.inputs]
         terms = overrides(self.awake, "transmit", Effect)

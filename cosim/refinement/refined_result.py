@@ -37,7 +37,7 @@ class Refined:
 
     @property
     def effects(self) -> list[dict[str, Any]]:
-        """Return the claimed effects, most important first, with values and intervals."""
+        """Return the claimed effects, most important first."""
         return list(self.record.get("effects") or ())
 
     @property

@@ -47,7 +47,7 @@ NARROWEST, WIDEST = 1e-6, 2.0  # share of a parameter: stricter than any data sh
 
 
 def _check_share(value: Any) -> Any:
-    """Return a valid tolerance, or raise ValueError with the cure."""
+    """Return a valid tolerance; raise ValueError with the cure."""
     if isinstance(value, str) and has_unit(value):
         with suppress(ValueError):
             value = read_quantity(value, "1")
@@ -58,7 +58,7 @@ def _check_share(value: Any) -> Any:
 
 
 def _check_file_name(name: str) -> str:
-    """Return a valid file name, or raise ValueError for a NUL character."""
+    """Return a file name; raise ValueError for NUL characters."""
     if "\0" in name:
         raise ValueError("no name of a file holds a NUL character")
     return name

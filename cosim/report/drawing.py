@@ -63,7 +63,7 @@ class Drawing:
         return Keys(tuple(self.series.add(panel)), self.series.band(panel))
 
     def _split_at_breaks(self, panel: Panel) -> Panel:
-        """Return a panel with a row inserted at each break of the curves.
+        """Return a panel with extra rows at breaks of curves.
 
         A drawing of a single row shows dots instead of lines.
         """
@@ -90,7 +90,7 @@ class Charts:
         self.blocks: list[Series] = []
 
     def over(self, x: Array, curves: int, abscissa: Abscissa = OVER_TIME) -> Drawing:
-        """Start a drawing whose panels share the increasing values x."""
+        """Start a drawing of panels over common values x."""
         drawing = Drawing(x, curves, abscissa, name=self._name())
         self.blocks.append(drawing.series)
         return drawing

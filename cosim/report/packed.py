@@ -39,7 +39,7 @@ def power(values: Array) -> int:
 
 
 def power_of_time(time: Array) -> int:
-    """Return the number of decimals to store the time with.
+    """Return the number of decimals to store time with.
 
     The decimals resolve a thousandth of the least step, and a microsecond, unless whole numbers exceed MAX_EXACT.
     """
@@ -65,7 +65,7 @@ def pack(columns: Iterable[Integers]) -> str:
 
 
 def _bytes(column: Integers) -> bytes:
-    """Return row differences as zigzag numbers with seven bits per byte."""
+    """Return row differences as zigzag numbers of variable length."""
     steps = np.diff(column, prepend=np.int64(0))
     zigzag = ((steps << 1) ^ (steps >> 63)).astype(np.uint64)
     lengths = np.ones(zigzag.size, np.int64)

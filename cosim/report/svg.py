@@ -192,7 +192,7 @@ def _short_text(value: float) -> str:
 
 
 def lone_axis(value: float) -> Axis:
-    """Return an axis around a value with a single tick."""
+    """Return an axis with a single tick at a value."""
     return Axis(value - 0.5, value + 0.5, (Tick(50.0, f"{value:g}".replace("-", MINUS)),))
 
 

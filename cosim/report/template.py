@@ -41,7 +41,7 @@ def inline(files: Sequence[Path]) -> str:
 
 
 def _code(text: str) -> str:
-    """Return a text as HTML, with code between backticks marked."""
+    """Return a text as HTML with marked code."""
     from markupsafe import Markup, escape
 
     return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", str(escape(text))))

@@ -205,7 +205,7 @@ class _Flattener:
                 self._warn_of_name(parameter, chain(level.system.connectors, self._names(level)))
 
     def _targets(self, level: Level, name: str) -> Iterator[Target]:
-        """Yield the FMU variables that a hierarchical name in a system means."""
+        """Yield the FMU variables of a hierarchical name."""
         if name in level.system.connectors:
             yield from self._forward(level, name, ())
         for element, part in level.parts.items():

@@ -38,7 +38,7 @@ def cache_path(source: str, suffix: str) -> Path:
 
 
 def cache_folder() -> Path:
-    """Return the user's cache folder `cosim`, or a temporary folder."""
+    """Return the user's cache folder, or a temporary folder."""
     return _user_folder() or _temporary()
 
 

@@ -174,7 +174,7 @@ class _Cells:
 
     @contextmanager
     def _noting_faults(self) -> Iterator[None]:
-        """Note the fault of an unreadable line, and end the `with` block."""
+        """Note unreadable lines as faults, ending the `with` block."""
         try:
             yield
         except _BadLine as error:

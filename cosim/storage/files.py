@@ -61,7 +61,7 @@ def check_text(names: Iterable[str]) -> None:
 
 @contextmanager
 def delay_stops() -> Iterator[None]:
-    """Delay stop signals to the end of the `with` block."""
+    """Delay stop signals to the end of the block."""
     if threading.current_thread() is not threading.main_thread():  # Only the main thread receives signals.
         yield
         return
@@ -178,7 +178,7 @@ def _is_of_other_user(path: Path) -> bool:
 
 
 def check_writable(folder: Path, names: Sequence[str], read: Iterable[Path] = ()) -> None:
-    """Lock a folder for writing files, and remove drafts of killed commands.
+    """Lock a folder for writing; remove abandoned drafts.
 
     Args:
         read: Input files, not to be overwritten.

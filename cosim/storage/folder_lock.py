@@ -69,7 +69,7 @@ def folder_locks() -> Iterator[None]:
 
 
 def take_folder(folder: Path) -> bool:
-    """Lock a folder for the running verb, and make it if missing.
+    """Lock a folder for the running verb; make missing folders.
 
     The caller reports a folder that cannot be made.
 

@@ -123,7 +123,7 @@ def _is_tabular(text: str) -> bool:
 
 
 def _is_binary(head: bytes) -> bool:
-    """Return whether the first bytes of a file are binary rather than text.
+    """Return whether the first bytes of a file are binary.
 
     Loggers use various encodings, and a truncated row contains zero bytes.
     """

@@ -14,7 +14,7 @@ WIDTHS = 2.0  # standard deviations in a tolerance on each side
 
 
 def base_parameters(subject: Subject, values: Mapping[str, float], tolerance: Mapping[str, float]) -> list[Free]:
-    """Return the base parameters free in every fit, with their priors.
+    """Return base parameters free in every fit, with priors.
 
     Args:
         tolerance: Parameter → relative tolerance from the study; overrides the model's tolerance.
@@ -37,7 +37,7 @@ def base_parameter(subject: Subject, name: str, values: Mapping[str, float], tol
 
 
 def spread_of_base(p: Parameter, value: float, tolerance: float) -> float:
-    """Return the prior standard deviation of a base parameter with a relative tolerance."""
+    """Return the prior standard deviation of a base parameter."""
     return tolerance * _scale(p, value) / WIDTHS
 
 

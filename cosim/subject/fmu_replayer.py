@@ -50,7 +50,7 @@ class FmuReplayer(Replayer):
 
 
 def start_values(model: Model, start: Start) -> dict[str, float]:
-    """Return the start parameters of the FMU for the start of a replay.
+    """Return the FMU's start parameters for a replay.
 
     Delays and sensor errors are excluded.
     """

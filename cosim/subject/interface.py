@@ -161,7 +161,7 @@ class Subject(Protocol):
         ...
 
     def refined(self, claims: Mapping[str, float]) -> Subject:
-        """Return the subject with changed parameter values, including values of claimed candidates."""
+        """Return the subject with changed or claimed parameter values."""
         ...
 
     # -- members with a default ------------------------------------------------------------------
@@ -188,7 +188,7 @@ class Subject(Protocol):
 
     @property
     def measured_states(self) -> frozenset[str]:
-        """Return the states measured by an output of the same name."""
+        """Return states measured by outputs of the same name."""
         return frozenset(q.name for q in self.states) & {q.name for q in self.outputs}
 
     def substeps(self, step: float) -> int:

@@ -119,7 +119,7 @@ class ModelSubject(Subject):
         return settling(self.model, states)
 
     def prediction(self, log: Log) -> Predict | None:
-        """Return a one-step predictor of the rows of a log."""
+        """Return a one-step predictor of a log's rows."""
         return partial(predicted_outputs, self.model, log)
 
     def nameless(self, signal: str) -> tuple[Callable[..., Any], Sequence[str]] | None:

@@ -59,7 +59,7 @@ def _component(
 
 
 def _fixes(scenario: Scenario, name: str, component: FixComponent, diagnosis: Diagnosis) -> Fixes | None:
-    """Return a sensor of position fixes; note faults of rate and names."""
+    """Return a sensor of position fixes; note faults."""
     signals = {}
     for signal, about in component.signals.items():
         noise = about.noise if scenario.noise else None

@@ -18,7 +18,7 @@ Events = Mapping[int, Mapping[str, Mapping[str, Any]]]  # communication point �
 
 
 def changes_of(file: ScenarioFile, blocks: Mapping[str, FmuBlock], diagnosis: Diagnosis) -> Events:
-    """Return the values set by events: communication point → component → variable → value.
+    """Return communication point → component → variable → event value.
 
     An event acts at the first point at or after its time. Among events at the same point, the later time wins.
     """

@@ -27,7 +27,7 @@ def _refuse_blank(hint: Any) -> None:
 
 
 def _set_placeholders(hints: Iterable[Any]) -> None:
-    """Set missing placeholders of options according to the types of their values."""
+    """Set missing placeholders of options by value type."""
     for hint in hints:
         for option in get_args(hint):
             if isinstance(option, OptionInfo) and option.metavar is None:
@@ -42,7 +42,7 @@ def _out_path(value: Any) -> Path:
 
 
 def with_manner(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a command with the additional options -q and -v."""
+    """Return a command with additional options -q and -v."""
 
     @wraps(command)
     def run(*arguments: Any, quiet: bool = False, verbose: bool = False, **options: Any) -> Any:

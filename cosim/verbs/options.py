@@ -10,7 +10,7 @@ from cosim.base.units import read_quantity
 
 
 def out_option(default: str) -> Any:
-    """Return the option --out of a command with an output folder."""
+    """Return the option --out for an output folder."""
     return typer.Option("--out", "-o", help=f"Folder for the results (default: {default}).")
 
 
@@ -27,7 +27,7 @@ def seconds(text: str) -> float:
 
 
 def time_option(help_: str) -> Any:
-    """Return an option for a time in seconds or with a unit."""
+    """Return an option for seconds or time with unit."""
     return typer.Option(help=help_, parser=seconds, metavar="TIME")
 
 

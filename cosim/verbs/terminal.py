@@ -135,7 +135,7 @@ def warn(*texts: str) -> None:
 
 
 def say_finding(line: str) -> None:
-    """Print a line with its severity on stderr, also with -q."""
+    """Print a finding with its severity, also with -q."""
     echo(_record_message(line), err=True)
 
 
@@ -165,7 +165,7 @@ def show(report: Path, *, open_: bool) -> None:
 
 
 def files_in(folder: Path, *names: str) -> dict[str, str]:
-    """Return name without suffix → path, for existing result files in a folder."""
+    """Return name → path of result files in a folder."""
     return {name.partition(".")[0]: str(folder / name) for name in (*names, "report.html") if (folder / name).is_file()}
 
 

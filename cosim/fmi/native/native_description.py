@@ -44,7 +44,7 @@ def description2(layout: Layout, name: str, identifier: str, version: str, guid:
 
 
 def description3(layout: Layout, name: str, identifier: str, version: str, guid: str) -> bytes:
-    """Return modelDescription.xml of FMI 3.0; sources are in `buildDescription.xml`."""
+    """Return modelDescription.xml of FMI 3.0, without the sources."""
     head = {"fmiVersion": "3.0", "modelName": name, "instantiationToken": guid, **_head(layout, version)}
     common = {"modelIdentifier": identifier, "needsExecutionTool": "false"}
     common |= {"canGetAndSetFMUState": "true", "canSerializeFMUState": "true"}

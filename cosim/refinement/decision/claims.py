@@ -76,7 +76,7 @@ class Nearest:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the names of the candidates in the nearest model."""
+        """Return the candidates' names in the nearest model."""
         return self.hypothesis.names if self.hypothesis else ()
 
 
@@ -156,7 +156,7 @@ class Claims:
 
     @property
     def nearest_hypothesis(self) -> Hypothesis | None:
-        """Return the hypothesis of the nearest model, by default the claimed hypothesis."""
+        """Return the nearest model's hypothesis, by default the claim."""
         return self.claimed if self.nearest is None else self.nearest.hypothesis
 
     @property
@@ -172,7 +172,7 @@ class Claims:
         return self.certain if self.name == "ambiguous" else self.claimed.candidates
 
     def withdraw(self, doubt: Doubt) -> Claims:
-        """Return the verdict `unexplained` with the reason for the withdrawal."""
+        """Return the verdict `unexplained` with its reason."""
         names = self.claimed.names if self.claimed else ()
         return Claims("unexplained", rivals=names, misfit=self.misfit, doubt=doubt)
 
@@ -238,7 +238,7 @@ def _judge_claim(
 
 
 def _fit_without(a: Attribution, disputed: Collection[str]) -> Hypothesis | None:
-    """Return the earlier fit of the claim without its disputed parts, if any."""
+    """Return the earlier fit without disputed parts, if any."""
     names = tuple(n for n in a.best.names if n not in disputed)
     return next((h for h in a.tried if names and h.names == names), None)
 
@@ -249,7 +249,7 @@ def _largest_disturbance(moves: Mapping[str, float]) -> str:
 
 
 def _ambiguous_claims(a: Attribution, subject: Subject, residual: Mapping[str, Any]) -> Claims:
-    """Return ambiguous claims: the rivals, and the candidates common to all as certain."""
+    """Return ambiguous claims: rivals, and their common candidates."""
     hypotheses = (a.best, *a.rivals, *([a.fuller] if a.fuller and a.fuller.score < a.best.score else []))
     common = set(a.best.names).intersection(*(h.names for h in a.rivals))
     apart = [sorted(set(h.names) - common) for h in hypotheses]
@@ -281,21 +281,21 @@ def usual_experiment(subject: Subject) -> str:
 
 
 def experiment_for(subject: Subject, names: Sequence[str]) -> str:
-    """Return the input that separates these rivals, by default the generic experiment."""
+    """Return the experiment to separate these rivals."""
     experiments = [(len(row & set(names)), text) for row, text in subject.told_apart_by.items()]
     shared, text = max(experiments, default=(0, ""))
     return text if shared > 1 else usual_experiment(subject)
 
 
 def name_of(candidates: Sequence[Candidate], subject: Subject) -> Name:
-    """Return the verdict for the kinds of the claimed candidates."""
+    """Return the verdict for the kinds of claimed candidates."""
     kinds = {kind_within(c, subject) for c in candidates}
     names: dict[str, Name] = {"effect": "effect_found", "sensor": "sensor_error", "parameter": "parameter_error"}
     return next(name for kind, name in names.items() if kind in kinds)
 
 
 def _disputed_parts(a: Attribution, leftover: Leftover) -> set[str]:
-    """Return the parts of a claim that become superfluous beside unnamed terms.
+    """Return the parts of a claim superfluous beside unnamed terms.
 
     These are all parts if the unnamed terms gain much beside the claim.
     """

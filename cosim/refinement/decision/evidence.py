@@ -78,7 +78,7 @@ def steadiness(problem: Problem, better: Fit, worse: Fit, costs: float = 0.0) ->
 
 
 def gain_per_scatter(block: Rows, worse: Scored, better: Scored, constant: float) -> float:
-    """Return a likelihood gain divided by its scatter over time blocks."""
+    """Return a likelihood gain per scatter over time blocks."""
     terms, others = (np.nan_to_num(s.terms, nan=DIVERGED, posinf=DIVERGED) for s in (worse, better))
     gains = np.bincount(block, terms - others).astype(np.float64)
     return sum_per_scatter(gains[np.bincount(block) > 0], constant)
@@ -175,7 +175,7 @@ def required_scatters(scatters: float, tried: int) -> float:
 
 
 def chance_limit(problem: Problem, f: Fit, tried: int) -> float:
-    """Return the least gain per scatter that cannot be chance.
+    """Return the least gain per scatter beyond chance.
 
     An estimate of t standard deviations gains ½·t², which is ½·|t| times the scatter of the gain. t follows Student's
     distribution over the time blocks, with Bonferroni's correction for `tried` candidates.
@@ -197,7 +197,7 @@ def fit_without(search: Search, problem: Problem, h: Hypothesis, log: int) -> Fi
 
 
 def _error_decreases(errors: Sequence[Sequence[Array]]) -> Array:
-    """Return the decrease of the squared errors of each replay, scaled by output.
+    """Return the scaled decrease of squared errors per replay.
 
     Args:
         errors: Open-loop errors of the worse and of the better fit on each log.
@@ -293,7 +293,7 @@ def with_intervals(search: Search, h: Hypothesis) -> Hypothesis:
 
 
 def with_sandwich_covariance(problem: Problem, f: Fit) -> Fit:
-    """Return the fit with White's sandwich covariance, robust to correlated residuals."""
+    """Return the fit with White's sandwich covariance."""
     each, information = scores(problem, f)
     scored = problem.score(f.values, f.noise)
     block = blocks_of(problem, scored, math.exp(f.noise.memory))

@@ -99,7 +99,7 @@ def _drop_unsupported(search: Search, best: Hypothesis) -> _Remainder:
 
 
 def _gain_together(search: Search, fuller: Hypothesis, rest: Hypothesis) -> bool:
-    """Return True if the dropped parts with small gains gain enough together."""
+    """Return True if small dropped parts together gain enough."""
     small = [c for c in fuller.candidates if c.name not in rest.names]
     if len(small) < 2 or rest.fit.objective - fuller.fit.objective < search.cost(small):
         return False
@@ -190,7 +190,7 @@ def _is_rival(search: Search, best: Hypothesis, h: Hypothesis) -> bool:
 
 
 def _with_tolerance(h: Hypothesis, times: float, weight: float) -> float:
-    """Return the objective of a fit with all tolerances scaled.
+    """Return the objective of a fit with scaled tolerances.
 
     The result is the minimum of ½(θ−θ̂)'F(θ−θ̂) + priors, with F the information without priors and θ̂ its optimum.
 
@@ -223,7 +223,7 @@ def loss_without(h: Hypothesis, c: Candidate, neutral: Mapping[str, float]) -> f
 
 
 def noise_gain(problem: Problem, f: Fit) -> tuple[float, ...]:
-    """Return the log-likelihood gain of each unknown input, one for each forced equation."""
+    """Return the log-likelihood gain of each unknown input."""
     without = np.diag(problem.noise.smallest - f.noise.power) + f.noise.power
     return tuple(problem.score(f.values, replace(f.noise, power=power)).nll - f.nll for power in without)
 

@@ -75,7 +75,7 @@ def _answer_text(c: Claims, subject: Subject) -> str:
 
 
 def _share_texts(c: Claims) -> Iterator[str]:
-    """Yield sentences on the share of the error that a claim leaves unexplained."""
+    """Yield sentences on the unexplained share of the error."""
     if c.left_share is not None and c.left_of is not None:
         of = f"of the mean square error of {c.left_of[0]} after recalibration"
         yield part_text(c.residual, f"{percent(c.left_share)} {of} remain")
@@ -89,7 +89,7 @@ def _share_texts(c: Claims) -> Iterator[str]:
 
 
 def _remark_texts(c: Claims, subject: Subject) -> Iterator[str]:
-    """Yield sentences after the verdict: remaining term, nearest model, candidates, held-out rows."""
+    """Yield sentences to follow the verdict."""
     if c.claimed is not None and c.term is not None:
         yield remainder_text(c.term, c.gained)
     if c.claimed is not None and c.further:
@@ -137,12 +137,12 @@ def no_effect_text(hidden: Sequence[str], moves: Mapping[str, float]) -> str:
 
 
 def _counted_names(names: Sequence[str], noun: str) -> str:
-    """Return up to three names; a longer list begins with its number."""
+    """Return up to three names, or more with their number."""
     return join_names(names) if len(names) <= MOST_NAMED else f"{counted(len(names), noun)}: {join_names(names)}"
 
 
 def rivals_text(names: Sequence[str], experiment: str, certain: str, subject: Subject) -> str:
-    """Return a sentence on undecided rivals, with an experiment to separate them.
+    """Return a sentence on undecided rivals and an experiment.
 
     Args:
         names: Rival hypotheses.
@@ -172,7 +172,7 @@ def unexplained_text(residual: Mapping[str, Any], nearest: Sequence[str], otherw
 
 
 def doubt_text(doubt: Doubt) -> str:
-    """Return a sentence with the reason for which replays withdrew a claim."""
+    """Return a sentence on why replays withdrew a claim."""
     if doubt.kind == "missed":
         return f"With it, replays still miss {doubt.channel} by {plain(doubt.size, 2)} times the noise floor."
     if doubt.kind == "no_nearer":
@@ -196,7 +196,7 @@ def part_text(residual: Mapping[str, Any], rest: str) -> str:
 def missed_channel_text(
     channel: str, times: float, recalibrated: Sequence[MovedParameter], units: Mapping[str, str]
 ) -> str:
-    """Return sentences on a channel that the unchanged model misses.
+    """Return sentences on a channel missed by the unchanged model.
 
     Args:
         times: Error as a multiple of the noise floor.
@@ -209,7 +209,7 @@ def missed_channel_text(
 
 
 def further_text(parameters: Sequence[MovedParameter], units: Mapping[str, str]) -> str:
-    """Return a sentence on further base parameters outside their tolerances beside a claim."""
+    """Return a sentence on further parameters outside their tolerances."""
     return f"Beside it, recalibrated beyond tolerance: {_moved_text(parameters, units)}."
 
 
@@ -309,7 +309,7 @@ OPENINGS = {  # kind → before up to three names, and in place of more
 
 
 def claim_text(best: Hypothesis, candidates: Sequence[Candidate], subject: Subject) -> str:
-    """Return sentences on candidates of the best hypothesis, with values and intervals."""
+    """Return sentences on claimed candidates with values and intervals."""
     kinds = {c.name: kind_within(c, subject) for c in candidates}
     values = {c.name: [_estimate_text(best, f, subject) for f in c.free] for c in candidates}
     for c in candidates:
@@ -351,11 +351,11 @@ def _estimate_text(best: Hypothesis, f: Free, subject: Subject) -> str:
 
 
 def small_gains_text(names: Sequence[str]) -> str:
-    """Return a sentence on candidates whose gain may be chance."""
+    """Return a sentence on gains that may be chance."""
     return f" Perhaps also {join_names(names)}; that gain may be chance." if names else ""
 
 
 def remainder_text(term: UnnamedTerm, gained: float) -> str:
-    """Return sentences on an unnamed term beside a claim, with its additional gain."""
+    """Return sentences on an unnamed term beside a claim."""
     rest = f"Something remains in {term.equation} that {dependence_text(term.signal, term.shape)}."
     return f"{rest} A term without a name would add {percent(term.gain / gained)} to the claim's gain."

@@ -42,7 +42,7 @@ Evidence = list[tuple[Log, Replay]]
 
 
 def filter_problem(problem: Problem, subject: Subject, logs: Sequence[Log]) -> Problem:
-    """Return the fitting problem of a subject on different logs, for filtering.
+    """Return the fitting problem of a subject on other logs.
 
     The kernel of `problem` takes all parameters, including those of the variant.
     """
@@ -90,7 +90,7 @@ def replay_logs(
 def _starts(
     variant: Variant, problem: Problem, log: Log, index: int, horizon: float
 ) -> tuple[dict[int, Start], dict[str, Array]]:
-    """Return row → start of a replay, and the values of parameters per log."""
+    """Return row → start of replay, and parameters per log."""
     rows, layout = first_rows(log, horizon), problem.layout
     data = problem.data(variant.values, index)
     filtered = problem.filter_causally(data, variant.values, variant.noise, index, log.grid[rows].tolist())
@@ -271,7 +271,7 @@ class _KernelReplays:
 
     @classmethod
     def of(cls, variant: Variant, problem: Problem, log: Log, index: int, data: Data) -> _KernelReplays:
-        """Return the replays of a log, with starts filtered from its measurements."""
+        """Return the replays of a log from filtered starts."""
         gains = dict.fromkeys(problem.layout.outputs, np.ones(len(data.u)))
         rows = [] if data.table else log.grid[first_rows(log, variant.subject.horizon)].tolist()
         filtered = problem.filter_causally(data, variant.values, variant.noise, index, rows)
@@ -310,14 +310,14 @@ class _KernelReplays:
         return np.asarray(np.where(np.isnan(data.y), np.nan, errors) / self.gains)
 
     def _predict(self) -> Array:
-        """Return the outputs of the replays, NaN in rows without replay."""
+        """Return the outputs of the replays, NaN elsewhere."""
         starts = {k: self.problem.drop_unknown_inputs(self.filtered.states[k]) for k in self.rows}
         return self._simulate(self.variant.values, starts)
 
     def _simulate(
         self, values: Mapping[str, float], starts: Mapping[int, Array] | Array, kicks: Array | None = None
     ) -> Array:
-        """Return the outputs of simulations from given states, NaN in rows without simulation."""
+        """Return outputs of simulations from given states, NaN elsewhere."""
         problem, data, horizon = self.problem, self.data, self.variant.subject.horizon
         length = len(data.u) if horizon == FREE_RUN else round(horizon / data.step)
         p, outputs = problem.numbers(problem.of_log(values, self.index)), np.full(data.y.shape, np.nan)

@@ -21,7 +21,7 @@ SIMPLER = 0.01  # difference of log error within which the simpler model is chos
 
 
 def nearest(search: Search, a: Attribution, best: Sequence[Hypothesis]) -> Hypothesis | None:
-    """Return the hypothesis that predicts held-out logs best, None for the given model.
+    """Return the best predictor of held-out logs, None for the given model.
 
     Args:
         best: Hypotheses close to a claim.

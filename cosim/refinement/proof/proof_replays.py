@@ -73,7 +73,7 @@ class Proof:
 
 
 def difference(one: Replay, other: Replay) -> float:
-    """Return the largest relative difference of outputs; infinite if predicted rows differ."""
+    """Return the largest relative difference of outputs, possibly infinite."""
     largest = 0.0
     for name, values in one.outputs.items():
         others, rows = other.outputs[name], np.isfinite(other.outputs[name])
@@ -85,6 +85,6 @@ def difference(one: Replay, other: Replay) -> float:
 
 
 def warnings_of(way: Replays) -> Iterator[str]:
-    """Yield a warning if the native FMU differs from the Python FMU."""
+    """Yield a warning if native and Python FMU differ."""
     if way.through == "python" and way.log:
         yield messages.NATIVE_FMU_UNUSED(reason=way.why)

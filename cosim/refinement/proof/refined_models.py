@@ -54,7 +54,7 @@ def variants_of(
 
 
 def with_log_noise(after: Variant, a: Attribution, claimed: Hypothesis | None, sensors: Array | None) -> Variant:
-    """Return a variant with the noise estimated from the logs.
+    """Return a variant with noise estimated from the logs.
 
     Args:
         sensors: ln of the sensor noise variances to use if the fitted variances include model errors.

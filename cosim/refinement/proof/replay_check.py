@@ -156,7 +156,7 @@ def claim_single_number(
 
 
 def _single_errors(result: SearchResult, base: Hypothesis) -> list[Hypothesis]:
-    """Return hypotheses of a single wrong parameter or input gain, best first."""
+    """Return hypotheses of a single wrong number, best first."""
     search = result.search
     single = [c for c in result.candidates if c.kind == "parameter" or c.gain]
     # Fits start from stated values: a fit from recalibrated values would have to follow a ridge of shared effects.

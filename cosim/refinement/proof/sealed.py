@@ -16,7 +16,7 @@ PARTS = 8  # parts of a free run, each counted as one replay
 
 
 def find_rises(before: Evidence, after: Evidence) -> dict[str, tuple[float, float]]:
-    """Return channel → error before and after, for channels with a significant rise.
+    """Return channel → error before and after, if significantly risen.
 
     With d = ln(Σe² after / Σe² before) of each replay, t = d̄·√n / s_d is compared with Student's t of n − 1 degrees of
     freedom. Every replay has the same weight, also with large errors. The channels share the false-alarm probability
@@ -34,7 +34,7 @@ def find_rises(before: Evidence, after: Evidence) -> dict[str, tuple[float, floa
 
 
 def is_significant_rise(rises: Sequence[float], chance: float) -> bool:
-    """Return True if the mean of logarithmic rises is significantly positive."""
+    """Return True if the mean rise is significantly positive."""
     from scipy.special import stdtrit
 
     count = len(rises)

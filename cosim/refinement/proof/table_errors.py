@@ -26,7 +26,7 @@ Channels = dict[str, float]
 
 
 def errors_on_held_out_rows(search: Search, a: Attribution, claims: Claims) -> dict[str, Channels]:
-    """Return model → output → RMSE on held-out rows of a table."""
+    """Return model → output → RMSE on held-out rows."""
     models = {"before": None, "recalibrated": a.base, "after": claims.claimed}
     if claims.nearest is not None:
         models["nearest"] = claims.nearest_hypothesis

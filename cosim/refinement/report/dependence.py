@@ -28,7 +28,7 @@ class Regressor:
 
 
 def regressors(subject: Subject, problem: Problem, parts: Smoothed) -> dict[str, Regressor]:
-    """Return name → signal: time, filtered states, commands and products of velocities.
+    """Return name → signal as possible horizontal axis.
 
     Commands include rates, means and half differences.
     """
@@ -82,7 +82,7 @@ def explained_share(values: Array, by: Array) -> float:
 
 
 def bins(x: Array, count: int, least: int = 1) -> list[Rows]:
-    """Return the rows in each of `count` equal intervals of x.
+    """Return the rows in equal intervals of x.
 
     Intervals with fewer than `least` rows are joined with their neighbours.
     """
@@ -109,7 +109,7 @@ def choose(signals: Mapping[str, Regressor], suggested: Sequence[str], values: A
 def unnamed_term(
     subject: Subject, problem: Problem, parts: Smoothed, term: Mapping[str, Any]
 ) -> tuple[Regressor, Array] | None:
-    """Return the signal and the values of an unnamed term."""
+    """Return signal and values of an unnamed term."""
     signal, coefficient, signals = term["signal"], term["coefficient"], signals_of(problem, parts)
     if term.get("local"):
         shape = Shape.of_entry(term["equation"], term["local"])

@@ -68,7 +68,7 @@ class EffectComparison:
 
     @property
     def share(self) -> float:
-        """Return the share of the mean square explained by the term."""
+        """Return the mean square share explained by the term."""
         if self.recorded is not None:
             return self.recorded
         power = float(np.mean(self.estimated**2))
@@ -139,7 +139,7 @@ def _rate_unit(unit: str) -> str:
 
 
 def _reading(subject: Subject, problem: Problem, c: Candidate, without: Fit, with_it: Fit) -> EffectComparison:
-    """Compare the estimated and the claimed error of a sensor.
+    """Compare estimated and claimed error of a sensor.
 
     The comparison is for the output with the largest error. The horizontal axis is the output itself for a linear
     error, the rate of the output for late readings, otherwise the signal with the largest explained share.

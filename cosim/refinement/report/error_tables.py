@@ -84,13 +84,13 @@ def units(r: Refinement) -> dict[str, str]:
 
 
 def error_size(value: float, unit: str, like: float) -> str:
-    """Return an error as text, in a unit suitable for size `like`."""
+    """Return an error in a unit for size `like`."""
     shown_unit, factor = finer(unit, like)
     return append_unit(plain(value * factor), shown_unit)
 
 
 def horizon(r: Refinement) -> str:
-    """Return the horizon as text: `2 s`, or `a whole run`."""
+    """Return the horizon as text: `2 s`, `a whole run`."""
     horizons = [played.horizon for _, played in r.evidence["before"]["estimation"]]
     return "a whole run" if not horizons or math.isinf(horizons[0]) else horizon_name(horizons[0])
 
@@ -114,14 +114,14 @@ def has_free_run(r: Refinement) -> bool:
 
 
 def _variants(r: Refinement) -> tuple[str, ...]:
-    """Return the models in the table of horizons: two, or the only one."""
+    """Return the one or two models with horizons."""
     if r.verdict.claimed:
         return "before", "after"
     return ("before", "nearest") if r.record["error"].get("nearest") else ("after",)
 
 
 def _free_run_text(r: Refinement, part: str, channel: str) -> str:
-    """Return the errors of a channel over a whole log as text."""
+    """Return a channel's errors over a whole log."""
     errors = r.record["horizons"][FREE_RUN_NAME] if has_free_run(r) else {}
     sizes = [float((errors.get(name) or {}).get(part, {}).get(channel, math.nan)) for name in _variants(r)]
     return " → ".join(error_size(size, units(r).get(channel, ""), sizes[-1]) for size in sizes)
@@ -150,7 +150,7 @@ def horizon_table(r: Refinement) -> HorizonTable:
 
 
 def decisive_part(r: Refinement) -> str:
-    """Return the set of logs for headlines: sealed logs, else estimation logs."""
+    """Return the sealed logs, else the estimation logs."""
     return "validation" if "validation" in r.record["error"]["before"] else "estimation"
 
 
@@ -177,7 +177,7 @@ def _error_row(r: Refinement, part: str, name: str) -> ErrorRow:
 
 
 def _marks(before: float, after: float, floor: float) -> Marks | None:
-    """Return the positions on a logarithmic scale, None for missing errors."""
+    """Return positions on a logarithmic scale, or None."""
     good = [v for v in (before, after, floor) if math.isfinite(v) and v > 0]
     if len(good) < 3:
         return None
@@ -210,7 +210,7 @@ def second_sentence(r: Refinement) -> str:
 
 
 def leading_channel(r: Refinement) -> str:
-    """Return the channel with the largest relative decrease, "" without errors."""
+    """Return the channel with the largest relative decrease, or ""."""
     part = decisive_part(r)
     ratios = {}
     for name in r.record["error"]["before"][part]:

@@ -86,7 +86,7 @@ def _innovations(r: Refinement, values: dict[str, float], noise: Noise, index: i
 
 
 def _join_with_gaps(parts: Sequence[Array], lags: int) -> Array:
-    """Join the innovations of logs, with gaps longer than any lag."""
+    """Join innovations of logs with gaps beyond any lag."""
     gap = np.full(lags + 1, np.nan)
     return np.concatenate([piece for part in parts for piece in (part, gap)])
 

@@ -58,7 +58,7 @@ class Run:
 
 
 def runs(r: Refinement, charts: Charts) -> list[Run]:
-    """Return the plots of the first estimation log and the first sealed log."""
+    """Return plots of the first estimation and sealed log."""
     pages = []
     words: dict[Part, str] = {"estimation": "used for the fits", "validation": "sealed"}
     for part, word in words.items():
@@ -152,7 +152,7 @@ def over_time(s: EffectComparison, charts: Charts) -> Plot:
 
 
 def axis_label(s: EffectComparison) -> str:
-    """Return the label of the horizontal axis in the plot over a signal."""
+    """Return the horizontal label of the plot over a signal."""
     units = " · ".join(display(u)[0] or u for u in s.against.unit.split(" · "))
     return f"{s.against.name} [{units or '1'}]"
 
@@ -175,5 +175,5 @@ def _standard_error(s: EffectComparison, rows: Rows) -> float:
 
 
 def rows_shown(s: EffectComparison) -> str:
-    """Return the number of rows of a comparison as text."""
+    """Return the number of compared rows as text."""
     return f"{counted(s.estimated.size, 'row')} of the estimation logs"

@@ -71,7 +71,7 @@ class NoiseRow:
 
 
 def ranking_tables(r: Refinement) -> tuple[list[RankingRow], list[RankingRow], list[RankingRow]]:
-    """Return the rows of displayed single candidates, folded single candidates, and combinations."""
+    """Return displayed and folded single candidates, then combinations."""
     rows = [row for row in r.record["candidates"] if row["names"]]
     best = max((_gain(row) for row in rows), default=0.0)
     claimed = tuple(r.verdict.claimed.names) if r.verdict.claimed else ()
@@ -155,7 +155,7 @@ def _number(value: float, unit: str, digits: int) -> str:
 
 
 def _digits(value: float, sigma: float) -> int:
-    """Return the number of digits that shows two digits of the interval."""
+    """Return the digits for two digits of the interval."""
     if not (math.isfinite(value) and math.isfinite(sigma)) or value == 0 or sigma <= 0:
         return 4
     return min(7, max(3, math.floor(math.log10(abs(value))) - math.floor(math.log10(NORMAL_95 * sigma)) + 2))

@@ -123,7 +123,7 @@ def _lead(plots: Sequence[Run], channel: str) -> tuple[Run, Pairs, list[Run]] | 
 
 
 def _whiteness(r: Refinement, charts: Charts) -> Mapping[str, Any]:
-    """Return the template's values for innovations, with white channels folded."""
+    """Return the template's values for innovations."""
     white = innovations(r, charts)
     coloured = [w for w in white if w.tells]
     return {
@@ -136,7 +136,7 @@ def _whiteness(r: Refinement, charts: Charts) -> Mapping[str, Any]:
 
 
 def _ranking(r: Refinement) -> Mapping[str, Any]:
-    """Return the template's values for hypotheses: single candidates and combinations."""
+    """Return the template's values for the ranking."""
     singles, more, pairs = ranking_tables(r)
     return {
         "singles": singles,
@@ -213,7 +213,7 @@ def _term(s: EffectComparison, charts: Charts) -> Mapping[str, Any]:
 
 
 def _term_sentence(s: EffectComparison) -> str:
-    """Return a sentence on the explained share and the correlation of a term."""
+    """Return a sentence on a term's share and correlation."""
     quantity = s.quantity
     if s.term is None:
         return f"The {quantity} is drawn against {s.against.name}, which it follows most ({rows_shown(s)})."
@@ -241,7 +241,7 @@ def _error_lead(r: Refinement) -> str:
 
 
 def _error_words(r: Refinement, tables: Sequence[ErrorTable]) -> list[Row]:
-    """Return explanations of the columns in the table of errors."""
+    """Return explanations of the columns of errors."""
     claimed = r.verdict.claimed is not None
     cause = "sensor noise" if r.problem.table else "sensor noise and the estimated disturbance"
     rows = [
@@ -256,7 +256,7 @@ def _error_words(r: Refinement, tables: Sequence[ErrorTable]) -> list[Row]:
 
 
 def _share_words(tables: Sequence[ErrorTable]) -> str:
-    """Return an explanation of the remaining share and of texts in its place."""
+    """Return an explanation of the remaining share."""
     shown = {row.excess for table in tables for row in table.rows}
     text = "The part of the squared error above the noise floor that the refined model keeps."
     if NOTHING_TO_EXPLAIN in shown:

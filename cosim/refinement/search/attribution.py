@@ -97,7 +97,7 @@ class Attributor:
         return self._rescore(settled)
 
     def _rescore(self, h: Hypothesis) -> Hypothesis:
-        """Update the score of all hypotheses for a non-white residual under trusted equations."""
+        """Update all scores for a non-white residual of trusted equations."""
         search = self.search
         if not search.problem.trusted:
             return h
@@ -108,7 +108,7 @@ class Attributor:
         return replace(h, score=h.fit.objective + search.cost(h.candidates))
 
     def _leader(self, best: Hypothesis) -> Hypothesis:
-        """Return the best hypothesis after a change of the costs."""
+        """Return the best hypothesis at changed costs."""
         return best_hypothesis((best, *self.search.tried.values())) if self.search.problem.trusted else best
 
     def _with_stated_noise(self, base: Hypothesis) -> Hypothesis:
@@ -128,7 +128,7 @@ class Attributor:
         return search.hypothesis((), start)
 
     def _with_stamp_errors(self, h: Hypothesis) -> Hypothesis:
-        """Refit a hypothesis with errors of time stamps if its residual indicates them."""
+        """Refit with errors of time stamps, if indicated."""
         search = self.search
         problem, noise = search.problem, h.fit.noise
         late = erring_stamps(problem, h.fit)
@@ -155,7 +155,7 @@ class Attributor:
         return [*(trial for _, trial in ranking[:FITTED]), *(((*best.candidates, c), None) for c in switched.values())]
 
     def _ranking(self, choice: Choice, best: Hypothesis) -> list[tuple[float, Trial]]:
-        """Return the sets of candidates whose predicted gain justifies a fit, best first."""
+        """Return sets of candidates worth a fit, best first."""
         search, parts, ranking = self.search, {c.name: c for c in self.candidates}, []
         for names in self._sets(choice, best):
             if tuple(sorted(names)) in search.tried:
@@ -182,7 +182,7 @@ class Attributor:
                 yield from ((*rest, *more) for more in chain([()], combinations(others, 1), likely))
 
     def _reductions(self, fitted: Sequence[Hypothesis]) -> list[Trial]:
-        """Return the candidates of each fit without ineffective parts, as sets to fit."""
+        """Return each fit's candidates without ineffective parts."""
         sets: dict[tuple[str, ...], Trial] = {}
         for h in fitted:
             neutral = self.search.problem.values
@@ -215,7 +215,7 @@ class Attributor:
         return SearchResult(search, best, hidden, tuple(self.candidates))
 
     def _with_addition(self, best: Hypothesis) -> Hypothesis:
-        """Return the best hypothesis, or a better one with additional candidates.
+        """Return the best hypothesis, possibly with additional candidates.
 
         Unknown inputs with the correlation time of the best hypothesis hide the gain of another slow effect.
         """
@@ -231,7 +231,7 @@ class Attributor:
         return replace(self.fine, logs=logs)
 
     def _with_replacement(self, best: Hypothesis) -> Hypothesis:
-        """Return the best hypothesis, or a better one with a replaced candidate."""
+        """Return the best hypothesis, possibly with a replaced candidate."""
         search, ended = self.search, list[Hypothesis]()
         if len(best.candidates) > MOST_REPLACED:
             return best

@@ -42,7 +42,7 @@ def key_of(parts: Sequence[Candidate]) -> tuple[str, ...]:
 
 
 def starts_of(parts: Parts, moved: set[str]) -> list[dict[str, float]]:
-    """Return the start values of new candidates, a mapping for each start.
+    """Return the start values of new candidates, start by start.
 
     Args:
         moved: Parameters with values from an earlier fit.
@@ -137,7 +137,7 @@ class Search:
         return replace(noise, power=np.maximum(noise.power, self.problem.noise.quiet)) if loosen else noise
 
     def free(self, parts: Parts) -> list[Free]:
-        """Return the free parameters in a fit of these candidates."""
+        """Return the free parameters for a fit of candidates."""
         own = [*(f for c in parts for f in c.free), *self.problem.own]
         on_trial = {*(f.name for f in own), *self.problem.settings.per_log}
         base = base_parameters(self.subject, self.problem.values, self.problem.settings.tolerance)
@@ -204,7 +204,7 @@ class Search:
         return replace(other, ended=h.ended) if other.fit.objective < goal else h
 
     def _without_noise(self, h: Hypothesis) -> Hypothesis:
-        """Refit a hypothesis without those unknown inputs that do not improve its score."""
+        """Refit a hypothesis without superfluous unknown inputs."""
         least = self.problem.noise.smallest
         for k in np.argsort(h.fit.noise.power - least)[::-1]:
             if h.fit.noise.power[k] < least[k] + NEGLIGIBLE:
@@ -221,7 +221,7 @@ class Search:
         return self.problem.scatter * float(sum(self.entry + self.price * len(c.free) for c in parts))
 
     def bound_within(self, parts: Parts) -> float:
-        """Return the best objective of fitted subsets of these candidates."""
+        """Return the best objective of fitted subsets of candidates."""
         names = {c.name for c in parts}
         fitted = (h.fit.objective for h in self.tried.values() if h.fit.iterations and names.issuperset(h.names))
         return min(fitted, default=self.bound)

@@ -88,7 +88,7 @@ def _sealed_alone(folder: Path, groups: Groups, logs: Mapping[str, Sequence[str]
 
 
 def _group_faults(places: Places, groups: Groups, files: Sequence[str]) -> Iterator[Fault]:
-    """Yield faults of groups, such as unknown or repeated logs."""
+    """Yield faults of unknown, repeated or misnamed groups."""
     folder, owner = places.path.parent, dict[str, str]()
     paths = {os.path.realpath(folder / f) for f in files}
     for group, members in groups.items():

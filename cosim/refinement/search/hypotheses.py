@@ -94,7 +94,7 @@ class Attribution:
 
     @property
     def error_ratio(self) -> float:
-        """Return the geometric mean of the ratios of held-out errors; 1 without ratios."""
+        """Return the geometric mean ratio of held-out errors."""
         return math.exp(sum(map(math.log, self.error_ratios)) / len(self.error_ratios)) if self.error_ratios else 1.0
 
     @property

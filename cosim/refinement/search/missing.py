@@ -127,7 +127,7 @@ def unknown_inputs(
 
 
 def loosen_noise(problem: Problem, noise: Noise) -> Noise:
-    """Return noise with enough process noise for the filter to follow model errors.
+    """Return noise with which a filter follows model errors.
 
     A fit without unknown inputs counts model errors as sensor noise; the stated sensor noise then replaces it.
     """
@@ -137,7 +137,7 @@ def loosen_noise(problem: Problem, noise: Noise) -> Noise:
 
 
 def contributions(problem: Problem, base: Fit, after: Fit, index: int) -> Array:
-    """Return the contribution of a claim to each equation, in each row.
+    """Return the contribution of a claim to each equation.
 
     Both steps start from the refined estimate of the measured states and from their own estimate of the rest.
     """
@@ -158,7 +158,7 @@ def contributions(problem: Problem, base: Fit, after: Fit, index: int) -> Array:
 
 
 def scale_to_missing(problem: Problem, at: Fit, column: int, term: Array, lacking: Array) -> Array:
-    """Return a term scaled by regression to the missing input.
+    """Return a term scaled to the missing input by regression.
 
     The part that parameters without prior can imitate is projected out, because the fit has already used it. A term
     with the wrong sign scales to zero.
@@ -236,7 +236,7 @@ def _smooth(problem: Problem, model: _Linear, states: Array, noise: Noise, index
 
 
 def _update(x: Array, P: Array, C: Array, e: Array, r: Array) -> tuple[Array, Array]:
-    """Return the state and its covariance, conditioned on a row's measurements."""
+    """Return state and covariance after a row's measurements."""
     wide = np.zeros((len(e), len(x)))
     wide[:, : C.shape[1]] = C
     measured = np.isfinite(e)

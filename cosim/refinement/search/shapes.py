@@ -99,7 +99,7 @@ class Shape:
         return float({"bump": 2.0 * HALF, "step": 2.0, "spline": 1.0}[self.kind] / self.width)
 
     def settings(self, slot: int) -> dict[str, float]:
-        """Return the kernel parameters that set this shape in a slot."""
+        """Return the kernel parameters of this shape in a slot."""
 
         def weights(role: str, names: Sequence[str], size: float) -> dict[str, float]:
             return {f"{LOCAL}.{slot}.{role}.{n}": s * size for n, s in zip(names, (1.0, -1.0), strict=False)}
@@ -197,7 +197,7 @@ class _Selection:
         self.groups: list[tuple[float, Shape, Array]] = []
 
     def _project(self, columns: Array) -> Array:
-        """Return the columns orthogonal to the constant and the further signals."""
+        """Return columns orthogonal to constant and further signals."""
         return np.asarray(columns - self.plain @ (self.plain.T @ columns))
 
     def try_one(self, shape: Shape, columns: Array) -> None:

@@ -123,7 +123,7 @@ class Leftover:
 def find_unnamed_terms(
     problem: Problem, at: Fit, price: float, units: Mapping[str, str] = MappingProxyType({})
 ) -> Leftover:
-    """Return the promising unnamed terms in addition to a fit.
+    """Return promising unnamed terms in addition to a fit.
 
     Args:
         problem: Problem with unnamed terms in the kernel.
@@ -210,7 +210,7 @@ class _Terms:
         return in_parallel(term, shapes)
 
     def select(self, simple: Sequence[UnnamedTerm], local: Sequence[LocalTerm]) -> list[UnnamedTerm]:
-        """Return the simple terms, and local shapes that are clearly better.
+        """Return simple terms and clearly better local shapes.
 
         Each local shape must gain more than its cost in addition to more promising shapes of the same equation.
         """
@@ -285,7 +285,7 @@ def _with_coefficients(u: UnnamedTerm, fitted: Fit) -> UnnamedTerm:
 
 
 def _without_equivalents(terms: Sequence[tuple[UnnamedTerm, Array]]) -> list[UnnamedTerm]:
-    """Return the terms, with only the simplest of equivalent terms."""
+    """Return the simplest of each group of equivalent terms."""
     rest = [(u, row / np.linalg.norm(row)) for u, row in terms]
     distinct = []
     while rest:
