@@ -48,13 +48,13 @@ class LinearFilter(SampledFilter):
     def step(
         self, measured: Sequence[float], command: Sequence[float], fix: float = 0.0, position: Sequence[float] = (0, 0)
     ) -> None:
-        """Process one sample.
+        """Process a sample.
 
         Args:
             measured: (ψ, ψ̇, a_x).
-            command: Duties and tilts that acted until now.
-            fix: Number of the latest fix.
-            position: Latest fix.
+            command: Duties [%] and tilts [rad] until now.
+            fix: Number of the latest position fix.
+            position: Latest position fix (x, y) [m].
         """
         kf = self.filter
         kf.predict(u=np.array(command[2:]))
@@ -94,7 +94,7 @@ class DoubleIntegration:
     def step(
         self, measured: Sequence[float], command: Sequence[float], fix: float = 0.0, position: Sequence[float] = (0, 0)
     ) -> None:
-        """Process one sample of (ψ, ψ̇, a_x); other arguments are unused."""
+        """Process a sample of (ψ, ψ̇, a_x); further arguments are unused."""
         dt, W = self.dt, self.noise[2]
         x, v, *_ = self.values
         psi, psi_dot, ax = measured

@@ -22,10 +22,10 @@ ALIKE = 1e-9  # relative distance below which poles are equal
 
 
 def placed_gain(p: ModelNumbers, poles: Sequence[complex] = POLES) -> Matrix:
-    """Return K (2, 5) such that A − B·K has the five poles [rad/s].
+    """Return K (2, 5) for the five poles of A − B·K [rad/s]: three of the forward axis, then two of the turn.
 
-    The first three poles are for the forward axis, two for the turn. The common tilt moves the craft forward, the tilt
-    difference turns it, so each axis has one input and a unique gain: at most two poles are equal, one in each axis.
+    The common tilt moves the craft forward, the tilt difference turns the craft. Each axis thus has a single input, a
+    unique gain and poles distinct within the axis.
 
     Raises:
         ValueError: A pole is unstable, repeated within an axis, without its conjugate, or uncontrollable.

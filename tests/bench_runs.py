@@ -66,7 +66,7 @@ def _play_lanes(bench: Bench, runs: Sequence[SimulatedRecording]) -> list[Record
 
 
 def simulate_seeds(protocol: Protocol, play: Play, seeds: Sequence[int]) -> list[Outcome]:
-    """Return whole protocols, one per seed, by plain functions, without figures; equal runs of all seeds together."""
+    """Return whole protocols, one per seed, from plain functions without figures; equal runs share a simulation."""
     names = [name for name, _ in protocol.file.tests.named_tests()]
     loads = _play_groups(play, [load_runs(protocol, seed) for seed in seeds])
     tests = _play_groups(play, [{name: runs_of(protocol, name, seed) for name in names} for seed in seeds])
@@ -78,7 +78,7 @@ def simulate_seeds(protocol: Protocol, play: Play, seeds: Sequence[int]) -> list
 
 
 def _play_groups(play: Play, groups: Sequence[dict[str, list[SimulatedRecording]]]) -> list[dict[str, list[Recording]]]:
-    """Return the recordings of each group by name; one name of all groups is played at once."""
+    """Return the recordings of each group by name; equal names of all groups are simulated together."""
     recordings: list[dict[str, list[Recording]]] = [{} for _ in groups]
     for name in groups[0]:
         batch = iter(play([run for group in groups for run in group[name]]))

@@ -52,7 +52,7 @@ def cart_fmu(folder: Path, starts: int = 2, variable_step: bool = True) -> Path:
 
 
 def with_equal_steps(fmu: Path) -> Path:
-    """The same FMU, saying that it takes equal steps only."""
+    """Return the same FMU with a declaration that it accepts equal steps only."""
     with zipfile.ZipFile(fmu) as archive:
         files = {name: archive.read(name) for name in archive.namelist()}
     flag = b'canHandleVariableCommunicationStepSize="true"'

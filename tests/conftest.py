@@ -44,14 +44,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def _session(factory: pytest.TempPathFactory) -> Path:
-    """Return the folder of the session, which its workers share."""
+    """Return the folder of the session, shared by its workers."""
     base = factory.getbasetemp()
     return base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
 
 
 @pytest.fixture(autouse=True, scope="session")
 def _private_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Designs and kernels are cached in a folder of this session, so that no test lives on an earlier one's."""
+    """Cache designs and kernels in a folder of this session, so that no test depends on an earlier session."""
     before, cache = os.environ.get("XDG_CACHE_HOME"), _session(tmp_path_factory) / "cache"
     cache.mkdir(exist_ok=True)
     os.environ["XDG_CACHE_HOME"] = str(cache)
@@ -64,7 +64,7 @@ def _private_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def _forker() -> Iterator[Any]:
-    """Forks workers where the system can."""
+    """Fork workers if the system supports it."""
     if not sys.platform.startswith("linux"):
         yield None
         return
@@ -77,7 +77,7 @@ def _forker() -> Iterator[Any]:
 
 @pytest.fixture(autouse=True)
 def _warm_workers(request: pytest.FixtureRequest, _forker: Any) -> Iterator[None]:
-    """Workers that this process starts are forked (`tests/warm.py`), but for tests marked `fresh`."""
+    """Fork the workers of this process (`tests/warm.py`), except for tests marked `fresh`."""
     fresh = process._spawn
     if _forker is not None and request.node.get_closest_marker("fresh") is None:
         process._spawn = _forker.spawn
@@ -86,7 +86,7 @@ def _warm_workers(request: pytest.FixtureRequest, _forker: Any) -> Iterator[None
 
 
 def _built_once(factory: pytest.TempPathFactory, name: str, fill: Callable[[Path], object]) -> Path:
-    """Return a folder of the session; the first of its workers that asks for it fills it, the others wait."""
+    """Return a folder of the session, filled by its first user while all others wait."""
     if fcntl is None:
         folder = factory.mktemp(name)
         fill(folder)

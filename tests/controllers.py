@@ -48,7 +48,7 @@ STEP = 0.02  # [s], Fig 4.8
 
 @cache
 def printed() -> Mapping[str, Any]:
-    """Return the Jacobians that an FMU carries."""
+    """Return the Jacobians in an FMU."""
     return load_names(jacobians())
 
 
@@ -89,7 +89,7 @@ class Flight:
     settings: Settings
 
     def settled(self, column: int, band: float) -> float:
-        """When it was last outside the band [s]."""
+        """Return the last time outside the band [s]."""
         outside = np.flatnonzero(np.abs(self.pose[:, column] - self.wanted[:, column]) > band)
         return float(self.time[outside[-1]]) if len(outside) else 0.0
 
@@ -100,7 +100,7 @@ class Flight:
 
     @property
     def saturated(self) -> float:
-        """Share of the samples in which a tilt is at its limit."""
+        """Return the share of samples with a tilt at its limit."""
         return float((np.abs(self.command[:, 2:]).max(axis=1) >= self.settings.tilt_max - 1e-6).mean())
 
 
@@ -139,9 +139,9 @@ def fly(
     truth: bool = False,
     fitting: bool = False,
 ) -> Flight:
-    """One flight: seed None for no noise, fixes of x and y at 10 Hz, truth for a law that is given the true state.
+    """Simulate a flight: seed None for no noise, fixes of x and y at 10 Hz, truth for a law with the true state.
 
-    fitting: the law is designed for the craft that flies, not for the base model
+    fitting: the law is designed for the simulated craft, not for the base model
     """
     settings, make = designed(name, craft) if fitting and craft else LAWS[name]
     stepper, law = Stepper(craft or Hovercraft()), make(settings)
@@ -192,7 +192,7 @@ def _true(moment: Moment, outputs: Sequence[float], p: Settings) -> list[float]:
 
 
 def typical(kind: Any) -> dict[str, float]:
-    """The parameters of an effect at their typical size; those that only shape it as they are."""
+    """Return the parameters of an effect at their typical size; shape parameters keep their defaults."""
     return {p.name: size(p) for p in parameters_of(kind) if p.typical is not None}
 
 
@@ -228,7 +228,7 @@ def figure_6_2() -> dict[str, tuple[float, float, float]]:
 
 
 def designed(name: str, craft: Hovercraft) -> tuple[Settings, Callable[[Any], Law]]:
-    """Return a law as `design: {model: …}` makes it for a craft."""
+    """Return a law designed for a craft, as by `design: {model: …}`."""
     settings, make = LAWS[name]
     law = {"LQR": "", "poles": POLES, "LQI": INTEGRAL, "MPC": PREDICTIVE, "LTV": TIME_VARIANT}[name]
     options = {n: o.default for n, o in DESIGNER.options.items() if not o.laws or law in o.laws}
@@ -237,7 +237,7 @@ def designed(name: str, craft: Hovercraft) -> tuple[Settings, Callable[[Any], La
 
 
 def app_g(name: str, seeds: Iterable[int], **condition: Any) -> dict[str, float]:
-    """The manoeuvre with noise: worst error of x [m], ψ [deg] where a command ends, overshoot, effort, saturation."""
+    """Return the errors of the manoeuvre with noise: worst x [m] and ψ [deg], overshoot, effort, saturation."""
     flights = [fly(name, manoeuvre, 26.0, seed=seed, **condition) for seed in seeds]
     worst = {"x": 0.0, "psi": 0.0}
     for f in flights:
@@ -256,7 +256,7 @@ def app_g(name: str, seeds: Iterable[int], **condition: Any) -> dict[str, float]
 
 
 def _leg_settled(f: Flight, leg: slice) -> float:
-    """Since the step of 1.5 m, when x was last more than 10 % of it off [s]."""
+    """Return the last time after the step of 1.5 m at which x was more than 10 % off [s]."""
     outside = np.flatnonzero(np.abs(f.pose[leg, 0] - f.wanted[leg, 0]) > WITHIN["x"])
     return float((outside[-1] + 1) * STEP) if len(outside) else 0.0
 

@@ -49,7 +49,7 @@ class Case:
 
 
 def cases(count: int) -> list[Case]:
-    """As many as asked for, of every kind, in an order that is the same each time."""
+    """Return the requested number of cases of every kind, in a fixed order."""
     rng = random.Random(SEED)
     kinds: list[Iterator[Case]] = [
         itertools.cycle(
@@ -100,7 +100,7 @@ class Trial:
             self.good[verb] = (folder / "out" / "results.csv").read_text()
 
     def command(self, case: Case) -> subprocess.Popen[str]:
-        """The command in which it happens."""
+        """Return the command to be killed."""
         folder = self.folder
         subprocess.run(["rm", "-rf", folder / "out"], check=True)
         limits = "" if case.number else "{memory: 300 MB}" if case.deed == "memory" else LIMITS
@@ -117,7 +117,7 @@ class Trial:
         )  # fmt: skip
 
     def faults(self, case: Case) -> list[str]:
-        """Make it happen; what is not as it should be."""
+        """Run the case and return its faults."""
         process = self.command(case)
         if case.number:
             self._signal(process, case)
@@ -167,12 +167,12 @@ class Trial:
         return []
 
     def _taken_over(self) -> list[str]:
-        """The next command takes the folder of a killed one over, and leaves no lock in it."""
+        """Check that the next command takes over the folder of a killed command and leaves no lock in it."""
         with folder_locks():
             return [] if take_folder(self.folder / "out") else ["the folder cannot be taken over"]
 
     def _left(self) -> list[str]:
-        """Processes and folders that are left after a moment."""
+        """Return processes and folders left after a moment."""
         found: list[str] = []
         for _ in range(150):
             found = [f"process {pid} is left" for pid in self._processes()]
@@ -193,7 +193,7 @@ class Trial:
 
 
 def main(count: int) -> int:
-    """Make them happen; how many were not as they should be."""
+    """Run the cases and return the number of cases with faults."""
     wrong: list[str] = []
     kinds: Counter[str] = Counter()
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it, and its children do

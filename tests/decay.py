@@ -42,7 +42,7 @@ DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 
 @cache
 def library() -> Path:
-    """The library, compiled for this machine; the test is skipped where that cannot be."""
+    """Return the library compiled for this machine; skip the test without a compiler."""
     command = compiler()
     if command is None or platform.system() != "Linux" or platform.machine() != "x86_64":
         pytest.skip("no C compiler for this platform")

@@ -32,7 +32,7 @@ DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 
 @cache
 def library() -> Path:
-    """The library, compiled for this machine; the test is skipped where that cannot be."""
+    """Return the library compiled for this machine; skip the test without a compiler."""
     command = compiler()
     if command is None or PLATFORM is None:
         pytest.skip("no C compiler for this platform")
@@ -57,7 +57,7 @@ def description(signals: int) -> str:
 
 
 def deeds_fmu(path: Path, call: str = "none", deed: str = "none", at: int = 1, signals: int = 2) -> Path:
-    """An FMU that does `deed` at the n-th `call`, at each where that is 0."""
+    """Return an FMU that does `deed` at the n-th `call`, or at every call for n = 0."""
     assert PLATFORM is not None
     binary = library()
     with zipfile.ZipFile(path, "w") as archive:
@@ -80,7 +80,7 @@ connections:
 
 
 def deeds_scenario(folder: Path, call: str, deed: str, at: int = 1, duration: float = 1.0, limits: str = "") -> Path:
-    """A scenario of a good FMU and one that does the deed."""
+    """Return a scenario of a correct FMU and an FMU with a deed."""
     deeds_fmu(folder / "good.fmu")
     deeds_fmu(folder / "bad.fmu", call, deed, at)
     path = folder / "deeds.yaml"

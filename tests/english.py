@@ -46,7 +46,7 @@ def split_paragraphs(page: Path) -> list[str]:
 
 
 def find_long_paragraphs(page: Path) -> list[str]:
-    """Return the paragraphs of a page that have too many words, each with its number of words."""
+    """Return the paragraphs of a page with too many words, each with its number of words."""
     counted = [(len(text.split()), text) for text in split_paragraphs(page)]
     return [
         f"{page.relative_to(ROOT)}: {count} words: {' '.join(text.split()[:8])} ..."

@@ -119,7 +119,7 @@ def ferry_log(path: Path, seed: int, coupling: float, push: float, seconds: floa
 
 
 def ferry_study(folder: Path, coupling: float, push: float) -> Path:
-    """ferry.py, two logs to learn from, a sealed one and a study."""
+    """Write ferry.py, two estimation logs, a sealed log and a study; return the study."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "ferry.py").write_text(MODEL, encoding="utf-8")
     for seed, name in enumerate(("a", "b", "c")):

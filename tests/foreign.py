@@ -30,7 +30,7 @@ PLATFORMS = ("binaries/linux64/", "binaries/x86_64-linux/")
 
 
 def fmus_in(folders: list[Path]) -> list[Path]:
-    """FMUs that have a library for Linux, each content once."""
+    """Return FMUs with a library for Linux, without duplicates."""
     seen: set[str] = set()
     found = []
     for path in sorted(p for folder in folders for p in folder.rglob("*.fmu")):
@@ -56,7 +56,7 @@ def plan(description: Any) -> tuple[float, float, int]:
 
 
 def one(path: Path, way: str) -> dict[str, Any]:
-    """Run one FMU both ways and compare; called in a process of its own."""
+    """Simulate an FMU with both programs and compare; called in a separate process."""
     import fmpy
 
     found: dict[str, Any] = {"fmu": path.name, "way": way, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
@@ -114,7 +114,7 @@ def fmpys(path: Path, way: str, description: Any, start: float, step: float, ste
 
 
 def columns_of(results: Any, name: str) -> list[Any]:
-    """Columns of a variable: one, or one for each element of an array."""
+    """Return the columns of a variable: one for a scalar, one per element for an array."""
     if f"x.{name}" in results.exact:
         return [results.exact[f"x.{name}"]]
     exact = [column for key, column in results.exact.items() if key.startswith(f"x.{name}[")]
@@ -123,7 +123,7 @@ def columns_of(results: Any, name: str) -> list[Any]:
 
 
 def compared(columns: Any, times: Any, reference: Any, step: float) -> dict[str, Any]:
-    """The largest |a − b| / max(1, |b|) over all that FMPy records, at the times that both have."""
+    """Return the largest |a − b| / max(1, |b|) of all columns recorded by FMPy, at common times."""
     worst, where, count, missing = 0.0, "", 0, []
     at = {round(t / step * 1e6): k for k, t in enumerate(times.tolist())}
     last = {round(t / step * 1e6): k for k, t in enumerate(reference["time"].tolist())}  # of several rows the last
@@ -171,7 +171,7 @@ def ours(path: Path, way: str, start: float, step: float, steps: int, recorded: 
 
 
 def measured(path: Path, way: str) -> dict[str, Any]:
-    """`one` in a process of its own."""
+    """Return the result of `one` from a separate process."""
     found: dict[str, Any] = {"fmu": path.name, "way": way}
     with tempfile.TemporaryDirectory() as folder:
         answer = Path(folder) / "answer.json"
@@ -192,7 +192,7 @@ def measured(path: Path, way: str) -> dict[str, Any]:
 
 
 def ways_of(path: Path) -> list[str]:
-    """What the FMU offers, as its description is written."""
+    """Return the interfaces of the FMU according to its description."""
     try:
         with zipfile.ZipFile(path) as archive:
             text = archive.read("modelDescription.xml").decode("utf-8", "replace")
@@ -228,7 +228,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 
 def page(rows: list[dict[str, Any]]) -> str:
-    """The matrix with a line for each FMU, as docs/foreign-fmus.md has it."""
+    """Return the table with a row per FMU, as in docs/foreign-fmus.md."""
     lines = ["| FMU | made by | FMI | co-simulation | model exchange |", "|---|---|---|---|---|"]
     fmus: dict[str, dict[str, dict[str, Any]]] = {}
     for row in rows:
@@ -258,7 +258,7 @@ def _outcome(row: dict[str, Any] | None) -> str:
 
 
 def summary(rows: list[dict[str, Any]]) -> str:
-    """How many run, and how near they come."""
+    """Return the number of FMUs that run, and their largest differences."""
     both = [r for r in rows if r.get("fmpy") == "runs"]
     ran = [r for r in both if r.get("cosim") == "runs"]
     lines = [

@@ -13,7 +13,7 @@ from cosim.linearization.workflow import linearize
 
 
 def main(folder: Path) -> int:
-    """Print what each comes to, and counts; 1 where one fails."""
+    """Print the result of each FMU, and counts; return 1 if an FMU fails."""
     counts: Counter[str] = Counter()
     for path in sorted(folder.rglob("*.fmu")):
         try:

@@ -230,7 +230,7 @@ def places(data: Any, at: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
 
 
 def changed(draw: Callable[[Any], Any], data: Any) -> Any:
-    """Plain data with one to three parts replaced, taken out, doubled, renamed or wrapped."""
+    """Return plain data with one to three parts replaced, removed, doubled, renamed or wrapped."""
     data = copy.deepcopy(data)
     for _ in range(draw(st.sampled_from((1, 1, 1, 2, 3)))):
         where = draw(st.sampled_from(list(places(data))[1:] or [()]))
@@ -285,7 +285,7 @@ def mangled(draw: Callable[[Any], Any], text: str) -> str:
 
 
 def written(draw: Callable[[Any], Any], data: Any) -> bytes:
-    """A document, changed in its parts or its text or both, as YAML that is also JSON, or as block YAML."""
+    """Return a document, changed in its parts or its text or both, as YAML or JSON."""
     parts = draw(st.integers(0, 3)) > 0
     text = as_text(changed(draw, data) if parts else data, draw(st.booleans()))
     if not parts or draw(st.integers(0, 3)) == 0:
@@ -294,7 +294,7 @@ def written(draw: Callable[[Any], Any], data: Any) -> bytes:
 
 
 def altered(draw: Callable[[Any], Any], xml: str) -> str:
-    """XML that stays well-formed, with attributes and elements replaced, taken out, doubled, renamed."""
+    """Return well-formed XML with attributes and elements replaced, removed, doubled or renamed."""
     root = ElementTree.fromstring(xml.partition("?>")[2])
     for _ in range(draw(st.sampled_from((1, 1, 1, 2, 4)))):
         parents = list(root.iter())
@@ -316,7 +316,7 @@ def altered(draw: Callable[[Any], Any], xml: str) -> str:
 
 
 def recelled(draw: Callable[[Any], Any], text: str) -> str:
-    """A table with some cells, columns or rows changed, so that most of it stays one."""
+    """Return a table with some changed cells, columns or rows."""
     rows = [line.split(",") for line in text.splitlines()]
     for _ in range(draw(st.sampled_from((1, 1, 2, 5)))):
         row = draw(st.sampled_from(rows))
@@ -421,7 +421,7 @@ def log(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]:
 
 
 def replay(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]:
-    """A log that can mostly be read: a column of the same number, cells that are empty, rows that are missing."""
+    """Yield commands on a mostly readable log: repeated columns, empty cells, missing rows."""
     rows = [line.split(",") for line in table(draw(st.sampled_from((2, 3, 30, 160)))).splitlines()]
     for _ in range(draw(st.integers(0, 3))):
         column = draw(st.integers(1, len(NAMES) - 1))
@@ -518,7 +518,7 @@ def short(path: Path, options: list[str] | None = None) -> bool:
 
 
 def prepared(folder: Path, plant: Path) -> Path:
-    """A folder deep within another, so that what leads out of it is seen; what examples need lies in it."""
+    """Return a nested folder with the files for examples; writes outside it are detectable."""
     work = folder / "a" / "b" / "c" / "d"
     work.mkdir(parents=True)
     shutil.copy(plant, work / "plant.fmu")
@@ -529,7 +529,7 @@ def prepared(folder: Path, plant: Path) -> Path:
 
 
 def tried(arguments: list[str]) -> tuple[int | None, str]:
-    """Exit code of a command, None where an exception of no kind of ours came through, and what was said."""
+    """Return the exit code of a command, None after an unexpected exception, and its output."""
     said = io.StringIO()
     typed = mock.patch.object(sys, "argv", ["cosim", *arguments])
     with typed, contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
@@ -543,7 +543,7 @@ def tried(arguments: list[str]) -> tuple[int | None, str]:
 
 
 def hold(found: Found, kind: str, root: Path, work: Path, example: Iterator[list[str]], longest: float) -> None:
-    """Try the commands of one example."""
+    """Run the commands of an example and note their faults."""
     before = set(work.iterdir())
     made: set[Path] = set()
     for arguments in example:
@@ -573,14 +573,14 @@ def hold(found: Found, kind: str, root: Path, work: Path, example: Iterator[list
 
 
 def everything(root: Path, work: Path) -> set[Path]:
-    """Every file but those of the output folder."""
+    """Return all files except files in output folders."""
     return {p for p in root.rglob("*") if not p.is_relative_to(work / "out")}
 
 
 def fuzz(
     kind: str, count: int, number: int, folder: Path, plant: Path, most_wrong: int = 1, longest: float = math.inf
 ) -> Found:
-    """Try `count` examples of a kind, drawn by a seed, each at most `longest` [s]; it ends when enough is wrong."""
+    """Run `count` examples of a kind, drawn by a seed, each for at most `longest` [s]; stop after enough faults."""
     found, work = Found(), prepared(folder, plant)
 
     @seed(number)
@@ -609,7 +609,7 @@ def fuzz(
 
 
 def main() -> None:
-    """Examples of every kind in turn, one line each; what was wrong is printed and ends in exit 1."""
+    """Run examples of every kind in turn; print faults and exit with code 1 if there are any."""
     from cosim.fmi.fmu_build import build
     from fmus.recipes import plant_recipe
 

@@ -69,7 +69,7 @@ class Refused(Exception):
 
 
 def in_process(module: str) -> Callable[[dict[str, Any]], np.ndarray]:
-    """Rows of a host that is driven by a module of the tests, in a process of its own: some crash."""
+    """Return a function from a job to rows of a host in a separate process, since some hosts crash."""
 
     def rows(job: dict[str, Any]) -> np.ndarray:
         done = subprocess.run(
@@ -85,7 +85,7 @@ def in_process(module: str) -> Callable[[dict[str, Any]], np.ndarray]:
 
 
 def reason(text: str) -> str:
-    """The line of what a host said that tells why, without paths."""
+    """Return the line of a host's output with the reason of a failure, without paths."""
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith(" ")]  # those are code
     telling = [line for line in lines if re.search(r"error|undefined|fail|could not|fatal", line, re.IGNORECASE)]
     line = (telling or lines or [""])[0 if telling else -1]
@@ -93,7 +93,7 @@ def reason(text: str) -> str:
 
 
 def checker() -> str | None:
-    """The compliance checker of FMI, on the path or where FMUCHECK says."""
+    """Return the FMI compliance checker from the path or FMUCHECK."""
     named = os.environ.get("FMUCHECK")
     return named or next(filter(None, map(shutil.which, ("fmuCheck.linux64", "fmuCheck"))), None)
 
@@ -123,7 +123,7 @@ def needs(package: str) -> Callable[[], str]:
 
 
 def undriven(found: Any, why: str) -> str:
-    """Of a host that nobody could try with this script."""
+    """Return the text for a host that this script cannot drive."""
     return "here, but not driven by this script" if found else f"not here: {why}"
 
 
@@ -182,7 +182,7 @@ def alone(fmu: Path, inputs: Mapping[str, float], host: Host, folder: Path) -> f
 
 
 def looped(ssp: Path, host: Host) -> float:
-    """How far a host is off with an SSP; in FMPy's first step inputs that are connected are zero."""
+    """Return the distance of a host's results for an SSP; connected inputs are zero in FMPy's first step."""
     results = ours(ssp)
     with tempfile.TemporaryDirectory() as folder:
         run(ssp, folder, [f"duration={STEP}", f"step={STEP}"], report=False)
@@ -198,7 +198,7 @@ def looped(ssp: Path, host: Host) -> float:
 
 
 def distance(results: Any, host: Host, job: dict[str, Any]) -> float:
-    """The largest |a − b| / max(1, |b|) after row 0, which not all hosts show."""
+    """Return the largest |a − b| / max(1, |b|) after row 0, which some hosts omit."""
     assert host.rows is not None
     try:
         got = host.rows(job)
@@ -210,7 +210,7 @@ def distance(results: Any, host: Host, job: dict[str, Any]) -> float:
 
 
 def cell(attempt: Callable[[], float], why: str = "") -> str:
-    """What stands in the table: how far off, or why nothing was tried or came of it."""
+    """Return the text of a table cell: the distance, or the reason for a missing result."""
     if why:
         return why
     try:
@@ -221,7 +221,7 @@ def cell(attempt: Callable[[], float], why: str = "") -> str:
 
 
 def loops(folder: Path, made: Path) -> dict[str, Path | None]:
-    """The closed loop as an SSP, of each pair of FMUs that is there; None of one that is not."""
+    """Return the closed loop as an SSP for each available pair of FMUs; None for missing pairs."""
     found: dict[str, Path | None] = {}
     source = ROOT / "scenarios" / "manoeuvre.yaml"
     for name, (plant, controller) in LOOPS.items():

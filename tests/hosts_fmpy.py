@@ -25,7 +25,7 @@ def description_of(fmu: Path) -> Any:
 
 
 def extracted(fmu: Path) -> str:
-    """The FMU unpacked beside itself, once: writing over a library that a process has loaded would crash it."""
+    """Return the FMU unpacked once beside itself, since overwriting a loaded library would crash the process."""
     folder = fmu.with_suffix(".extracted")
     if not folder.exists():
         draft = tempfile.mkdtemp(dir=fmu.parent)
@@ -133,7 +133,7 @@ class Instance:
 
 
 def refused(fmu: Path, values: dict[str, Any], call: Any) -> str:
-    """Make a call that must fail, and say what the FMU said. The instance is not touched again."""
+    """Make a call that must fail, and return the message of the FMU. The instance is unusable afterwards."""
     with Instance(fmu) as instance:
         instance.begin(values)
         with pytest.raises(FMICallException) as caught:

@@ -15,7 +15,7 @@ from tests.hosts_fmpy import description_of
 
 
 def of_ssp(job: dict[str, Any]) -> list[list[float]]:
-    """Rows of an SSP, at the step that it says, or one that is forced upon it."""
+    """Return the rows of an SSP, simulated with its own step or a given step."""
     forced = job.get("forced")
     execution = CosimExecution.from_ssp_file(job["ssp"], None if forced is None else round(forced * 1e9))
     observer = CosimObserver.create_last_value()

@@ -168,7 +168,7 @@ def simulate(
     hold: float = HOLD,
     t0: float = 0.0,
 ) -> dict[str, Array]:
-    """Outputs by name at t0, t0 + hold, …; `commands` (N, 4) is (δ_R, δ_L, α_R, α_L), one row a hold."""
+    """Return outputs by name at t0, t0 + hold, …; `commands` (N, 4) is (δ_R, δ_L, α_R, α_L), with a row per hold."""
     n, fx, start = {**NUMBERS, **(numbers or {})}, effects or {}, start or {}
     at_hover = {"thrust_right": static_thrust(n, HOVER), "thrust_left": static_thrust(n, HOVER)}
     swing = {f"swing_{side}": start.get(f"actuator_second_order.tilt_rate_{side}", 0.0) for side in ("right", "left")}
@@ -195,7 +195,7 @@ def simulate(
 
 
 def excitation(count: int, seed: int = 1, tilt: float = 0.25, duty: float = 0.35) -> Array:
-    """Commands (count, 4) that move both tilts and both duties at several frequencies, with jumps, a hold each."""
+    """Return commands (count, 4) with several frequencies and jumps in both tilts and both duties."""
     rng = np.random.default_rng(seed)
     t = HOLD * np.arange(count)[:, None]
     waves = sum(np.sin(2 * np.pi * rng.uniform(0.2, 3.0, 4) * t + rng.uniform(0, 2 * np.pi, 4)) for _ in range(3)) / 3
@@ -205,7 +205,7 @@ def excitation(count: int, seed: int = 1, tilt: float = 0.25, duty: float = 0.35
 
 
 def to_and_fro(count: int) -> Array:
-    """Commands (count, 4) under which both speeds change sign again and again: dry friction lives there."""
+    """Return commands (count, 4) under which both speeds often change sign, to excite dry friction."""
     t = HOLD * np.arange(count)
     both, turn = 0.2 * np.cos(2 * np.pi * 0.7 * t), 0.1 * np.cos(2 * np.pi * 1.3 * t)
     duty = 0.1 * np.sin(2 * np.pi * 0.9 * t)
@@ -215,7 +215,7 @@ def to_and_fro(count: int) -> Array:
 def flown(
     stepper: Any, commands: Array, start: Mapping[str, float] | None = None, hold: float = HOLD, t0: float = 0.0
 ) -> dict[str, Array]:
-    """What `simulate` returns, from the stepper under test."""
+    """Return the result of `simulate` from the stepper under test."""
     moment = stepper.start(t0, start)
     command = stepper.model.start_command()
     rows = [stepper.output(moment.t, moment.state, command)]

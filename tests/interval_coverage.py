@@ -29,7 +29,7 @@ class Coverage:
 
 
 def coverage(path: Path, seeds: Sequence[int], tell: Callable[[int, int], None] | None = None) -> list[Coverage]:
-    """Every number of a protocol over seeds; the bench is ours, whose truth is known."""
+    """Return the coverage of every estimate of a protocol over seeds, with the simulated bench as truth."""
     protocol = read_protocol(path)
     play, found = play_plain(protocol.bench), dict[str, list[Estimate]]()
     for first in range(0, len(seeds), AT_ONCE):

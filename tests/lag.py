@@ -94,7 +94,7 @@ HEAD = """<?xml version="1.0" encoding="UTF-8"?>
 
 @cache
 def library(forgets: bool = False) -> Path:
-    """The library, compiled for this machine; the test is skipped where that cannot be."""
+    """Return the library compiled for this machine; skip the test without a compiler."""
     command = compiler()
     if command is None or platform.system() != "Linux" or platform.machine() != "x86_64":
         pytest.skip("no C compiler for this platform")
@@ -119,7 +119,7 @@ def lag_fmu(path: Path, units: tuple[str, str] = ("", ""), *, forgets: bool = Fa
 
 
 def ssp(path: Path, system: str, files: Mapping[str, str | Path], experiment: str = "") -> Path:
-    """An SSP of a system's XML and of files, each its text or where it lies."""
+    """Return an SSP from a system's XML and files, each given as text or path."""
     given = experiment or '<ssd:DefaultExperiment startTime="0" stopTime="2"/>'
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("SystemStructure.ssd", f"{HEAD}{system}\n{given}\n</ssd:SystemStructureDescription>\n")
@@ -129,7 +129,7 @@ def ssp(path: Path, system: str, files: Mapping[str, str | Path], experiment: st
 
 
 def component(name: str, fmu: str = "lag.fmu", inside: str = "", units: tuple[str, str] = ("", "")) -> str:
-    """A component with its connectors, units of u and y where they are given, and what else stands in it."""
+    """Return the XML of a component with its connectors, units of u and y if given, and further content."""
     reals = [f'<ssc:Real unit="{unit}"/>' if unit else "<ssc:Real/>" for unit in units]
     return f"""<ssd:Component name="{name}" type="application/x-fmu-sharedlibrary" source="resources/{fmu}">
 <ssd:Connectors><ssd:Connector name="u" kind="input">{reals[0]}</ssd:Connector>
@@ -148,7 +148,7 @@ def connection(start: str, end: str, inside: str = "", **attributes: str) -> str
 
 
 def bound(values: Mapping[str, str], inside: str = "", **attributes: str) -> str:
-    """A binding with parameters in it, name → XML of the value."""
+    """Return the XML of a parameter binding, from name → XML of the value."""
     written = "".join(f' {key}="{value}"' for key, value in attributes.items())
     each = "".join(f'<ssv:Parameter name="{name}">{value}</ssv:Parameter>' for name, value in values.items())
     return f"""<ssd:ParameterBinding{written}><ssd:ParameterValues><ssv:ParameterSet version="1.0" name="start">

@@ -112,12 +112,12 @@ def log_of(path: Path, columns: Mapping[str, Array]) -> Log:
 
 
 def replay(log: Log, fmu: Path, start: Mapping[str, Any] | None = None) -> Replay:
-    """Replay a whole log in one run of an FMU that is loaded for it."""
+    """Replay a whole log in a single run of an FMU."""
     with Drive(log, fmu) as drive:
         return free_run(drive, start)
 
 
 def replay_windows(log: Log, fmu: Path, starts: Mapping[int, Mapping[str, Any]], horizon: float) -> Replay:
-    """Replay a log in windows of `horizon` seconds of an FMU that is loaded for it."""
+    """Replay a log in windows of `horizon` seconds of an FMU."""
     with Drive(log, fmu) as drive:
         return windows(drive, starts, horizon)

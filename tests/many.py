@@ -21,7 +21,7 @@ WAY = '<CoSimulation modelIdentifier="many" canHandleVariableCommunicationStepSi
 
 
 def many(folder: Path) -> Path:
-    """The FMU and a scenario of two of it."""
+    """Return the FMU and a scenario with two instances of it."""
     kinds = (("u", "input", ' start="0"', 0), ("y", "output", "", MANY))
     variables = "".join(
         f'<ScalarVariable name="{name}{k}" valueReference="{first + k}" causality="{kind}">'
@@ -48,7 +48,7 @@ def many(folder: Path) -> Path:
 
 
 def main() -> None:
-    """One JSON line: processor time [s] of all processes together, and the size of the largest [MB]."""
+    """Print processor time [s] of all processes and the largest size [MB] as a line of JSON."""
     measured: dict[str, list[float]] = {}
     with tempfile.TemporaryDirectory() as folder:
         path = many(Path(folder))

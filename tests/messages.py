@@ -43,7 +43,7 @@ def message_modules() -> Iterator[ModuleType]:
 
 
 def templates(module: ModuleType) -> dict[str, Template]:
-    """Return the templates that a module defines, by name."""
+    """Return the templates of a module by name."""
     return {name: value for name, value in vars(module).items() if isinstance(value, Template)}
 
 
@@ -59,7 +59,7 @@ def page() -> str:
 
 
 def bare(folder: Path) -> Iterator[str]:
-    """Yield the places in a folder where a text without a code becomes a message."""
+    """Yield the places in a folder at which a text without a code becomes a message."""
     for path in sorted(folder.rglob("*.py")):
         for line, name in bare_calls(ast.parse(path.read_text(encoding="utf-8"))):
             yield f"{path.relative_to(ROOT)}:{line}: {name}"

@@ -85,7 +85,7 @@ write_csv(target, result)
 
 
 def fmu_of(folder: Path, case: Case) -> Path:
-    """The FMU of a case; what is not a number appears from its step on."""
+    """Return the FMU of a case; non-numbers appear from its step on."""
     return deeds_fmu(folder / "bad.fmu", case.call, case.deed, case.at)
 
 
@@ -117,7 +117,7 @@ def command_of(tool: str, folder: Path, case: Case) -> tuple[list[str], str]:
 
 
 def run(tool: str, case: Case) -> str:
-    """What becomes of it, in words."""
+    """Run the case and return its outcome as text."""
     if case.blocks and tool not in ("cosim", "FMPy"):
         return "writes no file"
     with tempfile.TemporaryDirectory(prefix="misbehaviours-") as name:
@@ -177,13 +177,13 @@ def words(tool: str, code: int, told: str, rows: int, asked: int) -> str:
 
 
 def tools() -> list[str]:
-    """What is installed here."""
+    """Return the installed tools."""
     others = {"libcosim": "libcosimpy", "ecos": "ecospy"}
     return ["cosim", "FMPy", *(tool for tool, package in others.items() if importlib.util.find_spec(package))]
 
 
 def main(chosen: Sequence[str]) -> None:
-    """Print the table, a line as soon as it is known."""
+    """Print the table line by line."""
     names = {"FMPy": "FMPy", "libcosim": "libcosimpy", "ecos": "ecospy"}
     columns = list(chosen) or tools()
     heads = [tool if tool == "cosim" else f"{tool} ({names[tool]} {version(names[tool])})" for tool in columns]

@@ -102,7 +102,7 @@ def motor_log(
 
 
 def motor_study(folder: Path, step: float = 0.02, **changes: str) -> Path:
-    """motor.py with texts of it replaced, two logs to learn from, and a study."""
+    """Write motor.py with replaced texts, two estimation logs, and a study; return the study."""
     model = motor_file(folder, **changes)
     size = float(changes.get("inductance", "2.04e-3"))
     for seed, name in enumerate(("a", "b")):
@@ -113,7 +113,7 @@ def motor_study(folder: Path, step: float = 0.02, **changes: str) -> Path:
 
 
 def motor_file(folder: Path, stated: str = "", inductance: str = "2.04e-3", integrator: str = "") -> Path:
-    """motor.py, with a substep and an integrator if they are to be stated, and another inductance [H]."""
+    """Write motor.py with another inductance [H], and with a substep and an integrator if given; return its path."""
     folder.mkdir(parents=True, exist_ok=True)
     text = MODEL.replace("parameter(2.04e-3", f"parameter({inductance}")
     line = '    calibrated = ("resistance", "inertia")\n'

@@ -56,7 +56,7 @@ class Exchange:
         return self._events()
 
     def event(self, t: float, inputs: Sequence[float]) -> float | None:
-        """An event at which inputs may jump; when the next is due."""
+        """Handle an event with a possible jump of inputs; return the time of the next event."""
         self.fmu.setTime(t)
         self.fmu.enterEventMode()
         self.fmu.setReal(self.inputs, list(inputs))
@@ -81,7 +81,7 @@ class Exchange:
         self.fmu.setContinuousStates(x.ctypes.data_as(fmi2.POINTER(fmi2.fmi2Real)), x.size)
 
     def rates(self, t: float, x: Any) -> Any:
-        """f(t, x), inputs as they are."""
+        """Return f(t, x) with the current inputs."""
         self.fmu.setTime(t)
         self.x = x
         dx = np.zeros(self.states)
@@ -107,7 +107,7 @@ class Exchange:
 
 
 def is_subnormal(a: Any) -> Any:
-    """Return where values are subnormal: neither zero nor normal numbers."""
+    """Return True for subnormal values, neither zero nor normal numbers."""
     return (a != 0.0) & (np.abs(a) < np.finfo(float).tiny)
 
 
@@ -125,5 +125,5 @@ def rk4(f: Callable[[float, Any], Any], t: float, x: Any, h: float, substeps: in
 
 
 def dop853(f: Callable[[float, Any], Any], t: float, x: Any, end: float) -> Any:
-    """An integration far finer than what is compared."""
+    """Return an integration far more accurate than the compared results."""
     return solve_ivp(f, (t, end), x, method="DOP853", rtol=1e-11, atol=1e-12).y[:, -1]

@@ -23,7 +23,7 @@ FLAT = {"roll_ground_effect": False, "table_roll_stiffness": 0.0, "table_roll_da
 
 
 def recorded(scenario: Path, fmus: Path, out: Path) -> list[tuple[float, ...]]:
-    """What the controller told the plant over a minute, row by row."""
+    """Return the commands of the controller to the plant over a minute, row by row."""
     text = scenario.read_text(encoding="utf-8").replace("../build/", f"{fmus}/")
     changed = out / scenario.name
     changed.write_text(text, encoding="utf-8")

@@ -81,7 +81,10 @@ def system_of(
     start: float = 0.0,
     **options: Any,
 ) -> System:
-    """Return a system that steps blocks in order; wires: target → source; held: targets that see the step's start."""
+    """Return a system that steps blocks in order.
+
+    wires: target → source; held: targets with values of the step's start
+    """
     columns = [f"{block.name}.{signal.name}" for block in blocks for signal in (*block.inputs, *block.outputs)]
     place = {column: number for number, column in enumerate(columns)}
     transfers = [Transfer(place[source], place[target], target) for target, source in wires.items()]
@@ -99,7 +102,7 @@ def system_of(
 
 
 def rows_for(system: System, steps: int) -> Rows:
-    """Return rows in memory whose `doing` every block of a system sees."""
+    """Return rows in memory, with a `doing` common to every block of a system."""
     rows = Rows.in_memory(steps + 1, len(system.columns))
     for stage in system.stages:
         stage.component.doing = rows.doing  # type: ignore[attr-defined]

@@ -233,7 +233,7 @@ def lasting(rng: np.random.Generator, rows: int, size: float, seconds: float = 1
 
 
 def white(true: Rows, rates: Rows, rng: np.random.Generator) -> Rows:
-    """What right sensors write."""
+    """Return a log from correct sensors with white noise."""
     return true + np.array(list(NOISE.values())) * rng.standard_normal(true.shape)
 
 
@@ -257,7 +257,7 @@ def rail_log(
 
 
 def rail_study(folder: Path, numbers: Mapping[str, float] = SHEET, more: str = "", seed: int = 0, **how: Any) -> Path:
-    """rail.py, two logs to learn from, a sealed one and a study, with these further lines."""
+    """Write rail.py, two estimation logs, a sealed log and a study with further lines; return the study."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "rail.py").write_text(MODEL, encoding="utf-8")
     for k, name in enumerate(("a", "b", "c")):

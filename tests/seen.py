@@ -29,9 +29,9 @@ CONTRAST = """() => {
 
 
 def faults(path: Path, *, dark: bool = False) -> list[str]:
-    """What axe finds serious in a page with all opened, in the dark too where asked; skips without a browser.
+    """Return serious findings of axe on a page with all details open; skip without a browser.
 
-    A curve of less than 3 : 1 to the paper is a fault too.
+    On request, dark mode is tested too. A curve with contrast below 3 : 1 to the paper is a fault.
     """
     if CHROMIUM is None:
         pytest.skip("no Chromium on this machine")

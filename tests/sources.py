@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 def copied_sources(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return a copy of the packages that the next builds of this test are made of."""
+    """Return a copy of the packages for the next builds of this test."""
     for package in ("plant", "controller", "fmus", "cosim"):
         shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
     spec_of = fmu_build._spec

@@ -38,7 +38,7 @@ def refined(folder: Path, *arguments: Any, **conditions: Any) -> Refinement:
 
 
 def proven(study: Path, folder: Path) -> Refinement:
-    """Refine a study; what is written fits the schema and agrees with itself, whatever the verdict."""
+    """Refine a study; check that its results fit the schema and are consistent, for any verdict."""
     r = refine(study, folder)
     written = json.loads((folder / "refine.json").read_text())
     jsonschema.validate(written, json.loads(SCHEMA.read_text()))
@@ -50,7 +50,7 @@ def proven(study: Path, folder: Path) -> Refinement:
 def replayed(
     variant: Variant, problem: Problem, logs: Sequence[Log], folder: Path, horizons: Sequence[float] = ()
 ) -> dict[float, Evidence]:
-    """Replays of a variant through what is delivered."""
+    """Return replays of a variant through the delivered object."""
     with Workplace(folder, in_process=True) as place:
         return replay_logs(variant, variant.subject.replayer(place), problem, logs, horizons)
 
@@ -60,7 +60,10 @@ def named(r: Refinement) -> set[str]:
 
 
 def holds(r: Refinement, effect: str, parameter: str, truth: float) -> bool:
-    """The interval, widened to 99.99 %, holds the truth: five tests of 95 % would fail one time in four."""
+    """Return whether the interval, widened to 99.99 %, contains the truth.
+
+    Of five tests with 95 % intervals, one in four runs would fail.
+    """
     entry = next(e for e in r.record["effects"] if e["name"] == effect)["parameters"][parameter]
     low, high = entry["ci95"]
     half = 2.0 * (high - low) / 2.0

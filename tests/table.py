@@ -16,7 +16,7 @@ INERTIA, DAMPING, STIFFNESS, RUBS = 0.02, 0.01, 0.5, 0.05
 
 
 def table_log(path: Path, seed: int) -> None:
-    """A rotary table under a held torque, by another integrator and other code than the page's."""
+    """Return a log of a rotary table under a held torque, from an integrator and code independent of the page's."""
     rng, time = np.random.default_rng(seed), times(20.0)
     waves = zip((0.3, 0.2, 0.15), (1.1, 3.7, 6.3), rng.uniform(0, 6, 3), strict=True)
     torque = np.sum([a * np.sin(w * time + p) for a, w, p in waves], axis=0)

@@ -16,7 +16,7 @@ MODEL = (ROOT / "examples" / "tanks" / "model.py").read_text(encoding="utf-8")
 
 
 def tank_log(path: Path, seed: int, seconds: float = 400.0, step: float = STEP) -> Path:
-    """A log of a tank that leaks LEAK·h, filled in steps; the gauge has noise."""
+    """Return a log of a tank with leak LEAK·h, filled in steps, with a noisy gauge."""
     rng = np.random.default_rng(seed)
     time = step * np.arange(round(seconds / step) + 1)
     inflow = np.repeat(rng.uniform(0.01, 0.05, time.size // 40 + 1), 40)[: time.size]

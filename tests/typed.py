@@ -98,7 +98,7 @@ TYPED3 = """<?xml version="1.0" encoding="UTF-8"?>
 
 @cache
 def library(version: int) -> Path:
-    """The library, compiled for this machine; the test is skipped where that cannot be."""
+    """Return the library compiled for this machine; skip the test without a compiler."""
     command = compiler()
     if command is None or platform.system() != "Linux" or platform.machine() != "x86_64":
         pytest.skip("no C compiler for this platform")
@@ -126,7 +126,7 @@ def typed_fmu(
 
 
 def numbers_fmu(folder: Path) -> Path:
-    """Of FMI 3.0, without the variables that no row of doubles holds."""
+    """Return an FMU of FMI 3.0 without variables outside the row of doubles."""
     dropped = [line + "\n" for line in TYPED3.splitlines() if re.search("Int64|String|Binary", line)]
     dropped += [f'<Output valueReference="{k}" dependencies=""/>' for k in (4, 8, 10)]
     return typed_fmu(folder, 3, **dict.fromkeys(dropped, ""))

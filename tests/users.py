@@ -22,7 +22,7 @@ PATH = os.pathsep.join([str(ROOT), *(entry for entry in sys.path if entry.endswi
 
 
 def other_user(**environment: str) -> dict[str, Any]:
-    """Return the arguments of `cosim` that make a command the other user's; skip if there can be none."""
+    """Return the arguments of `cosim` for a command of a second user; skip if impossible."""
     if os.name == "nt" or os.geteuid() != 0:
         pytest.skip("only root can act as another user")
     own = {"PATH": os.environ["PATH"], "PYTHONPATH": PATH, **environment}
@@ -37,7 +37,7 @@ def other_user(**environment: str) -> dict[str, Any]:
 
 @contextmanager
 def shared_folder() -> Iterator[Path]:
-    """Make a folder like /tmp, in which every user may make files and nobody may remove those of another."""
+    """Make a folder like /tmp: every user may make files and only remove own files."""
     made = Path(tempfile.mkdtemp(dir="/tmp", prefix="shared-"))
     try:
         made.chmod(0o1777)

@@ -97,7 +97,7 @@ def measured(truth: Truth, rows: int, seed: int) -> tuple[Array, Array, Array]:
 
 
 def write(path: Path, opening: Array, drop: Array, flow: Array, header: str = "drop [kPa],flow,opening") -> None:
-    """A table, its columns in another order than the model's and one in another unit."""
+    """Write a table with columns in an order different from the model's, and a column with a different unit."""
     rows = (f"{d / 1000:.6g},{q:.6f},{o:.6g}" for o, d, q in zip(opening, drop, flow, strict=True))
     path.write_text("\n".join([header, *rows]) + "\n", encoding="utf-8")
 

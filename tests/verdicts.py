@@ -22,7 +22,7 @@ ESTIMATE = r"(\w+) = ([-\d.e+]+) ± ([-\d.e+]+)"
 
 
 def contradictions(record: Record, folder: Path | None = None) -> list[str]:
-    """Everything in which a record contradicts itself, and the files beside it."""
+    """Return all contradictions within a record, and with the files beside it."""
     rules = (
         _names, _intervals, _estimates, _grade, _rivals, _nearest, _share, _left, _misses, _floors, _sealed, _improved,
     )  # fmt: skip
@@ -35,7 +35,7 @@ def _claimed(record: Record) -> list[str]:
 
 
 def _names(record: Record) -> Iterator[str]:
-    """What is claimed is not invisible; the ranking claims it, and nothing else; the sentence names what is certain."""
+    """Yield contradictions of claimed names with hidden names, ranking and sentence."""
     claimed, said = _claimed(record), record["sentence"]
     if both := set(claimed) & set(record["hidden"]):
         yield f"claimed, and not to be seen: {sorted(both)}"
@@ -52,14 +52,14 @@ def _names(record: Record) -> Iterator[str]:
 
 
 def _untold(names: list[str], said: str) -> list[str]:
-    """Names that a sentence does not have; of more than three it has the first, and their number."""
+    """Return names missing in a sentence; of more than three, it must contain the first and their number."""
     if len(names) > MOST_NAMED and not re.search(rf"\b{len(names)} \w+: ", said):
         return names
     return [name for name in names[:MOST_NAMED] if name not in said]
 
 
 def _intervals(record: Record) -> Iterator[str]:
-    """Each estimate is in the middle of its interval."""
+    """Yield estimates that are not in the middle of their interval."""
     for entry in record["effects"]:
         for name, p in entry["parameters"].items():
             low, high = p["ci95"]
@@ -104,7 +104,7 @@ def _grade(record: Record) -> Iterator[str]:
 
 
 def _rivals(record: Record) -> Iterator[str]:
-    """Rivals are of an open question; each is named, or all are counted, and so is what would decide."""
+    """Yield contradictions of rivals with verdict, sentence and experiment."""
     rivals, said = record["rivals"], record["sentence"]
     if (record["verdict"] == "ambiguous") != bool(rivals):
         yield f"{record['verdict']} with rivals {rivals}"
@@ -121,7 +121,7 @@ def _rivals(record: Record) -> Iterator[str]:
 
 
 def _nearest(record: Record) -> Iterator[str]:
-    """Where not all is claimed, there is a nearest model, and the sentence says what it holds."""
+    """Yield contradictions of an incomplete claim with its nearest model and the sentence."""
     error, held = (
         record["error"],
         re.search(r"nearest\.yaml predicts held-out logs best; it (.*?)\.(?: |$)", record["sentence"]),
@@ -161,7 +161,7 @@ def _share(record: Record) -> Iterator[str]:
 
 
 def _improved(record: Record) -> Iterator[str]:
-    """The share of the squared error that a claim explains is that of the errors on sealed logs."""
+    """Yield a contradiction of the explained share of squared error with the errors on sealed logs."""
     text = r"claim explains ((?:less than |more than )?[\d.]+\u00a0%) of the squared error that the (\w+) model has"
     found = re.search(text, record["sentence"])
     if found is None:
@@ -174,7 +174,7 @@ def _improved(record: Record) -> Iterator[str]:
 
 
 def _excess(record: Record, part: str = "estimation") -> dict[str, float]:
-    """Channel → share of the excess error that is left, where there was an excess."""
+    """Return channel → remaining share of the excess error, for channels with excess."""
     before, after, floor = (
         x[part] for x in (record["error"]["before"], record["error"]["after"], record["noise_floors"])
     )
@@ -217,7 +217,7 @@ def _misses(record: Record) -> Iterator[str]:
 
 
 def _floors(record: Record) -> Iterator[str]:
-    """No floor is above the error by more than it scatters, or a warning says so."""
+    """Yield floors far above the error without a warning."""
     for part, floors in record["noise_floors"].items():
         scatters = record["floor_scatters"][part]
         for name, floor in floors.items():
@@ -235,7 +235,7 @@ def _floors(record: Record) -> Iterator[str]:
 
 
 def _sealed(record: Record) -> Iterator[str]:
-    """An error that is said to rise on sealed logs does, and begins the sentence."""
+    """Yield contradictions of the errors on sealed logs with a rise stated at the start of the sentence."""
     for name in re.findall(r"the error of (\w+) rises from", record["sentence"]):
         variant = "after" if record["effects"] else "nearest"
         before, after = (record["error"][v]["validation"][name] for v in ("before", variant))

@@ -37,13 +37,13 @@ class Forked:
         self.returncode: int | None = None
 
     def poll(self) -> int | None:
-        """Its exit code, None while it runs."""
+        """Return the exit code, None while running."""
         with suppress(subprocess.TimeoutExpired):
             self.wait(0.0)
         return self.returncode
 
     def wait(self, timeout: float | None = None) -> int:
-        """Its exit code, once it has ended."""
+        """Wait for the end and return the exit code."""
         if self.returncode is None:
             if not select.select([self._status], [], [], timeout)[0]:
                 raise subprocess.TimeoutExpired("worker", timeout or 0.0)
@@ -52,7 +52,7 @@ class Forked:
         return self.returncode
 
     def kill(self) -> None:
-        """End it now."""
+        """Kill the process."""
         if self.poll() is None:
             with suppress(ProcessLookupError):
                 os.kill(self.pid, signal.SIGKILL)
@@ -66,7 +66,7 @@ class Forker:
         self._fixed: dict[str, str] = {}
 
     def spawn(self) -> Any:
-        """A worker, as of `cosim.isolation.process`; a fresh one where the environment was changed for it to read."""
+        """Return a forked worker as in `cosim.isolation.process`, or a fresh process if its environment was changed."""
         if self._process is None:
             self._fixed = _read_at_start()
             self._socket, other = socket.socketpair()
@@ -88,7 +88,7 @@ class Forker:
         return Forked(pid, streams, ours[3])
 
     def end(self) -> None:
-        """End it."""
+        """End the forker."""
         if self._process is not None:
             self._socket.close()
             self._process.wait()
@@ -133,7 +133,7 @@ def serve(asked: socket.socket) -> None:
 
 
 def _tell(told: dict[int, int]) -> None:
-    """Let the callers of workers that have ended know how."""
+    """Report the exit codes of ended workers to their callers."""
     with suppress(ChildProcessError):
         while told and (ended := os.waitpid(-1, os.WNOHANG))[0]:
             number = told.pop(ended[0])
@@ -143,7 +143,7 @@ def _tell(told: dict[int, int]) -> None:
 
 
 def _work(numbers: list[int], environment: dict[str, str], folder: str) -> NoReturn:
-    """Be a worker: as Python would be after it has started one."""
+    """Run as a worker, as after a start by Python."""
     from cosim.isolation.worker import main
 
     code = 1

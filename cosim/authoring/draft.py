@@ -35,7 +35,7 @@ MAX_PORTS = 6  # inputs and outputs in a message
 
 @dataclass(frozen=True)
 class Draft:
-    """Connections, coupling algorithm and warnings of a written first scenario."""
+    """Connections, coupling algorithm and warnings of a first scenario."""
 
     matches: Matches
     algorithm: str
@@ -90,14 +90,14 @@ def write_single(
 
 
 def _read_earlier(path: Path) -> str:
-    """Return the text of an earlier scenario, or an empty text for a file too long to be one of ours."""
+    """Return the text of an earlier scenario, or an empty text for a file longer than any first scenario."""
     return path.read_text(encoding="utf-8", errors="replace") if path.stat().st_size <= MOST_BYTES else ""
 
 
 def _choose_times(
     part: DraftPart, recording: DraftRecording | None, stop: float | None, step: float | None
 ) -> tuple[RequestedTimes, tuple[str, ...]]:
-    """Return the requested times of a run and notes. A recording is played from its first row to its last."""
+    """Return the requested times of a run, by default those of the recording, and notes."""
     declared = experiment_of(part.description).get("start")
     if recording is None:
         _check_end(part.path, declared, stop)
@@ -220,7 +220,7 @@ def _platform_warnings(parts: Sequence[DraftPart]) -> Iterator[str]:
 
 
 def _drop_loops(parts: Sequence[DraftPart], matches: Matches) -> Matches:
-    """Remove guessed connections that close an algebraic loop."""
+    """Return the matches without guessed connections in algebraic loops."""
     every = matches.connections
     connections = [m for m in every if not m.guess]
     if _algorithm(parts, connections) is not DEFAULT:

@@ -75,12 +75,12 @@ def scenario_text(
 
 
 def seal(text: str) -> str:
-    """Return a scenario with a digest of its lines."""
+    """Return a scenario with a last line that contains the digest of its text."""
     return f"{text}{SEAL}{sha256(text.encode()).hexdigest()}\n"
 
 
 def is_edited(text: str) -> bool:
-    """Return whether a sealed scenario was edited."""
+    """Return whether a scenario contradicts its digest."""
     lines, digest, _ = text.rpartition(SEAL)
     return bool(digest) and text != seal(lines)
 
@@ -110,7 +110,7 @@ def _component(folder: Path, part: DraftPart, times: Times) -> Iterator[str]:
 
 
 def _parameter(v: Any) -> str:
-    """Return a commented parameter: start value, unit, description."""
+    """Return a commented YAML line: name, start value, unit, description."""
     text, start = v.type == "String", "" if v.start is None else str(v.start)
     about = ", ".join(filter(None, (unit_of(v), _comment(v.description or "")[:80])))
     value = scalar(start if text else start.strip(), literal=not text)

@@ -84,7 +84,7 @@ def export_ssp(
 
 
 def _target(file: ScenarioFile, path: Path) -> Path:
-    """Return the file to write, named after the scenario in a folder; raise InputError for an input."""
+    """Return the SSP file to write, in a folder with the scenario's name; raise InputError for an unsuitable path."""
     if path.is_dir():
         path = path / f"{re.sub(r'[^A-Za-z0-9_.-]+', '_', file.scenario.name) or 'system'}.ssp"
     if path.suffix.lower() != ".ssp":
@@ -100,7 +100,7 @@ def _split(signal: str) -> tuple[str, str]:
 
 
 def _notes(file: ScenarioFile) -> Iterator[str]:
-    """Yield notes on omissions and differences of importing tools."""
+    """Yield notes on parts missing in the SSP, and on a coupling algorithm that importing tools lack."""
     scenario = file.scenario
     if any(connection.noise for connection in scenario.connections):
         yield messages.NOISE_OMITTED()
@@ -115,7 +115,7 @@ def _notes(file: ScenarioFile) -> Iterator[str]:
 
 
 def _faults(file: ScenarioFile, system: System) -> Iterator[Fault]:
-    """Yield faults of anything SSP or its importing tools lack."""
+    """Yield a fault for each part of a scenario that SSP or importing tools cannot hold."""
     scenario = file.scenario
     for key in ("faults", "events"):
         if getattr(scenario, key):
@@ -139,7 +139,7 @@ def _faults(file: ScenarioFile, system: System) -> Iterator[Fault]:
 
 
 def _objections(file: ScenarioFile, system: System, connection: Connection) -> Iterator[str]:
-    """Yield objections of importing tools to a connection."""
+    """Yield reasons why importing tools cannot hold a connection."""
     signals = system.signals
     if connection.source not in signals or connection.target not in signals:
         yield messages.ARRAY_CONNECTION()
@@ -161,7 +161,7 @@ def _objections(file: ScenarioFile, system: System, connection: Connection) -> I
 
 
 def _model(file: ScenarioFile, name: str, system: System) -> SspFmu:
-    """Return an FMU's outputs, connected inputs, changed start values."""
+    """Return an FMU for the SSP, with its outputs, connected inputs and changed start values."""
     block = next(stage.component for stage in system.stages if stage.component.name == name)
     assert isinstance(block, FmuBlock)
     targets = {c.target for c in file.scenario.connections}
@@ -185,7 +185,7 @@ def _is_default(variable: Any, value: Any) -> bool:
 
 
 def _convert_value(variable: Any, value: Any) -> tuple[str, Value]:
-    """Return SSP's type and value; an enumeration's item by name."""
+    """Return the SSP type and the value of a variable; items of enumerations become names."""
     if variable.type == "Enumeration":
         items = {number: name for name, number in enumeration_items(variable).items()}
         return "Enumeration", items.get(value, str(value))
@@ -207,7 +207,7 @@ def _source(file: ScenarioFile, name: str, component: ReferenceComponent | Playb
 
 
 def _profile(profile: Profile) -> TimeSignal:
-    """Return a profile's changes, each from the value reached before. Degrees become radians."""
+    """Return a reference profile as steps and ramps in radians."""
     unit, factor = computed_in(profile.unit)
     changes = []
     for k, change in enumerate(profile.changes):
@@ -217,7 +217,7 @@ def _profile(profile: Profile) -> TimeSignal:
 
 
 def _recording_signals(path: Path, names: set[str]) -> dict[str, TimeSignal]:
-    """Return used columns of a recording, held between rows."""
+    """Return columns of a recording, held between rows."""
     table = read_columns(path, names)
     times = table.values["time"]
     signals = {}

@@ -38,7 +38,7 @@ def graph_of(path: Path, overrides: Sequence[str] = ()) -> Graph:
 
 
 def check_picture(path: Path, graph: Graph) -> None:
-    """Raise InputError if the file is anything but an earlier diagram."""
+    """Raise InputError for an existing file that is no diagram."""
     if not path.exists():
         return
     with path.open(encoding="utf-8", errors="replace") as stream:

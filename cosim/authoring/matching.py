@@ -28,7 +28,7 @@ Port = tuple[str, Signal]  # component, signal
 
 @dataclass(frozen=True)
 class Match:
-    """A connection by matching.
+    """A connection found by matching names and units.
 
     Attributes:
         guess: Basis of the match; "" for equal names.
@@ -62,7 +62,7 @@ class Matches:
 
     @property
     def any_candidate(self) -> bool:
-        """Return whether any output fits an input."""
+        """Return whether some output fits some input."""
         return bool(self.connections) or any(candidates for _, candidates in self.unconnected)
 
 
@@ -85,7 +85,7 @@ def match_ports(
 
 
 class _Matching:
-    """Matching in progress; `open` holds undecided inputs by name."""
+    """Matching in progress; `open` holds the undecided inputs by name."""
 
     def __init__(self, outputs: Sequence[Port], inputs: Sequence[Port], sizes: Mapping[str, int]) -> None:
         self.inputs = {text(i): i for i in inputs}
@@ -98,7 +98,7 @@ class _Matching:
         self.used: set[str] = set()  # connected outputs
 
     def matches(self) -> Matches:
-        """Connect by name, by similarity, then remaining unique pairs."""
+        """Connect equal names, similar names, then remaining unique pairs."""
         self._connect_same_names()
         while best := self._best():
             target, (source, *others) = best
@@ -147,7 +147,7 @@ class _Matching:
         return [(net, source) for net, score, source in scored if score >= MIN_SCORE]
 
     def _best(self) -> tuple[Port, list[Port]] | None:
-        """Return the input with the best matching output, and its likely outputs; None without a clear best."""
+        """Return the input with the highest score and its likely outputs; None if no input has a clear best output."""
         best: tuple[float, Port, list[Port]] | None = None
         for target in self.open.values():
             likely = self._likely(target)
@@ -158,7 +158,7 @@ class _Matching:
         return None if best is None else best[1:]
 
     def _connect_remaining(self) -> None:
-        """Connect each remaining input for which only one output remains, if no other input needs that output."""
+        """Connect unused outputs and inputs that have no alternative."""
         sources: dict[str, Port] = {}
         for name, target in self.open.items():
             is_reference = _is_reference(target[1].name)
@@ -180,7 +180,7 @@ def fits(source: Port, target: Port, sizes: Mapping[str, int]) -> bool:
 
 
 def similarity(a: str, b: str) -> float:
-    """Return the similarity of two names, 0 … 1. It is based on common words and common beginnings."""
+    """Return the similarity of two names, 0 … 1."""
     first, second = sorted((_words(a), _words(b)), key=len)
     if not first or _is_reference(a) != _is_reference(b):
         return 0.0

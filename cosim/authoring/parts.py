@@ -61,7 +61,7 @@ class DraftPart:
 
     @property
     def sizes(self) -> dict[str, int]:
-        """Return arrays `component.variable` with numbers of elements."""
+        """Return array `component.variable` → number of elements."""
         block = self.block
         every = (*block.inputs, *block.exact_inputs, *block.outputs, *block.exact_outputs)
         return dict(Counter(f"{self.name}.{s.array}" for s in every if s.array and not s.local))
@@ -103,7 +103,7 @@ class Times:
 
 
 def component_name(stem: str, model: str = "") -> str:
-    """Return a component name from the file, or if long from the model."""
+    """Return a component name from the file name, or from the model name if the file name is long."""
     name = _identifier(stem)
     if len(name) > LONGEST:
         name = _identifier(model.rpartition(".")[2]) or name
@@ -174,7 +174,7 @@ def _span(request: RequestedTimes, experiments: Mapping[str, Mapping[str, float]
 
 
 def _move_end(t: Times, steps: int) -> Times:
-    """Move the end to a whole number of steps. Components with longer steps keep their own."""
+    """Move the end to a whole number of steps."""
     t = replace(t, own={n: own for n, own in t.own.items() if own > t.step * (1 + SLACK)})
     duration = float(f"{steps * t.step:.12g}")
     if abs(duration - t.duration) <= SLACK * t.duration:
@@ -228,6 +228,6 @@ def _own_step(part: DraftPart) -> float:
 
 
 def _round(step: float) -> float:
-    """Return the next lower 1, 2 or 5 × 10^n."""
+    """Return a step rounded down to 1, 2 or 5 × 10^n."""
     power = 10.0 ** math.floor(math.log10(step) + 1e-9)
     return float(f"{max(m * power for m in (1, 2, 5) if m * power <= step * (1 + 1e-9)):.12g}")

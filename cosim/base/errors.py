@@ -13,7 +13,7 @@ from cosim.base.messages import code_of, join, with_prefix
 
 @dataclass(frozen=True, order=True)
 class Fault:
-    """A fault of a file: its place and a message with the remedy. Line and column count from 1; 0 means unknown."""
+    """A fault of a file: place and message with the remedy. Line and column count from 1; 0 means unknown."""
 
     file: Path
     line: int
@@ -88,7 +88,7 @@ class FmuError(CosimError):
     exit_code = 3
 
     def fault(self, file: Path, name: Path | None = None) -> Fault:
-        """Return the error as a fault of a file; `name`, by default the file, no longer begins the message."""
+        """Return the error as a fault of a file, with `name` (by default the file) removed from the message."""
         beginning = f"{name or file} "
         return Fault(file, 0, 0, str(self).removeprefix(beginning), self.exit_code)
 

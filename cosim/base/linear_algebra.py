@@ -29,10 +29,7 @@ def pseudo_inverse(matrix: Array) -> Array:
 
 
 def solution(matrix: Array, side: Array) -> Array:
-    """Return the solution of square equations.
-
-    The least-squares solution replaces the solution of singular equations.
-    """
+    """Return the solution of square equations, least-squares if singular."""
     result = _result(np.linalg.solve, matrix, side)
     return least_squares(matrix, side) if result is None else result
 

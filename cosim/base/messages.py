@@ -13,10 +13,10 @@ from typing import Any, SupportsIndex
 
 
 class Message(str):
-    """A text for the user.
+    """A text for the user, with a code and field values.
 
     Attributes:
-        code: Code of its template, "" for a text without one.
+        code: Code of its template, "" without template.
         fields: Values in the text.
     """
 
@@ -60,7 +60,7 @@ class Template:
         return Message(self.text.format_map(fields), self.code, fields)
 
     def around(self, error: object, **fields: Any) -> Message:
-        """Return the message with an error in its field `error`; the code of the error is kept, if it has one."""
+        """Return the message with an error in its field `error`; a code of the error replaces the template's."""
         message = self(error=str(error), **fields)  # errors themselves need not survive a pickle
         return Message(message, code_of(error) or self.code, message.fields)
 

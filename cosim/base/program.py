@@ -51,8 +51,7 @@ def as_program(entry: Callable[[], None]) -> None:
 class _Keyboard:
     """Handler of SIGINT: interrupt a running command, end the process of a finished command.
 
-    Python runs handlers after calls. No handler can therefore run between a command's end and the assignment after it.
-    Changing the handler instead would be a call, and a signal during this call could raise KeyboardInterrupt.
+    A finished command sets `is_done`. Exchanging the handler instead would leave a moment for a KeyboardInterrupt.
     """
 
     is_done = False
@@ -65,11 +64,11 @@ class _Keyboard:
 
 @contextmanager
 def ending_when_stuck(patience: float = 5.0) -> Iterator[None]:
-    """End the process if the block ignores a stop.
+    """End the process if the `with` block ignores a stop for `patience` [s].
 
-    A stop is SIGINT, SIGTERM or SIGHUP, and `patience` [s] the time left afterwards. Python calls handlers between its
-    own instructions, so a library call without return, as in LAPACK, blocks them for ever. Only for commands, because
-    no cleanup follows; without effect outside the main thread.
+    A stop is SIGINT, SIGTERM or SIGHUP. Python calls signal handlers between its own instructions, so a library call
+    without return, as in LAPACK, blocks them for ever. Only for commands, because no cleanup follows; without effect
+    outside the main thread.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

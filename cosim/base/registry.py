@@ -158,9 +158,7 @@ def names(group: str) -> list[str]:
 
 
 def load(group: str, name: str) -> Any:
-    """Return the object registered under a name.
-
-    An object that fails to import is None, with a warning.
+    """Return the object registered under a name; None, with a warning, if its import fails.
 
     Raises:
         InputError: Two packages register the name.

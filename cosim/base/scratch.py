@@ -42,7 +42,7 @@ class ScratchFolder:
 
 
 def scratch(prefix: str, beside: Path | None = None) -> ScratchFolder:
-    """Return a new locked folder in a swept place. The place is `beside`, by default the folder for temporary files."""
+    """Return a new locked folder in `beside`, by default in the folder for temporary files; remove abandoned ones."""
     sweep(beside or Path(tempfile.gettempdir()), prefix if beside else PREFIX)
     return ScratchFolder(Path(tempfile.mkdtemp(prefix=prefix, dir=beside)))
 
@@ -61,13 +61,13 @@ def process_folder() -> Path:
 
 @contextmanager
 def temporary_folder(name: str) -> Iterator[Path]:
-    """Yield a new folder for the time of the block."""
+    """Yield a new folder, removed after the `with` block."""
     with tempfile.TemporaryDirectory(prefix=f"{name}-", dir=process_folder(), ignore_cleanup_errors=True) as folder:
         yield Path(folder)
 
 
 def sweep(folder: Path, prefix: str) -> None:
-    """Remove this user's folders of killed processes."""
+    """Remove this user's folders left by killed processes."""
     try:
         names = [name for name in os.listdir(folder) if name.startswith(prefix)]
     except OSError:  # The folder may be writable but not readable.

@@ -209,7 +209,7 @@ def _files(value: Any) -> Any:
 
 
 def _is(*types: Any) -> Callable[[Any], bool]:
-    """Return a predicate for instances of some types; a truth value is no number."""
+    """Return a predicate for instances of some types; True and False are no numbers."""
     return lambda value: isinstance(value, types) and (types == (bool,) or not isinstance(value, bool))
 
 

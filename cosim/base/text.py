@@ -21,7 +21,7 @@ def plain(value: float, digits: int | None = 3) -> str:
     """Return a number as text for a report.
 
     Args:
-        digits: Significant digits; None for up to four. Whole digits are never rounded away.
+        digits: Significant digits; None for up to four. Digits before the decimal point are never rounded away.
     """
     if not math.isfinite(value):
         return MISSING if math.isnan(value) else ("∞" if value > 0 else f"{MINUS}∞")
@@ -88,7 +88,7 @@ def join_names(names: Sequence[str]) -> str:
 
 
 def split_sentence(text: str) -> tuple[str, str]:
-    """Return the first sentence of a text, and the others."""
+    """Return the first sentence of a text, and the rest."""
     first, stop, others = text.partition(". ")
     return f"{first}{stop}".strip(), others
 
@@ -110,7 +110,7 @@ def written(unit: str, times: str = "·") -> str:
 
 
 def finer(unit: str, size: float) -> tuple[str, float]:
-    """Return a unit and factor for a small error."""
+    """Return a unit and a factor in which a small error has readable digits."""
     if unit == "m" and size < 1.0:
         return "mm", 1000.0
     if unit == "m/s" and size < 0.05:

@@ -36,7 +36,7 @@ Answer = TypeVar("Answer")
 
 @contextmanager
 def compiling(allowed: bool) -> Iterator[None]:
-    """Set the permission to compile FMU sources for the block."""
+    """Set the permission to compile within a `with` block."""
     token = permission.set(allowed)
     try:
         yield

@@ -119,7 +119,7 @@ class Component(Protocol):
         """Step from `t` to `t + h` [s]; raise EarlyEnd if the component ends the simulation."""
 
     def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
-        """Return a function of (t, h) that makes a step: put the inputs, advance by h, get the outputs.
+        """Return a function of (t, h) for a step: put the inputs, advance by h, get the outputs.
 
         The function is `in_turn` or a faster equivalent. It is valid after `start`.
         """

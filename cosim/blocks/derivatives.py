@@ -34,7 +34,7 @@ def states_of(description: Any) -> list[Any]:
 
 
 def hides_states(description: Any) -> bool:
-    """Return whether a description counts its states without names. Only FMI 1.0 does; its library may name them."""
+    """Return whether a description has a number of states without names, as in FMI 1.0; the library may name them."""
     return bool(description.fmiVersion == "1.0" and description.numberOfContinuousStates > len(description.derivatives))
 
 
@@ -56,7 +56,7 @@ def name_states(path: Path, description: Any, references: Sequence[int]) -> None
 
 
 def reals(description: Any, causality: str) -> list[Any]:
-    """Return real inputs or outputs, of inputs continuous ones only."""
+    """Return real outputs, or continuous real inputs."""
     variables = [v for v in description.modelVariables if v.causality == causality and v.type in REALS]
     return [v for v in variables if causality != "input" or v.variability in (None, "continuous")]
 
@@ -72,7 +72,7 @@ def units_of(variables: Sequence[Any]) -> dict[str, str]:
 
 
 class DifferentiableFmu(FmuBlock):
-    """An FMU for model exchange: `open`, any number of points, `close`."""
+    """An FMU for model exchange, evaluated at single points: `open`, any number of points, `close`."""
 
     def __init__(
         self, name: str, path: Any, description: Any, start: Mapping[str, Any], connected: frozenset[str]
@@ -147,7 +147,7 @@ class DifferentiableFmu(FmuBlock):
         return self._vector(self.instance.fmu.getContinuousStates)
 
     def _vector(self, function: Any) -> Array:
-        """Return the numbers, one per state, that a function of the FMU writes."""
+        """Return the numbers, one per state, from an FMU function."""
         values = np.zeros(self.order)
         if self.order:
             with self.instance.check_calls():
@@ -177,9 +177,7 @@ class DifferentiableFmu(FmuBlock):
 def slopes_at(
     block: DifferentiableFmu, t: float, states: Array, inputs: Array, step: float, *, directional: bool
 ) -> tuple[Array, Array, Array]:
-    """Return slopes, rates with outputs, and states at a point.
-
-    The states are those after events.
+    """Return slopes, derivatives with outputs, and states after events at a point.
 
     Args:
         step: Step of the central differences, relative to max(1, |value|).

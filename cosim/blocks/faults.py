@@ -60,7 +60,7 @@ class LinkFunction(Protocol):
 
 @dataclass(frozen=True)
 class Scaling:
-    """v·factor + offset."""
+    """Conversion of a value v to v·factor + offset."""
 
     factor: float
     offset: float
@@ -74,7 +74,7 @@ class Scaling:
 
 @dataclass(frozen=True)
 class Addition:
-    """v + samples[k]."""
+    """Addition of a sample to a value: v + samples[k] at point k."""
 
     samples: array[float]
 
@@ -86,7 +86,7 @@ class Addition:
 
 
 class WindowFault:
-    """A bias, a scale or a constant between two points."""
+    """A bias, a scale or a constant in a window of communication points."""
 
     def __init__(self, kind: str, window: tuple[int, int], value: float) -> None:
         effects: dict[str, tuple[LinkKind, Callable[[Any], Any]]] = {
@@ -106,7 +106,7 @@ class WindowFault:
 
 
 class Spikes:
-    """v + value where marks[k]."""
+    """Spikes on a value: v + value at each point k with marks[k]."""
 
     def __init__(self, window: tuple[int, int], value: float, marks: bytearray) -> None:
         self.window, self.value, self.marks = window, value, marks

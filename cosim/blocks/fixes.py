@@ -15,7 +15,7 @@ COUNT = "fix"  # name of the counting output
 
 @dataclass(frozen=True)
 class Sensor:
-    """Rate, latency and noise of a fix sensor.
+    """Rate, latency and noise of a sensor of position fixes.
 
     Attributes:
         rate: Fixes per second [Hz].
@@ -35,7 +35,7 @@ class Sensor:
 
 
 class Fixes(RowComponent):
-    """Component that samples its inputs as fixes and outputs them late.
+    """Sensor of position fixes: samples its inputs at a rate and outputs the samples with latency.
 
     Fix j is taken at the first communication point at or after j/rate and appears ⌈latency/step⌉ points later.
 
@@ -70,7 +70,7 @@ class Fixes(RowComponent):
     def get(self) -> None:
         """Write the latest fix.
 
-        While values are still exchanged at the start, the first fix measures the current values.
+        During initialization, the first fix measures the current values at each exchange.
         """
         first = self._first + len(self.inputs)
         if self._point == 0 and self._errors is not None:
@@ -96,7 +96,7 @@ class Fixes(RowComponent):
         return f"{self.name} measures now and then"
 
     def _begin(self) -> None:
-        """Count the fix of the start, and queue a delayed one."""
+        """Count the fix at the start of the run; with latency, queue it."""
         self._measured = 1
         if self._late and self._errors is not None:
             self._queue.append((self._late, self._opening))
@@ -106,9 +106,9 @@ class Fixes(RowComponent):
         return math.ceil(fix / (self.sensor.rate * self.step) - 1e-9)
 
     def _draw(self) -> list[float] | None:
-        """Return the errors of a fix, or None for a lost one.
+        """Return the errors of a position fix, or None for a lost fix.
 
-        Errors are drawn for lost fixes too, so that losses do not change them.
+        Lost fixes use random numbers too, so that losses do not change the errors of later fixes.
         """
         errors = [bias + scale * rng.standard_normal() for rng, scale, bias in self._noise]
         return None if self._losses.random() < self.sensor.dropout else errors

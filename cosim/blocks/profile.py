@@ -82,7 +82,7 @@ class ProfileFunction:
 
 
 def profile_function(profile: Profile, factor: float = 1.0) -> ProfileFunction:
-    """Return a profile as a function of time, scaled by `factor`."""
+    """Return a profile as a scaled function of time."""
     return ProfileFunction(profile, factor)
 
 

@@ -23,11 +23,14 @@ class RestartableFmu(FmuBlock):
         self._begin(start, stop)
 
     def own(self) -> Own:
-        """Return the state that determines the future; raise ValueError, KeyError or TypeError for foreign FMUs."""
+        """Return the state that determines the future.
+
+        Foreign FMUs raise ValueError, KeyError or TypeError.
+        """
         return own_of(self._state())
 
     def remember(self, memory: Memory) -> None:
-        """Write a memory into the state of a cosim FMU. Start values alone can express a constant past only."""
+        """Write a memory into the state of a cosim FMU, since start values can express a constant past only."""
         state = with_memory(self._state(), memory)
         with self.instance.check_calls():
             fmu = self.instance.fmu
@@ -48,7 +51,7 @@ class RestartableFmu(FmuBlock):
         return traits_of(self.path) is not None
 
     def _reset(self) -> bool:
-        """Reset a cosim FMU; return False for others. Some FMUs (20-sim) return OK but stand still afterwards."""
+        """Reset a cosim FMU; return False for foreign FMUs, of which some (20-sim) stand still after a reset."""
         if not self._is_ours:
             return False
         try:

@@ -41,7 +41,7 @@ class SourceBlock(RowComponent):
         self._t = t + h
 
     def slot(self) -> Slot | str:
-        """Return the slot for C, with values prepared by `over`."""
+        """Return the slot for the C loop with prepared values."""
         slot = Slot(0, every=1, time=self._t, scalars=len(self.outputs))
         slot.row = ctypes.addressof(self._row) + 8 * self._first
         return slot
@@ -85,7 +85,7 @@ def playback(name: str, path: Path, names: Collection[str] = ()) -> SourceBlock:
 
 
 class Recorded:
-    """Last recorded value at or before a time; before the first time the first value."""
+    """A recorded signal: last value at or before a time; before the first time the first value."""
 
     def __init__(self, times: Sequence[float], values: Sequence[float]) -> None:
         self.times, self.values = times, values

@@ -159,7 +159,7 @@ class Values:
                 self.instance.judge(f"{self._calls.prefix}Set{function} of {name}", status)
 
     def show(self, values: Mapping[str, Any]) -> None:
-        """Show given or start values of inputs, for FMI 1.0. FMI 1.0 inputs cannot be read before initialization."""
+        """Store given or start values of inputs in the row; FMI 1.0 cannot read inputs before initialization."""
         for exchange in self.ports.inward:
             text = exchange.kind.function == "String"
             starts: list[Any] = []
@@ -194,7 +194,7 @@ class Values:
     # -- moved by C ---------------------------------------------------------------------------
 
     def moves(self) -> tuple[list[Move], list[Move]] | None:
-        """Return C's calls to put and get values. None means values beside the row."""
+        """Return C's calls to put and get values; None if values beside the row exist."""
         ports = self.ports
         if any(exchange.kind.beside for exchange in (*ports.fed, *ports.read)):
             return None

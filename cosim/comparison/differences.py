@@ -36,7 +36,7 @@ class Compared:
         only_b: Signals of run b alone.
         time: Times [s] of a at which b has values too.
         aligned: Whether both runs have the same times.
-        shorter: Note about a run that begins or ends before the other; "" for none.
+        shorter: Note about the shorter of two runs; "" for equal spans of time.
     """
 
     a: RecordedRun
@@ -63,7 +63,7 @@ class Compared:
 
     @property
     def judged(self) -> bool:
-        """Return whether the comparison has a tolerance, and so a verdict."""
+        """Return whether a tolerance was given, so that the comparison has a verdict."""
         return self.tolerance is not None
 
     @property
@@ -103,7 +103,7 @@ class Compared:
         return pandas.DataFrame([asdict(d) for d in self.ranking]).set_index("name")
 
     def plot(self, *names: str) -> Figure:
-        """Return a matplotlib figure with both runs and b − a, by default for the signals that differ most.
+        """Return a matplotlib figure with both runs and b − a, by default for the most different signals.
 
         Raises:
             KeyError: A name is not numeric in both runs.
@@ -161,7 +161,7 @@ class Compared:
 def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None, absolute: float = 0.0) -> Compared:
     """Compare b with a at the times of a.
 
-    Rows of b between rows of a are compared with the range that a spans there.
+    A row of b between two rows of a counts as equal if its value is within the range of both rows.
 
     Args:
         tolerance: Share of each signal's range in a.
@@ -194,7 +194,7 @@ def _names(run: RecordedRun) -> tuple[str, ...]:
 class _Overlap:
     """Rows of run a within the time of run b.
 
-    The attribute `values` holds the numbers of both runs for each compared signal.
+    Attribute `values` collects the numbers of both runs for each compared signal.
     """
 
     def __init__(self, a: RecordedRun, b: RecordedRun, rows: slice, aligned: bool, allowed: Tolerance) -> None:
@@ -248,7 +248,7 @@ def _differ(count: int) -> str:
 
 
 def sentence(c: Compared) -> str:
-    """Return a sentence that summarises the comparison."""
+    """Return a summary of the comparison in a sentence."""
     count, different = len(c.differences), sum(d.largest > 0 for d in c.differences)
     of_both = " that both have" if c.only_a else ""
     every = f"All {counted(count, 'signal')}{of_both} are" if count > 1 else ""
@@ -277,7 +277,7 @@ def _describe_largest(d: Difference) -> str:
 
 
 def _describe_ends(a: RecordedRun, b: RecordedRun) -> Message:
-    """Return a phrase on a run that begins or ends before the other; "" if both cover the same time."""
+    """Return a phrase on the shorter run; "" if both runs cover the same time."""
     step = float(np.max(np.diff(a.results.time))) if a.results.time.size > 1 else 0.0
     parts = []
     for verb, row in (("begins", 0), ("ends", -1)):

@@ -16,7 +16,7 @@ from cosim.base.arrays import Array, Rows
 
 @dataclass(frozen=True)
 class RowsBetween:
-    """Rows of b without equivalent in a, and the surrounding rows of a from `first` to `last`."""
+    """Rows of run b at times missing in run a, and the surrounding rows of a from `first` to `last`."""
 
     rows: Rows
     time: Array
@@ -26,7 +26,7 @@ class RowsBetween:
     def outside(self, a: Array, b: Array) -> tuple[float, float]:
         """Return the largest distance of b from the range spanned by the surrounding rows of a, and its time [s].
 
-        The distance is infinite if only one run has a number, and 0 if b has no rows between those of a.
+        The distance is infinite if a number is missing in a single run, and 0 if b has no rows between rows of a.
         """
         if not self.rows.size:
             return 0.0, 0.0
@@ -43,7 +43,7 @@ class RowsBetween:
         return float(out[row]), float(self.time[row])
 
     def other_text(self, a: Sequence[str], b: Sequence[str]) -> float | None:
-        """Return the time of the first text in b that equals no text in the surrounding rows of a; None without one."""
+        """Return the first time [s] at which the text of b differs from the surrounding texts of a; None if never."""
         for row, time, first, last in zip(self.rows, self.time, self.first, self.last, strict=True):
             if b[int(row)] not in a[int(first) : int(last) + 1]:
                 return float(time)
@@ -51,10 +51,10 @@ class RowsBetween:
 
 
 def rows_between(a: Array, b: Array, tolerance: float) -> RowsBetween:
-    """Return the rows of b that match no row of a, within the time of a.
+    """Return the rows of b between rows of a, without equal time in a.
 
     Args:
-        tolerance: Largest difference of times that count as equal [s].
+        tolerance: Largest difference of equal times [s].
     """
     after, upto = np.searchsorted(a, b - tolerance, side="left"), np.searchsorted(a, b + tolerance, side="right")
     is_apart = np.diff(b) > tolerance

@@ -23,9 +23,9 @@ class Difference:
     """Difference of a signal between two runs.
 
     Attributes:
-        unit: Unit of a, to which b is converted.
-        largest: Largest |b − a| in the unit, at time `at` [s]; infinite if only one run has a number or dimensions
-            differ.
+        unit: Unit of a; b is converted to it.
+        largest: Largest |b − a| in the unit, at time `at` [s]; infinite if a number is missing in a single run or
+            dimensions differ.
         rms: Root mean square of b − a.
         scale: Range of a, for a constant its magnitude, or 1.
         share: largest / scale.
@@ -77,10 +77,7 @@ def common_rows(a: RecordedRun, b: RecordedRun) -> tuple[slice, bool]:
 
 
 def time_tolerance(time: Array) -> float:
-    """Return the largest difference of equal times [s].
-
-    It is far less than a step and more than rounding.
-    """
+    """Return the largest difference [s] of two times that count as equal: less than a step, more than rounding."""
     steps = np.diff(time)
     step = float(np.min(steps[steps > 0.0], initial=1.0))
     return max(SAME_TIME * step, ROUNDING * float(np.max(np.abs(time), initial=0.0)))
@@ -89,11 +86,11 @@ def time_tolerance(time: Array) -> float:
 def compare_numbers(
     name: str, unit: str, time: Array, values: tuple[Array, Array], allowed: Tolerance, by: Conversion
 ) -> Difference:
-    """Return the difference of a numeric signal whose units are equal or convertible.
+    """Return the difference of a numeric signal with convertible units.
 
     Args:
         values: Values of a, and of b converted to the unit of a.
-        by: The conversion of b; differences within its rounding count as 0.
+        by: Conversion of b; differences within its rounding count as 0.
     """
     first, second = values
     same = (first == second) | (np.isnan(first) & np.isnan(second))
@@ -113,7 +110,11 @@ def compare_numbers(
 
 
 def include_rows_between(d: Difference, outside: float, at: float, allowed: Tolerance) -> Difference:
-    """Return a difference enlarged by rows between those of a."""
+    """Return a difference enlarged by intermediate rows of b.
+
+    Args:
+        outside: Largest distance of these rows from the range of a, at time `at` [s].
+    """
     if outside <= max(d.largest, ROUNDING * d.scale):
         return d
     beyond = d.beyond or allowed.is_exceeded(outside, d.scale)
@@ -122,7 +123,7 @@ def include_rows_between(d: Difference, outside: float, at: float, allowed: Tole
 
 
 def compare_other_units(name: str, unit: str, other: str, time: Array, *, has_tolerance: bool) -> Difference:
-    """Return the difference of a signal whose units are incompatible, which is infinite."""
+    """Return an infinite difference for incompatible units."""
     note = f"in {unit} in one, in {other} in the other"
     return Difference(name, unit, math.inf, float(time[0]), math.inf, 1.0, math.inf, has_tolerance, note, alike=False)
 
@@ -139,7 +140,7 @@ def compare_text(
 ) -> Difference:
     """Return the difference of text: 1 if any row differs, else 0.
 
-    At other times, b's text holds until its next row.
+    A text of b holds until the next row of b.
     """
     aligned = between is None
     first, second = (list(r.results.exact.get(name) or [str(v) for v in r.results[name]]) for r in (a, b))

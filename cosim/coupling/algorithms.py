@@ -78,7 +78,7 @@ WITHOUT_ORDER = OWN[1]  # for components in an algebraic loop, which have no ord
 
 
 def algorithms() -> dict[str, Algorithm]:
-    """Return all available algorithms by name: cosim's own, then those of installed packages."""
+    """Return all available algorithms by name: cosim's own, then algorithms of installed packages."""
     by_name = {algorithm.name: algorithm for algorithm in OWN}
     for algorithm in (load(ALGORITHMS, name) for name in names(ALGORITHMS)):
         if isinstance(algorithm, Algorithm):

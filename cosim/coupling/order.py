@@ -47,7 +47,7 @@ class AlgebraicLoop(Exception):
 def order_by_dependencies(
     components: Mapping[str, Component], edges: Sequence[Edge], order: Sequence[str] | None
 ) -> Plan:
-    """Return a plan in which inputs with direct feedthrough get values of the same time.
+    """Return a plan with values of the same time for inputs with direct feedthrough.
 
     An order stated by the user is kept: connections along this order are immediate, all others are held.
 
@@ -72,7 +72,7 @@ def order_by_dependencies(
 def _open_cycle(
     components: Mapping[str, Component], edges: Sequence[Edge], direct: set[Input], cycle: Sequence[str]
 ) -> tuple[set[Input], str]:
-    """Return inputs of a cycle that have no direct feedthrough and so open the cycle, and a note.
+    """Return inputs of a cycle without direct feedthrough, which open the cycle, and a note.
 
     The note states an assumption about undeclared feedthrough; "" if none was necessary.
     """

@@ -22,10 +22,10 @@ def data_of(
 ) -> Data:
     """Return a log in equal steps.
 
-    A missing row holds its command and has no measurement.
+    In a missing row, the previous command continues and measurements are missing.
 
     Args:
-        settle: Time until lags have forgotten an unknown start [s], see `settling`.
+        settle: Time [s] after which an unknown start state is negligible, see `settling`.
     """
     if log.table:
         return _data_of_table(log, layout)
@@ -53,7 +53,7 @@ def _data_of_table(log: Log, layout: Layout) -> Data:
 
 
 def _outputs(log: Log, layout: Layout) -> Array:
-    """Return the measurements of all outputs, NaN for an output that the log lacks."""
+    """Return the measurements of all outputs, NaN if missing."""
     nothing = np.full(log.rows, np.nan)
     return np.column_stack([log.outputs.get(name, nothing) for name in layout.outputs])
 
@@ -61,7 +61,7 @@ def _outputs(log: Log, layout: Layout) -> Array:
 def folds(logs: Sequence[Data]) -> list[Data]:
     """Return tables in parts for cross-validation, without unmeasured rows.
 
-    Each row is a part, or evenly spread rows are for many rows.
+    Each row is a part; with many rows, parts are evenly spread rows.
     """
     measured = [np.flatnonzero(np.isfinite(data.y).any(axis=1)) for data in logs]
     total = sum(rows.size for rows in measured)

@@ -43,7 +43,7 @@ def expected_value(f: Fit, name: str, besides: str = "") -> tuple[float, float]:
 
 
 def expected_values(f: Fit, group: str) -> dict[str, float]:
-    """Return the expected values of a group with their spread, from the other groups."""
+    """Return the expected values of a group with their spread, from all further groups."""
     values = {}
     for name in dict.fromkeys(x.parameter for x in f.free if x.group):
         values[own(name, group)], values[spread(name, group)] = expected_value(f, name, group)
@@ -51,7 +51,7 @@ def expected_values(f: Fit, group: str) -> dict[str, float]:
 
 
 def fit_for_held_out(problem: Problem, f: Fit, index: int) -> Fit:
-    """Return a fit to the other logs, with expected parameters for an unknown group."""
+    """Return a fit without a held-out log, completed by expected parameters if the log's group is unknown."""
     if not problem.own:
         return f
     groups = [origin.group for origin in problem.origins]

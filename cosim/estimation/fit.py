@@ -52,7 +52,7 @@ ENDLESS = Patience()
 
 @dataclass(frozen=True)
 class Fit:
-    """Result of a fit: parameter values, noise, NLL by log, and the information of free parameters, noise last.
+    """Result of a fit: parameter values, noise, NLL by log, and information matrix of free parameters and noise.
 
     Attributes:
         scattered: Covariance of the free parameters by scatter over blocks of time.
@@ -214,7 +214,7 @@ class _Scoring:
         return {**self.start, **values}, self.noise.like(self._noise_vector(theta))
 
     def _noise_vector(self, theta: Array) -> Array:
-        """Return all noise values: the free ones from θ, the others from the start."""
+        """Return all noise values, fixed and free (from θ)."""
         vector = self.noise_start.copy()
         vector[self.free_noise] = theta[len(self.free) :]
         return vector
@@ -262,7 +262,7 @@ class _Scoring:
         return np.nan_to_num(de, posinf=0.0, neginf=0.0), np.nan_to_num(dls, posinf=0.0, neginf=0.0)
 
     def _evaluate_step(self, i: int, h: float) -> Scored:
-        """Filter with component `i` of θ moved by `h`."""
+        """Return errors and variances after a step of θ_i."""
         theta = self.theta.copy()
         theta[i] += h
         return self._evaluate(theta)

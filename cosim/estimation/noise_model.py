@@ -41,7 +41,7 @@ class Noise:
         return np.concatenate([self.power, [self.memory], self.sensors, self.timing])
 
     def like(self, vector: Array) -> Self:
-        """Return noise of the same sizes from one vector."""
+        """Return noise of the same shapes from a vector."""
         n, m = len(self.power), len(self.sensors)
         power, memory, sensors, timing = np.split(vector, [n, n + 1, n + 1 + m])
         return type(self)(power, float(memory[0]), sensors, timing)
@@ -54,7 +54,7 @@ class Noise:
 
 @dataclass(frozen=True, eq=False)
 class NoiseRange:
-    """Log power of each unknown input at which ln s rises by SMALLEST, QUIET, PLAIN and LARGEST."""
+    """Log power of each unknown input at which ln s rises by SMALLEST to LARGEST, s being the innovation variance."""
 
     smallest: Array
     quiet: Array
@@ -83,10 +83,10 @@ class NoiseLimits:
 
 
 def noise_range(variances: Callable[[Array, bool], Array], count: int) -> NoiseRange:
-    """Return the range of noise power to search for each unknown input.
+    """Return the range of noise power to search.
 
     The smallest level must be invisible at the longest memory too. Otherwise a fit with a longer memory would gain from
-    an unknown input that is meant to be off.
+    an unknown input that should be inactive.
 
     Args:
         variances: Function from (ln power, whether to use the longest memory) to the innovation variances.

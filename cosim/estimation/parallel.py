@@ -49,7 +49,7 @@ def in_parallel(work: Callable[[Item], Result], items: Sequence[Item]) -> list[R
 
 
 def _wait(helpers: Sequence[Thread]) -> None:
-    """Wait for helpers, and lend this thread's core to their parallel parts."""
+    """Wait for helper threads and lend this thread's core."""
     if helpers:
         _idle.release()
         try:

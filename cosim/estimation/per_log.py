@@ -26,19 +26,19 @@ STEP = 1e-4  # step of differences relative to max(1, value); readings are nearl
 
 @dataclass(frozen=True)
 class Origin:
-    """Group of a log, and states with an initial reading → outputs, by index."""
+    """Group of a log, and its states with an initial reading: index of the state → index of the output."""
 
     group: str
     initial: Mapping[int, int]
 
 
 def own(name: str, group: str) -> str:
-    """Return the name of a group's parameter value."""
+    """Return the name of a parameter's value in a group."""
     return f"{name}@{group}"
 
 
 def spread(name: str, group: str) -> str:
-    """Return the name of a value's standard deviation; a missing entry means a known value."""
+    """Return the name of the standard deviation of a group's value; a missing entry means a known value."""
     return f"spread of {name}@{group}"
 
 
@@ -49,7 +49,7 @@ def own_parameters(
     values: Mapping[str, float],
     tolerance: Mapping[str, float],
 ) -> Iterator[Free]:
-    """Yield each parameter once per group, with a prior around the subject's value."""
+    """Yield each parameter once per group of logs, with a prior around the subject's value."""
     for name in names:
         p, value = subject.declared[name], values[name]
         share = tolerance.get(name, p.tolerance)
@@ -60,7 +60,7 @@ def own_parameters(
 
 
 def drop_own_parameters(candidates: Sequence[Candidate], names: Sequence[str]) -> Iterator[Candidate]:
-    """Yield candidates without parameters per log, which are free in every hypothesis."""
+    """Yield the candidates with parameters per log removed, since these are free in every hypothesis."""
     for c in candidates:
         if free := tuple(f for f in c.free if f.name not in names):
             starts = tuple({n: v for n, v in s.items() if n not in names} for s in c.starts)
@@ -70,9 +70,7 @@ def drop_own_parameters(candidates: Sequence[Candidate], names: Sequence[str]) -
 def start_of_log(
     kernel: Kernel, data: Data, p: Array, x0: Array, own: Mapping[str, tuple[float, float]], initial: Mapping[int, int]
 ) -> tuple[Array, Array]:
-    """Return the start state of a log and its covariance factor L.
-
-    L·L' adds to P0. Shape of L: (stochastic states, constants).
+    """Return the start state of a log, and L with L·L' added to P0, shape (stochastic states, constants).
 
     Args:
         own: Parameter → value and standard deviation.

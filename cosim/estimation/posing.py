@@ -98,10 +98,10 @@ def origins(
 
 
 def start_covariance(subject: Subject, problem: Problem) -> Array:
-    """Return P0 of the stochastic states.
+    """Return the start covariance P0 of the stochastic states.
 
-    A state with initial measurements in every log has 10·r, another the subject's variance. Without either, the squared
-    range of the model's own run on the commands counts, or 1.
+    The variance of a state with initial measurements in every log is 10·r, else the subject's start variance. Without
+    both, the variance is the squared range of the model's own run with the commands, or 1.
     """
     layout = problem.layout
     measured = _measured_at_start(subject, problem)
@@ -131,10 +131,9 @@ def _measured_at_start(subject: Subject, problem: Problem) -> set[str]:
 
 
 def _range(problem: Problem) -> Array:
-    """Return the range of each state in a simulation of the logs.
+    """Return the range of each state in a simulation of the logs, 0 for a state at rest.
 
-    The range is 0 for a state at rest. All ranges are 0 if the run leaves the measurements by more than their span, as
-    an unstable model does.
+    All ranges are 0 if the simulation leaves the measurements by more than their span, as for an unstable model.
     """
     runs = [own_run(problem, index) for index in range(len(problem.logs))]
     for log, run in zip(problem.logs, runs, strict=True):
@@ -186,7 +185,7 @@ def coarsen(problem: Problem, values: Mapping[str, float] | None = None) -> Prob
 
 
 def halve_log(problem: Problem) -> Problem:
-    """Return one log as two halves; the second starts from the filtered state."""
+    """Return the problem with its single log in two halves; the second half starts from the filtered state."""
     (log,), (x0,) = problem.logs, problem.x0
     half = len(log.u) // 2
     halves = [log.rows(0, half), log.rows(half, len(log.u))]

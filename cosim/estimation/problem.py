@@ -85,10 +85,13 @@ class Problem:
 
     Attributes:
         readings: Scored readings, slopes and resolutions of each log.
-        r: Variance of each output; `stated` marks explicit ones, `adjusted` those free in a fit.
-        settle: Time until lags of the given model have forgotten an unknown start [s].
+        r: Variance of each output.
+        stated: True for each output with a stated variance.
+        adjusted: True for each output whose variance is free in a fit.
+        settle: Time [s] after which an unknown start state of the given model is negligible.
         late: Latency parameter → indices of its outputs.
-        own: Free parameters of each group; `origins` holds the group and start of each log.
+        own: Free parameters of each group.
+        origins: Group and start of each log.
     """
 
     kernel: Kernel
@@ -131,7 +134,7 @@ class Problem:
 
     @cached_property
     def noise(self) -> NoiseRange:
-        """Return the range of process noise."""
+        """Return the search range of process noise."""
         step = self.logs[0].step
         rows = round((UNSCORED * slowness(step) + max(RANGE_FROM, RANGE_ROWS * step)) / step)
         logs = [log.rows(0, rows) for log in self.logs]
@@ -157,12 +160,12 @@ class Problem:
 
     @property
     def longest_memory(self) -> float:
-        """Return the longest input correlation time [s]."""
+        """Return the longest correlation time of unknown inputs [s]."""
         longest = max(len(d.u) * d.step for d in self.logs)
         return max(LONGEST_MEMORY * longest, 4.0 * min(d.step for d in self.logs))
 
     def at(self, power: Array) -> Noise:
-        """Return the current noise with another input power."""
+        """Return the noise with a given unknown input power."""
         if self.sensing is not None:
             return replace(self.sensing, power=power)
         return Noise(power, float(np.log(self.values[MEMORY])), np.log(self.r), np.full(len(self.r), -np.inf))
@@ -203,7 +206,7 @@ class Problem:
         return NoiseLimits(*map(np.concatenate, zip(*parts, strict=True)))
 
     def drop_unknown_inputs(self, state: Array) -> Array:
-        """Return a state without unknown inputs, within bounds."""
+        """Return a state within bounds, with unknown inputs zero."""
         plain = state.copy()
         for f in self.own:
             place = self.layout.constants[f.parameter]
@@ -221,7 +224,7 @@ class Problem:
         return {**values, **{name: value for name, (value, _) in self._own(values, index).items()}}
 
     def start(self, values: Mapping[str, float], index: int) -> tuple[Array, Array]:
-        """Return the start state of a log and L; L·L' adds to P0."""
+        """Return the start state of a log, and L with L·L' added to P0."""
         own, x0 = self._own(values, index), self.x0[index]
         if not own:
             return x0, np.zeros((len(self.layout.stochastic), 0))
@@ -279,7 +282,7 @@ class Problem:
     def run(
         self, values: Mapping[str, float], noise: Noise, index: int, *, states: bool = False, data: Data | None = None
     ) -> Filtered:
-        """Filter one log, or other measurements in place of the log's."""
+        """Filter a log, with its own or given measurements."""
         data = self.data(values, index) if data is None else data
         lasting = {MEMORY: float(np.exp(noise.memory))} if self.layout.is_coloured else {}
         x0, more = self.start(values, index)
@@ -293,10 +296,10 @@ class Problem:
     def filter_causally(
         self, data: Data, values: Mapping[str, float], noise: Noise, index: int, rows: Sequence[int]
     ) -> Filtered:
-        """Filter other measurements with the inputs of a log; states in `rows` are causal.
+        """Filter given measurements with the inputs of a log; states in `rows` are causal.
 
         A late reading arrives after the row of its measurement. States in `rows` use only readings that have arrived by
-        then. Several rows share a filter run, which ignores readings that arrive between them. These are few and old.
+        then. Several rows share a filter run. Readings that arrive between them are ignored; these are few and old.
         """
         filtered = self.run(values, noise, index, states=True, data=data)
         late = {k: n for k, by in self.lateness(values, index).items() if (n := round(by)) > 0}
@@ -314,7 +317,7 @@ class Problem:
         return replace(filtered, states=states)
 
     def innovations(self, values: Mapping[str, float], noise: Noise, index: int) -> tuple[Array, Array]:
-        """Return logged errors and variances (rows, outputs)."""
+        """Return innovations and variances of a log (rows, outputs)."""
         filtered = self.run(values, noise, index)
         e, s = filtered.errors, filtered.variances
         for k, late in self.lateness(values, index).items():
@@ -322,7 +325,7 @@ class Problem:
         return e, s
 
     def score(self, values: Mapping[str, float], noise: Noise, only: Sequence[int] | None = None) -> Scored:
-        """Filter some logs, by default all."""
+        """Return innovations and variances of some logs, by default all, one after the other."""
         errors, variances, rows = [], [], []
         for index in range(len(self.logs)) if only is None else only:
             (e, s), readings = self.innovations(values, noise, index), self.readings[index]

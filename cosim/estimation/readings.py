@@ -43,7 +43,11 @@ class Readings:
 
     @staticmethod
     def earlier(table: Array, late: Mapping[int, int]) -> Array:
-        """Return a table with columns shifted to earlier rows."""
+        """Return a table with columns shifted to earlier rows.
+
+        Args:
+            late: Index of a column → number of rows.
+        """
         moved = table.copy()
         for j, rows in late.items():
             if rows:

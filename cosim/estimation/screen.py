@@ -30,13 +30,13 @@ BEYOND = 1.0  # standard deviations by which an estimate may exceed a limit
 
 @dataclass(frozen=True, eq=False)
 class Terms:
-    """A candidate's terms at a fit.
+    """Effect of a candidate on the innovations at a fit.
 
     Attributes:
-        rows: Change by a step of each term, without the share that free parameters can compensate.
+        rows: Change of the innovations by a step of each term, without the part that free parameters can imitate.
         steps: Parameter → size of each step.
         identifiable: Largest χ² of a usual size.
-        switched: True if no small step is informative because the candidate switches on.
+        switched: True if a tiny step already has a large effect, so that small steps are not informative.
     """
 
     candidate: Candidate
@@ -65,7 +65,7 @@ class ScoreTest:
     """Score test with one filter run for each free parameter of a fit.
 
     Args:
-        parts: Parts of the fit on trial, not among the free parameters, for hypotheses without them.
+        parts: Candidates of the fit that the test may remove.
     """
 
     def __init__(self, problem: Problem, at: Fit, parts: Sequence[Candidate] = ()) -> None:
@@ -94,7 +94,7 @@ class ScoreTest:
         return self.noise.like(vector)
 
     def _project(self, row: Array) -> Array:
-        """Return the part of a row orthogonal to the rows of the free parameters."""
+        """Return the part of a row orthogonal to the effects of the free parameters."""
         return row - self.basis @ (self.basis.T @ row)
 
     def row(self, steps: Mapping[str, float]) -> Array:
@@ -104,7 +104,7 @@ class ScoreTest:
             return row if np.isfinite(row @ row) else np.zeros_like(row)
 
     def gain_without(self, rows: Sequence[Array], part: int) -> float:
-        """Return the joint gain of terms on all logs but one, or without a half of a single log."""
+        """Return the predicted joint gain of terms without one log, or without a half of a single log."""
         counts = self.scored.counts
         counts = counts if len(counts) > 1 else (counts[0] // 2, counts[0] - counts[0] // 2)
         of_part = np.repeat(np.arange(len(counts)), counts) == part
@@ -113,7 +113,7 @@ class ScoreTest:
         return 0.5 * float(np.sum((matrix @ least_squares(matrix, kept, rcond=1e-8)) ** 2))
 
     def gain(self, rows: Sequence[Array]) -> tuple[float, Array]:
-        """Return joint gain and optimal multiples of terms."""
+        """Return the predicted joint gain of terms, and the optimal multiples of their steps."""
         detected = np.array([r if r @ r > NOTHING * (self.residual @ self.residual) else 0.0 * r for r in rows])
         multiples = -least_squares(detected.T, self.residual, rcond=1e-8)
         fitted = detected.T @ multiples
@@ -152,7 +152,7 @@ class ScoreTest:
     def _make_terms(
         self, c: Candidate, rows: Sequence[Array], steps: Sequence[Mapping[str, float]], switched: bool = False
     ) -> Terms:
-        """Return terms with detectability in the innovations."""
+        """Return the terms of a candidate with their detectability."""
         innovations = [r[: len(self.scored.errors)] for r in rows]
         identifiable = max((float(r @ r) for r in innovations), default=0.0) / SHARE**2
         return Terms(c, np.array(rows), tuple(steps), identifiable, switched)
@@ -178,8 +178,8 @@ class Choice:
     """Predicted gain of any set of candidates at a fit, from the inner products of their terms.
 
     Attributes:
-        parts: Parts of the fit by name.
-        neutral: Values without any candidate.
+        parts: Candidates of the fit by name.
+        neutral: Parameter values without any candidate.
     """
 
     def __init__(
@@ -197,7 +197,7 @@ class Choice:
     def promise(self, names: Sequence[str]) -> Promise:
         """Return the predicted gain of these candidates.
 
-        The gain is negative for a set without the fit's parts. An estimate beyond a limit counts as invalid.
+        The gain may be negative for a set without a candidate of the fit. An estimate beyond a limit counts as invalid.
         """
         back = self._steps_to_neutral([name for name in self.parts if name not in names])
         places = [k for name in names for k in self.places[name]]
@@ -215,7 +215,7 @@ class Choice:
         return Promise(0.5 * (self.square - remaining), values, within)
 
     def extensions(self, names: Sequence[str]) -> dict[str, Promise]:
-        """Return the predictions for `names` with each other candidate added, largest gain first."""
+        """Return the predictions for each further candidate, best first."""
         promises = {n: self.promise([*names, n]) for n in self.terms if n not in names}
         return dict(sorted(promises.items(), key=lambda item: -item[1].gain))
 

@@ -25,9 +25,9 @@ SMOOTH = 0.3  # share of a channel's level that may come from motion between row
 
 
 def sensor_noise(problem: Problem) -> dict[str, float]:
-    """Return the noise standard deviation of each output that allows an estimate.
+    """Return output → noise standard deviation, where it can be estimated.
 
-    The level is the deviation of readings from four neighbours, which includes fast motion. The model's own run
+    The level is the deviation of readings from four neighbours, which also contains fast motion. The model's own run
     estimates the share of motion. Outputs with a large share, such as sensors slower than the motion, are omitted.
     """
     levels = {}
@@ -45,9 +45,9 @@ def sensor_noise(problem: Problem) -> dict[str, float]:
 
 
 def erring_stamps(problem: Problem, at: Fit) -> Flags:
-    """Return outputs whose time stamps seem to err.
+    """Return outputs whose time stamps seem to have errors.
 
-    Innovations then grow with the rate of change. Rao's score test of a variance τ²·ẏ² at τ = 0:
+    Innovations then grow with the rate of change. The statistic is Rao's score test of a variance τ²·ẏ² at τ = 0:
     Σ ½ ẏ²/s·(e²/s − 1) over √(Σ ½ (ẏ²/s)²).
     """
     scores, information = np.zeros(len(problem.r)), np.zeros(len(problem.r))
@@ -67,7 +67,7 @@ def erring_stamps(problem: Problem, at: Fit) -> Flags:
 
 
 def noise_warnings(problem: Problem, noise: Noise, subject: Subject) -> tuple[Message, ...]:
-    """Return warnings about noise different from the stated noise, or not stated."""
+    """Return warnings about estimated noise that differs from the stated noise or is not stated."""
     stated, units = np.sqrt(problem.r).tolist(), {q.name: q.unit for q in subject.outputs}
     levels = zip(problem.layout.outputs, np.exp(0.5 * noise.sensors).tolist(), stated, problem.stated, strict=True)
     different, unstated, comparisons = {}, {}, []

@@ -38,11 +38,13 @@ class Consistency:
     """Test result for one kind of normalised squares.
 
     Attributes:
-        mean: Mean over runs and times; `region` is its range for a consistent estimator.
-        above, below: Shares of times with a mean outside the region of one time.
-        most: Largest such share of a consistent estimator; 2.5 % is expected.
-        times: Number of independent times with equal scatter.
-        at_times: Mean over the runs at each time; `at_time` is its 95 % region.
+        mean: Mean over runs and times.
+        region: Range of `mean` for a consistent estimator.
+        at_times: Mean over the runs at each time, shape (times,).
+        at_time: 95 % range of each of `at_times` for a consistent estimator.
+        above, below: Shares of `at_times` above and below `at_time`; 2.5 % is expected.
+        most: Upper limit of `above` and `below` for a consistent estimator.
+        times: Number of independent times with the same scatter of the shares.
     """
 
     degrees: int
@@ -58,7 +60,7 @@ class Consistency:
 
     @property
     def share(self) -> float:
-        """Return the share of times within their region; 0.95 is expected."""
+        """Return the share of times with a mean inside the 95 % range; 0.95 is expected."""
         return 1.0 - self.above - self.below
 
     @property
@@ -138,10 +140,10 @@ def consistency_of(squares: Array, degrees: int, *, white: bool = False) -> Cons
 
 
 def independent_times(squares: Array) -> float:
-    """Return the number K of independent times that would scatter the share of exceeded limits as much as these times.
+    """Return the number K of independent times with the same scatter of the share of exceeded limits.
 
-    p·(1 − p)/K = mean of cov(1(z_j > c), 1(z_k > c)), with z_j the nearly normal mean over the runs at time j, its
-    correlations from the runs, and c the 97.5 % quantile.
+    p·(1 − p)/K is the mean covariance of the events z_j > c and z_k > c. Here z_j is the nearly normal mean over the
+    runs at time j, with correlations from the runs; c is the 97.5 % quantile, exceeded with p = 2.5 %.
     """
     off = squares - squares.mean(axis=0)
     size = np.sqrt((off * off).sum(axis=0))
@@ -152,9 +154,9 @@ def independent_times(squares: Array) -> float:
 
 
 def _covariances() -> tuple[Array, Array]:
-    """Return a table: correlations ρ of two normal numbers, and cov(1(z₁ > c), 1(z₂ > c)) for each ρ.
+    """Return correlations ρ of two standard normal variables, and for each ρ the covariance of both exceeding c.
 
-    The covariance is ∫₀^asin ρ exp(−c²/(1 + sin θ)) dθ/2π.
+    The covariance is ∫₀^asin ρ exp(−c²/(1 + sin θ)) dθ/2π, with c the 97.5 % quantile.
     """
     from scipy.integrate import cumulative_simpson
     from scipy.stats import norm

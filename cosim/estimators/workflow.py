@@ -62,7 +62,7 @@ def check_size(runs: int, steps: int) -> None:
     """Check that the samples fit into memory.
 
     Raises:
-        InputError: They do not.
+        InputError: The samples are too many.
     """
     if runs * steps <= MAX_SAMPLES:
         return

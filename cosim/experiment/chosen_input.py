@@ -20,11 +20,12 @@ MAX_LISTED_PAIRS = 5  # pairs listed before the rest is counted
 
 @dataclass(frozen=True)
 class Excitation:
-    """An experiment simulated with the model and its rivals.
+    """A designed experiment, simulated with the model and with each rival hypothesis.
 
     Attributes:
-        apart, usual: Distance of each pair for this and for the usual input [standard deviations].
-        usual_trial: Trial with the usual input.
+        apart: Distance of each pair of rivals [standard deviations].
+        usual: Distance of each pair under the rig's usual input, for comparison [standard deviations].
+        usual_trial: Simulation of the model with the usual input.
     """
 
     question: Question
@@ -37,7 +38,7 @@ class Excitation:
 
     @property
     def score(self) -> tuple[int, float]:
-        """Return the merit, reduced by the rivals' excess over the limits."""
+        """Return the merit, reduced if rivals exceed the limits."""
         return merit_of(self.apart, max([1.0, *(trial.excess(self.question.limits) for trial in self.rivals.values())]))
 
     @property
@@ -53,7 +54,7 @@ class Excitation:
 
     @property
     def distances(self) -> list[str]:
-        """Return one line for each pair, hardest first."""
+        """Return a line per pair, the hardest pair first."""
         return [
             f"{a} from {b}: {self.apart[a, b]:.1f} standard deviations ({self.rig.usual}: {self.usual[a, b]:.1f})"
             for a, b in self.hardest_first

@@ -33,7 +33,7 @@ NOTHING = "nothing"
 
 @dataclass(frozen=True)
 class Question:
-    """Rivals and the pairs to separate.
+    """Question to an experiment: rival hypotheses, and the pairs of rivals to separate.
 
     Attributes:
         loaded: Model under test.
@@ -130,7 +130,7 @@ def refinement_folder(text: str) -> Path | None:
 
 
 def _question_of_refinement(path: Path, against: Sequence[str]) -> Question:
-    """Return the question of a refinement, with fitted rivals, or typical ones if invisible."""
+    """Return the question of a refinement, with rivals as fitted or, without significant fit, of typical size."""
     yaml = YamlFile(path)
     content = yaml.validate(RefineResultPart)
     file = Path(content.study)
@@ -186,9 +186,9 @@ def _fitted_rival(
     candidates: Mapping[str, Candidate],
     values: Mapping[str, float],
 ) -> Rival:
-    """Return a rival as fitted without the other rivals, or unchanged if invisible.
+    """Return a rival with the parameters of its best significant fit without other rivals, else unchanged.
 
-    An invisible rival was fitted to noise, usually to neutral, where no input could separate it.
+    A fit without significance is often close to the neutral value, at which no input separates the rival.
     """
     others = set(names) - {r.name}
     for h in content.candidates:
@@ -211,7 +211,11 @@ def _is_significant(c: Candidate, h: Ranked, content: RefineResultPart, values: 
 
 
 def _question_of_model(path: Path, loaded: LoadedModel, against: Sequence[str]) -> Question:
-    """Return the question of a model: named rivals, or those hard to separate from the model's effects."""
+    """Return the question of a model.
+
+    Args:
+        against: Names of the rivals; by default all candidates that are hard to separate from the model's effects.
+    """
     model = loaded.model
     base = replace(loaded, model=replace(model, effects=()))
     candidates = _candidates(base)
@@ -249,7 +253,7 @@ def _check_names(path: Path, names: Sequence[str], candidates: Mapping[str, Cand
 
 
 def _groups(model: Model, candidates: Mapping[str, Candidate]) -> list[set[str]]:
-    """Return groups hard to separate, as declared by the model, else one group."""
+    """Return the groups of candidates that the model declares hard to separate, by default one group of all."""
     return [g for group in model.told_apart_by if len(g := set(group) & candidates.keys()) > 1] or [set(candidates)]
 
 
@@ -258,7 +262,7 @@ def _rivals(
 ) -> tuple[tuple[Rival, ...], tuple[Pair, ...]]:
     """Return rivals of typical size, and the pairs of rivals to separate.
 
-    A single named candidate is compared with the model without it. Without names, the pairs come from the usual groups.
+    A single named candidate is compared with the model without it. Without names, the model's groups supply the pairs.
     """
     subject = ModelSubject(loaded)
     if len(names) == 1:

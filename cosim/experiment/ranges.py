@@ -37,8 +37,7 @@ def limits_and_ranges(
 ) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
     """Return the largest allowed excursion of each limited signal, and the range of each input; extend `faults`.
 
-    A range is the declared one, narrowed by NAME=MIN..MAX. For an input without range and limit, the logs' range
-    counts.
+    A range is the declared range, narrowed by NAME=MIN..MAX, or for an input without range and limit the range in logs.
     """
     spans = {q.name: q.bounds for q in model.inputs}
     faults += _narrow_ranges(model, ranges, spans)

@@ -99,15 +99,15 @@ class Separation:
         return {pair: min(distance(*way) for way in self._adaptations(*pair)) for pair in self.pairs}
 
     def _adaptations(self, a: str, b: str) -> list[Pair]:
-        """Return (truth, adapted); only the simpler hypothesis is adapted.
+        """Return the pairs (truth, adapted) to test; only the hypothesis with fewer free parameters is adapted.
 
-        A richer hypothesis could always imitate the simpler one.
+        A hypothesis with more parameters could imitate the other.
         """
         counts = {name: len(self.rivals[name].free) for name in (a, b)}
         return [(truth, adapted) for truth, adapted in ((a, b), (b, a)) if counts[truth] >= counts[adapted]]
 
     def _remaining_distance(self, difference: Array, own: Array, base: Array, adapted: Rival) -> float:
-        """Return the remaining distance after adaptation of one hypothesis and the base."""
+        """Return the distance that remains after fitting the free parameters of one hypothesis and of the base."""
         names = {f.name for f in adapted.free}
         others = [k for k, f in enumerate(self.base) if f.name not in names]
         slopes = np.vstack([own, base[others]]).T
@@ -121,7 +121,7 @@ class Separation:
 
 
 class _Innovations:
-    """Innovations relative to those at base values [standard deviations]."""
+    """Changes of the filter's innovations from their values at the base parameters [standard deviations]."""
 
     def __init__(self, problem: Problem, noise: Noise) -> None:
         self.problem, self.noise = problem, noise
@@ -130,7 +130,7 @@ class _Innovations:
         self.count = len(self.errors)
 
     def at(self, values: Mapping[str, float]) -> Array:
-        """Return the change at other values, 0 for a diverged filter."""
+        """Return the change of the innovations at parameter values, 0 for a diverged filter."""
         errors = self.problem.score({**self.problem.values, **values}, self.noise).errors
         return np.asarray(np.nan_to_num((errors - self.errors) / self.sigma, nan=0.0, posinf=0.0, neginf=0.0))
 

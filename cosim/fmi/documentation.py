@@ -28,7 +28,7 @@ start value an effect is dormant and costs nothing.</p>"""
 
 
 def docstrings_html(*owners: object) -> str:
-    """Return docstrings as HTML."""
+    """Return the docstrings of modules or classes as HTML."""
     return "".join(f"<pre>{escape(inspect.getdoc(owner) or '')}</pre>" for owner in owners)
 
 

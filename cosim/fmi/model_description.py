@@ -49,7 +49,7 @@ STRUCTURED = re.compile(rf"{_PART}(\.{_PART})*|der\({_PART}(\.{_PART})*\)", re.A
 
 
 def naming_convention(names: Iterable[str]) -> str:
-    """Return FMI's naming convention: `structured`, or `flat` for any text."""
+    """Return FMI's naming convention, `structured` if possible, else `flat`."""
     return "structured" if all(STRUCTURED.fullmatch(name) for name in names) else "flat"
 
 

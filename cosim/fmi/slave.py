@@ -30,7 +30,10 @@ def make_loggable(error: Exception) -> Exception:
 
 
 class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
-    """Values by value reference. Subclasses provide `ports`, `initialize`, `advance`, `snapshot` and `restore`."""
+    """FMU in Python, its variables stored by value reference.
+
+    Subclasses provide `ports`, `initialize`, `advance`, `snapshot` and `restore`.
+    """
 
     ports: ClassVar[tuple[Port, ...]]
 

@@ -26,7 +26,10 @@ def to_bytes(state: Mapping[str, Any]) -> bytes:
 
 
 def own_of(data: bytes) -> Own:
-    """Return the part that determines the future; raise ValueError, KeyError or TypeError for foreign bytes."""
+    """Return the part of an FMU state that determines the future.
+
+    Foreign bytes raise ValueError, KeyError or TypeError.
+    """
     if not data.startswith(JSON):
         return _Doubles(data).own
     t, state, memory = json.loads(data)["own"]
@@ -34,7 +37,7 @@ def own_of(data: bytes) -> Own:
 
 
 def with_memory(data: bytes, memory: Memory) -> bytes:
-    """Return the state with changed values of its own part."""
+    """Return an FMU state with changed memory."""
     if not data.startswith(JSON):
         return _Doubles(data).bytes_with(memory)
     state = json.loads(data)
@@ -71,7 +74,7 @@ class _Doubles:
         return [self.fixed[SIZES + TIME], self.fixed[self.first : split], memory]
 
     def bytes_with(self, memory: Memory) -> bytes:
-        """Return the bytes with changed values."""
+        """Return the bytes of the state with changed values."""
         numbers, history = list(self.fixed), self.history
         for (part, place), value in memory.items():
             if (part, place) == (MEMORY, 0):

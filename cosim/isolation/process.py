@@ -82,7 +82,7 @@ class Worker:
         return self._scratch.path
 
     def take_along(self, folder: Path) -> None:
-        """Register a folder that the worker removes if this process is killed."""
+        """Register a folder for the worker to remove if this process is killed."""
         with suppress(OSError), (self._scratch.path / ALONG).open("a", encoding="utf-8") as stream:
             stream.write(f"{folder}\0")  # On a full disk the next command removes the folder.
 

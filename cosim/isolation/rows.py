@@ -61,10 +61,10 @@ def read_exact(path: Path, rows: int) -> list[tuple[Any, ...]]:
 
 @dataclass(frozen=True)
 class Rows:
-    """A table to fill, and its progress.
+    """Rows of a run during its recording, and the progress of the run.
 
     Attributes:
-        beside: Values beyond doubles, appended before their row counts.
+        beside: Values without exact double, stored before `made` counts their row.
         made: [number of complete rows], updated after each row.
         doing: [current call], updated before each call.
         tell_loop: Function called with the kind of loop before its start.

@@ -105,7 +105,7 @@ def main() -> None:
 
 
 def _end() -> None:
-    """End the process at once, without unloading its modules, which would take longer than loading them.
+    """End the process at once, without unloading its modules.
 
     The caller ends processes started by FMUs.
     """
@@ -128,7 +128,7 @@ def _take_streams() -> tuple[BinaryIO, BinaryIO]:
 
 
 def _restore(name: str, value: str | None) -> None:
-    """Restore an environment variable of the caller, which was changed to find this module."""
+    """Restore a changed environment variable of the caller."""
     os.environ.pop(name, None)
     if value is not None:
         os.environ[name] = value
@@ -151,7 +151,7 @@ def _read(requests: BinaryIO, jobs: queue.SimpleQueue[bytes], scratch: Path) -> 
 def _registered_folders(scratch: Path) -> list[Path]:
     """Return the folders to remove after the caller's end.
 
-    The caller lists them in a file, because the job that uses them may not have begun.
+    The caller lists them in a file, because the job with these folders may not have begun.
     """
     try:
         return [Path(line) for line in (scratch / ALONG).read_text(encoding="utf-8").split("\0") if line]

@@ -22,9 +22,13 @@ _kernels: dict[tuple[Any, ...], CompiledKernel] = {}
 def kernel(
     model: Model, measured: Sequence[str], unnamed: bool = False, constant: Sequence[str] = ()
 ) -> CompiledKernel:
-    """Return the compiled kernel for a model and its measured outputs, from the cache if possible.
+    """Return the kernel (Kalman filter over a log) for a model and its measured outputs, compiled or from the cache.
 
-    Only Boolean parameters are compiled in.
+    Boolean parameters are compiled in; the kernel takes all others as arguments.
+
+    Args:
+        unnamed: Whether to add terms outside the catalogue, as in `generate`.
+        constant: Parameters that the filter treats as constant states.
 
     Raises:
         InputError: No working C compiler exists, or the model compares symbols with ==.

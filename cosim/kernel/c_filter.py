@@ -26,7 +26,7 @@ class _Log(ctypes.Structure):
 
 
 class CompiledKernel:
-    """Filter in C; an array without rows stands for no array.
+    """Kernel in C; an array without rows stands for no array.
 
     Raises:
         NoCompiler: No C compiler exists.
@@ -97,7 +97,7 @@ def _source(generated: Generated) -> str:
 
 
 def _sizes(layout: Layout) -> dict[str, str]:
-    """Return the constants of the C text by name."""
+    """Return name → value of constants in the C source."""
     groups = {"NX": layout.states, "NU": layout.inputs, "NY": layout.outputs, "NS": layout.stochastic}
     numbers = {name: len(group) for name, group in groups.items()} | {"NM": layout.memory, "DELAY": layout.delay}
     places = ", ".join(map(str, layout.stochastic or (0,)))

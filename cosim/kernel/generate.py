@@ -43,13 +43,13 @@ class Generated:
 
 @dataclass(frozen=True)
 class Reach:
-    """States that process noise reaches, and states that reach measured outputs, in the base model.
+    """States of the base model, classified by influence of process noise and influence on measured outputs.
 
     Attributes:
-        forced: States with process noise. States whose noise no output would show have none.
-        uncertain: States reached by the noise, forced ones included.
-        drifting: States reached by noise without influence on a measured output.
-        driven: Remaining states with influence on a measured output.
+        forced: States with process noise and influence on a measured output.
+        uncertain: States reached by the noise, with influence on a measured output; includes `forced`.
+        drifting: States reached by the noise, without influence on a measured output.
+        driven: States with influence on a measured output, unreached by the noise.
     """
 
     forced: tuple[str, ...]
@@ -62,9 +62,9 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
     """Return the C functions for a model and the outputs of a log.
 
     Args:
-        unnamed: Add terms outside the catalogue to each forced equation: `unnamed.state.basis`, a coefficient times a
-            basis function of one signal, and local shapes. They detect missing terms that no effect explains.
-        constant: Parameters as states with derivative 0; shaping of commands still uses `p`.
+        unnamed: Add terms outside the catalogue to each forced equation, for missing terms that no effect explains:
+            `unnamed.state.basis`, a coefficient times a basis function of a signal, and local shapes.
+        constant: Parameters that become states with derivative 0; shaping of commands still uses `p`.
     """
     import sympy
     from sympy import srepr
@@ -147,7 +147,7 @@ def _add_nameless(body: Body, reach: Reach) -> list[LocalShape]:
 
 
 def _slope(expression: Any, by: Any, shapes: Sequence[LocalShape]) -> Any:
-    """Return the derivative of an expression, including the symbols of local shapes."""
+    """Return the derivative of an expression by a state, including its paths through local shapes."""
     import sympy
 
     slope = sympy.diff(expression, by)
@@ -159,7 +159,7 @@ def _slope(expression: Any, by: Any, shapes: Sequence[LocalShape]) -> Any:
 
 
 def _rates(body: Body) -> dict[str, str]:
-    """Return the states whose derivative is another state: name → name of the derivative."""
+    """Return state → state equal to its derivative."""
     names = {symbol: q.name for q, symbol in zip(body.symbols.model.states, body.symbols.state, strict=False)}
     return {name: names[e] for name, e in body.derivative.items() if e in names}
 
@@ -179,7 +179,7 @@ def _add_sensor_errors(body: Body, model: Model) -> None:
 
 
 def _add_disturbances(body: Body, reach: Reach) -> Body:
-    """Return the body with an unknown input as state in each forced equation."""
+    """Return the equations with an unknown input as additional state in each forced equation."""
     import sympy
 
     if not reach.forced:
@@ -195,7 +195,7 @@ def _add_disturbances(body: Body, reach: Reach) -> Body:
 def _with_constants(
     body: Body, reach: Reach, measured: Sequence[str], constant: Sequence[str]
 ) -> tuple[Body, tuple[str, ...]]:
-    """Return the body with constant states, and the states that become uncertain through them."""
+    """Return the equations with parameters as constant states, and the states that become uncertain thereby."""
     import sympy
 
     if not constant:
@@ -215,9 +215,9 @@ def _with_constants(
 
 
 def _reach(model: Model, measured: Sequence[str]) -> Reach:
-    """Return the states that process noise reaches.
+    """Return the states reached by process noise without effects.
 
-    A coupling that only effects cause is part of the mean, not of the covariance.
+    The filter's covariance thus ignores couplings between states that only effects cause.
     """
     body = Body.of(replace(model, effects=()), effects=False)
     names = list(body.derivative)
@@ -234,7 +234,7 @@ def _reach(model: Model, measured: Sequence[str]) -> Reach:
 
 
 def _downstream(body: Body, first: Sequence[int]) -> set[int]:
-    """Return the indices of all states that the states in `first` influence, including `first`."""
+    """Return the indices of states influenced by `first`, inclusive."""
     feeds, reached = _feeds(body), set(first)
     while grown := {i for i, parts in enumerate(feeds) if parts & reached} - reached:
         reached |= grown
@@ -242,7 +242,7 @@ def _downstream(body: Body, first: Sequence[int]) -> set[int]:
 
 
 def _upstream(body: Body, expressions: Sequence[Any]) -> set[int]:
-    """Return the indices of all states that influence some expressions, directly or through other states."""
+    """Return the indices of all states with direct or indirect influence on some expressions."""
     feeds, place = _feeds(body), {symbol: k for k, symbol in enumerate(body.symbols.state)}
     reaching = {place[v] for e in expressions for v in e.free_symbols if v in place}
     while grown := {j for i in reaching for j in feeds[i]} - reaching:
@@ -251,6 +251,6 @@ def _upstream(body: Body, expressions: Sequence[Any]) -> set[int]:
 
 
 def _feeds(body: Body) -> list[set[int]]:
-    """Return for each state equation the indices of the states in it."""
+    """Return the state indices in each state equation."""
     place = {symbol: k for k, symbol in enumerate(body.symbols.state)}
     return [{place[v] for v in e.free_symbols if v in place} for e in body.derivative.values()]

@@ -33,7 +33,7 @@ class Layout:
         delay: Index of the delay parameter, −1 without delay.
         driven: Indices of noise-free states with influence on a measured output.
         carrying: Indices of stochastic states whose only random source is a constant state.
-        rates: State → state that is its derivative, if any.
+        rates: State → state equal to its derivative.
     """
 
     parameters: tuple[str, ...]
@@ -60,17 +60,17 @@ class Layout:
 
     @property
     def forced_places(self) -> list[int]:
-        """Return the state indices of possibly deficient equations."""
+        """Return the indices of the states with forced equations."""
         return [self.states.index(name) for name in self.forced]
 
     @property
     def forced(self) -> tuple[str, ...]:
-        """Return the names of the states with forced equations, which may lack an effect and so have process noise."""
+        """Return the names of the states with forced equations: process noise stands for a possibly missing effect."""
         return tuple(self.states[k].removeprefix(DISTURBANCE) for k in self.noise_places)
 
     @cached_property
     def constants(self) -> Mapping[str, int]:
-        """Return the parameters that are constant states: name → index of the state."""
+        """Return parameter → index of its constant state."""
         return {n.removeprefix(CONSTANT): k for k, n in enumerate(self.states) if n.startswith(CONSTANT)}
 
     @property
@@ -87,10 +87,10 @@ class Data:
         u: Inputs, shape (rows, inputs).
         y: Measurements, shape (rows, outputs), NaN if missing.
         substeps: Number of RK4 steps from row to row.
-        interpolated: Inputs that are interpolated between rows; others are held.
+        interpolated: Inputs to interpolate between rows; the rest is held.
         late: Age of each reading in rows, −½ … ½, shape (rows, outputs); None if all are on time.
         settle: Number of rows after the first in which the covariance stays P0, while states settle.
-        table: True if rows are independent of each other.
+        table: True if rows are independent.
     """
 
     step: float
@@ -115,7 +115,7 @@ class Filtered:
     """Innovations and variances (rows, outputs) before each measurement update; states and memory after.
 
     Attributes:
-        covariances: Covariance of the stochastic states after each update; None from a kernel without them.
+        covariances: Covariance of the stochastic states after each update; None if the kernel has no covariance.
     """
 
     errors: Array

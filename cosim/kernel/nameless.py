@@ -23,7 +23,7 @@ REACH = 2.0  # ζ at which a bump reaches 0
 
 
 def bases(s: SymbolicModel, excluded: Container[str] = ()) -> dict[str, Any]:
-    """Return basis functions of constants, time, states, velocities, angles and commands by name."""
+    """Return name → basis function of time, a state, a velocity, an angle or a command, and the constant."""
     import sympy
 
     functions: dict[str, Any] = {"1": sympy.Integer(1), "time": s.time}
@@ -52,7 +52,7 @@ def bases(s: SymbolicModel, excluded: Container[str] = ()) -> dict[str, Any]:
 
 
 def local_signals(s: SymbolicModel, excluded: Container[str] = ()) -> dict[str, Any]:
-    """Return the signals of local shapes: time, observed states, circles of angles, commands."""
+    """Return the signals of local shapes: time, observed states, sine and cosine of angles, commands."""
     import sympy
 
     states = [(q, x) for q, x in zip(s.model.base_states, s.state, strict=False) if q.name not in excluded]
@@ -65,7 +65,7 @@ def local_signals(s: SymbolicModel, excluded: Container[str] = ()) -> dict[str, 
 
 @dataclass(frozen=True)
 class LocalShape:
-    """One local shape as symbols: the product of factor and shape, computed by `stages`.
+    """Symbols of a local shape, an unnamed term that acts in a range of a signal: factor times shape.
 
     Attributes:
         terms: Contribution to each equation.
@@ -82,9 +82,10 @@ class LocalShape:
 def local_shape(
     slot: int, signals: dict[str, Any], equations: Sequence[str], number: Callable[[str], Any]
 ) -> LocalShape:
-    """Return the local shape of a slot, an unnamed term, with its derivatives by all states.
+    """Return a local shape with its derivatives by all states.
 
     Args:
+        slot: Number of the shape, part of its parameters' names.
         number: Function from a parameter's name to its symbol.
     """
     import sympy

@@ -18,9 +18,9 @@ MIN_DECAY_RATE = 1e-9  # [1/s]
 
 
 def settling(model: Model, names: Sequence[str]) -> float:
-    """Return the settling time of states driven by commands alone [s].
+    """Return the settling time [s] of the states `names`, driven by commands alone.
 
-    ln(1/NEGLIGIBLE_SHARE) times the slowest stable time constant of the base model at its start; 0 without one.
+    The time is ln(1/NEGLIGIBLE_SHARE) times the slowest stable time constant of the base model at its start, else 0.
     """
     base = replace(model, effects=())
     derivative, start, command = base.acting(SCALAR).derivative, base.start(), base.start_command()

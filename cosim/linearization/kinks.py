@@ -20,7 +20,7 @@ RATE, OUTPUT = "rate", "output"
 
 @dataclass(frozen=True)
 class KinkSlopes:
-    """One-sided slopes of a rate or an output, and its jump; 0 at a mere kink."""
+    """One-sided slopes of a derivative or an output at a kink, and the height of the jump, 0 without one."""
 
     of: str
     name: str

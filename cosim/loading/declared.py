@@ -48,7 +48,7 @@ def make_model(kind: type[Model], source: ModelText) -> Model:
 
 
 def _shape_faults(kind: type[Model]) -> Faults:
-    """Yield missing or mistyped declarations, which prevent further checks."""
+    """Yield faults of missing or mistyped declarations."""
     if kind.equations is Model.equations:
         yield kind, "", messages.NO_EQUATIONS(owner=kind.__name__)
     for name in ("base_states", "inputs", "outputs"):
@@ -112,14 +112,14 @@ def _label_faults(owners: Sequence[type]) -> Faults:
 
 
 def _find_undecorated(owners: Iterable[type]) -> Faults:
-    """Yield the first parameter of each class without the dataclass decorator."""
+    """Yield faults of classes without the dataclass decorator."""
     for owner in owners:
         if name := next((n for n, v in vars(owner).items() if isinstance(v, dataclasses.Field)), ""):
             yield owner, name, messages.NO_FIELD(owner=owner.__name__, name=name)
 
 
 def _parameter_faults(owner: Any) -> Faults:
-    """Yield defaults, neutral values and typical sizes outside bounds."""
+    """Yield faults of defaults, neutral and typical values."""
     prefix = f"{owner.name}." if issubclass(owner, Effect) else ""
     for p in parameters_of(owner):
         name = f"{prefix}{p.name}"
@@ -198,7 +198,7 @@ def _sensor_faults(kind: type[Model]) -> Faults:
 
 
 def _output_faults(owner: type[SensorError], attribute: str, outputs: Sequence[str]) -> Faults:
-    """Yield faults of a sensor error that names signals other than outputs."""
+    """Yield faults of sensor errors on non-outputs."""
     value = getattr(owner, attribute, ())
     if attribute != "output" and isinstance(value, str):
         yield owner, attribute, messages.NAMES_NO_TUPLE(owner=owner.name, attribute=attribute, value=value)
@@ -210,7 +210,7 @@ def _output_faults(owner: type[SensorError], attribute: str, outputs: Sequence[s
 
 
 def _unknown_signal(owner: Any, kind: str, name: str, names: Sequence[str], place: str = "") -> str:
-    """Return a message about a signal name that is unknown or missing."""
+    """Return a message about an unknown or missing signal."""
     fields = {"owner": owner.name, "kind": kind, "place": place, "names": ", ".join(names)}
     if not name:
         return messages.NO_SIGNAL_NAMED(**fields)
@@ -249,7 +249,7 @@ def _delay_parameter_faults(owner: Any) -> Faults:
 
 
 def _gain_faults(kind: type[Model]) -> Faults:
-    """Yield gains on unknown inputs."""
+    """Yield faults of gains on unknown inputs."""
     inputs = [q.name for q in kind.inputs]
     for owner in kind.catalogue:
         if issubclass(owner, Gain) and (name := getattr(owner, "input", "")) not in inputs:
@@ -257,7 +257,7 @@ def _gain_faults(kind: type[Model]) -> Faults:
 
 
 def _static_faults(kind: type[Model]) -> Faults:
-    """Yield effects with time dependence in a model without states."""
+    """Yield faults of time-dependent effects without states."""
     if kind.base_states:
         return
     for owner in kind.catalogue:
@@ -272,7 +272,7 @@ def _static_faults(kind: type[Model]) -> Faults:
 
 
 def _unit_faults(kind: type[Model]) -> Faults:
-    """Yield unknown units."""
+    """Yield faults of unknown units."""
     for owner in (kind, *kind.catalogue, *kind.sensors):
         for attribute, declared in _declared_units(owner):
             if declared.unit and parse(declared.unit) is None:

@@ -20,7 +20,10 @@ from cosim.storage.yaml_file import did_you_mean
 
 
 def equation_faults(kind: type[Model], source: ModelText) -> list[Fault]:
-    """Return the faults of `equations` and start values. No effect is active on floats, all are on symbols."""
+    """Return the faults of `equations` and start values, evaluated on floats and on symbols.
+
+    No effect is active on floats, all effects are active on symbols.
+    """
     model = _try(source, "cannot be made", kind)
     if isinstance(model, Fault):
         return [model]
@@ -34,7 +37,7 @@ def equation_faults(kind: type[Model], source: ModelText) -> list[Fault]:
 def effect_faults(kind: type[Model], source: ModelText) -> list[Fault]:
     """Return the faults of effects and sensor errors.
 
-    Each effect takes a substep alone, and commands are shaped as symbols.
+    A substep is computed with each effect alone, and commands are shaped as symbols.
     """
     model = kind()
     faults = [fault for owner in kind.catalogue for fault in _step_faults(model, owner, source)]
@@ -42,7 +45,7 @@ def effect_faults(kind: type[Model], source: ModelText) -> list[Fault]:
 
 
 def _try(source: ModelText, doing: str, call: Callable[..., Any], *arguments: Any) -> Any:
-    """Return a call's result, or the fault of its exception."""
+    """Return a call's result, or its exception as fault."""
     try:
         return call(*arguments)
     except Exception as error:  # A user's file may raise any error.
@@ -68,7 +71,7 @@ def _start_faults(model: Model, source: ModelText) -> list[Fault]:
 
 
 def _symbol_faults(model: Model, source: ModelText) -> list[Fault]:
-    """Return faults with all effects active, for both switch positions."""
+    """Return faults of the equations on symbols with all effects active, for both values of Boolean parameters."""
     flags = any(isinstance(p.default, bool) for p in model.parameters)
     faults: list[Fault] = []
     for flag in (True, False) if flags else (None,):
@@ -168,7 +171,7 @@ def _step_faults(model: Model, owner: type[Effect], source: ModelText) -> list[F
 
 
 def _shaping_faults(model: Model, source: ModelText) -> list[Fault]:
-    """Return faults of command shaping on symbols. A delay is taken from the log and needs no check."""
+    """Return faults of command shaping on symbols; delays need no check, since the log supplies delayed commands."""
     import sympy
 
     s = symbolic(model)

@@ -125,13 +125,15 @@ def named_model(name: str) -> Model:
 
 
 def load_model(text: str, folder: Path, named_in: YamlFile | None = None) -> LoadedModel:
-    """Return `base`, a model.yaml or `file.py:Class`, loaded.
+    """Load a model named in a command or study.
 
     Args:
+        text: `base`, path of a model.yaml, or `file.py:Class`.
+        folder: Folder of relative paths.
         named_in: Study that names the model; a missing file is a fault of its key `model`.
 
     Raises:
-        InputError: The model has faults; it lists all of them.
+        InputError: Every fault of the model.
     """
     if text == BASE:
         try:
@@ -192,9 +194,9 @@ def read_model(path: Path, readers: tuple[Path, ...] = ()) -> LoadedModel:
 def _read_common_parameters(
     yaml: YamlFile, name: str, model: Model, readers: tuple[Path, ...]
 ) -> dict[str, float | bool]:
-    """Return common parameters of another model's file.
+    """Return common parameters from another model's file.
 
-    Parameters refined on a rig can thus be used in the whole model.
+    A larger model can thus use parameters refined on a test rig.
     """
     path = yaml.path.parent / name
     path = refined_file(path) if names_refine(path) else path
@@ -237,7 +239,7 @@ def _named_model(yaml: YamlFile, content: ModelFile) -> Model:
 
 
 def _in_units(yaml: YamlFile, content: ModelFile, model: Model) -> tuple[ModelFile, list[Fault]]:
-    """Return the file with numbers in the model's units, and faults. Sensor errors are differences."""
+    """Return the file with numbers converted to the model's units (sensor errors without offset), and faults."""
     units = {n: p.unit for n, p in model.declared.items()}
     parameters, faults = yaml.in_units(("parameters",), content.parameters, units)
     units = {n: p.unit for n, p in model.sensor_parameters.items()}
@@ -246,7 +248,7 @@ def _in_units(yaml: YamlFile, content: ModelFile, model: Model) -> tuple[ModelFi
 
 
 def _value_faults(yaml: YamlFile, content: ModelFile, model: Model) -> Iterator[Fault]:
-    """Yield unknown names and values out of bounds."""
+    """Yield faults of unknown names and invalid values."""
     sections = (
         ("parameters", model.declared, content.parameters),
         ("sensors", model.sensor_parameters, content.sensors),
@@ -263,7 +265,7 @@ def _value_faults(yaml: YamlFile, content: ModelFile, model: Model) -> Iterator[
 
 
 def _absolute(text: str, folder: Path) -> str:
-    """Return `file.py:Class` with an absolute path. Model files in other folders can then find the file."""
+    """Return `file.py:Class` with an absolute path, for model files in other folders."""
     file, _, name = text.rpartition(":")
     return f"{(folder / file).resolve()}:{name}"
 
@@ -319,7 +321,10 @@ _skipped: ContextVar[list[Path] | None] = ContextVar("files of Python that are n
 
 @contextmanager
 def without_execution() -> Iterator[list[Path]]:
-    """Prevent the execution of model files; yield the skipped files. A model in such a file raises NotExecuted."""
+    """Prevent the execution of model files; yield skipped files.
+
+    A model in such a file raises NotExecuted.
+    """
     skipped: list[Path] = []
     token = _skipped.set(skipped)
     try:
@@ -386,7 +391,7 @@ def write_model(path: Path, loaded: LoadedModel, folder: Path | None = None) -> 
 
 
 def meant_model(model: str | None, *, nearest: bool) -> LoadedModel:
-    """Return the model that the user named, by default the base model.
+    """Return the model named by the user.
 
     A refine folder means its refined model, or with `nearest` its nearest model.
     """

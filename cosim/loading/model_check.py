@@ -17,9 +17,9 @@ def check_model_file(path: Path, checking: Checking) -> list[str]:
 
 
 def check_model_class(path: Path, checking: Checking) -> list[str]:
-    """Return notes on a model class; InputError lists its faults.
+    """Return notes on a model class; InputError lists faults.
 
-    The class is `FILE.py:Class`, or the only one in FILE.py.
+    The class is `FILE.py:Class`, or the only class in FILE.py.
     """
     text = str(path)
     if text.endswith(".py:"):

@@ -18,7 +18,7 @@ Faults = Iterator[tuple[type, str, str]]  # class, declaration, message
 
 
 def duplicate_names(kind: type[Model]) -> Faults:
-    """Yield names with two meanings."""
+    """Yield faults of names with two meanings."""
     for name in ("base_states", "inputs", "outputs"):
         yield from _duplicates(kind, name, [q.name for q in getattr(kind, name)])
     if any(q.name == "time" for q in (*kind.inputs, *kind.outputs)):
@@ -39,7 +39,7 @@ def _duplicates(owner: type, attribute: str, names: Sequence[str]) -> Faults:
 
 
 def duplicate_variables(model: Model) -> Faults:
-    """Yield FMU variables with the same name."""
+    """Yield faults of FMU variables with the same name."""
     for name, count in Counter(port.name for port in model_ports(model)).items():
         if count > 1:
             yield type(model), "", messages.DUPLICATE_VARIABLE(count=count, name=name)

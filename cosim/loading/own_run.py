@@ -43,7 +43,7 @@ class RunLog(Protocol):
 
 
 def shown_states(model: Model) -> set[str]:
-    """Return states shown unchanged by outputs of the same name. One test state decides."""
+    """Return states equal to an output of the same name, tested at a single state."""
     state = tuple(value + 0.01 * (k + 1) for k, value in enumerate(model.start()))
     values = dict(zip((s.name for s in model.states), state, strict=True))
     outputs = model.acting(SCALAR).output(0.0, state, model.start_command())
@@ -53,12 +53,12 @@ def shown_states(model: Model) -> set[str]:
 def moments(
     stepper: Stepper, log: RunLog, ignored: Mapping[str, Rows] | None = None
 ) -> Iterator[tuple[int, Moment, Moment]]:
-    """Yield row, predicted moment, and moment with the row's readings.
+    """Yield row, predicted moment, and moment with the readings.
 
     The iteration ends if the model diverges.
 
     Args:
-        ignored: Rows by output whose readings are not used.
+        ignored: Output → rows with unused readings.
     """
     model, shown = stepper.model, shown_states(stepper.model)
     commands = command_rows(model, log)
@@ -93,7 +93,7 @@ def predicted_outputs(model: Model, log: RunLog, ignored: Mapping[str, Rows]) ->
     """Return one-step-ahead predictions of outputs, NaN after divergence.
 
     Args:
-        ignored: Rows by output whose readings are not used.
+        ignored: Output → rows with unused readings.
     """
     stepper, commands = Stepper(model), command_rows(model, log)
     table = np.full((len(log.time), len(model.outputs)), np.nan)
@@ -106,7 +106,7 @@ def predicted_outputs(model: Model, log: RunLog, ignored: Mapping[str, Rows]) ->
 
 
 def _as_read(state: Values, readings: Mapping[int, list[float]], k: int) -> Values:
-    """Return the state in which measured states have their readings of row k."""
+    """Return the state with measured states from row k."""
     if not readings:
         return state
     values = list(state)

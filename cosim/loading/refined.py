@@ -17,20 +17,20 @@ class NoNearest(ValueError):
 
 
 def folder_of(path: Path) -> Path | None:
-    """Return the folder of a refine for a path to it or its files."""
+    """Return the folder of a refine from its path or the path of a file in it."""
     folder = path if path.is_dir() else path.parent
     return folder if path.exists() and (folder / ANSWER).is_file() else None
 
 
 def refined_file(path: Path, *, nearest: bool = False) -> Path:
-    """Return the model.yaml or FMU meant by a path into a refine.
+    """Return the model.yaml or FMU in a refine.
 
     Args:
-        path: Its folder, its refine.json or another of its files.
-        nearest: Whether to return the nearest candidate, equal to the refined one if everything is claimed.
+        path: Folder of the refine, its refine.json or another of its files.
+        nearest: Whether to return the nearest model, equal to the refined model for a complete claim.
 
     Raises:
-        NoNearest: No nearest candidate exists.
+        NoNearest: No nearest model exists.
     """
     if not nearest:
         return (path if path.is_dir() else path.parent) / REFINED[0] if names_refine(path) else path

@@ -36,7 +36,7 @@ class ModelText:
                 self._places |= {(node.name, name): place for name, place in _find_declarations(node).items()}
 
     def check_imports(self) -> None:
-        """Raise InputError for imports from `plant`, the former package."""
+        """Raise InputError for imports from `plant`, a former name."""
         if self._former:
             names = dict.fromkeys(alias.name for node in self._former for alias in node.names)
             message = messages.FORMER_IMPORT(names=", ".join(names))

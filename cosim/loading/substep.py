@@ -89,7 +89,7 @@ def with_substep(loaded: LoadedModel, logs: Sequence[RunLog] = ()) -> tuple[Load
 
 
 def _refuse_growth(loaded: LoadedModel, modes: Sequence[tuple[StateMode, float]]) -> None:
-    """Raise InputError if the stated substep makes a decaying mode grow. The message names the fastest such mode."""
+    """Raise InputError if the stated substep makes a decaying mode grow; the message names the fastest such mode."""
     for mode, h in sorted(modes, key=lambda pair: -pair[0].speed * pair[1]):
         if _grows(mode.eigenvalue * h):
             lengths = {"substep": _ms(loaded.model.substep), "step": _ms(h), "longest": _ms(MAX_DEFAULT / mode.speed)}
@@ -113,7 +113,7 @@ def _choose(loaded: LoadedModel, fastest: _Fastest, mode: StateMode) -> tuple[Lo
 
 
 def _longest(model: Model, step: float) -> float:
-    """Return the length of the substeps of a step [s]."""
+    """Return the substep length of a communication step [s]."""
     return step / substeps(step, model.substep)
 
 
@@ -217,7 +217,7 @@ def _stiff(model: Model, mode: StateMode) -> Message:
 
 
 def _ms(seconds: float) -> str:
-    """Return a time in readable form."""
+    """Return a duration as text with a suitable unit."""
     return amount(1000.0 * seconds, "ms") if seconds < 0.5 else amount(seconds, "s")
 
 

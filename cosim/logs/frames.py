@@ -51,7 +51,7 @@ RATE_MESSAGES: dict[bool, tuple[Severity, Template, Template]] = {  # for a decl
 
 
 def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator[Finding]:
-    """Compare a signal with the integral of its rate, Δy = s·∫ẏ dt + b·T over blocks.
+    """Yield findings from comparing a signal with the integral of its rate, Δy = s·∫ẏ dt + b·T over blocks.
 
     With consistent units, signs and sensors, s is 1 and b is 0.
     """
@@ -83,7 +83,13 @@ def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator
 
 
 def _unit_cure(log: Log, degrees: str, other: str, unit: str) -> str:
-    """Return the cure for a column in degrees, according to the headers."""
+    """Return the cure for a column whose values are in degrees, according to the units in the header.
+
+    Args:
+        degrees: Name of the column.
+        other: Signal that contradicts the column.
+        unit: Unit to state in the header.
+    """
     headers = " and ".join(f'"{name} [{log.written[name]}]"' for name in (degrees, other) if log.written.get(name))
     if log.written.get(degrees):
         return f"The header says {headers}: one of the units is wrong"

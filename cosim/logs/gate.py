@@ -67,7 +67,7 @@ def gate_faults(log: Log, findings: Sequence[Finding]) -> list[Fault]:
 
 
 def _warn_undeclared(log: Log) -> Iterator[Finding]:
-    """Warn of columns with an undeclared unit."""
+    """Yield a warning for each column without unit."""
     for name, text in log.undeclared.items():
         yield Finding("warning", "undeclared", name, text)
 
@@ -121,7 +121,7 @@ def _timing(log: Log) -> Iterator[Finding]:
 def _probable_unit(log: Log, ratio: float) -> str | None:
     """Return the probable unit of the time, None if stated or seconds.
 
-    A log in minutes seems to last only seconds; otherwise rows really are minutes apart.
+    A log in minutes appears to last only seconds; otherwise rows really are minutes apart.
     """
     if log.written.get("time"):
         return None
@@ -205,7 +205,7 @@ def _outputs(log: Log) -> Iterator[Finding]:
 def _repeats(log: Log, name: str, time: Array, values: Array) -> Iterator[Finding]:
     """Yield a warning if a sensor repeats values, because it is slow or frozen.
 
-    Its residual would look like a delay or an effect.
+    The residual of this sensor would look like a delay or an effect.
     """
     starts = np.concatenate(([0], 1 + np.flatnonzero(np.diff(values)), [values.size]))
     runs = np.diff(starts)
@@ -221,7 +221,7 @@ def _repeats(log: Log, name: str, time: Array, values: Array) -> Iterator[Findin
 
 
 def outliers(log: Log, spikes: Spikes) -> Iterator[Finding]:
-    """Warn of each channel with outliers."""
+    """Yield a warning for each channel with outliers."""
     for name, rows in spikes.items():
         first, worst = float(log.time[rows[0]]), float(out_of_line(log, log.outputs[name])[rows].max())
         count, deviation = counted(rows.size, "reading"), amount(worst, log.units[name])

@@ -41,7 +41,7 @@ def fill_holes(log: Log) -> Log:
 
 
 def _is_smooth(values: Array, grid: Rows) -> bool:
-    """Return True if interpolation between the neighbours predicts values better than holding the last one."""
+    """Return True if interpolation between the neighbours predicts values better than a hold of the previous value."""
     whole = (np.diff(grid)[:-1] == 1) & (np.diff(grid)[1:] == 1)
     first, middle, last = values[:-2][whole], values[1:-1][whole], values[2:][whole]
     hold, line = float(np.sum((middle - first) ** 2)), float(np.sum((middle - 0.5 * (first + last)) ** 2))

@@ -94,7 +94,7 @@ class Log:
 
     @property
     def slowness(self) -> int:
-        """Return the time scale of slow logs, by which time constants of the checks are lengthened."""
+        """Return the log's factor for durations, see `slowness`."""
         return slowness(self.step)
 
     @property
@@ -127,7 +127,7 @@ def read_log(
 
     Args:
         columns: Name in the file → name in the model, or `time`, if different.
-        alone: True if `columns` applies to this file only, which must have each of them.
+        alone: True if `columns` applies to this file alone, so that a missing column is a fault.
 
     Raises:
         InputError: Every fault of the file.
@@ -188,7 +188,7 @@ class LogReader:
         return Log(path, time, inputs, outputs, units, step, written, unwrapped, *names, table=not self.timed)
 
     def _unread(self) -> dict[str, str]:
-        """Return unread columns with suggested names."""
+        """Return columns unknown to the model → suggested name, or ""."""
         missing = [name for name in self.signals if name not in self.table.columns]
         close = (
             closest(name, missing, ALIKE) or closest(name.rpartition(".")[2], missing, ALIKE)
@@ -351,8 +351,9 @@ def _unwrap_angles(
 def usual_step(time: Array) -> float:
     """Return the row spacing [s] of a line through the times, with whole steps over gaps.
 
-    With jittering stamps, a median off by a thousandth would be off by whole rows at the end of a log. If the line is
-    far from the median, the clock has no single spacing. The spacing is then a short one, and some rows are missing.
+    A median of differences is too inaccurate with jittering time stamps: an error of a thousandth adds up to whole rows
+    at the end of a log. If the line is far from the median, the clock has no single spacing. The spacing is then a
+    short one, and some rows are missing.
     """
     apart = np.diff(time)
     median = float(np.median(apart))
@@ -370,9 +371,9 @@ def usual_step(time: Array) -> float:
 
 
 def slowness(step: float) -> int:
-    """Return the time scale for slow rows.
+    """Return a factor for durations in the checks of a log with a long step [s], 1 for a usual step.
 
-    A tank logged every half second is slow: a second, or a memory of 0.15 s, would be two rows or none.
+    Durations such as 0.15 s or 1 s would otherwise contain too few rows, e.g. of a tank logged every 0.5 s.
     """
     return max(1, math.ceil(step / USUAL - 0.1))
 
@@ -401,9 +402,9 @@ def _measured_ranges(log: Log, first: int, end: int) -> list[tuple[int, int]]:
 
 
 def stretches(log: Log) -> list[Log]:
-    """Return a log cut at its pauses.
+    """Return the parts of a log between pauses.
 
-    In a pause, rows are missing (unknown commands and state), or measurements are (unknown state).
+    In a pause, rows are missing (unknown commands and state), or measurements are missing (unknown state).
     """
     pieces = [
         (first + a, first + b)

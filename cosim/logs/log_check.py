@@ -24,7 +24,7 @@ from cosim.storage.table import read_header
 def check_log(path: Path, checking: Checking) -> list[str]:
     """Return the findings on a log.
 
-    The log is compared with the named model, else with the base model if an input matches, else with none.
+    The log is compared with the named model, by default with the base model if an input matches, else with no model.
     """
     if checking.model is None and not is_model(BASE):
         return findings_without_model(path, checking.columns)

@@ -17,7 +17,7 @@ SPACING = 0.2  # [s] between positions
 
 
 def axis_findings(log: Log, frame: PlanarFrame) -> Iterator[Finding]:
-    """Warn of a reversed axis: only the mirror image moves where it points."""
+    """Yield a warning for a reversed axis, if only the mirror image moves along its heading."""
     if not {frame.x, frame.y, frame.heading} <= log.outputs.keys():
         return
     x, y, heading = (log.outputs[name] for name in (frame.x, frame.y, frame.heading))

@@ -69,7 +69,7 @@ def out_of_line(log: Log, values: Array) -> Array:
 
 
 def _suspects(log: Log, values: Array) -> Rows:
-    """Return the rows that differ from their neighbours although the neighbours agree with each other."""
+    """Return rows that differ from agreeing neighbours."""
     level = noise_level(values) * SCALE
     if not level > 0.0:
         return np.zeros(0, np.intp)
@@ -84,7 +84,7 @@ def _suspects(log: Log, values: Array) -> Rows:
 
 
 def _is_motion(values: Array, model: Array | None, rows: Rows) -> Flags:
-    """Return True for each row near which the model moves as sharply."""
+    """Return True for rows near sharp motion of the model."""
     if model is None:
         return np.zeros(rows.size, bool)
     motion = _deviation_from_neighbours(np.where(np.isfinite(values) & np.isfinite(model), model, np.nan))

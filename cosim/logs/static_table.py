@@ -38,7 +38,7 @@ def table_findings(log: Log, traits: Traits | None = None) -> Iterator[Finding]:
 
 
 def _angles(log: Log, bounds: Mapping[str, tuple[float, float]]) -> Iterator[Finding]:
-    """Yield a fault for each angle beyond the limits that the model declares."""
+    """Yield a fault for each angle beyond declared limits."""
     columns = {**log.inputs, **log.outputs}
     for name, (low, high) in bounds.items():
         if name not in columns or log.units[name] != "rad":
@@ -64,7 +64,7 @@ def _inputs(log: Log) -> Iterator[Finding]:
 
 
 def alike_inputs(inputs: Mapping[str, Array], verb: str) -> Iterator[Finding]:
-    """Yield a note on each pair of inseparable inputs."""
+    """Yield a note on each pair of inputs too similar to separate their influence."""
     for one, other in combinations(inputs, 2):
         rho = float(np.corrcoef(inputs[one], inputs[other])[0, 1])
         if abs(rho) > ALIKE:

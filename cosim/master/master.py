@@ -221,7 +221,7 @@ class Master:
         self.rows.tell_loop(loop)
 
     def _next_call(self, k: int) -> int:
-        """Return the next point with calls at its end, or `NEVER`."""
+        """Return the next communication point, from k on, that needs Python in the C loop, or `NEVER`."""
         if self.beside:
             return k
         place = bisect.bisect_left(self.events, k)

@@ -14,8 +14,8 @@ from cosim.model.quantities import parameter
 class Delay(Effect):
     """Delay of all commands by T: u(t) → u(t − T).
 
-    A model's subclass has a name and `memory` with one quantity per input, and comes first in the catalogue. A delay
-    longer than `longest` needs a larger `longest` and a `time` with that bound.
+    A model's subclass has a name and `memory` with one quantity per input, and comes first in the catalogue. For longer
+    delays, the subclass raises `longest` and the upper bound of `time`.
 
     Over a substep, the mean of the delayed command acts, so that its impulse is exact for any T. The memory is the
     history of commands (start time, command), oldest first.

@@ -11,7 +11,7 @@ from cosim.model.model import Model
 
 @dataclass(frozen=True)
 class Option:
-    """A key of `design:`.
+    """A key of a scenario's `design:`.
 
     Attributes:
         default: None for an optional key.
@@ -44,7 +44,7 @@ class Objection(NamedTuple):
 
 
 class Undesigned(ValueError):
-    """No design exists for these options."""
+    """Error: no controller design exists for these options."""
 
     def __init__(self, objection: Objection) -> None:
         super().__init__(objection.message)
@@ -87,10 +87,10 @@ class Designer(Protocol):
         """
 
     def judged(self, values: Mapping[str, Any], own: Mapping[str, Any], options: Mapping[str, Any], law: str) -> Judged:
-        """Return the consistency of designed values, overridden by the scenario's `own` values."""
+        """Return objections and warnings on designed values, overridden by the scenario's `own` values."""
 
     def collect_start_values(self, options: Mapping[str, Any], law: str) -> dict[str, Any]:
         """Return start values set directly by options."""
 
     def rests_on(self, designed: Mapping[str, Any], law: str) -> Mapping[str, float]:
-        """Return plant parameters behind designed start values that are start values too."""
+        """Return plant parameters on which designed start values depend, if they are start values of the controller."""

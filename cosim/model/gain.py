@@ -25,5 +25,5 @@ class Gain(Effect):
     gain: float = parameter(1.0, unit="1", bounds=(0.1, 10), neutral=1.0, typical=0.1, doc="gain k of the input")
 
     def transmit(self, m: Namespace, command: Mapping[str, Number]) -> Mapping[str, Number]:
-        """Return the commands, with one input multiplied by the gain."""
+        """Return the commands with the gain on one input."""
         return {**command, self.input: self.gain * command[self.input]}

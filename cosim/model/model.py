@@ -78,11 +78,11 @@ class Effect(Parametric):
         return start
 
     def shape(self, m: Namespace, t: Number, h: Number, command: Values, memory: Values) -> tuple[Values, Values]:
-        """Return the command as the effect changes it from `t` to `t + h` [s], and the new memory."""
+        """Return the changed command from `t` to `t + h` [s], and the new memory."""
         return command, memory
 
     def transmit(self, m: Namespace, command: Mapping[str, Number]) -> Mapping[str, Number]:
-        """Return the commands that act in derivative and output, by input name."""
+        """Return input → effective command in derivative and output."""
         return command
 
 
@@ -192,7 +192,7 @@ class Model(Parametric):
     # -- common to all models ----------------------------------------------------------------
 
     def acting(self, m: Namespace) -> Equations:
-        """Return the equations with transmitted commands."""
+        """Return the equations with commands transmitted by effects."""
         derivative, output = equations = self.equations(m)
         names = [q.name for q in self.inputs]
         terms = overrides(self.awake, "transmit", Effect)

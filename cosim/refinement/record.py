@@ -391,7 +391,7 @@ def schema() -> dict[str, Any]:
 
 
 def keep_finite(channels: Mapping[str, float]) -> dict[str, float]:
-    """Return the finite channels."""
+    """Return the channels with finite values."""
     return {name: value for name, value in channels.items() if math.isfinite(value)}
 
 
@@ -422,7 +422,7 @@ def effects(
 
 
 def per_log(study: Study, f: Fit, ends: Mapping[str, float]) -> dict[str, PerLog]:
-    """Return every parameter per log."""
+    """Return the entry of every parameter per log."""
     declared, entries = study.subject.declared, {}
     for name in study.settings.per_log:
         unit, (mean, sd) = declared[name].unit, expected_value(f, name)

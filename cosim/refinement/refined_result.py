@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class Refined:
-    """Result of a refine: `record` is refine.json; model.yaml and plant.fmu are in `folder`.
+    """Result of a refinement: `record` is the content of refine.json; model.yaml and plant.fmu are in `folder`.
 
     Attributes:
         subject: The refined object; None if the result was read from a folder.
@@ -32,27 +32,27 @@ class Refined:
 
     @property
     def verdict(self) -> str:
-        """Verdict: effect_found, parameter_error, sensor_error, no_effect, ambiguous or unexplained."""
+        """Return the verdict: effect_found, parameter_error, sensor_error, no_effect, ambiguous or unexplained."""
         return str(self.record.get("verdict", ""))
 
     @property
     def effects(self) -> list[dict[str, Any]]:
-        """Claimed effects, most important first, with values and intervals."""
+        """Return the claimed effects, most important first."""
         return list(self.record.get("effects") or ())
 
     @property
     def sentence(self) -> str:
-        """The verdict in words."""
+        """Return the verdict in words."""
         return str(self.record.get("sentence", ""))
 
     @property
     def model(self) -> Path:
-        """Path of the refined model.yaml."""
+        """Return the path of the refined model.yaml."""
         return self.folder / REFINED[0]
 
     @property
     def fmu(self) -> Path:
-        """Path of the refined FMU."""
+        """Return the path of the refined FMU."""
         return self.folder / REFINED[1]
 
     def to_pandas(self) -> pandas.DataFrame:

@@ -30,5 +30,5 @@ _PLACE = {words: number for number, stage in enumerate(ORDER, 1) for words in st
 
 
 def stage_number(words: str) -> tuple[int, int]:
-    """Return the stage number of a message, 0 if unknown, and the number of stages."""
+    """Return the number of a stage from its progress message, 0 if unknown, and the number of stages."""
     return _PLACE.get(words.partition(":")[0], 0), len(ORDER)

@@ -47,7 +47,7 @@ NARROWEST, WIDEST = 1e-6, 2.0  # share of a parameter: stricter than any data sh
 
 
 def _check_share(value: Any) -> Any:
-    """Return a tolerance or raise ValueError with the cure."""
+    """Return a valid tolerance; raise ValueError with the cure."""
     if isinstance(value, str) and has_unit(value):
         with suppress(ValueError):
             value = read_quantity(value, "1")
@@ -58,14 +58,14 @@ def _check_share(value: Any) -> Any:
 
 
 def _check_file_name(name: str) -> str:
-    """Return a file name or raise ValueError for a NUL character."""
+    """Return a file name; raise ValueError for NUL characters."""
     if "\0" in name:
         raise ValueError("no name of a file holds a NUL character")
     return name
 
 
 def _setting_tag(value: Any) -> str:
-    """Return the tag of a setting."""
+    """Return the tag of a setting that is a single value or a mapping by name."""
     return "«by name»" if isinstance(value, dict) else "«all»"
 
 
@@ -150,7 +150,7 @@ class Study:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """Return the study, model and log files."""
+        """Return the files of study, model and logs."""
         logs = tuple(self.folder / name for _, name in _entries(self.content.logs))
         if self.path is None:
             return logs
@@ -177,7 +177,7 @@ class Study:
         return Settings(content.find_interpolated(subject), content.tolerance_of(subject), per_log, groups)
 
     def unseal(self) -> tuple[Log, ...]:
-        """Read the validation logs; called once, after all decisions."""
+        """Read the sealed logs; called once, after all decisions."""
         logs = (_read(self.folder / name, self.content, self.subject) for name in self.content.logs.validation)
         return tuple(
             stretch
@@ -336,7 +336,7 @@ def _entries(logs: LogLists) -> list[tuple[str, str]]:
 
 
 def _read(path: Path, content: StudyFile, subject: Subject) -> Log:
-    """Read a log."""
+    """Read a log with the columns of the study."""
     return read_log(path, subject.inputs, subject.outputs, table=subject.static, columns=content.columns)
 
 

@@ -163,7 +163,7 @@ def refine(
 
 
 def _build_problem(study: Study) -> Problem:
-    """Return the fitting problem, with noise levels from the logs where neither study nor model states them."""
+    """Return the fitting problem; noise levels not stated by study or model are estimated from the logs."""
     noise = study.content.noise
     problem = build_problem(study.subject, study.logs, noise=noise, settings=study.settings)
     stated = {*study.subject.sensor_variance, *noise}
@@ -184,7 +184,7 @@ def _with_predictable_horizon(study: Study, problem: Problem) -> Study:
 
 
 def _divergences(study: Study, problem: Problem) -> Iterator[Fault]:
-    """Yield a fault for each log on which the filter of the unfitted model diverges, since no estimate could follow."""
+    """Yield a fault for each log on which the filter of the unfitted model diverges."""
     for index, (log, data) in enumerate(zip(study.logs, problem.logs, strict=False)):
         by_log = problem.score(problem.values, problem.plain, [index]).by_log
         if np.isfinite(by_log).all():
@@ -206,7 +206,7 @@ def _candidates(study: Study) -> list[Candidate]:
 
 
 def _judge(study: Study, a: Attribution, result: SearchResult, progress: Progress) -> Claims:
-    """Return the answer from the residual beside the best hypothesis and from replays."""
+    """Return the claims, from the residual beside the best hypothesis and from replays."""
     subject, search = study.subject, result.search
     progress("looking for what has no name", 0.0)
     bare = build_problem(subject, study.logs, True, study.content.noise, study.settings)
@@ -249,7 +249,7 @@ def _add_nearest(study: Study, claims: Claims, result: SearchResult, a: Attribut
 
 
 def _variants(study: Study, a: Attribution, claims: Claims) -> dict[str, Variant]:
-    """Return the variants to replay: before, recalibrated, after, and the nearest if incomplete."""
+    """Return the variants to replay: before, recalibrated, after, and the nearest model if the claim is incomplete."""
     subject, settings, claimed, nearest_fit = study.subject, study.settings, claims.claimed, claims.nearest_hypothesis
     refined = refined_subject(subject, settings, claimed)
     variants = variants_of(subject, settings, a, claimed, refined)
@@ -261,7 +261,7 @@ def _variants(study: Study, a: Attribution, claims: Claims) -> dict[str, Variant
 
 
 def _rises(claims: Claims, played: Replayed, subject: Subject) -> Mapping[str, tuple[float, float]]:
-    """Return the errors that rise on sealed logs with the claim, or with the nearest model."""
+    """Return channel → errors before and after, for errors that rise on sealed logs with the delivered model."""
     variant = "after" if claims.claimed is not None else "nearest"
     if "validation" not in played["before"] or variant not in played:
         return {}
@@ -270,7 +270,7 @@ def _rises(claims: Claims, played: Replayed, subject: Subject) -> Mapping[str, t
 
 
 def _remaining(claims: Claims, played: Replayed, subject: Subject) -> Mapping[str, float]:
-    """Return the share of each channel's squared error on sealed logs that remains with the claim."""
+    """Return channel → share of the squared error on sealed logs that remains with the claim."""
     if not claims.claimed_candidates or "validation" not in played["before"]:
         return {}
     before, after = (
@@ -280,7 +280,7 @@ def _remaining(claims: Claims, played: Replayed, subject: Subject) -> Mapping[st
 
 
 def _floor_warnings(floors: Floors, played: Replayed, subject: Subject) -> Iterator[str]:
-    """Warn of a noise floor above the error."""
+    """Yield a warning for each set of logs with a noise floor above the error."""
     units = {q.name: q.unit for q in subject.outputs}
     for part, floor in floors.items():
         if channels := floor.channels_above(keep_finite(rmse(played["after"][part][subject.horizon]))):

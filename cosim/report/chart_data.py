@@ -59,7 +59,7 @@ class Abscissa:
         return f"{self.over[0]} in {self.over[1] or '1'}"
 
     def about(self, rows: Rows) -> dict[str, Any]:
-        """Return the settings for a page with these rows."""
+        """Return the axis settings for the page's script."""
         about: dict[str, Any] = {"over": self.over} if self.over != TIME else {}
         about |= {"ends": self.ends} if self.ends else {}
         about |= {flag: 1 for flag in ("sparse", "log", "points") if getattr(self, flag)}
@@ -100,7 +100,7 @@ class Series:
         return (self.column(panel.band.lower), self.column(panel.band.upper)) if panel.band else ()
 
     def column(self, values: Array, *, form: int = LINE, more: Mapping[str, Any] = MappingProxyType({})) -> str:
-        """Add a signal and return its key."""
+        """Add a signal; return its key in the script."""
         key, values = f"{self.name}k{len(self.entries)}", values[self.rows]
         good = np.isfinite(values)
         finite = values[good]
@@ -114,7 +114,7 @@ class Series:
 
 
 def to_json(series: Series, more: Mapping[str, Any] = MappingProxyType({}), *, further: Sequence[Series] = ()) -> str:
-    """Return all data of the scripts as JSON.
+    """Return all series as JSON for the page's script.
 
     `<`, `>` and `&` are escaped, since no text may end the script element.
 
@@ -127,9 +127,9 @@ def to_json(series: Series, more: Mapping[str, Any] = MappingProxyType({}), *, f
 
 
 def _block(series: Series) -> dict[str, Any]:
-    """Return the data of one axis for the page's script.
+    """Return the data of an axis for the script.
 
-    Its key `every` is the distance of the page's rows, `of` the number of all rows.
+    Key `every` is the distance between the rows in the page, `of` the number of all rows.
     """
     every = int(series.rows[1] - series.rows[0]) if series.rows.size > 1 else 1
     return {

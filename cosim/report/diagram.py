@@ -17,7 +17,7 @@ STYLES = ("diagram.css", "diagram_alone.css")
 
 @dataclass(frozen=True)
 class DiagramPort:
-    """An input or output of a box; each note below the port has a text and a tone, warn or bad."""
+    """An input or output of a box, with notes below the port; each note has a text and a tone, warn or bad."""
 
     name: str
     unit: str = ""
@@ -119,7 +119,7 @@ def diagram(
 
 
 def _role(wire: Wire, gap: int) -> str:
-    """Return the course of a wire in the gap before a box: out of or into a neighbour, and its direction."""
+    """Return the role of a wire in the gap before a box: from or to a neighbour, and its direction."""
     source, target = wire.source[0], wire.target[0]
     if source + 1 == gap:
         return "out back" if target < gap else "out near" if target == gap else "out on"
@@ -129,9 +129,9 @@ def _role(wire: Wire, gap: int) -> str:
 
 
 def _order(gap: int, wires: Sequence[Wire]) -> list[tuple[int, str]]:
-    """Return the wires in a gap, each with its end.
+    """Return the wires in a gap from left to right, each with its end "out" or "in".
 
-    The end is "out" or "in". In this order from the left, wires of neighbouring ports do not cross.
+    In this order, wires of neighbouring ports do not cross.
     """
     roles: dict[str, list[int]] = {}
     for number, wire in enumerate(wires):

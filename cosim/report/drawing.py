@@ -31,12 +31,12 @@ ALL_POINTS = 60_000  # of all curves: limits the size of a page of a hundred sig
 
 
 class Drawing:
-    """Panels on a common x axis; the script has every row.
+    """Panels on a common x axis; the page's script has every row.
 
-    A logarithmic axis requires x > 0. A single row gives dots over an axis with a single tick.
+    A logarithmic axis requires x > 0. A single row is drawn as dots over an axis with a single tick.
 
     Attributes:
-        few: Thinned rows for an animated picture.
+        few: Rows selected for an animated picture.
     """
 
     def __init__(self, time: Array, curves: int, abscissa: Abscissa = OVER_TIME, *, name: str = "") -> None:
@@ -63,9 +63,9 @@ class Drawing:
         return Keys(tuple(self.series.add(panel)), self.series.band(panel))
 
     def _split_at_breaks(self, panel: Panel) -> Panel:
-        """Return a panel with a row inserted at each break.
+        """Return a panel with extra rows at breaks of curves.
 
-        A lone row gives dots.
+        A drawing of a single row shows dots instead of lines.
         """
         if self.lone:
             return replace(panel, traces=[replace(t, style=f"{t.style} dots", held=False) for t in panel.traces])
@@ -90,7 +90,7 @@ class Charts:
         self.blocks: list[Series] = []
 
     def over(self, x: Array, curves: int, abscissa: Abscissa = OVER_TIME) -> Drawing:
-        """Start a drawing, whose panels share the increasing values x."""
+        """Start a drawing of panels over common values x."""
         drawing = Drawing(x, curves, abscissa, name=self._name())
         self.blocks.append(drawing.series)
         return drawing
@@ -116,7 +116,7 @@ class Charts:
         begins = np.concatenate(([0], np.cumsum([p.size for p in places])))
 
         def spread(values: Array, number: int) -> Array:
-            """Place a curve's values among all rows."""
+            """Return the values of curve `number` in their rows among the rows of all curves."""
             column = np.full(x.size, np.nan)
             column[at[begins[number] : begins[number + 1]]] = values
             return column
@@ -133,9 +133,8 @@ class Charts:
     def points(
         self, panel: Panel, axes: tuple[Axis, Axis], over: tuple[str, str], also: Mapping[str, Array] = NOTHING
     ) -> Plot:
-        """Draw the panel's only trace as points.
+        """Draw the only trace of a panel as points; the cursor reads the nearest point.
 
-        The cursor reads the nearest point.
         axes: of x and y; also: further values of each point by label
         """
         (trace,), (across, up) = panel.traces, axes
@@ -149,7 +148,7 @@ class Charts:
         return replace(plot, also=extra, reach=(up.low, up.high))
 
     def data(self) -> str:
-        """Return all rows for the page's script."""
+        """Return all rows as JSON for the page's script."""
         first, *further = self.blocks or [Series(np.zeros(0), 1)]
         return to_json(first, further=further)
 

@@ -16,7 +16,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Grid:
-    """A small table: titles of its columns after the first, and rows that begin with their name."""
+    """A small table: titles of the columns after the first, and rows that begin with a name."""
 
     title: str
     columns: tuple[str, ...]
@@ -25,7 +25,7 @@ class Grid:
 
 @dataclass(frozen=True)
 class Badge:
-    """A fact at a glance; `tone` is good, bad, warn or plain."""
+    """A short fact with a colour; `tone` is good, bad, warn or plain."""
 
     text: str
     tone: str = "plain"

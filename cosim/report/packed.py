@@ -26,7 +26,7 @@ Integers = NDArray[np.int64]
 
 
 def power(values: Array) -> int:
-    """Return the decimals of a column, negative for large numbers."""
+    """Return the number of decimals to store a column with, negative for large numbers."""
     good = values[np.isfinite(values)]
     if not good.size or not np.any(good):
         return 0
@@ -39,9 +39,9 @@ def power(values: Array) -> int:
 
 
 def power_of_time(time: Array) -> int:
-    """Return the decimals of the time.
+    """Return the number of decimals to store time with.
 
-    These resolve a thousandth of the least step, and a microsecond, unless whole numbers exceed MAX_EXACT.
+    The decimals resolve a thousandth of the least step, and a microsecond, unless whole numbers exceed MAX_EXACT.
     """
     steps = np.diff(time)
     steps = steps[steps > 0.0]
@@ -65,7 +65,7 @@ def pack(columns: Iterable[Integers]) -> str:
 
 
 def _bytes(column: Integers) -> bytes:
-    """Return row differences as zigzag numbers of seven bits a byte."""
+    """Return row differences as zigzag numbers of variable length."""
     steps = np.diff(column, prepend=np.int64(0))
     zigzag = ((steps << 1) ^ (steps >> 63)).astype(np.uint64)
     lengths = np.ones(zigzag.size, np.int64)

@@ -28,7 +28,7 @@ class Trace:
         values: Values in the panel's unit.
         held: True if each value is held until the next sample, as commands are.
         anew: True if the line restarts at each break of its drawing.
-        x: Increasing places of the values; by default those of the drawing.
+        x: Increasing values of the horizontal axis; None takes the values of the drawing.
         stems: True for lines from zero to each value, displaced by `shift`.
         upper: Upper ends of bars that begin at the values.
         items: Texts shown instead of values.
@@ -47,7 +47,7 @@ class Trace:
 
     @property
     def form(self) -> int:
-        """Return the form for the page's script: LINE, HELD, DOTS, STEMS, BARS or CROSSES."""
+        """Return the kind of drawing for the page's script: LINE, HELD, DOTS, STEMS, BARS or CROSSES."""
         if self.upper is not None:
             return BARS
         if self.stems:
@@ -67,7 +67,7 @@ class Band:
     """A shaded region between two lines.
 
     Attributes:
-        x: Increasing places of the values; by default those of the drawing.
+        x: Increasing values of the horizontal axis; None takes the values of the drawing.
     """
 
     label: str
@@ -92,9 +92,9 @@ class Panel:
 def by_unit(
     names: Iterable[str], unit: Callable[[str], str], values: Callable[[str], Array]
 ) -> list[tuple[str, list[str]]]:
-    """Return unit and names of each shared panel.
+    """Return unit and signal names of each panel.
 
-    Signals without a unit may be of any kind: they share a panel only if each is visible on its axis.
+    Signals without a unit share a panel only if each is visible on the common axis.
     """
     groups: list[tuple[str, list[str], _Range]] = []
     for name in names:
@@ -111,7 +111,7 @@ def by_unit(
 
 @dataclass(frozen=True)
 class _Range:
-    """Range of the signals on an axis, and the smallest range of a varying signal among them."""
+    """Range of the signals on an axis, and the smallest range of a varying signal."""
 
     low: float
     high: float

@@ -55,10 +55,10 @@ class Axis:
 
 @dataclass(frozen=True)
 class Curve:
-    """One drawn line.
+    """A drawn line.
 
     Attributes:
-        value: Text of its value if it has a single row.
+        value: Text of the value of a line with a single row.
     """
 
     label: str
@@ -90,10 +90,10 @@ class Plot:
 
     Attributes:
         levels: Limits in the panel's unit.
-        keys: Keys of its series in the rows of the script.
+        keys: Keys of the panel's data series in the page.
         also: Values shown by the cursor but not drawn.
         uprights: Values of x with a vertical line.
-        reach: Ends of the y axis, if the script needs them.
+        reach: Ends of the y axis, if the page's script needs them.
     """
 
     title: str
@@ -167,7 +167,7 @@ def tick_label(value: float, decimals: int) -> str:
 def log_axis(low: float, high: float) -> Axis:
     """Return an axis over 10^low … 10^high.
 
-    Ticks are decades. If these are fewer than three, ticks between decades are added, or linear ones replace them.
+    Ticks are decades. With fewer than three decades, ticks between decades are added, or linear ticks replace them.
     """
     every = max(1, math.ceil((high - low) / 8))
     decades = [d for d in range(math.floor(low), math.ceil(high) + 1) if d % every == 0]
@@ -192,7 +192,7 @@ def _short_text(value: float) -> str:
 
 
 def lone_axis(value: float) -> Axis:
-    """Return an axis about one value with a single tick."""
+    """Return an axis with a single tick at a value."""
     return Axis(value - 0.5, value + 0.5, (Tick(50.0, f"{value:g}".replace("-", MINUS)),))
 
 
@@ -216,7 +216,7 @@ def thin(values: Array, limit: int) -> Rows:
 
 
 def runs(good: NDArray[np.bool_]) -> list[slice]:
-    """Return the stretches of consecutive drawable rows."""
+    """Return the ranges of consecutive drawable rows."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], good, [False])).astype(np.int8)))
     return [slice(int(first), int(last)) for first, last in zip(edges[::2], edges[1::2], strict=True)]
 
@@ -285,7 +285,7 @@ def band_path(x: Axis, y: Axis, time: Array, lower: Array, upper: Array, limit: 
 def value_axis(panel: Panel) -> Axis:
     """Return a y axis that contains the curves, limits and band of a panel.
 
-    An absurdly wide band is cut off. Without values the axis has no ticks.
+    An extremely wide band is cut off. Without values the axis has no ticks.
     """
     span = extent([values for trace in panel.traces for values in trace.reach])
     if span is None and not panel.limits:
@@ -318,7 +318,7 @@ def make_plot(
     """Draw a panel.
 
     Args:
-        keys: Keys of its series, one for each curve.
+        keys: Keys of the panel's data series in the page, one for each curve.
         over: Name and unit of x.
     """
     y = y or value_axis(panel)

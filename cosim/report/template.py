@@ -12,9 +12,9 @@ SCRIPTS = ("axes.js", "charts.js", "report.js")  # in this order
 
 
 def render(page: Path, values: Mapping[str, Any], folders: Sequence[Path] = ()) -> str:
-    """Return a self-contained HTML page, made from a template.
+    """Return a self-contained HTML page from a template.
 
-    Its template may use the shared templates and templates in `folders`. Every `.css` and `.js` in the page's
+    The template may use the shared templates and templates in `folders`. Every `.css` and `.js` in the page's
     folder is inlined. Lines of a template literal lose their indentation.
     """
     # Only pages need jinja2: `import cosim.report` must not load it.
@@ -41,7 +41,7 @@ def inline(files: Sequence[Path]) -> str:
 
 
 def _code(text: str) -> str:
-    """Mark text between backticks as code."""
+    """Return a text as HTML with marked code."""
     from markupsafe import Markup, escape
 
     return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", str(escape(text))))

@@ -55,7 +55,7 @@ def _map_rows(path: Path, rows: int, columns: int) -> Rows:
 
 
 def ask(number: int, method: str, *arguments: Any) -> Any:
-    """Call a method of a drive."""
+    """Call a method of a drive in the worker process, by the drive's number."""
     own_process.progress.doing[0] = OTHER
     return getattr(_drives[number], method)(*arguments)
 

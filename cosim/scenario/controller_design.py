@@ -150,7 +150,7 @@ def _contradictions(
 
 
 def _read_design(file: ScenarioFile, design: Design) -> tuple[Model | None, Designer]:
-    """Return the model that the design names, None without one, and its designer."""
+    """Return the model named by the design (None without a name), and the designer of its controller."""
     if design.model is None and design.nearest:
         raise InputError([file.fault(("design", "nearest"), messages.NEAREST_WITHOUT_MODEL())])
     if design.model is None:

@@ -36,7 +36,7 @@ class CouplingError:
         of: Signal → largest difference.
         stopped: Reason for missing differences.
         steps: Signal → largest difference caused by a single step, and its time [s].
-        without: Reason for not repeating single steps.
+        without: Reason for missing `steps`.
     """
 
     of: Mapping[str, float]
@@ -101,7 +101,7 @@ def differences(whole: Results, halved: Results, names: Sequence[str]) -> dict[s
 def _results(
     path: Path, overrides: tuple[str, ...], nearest: bool, parts: int, worker: Worker | None, *, halved: bool = False
 ) -> Results | str:
-    """Run a scenario with other steps and return its rows, or a reason why there are none.
+    """Run a scenario with another step and return its rows, or the reason for missing rows.
 
     Args:
         parts: Number of parts into which the scenario's step is divided.

@@ -23,9 +23,9 @@ PACKAGES = ("FMPy", "pythonfmu", "numpy", "scipy", "filterpy", "control", "pydan
 
 
 def resolve_scenario(file: ScenarioFile, designed: Mapping[str, Mapping[str, Any]], system: System) -> Scenario:
-    """Return the scenario as it was run, for the manifest.
+    """Return the executed scenario for the manifest.
 
-    It has designed values in place of `design`, absolute paths, and the hash of each file.
+    The scenario has designed values in place of `design`, absolute paths, and the hash of each file.
     """
     components, changes = dict[str, Any](), dict[str, Any]()
     for name, component in file.scenario.components.items():

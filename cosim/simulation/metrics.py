@@ -14,7 +14,7 @@ from cosim.base.arrays import Array
 def settling_time(t: Array, signal: Array, target: Array | float, band: float) -> float:
     """Return the time [s] to the last sample outside `target ± band`.
 
-    It is 0 if no sample is outside and inf if the last sample is.
+    The time is 0 if no sample is outside, and inf if the signal ends outside.
     """
     outside = np.flatnonzero(np.abs(signal - target) > band)
     if outside.size == 0:
@@ -25,10 +25,7 @@ def settling_time(t: Array, signal: Array, target: Array | float, band: float) -
 
 
 def overshoot(signal: Array, target: Array | float) -> float:
-    """Return the largest excursion beyond the final target.
-
-    The direction is that from the first sample to the target.
-    """
+    """Return the largest excursion beyond the final target, in the direction from the first sample to the target."""
     final = float(np.broadcast_to(target, signal.shape)[-1])
     direction = np.sign(final - signal[0])
     return max(0.0, float(np.max(direction * (signal - final)))) if direction else float(np.max(np.abs(signal - final)))

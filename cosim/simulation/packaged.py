@@ -125,7 +125,7 @@ def lay_out(
 
 
 def _without_folder(fault: Fault, trial: Path, package: Package) -> Fault:
-    """Return a fault whose message and place name the SSP instead of its temporary folder."""
+    """Return a fault with the SSP in place of its temporary folder, in message and place."""
     if package.packed:
         fault = replace(fault, message=fault.message.replace(f"{package.folder}/", f"{package.shown}/"))
     return replace(fault, file=package.shown) if fault.file == trial else fault

@@ -169,7 +169,7 @@ def _add_outcome(record: dict[str, Any], scenario: Scenario, stepped: SteppedRun
 
 @dataclass
 class _Files:
-    """Files of a run; `written` are the names of those that are complete."""
+    """Files of a run; `written` holds the names of complete files."""
 
     rows: Path
     scenario: Scenario
@@ -246,7 +246,7 @@ class _Files:
         return full(missing)
 
     def _rows_that_fit(self, manifest: int) -> int:
-        """Write the rows that fit; return their number.
+        """Write as many rows as fit; return their number.
 
         Args:
             manifest: Size [bytes] of the manifest, for which room is reserved if possible.

@@ -37,7 +37,7 @@ class Element:
     children: list[Element] = field(default_factory=list)
 
     def all(self, *tags: str) -> Iterator[Element]:
-        """Yield all elements at a path of tags; of the outer tags, only the first element of each is searched."""
+        """Yield all elements at a path of tags; for each outer tag, only the first element is searched."""
         parent = self.first(*tags[:-1])
         return (child for child in (parent.children if parent else ()) if child.tag == tags[-1])
 

@@ -125,7 +125,7 @@ class _Flattener:
             yield SignalLink(*ends, self._along(source, hops, connection.element), connection.element)
 
     def _hops(self, level: Level, last: SspConnection) -> Hops | None:
-        """Return the chain of connections that leads from an FMU's output to `last`; empty if none does."""
+        """Return the chain of connections from an FMU's output to `last`; None without output."""
         hops: Hops = ((level, last),)
         while True:
             at, connection = hops[0]
@@ -214,7 +214,7 @@ class _Flattener:
                 self._warn_of_name(parameter, chain(level.system.connectors, self._names(level)))
 
     def _targets(self, level: Level, name: str) -> Iterator[Target]:
-        """Yield all variables for a hierarchical name in a system."""
+        """Yield the FMU variables of a hierarchical name."""
         if name in level.system.connectors:
             yield from self._forward(level, name, ())
         for element, part in level.parts.items():
@@ -225,7 +225,7 @@ class _Flattener:
                 yield from self._targets(inner, name[len(element) + 1 :])
 
     def _forward(self, level: Level, connector: str, hops: Hops) -> Iterator[Target]:
-        """Yield the FMU inputs inside a system to which one of its connectors leads."""
+        """Yield the FMU inputs inside a system that are connected to a connector of the system."""
         for connection in level.system.connections:
             # With two sources, a noted fault, the first counts.
             if connection.start != (None, connector) or level.into[connection.end] is not connection:

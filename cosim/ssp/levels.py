@@ -61,7 +61,7 @@ class Level:
 
     @cached_property
     def into(self) -> dict[tuple[str | None, str], SspConnection]:
-        """Return the connections by end."""
+        """Return the connections by end: (element, None for the system itself; connector)."""
         return {connection.end: connection for connection in reversed(self.system.connections)}
 
 

@@ -65,7 +65,7 @@ class Notes:
         return units
 
     def _number(self, element: Element, name: str, default: Default) -> float | Default:
-        """Return the number in an attribute; return the default if it is missing or faulty; note the fault."""
+        """Return the number in an attribute, the default for a missing or faulty number; note the fault."""
         text = element.get(name)
         if text is None:
             return default

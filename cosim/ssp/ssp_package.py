@@ -41,7 +41,7 @@ class Package:
         return self.shown if path == self.structure else self.shown / path.relative_to(self.folder)
 
     def resolve(self, source: str) -> Path | str:
-        """Return the file that a relative URI in the SSP names, or a message on why it is not allowed."""
+        """Return the file of a relative URI in the SSP, or a message on a URI that is not allowed."""
         name = source[:80]
         try:
             uri = urlsplit(source)

@@ -15,7 +15,7 @@ Units = Mapping[str, Definition]
 
 @dataclass(frozen=True)
 class LinearTransformation:
-    """factor·value + offset; `exact` replaces any unit conversion."""
+    """Transformation factor·value + offset of a connection; `exact` replaces any unit conversion."""
 
     factor: float = 1.0
     offset: float = 0.0

@@ -83,7 +83,7 @@ def _xml(root: Element) -> bytes:
 
 
 def _namespaces(*prefixes: str) -> dict[str, str]:
-    """Return the XML attributes that declare the namespaces in use."""
+    """Return the XML attributes for the declaration of namespaces."""
     return {f"xmlns:{prefix}": uri for uri, prefix in NAMESPACES.items() if prefix in prefixes}
 
 

@@ -43,12 +43,12 @@ DAMAGES = (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, Valu
 
 
 class BadArchive(ValueError):
-    """Reason for not opening an archive."""
+    """Error: an archive is refused, with the reason."""
 
 
 @dataclass(frozen=True)
 class Contents:
-    """Required and parsed files of a kind of archive; parsed files by name or ending."""
+    """Files of a kind of archive: required files, and files to parse by name or ending."""
 
     standard: str
     needed: str

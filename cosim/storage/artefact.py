@@ -94,7 +94,7 @@ class Artefact:
         return max((len(needed) for needed in self.keys if needed <= keys), default=0)
 
     def is_left_in(self, folder: Path) -> bool:
-        """Return whether the verb wrote into a folder."""
+        """Return whether a folder contains results of the verb."""
         return any((folder / mark).is_file() for mark in self.marks)
 
 

@@ -38,7 +38,7 @@ def cache_path(source: str, suffix: str) -> Path:
 
 
 def cache_folder() -> Path:
-    """Return the user's cache folder `cosim`, else a temporary one."""
+    """Return the user's cache folder, or a temporary folder."""
     return _user_folder() or _temporary()
 
 
@@ -66,7 +66,7 @@ def discard_untrusted(paths: Iterable[Path]) -> bool:
 def load_or_make(source: str, make: Callable[[], Any]) -> Any:
     """Return a JSON value made from a source, cached.
 
-    A hash of the content precedes the content, so that a damaged or partial file is made anew.
+    The cache file begins with a hash of its content, so that a damaged or partial file is made anew.
     """
     path = cache_path(source, ".json")
     try:
@@ -147,10 +147,7 @@ def _say_once(note: Message) -> None:
 
 
 def _distrust(folder: Path) -> str:
-    """Return the reason against trusting a folder, with remedy.
-
-    The result is "" if no other user can change its content.
-    """
+    """Return the reason why a folder is not trusted, with remedy; "" if only this user can change its content."""
     if not hasattr(os, "geteuid"):
         return ""
     for place in (folder, *folder.parents):

@@ -174,7 +174,7 @@ class _Cells:
 
     @contextmanager
     def _noting_faults(self) -> Iterator[None]:
-        """Note the fault of an unreadable line, which ends the block."""
+        """Note unreadable lines as faults, ending the `with` block."""
         try:
             yield
         except _BadLine as error:
@@ -190,9 +190,9 @@ class _Cells:
 
 
 def _plain_numbers(path: Path, above: int, width: int) -> tuple[Array, Sequence[bytes]] | None:
-    """Return cells as numbers, and the text of the first row.
+    """Return cells as numbers, and the text of the first row; None if any cell is not plainly a number.
 
-    Empty cells become NaN. The result is None if any cell is not plainly a number.
+    Empty cells become NaN.
 
     Args:
         above: Number of lines including the header.

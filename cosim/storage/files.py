@@ -44,10 +44,7 @@ def write_json(path: Path, content: Any, *, indent: int = 2, allow_nan: bool = T
 
 
 def check_text(names: Iterable[str]) -> None:
-    """Raise InputError for names that are not valid text.
-
-    A folder of a machine with another encoding may have such names.
-    """
+    """Raise InputError for names that are not valid text, as from a machine with another encoding."""
     faults = []
     for name in names:
         try:
@@ -173,10 +170,7 @@ def check_folder(folder: Path) -> None:
 
 
 def _is_of_other_user(path: Path) -> bool:
-    """Return whether a file belongs to another user and its folder allows only the owner to replace it.
-
-    Folders such as the temporary folder have this rule.
-    """
+    """Return whether only another user may replace a file, as in the folder for temporary files."""
     if not hasattr(os, "geteuid") or not os.path.lexists(path):
         return False
     owner, folder = path.lstat().st_uid, path.parent.stat()
@@ -184,12 +178,10 @@ def _is_of_other_user(path: Path) -> bool:
 
 
 def check_writable(folder: Path, names: Sequence[str], read: Iterable[Path] = ()) -> None:
-    """Prepare a folder for writing files, and lock it.
-
-    Drafts of killed commands are removed.
+    """Lock a folder for writing; remove abandoned drafts.
 
     Args:
-        read: Input files, which must not be overwritten.
+        read: Input files, not to be overwritten.
 
     Raises:
         InputError: A file cannot be written.

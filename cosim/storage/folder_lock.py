@@ -69,9 +69,9 @@ def folder_locks() -> Iterator[None]:
 
 
 def take_folder(folder: Path) -> bool:
-    """Lock a folder for the running verb, and make it if missing.
+    """Lock a folder for the running verb; make missing folders.
 
-    A folder that cannot be made is reported elsewhere.
+    The caller reports a folder that cannot be made.
 
     Returns:
         Whether the folder is locked.

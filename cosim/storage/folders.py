@@ -156,7 +156,7 @@ def prepare_folder(folder: Path, *, keep: bool) -> None:
 
 
 def refuse_links(folder: Path) -> None:
-    """Raise InputError for links in place of the folders in a results folder, and for a stranger's link to it."""
+    """Raise InputError for links in place of folders in a results folder, and for a link of another user to it."""
     inner = {EARLIER, *(name.partition("/")[0] for a in artefacts() for name in a.files if "/" in name)}
     links = [folder / name for name in sorted(inner) if (folder / name).is_symlink()]
     faults = [Fault(link, 0, 0, messages.LINK_IN_FOLDER()) for link in links]
@@ -252,7 +252,7 @@ def _listed_names(folder: Path, moving: Path) -> list[str]:
 
 
 def _move(path: Path, place: Path) -> None:
-    """Move a file and adapt upward paths in YAML files. A file that has already been moved is skipped."""
+    """Move a file and adapt upward paths in YAML files; an already moved file is skipped."""
     if not path.is_file():
         return
     place.parent.mkdir(parents=True, exist_ok=True)

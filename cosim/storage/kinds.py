@@ -71,7 +71,7 @@ class Form:
 
 
 def kind_by_form(path: Path) -> str | None:
-    """Return the kind of a file by first bytes or ending. None leaves the decision to the keys."""
+    """Return the kind of a file by first bytes or ending; None if only its keys can decide."""
     head = b""
     with suppress(OSError, ValueError):
         if path.is_file():
@@ -107,7 +107,7 @@ def _other_kind(form: Form) -> str | None:
 
 
 def _is_named(path: Path, beside: tuple[str, str]) -> bool:
-    """Return whether a file has a certain name and a certain other file is in its folder.
+    """Return whether a file has a given name, and its folder contains a given second file.
 
     For rows in formats other than CSV, only the suffix differs.
     """
@@ -117,18 +117,15 @@ def _is_named(path: Path, beside: tuple[str, str]) -> bool:
 
 
 def _is_tabular(text: str) -> bool:
-    """Return whether a text may be a table or a mapping.
-
-    It then has a row of numbers, or begins with a column name or a key.
-    """
+    """Return whether a text begins as a table or a mapping: with a row of numbers, a column name or a key."""
     lines = text.splitlines()
     return any(ROW.match(line) for line in lines[1:]) or bool(lines and FIRST.match(lines[0]))
 
 
 def _is_binary(head: bytes) -> bool:
-    """Return whether the first bytes of a file are binary rather than text.
+    """Return whether the first bytes of a file are binary.
 
-    Loggers use various encodings, and a row that was cut off contains zero bytes.
+    Loggers use various encodings, and a truncated row contains zero bytes.
     """
     if head.startswith(UTF_16):
         return False

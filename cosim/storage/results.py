@@ -107,7 +107,7 @@ class Results:
         return len(self.time)
 
     def _write_whole_that_fits(self, path: Path) -> int:
-        """Write as many of the first rows as fit on the disk, and return their number."""
+        """Write a format without partial files with as many first rows as fit on the disk; return their number."""
         count = len(self.time)
         while True:
             try:

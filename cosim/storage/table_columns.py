@@ -41,10 +41,10 @@ class Heading:
 
 @dataclass(frozen=True)
 class Column:
-    """Reading instructions for a column.
+    """Instructions for reading a column.
 
     Attributes:
-        factor: Factor applied to its numbers.
+        factor: Factor on the numbers of the column.
         role: Description, "the time" or "an input", of a column without gaps; "" allows empty cells as NaN.
         spare: Whether the column is optional; a cell without a finite number then removes the column.
         offset: Offset added after the factor.

@@ -14,10 +14,10 @@ WIDTHS = 2.0  # standard deviations in a tolerance on each side
 
 
 def base_parameters(subject: Subject, values: Mapping[str, float], tolerance: Mapping[str, float]) -> list[Free]:
-    """Return the base parameters that every fit recalibrates, with their priors.
+    """Return base parameters free in every fit, with priors.
 
     Args:
-        tolerance: Parameter → relative tolerance from the study, which overrides the model's.
+        tolerance: Parameter → relative tolerance from the study; overrides the model's tolerance.
     """
     stated = tolerances(subject, tolerance)
     return [base_parameter(subject, name, values, share) for name, share in stated.items()]
@@ -37,7 +37,7 @@ def base_parameter(subject: Subject, name: str, values: Mapping[str, float], tol
 
 
 def spread_of_base(p: Parameter, value: float, tolerance: float) -> float:
-    """Return the prior standard deviation for a tolerance."""
+    """Return the prior standard deviation of a base parameter."""
     return tolerance * _scale(p, value) / WIDTHS
 
 
@@ -46,5 +46,5 @@ def _scale(p: Parameter, value: float) -> float:
 
 
 def kind_within(c: Candidate, subject: Subject) -> Kind:
-    """Return the kind of a candidate; an effect that the model already contains counts as a parameter."""
+    """Return the kind of a candidate; an effect already in the model counts as a parameter."""
     return "parameter" if c.name in subject.present else c.kind

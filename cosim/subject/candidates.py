@@ -16,7 +16,7 @@ class Candidate:
     """A hypothesis: free parameters and start values of its fit.
 
     Attributes:
-        gain: True for a factor on an input, which may be a single wrong number.
+        gain: True for a factor on an input, possibly a single wrong number.
     """
 
     name: str
@@ -62,7 +62,7 @@ def effect(
 
 
 def usual_size(p: Parameter) -> float:
-    """Return the usual size of a parameter."""
+    """Return the typical change of a parameter, as scale for start values and steps of a fit."""
     return p.typical or 0.3 * abs(float(p.default)) or 0.1
 
 
@@ -76,9 +76,9 @@ class Free:
         size: Typical change, for steps of the fit.
         prior: Mean and standard deviation; None without a prior.
         neutral: Value without effect; None for a base parameter.
-        parameter: Parameter of which this is the value for a group of logs; "" if common to all logs.
-        group: The group of logs.
-        above: Parameter that is a lower bound.
+        parameter: Name of the parameter if the value is for a group of logs; "" if common to all logs.
+        group: Name of the group of logs.
+        above: Name of a parameter as lower bound.
     """
 
     name: str

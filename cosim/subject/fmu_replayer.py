@@ -50,9 +50,9 @@ class FmuReplayer(Replayer):
 
 
 def start_values(model: Model, start: Start) -> dict[str, float]:
-    """Return FMU start parameters for a start.
+    """Return the FMU's start parameters for a replay.
 
-    Delays are excluded, and so are sensor errors, which the plant lacks.
+    Delays and sensor errors are excluded.
     """
     awake, plant = {e.name for e in model.awake}, model.declared
     values = {name: value for name, value in start.per_log.items() if name in plant}
@@ -69,7 +69,7 @@ def start_values(model: Model, start: Start) -> dict[str, float]:
 
 @functools.cache
 def shaping_effects(catalogue: tuple[type[Effect], ...]) -> tuple[Any, ...]:
-    """Return the effects of a catalogue that shape commands, in order."""
+    """Return the command-shaping effects of a catalogue, in order."""
     return tuple(overrides(tuple(kind() for kind in catalogue), "shape", Effect))
 
 

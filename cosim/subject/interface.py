@@ -37,7 +37,7 @@ class Start:
 
     Attributes:
         states: State of the kernel → value.
-        memory: Stored values of the kernel, in its order.
+        memory: Stored values of the kernel, in the kernel's order.
         per_log: Parameter per log → value.
     """
 
@@ -55,7 +55,7 @@ class Workplace(ExitStack):
 
     @cached_property
     def worker(self) -> Worker | None:
-        """Return the worker process that loads the FMUs; None if FMUs are loaded into this process."""
+        """Return the worker process of the FMUs; None if FMUs are loaded into this process."""
         return None if self.in_process else self.enter_context(Worker(*MODULES))
 
 
@@ -96,7 +96,7 @@ class Subject(Protocol):
         parameters: Base parameters, each with an optional tolerance.
         candidate_parameters: `candidate.parameter` → declaration, without sensors.
         values: Every parameter of its kernel → value; candidates at neutral. (Members below have a default.)
-        calibrated: Base parameters that every fit recalibrates, in addition to those with a tolerance.
+        calibrated: Base parameters free in every fit, also without a stated tolerance.
         sensors: Possible sensor errors.
         sensor_variance, start_variance: Variance of output noise, and of states at the start of a log.
         present: Candidates already in the object; a further change counts as a wrong parameter.
@@ -136,7 +136,7 @@ class Subject(Protocol):
         """Return every hypothesis about missing or wrong parts.
 
         Args:
-            varied: Inputs that vary in some log; parameters that need other inputs are excluded.
+            varied: Inputs with variation in some log; parameters without their required inputs are excluded.
         """
         ...
 
@@ -157,11 +157,11 @@ class Subject(Protocol):
         ...
 
     def replayer(self, place: Workplace) -> Replayer:
-        """Return an object that replays logs with the delivered FMU or model, stored at `place`."""
+        """Return a replayer of logs for the delivered FMU or model, stored at `place`."""
         ...
 
     def refined(self, claims: Mapping[str, float]) -> Subject:
-        """Return the subject with other parameter values, including those of claimed candidates."""
+        """Return the subject with changed or claimed parameter values."""
         ...
 
     # -- members with a default ------------------------------------------------------------------
@@ -188,15 +188,15 @@ class Subject(Protocol):
 
     @property
     def measured_states(self) -> frozenset[str]:
-        """Return states that an output of the same name measures."""
+        """Return states measured by outputs of the same name."""
         return frozenset(q.name for q in self.states) & {q.name for q in self.outputs}
 
     def substeps(self, step: float) -> int:
-        """Return the integration steps in a step [s]; fits may use fewer."""
+        """Return the number of integration steps in a communication step [s]; fits may use fewer."""
         return 1
 
     def settling(self, states: Sequence[str]) -> float:
-        """Return the time in which states without process noise forget a wrong start [s]."""
+        """Return the time [s] after which a wrong start of states without process noise is negligible."""
         return 0.0
 
     def prediction(self, log: Log) -> Predict | None:
@@ -229,5 +229,5 @@ class Subject(Protocol):
         return ()
 
     def use(self, folder: Path) -> Sequence[str]:
-        """Return the command line that uses the delivered files in `folder`; empty if there are none."""
+        """Return a command line for the delivered files in `folder`; empty without files."""
         return ()

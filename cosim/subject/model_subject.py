@@ -63,7 +63,7 @@ class ModelSubject(Subject):
 
     @classmethod
     def of(cls, model: Model) -> ModelSubject:
-        """Return the subject of a bare model."""
+        """Return the subject of a model without model.yaml."""
         return cls(LoadedModel(model, ""))
 
     @cached_property
@@ -78,7 +78,7 @@ class ModelSubject(Subject):
 
     @property
     def measured_states(self) -> frozenset[str]:
-        """Return the states that an output of the same name measures; this is tested at a single state."""
+        """Return the states measured by an output of the same name, tested at a single state."""
         return frozenset(shown_states(self.model))
 
     def candidates(self, varied: Sequence[str]) -> list[Candidate]:
@@ -96,7 +96,7 @@ class ModelSubject(Subject):
         return replace(c, starts=({name: self.values[name] for name in c.parameters},))
 
     def _suspects(self, varied: Sequence[str]) -> Iterator[Candidate]:
-        """Yield base parameters as candidates; a suspect parameter only if an input varies that would reveal it."""
+        """Yield base parameters as candidates, without parameters invisible for lack of a varying input."""
         suspects = [name for name, inputs in self.model.suspect.items() if any(i in varied for i in inputs)]
         for name in (*self.model.calibrated, *suspects):
             free = base_parameter(self, name, self.values, None)
@@ -119,7 +119,7 @@ class ModelSubject(Subject):
         return settling(self.model, states)
 
     def prediction(self, log: Log) -> Predict | None:
-        """Return a function that predicts each row of a log from the previous row."""
+        """Return a one-step predictor of a log's rows."""
         return partial(predicted_outputs, self.model, log)
 
     def nameless(self, signal: str) -> tuple[Callable[..., Any], Sequence[str]] | None:
@@ -170,10 +170,9 @@ class ModelSubject(Subject):
         return yaml, fmu
 
     def use(self, folder: Path) -> list[str]:
-        """Return a command that uses the FMU.
+        """Return a command line for the FMU, with design of a controller if the model has a designer.
 
-        A controller is designed for the FMU if the model has a designer. Paths are absolute, since relative paths refer
-        to the scenario.
+        Paths are absolute, since relative paths refer to the scenario.
         """
         model, fmu = ((folder / name).resolve() for name in REFINED)
         command = ["cosim", "run", "scenario.yaml", "--set", f"components.plant.fmu={fmu}"]
@@ -182,7 +181,7 @@ class ModelSubject(Subject):
 
 
 def neutral_values(model: Model) -> dict[str, float]:
-    """Return a value for every kernel parameter: the model's own values, all other effects and sensor errors off."""
+    """Return the value of every kernel parameter: the model's values, absent effects and sensor errors at neutral."""
     own = {p.name: getattr(model, p.name) for p in model.parameters}
     own |= {f"{e.name}.{p.name}": getattr(e, p.name) for e in model.effects for p in parameters_of(e)}
     declared = model.declared | model.sensor_parameters

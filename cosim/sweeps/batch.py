@@ -25,7 +25,7 @@ MAX_MEMORY = 1 << 28  # rows and noise in memory at once [bytes]
 
 
 def kinds_of(system: System) -> dict[str, TwinMaker] | str:
-    """Return the makers of all twins, or the reason for using FMUs."""
+    """Return component → kind of its twin (many runs at once on arrays), or the reason why the sweep needs FMUs."""
     obstacles = {
         "events change parameters while it runs": system.events,
         "signals are no doubles, or a component has a process of its own": system.apart or system.beside,

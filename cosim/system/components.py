@@ -59,7 +59,7 @@ def _component(
 
 
 def _fixes(scenario: Scenario, name: str, component: FixComponent, diagnosis: Diagnosis) -> Fixes | None:
-    """Return a fix sensor; note faults of rate and names."""
+    """Return a sensor of position fixes; note faults."""
     signals = {}
     for signal, about in component.signals.items():
         noise = about.noise if scenario.noise else None
@@ -117,9 +117,9 @@ def _fmu(
 
 
 def _recorded_names(patterns: Sequence[str], name: str, description: Any) -> frozenset[str]:
-    """Return variables to record besides inputs and outputs.
+    """Return variables to record besides inputs and outputs: matches of patterns such as `plant.*`.
 
-    They match patterns such as `plant.*`. An FMU without outputs adds its states.
+    For an FMU without outputs, its states are added.
     """
     names = {
         v.name
@@ -132,7 +132,7 @@ def _recorded_names(patterns: Sequence[str], name: str, description: Any) -> fro
 
 
 def _start_values(component: str, description: Any, stated: Mapping[str, Any], diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return start values in the types of their variables; note a fault for each value that does not fit."""
+    """Return start values in the types of their variables; note a fault for each unsuitable value."""
     variables = {v.name: v for v in description.modelVariables} if stated else {}
     values = {}
     for name, value in with_elements(stated, variables).items():

@@ -18,7 +18,7 @@ Events = Mapping[int, Mapping[str, Mapping[str, Any]]]  # communication point �
 
 
 def changes_of(file: ScenarioFile, blocks: Mapping[str, FmuBlock], diagnosis: Diagnosis) -> Events:
-    """Return the values that events set: communication point → component → variable → value.
+    """Return communication point → component → variable → event value.
 
     An event acts at the first point at or after its time. Among events at the same point, the later time wins.
     """
@@ -55,7 +55,7 @@ def _value(
     target: str,
     written: Any,
 ) -> Any:
-    """Return the value of an event in the variable's FMI type, or the reason why it cannot be set."""
+    """Return the value of an event in the variable's FMI type, or the reason for a refusal."""
     name, _, variable_name = target.partition(".")
     block = blocks.get(name)
     if block is None:

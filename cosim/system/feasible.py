@@ -17,7 +17,7 @@ BYTES = 8  # size of a number [bytes]
 
 
 def check_feasible(components: Iterable[Any], diagnosis: Diagnosis) -> None:
-    """Note faults of refused communication steps and oversized results."""
+    """Note faults of communication steps that components refuse, and of results too large for the memory."""
     blocks = list(components)
     _check_size(sum(len(b.inputs) + len(b.outputs) for b in blocks), diagnosis)
     _check_sampling(blocks, diagnosis)

@@ -18,7 +18,7 @@ from cosim.system.wiring import Components, Transfer
 
 @dataclass(frozen=True)
 class Stage:
-    """A component with the transfers before its step; it steps at every `every`-th communication point."""
+    """A component with the transfers before its step, every `every`-th communication point."""
 
     component: Component
     pulls: tuple[Transfer, ...] = ()
@@ -36,7 +36,7 @@ class Schedule:
 def schedule(
     scenario: Scenario, components: Components, transfers: Sequence[Sequence[Transfer]], diagnosis: Diagnosis
 ) -> Schedule:
-    """Return the schedule of a scenario; note a fault and return an empty one if none exists.
+    """Return the schedule of a scenario; note a fault and return an empty schedule if none exists.
 
     Args:
         transfers: Transfers of each connection.

@@ -30,8 +30,8 @@ class System:
 
     Attributes:
         stages: Stages in stepping order.
-        held: Transfers at the end of a step, whose targets see values from the step's start.
-        beside: Columns with values beyond the exact range of doubles.
+        held: Transfers at the end of a step; their targets use values from the start of the step.
+        beside: Columns stored outside the row of doubles, for values without exact double.
         events: Communication point → component → values to set.
         apart: Names of components with their own process.
         halved: Whether rows hold the differences made by halving each step, instead of signals.
@@ -59,7 +59,7 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
         start_values: Values by component, overridden by the scenario's own.
 
     Raises:
-        InputError: The scenario has faults; it lists all of them.
+        InputError: Every fault of the scenario.
     """
     scenario, diagnosis = file.scenario, Diagnosis(file)
     components = build_components(file, start_values or {}, diagnosis)
@@ -96,7 +96,7 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
 
 
 def _check_record(file: ScenarioFile, components: Mapping[str, Component], diagnosis: Diagnosis) -> None:
-    """Note a fault for each pattern of `record` without component, and warn of patterns that record nothing."""
+    """Note a fault for each pattern of `record` without component, and a warning for patterns without variable."""
     for k, pattern in enumerate(file.scenario.record):
         name = pattern.partition(".")[0]
         component = components.get(name)

@@ -83,7 +83,7 @@ class Transfer:
         return not changed and self.beside == (False, False)
 
     def check_item(self, value: Any, t: float) -> None:
-        """Raise SimulationError if a value is no item of the target."""
+        """Raise SimulationError if a value is no item of the target enumeration."""
         if self.items is not None and value not in self.items.values():
             message = messages.NOT_AN_ITEM(value=value, origin=self.origin, items=_numbers(self.items))
             raise SimulationError(self.name, t, message)
@@ -154,7 +154,7 @@ def lay_out(components: Components) -> RowLayout:
 def connect(
     file: ScenarioFile, components: Components, layout: RowLayout, diagnosis: Diagnosis
 ) -> list[tuple[Transfer, ...]]:
-    """Return the transfers of each connection, one per element of an array; none for a faulty connection."""
+    """Return the transfers of each connection, for arrays one per element; none for a faulty connection."""
     _check_sources(file, diagnosis)
     _check_faults(file, diagnosis)
     wiring = _Wiring(file, components, layout, diagnosis)
@@ -165,9 +165,9 @@ def connect(
 def assumed_conversion(
     file: ScenarioFile, connection: Connection, source: Signal, target: Signal
 ) -> UnitAssumption | None:
-    """Return the conversion to SI for an input without unit; None if no conversion is needed.
+    """Return the conversion to SI for an input without unit; None without conversion.
 
-    Only references and recordings, whose units are written by people, are converted.
+    Only references and recordings are converted, because people write their units.
     """
     component = file.scenario.components.get(connection.source.partition(".")[0])
     written = isinstance(component, ReferenceComponent | PlaybackComponent) and source.unit
@@ -200,7 +200,7 @@ class _Wiring:
             self._faults.setdefault(fault.on, []).append(fault)
 
     def transfers(self, k: int, connection: Connection) -> tuple[Transfer, ...]:
-        """Return the transfers of a connection; note a fault and return none if it is faulty."""
+        """Return the transfers of a connection, none for a faulty connection; note faults."""
         sources = self._ends(("connections", k, "from"), connection.source, "outputs")
         targets = self._ends(("connections", k, "to"), connection.target, "inputs")
         if not sources or not targets:
@@ -273,7 +273,7 @@ class _Wiring:
         return []
 
     def _signals(self, component: Component, side: str) -> dict[str, list[Signal]]:
-        """Return the signals of one side of a component by name; an array's name stands for all its elements."""
+        """Return name → signals of the inputs or outputs of a component, for an array all its elements."""
         key = component.name, side
         if key not in self._by_side:
             by_name = self._by_side[key] = {}
@@ -298,10 +298,7 @@ def _signals(component: Component, side: str) -> tuple[Signal, ...]:
 
 
 def _check_faults(file: ScenarioFile, diagnosis: Diagnosis) -> None:
-    """Check the faults that the scenario injects on connections.
-
-    Each must act on a connection, within the run, and have its required keys.
-    """
+    """Check the faults injected by a scenario: each acts on a connection, within the run, with its required keys."""
     scenario = file.scenario
     targets = dict.fromkeys(c.target for c in scenario.connections)
     needs = {"bias": "value", "scale": "value", "stuck": "value", "spike": "value", "delay": "delay"}

@@ -32,7 +32,7 @@ MEASURED, BUILD = "Measured data", "Build and export"
 
 
 def _verb(room: str, group: str, function: str = "") -> Verb:
-    """Return the verb whose command is in cosim/verbs/ROOM_verb.py."""
+    """Return the verb of a module cosim/verbs/ROOM_verb.py."""
     return Verb(f"cosim.verbs.{room}_verb:command", function, group=group)
 
 
@@ -59,7 +59,7 @@ VERBS = {  # in the order of `cosim -h`
 
 
 def verbs() -> Iterator[tuple[str, Verb]]:
-    """Yield name and declaration of every verb; warn of a package whose verb has the name of one of cosim's."""
+    """Yield name and declaration of every verb; warn of a package that redefines a verb of cosim."""
     yield from VERBS.items()
     for name, verb in added_verbs():
         if name in VERBS:

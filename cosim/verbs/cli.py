@@ -119,7 +119,7 @@ def _fail(message: str, exit_code: int) -> NoReturn:
 
 @contextmanager
 def _terminable() -> Iterator[None]:
-    """Make the first signal that ends the process raise Terminated, so that unfinished files are removed."""
+    """Raise Terminated at the first signal to end the process, so that unfinished files are removed."""
     numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
     before = {number: signal.getsignal(number) for number in numbers}
     received: list[int] = []
@@ -140,7 +140,7 @@ def _terminable() -> Iterator[None]:
 
 
 def _current_folder() -> list[str]:
-    """Return the current folder, or nothing if it was removed."""
+    """Return the current folder as a list, empty if the folder was removed."""
     try:
         return [os.getcwd()]
     except OSError:

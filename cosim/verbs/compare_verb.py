@@ -110,7 +110,7 @@ def command(
 
 
 def _lines(comparison: Compared) -> list[str]:
-    """Return the lines to print: verdict, signals with the largest differences, and signals of only one run."""
+    """Return the lines to print: verdict, signals with the largest differences, signals in a single run."""
     from cosim.comparison.differences import sentence
     from cosim.comparison.signals import format_share, format_size
 

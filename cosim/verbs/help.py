@@ -40,7 +40,7 @@ class GroupedHelp(TyperGroup):
 
 
 def format_placeholder(parameter: Any) -> str:
-    """Return the word that stands for the value of an argument or option: FILE, INTEGER; "" for a switch."""
+    """Return the placeholder for the value of an argument or option: FILE, INTEGER; "" for a switch."""
     if getattr(parameter, "is_flag", False) or getattr(parameter, "count", False):
         return ""
     word = str(parameter.metavar or parameter.name.strip("_").upper())
@@ -48,7 +48,7 @@ def format_placeholder(parameter: Any) -> str:
 
 
 def format_description(parameter: Any) -> str:
-    """Return the help of an argument or option, with its default value and whether it can be repeated."""
+    """Return the help of an argument or option, with its default value and a note if repeatable."""
     text = (parameter.help or "").rstrip(".")
     default = parameter.default
     if isinstance(default, bool):

@@ -20,14 +20,14 @@ PLACEHOLDERS = {int: "INTEGER", float: "NUMBER", Path: "PATH", str: "TEXT", list
 
 
 def _refuse_blank(hint: Any) -> None:
-    """Make the option --out refuse a blank, which as a path would be the current folder."""
+    """Let the option --out refuse a blank, which as a path would be the current folder."""
     for option in get_args(hint):
         if isinstance(option, OptionInfo):
             option.parser, option.metavar = _out_path, "PATH"
 
 
 def _set_placeholders(hints: Iterable[Any]) -> None:
-    """Set the placeholder of each option that has none to that of the option's type."""
+    """Set missing placeholders of options by value type."""
     for hint in hints:
         for option in get_args(hint):
             if isinstance(option, OptionInfo) and option.metavar is None:

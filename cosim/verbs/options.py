@@ -10,12 +10,12 @@ from cosim.base.units import read_quantity
 
 
 def out_option(default: str) -> Any:
-    """Return the option --out of a command that writes files into a folder."""
+    """Return the option --out for an output folder."""
     return typer.Option("--out", "-o", help=f"Folder for the results (default: {default}).")
 
 
 def seconds(text: str) -> float:
-    """Return the time of an option in seconds: a number, or a number with a unit such as 4min."""
+    """Return the time of an option in seconds, from a number or a time with unit like 4min."""
     try:
         return float(text)  # whether nan or inf will do is for the command to say
     except ValueError:
@@ -27,7 +27,7 @@ def seconds(text: str) -> float:
 
 
 def time_option(help_: str) -> Any:
-    """Return an option that takes seconds, or a time with a unit."""
+    """Return an option for seconds or time with unit."""
     return typer.Option(help=help_, parser=seconds, metavar="TIME")
 
 

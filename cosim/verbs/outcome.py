@@ -46,7 +46,7 @@ def say_outcome(
 
 
 def say_partial(folder: Path) -> None:
-    """Print the files of a run that stopped early."""
+    """Print the files of an incomplete run."""
     for title, path in (("rows so far:", rows_in(folder)), ("report:     ", folder / "report.html")):
         if path is not None and path.is_file():
             say(f"{title} {path}")
@@ -72,7 +72,7 @@ def _content(outcome: Outcome) -> dict[str, Any]:
 
 
 def value_lines(results: Results) -> list[str]:
-    """Return first, last, smallest and largest value of signals, one line each."""
+    """Return a line for each signal with first, last, smallest and largest value."""
     if not len(results.time):
         return []
     rows = []

@@ -114,7 +114,7 @@ def command(
 
 
 def _say_verdict(result: Refinement, place: Path, *, report: bool) -> None:
-    """Say the verdict, the errors of the logs that count as a table, and the files."""
+    """Print the verdict, a table of errors on the decisive logs, and the files."""
     from cosim.refinement.report.error_tables import error_tables, second_sentence
 
     say(f"verdict: {result.record['verdict']}")

@@ -78,7 +78,7 @@ def _progress() -> Iterator[Callable[[int, int], None]]:
 
 
 def remaining_time(done: int, remaining: int, elapsed: float) -> str:
-    """Return the remaining time at the rate so far; "" before there is a rate."""
+    """Return the remaining time at the average rate so far; "" before the first run."""
     if done <= 0 or remaining <= 0:
         return ""
     seconds = elapsed * remaining / done

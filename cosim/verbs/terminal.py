@@ -82,7 +82,7 @@ def say_failure(error: CosimError) -> None:
 
 
 def say_error(error: CosimError) -> None:
-    """Print an error, one line per fault; with -v each line has its code."""
+    """Print an error, or each fault on its own line; with -v, messages have their codes."""
     if isinstance(error, InputError):
         for fault in error.faults:
             echo(_with_code(str(fault), fault.code), err=True)
@@ -132,7 +132,7 @@ def say_note(*texts: str) -> None:
 
 
 def warn(*texts: str) -> None:
-    """Print warnings on stderr; texts with the code of a note are notes, which -q omits."""
+    """Print warnings and notes on stderr; a text is a note according to its code, and -q omits notes."""
     for text in texts:
         line, is_note = _record_message(text), code_of(text).startswith("N-")
         if not (is_note and MANNER.quiet):
@@ -140,7 +140,7 @@ def warn(*texts: str) -> None:
 
 
 def say_finding(line: str) -> None:
-    """Print a line that names its severity on stderr, also with -q."""
+    """Print a finding with its severity, also with -q."""
     echo(_record_message(line), err=True)
 
 
@@ -159,7 +159,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def some(names: Sequence[str], most: int) -> str:
-    """Return the first `most` names as a list, followed by an ellipsis if there are more."""
+    """Return the first `most` names as a list, with an ellipsis for omitted names."""
     return ", ".join(names[:most]) + (", …" if len(names) > most else "")
 
 
@@ -170,7 +170,7 @@ def show(report: Path, *, open_: bool) -> None:
 
 
 def files_in(folder: Path, *names: str) -> dict[str, str]:
-    """Return the paths of those result files that exist in a folder: name without suffix → path."""
+    """Return name → path of result files in a folder."""
     return {name.partition(".")[0]: str(folder / name) for name in (*names, "report.html") if (folder / name).is_file()}
 
 

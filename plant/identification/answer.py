@@ -21,7 +21,10 @@ Response = Callable[[Recording], Array]  # force of a run's commands, one column
 
 
 def judge(m: Measurement, result: Result, channel: str, response: Response, rows: Sequence[Flags]) -> None:
-    """Add a fault for a force before its command, and a warning for another shape."""
+    """Compare a measured step response with the assumed first-order shape.
+
+    A force earlier than its command is added to `result` as a fault, a different shape as a warning.
+    """
     # rows of each run nearest to the slowest clock
     slowest = max(m.recordings, key=lambda r: r.step)
     clock = slowest.time[rows[m.recordings.index(slowest)]]

@@ -32,7 +32,7 @@ def prepare(path: Path) -> BenchInput:
     """Read a protocol, its model and its recordings.
 
     Raises:
-        InputError: Every fault of them.
+        InputError: Every fault of these files.
     """
     protocol, faults = read_partly(path)
     faults = faults or planned_faults(protocol.yaml, protocol.file, protocol.bench)

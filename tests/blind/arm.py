@@ -1,10 +1,10 @@
-"""The arm of the blind suite: two links under feedback, dry friction in both joints, and what no catalogue has.
+"""Arm of the blind suite: two links under feedback, with dry friction in both joints and effects in no catalogue.
 
-In every study the belt to joint 2 is a little elastic, and torques ripple by 2 % over the motor's turn; encoders round
-to 0.1 mrad, and measured torques are wrong by about 1 %. In five of six studies both joints have dry friction, else
-none. Nothing of the project is in the truth; `least_squares` is the yardstick.
+In every study the belt to joint 2 is slightly elastic, and the torques ripple by 2 % over a turn of the motor. Encoders
+round to 0.1 mrad, and measured torques are wrong by about 1 %. In five of six studies both joints have dry friction, in
+the sixth none. The simulation uses nothing of the project; `least_squares` supplies an error for comparison.
 
-    python -m tests.blind.arm 3 /tmp/study      seed and folder; the answer is printed
+    python -m tests.blind.arm 3 /tmp/study      seed and folder; prints the answer
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ FRICTION = {"coulomb_1": (0.15, 0.6), "coulomb_2": (0.05, 0.2)}  # [N m]
 
 @dataclass(frozen=True)
 class ArmStudy:
-    """The answer: friction, base numbers, the belt's stiffness and damping, ripple, errors of the measured torques."""
+    """True values of a study: friction, base parameters, belt, torque ripple and gains of the torque sensors."""
 
     seed: int
     truth: dict[str, dict[str, float]]
@@ -48,7 +48,7 @@ class ArmStudy:
 
 @dataclass(frozen=True)
 class Log:
-    """Times, measured torques and encoder readings, a row each."""
+    """Times, measured torques and encoder readings, with a row per sample."""
 
     time: np.ndarray
     torque: np.ndarray
@@ -56,12 +56,12 @@ class Log:
 
 
 def stream(seed: int, *purpose: int) -> np.random.Generator:
-    """A random stream of its own for each purpose of each seed."""
+    """Return an independent random stream for a purpose of a seed."""
     return np.random.default_rng([77261, seed, *purpose])
 
 
 def draw(seed: int) -> ArmStudy:
-    """The study of a seed."""
+    """Return the study of a seed."""
     rng = stream(seed, 0)
     base = {}
     for name, (value, tolerance) in SHEET.items():
@@ -76,7 +76,7 @@ def draw(seed: int) -> ArmStudy:
 
 
 def _elastic(study: ArmStudy, x: np.ndarray, torque: Sequence[float]) -> list[float]:
-    """Slopes of q₁, motor angle of joint 2, q₂ and their rates, with the elastic belt and the ripple."""
+    """Return the derivatives of q₁, motor angle of joint 2, q₂ and their rates, with elastic belt and ripple."""
     p, (share, turns, phase) = study.base, study.ripple
     q1, motor, q2, w1, spin, w2 = x
     dry = [study.truth.get(name, {}).get("level", 0.0) for name in FRICTION]
@@ -98,7 +98,7 @@ def _elastic(study: ArmStudy, x: np.ndarray, torque: Sequence[float]) -> list[fl
 
 
 def _path(rng: np.random.Generator) -> np.ndarray:
-    """Angles that the controller is to follow: six sines each, slow and fast, about a posture."""
+    """Return reference angles of both joints: six sines of different frequency around a posture."""
     t = STEP * np.arange(ROWS)
     paths = []
     for centre, reach in ((rng.uniform(-0.8, 0.8), 0.9), (rng.uniform(-0.8, 0.8), 1.1)):
@@ -109,7 +109,7 @@ def _path(rng: np.random.Generator) -> np.ndarray:
 
 
 def record(study: ArmStudy, number: int) -> Log:
-    """Fly a log under feedback at every row: proportional, derivative, and the weight on paper."""
+    """Simulate a log under PD feedback with compensation of the nominal gravity."""
     path = _path(stream(study.seed, 1, number))
     speed = np.gradient(path, STEP, axis=0)
     x = np.array([path[0, 0], path[0, 1], path[0, 1], *speed[0], speed[0, 1]])
@@ -145,7 +145,7 @@ def write(study: ArmStudy, folder: Path) -> Path:
 
 
 def answer(study: ArmStudy) -> str:
-    """The answer as JSON, with the sealed errors of the yardstick."""
+    """Return the answer as JSON, with the errors of the least-squares fits on the sealed log."""
     logs = [record(study, number) for number in range(3)]
     fits = {name: least_squares(logs[:2], dry=dry) for name, dry in (("without", False), ("with", True))}
     sealed = {name: np.sqrt(np.mean(missed(values, logs[2]) ** 2, axis=0)).tolist() for name, values in fits.items()}
@@ -157,7 +157,7 @@ def answer(study: ArmStudy) -> str:
 
 
 def least_squares(logs: Sequence[Log], *, dry: bool) -> np.ndarray:
-    """Fit base numbers, and with `dry` both frictions, to predictions of 0.3 s by least squares."""
+    """Return base parameters, and with `dry` both frictions, fitted to predictions over 0.3 s."""
     start = np.array([value for value, _ in SHEET.values()] + ([0.1, 0.05] if dry else []))
     low, high = 0.3 * start, 3.0 * start
     if dry:
@@ -171,7 +171,7 @@ def least_squares(logs: Sequence[Log], *, dry: bool) -> np.ndarray:
 
 
 def missed(values: np.ndarray, log: Log) -> np.ndarray:
-    """Errors of predictions over 0.3 s, one after another, all at once; rates at the start are smoothed ones."""
+    """Return the errors of consecutive predictions over 0.3 s, each started from smoothed rates."""
     length = round(HORIZON / STEP)
     starts = np.arange(10, len(log.time) - length - 10, length)
     dry = values[8:] if len(values) > 8 else np.zeros(2)
@@ -205,7 +205,7 @@ def missed(values: np.ndarray, log: Log) -> np.ndarray:
 
 
 def _smooth_rate(angle: np.ndarray) -> np.ndarray:
-    """Rates by a parabola through eleven rows (Savitzky and Golay)."""
+    """Return rates from a parabola through eleven rows (Savitzky and Golay)."""
     from scipy.signal import savgol_filter
 
     return savgol_filter(angle, 11, 2, deriv=1, delta=STEP, axis=0)

@@ -1,4 +1,4 @@
-"""The cart once more: the two equations of motion as a linear system in both accelerations, solved by Cramer's rule."""
+"""Independent equations of the cart: a linear system in both accelerations, solved by Cramer's rule."""
 
 # ruff: noqa: RUF012 - what a rig declares are ClassVars of its base
 from __future__ import annotations
@@ -12,7 +12,7 @@ from tests.blind.field_rig import Entry, Flat, Look, Rate, Rig, Sensor, manoeuvr
 
 
 class Cart(Rig):
-    """Force in; position, angle of the bob and its rate out."""
+    """Cart driven by a force; outputs position, angle of the bob and angular rate."""
 
     name, model = "cart", "Cart"
     states = {"position": 1.0, "velocity": 1.0, "angle": 0.3, "rate": 1.0}
@@ -64,7 +64,7 @@ class Cart(Rig):
     substeps = 4
 
     def bind(self, f: Any, p: Flat) -> tuple[Rate, Look]:
-        """Pushes: a force on the cart, a horizontal force on the bob."""
+        """Return the equations; pushes are a force on the cart and a horizontal force on the bob."""
         get = p.get
         cart, bob, length, g = p["cart_mass"], p["bob_mass"], p["length"], p["gravity"]
         b, c = p["cart_friction"], p["pivot_friction"]
@@ -130,7 +130,7 @@ class Cart(Rig):
         return rate, look
 
     def drive(self, rng: np.random.Generator) -> np.ndarray:
-        """Up to ±4 N, held from 0.1 s to 2.5 s, and steered back to the rail's middle by the cart's motion on paper."""
+        """Return forces up to ±4 N, held from 0.1 s to 2.5 s, plus feedback of a nominal cart to the rail's centre."""
         force = manoeuvre(rng, self.rows, self.step, (-4.0, 4.0), (0.1, 2.5))
         force[:15] = 0.0
         x = v = 0.0
@@ -140,5 +140,5 @@ class Cart(Rig):
         return rounded(force[:, None])
 
     def begin(self, rng: np.random.Generator) -> np.ndarray:
-        """At rest at 0, or moving."""
+        """Return a start state at rest at 0, or moving."""
         return rng.choice([0.0, 1.0]) * rng.uniform(-1.0, 1.0, 4) * [0.5, 0.4, 0.15, 0.5]

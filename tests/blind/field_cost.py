@@ -1,9 +1,9 @@
-"""What an effect is worth: the log-likelihood that is lost where it is left out of the true model, in nats.
+"""Evidence for an effect: the log-likelihood [nats] lost by the true model without the effect.
 
-An estimate of its own, linear and Gaussian: an extended Kalman filter about the true run, which knows the sensors' true
-noise and how large and how slow the disturbance is, says how the innovations would differ without the effect; what the
-base numbers, within their tolerances, and the study's other effects can take over of that is taken off. Half the
-square of what remains is the cost. Nothing of the project is in it.
+The estimate is linear and Gaussian, and uses nothing of the project. An extended Kalman filter about the true run knows
+the true sensor noise and the size and correlation time of the disturbance. It returns the change of the innovations
+without the effect. Base parameters (within their tolerances) and the study's further effects may imitate a part of this
+change. Half the square of the rest is the cost.
 
     python -m tests.blind.field_cost 40 --first 0      costs of the known studies among 40 seeds
 """
@@ -27,7 +27,7 @@ Values = dict[str, float]
 
 @dataclass(frozen=True)
 class Conditions:
-    """What the estimate knows of the logs: courses, the variance of each cell (infinite: not measured), pushes."""
+    """Logs for the cost: courses, variance of each cell (infinite without measurement), deviations of the pushes."""
 
     runs: Sequence[Run]
     variances: Sequence[np.ndarray]  # (rows, outputs) each
@@ -35,7 +35,7 @@ class Conditions:
 
 
 def costs(rig: Rig, base: Values, truth: Mapping[str, Values], given: Conditions) -> dict[str, float]:
-    """Effect → nats that the true model loses without it, base numbers and the other effects at their best."""
+    """Return effect → nats lost without it, after a refit of base parameters and further effects."""
     p = rig.numbers(base, truth)
     spread = base_deviations(rig)
     cases = [p | flat(name, left_out(rig, name, truth[name])) for name in truth]
@@ -55,7 +55,10 @@ def costs(rig: Rig, base: Values, truth: Mapping[str, Values], given: Conditions
 
 
 def remaining(what: np.ndarray, free: np.ndarray, with_prior: int) -> float:
-    """Square of what is left at the best combination of `free`; the first of them cost their own square beside."""
+    """Return the squared distance of `what` from the best combination of `free`.
+
+    The first `with_prior` coefficients have a standard normal prior, which adds their squares.
+    """
     prior = np.eye(with_prior, free.shape[1])
     scale = np.sqrt(np.sum(free**2, axis=0)) + 1e-300
     rows, target = np.vstack([free, prior]) / scale, np.append(what, np.zeros(with_prior))
@@ -64,37 +67,39 @@ def remaining(what: np.ndarray, free: np.ndarray, with_prior: int) -> float:
 
 
 def base_deviations(rig: Rig) -> Values:
-    """Standard deviation of each base number: half its tolerance."""
+    """Return the standard deviation of each base parameter: half its tolerance."""
     return {name: 0.5 * share * abs(value) for name, (value, share) in rig.sheet.items()}
 
 
 def flat(name: str, values: Mapping[str, float]) -> Values:
-    """Parameters of an effect as `bind` takes them."""
+    """Return the parameters of an effect by full name, as for `bind`."""
     return {f"{name}.{p}": v for p, v in values.items()}
 
 
 def left_out(rig: Rig, name: str, values: Values) -> Values:
-    """Parameters of an effect at which it is not there."""
+    """Return the parameters of an effect at neutral."""
     return {**rig.entries, **rig.outside}[name].left_out(values)
 
 
 def nudge(rig: Rig, name: str, parameter: str, value: float) -> float:
-    """A small step of an effect's parameter: a twentieth of the effect, or of a shape."""
+    """Return a small step of an effect's parameter: 5 % of its distance from neutral, or of its value for a shape."""
     entry = {**rig.entries, **rig.outside}[name]
     return 0.05 * (value if parameter in entry.shape or entry.inverse else value - entry.neutral) or 1e-9
 
 
 def innovations(rig: Rig, p: Values, cases: Sequence[Values], given: Conditions) -> np.ndarray:
-    """Whitened innovations of the true run under models with other numbers, a column each; with `p` they are 0."""
+    """Return the whitened innovations of the true run under models with other parameters, a column per model.
+
+    With parameters `p` they are 0.
+    """
     return _Filter(rig, p, cases, given).whitened()
 
 
 class _Filter:
-    """An extended Kalman filter with the gains of the true model, run on all logs and for all cases at once.
+    """Extended Kalman filter with the gains of the true model, run on all logs and for all cases at once.
 
-    Arrays are (…, logs, columns): first the true run, then the cases, then the true run with each state a little up
-    and a little down, of which the Jacobians are made. Beside its states the filter carries the pushes, and of a late
-    sensor what it would have read the rows before.
+    Arrays are (…, logs, columns). The columns are the true run, the cases, and the true run with each state a little
+    above and below, for the Jacobians. Additional states are the pushes, and earlier readings of a late sensor.
     """
 
     def __init__(self, rig: Rig, p: Values, cases: Sequence[Values], given: Conditions) -> None:
@@ -120,13 +125,13 @@ class _Filter:
         self.registers = math.ceil(float(self.latency.max())) + 1 if self.latency.max() > 0.0 else 0
 
     def _neutral(self, key: str, everyone: Sequence[Values]) -> float:
-        """What stands for a number in a case that does not have it: the effect is not there."""
+        """Return the value of a parameter in a case without its effect: neutral."""
         name, _, parameter = key.partition(".")
         having = next(case[key] for case in everyone if key in case)
         return left_out(self.rig, name, {parameter: having})[parameter] if parameter else having
 
     def _actings(self, everyone: Sequence[Values]) -> np.ndarray:
-        """Acting commands: (rows, parts, inputs, logs, columns)."""
+        """Return the acting commands, shape (rows, parts, inputs, logs, columns)."""
         made: dict[Any, np.ndarray] = {}
         for case in everyone:
             key = shaping(self.rig, case)
@@ -213,7 +218,7 @@ class _Filter:
         return white.reshape(-1, cases)
 
     def _looked_back(self, newest: np.ndarray, slope: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Late reading of each column between two rows of the past, and the row of H that goes with the true one's."""
+        """Return the late reading of each column, interpolated between past rows, and the true run's row of H."""
         history = np.concatenate([newest[None], seen])
         whole = np.minimum(self.latency.astype(int), history.shape[0] - 2)
         part = self.latency - whole
@@ -228,7 +233,7 @@ class _Filter:
         return (1.0 - part) * before + part * after, row
 
     def _step(self, t: np.ndarray, step: np.ndarray, x: np.ndarray, d: np.ndarray, acting: np.ndarray) -> np.ndarray:
-        """Runge and Kutta over a row, in the rig's substeps."""
+        """Return the states after a row, by Runge-Kutta in the rig's substeps."""
         parts = self.rig.substeps
         h = (step / parts)[:, None]
         for part in range(parts):
@@ -246,12 +251,12 @@ class _Filter:
 
 
 def shaping(rig: Rig, p: Flat) -> tuple[float, ...]:
-    """What of the numbers decides the acting commands."""
+    """Return the parameters that shape the acting commands."""
     return tuple(float(p.get(name, 0.0)) for name in rig.shaping)
 
 
 def distribution(seeds: Iterator[int]) -> str:
-    """Costs of the effects that known studies hide: how many are sized, how large; the rest is drawn, not sized."""
+    """Return a table of the costs of effects in known studies, with the number of effects sized by their cost."""
     from tests.blind.field_study import LEAST, RIGS, draw  # it draws by the costs
 
     sized: list[float] = []

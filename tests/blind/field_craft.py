@@ -1,6 +1,6 @@
-"""The craft in the field half: the laboratory's truth and pilot, flown with other base numbers, pushes and row times.
+"""Craft of the field half: truth and pilot of the laboratory half, with other base parameters, pushes and row times.
 
-For the estimate of the cost its equations stand here once more on arrays, without what the field half does not hide.
+For the cost, its equations are repeated on arrays, without effects that the field half does not hide.
 """
 
 # ruff: noqa: RUF012 - what a rig declares are ClassVars of its base
@@ -23,7 +23,7 @@ CONSTANTS = {name: value for name, value in SHEET.items() if name not in BASE}
 
 
 class CraftRig(Rig):
-    """Duties and tilts in; heading, yaw rate, accelerometer and position out."""
+    """Craft driven by duties and tilts; outputs heading, yaw rate, acceleration and position."""
 
     name, model = "craft", "base"
     states = {
@@ -98,7 +98,7 @@ class CraftRig(Rig):
     )
 
     def acting(self, p: Flat, run: Run, parts: int) -> np.ndarray:
-        """Mean over each row of what comes out of the servos' way of the laboratory's truth."""
+        """Return the mean command over each row after delay, play, offset and dead band of the servos."""
         effects: dict[str, dict[str, float]] = {}
         for key in self.shaping:
             name, _, parameter = key.partition(".")
@@ -113,7 +113,7 @@ class CraftRig(Rig):
         return np.repeat(np.array(rows)[:, None, :], parts, axis=1)
 
     def bind(self, f: Any, p: Flat) -> tuple[Rate, Look]:
-        """The craft in the axes of its own body, eqs 5.9 to 5.14."""
+        """Return the equations of the craft in body axes, eqs 5.9 to 5.14."""
         get = p.get
         mass, izz, ixx, arm, g = p["mass"], p["izz"], p["ixx"], p["arm"], p["gravity"]
         lag, c, slope, offset = p["lag"], p["friction"], p["thrust_slope"], p["thrust_offset"]
@@ -130,7 +130,7 @@ class CraftRig(Rig):
             return 1.0 / (1.0 - shrunk ** p["ground_effect_exponent"])
 
         def felt(t: Any, x: Any) -> tuple[Any, Any, Any, Any]:
-            """Forward, to the right, yaw, roll."""
+            """Return the contact forces forward and to the right, and the yaw and roll moments."""
             _, _, _, vx, vy, r, phi, phi_dot, right, left, tilt_r, tilt_l = x
             rise = arm * f.sin(phi)
             both = 1.0 - inflow * vx
@@ -183,7 +183,7 @@ class CraftRig(Rig):
 
 
 def craft(base: dict[str, float], kind: str, truth: dict[str, dict[str, float]]) -> Craft:
-    """The laboratory's craft with the numbers of a field study."""
+    """Return the laboratory's craft with the parameters of a field study."""
     if kind == "outside" and truth:  # none yet while the recorder's stamps are drawn
         (name,) = truth
         return Craft(base=base, outside=outside(name, truth[name]))
@@ -200,7 +200,7 @@ def fly_craft(
     pushes: np.ndarray,
     noise: np.ndarray,
 ) -> tuple[Run, Course]:
-    """A log in closed loop: the pilot sees the readings with the sensors' noise, before the recorder spoils them."""
+    """Simulate a log in closed loop; the pilot uses readings with sensor noise, without the recorder's faults."""
     start = _moving(rng)
     flight = Flight(made, made.rest(**start))
     pilot = Pilot(rng, Style.draw(rng, bool(rng.random() < 0.5)), times.size, start.get("psi", 0.0))
@@ -222,7 +222,7 @@ def fly_craft(
 
 
 def _moving(rng: np.random.Generator) -> dict[str, float]:
-    """Half of the logs begin at rest at the origin, the others on the way somewhere."""
+    """Return the start state of a log: with probability ½ at rest at the origin, else moving."""
     if rng.random() < 0.5:
         return {}
     spread = {"x_world": 0.5, "y_world": 0.5, "psi": 1.0, "vx": 0.4, "vy": 0.1, "psi_dot": 0.5}
@@ -230,7 +230,7 @@ def _moving(rng: np.random.Generator) -> dict[str, float]:
 
 
 def _advance(flight: Flight, begin: float, end: float, command: Any) -> None:
-    """One row of any length."""
+    """Advance a flight over a row of any length."""
     for a, b, acting in flight.servos.pieces(begin, end, command):
         flight.dynamics.command = acting
         flight._solver.set_initial_value(flight.state, a)
@@ -240,7 +240,7 @@ def _advance(flight: Flight, begin: float, end: float, command: Any) -> None:
 
 
 def replay_craft(made: Craft, run: Run, course: Course, rig: CraftRig) -> np.ndarray:
-    """Outputs of the craft started at the true state once a horizon, without pushes; rows of the first 2 s are nan."""
+    """Return outputs of replays over one horizon each, from the true state without pushes; NaN in the first 2 s."""
     horizon = round(rig.horizon / rig.step)
     readings = np.full(course.readings.shape, np.nan)
     for k in range(horizon, run.times.size - 1, horizon):

@@ -1,4 +1,4 @@
-"""The drive train once more: two inertias and a belt, written as the power that flows from one to the other."""
+"""Independent equations of the drive train: two inertias and a belt, from the power between them."""
 
 # ruff: noqa: RUF012 - what a rig declares are ClassVars of its base
 from __future__ import annotations
@@ -12,7 +12,7 @@ from tests.blind.field_rig import Entry, Flat, Look, Rate, Rig, Sensor, manoeuvr
 
 
 class DriveTrain(Rig):
-    """Torque in; encoder of the motor, tacho of the motor and encoder of the load out."""
+    """Drive train driven by a torque; outputs angle and speed of the motor and angle of the load."""
 
     name, model = "drive_train", "DriveTrain"
     states = {"motor_angle": 1.0, "motor_speed": 10.0, "load_angle": 1.0, "load_speed": 10.0}
@@ -61,7 +61,7 @@ class DriveTrain(Rig):
     step, rows, horizon, preroll = 0.005, 3000, 0.5, 0.1
 
     def bind(self, f: Any, p: Flat) -> tuple[Rate, Look]:
-        """Torque u on the motor, s from motor to load through the belt, the loads on either side."""
+        """Return the equations, with torque u on the motor, belt torque s from motor to load, and pushes on both."""
         inertia, driven, k, d = p["motor_inertia"], p["load_inertia"], p["stiffness"], p["belt_damping"]
         b_motor, b_load = p["motor_damping"], p["load_damping"]
         get = p.get
@@ -122,12 +122,12 @@ class DriveTrain(Rig):
         return rate, look
 
     def drive(self, rng: np.random.Generator) -> np.ndarray:
-        """Up to ±2 N m, held from 50 ms to 1.5 s; nothing in the first tenth of a second."""
+        """Return torques up to ±2 N m, held from 50 ms to 1.5 s; 0 in the first 0.1 s."""
         torque = manoeuvre(rng, self.rows, self.step, (-2.0, 2.0), (0.05, 1.5))
         torque[:20] = 0.0
         return rounded(torque[:, None])
 
     def begin(self, rng: np.random.Generator) -> np.ndarray:
-        """At rest at 0, or turning."""
+        """Return a start state at rest at 0, or turning."""
         speed = float(rng.choice([0.0, 1.0]) * rng.uniform(-15.0, 15.0))
         return np.array([0.0, speed, 0.0, speed])

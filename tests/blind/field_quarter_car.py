@@ -1,4 +1,4 @@
-"""The quarter car once more: forces on body and wheel, the table's lag before them."""
+"""Independent equations of the quarter car: forces on body and wheel, and the lag of the table."""
 
 # ruff: noqa: RUF012 - what a rig declares are ClassVars of its base
 from __future__ import annotations
@@ -12,7 +12,7 @@ from tests.blind.field_rig import Entry, Flat, Look, Rate, Rig, Sensor, manoeuvr
 
 
 class QuarterCar(Rig):
-    """Height of the table in; travel of the suspension, acceleration and height of the body out."""
+    """Quarter car on a table of commanded height; outputs suspension travel, acceleration and height of the body."""
 
     name, model = "quarter_car", "QuarterCar"
     states = {
@@ -74,7 +74,7 @@ class QuarterCar(Rig):
     substeps = 2
 
     def bind(self, f: Any, p: Flat) -> tuple[Rate, Look]:
-        """Pushes: forces on body and wheel, upward."""
+        """Return the equations; pushes are upward forces on body and wheel."""
         get = p.get
         body, wheel, k, c, k_tyre, lag = (
             p[n] for n in ("body_mass", "wheel_mass", "spring", "damping", "tyre", "table_lag")
@@ -92,7 +92,7 @@ class QuarterCar(Rig):
         hunt, hunt_hertz = get("hunting_table.amplitude"), get("hunting_table.frequency")
 
         def forces(t: float, x: Any) -> tuple[Any, Any, Any]:
-            """Of the suspension, of the damper before its mount, on the body from what sits on it."""
+            """Return the force of the suspension, the damper's force before its mount, and more forces on the body."""
             z, v = x[2] - x[0], x[3] - x[1]
             damper = c * v
             if groove is not None:
@@ -152,11 +152,11 @@ class QuarterCar(Rig):
         return rate, look
 
     def drive(self, rng: np.random.Generator) -> np.ndarray:
-        """Up to ±30 mm, held from 60 ms to 1.5 s; nothing in the first tenth of a second."""
+        """Return heights up to ±30 mm, held from 60 ms to 1.5 s; 0 in the first 0.1 s."""
         road = manoeuvre(rng, self.rows, self.step, (-0.03, 0.03), (0.06, 1.5))
         road[:20] = 0.0
         return rounded(road[:, None])
 
     def begin(self, rng: np.random.Generator) -> np.ndarray:
-        """At rest, or bouncing."""
+        """Return a start state at rest, or bouncing."""
         return rng.choice([0.0, 1.0]) * rng.uniform(-1.0, 1.0, 5) * [0.01, 0.1, 0.01, 0.1, 0.0]

@@ -1,4 +1,4 @@
-"""What a recorder does to readings: rounds them, hits some, stamps them a little off, loses some; and true noise."""
+"""Recorder of readings: noise, rounding, outliers, wrong time stamps and lost cells."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ OUTLIER_SHARE, OUTLIER_SIZE = 0.005, 30.0  # of the cells; in standard deviation
 
 @dataclass(frozen=True)
 class Recorder:
-    """How a study is recorded; what is not among its faults is at its harmless value.
+    """Settings of a study's recorder; a fault that is absent has its harmless value.
 
-    noise:     output → true standard deviation over the stated one
-    quantum:   output → size of a cell of the converter, in standard deviations of its noise
+    noise:     output → true standard deviation over the stated standard deviation
+    quantum:   output → quantization step, in standard deviations of the output's noise
     outliers:  share of the cells
-    jitter:    rows are taken up to this share of a step early or late, and stamped when they are taken
-    lost:      share of rows, or of cells, that are lost; `whole_rows` which; `hole` of so many rows in each log
-    timing:    standard deviation [s] of stamps that are wrong, over the time in which the readings move by their noise
+    jitter:    largest deviation of a row from its time, as a share of a step; the time stamp is correct
+    lost:      share of lost rows (`whole_rows`) or lost cells; `hole`: number of consecutive lost rows in each log
+    timing:    standard deviation [s] of wrong time stamps, over the time in which readings move by their noise
     """
 
     faults: tuple[str, ...]
@@ -37,7 +37,7 @@ class Recorder:
 
     @classmethod
     def draw(cls, rng: np.random.Generator, outputs: Sequence[str], longest_hole: int) -> Recorder:
-        """One or two of the faults."""
+        """Return a recorder with one or two random faults."""
         faults = tuple(sorted(str(f) for f in rng.choice(FAULTS, rng.integers(1, 3), replace=False)))
         noise = {o: float(np.exp(rng.uniform(np.log(0.4), np.log(2.5)))) for o in outputs}
         coarse = [o for o in outputs if rng.random() < 0.6] or [str(rng.choice(outputs))]
@@ -57,28 +57,28 @@ class Recorder:
         )
 
     def times(self, rng: np.random.Generator, count: int, step: float) -> np.ndarray:
-        """When the rows are taken."""
+        """Return the true times of the rows [s]."""
         away = self.jitter * rng.uniform(-1.0, 1.0, count)
         away[0] = 0.0
         return np.round((np.arange(count) + away) * step, 6)
 
     def deviations(self, rig: Rig) -> np.ndarray:
-        """Standard deviation of each sensor's noise as it is."""
+        """Return the true standard deviation of each sensor's noise."""
         return np.array([sigma * self.noise[o] for o, sigma in rig.outputs.items()])
 
     def stamp_error(self, rig: Rig, readings: np.ndarray) -> float:
-        """Standard deviation [s] of stamps: `timing` times what moves a reading by its noise, half a step at most."""
+        """Return the standard deviation of wrong time stamps [s], half a step at most."""
         moving = np.sqrt(np.mean(np.gradient(readings, rig.step, axis=0) ** 2, axis=0))
         return min(0.5 * rig.step, self.timing * float(np.median(self.deviations(rig) / moving)))
 
     def variances(self, rig: Rig, readings: np.ndarray, stamp_error: float, kept: np.ndarray) -> np.ndarray:
-        """Variance of each cell about the true reading; infinite where there is none. Outliers are not in it."""
+        """Return the variance of each cell about the true reading, without outliers; infinite for a missing cell."""
         cells = np.array([self.quantum.get(o, 0.0) for o in rig.outputs]) * self.deviations(rig)
         slopes = np.gradient(readings, rig.step, axis=0)
         return np.where(kept, self.deviations(rig) ** 2 + cells**2 / 12.0 + (stamp_error * slopes) ** 2, np.inf)
 
     def kept(self, rng: np.random.Generator, count: int, width: int) -> np.ndarray:
-        """Which cells are there: (rows, outputs)."""
+        """Return which cells are recorded, shape (rows, outputs)."""
         if not self.lost:
             return np.ones((count, width), bool)
         drawn = rng.random((count, 1 if self.whole_rows else width)) >= self.lost
@@ -92,7 +92,7 @@ class Recorder:
     def spoil(
         self, rng: np.random.Generator, rig: Rig, readings: np.ndarray, noise: np.ndarray, stamp_error: float
     ) -> np.ndarray:
-        """Cells of the log, all of them: wrong stamps, noise, the converter's steps, outliers."""
+        """Return all cells with errors of time stamps, noise, quantization and outliers."""
         slopes = np.gradient(readings, rig.step, axis=0)
         cells = readings + stamp_error * rng.standard_normal((len(readings), 1)) * slopes + noise
         for number, (output, sigma) in enumerate(zip(rig.outputs, self.deviations(rig), strict=True)):

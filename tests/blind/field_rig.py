@@ -1,7 +1,7 @@
-"""What the truths of the field half have in common: how effects are sized, how a run is integrated.
+"""Common parts of the plants in the field half: sizes of effects, integration of a run.
 
-Nothing of the project is in it. A rig writes its equations once, for floats and for arrays: floats run under scipy's
-DOP853, arrays carry many slightly different rigs at once, which is how `field_cost` finds what an effect is worth.
+Nothing of the project is used. A rig states its equations once, for floats and for arrays: floats are integrated by
+scipy's DOP853, arrays hold many slightly different rigs at once for `field_cost`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Look = Callable[[float, Sequence[Any], Sequence[Any]], list[Any]]  # (t, state, 
 
 
 class Floats:
-    """Functions of single numbers."""
+    """Functions of equations on floats."""
 
     sin, cos, tanh, exp, sqrt = math.sin, math.cos, math.tanh, math.exp, math.sqrt
     maximum, minimum, absolute = max, min, abs
@@ -32,7 +32,7 @@ class Floats:
 
 
 class Arrays:
-    """The same of arrays."""
+    """Functions of equations on arrays."""
 
     sin, cos, tanh, exp, sqrt = np.sin, np.cos, np.tanh, np.exp, np.sqrt
     maximum, minimum, absolute, where = np.maximum, np.minimum, np.abs, np.where
@@ -40,14 +40,14 @@ class Arrays:
 
 @dataclass(frozen=True)
 class Entry:
-    """How the size of an effect is drawn.
+    """Rules for drawing the size of an effect.
 
-    scaled: parameters that grow with the size, from `neutral`; two of them share it like the sides of a circle
-    start:  the size that the search for the wanted evidence begins with; `limits` are what is plausible of a rig
-    shape:  further parameters with their ranges; `ratio`: further parameters as multiples of the size
-    signed: either sign makes sense
+    scaled:  parameters proportional to the size, from `neutral`; two parameters are its components at a random angle
+    start:   first size in the search for the wanted cost; `limits`: plausible sizes
+    shape:   further parameters with their ranges; `ratio`: further parameters as multiples of the size
+    signed:  both signs are plausible
     inverse: the parameter is 1/size
-    fixed:  the size is drawn within the limits and not by the evidence
+    fixed:   the size is uniform within `limits`, regardless of its cost
     """
 
     scaled: tuple[str, ...]
@@ -61,7 +61,7 @@ class Entry:
     fixed: bool = False
 
     def unit(self, rng: np.random.Generator) -> dict[str, float]:
-        """What a size of 1 means, by parameter; a shape keeps its value whatever the size."""
+        """Return the parameters at size 1; parameters of `shape` do not depend on the size."""
         if len(self.scaled) == 2:
             turn = float(rng.uniform(0.0, 2.0 * math.pi))
             sides = dict(zip(self.scaled, (math.cos(turn), math.sin(turn)), strict=True))
@@ -71,20 +71,20 @@ class Entry:
         return sides | drawn
 
     def at(self, unit: Mapping[str, float], size: float) -> dict[str, float]:
-        """Parameter values of the effect at a size."""
+        """Return the parameters of the effect at a size."""
         if self.inverse:
             return {p: v / size for p, v in unit.items()}
         return {p: v if p in self.shape else self.neutral + size * v for p, v in unit.items()}
 
     def left_out(self, values: Mapping[str, float]) -> dict[str, float]:
-        """The same with the effect gone."""
+        """Return the parameters with the effect at neutral."""
         nothing = 1e9 if self.inverse else self.neutral
         return {p: v if p in self.shape else nothing for p, v in values.items()}
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """An error of a sensor: of which output, and whether it is a `scale`, a `bias` or a latency (`late`)."""
+    """Error of a sensor: its output, and its kind `scale`, `bias` or `late` (latency)."""
 
     output: str
     kind: str
@@ -92,7 +92,7 @@ class Sensor:
 
 @dataclass(frozen=True)
 class Run:
-    """One log's course: row times, commands from each row on, pushes held from row to row, the state it starts in."""
+    """Inputs of a log: row times, commands and pushes held from row to row, start state."""
 
     times: np.ndarray
     commands: np.ndarray
@@ -102,18 +102,18 @@ class Run:
 
 @dataclass(frozen=True)
 class Course:
-    """What came of it, a row each: readings without noise, what they would be of right sensors, states."""
+    """Simulated log: readings without noise, readings of correct sensors, and states, a row per sample."""
 
     readings: np.ndarray
     states: np.ndarray
 
 
 class Rig:
-    """A plant of the field half: numbers, equations, what may be hidden in it and how it is driven.
+    """A plant of the field half: parameters, equations, possible hidden effects, commands.
 
-    sheet:  base number → (nominal, tolerance); `constants` are known exactly
-    outputs: readings that `bind` gives, in order, with the stated standard deviation of the noise
-    pushes: range of the actuator at each place where a disturbance enters, in the unit of the push
+    sheet:   base parameter → (nominal, tolerance); `constants` are known exactly
+    outputs: readings returned by `bind`, in order, with the stated standard deviation of the noise
+    pushes:  range of the actuator at each place where a disturbance enters, in the unit of the push
     """
 
     name: ClassVar[str]
@@ -138,36 +138,36 @@ class Rig:
     shaping: ClassVar[tuple[str, ...]] = ("command_delay.time",)  # numbers that decide the acting commands
 
     def bind(self, f: Any, p: Flat) -> tuple[Rate, Look]:
-        """Equations and outputs of the rig with these numbers; effects that are not in `p` are not there."""
+        """Return equations and outputs of the rig with parameters `p`; effects missing in `p` are absent."""
         raise NotImplementedError
 
     def drive(self, rng: np.random.Generator) -> np.ndarray:
-        """Commands of a log, a row each."""
+        """Return the commands of a log, shape (rows, inputs)."""
         raise NotImplementedError
 
     def begin(self, rng: np.random.Generator) -> np.ndarray:
-        """State before a log: half of them at rest."""
+        """Return the start state of a log, with probability ½ at rest."""
         raise NotImplementedError
 
     # -- the same for every rig ---------------------------------------------------------------------
 
     def numbers(self, base: Mapping[str, float], truth: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
-        """Everything `bind` takes, flat."""
+        """Return all parameters for `bind` by full name."""
         nominal = {name: value for name, (value, _) in self.sheet.items()}
         effects = {f"{name}.{p}": v for name, values in truth.items() for p, v in values.items()}
         return {**self.constants, **nominal, **base, **effects}
 
     def effect_states(self, names: Collection[str]) -> dict[str, float]:
-        """States that effects add, with their start values, in the order of `own_states`."""
+        """Return the states added by effects, with start values, in the order of `own_states`."""
         return {s: v for name, own in self.own_states.items() if name in names for s, v in own.items()}
 
     def scales(self, names: Collection[str]) -> np.ndarray:
-        """How large each state usually is, those of effects included."""
+        """Return the usual size of each state, including the states of effects."""
         base = list(self.states.values())
         return np.array([*base, *(max(abs(v), 1e-2) for v in self.effect_states(names).values())])
 
     def sensed(self, p: Flat, output: str, value: Any) -> Any:
-        """A reading with the errors of its sensor but a latency; a scale comes before a bias."""
+        """Return a reading with the errors of its sensor except latency: first scale, then bias."""
         for kind in ("scale", "bias"):
             for name, sensor in self.sensors.items():
                 if sensor.output == output and sensor.kind == kind and f"{name}.value" in p:
@@ -176,11 +176,11 @@ class Rig:
         return value
 
     def late(self) -> tuple[str, str]:
-        """The error that is a latency, and its output; nothing where no sensor is late."""
+        """Return the name of the latency and its output, or two empty texts."""
         return next(((name, s.output) for name, s in self.sensors.items() if s.kind == "late"), ("", ""))
 
     def acting(self, p: Flat, run: Run, parts: int) -> np.ndarray:
-        """Mean command over each of `parts` equal parts of every row, delay included: (rows, parts, inputs)."""
+        """Return the mean command, with delay, over `parts` equal parts of each row, shape (rows, parts, inputs)."""
         delay = float(p.get("command_delay.time", 0.0))
         step = np.append(np.diff(run.times), self.step)
         edges = run.times[:, None] + step[:, None] * np.arange(parts + 1) / parts
@@ -194,9 +194,9 @@ class Rig:
 def fly(
     rig: Rig, p: Mapping[str, float], run: Run, resets: Mapping[int, np.ndarray] | None = None, tolerance: float = 1e-8
 ) -> Course:
-    """Integrate a run; the integrator restarts wherever the acting command or the push changes.
+    """Integrate a run, restarting the integrator where the acting command or the push changes.
 
-    `resets`: row → state to go on from. Late readings look back on what was there, reset or not.
+    `resets`: row → new state. Late readings refer to the past also across a reset.
     """
     names = {name.partition(".")[0] for name in p}
     rate, look = rig.bind(Floats, p)
@@ -245,9 +245,9 @@ def fly(
 def manoeuvre(
     rng: np.random.Generator, count: int, step: float, between: tuple[float, float], times: tuple[float, float]
 ) -> np.ndarray:
-    """What people do to a rig, one after another: full steps, levels, ramps, multisines, filtered noise.
+    """Return commands of different styles in sequence: full steps, levels, ramps, multisines, filtered noise.
 
-    `between`: least and largest command; `times` [s]: the shortest and the longest that anything is held.
+    `between`: smallest and largest command; `times`: shortest and longest hold [s].
     """
     low, high = between
     values = np.empty(count)
@@ -263,7 +263,7 @@ def manoeuvre(
 
 
 def _holds(rng: np.random.Generator, count: int, step: float, times: tuple[float, float]) -> list[int]:
-    """Lengths in rows that fill `count`, log-uniform within `times`."""
+    """Return lengths in rows, at least `count` in total, log-uniform within `times`."""
     lengths = []
     while sum(lengths) < count:
         lengths.append(max(1, round(math.exp(rng.uniform(*np.log(times))) / step)))
@@ -271,27 +271,27 @@ def _holds(rng: np.random.Generator, count: int, step: float, times: tuple[float
 
 
 def _switch(rng: np.random.Generator, count: int, step: float, times: tuple[float, float]) -> np.ndarray:
-    """Full range, on and off, now and then nothing."""
+    """Return a signal between −1 and 1 with occasional zeros."""
     lengths = _holds(rng, count, step, times)
     sides = np.where(np.arange(len(lengths)) % 2, 1.0, -1.0) * rng.choice([0.0, 1.0, 1.0, 1.0], len(lengths))
     return np.repeat(sides, lengths)[:count]
 
 
 def _levels(rng: np.random.Generator, count: int, step: float, times: tuple[float, float]) -> np.ndarray:
-    """Steps to anywhere."""
+    """Return steps to random levels."""
     lengths = _holds(rng, count, step, times)
     return np.repeat(rng.uniform(-1.0, 1.0, len(lengths)), lengths)[:count]
 
 
 def _ramps(rng: np.random.Generator, count: int, step: float, times: tuple[float, float]) -> np.ndarray:
-    """Straight lines from one level to the next."""
+    """Return straight lines between random levels."""
     lengths = _holds(rng, count, step, times)
     corners = np.concatenate([[0], np.cumsum(lengths)])
     return np.interp(np.arange(count), corners, rng.uniform(-1.0, 1.0, corners.size))
 
 
 def _multisine(rng: np.random.Generator, count: int, step: float, times: tuple[float, float]) -> np.ndarray:
-    """Eight sines, from one a longest hold to one in two shortest, as large as fits."""
+    """Return the normalised sum of eight sines with half periods between the shortest and the longest hold."""
     frequency = np.exp(rng.uniform(math.log(0.5 / times[1]), math.log(0.5 / times[0]), 8))
     phase = rng.uniform(0.0, 2.0 * math.pi, 8)
     values = np.sin(2.0 * math.pi * np.outer(np.arange(count) * step, frequency) + phase).sum(axis=1)
@@ -299,7 +299,7 @@ def _multisine(rng: np.random.Generator, count: int, step: float, times: tuple[f
 
 
 def _noise(rng: np.random.Generator, count: int, step: float, times: tuple[float, float]) -> np.ndarray:
-    """Noise through a lag."""
+    """Return white noise after a first-order lag."""
     keep = math.exp(-step / math.sqrt(times[0] * times[1]))
     white = math.sqrt(1.0 - keep * keep) * rng.standard_normal(count)
     values, last = np.empty(count), 0.0
@@ -312,14 +312,14 @@ _STYLES = {"switch": _switch, "levels": _levels, "ramps": _ramps, "multisine": _
 
 
 def rounded(values: np.ndarray) -> np.ndarray:
-    """Six digits: what is logged is what is sent."""
+    """Return values with six digits, so that logged and sent commands are equal."""
     return np.vectorize(lambda v: float(f"{v:.6g}"))(values)
 
 
 def coloured(
     rng: np.random.Generator, count: int, sizes: Sequence[float], step: float, correlation_time: float
 ) -> np.ndarray:
-    """First-order Gauss-Markov samples, started in the steady state; a column of each size."""
+    """Return stationary first-order Gauss-Markov samples, with a column per standard deviation in `sizes`."""
     keep = math.exp(-step / correlation_time)
     white = rng.standard_normal((count, len(sizes)))
     values = np.empty_like(white)

@@ -1,8 +1,8 @@
-"""What counts as right in the field half, where a refiner may grade what it says: claimed, part, nearest.
+"""Scores of the field half, for a refiner that grades its statements: claimed, part, nearest.
 
-Fractions are of the studies they speak of, failed ones included, as in `score`. Only what is claimed can be right.
-What is said to be part of the answer is neither right nor wrong, unless a name in it is not of the truth; what is
-only nearest names nothing.
+Fractions refer to the studies of a kind, failed studies included, as in `score`. Only a claim can be right. A part of
+the answer is neither right nor wrong, unless it contains a name that is not in the truth; the nearest model names
+nothing.
 """
 
 from __future__ import annotations
@@ -27,24 +27,30 @@ from tests.blind.score import (
 
 
 def grade(line: Line) -> str:
-    """`claimed`, `part`, `nearest` or nothing; a refiner that does not grade claims what it names in confidence."""
+    """Return the grade `claimed`, `part`, `nearest` or "".
+
+    Without a grade, names under a confident verdict count as claimed.
+    """
     given = line.get("grade")
     return str(given) if given else "claimed" if line["verdict"] in CONFIDENT else ""
 
 
 def put_forward(line: Line) -> set[str]:
-    """Names that are claimed, or said to be part of the answer."""
+    """Return the names that are claimed, or stated as part of the answer."""
     return named(line) if grade(line) in ("claimed", "part") else set()
 
 
 def is_right(line: Line) -> bool:
-    """Known: claimed under the verdict that fits, and exactly the names of the truth."""
+    """Return whether a known study has the expected verdict and claims exactly the names of the truth."""
     fits = line["verdict"] == expected_verdict(line["truth"], line["sensors"])
     return fits and grade(line) == "claimed" and named(line) == set(line["truth"])
 
 
 def is_in_set(line: Line) -> bool:
-    """Known: right; or `ambiguous`, and the truth is one of at most three alternatives, or all the names are it."""
+    """Return whether a known study is right, or ambiguous with the truth in a small set.
+
+    The truth is one of at most three alternatives, or within at most three names of all alternatives together.
+    """
     if is_right(line):
         return True
     if line["verdict"] != "ambiguous" or not put_forward(line) <= set(line["truth"]):
@@ -57,32 +63,35 @@ def is_in_set(line: Line) -> bool:
 
 
 def is_wrong(line: Line) -> bool:
-    """Known: a name put forward that is not of the truth."""
+    """Return whether a known study puts forward a name that is not in the truth."""
     return not put_forward(line) <= set(line["truth"])
 
 
 def is_false_alarm(line: Line) -> bool:
-    """Nothing hidden: any verdict but `no_effect` and `unexplained`, or a name put forward."""
+    """Return whether a study without effect gets a verdict other than `no_effect` and `unexplained`, or a name."""
     return line["verdict"] not in ("no_effect", "unexplained", "failed") or bool(put_forward(line))
 
 
 def is_misnamed(line: Line) -> bool:
-    """Outside: any name put forward."""
+    """Return whether a study with an effect outside the catalogue gets any name."""
     return bool(put_forward(line))
 
 
 def is_flagged(line: Line) -> bool:
-    """Outside: `unexplained` or `ambiguous`, with no name put forward."""
+    """Return whether a study with an effect outside the catalogue is `unexplained` or `ambiguous`, without a name."""
     return line["verdict"] in ("unexplained", "ambiguous") and not put_forward(line)
 
 
 def claims(line: Line) -> list[bool]:
-    """For each parameter of the truth that is claimed: does its 95 % interval hold the truth?"""
+    """Return for each claimed true parameter whether its 95 % interval contains the true value."""
     return covered(line) if grade(line) == "claimed" else []
 
 
 def sealed_ratio(line: Line) -> float:
-    """Sealed error of the claim, else of what is nearest, over the true model's, mean over channels; of failures ∞."""
+    """Return the mean ratio of the sealed error of the claim, else of the nearest model, to the true model's error.
+
+    A failed study has ratio ∞.
+    """
     if line["verdict"] == "failed":
         return math.inf
     stage = "nearest" if grade(line) != "claimed" and "nearest" in line["error"] else "after"
@@ -91,7 +100,7 @@ def sealed_ratio(line: Line) -> float:
 
 
 def counts(lines: Sequence[Line]) -> dict[str, tuple[int, int]]:
-    """Figure → (how many, of how many)."""
+    """Return figure → (number of hits, number of cases)."""
     known, nothing, outside = ([line for line in lines if line["kind"] == k] for k in ("known", "nothing", "outside"))
 
     def held(chosen: Iterable[Line]) -> tuple[int, int]:
@@ -113,7 +122,7 @@ def counts(lines: Sequence[Line]) -> dict[str, tuple[int, int]]:
 
 
 def summary(lines: Sequence[Line]) -> dict[str, Any]:
-    """What stands under `field` in the last line of the output; None where there is nothing to count."""
+    """Return the entry `field` in the last line of the output; None for figures without cases."""
     known = [line for line in lines if line["kind"] == "known"]
     ratios, seconds = sorted(map(sealed_ratio, known)), sorted(line["seconds"] for line in lines)
     by_number = {
@@ -137,7 +146,7 @@ def _shares(counted: dict[str, tuple[int, int]], names: Sequence[str] = ()) -> d
 
 
 def _ranked(values: Sequence[float], part: float) -> float | None:
-    """The value that `part` of them do not exceed; None where there are none, or it is infinite."""
+    """Return the smallest value not exceeded by `part` of all values; None without values or if infinite."""
     if not values:
         return None
     value = values[max(0, math.ceil(part * len(values)) - 1)]
@@ -145,13 +154,13 @@ def _ranked(values: Sequence[float], part: float) -> float | None:
 
 
 def label(line: Line) -> str:
-    """What was hidden where, in a row's words."""
+    """Return the plant and the hidden names as label of a row."""
     names = " + ".join(sorted(line["truth"])) or "nothing"
     return f"{line['plant']}: {'outside: ' if line['kind'] == 'outside' else ''}{names}"
 
 
 def said(line: Line) -> str:
-    """What came of a study, in a word; names that were put forward wrongly after a colon."""
+    """Return the outcome of a study as a word; wrong names follow after a colon."""
     names = " + ".join(sorted(put_forward(line)))
     if line["kind"] == "known":
         word = "right" if is_right(line) else "in set" if is_in_set(line) else "wrong" if is_wrong(line) else ""
@@ -160,7 +169,7 @@ def said(line: Line) -> str:
 
 
 def table(lines: Sequence[Line]) -> str:
-    """For each plant, and for each effect wherever it is hidden: what came of the studies; then the figures."""
+    """Return the outcomes by plant and by hidden effect, then the figures."""
     rows: dict[tuple[str, str], list[Line]] = defaultdict(list)
     for line in lines:
         rows["", f"{line['plant']}, {line['kind']}"].append(line)

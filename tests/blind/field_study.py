@@ -1,7 +1,7 @@
-"""What a study of the field half hides, drawn by seed: plant, kind, effects and sizes, base numbers, recorder, pushes.
+"""Studies of the field half, drawn by seed: plant, kind, effects and sizes, base parameters, recorder, pushes.
 
-Plants take turns; kinds, numbers of effects and sizes of the disturbance are dealt from shuffled decks. The size of an
-effect is that at which leaving it out of the true model costs what was drawn for it (`field_cost`).
+Plants alternate; kinds, numbers of effects and sizes of the disturbance come from shuffled decks. The size of an effect
+is chosen so that the true model without it loses a randomly drawn log-likelihood (`field_cost`).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ OUTSIDE_COST = (200.0, 1600.0)  # nats
 
 @dataclass(frozen=True)
 class Deal:
-    """What the decks say of a seed."""
+    """Properties of a seed from the shuffled decks."""
 
     seed: int
     plant: str
@@ -49,7 +49,7 @@ class Deal:
 
 @dataclass(frozen=True)
 class Study:
-    """The answer: what is hidden, and how it was recorded. `costs` [nats], for those that were sized."""
+    """Answer of a study: hidden effects and recorder; `costs` [nats] of the effects."""
 
     seed: int
     plant: str
@@ -63,29 +63,29 @@ class Study:
 
     @property
     def rig(self) -> Rig:
-        """The plant."""
+        """Return the plant."""
         return RIGS[self.plant]
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """Of the recorder; a late sensor is one, and part of the truth."""
+        """Return the faults of the recorder, and `late` for a late sensor, which is also part of the truth."""
         late = any(self.rig.sensors[name].kind == "late" for name in self.truth if name in self.rig.sensors)
         return (*self.recorder.faults, "late") if late else self.recorder.faults
 
 
 def stream(seed: int, *purpose: int) -> np.random.Generator:
-    """A random stream of its own for each purpose of each seed."""
+    """Return an independent random stream for a purpose of a seed."""
     return np.random.default_rng([60493, seed, *purpose])
 
 
 def _card(deck: tuple[Any, ...], number: int, purpose: int) -> Any:
-    """Card `number` of an endless pile of the same deck, each shuffled anew."""
+    """Return card `number` of an endless pile of equal decks, each shuffled separately."""
     pile, card = divmod(number, len(deck))
     return deck[stream(pile, purpose).permutation(len(deck))[card]]
 
 
 def deal(seed: int) -> Deal:
-    """What the decks say; quick."""
+    """Return the properties of a seed from the decks, without the search for sizes."""
     block, place = divmod(seed, len(BLOCK))
     order = [BLOCK[k] for k in stream(block, 1).permutation(len(BLOCK))]
     kind = order[place]
@@ -95,7 +95,7 @@ def deal(seed: int) -> Deal:
 
 
 def base_numbers(rig: Rig, rng: np.random.Generator) -> dict[str, float]:
-    """Each nominal·(1 + N(0, tolerance/2)), drawn again beyond its tolerance."""
+    """Return base parameters: nominal·(1 + N(0, tolerance/2)), truncated at the tolerance."""
     drawn = {}
     for name, (value, tolerance) in rig.sheet.items():
         away = math.inf
@@ -106,7 +106,7 @@ def base_numbers(rig: Rig, rng: np.random.Generator) -> dict[str, float]:
 
 
 def draw(seed: int) -> Study:
-    """The study of a seed; the same seed gives the same study, byte for byte."""
+    """Return the study of a seed, reproducible byte for byte."""
     dealt = deal(seed)
     rng = stream(seed, 4)
     study = bare(seed, dealt.plant, rng, dealt.kind)
@@ -118,7 +118,7 @@ def draw(seed: int) -> Study:
 
 
 def bare(seed: int, plant: str, rng: np.random.Generator, kind: str = "known") -> Study:
-    """A study in which nothing is hidden yet: base numbers, disturbance and recorder."""
+    """Return a study without hidden effects: base parameters, disturbance and recorder."""
     rig = RIGS[plant]
     longest_hole = min(90, int(0.45 / rig.step)) if rig.step < 0.05 else 9
     recorder = Recorder.draw(rng, list(rig.outputs), longest_hole)
@@ -133,7 +133,7 @@ def bare(seed: int, plant: str, rng: np.random.Generator, kind: str = "known") -
 
 
 def course(study: Study, number: int) -> tuple[Run, Course]:
-    """Log `number`: what acts, and what right sensors without noise would read."""
+    """Return log `number`: its inputs, and the readings of correct sensors without noise."""
     rig, recorder = study.rig, study.recorder
     manoeuvre, pushed, clock = (stream(study.seed, 10 + number, purpose) for purpose in range(3))
     sizes = [DISTURBANCES[study.disturbance] * reach for reach in rig.pushes]
@@ -147,13 +147,13 @@ def course(study: Study, number: int) -> tuple[Run, Course]:
 
 
 def noise(study: Study, number: int) -> np.ndarray:
-    """Noise of the sensors: (rows, outputs)."""
+    """Return the noise of the sensors, shape (rows, outputs)."""
     white = stream(study.seed, 10 + number, 3).standard_normal((study.rig.rows, len(study.rig.outputs)))
     return white * study.recorder.deviations(study.rig)
 
 
 def kept(study: Study, number: int) -> np.ndarray:
-    """Which cells of a log are there."""
+    """Return which cells of a log are recorded, shape (rows, outputs)."""
     return study.recorder.kept(stream(study.seed, 10 + number, 4), study.rig.rows, len(study.rig.outputs))
 
 
@@ -162,7 +162,7 @@ def kept(study: Study, number: int) -> np.ndarray:
 
 @dataclass
 class _Sized:
-    """An effect on its way to the size that costs what is wanted; `known` are sizes and what they cost."""
+    """An effect in the search for the size of a wanted cost; `known` holds tried sizes with their costs."""
 
     entry: Entry
     unit: dict[str, float]
@@ -171,7 +171,7 @@ class _Sized:
     known: list[tuple[float, float]] = field(default_factory=list)
 
     def learn(self, cost: float) -> float:
-        """The next size to try, within what is plausible: cost grows as a power of it, at first the square."""
+        """Return the next size to try, within the limits, from a power law of the cost, at first the square."""
         if self.entry.fixed:
             return self.size
         power = 2.0
@@ -184,12 +184,12 @@ class _Sized:
 
     @property
     def hopeless(self) -> bool:
-        """It costs too little at its largest."""
+        """Return whether the cost is too low at the largest size."""
         return bool(self.known) and self.size == self.entry.limits[1] and self.known[-1][1] < LEAST
 
 
 def _hidden(study: Study, rng: np.random.Generator, count: int) -> Study:
-    """A known study: effects that can be told, each of the size that costs what is drawn for it."""
+    """Return a known study with visible effects, each of the size whose cost was drawn."""
     rig = study.rig
     for _ in range(50):
         if (found := sized(study, names_of(rig, rng, count), rng, _wanted)) is not None:
@@ -200,12 +200,12 @@ def _hidden(study: Study, rng: np.random.Generator, count: int) -> Study:
 def sized(
     study: Study, names: Sequence[str], rng: np.random.Generator, wanted: Callable[[np.random.Generator], float]
 ) -> Study | None:
-    """The study with each effect at the size that costs what is wanted [nats]; None where one cannot cost enough."""
+    """Return the study with each effect at the size of a wanted cost [nats]; None if a cost cannot be reached."""
     return _searched(study, {name: _begin(study.rig, name, rng, wanted(rng)) for name in names})
 
 
 def names_of(rig: Rig, rng: np.random.Generator, count: int) -> list[str]:
-    """Effects of the catalogue, no two of one family."""
+    """Return names of random effects of the catalogue, at most one of each family."""
     while True:
         names = sorted(str(n) for n in rng.choice(sorted(rig.entries), count, replace=False))
         if not any(len(family & set(names)) > 1 for family in rig.families):
@@ -218,7 +218,7 @@ def _wanted(rng: np.random.Generator) -> float:
 
 
 def wanted_large(rng: np.random.Generator) -> float:
-    """What a large effect costs [nats]."""
+    """Return the random cost of a large effect [nats]."""
     return math.exp(rng.uniform(*np.log(LARGE)))
 
 
@@ -233,7 +233,7 @@ def _begin(rig: Rig, name: str, rng: np.random.Generator, wanted: float) -> _Siz
 
 
 def _searched(study: Study, sized: dict[str, _Sized], tries: int = 6) -> Study | None:
-    """The study with every effect at the size that costs what is wanted; None where one cannot cost enough."""
+    """Return the study with each effect at the size of its wanted cost; None if a cost cannot be reached."""
     for _ in range(tries):
         study = replace(study, truth={name: s.entry.at(s.unit, s.size) for name, s in sized.items()})
         try:
@@ -252,7 +252,7 @@ def _searched(study: Study, sized: dict[str, _Sized], tries: int = 6) -> Study |
 
 
 def conditions(study: Study) -> Conditions:
-    """What the estimate of the cost knows of the estimation logs."""
+    """Return the estimation logs as input of the cost."""
     rig, recorder = study.rig, study.recorder
     flown = [course(study, number) for number in range(2)]
     still = [replace_pushes(run) for run, _ in flown]
@@ -264,12 +264,12 @@ def conditions(study: Study) -> Conditions:
 
 
 def replace_pushes(run: Run) -> Run:
-    """The run as the model knows it: undisturbed."""
+    """Return the run without pushes, as the model assumes."""
     return replace(run, pushes=np.zeros_like(run.pushes))
 
 
 def _strange(study: Study, rng: np.random.Generator) -> Study:
-    """Something from outside the catalogue; the craft's are of the laboratory's sizes."""
+    """Return a study with an effect outside the catalogue; for the craft with the sizes of the laboratory half."""
     rig = study.rig
     if study.plant == "craft":
         name = str(rng.choice(sorted(OUTSIDE)))

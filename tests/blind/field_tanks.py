@@ -1,4 +1,4 @@
-"""The tanks once more: volumes in, volumes out, divided by the surfaces."""
+"""Independent equations of the tanks: balance of volumes."""
 
 # ruff: noqa: RUF012 - what a rig declares are ClassVars of its base
 from __future__ import annotations
@@ -12,7 +12,7 @@ from tests.blind.field_rig import Entry, Flat, Look, Rate, Rig, Sensor, manoeuvr
 
 
 class Tanks(Rig):
-    """Two pump voltages in; two gauges and a flow meter out."""
+    """Tanks with two pump voltages; outputs two levels and a flow."""
 
     name, model = "tanks", "Tanks"
     states = {"level_left": 0.1, "level_right": 0.1}
@@ -67,7 +67,7 @@ class Tanks(Rig):
     substeps = 2
 
     def bind(self, f: Any, p: Flat) -> tuple[Rate, Look]:
-        """Flows by name: in from the pumps, through the pipe, out of either tank."""
+        """Return the equations: flows from the pumps, through the pipe and out of both tanks."""
         get = p.get
         area_left, area_right, pipe, outlet = p["area_left"], p["area_right"], p["pipe"], p["outlet"]
         gains = p["gain_left"], p["gain_right"]
@@ -134,7 +134,7 @@ class Tanks(Rig):
         return rate, look
 
     def drive(self, rng: np.random.Generator) -> np.ndarray:
-        """Both pumps from 0 to 10 V, held from 8 s to 150 s; they hunt for half full by hand, as an operator does."""
+        """Return voltages of both pumps, 0 to 10 V, held 8 s to 150 s, corrected to keep nominal tanks half full."""
         pumps = np.column_stack([manoeuvre(rng, self.rows, self.step, (0.0, 10.0), (8.0, 150.0)) for _ in range(2)])
         pumps[:5] = 5.0
         levels, gain, area = np.array([0.3, 0.25]), 6e-6, 0.02
@@ -150,5 +150,5 @@ class Tanks(Rig):
         return rounded(pumps)
 
     def begin(self, rng: np.random.Generator) -> np.ndarray:
-        """Half full, or anywhere about it."""
+        """Return start levels, half full or near."""
         return np.array([0.3, 0.25]) + rng.choice([0.0, 1.0]) * rng.uniform(-0.08, 0.08, 2)

@@ -1,6 +1,6 @@
-"""Whether one effect can pass for another in the field half, in the same nats as `field_cost`.
+"""Imitation of an effect by another effect in the field half, in the nats of `field_cost`.
 
-python -m tests.blind.field_visibility [PLANT …]     each stranger and each effect: who mimics it best, what is left
+python -m tests.blind.field_visibility [PLANT …]     best imitation of each outside and each catalogue effect
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from tests.blind.field_study import RIGS, Study, conditions
 
 
 def plain(plant: str, truth: Mapping[str, Values], seed: int = 0) -> Study:
-    """A study with nominal base numbers, the small disturbance and a recorder without faults."""
+    """Return a study with nominal base parameters, the small disturbance and a recorder without faults."""
     rig = RIGS[plant]
     recorder = Recorder((), dict.fromkeys(rig.outputs, 1.0), {}, 0.0, 0.0, 0.0, False, 0, 0.0)
     base = {name: value for name, (value, _) in rig.sheet.items()}
@@ -25,7 +25,7 @@ def plain(plant: str, truth: Mapping[str, Values], seed: int = 0) -> Study:
 
 
 def middling(rig: Rig, name: str, share: float = 1.0) -> list[Values]:
-    """An effect at the size from which its search begins, or a share of it; with both sides where it has two."""
+    """Return an effect at the first size of its search, or a share of this size, for each scaled parameter."""
     entry = {**rig.entries, **rig.outside}[name]
     size = share * (np.mean(entry.limits) if entry.fixed else entry.start)
     shape = {p: float(np.mean(between)) for p, between in {**entry.ratio, **entry.shape}.items()}
@@ -34,7 +34,7 @@ def middling(rig: Rig, name: str, share: float = 1.0) -> list[Values]:
 
 
 def mimics(study: Study) -> tuple[float, dict[str, float]]:
-    """Nats that a study's one effect costs, and catalogue effect → share of them that it leaves at its best size."""
+    """Return the cost of a study's only effect [nats], and catalogue effect → share of the cost left by imitation."""
     rig = study.rig
     ((name, values),) = study.truth.items()
     p = rig.numbers(study.base, study.truth)

@@ -1,8 +1,8 @@
-"""A study of the field half on disk: study.yaml, its plant's model file, two logs to learn from, one to be judged by.
+"""Files of a study of the field half: study.yaml, the plant's model file, two estimation logs and a sealed log.
 
-    python -m tests.blind.field_write 3 /tmp/study      seed and folder; the answer is printed
+    python -m tests.blind.field_write 3 /tmp/study      seed and folder; prints the answer
 
-The answer holds what the sealed log looks like to the true model: `error_true`, root mean square by channel.
+The answer contains `error_true`, the root mean square error of the true model on the sealed log by channel.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ SEALED = LOGS.index("v1")
 
 
 def recorded(study: Study, number: int) -> tuple[Run, Course, np.ndarray]:
-    """Log `number`: its course, and every cell as the recorder has it; nan where it has none."""
+    """Return log `number`: its inputs, its course, and the recorded cells, NaN if missing."""
     run, result = course(study, number)
     spoiling = stream(study.seed, 10 + number, 5)
     cells = study.recorder.spoil(spoiling, study.rig, result.readings, noise(study, number), study.stamp_error)
@@ -37,7 +37,7 @@ def recorded(study: Study, number: int) -> tuple[Run, Course, np.ndarray]:
 
 
 def write(study: Study, folder: Path) -> Path:
-    """Write study.yaml, the model file and the logs; gives the path of study.yaml. The answer is not among them."""
+    """Write study.yaml, the model file and the logs, without the answer; return the path of study.yaml."""
     folder.mkdir(parents=True, exist_ok=True)
     for number, name in enumerate(LOGS):
         (folder / f"{name}.csv").write_text(_csv(study, *recorded(study, number)))
@@ -49,7 +49,7 @@ def write(study: Study, folder: Path) -> Path:
 
 
 def study_yaml(study: Study) -> str:
-    """The study file; nothing in it depends on what is hidden. A plant's own file states its tolerances."""
+    """Return the study file, independent of hidden effects; tolerances are in the plant's own file."""
     logs = "logs:\n  estimation: [e1.csv, e2.csv]\n  validation: [v1.csv]\n"
     if study.plant != "craft":
         return f"model: {study.plant}.py:{study.rig.model}\n{logs}"
@@ -58,7 +58,7 @@ def study_yaml(study: Study) -> str:
 
 
 def _csv(study: Study, run: Run, _: Course, cells: np.ndarray) -> str:
-    """Rows of which nothing was recorded are not there."""
+    """Return the log as CSV without rows that are lost as a whole."""
     lines = [",".join(("time", *study.rig.inputs, *study.rig.outputs))]
     whole = study.recorder.whole_rows
     for t, command, row in zip(run.times.tolist(), run.commands.tolist(), cells.tolist(), strict=True):
@@ -70,10 +70,10 @@ def _csv(study: Study, run: Run, _: Course, cells: np.ndarray) -> str:
 
 
 def true_error(study: Study) -> dict[str, float]:
-    """Root mean square of recorded − true model on the sealed log, by channel.
+    """Return the root mean square of recorded − true model on the sealed log, by channel.
 
-    The true model starts at the true state once a horizon and knows nothing of the disturbance; its sensors err as the
-    true ones do. Cells are those of the log, outliers included.
+    The true model starts at the true state once per horizon, with the true sensor errors and without disturbance. Cells
+    are those of the log, outliers included.
     """
     run, result, cells = recorded(study, SEALED)
     predicted = _replayed(study, run, result)
@@ -84,7 +84,7 @@ def true_error(study: Study) -> dict[str, float]:
 
 
 def _replayed(study: Study, run: Run, result: Course) -> np.ndarray:
-    """What the true model predicts from the true state at the beginning of each horizon."""
+    """Return predictions of the true model from the true state at the start of each horizon."""
     rig = study.rig
     if isinstance(rig, CraftRig):
         made = craft(study.base, study.kind, study.truth)
@@ -100,7 +100,7 @@ def _replayed(study: Study, run: Run, result: Course) -> np.ndarray:
 
 
 def answer(study: Study) -> str:
-    """The answer as JSON, to be kept where the refiner never looks and opened after the verdict."""
+    """Return the answer as JSON, to be opened after the verdict."""
     told: dict[str, Any] = {"half": "field"} | asdict(study)
     told |= {"faults": list(study.faults), "sensors": list(study.rig.sensors), "error_true": true_error(study)}
     return json.dumps(told, indent=1) + "\n"

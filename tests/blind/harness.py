@@ -1,11 +1,11 @@
-"""The blind suite: draw studies, let the refiner judge each, open the answer, count.
+"""Blind suite: draw studies, run the refiner on each, open the answers, count.
 
     python -m tests.blind.harness 200 [--half laboratory] [--jobs 2] [--only coulomb_friction outside] [--first 0]
 
-Two halves, the laboratory (`truth*.py`) and the field (`field_*.py`), each of so many studies; on demand, mixed studies
-(`parts.py`) and those of an arm (`arm.py`). Results are lines of JSON, one a study, appended as they come; a run that
-is started again skips those its git revision has a verdict on. The last line of the output is JSON, the figures of
-`score.summary`, those of the other halves under their names.
+There are two halves, the laboratory (`truth*.py`) and the field (`field_*.py`), with the given number of studies each,
+and on request mixed studies (`parts.py`) and studies of an arm (`arm.py`). Results are lines of JSON, one per study,
+appended at once. A restarted run skips studies with a verdict of the same git revision. The last line of the output is
+JSON: the figures of `score.summary`, with the figures of further halves under their names.
 """
 
 from __future__ import annotations
@@ -43,16 +43,16 @@ _writing = threading.Lock()  # one integrator at a time
 
 
 class RefinerFailed(Exception):
-    """The refiner left no verdict."""
+    """Failure of the refiner to return a verdict."""
 
 
 def default_command() -> str:
-    """`cosim refine` of the tree that the suite is started in: a `cosim` that is installed may be of another."""
+    """Return the command for `cosim refine` of this working tree, since an installed `cosim` may differ."""
     return f"{shlex.quote(sys.executable)} -m cosim refine {{study}} --out {{out}}"
 
 
 def command_refiner(template: str, timeout: float) -> Refiner:
-    """A refiner that is a command line with {study} and {out} in it."""
+    """Return a refiner from a command line with {study} and {out}."""
 
     def refine(study: Path, out: Path) -> None:
         words = [word.format(study=study, out=out) for word in shlex.split(template)]
@@ -69,7 +69,7 @@ def command_refiner(template: str, timeout: float) -> Refiner:
 
 
 def revision() -> str:
-    """Commit of the working tree; a + marks changes that are in no commit (the results file's own apart)."""
+    """Return the commit of the working tree, with + for uncommitted changes outside the results file."""
 
     def git(*words: str) -> str:
         done = subprocess.run(["git", *words], cwd=HERE, capture_output=True, text=True, check=False)
@@ -81,7 +81,10 @@ def revision() -> str:
 
 
 def conduct(seed: int, refiner: Refiner, half: str = LABORATORY) -> dict[str, Any]:
-    """One study: the refiner sees a folder with study.yaml and logs; the answer is read when its verdict stands."""
+    """Run the refiner on a study and return its result line.
+
+    The refiner sees a folder with study.yaml and logs. The answer is opened after the verdict.
+    """
     with tempfile.TemporaryDirectory() as open_to_all, tempfile.TemporaryDirectory() as sealed:
         folder, out, secret = Path(open_to_all) / "study", Path(open_to_all) / "out", Path(sealed) / "answer.json"
         out.mkdir()
@@ -99,7 +102,7 @@ def conduct(seed: int, refiner: Refiner, half: str = LABORATORY) -> dict[str, An
 
 
 def invent(half: str, seed: int, folder: Path) -> tuple[Path, str]:
-    """Write the study of a seed; its study.yaml and its answer."""
+    """Write the study of a seed; return the path of study.yaml and the answer."""
     if half in (FIELD, MIXED):
         drawn = field_study.draw(seed) if half == FIELD else parts.draw(seed)
         told = field_write.answer(drawn)
@@ -113,7 +116,7 @@ def invent(half: str, seed: int, folder: Path) -> tuple[Path, str]:
 
 
 def _verdict(path: Path) -> dict[str, Any]:
-    """What of refine.json goes into the result line: errors are those of the sealed run."""
+    """Return the part of refine.json for the result line, with errors of the sealed log."""
     try:
         found = json.loads(path.read_text())
         stages = ("before", "recalibrated", "after", *(("nearest",) if found["error"].get("nearest") else ()))
@@ -133,7 +136,7 @@ def _verdict(path: Path) -> dict[str, Any]:
 
 
 def seeds(count: int, first: int, only: Sequence[str], half: str = LABORATORY) -> list[int]:
-    """`count` consecutive seeds from `first`; with `only`, those whose kind, plant or truth is among it."""
+    """Return `count` consecutive seeds from `first`; with `only`, those whose kind, plant or truth is in `only`."""
     chosen = set(only) & known_names(half)
     if only and not chosen:
         return []  # this half has none of it
@@ -154,7 +157,7 @@ def seeds(count: int, first: int, only: Sequence[str], half: str = LABORATORY) -
 
 
 def known_names(half: str) -> set[str]:
-    """What `--only` may name: kinds, plants, effects, base numbers."""
+    """Return the possible values of `--only`: kinds, plants, effects, base parameters."""
     if half in (MIXED, ARM):
         return set()
     if half == FIELD:
@@ -164,7 +167,7 @@ def known_names(half: str) -> set[str]:
 
 
 def read(results: Path, of_revision: str, half: str = LABORATORY) -> dict[int, dict[str, Any]]:
-    """Seed → its line of that revision and half; of several the last. Lines of old name no half: the laboratory's."""
+    """Return seed → last result line of a revision and half; lines without a half belong to the laboratory."""
     if not results.exists():
         return {}
     lines = [json.loads(text) for text in results.read_text().splitlines() if text.strip()]
@@ -175,7 +178,10 @@ def read(results: Path, of_revision: str, half: str = LABORATORY) -> dict[int, d
 def run(
     todo: Sequence[int], refiner: Refiner, results: Path, of_revision: str, jobs: int = 1, half: str = LABORATORY
 ) -> list[dict[str, Any]]:
-    """Conduct what has no verdict yet (a failure is tried again), append each line at once; gives all lines."""
+    """Run the refiner on studies without a verdict, append each result line at once, and return all lines.
+
+    Failed studies are repeated.
+    """
     have, counted = read(results, of_revision, half), SCORES[half]
     missing = [seed for seed in todo if seed not in have or have[seed]["verdict"] == "failed"]
     results.parent.mkdir(parents=True, exist_ok=True)

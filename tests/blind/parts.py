@@ -1,9 +1,10 @@
-"""Studies of several parts at once, and what counts in them: `mixed` ones of every plant of the field, and the arm.
+"""Mixed studies with several hidden effects, on the plants of the field half, and scores of mixed studies and the arm.
 
-A mixed study hides two or three effects of the catalogue; in a fifth of them, one effect beside a stranger that no
-catalogue has. Base numbers are off, a disturbance acts and the recorder errs, as in the field half.
+A mixed study hides two or three effects of the catalogue; every fifth hides one such effect and a stranger, an effect
+outside the catalogue. Base parameters are off, a disturbance acts and the recorder has faults, as in the field half.
 
-A part is named where it is claimed, alone or as part of the answer, or where one of at most three rivals holds it.
+A true effect counts as named if it is claimed, alone or as part of the answer, or if one of at most three rivals
+contains it.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ HALVED = 0.5  # of the sealed error of the yardstick, from which friction has to
 
 
 def draw(seed: int) -> Study:
-    """The mixed study of a seed."""
+    """Return the mixed study of a seed."""
     plant = field_study.PLANTS[seed % len(field_study.PLANTS)]
     strange = (seed // len(field_study.PLANTS)) % 5 == 4 and plant != "craft"  # a craft has one effect or one stranger
     rig, rng = field_study.RIGS[plant], field_study.stream(seed, 6)
@@ -34,7 +35,7 @@ def draw(seed: int) -> Study:
 
 
 def _names(rig: Rig, rng: Any, *, strange: bool) -> list[str]:
-    """Two or three effects, or one and a stranger."""
+    """Return two or three effects, or an effect and a stranger."""
     if strange:
         return [str(rng.choice(sorted(rig.entries))), str(rng.choice(sorted(rig.outside)))]
     return field_study.names_of(rig, rng, int(rng.integers(2, 4)))
@@ -44,30 +45,30 @@ def _names(rig: Rig, rng: Any, *, strange: bool) -> list[str]:
 
 
 def parts(line: Line) -> set[str]:
-    """True parts that the catalogue has."""
+    """Return the true effects of the catalogue."""
     return set(line["truth"]) - set(line.get("strangers", ()))
 
 
 def named_parts(line: Line) -> set[str]:
-    """True parts that are claimed, or that rivals of a small set hold."""
+    """Return the true effects that are claimed, or contained in a rival of a small set."""
     sets = alternatives(line)
     shared = set().union(*sets) if 0 < len(sets) <= LARGEST_SET else set()
     return parts(line) & (put_forward(line) | shared)
 
 
 def wrong_parts(line: Line) -> set[str]:
-    """Names put forward that are not of the truth."""
+    """Return names put forward that are not in the truth."""
     return put_forward(line) - parts(line)
 
 
 def is_due(line: Line) -> bool:
-    """Arm: a least-squares fit with friction halves the sealed error on a channel."""
+    """Return whether friction in a least-squares fit of the arm halves the sealed error of a channel."""
     errors = line["yardstick"]
     return any(w <= HALVED * o for o, w in zip(errors["without"], errors["with"], strict=True))
 
 
 def counts(lines: Sequence[Line]) -> dict[str, tuple[int, int]]:
-    """Figure → (how many, of how many)."""
+    """Return figure → (number of hits, number of cases)."""
     known = [line for line in lines if line["kind"] == "known" and ("yardstick" not in line or is_due(line))]
     forward = sum(len(put_forward(line)) for line in lines)
     return {
@@ -79,24 +80,24 @@ def counts(lines: Sequence[Line]) -> dict[str, tuple[int, int]]:
 
 
 def summary(lines: Sequence[Line]) -> dict[str, Any]:
-    """Figures as fractions."""
+    """Return the figures as fractions."""
     return {"studies": len(lines)} | {name: share(*counted) for name, counted in counts(lines).items()}
 
 
 def label(line: Line) -> str:
-    """What was hidden where."""
+    """Return the plant and the hidden names as label of a row."""
     return f"{line['plant']}: {' + '.join(sorted(line['truth'])) or 'nothing'}"
 
 
 def said(line: Line) -> str:
-    """What came of a study: parts named of all, then wrong ones, and the verdict."""
+    """Return the outcome of a study: number of named effects, wrong names, verdict and grade."""
     told = f"{len(named_parts(line))} of {len(parts(line))}"
     wrong = "".join(f", wrong: {name}" for name in sorted(wrong_parts(line)))
     return f"{told}{wrong} ({line['verdict']}, {line.get('grade', '')})"
 
 
 def table(lines: Sequence[Line]) -> str:
-    """A row a study, then the figures with Wilson's 95 % intervals."""
+    """Return a row per study, then the figures with Wilson's 95 % intervals."""
     text = [f"{label(line):70} {said(line)}" for line in lines]
     for name, (hits, of) in counts(lines).items():
         low, high = wilson(hits, of)

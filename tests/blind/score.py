@@ -1,8 +1,8 @@
-"""What counts as right. A result line holds a study's truth and the refiner's verdict; here they are compared.
+"""Scores of the laboratory half: comparison of a study's truth with the refiner's verdict, from result lines.
 
-Fractions are of the studies they speak of: right, in_set, wrong of the known ones; false_alarms of those with nothing;
-outside_flagged, outside_misnamed of those from outside the catalogue. A study the refiner failed on (`failed`) stays in
-the denominator and counts for none of them.
+Fractions refer to the studies of a kind: right, in_set, wrong to known studies; false_alarms to studies without effect;
+outside_flagged, outside_misnamed to studies with an effect outside the catalogue. A failed study stays in the
+denominator and counts as no hit.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ LARGEST_SET = 3
 
 
 def wilson(hits: int, of: int, z: float = 1.959963984540054) -> tuple[float, float]:
-    """Wilson's score interval for a fraction, 95 % unless `z` says otherwise; (0, 1) of nothing."""
+    """Return Wilson's score interval of a fraction, by default 95 %; (0, 1) without cases."""
     if of == 0:
         return 0.0, 1.0
     p, zz = hits / of, z * z / of
@@ -32,12 +32,15 @@ def wilson(hits: int, of: int, z: float = 1.959963984540054) -> tuple[float, flo
 
 
 def named(line: Line) -> set[str]:
-    """Names the verdict puts forward as what was added."""
+    """Return the names of the effects in a verdict."""
     return {effect["name"] for effect in line["effects"]}
 
 
 def expected_verdict(truth: Iterable[str], sensors: Iterable[str] = SENSORS) -> str:
-    """Wrong base numbers are a parameter_error, sensor errors a sensor_error, all else an effect_found."""
+    """Return the verdict for a truth.
+
+    Base parameters alone give parameter_error, sensor errors alone sensor_error, all else effect_found.
+    """
     names = set(truth)
     if names <= set(BASE):
         return "parameter_error"
@@ -45,25 +48,25 @@ def expected_verdict(truth: Iterable[str], sensors: Iterable[str] = SENSORS) -> 
 
 
 def alternatives(line: Line) -> list[set[str]]:
-    """The rivals of an `ambiguous` verdict, each a set of names: `a + b` are two effects together."""
+    """Return the rivals of an `ambiguous` verdict as sets of names: `a + b` are two effects together."""
     return [set(re.split(r"\s*[+,&]\s*", rival.strip())) for rival in line["rivals"]]
 
 
 def share(hits: int, of: int) -> float | None:
-    """A fraction to four digits; None of nothing."""
+    """Return a fraction with four digits; None without cases."""
     return round(hits / of, 4) if of else None
 
 
 def is_right(line: Line) -> bool:
-    """Known: the verdict that fits the truth, and exactly its names: none too many, none missing."""
+    """Return whether a known study has the expected verdict and exactly the names of the truth."""
     return line["verdict"] == expected_verdict(line["truth"]) and named(line) == set(line["truth"])
 
 
 def is_in_set(line: Line) -> bool:
-    """Known: right; or `ambiguous`, and the truth is among at most three alternatives.
+    """Return whether a known study is right, or ambiguous with the truth in a small set.
 
-    An alternative is one entry of `rivals` (`a + b` names two effects together); if no single entry is the truth, the
-    rivals and effects taken together may be at most three names, and hold all of the truth's.
+    An alternative is an entry of `rivals` (`a + b` means both effects). The truth is one of at most three alternatives,
+    or within at most three names of all rivals and effects together.
     """
     if is_right(line):
         return True
@@ -78,30 +81,35 @@ def is_in_set(line: Line) -> bool:
 
 
 def is_wrong(line: Line) -> bool:
-    """Known: a confident verdict that names something the truth does not hold, alone or beside what it does."""
+    """Return whether a known study has a confident verdict with a name that is not in the truth."""
     return line["verdict"] in CONFIDENT and not named(line) <= set(line["truth"])
 
 
 def is_false_alarm(line: Line) -> bool:
-    """Nothing hidden: any verdict but `no_effect` and `unexplained`. `ambiguous` too says that something is there."""
+    """Return whether a study without effect has a verdict other than `no_effect` and `unexplained`.
+
+    `ambiguous` counts as false alarm, since it claims an effect.
+    """
     return line["verdict"] not in ("no_effect", "unexplained", "failed")
 
 
 def is_flagged(line: Line) -> bool:
-    """Outside: `unexplained` or `ambiguous`. (`no_effect` is neither flagged nor misnamed: it is missed.)"""
+    """Return whether a study with an effect outside the catalogue is `unexplained` or `ambiguous`.
+
+    `no_effect` is neither flagged nor misnamed, but missed.
+    """
     return line["verdict"] in ("unexplained", "ambiguous")
 
 
 def is_misnamed(line: Line) -> bool:
-    """Outside: any confident verdict, as every name in it is another's."""
+    """Return whether a study with an effect outside the catalogue has a confident verdict; any name is wrong."""
     return line["verdict"] in CONFIDENT
 
 
 def excess_left(line: Line) -> float | None:
-    """Share of the avoidable error that remains on the sealed run: the mean over the channels that have some.
+    """Return the share of the avoidable error left on the sealed log, mean over channels; 1 for a failed study.
 
-    (after² − floor²)/(before² − floor²), not below 0, for channels with before > 2·floor; None if there are none. A
-    study the refiner failed on has all of it left.
+    (after² − floor²)/(before² − floor²), not below 0, for channels with before > 2·floor; None without such channels.
     """
     if line["verdict"] == "failed":
         return 1.0
@@ -115,7 +123,7 @@ def excess_left(line: Line) -> float | None:
 
 
 def covered(line: Line) -> list[bool]:
-    """For each parameter of the truth that a confident verdict claims: does its 95 % interval hold the truth?"""
+    """Return for each true parameter in a confident verdict whether its 95 % interval contains the true value."""
     if line["verdict"] not in CONFIDENT:
         return []
     found = []
@@ -129,7 +137,7 @@ def covered(line: Line) -> list[bool]:
 
 
 def summary(lines: Sequence[Line]) -> dict[str, Any]:
-    """The figures `make blind` ends with: a count, then fractions (None where there is no study to count)."""
+    """Return the figures at the end of `make blind`: a count, then fractions (None without cases)."""
     figures = {name: hits / of if of else None for name, (hits, of) in counts(lines).items()}
     left = [e for line in _of(lines, "known") if (e := excess_left(line)) is not None]
     rounded = {name: None if value is None else round(value, 4) for name, value in figures.items()}
@@ -139,7 +147,7 @@ def summary(lines: Sequence[Line]) -> dict[str, Any]:
 
 
 def counts(lines: Sequence[Line]) -> dict[str, tuple[int, int]]:
-    """Figure → (how many, of how many)."""
+    """Return figure → (number of hits, number of cases)."""
     known, nothing, outside = (_of(lines, kind) for kind in ("known", "nothing", "outside"))
     claims = [hit for line in known for hit in covered(line)]
     return {
@@ -158,7 +166,7 @@ def _of(lines: Sequence[Line], kind: str) -> list[Line]:
 
 
 def table(lines: Sequence[Line]) -> str:
-    """Confusion matrix, one row for each thing that was hidden, then the figures with counts and Wilson intervals."""
+    """Return the confusion matrix with a row per hidden effect, then the figures with counts and Wilson intervals."""
     rows: dict[tuple[str, str], Counter[str]] = defaultdict(Counter)
     for line in lines:
         rows[line["kind"], label(line)][said(line)] += 1
@@ -181,7 +189,7 @@ def table(lines: Sequence[Line]) -> str:
 
 
 def label(line: Line) -> str:
-    """What was hidden, in a row's words."""
+    """Return the hidden effects as label of a row."""
     if line["kind"] == "nothing":
         return "nothing, disturbed" if line["disturbed"] else "nothing, clean"
     names = " + ".join(sorted(line["truth"]))
@@ -189,7 +197,7 @@ def label(line: Line) -> str:
 
 
 def said(line: Line) -> str:
-    """The column a study falls in; what was named instead after a colon."""
+    """Return the column of a study; wrong names follow after a colon."""
     verdict = line["verdict"]
     names = " + ".join(sorted(named(line))) or "?"
     if line["kind"] == "known":

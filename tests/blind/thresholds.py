@@ -1,10 +1,10 @@
-"""Thresholds of refine: one table of all, and what twelve blind studies say when one is doubled or halved.
+"""Thresholds of refine: a table, and the effect of doubling or halving each on twelve blind studies.
 
     python -m tests.blind.thresholds table > docs/thresholds.md
-    python -m tests.blind.thresholds run results.jsonl     # resumable: what stands in the file is not run again
+    python -m tests.blind.thresholds run results.jsonl     # resumable: results in the file are not repeated
     python -m tests.blind.thresholds show results.jsonl
 
-A threshold is a number in capitals at the top of a module; the comment beside it says what it means.
+A threshold is a number in capitals at the top of a module; the comment beside it states its meaning.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ NOT_COMPARED = ("subject.base_parameters.TOLERANCE",)  # it goes into arrays: ea
 
 @dataclass(frozen=True)
 class Threshold:
-    """A number in capitals at the top of a module."""
+    """A named number in capitals at the top of a module."""
 
     module: str
     name: str
@@ -82,22 +82,22 @@ class Threshold:
 
     @property
     def decides(self) -> bool:
-        """Whether it decides a verdict."""
+        """Return whether the threshold decides a verdict."""
         return self.name in DECIDING.get(self.module, ())
 
     @property
     def key(self) -> str:
-        """Its name with that of its module."""
+        """Return the name with the name of the module."""
         return f"{self.module}.{self.name}"
 
     @property
     def origin(self) -> str:
-        """Where its value comes from."""
+        """Return the origin of the value."""
         return ORIGIN.get(self.key, UNKNOWN)
 
 
 def thresholds() -> Iterator[Threshold]:
-    """Every threshold of the rooms, in the order of modules and lines."""
+    """Yield every threshold of the rooms, in the order of modules and lines."""
     for room in ROOMS:
         for path in sorted((ROOT / "cosim" / room).rglob("*.py")):
             module = ".".join(path.relative_to(ROOT / "cosim").with_suffix("").parts)
@@ -112,7 +112,7 @@ def thresholds() -> Iterator[Threshold]:
 
 
 def _numbers(node: ast.stmt) -> Iterator[tuple[str, float]]:
-    """Names in capitals that a statement gives a plain number, with the number."""
+    """Yield name and value of each number in capitals assigned by a statement."""
     if not isinstance(node, ast.Assign) or len(node.targets) != 1:
         return
     target = node.targets[0]
@@ -128,7 +128,7 @@ def _numbers(node: ast.stmt) -> Iterator[tuple[str, float]]:
 
 
 def _meaning(comments: dict[int, str], node: ast.stmt) -> str:
-    """The comment at a statement, or the lines of comment right above it."""
+    """Return the comment at a statement, or the comment lines above it."""
     for line in range(node.lineno, (node.end_lineno or node.lineno) + 1):
         if line in comments:
             return comments[line]
@@ -140,7 +140,7 @@ def _meaning(comments: dict[int, str], node: ast.stmt) -> str:
 
 
 def table() -> str:
-    """The page docs/thresholds.md."""
+    """Return the page docs/thresholds.md."""
     lines = [
         "# Thresholds",
         "",
@@ -161,7 +161,7 @@ def table() -> str:
 
 @contextmanager
 def changed(t: Threshold, factor: float) -> Iterator[None]:
-    """Multiply a threshold in its module and wherever it was imported from there by its name."""
+    """Multiply a threshold in its module and in all modules that import it by name, within a `with` block."""
     with replaced(t, multiplied(t, factor)):
         yield
 
@@ -173,7 +173,7 @@ def multiplied(t: Threshold, factor: float) -> float:
 
 @contextmanager
 def replaced(t: Threshold, value: Any) -> Iterator[None]:
-    """Give a threshold another value in its module and wherever it was imported from there by its name."""
+    """Replace a threshold in its module and in all modules that import it by name, within a `with` block."""
     declaring = f"cosim.{t.module}"
     importlib.import_module(declaring)
     line = re.compile(rf"from {re.escape(declaring)} import [^\n]*\b{t.name}\b")
@@ -188,7 +188,7 @@ def replaced(t: Threshold, value: Any) -> Iterator[None]:
 
 
 def _holds(module: Any, t: Threshold, declaring: str, line: re.Pattern[str]) -> bool:
-    """Whether a module declares the threshold or imports it by its name."""
+    """Return whether a module declares the threshold or imports it by name."""
     if module.__name__ == declaring:
         return True
     file = getattr(module, "__file__", None)
@@ -199,10 +199,10 @@ Case = tuple[str, float]  # name of a threshold, with its module, and factor
 
 
 class Watched:
-    """A number that depends on thresholds: as it is, and as it would be with each of them changed.
+    """A number that depends on thresholds, with its plain value and its value in each case of a changed threshold.
 
-    Who compares it sees it as it is; cases whose comparison comes out otherwise are noted, and all of them where the
-    number is turned into a plain one. A refinement without a note of a case says the same in that case.
+    Comparisons use the plain value and note the cases with a different result; a conversion to float notes all cases.
+    Without a note, a refinement gives the same result in a case as with unchanged thresholds.
     """
 
     def __init__(self, plain: float, cases: Mapping[Case, Any], noted: set[Case]) -> None:
@@ -248,14 +248,14 @@ _add_operators()
 
 
 class Fits:
-    """Fits of one study, each made once: no threshold that decides a verdict is read within a fit."""
+    """Cache of the fits of a study; fits do not read thresholds that decide a verdict."""
 
     def __init__(self) -> None:
         self.fit = estimation.fit
         self.known: dict[bytes, estimation.Fit] = {}
 
     def __call__(self, problem: Problem, *args: Any, **named: Any) -> estimation.Fit:
-        """Return the fit of these arguments."""
+        """Return the fit for these arguments."""
         stated = [getattr(problem, f.name) for f in fields(problem) if f.name != "kernel"]
         library = problem.kernel._library._name  # type: ignore[attr-defined]  # named by its source
         plain = [_in(value, None) for value in args], {name: _in(value, None) for name, value in named.items()}
@@ -266,9 +266,9 @@ class Fits:
 
 
 def run(results: Path) -> None:
-    """Refine every study with every deciding threshold as it is, halved and doubled; append what is new to the file.
+    """Refine every study with every deciding threshold unchanged, halved and doubled; append new results to the file.
 
-    Only cases in which some comparison comes out otherwise than with the thresholds as they are, are refined anew.
+    Only cases with a changed comparison are refined again; all others have the unchanged result.
     """
     done = {_key(entry): entry for entry in _entries(results)}
     deciding = [t for t in thresholds() if t.decides]
@@ -327,7 +327,7 @@ def _refined(study: Path, fits: Fits) -> dict[str, Any]:
 
 @contextmanager
 def replaced_fit(fits: Fits) -> Iterator[None]:
-    """Replace the function that fits wherever it was imported."""
+    """Replace the fit function in all modules that import it, within a `with` block."""
     holders = [
         m for n, m in list(sys.modules.items()) if n.startswith("cosim.") and getattr(m, "fit", None) is fits.fit
     ]
@@ -341,7 +341,7 @@ def replaced_fit(fits: Fits) -> Iterator[None]:
 
 
 def show(results: Path) -> str:
-    """One line for each threshold and factor: how many studies were run, and what became of those that changed."""
+    """Return a line per threshold and factor: the number of studies, and the verdicts that changed."""
     entries = list(_entries(results))
     plain = {(e["half"], e["seed"]): e for e in entries if not e["threshold"]}
     lines = []
@@ -369,7 +369,7 @@ def _entries(results: Path) -> Iterator[dict[str, Any]]:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """One of `table`, `run FILE`, `show FILE`."""
+    """Run `table`, `run FILE` or `show FILE`."""
     if arguments == ["table"]:
         sys.stdout.write(table())
     elif len(arguments) == 2 and arguments[0] == "run":

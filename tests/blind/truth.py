@@ -1,7 +1,7 @@
-"""Blind studies: `draw(seed)` invents one, `write(study, folder)` writes its logs. The answer is written elsewhere.
+"""Blind studies of the laboratory half: `draw(seed)` draws a study, `write(study, folder)` writes its logs.
 
-A study has two estimation logs and one validation log of 40 s at 50 Hz, flown in closed loop by `truth_pilot` on the
-craft of `truth_craft`. Row k holds what is measured at t_k and the command that acts from t_k on.
+A study has two estimation logs and a sealed log of 40 s at 50 Hz, in closed loop with the pilot of `truth_pilot` and
+the craft of `truth_craft`. Row k holds the measurement at t_k and the command that acts from t_k on.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ __all__ = ["LOGS", "Log", "Study", "answer", "craft_of", "draw", "fly", "study_y
 
 @dataclass
 class Log:
-    """One flight: what was logged, and what nobody sees: states, disturbance, what sensors without noise would read."""
+    """A simulated flight: the log, and the unlogged states, disturbance and noise-free sensor readings."""
 
     channels: tuple[str, ...]
     time: np.ndarray
@@ -45,7 +45,7 @@ class Log:
 
 
 def craft_of(study: Study) -> Craft:
-    """The craft of a study: wrong base numbers, effects, the outsider."""
+    """Return the craft of a study, with wrong base parameters, effects, or an effect outside the catalogue."""
     base = {n: v["value"] for n, v in study.truth.items() if n in BASE}
     effects = {n: v for n, v in study.truth.items() if n not in BASE and n not in SENSORS}
     if study.kind == "outside":
@@ -55,7 +55,7 @@ def craft_of(study: Study) -> Craft:
 
 
 def _coloured(rng: np.random.Generator, count: int) -> np.ndarray:
-    """First-order Gauss-Markov samples of `DISTURBANCE`, started in the steady state; shape (count, 3)."""
+    """Return stationary first-order Gauss-Markov samples of `DISTURBANCE`, shape (count, 3)."""
     keep = math.exp(-STEP / CORRELATION_TIME)
     white = rng.standard_normal((count, 3))
     values = np.empty((count, 3))
@@ -66,7 +66,7 @@ def _coloured(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 def _moving(rng: np.random.Generator) -> dict[str, float]:
-    """Half of the logs begin at rest at the origin, the others on the way somewhere."""
+    """Return the start state of a log: with probability ½ at rest at the origin, else moving."""
     if rng.random() < 0.5:
         return {}
     spread = {"x_world": 0.5, "y_world": 0.5, "psi": 1.0, "vx": 0.4, "vy": 0.1, "psi_dot": 0.5}
@@ -75,7 +75,7 @@ def _moving(rng: np.random.Generator) -> dict[str, float]:
 
 
 def fly(study: Study, number: int, tolerance: float = 1e-9, duration: float = DURATION) -> Log:
-    """Log `number` of a study."""
+    """Return log `number` of a study."""
     count = round(duration / STEP) + 1
     manoeuvre, noise, shove = (stream(study.seed, 10 + number, purpose) for purpose in range(3))
     start = _moving(manoeuvre)
@@ -105,7 +105,7 @@ def fly(study: Study, number: int, tolerance: float = 1e-9, duration: float = DU
 
 
 def _sensed(study: Study, stranger: Outside, channel: str, value: float) -> float:
-    """What a sensor reads without noise."""
+    """Return the reading of a sensor without noise."""
 
     def error(name: str, neutral: float) -> float:
         return study.truth.get(name, {}).get("value", neutral)
@@ -128,12 +128,12 @@ def _csv(log: Log) -> str:
 
 
 def study_yaml() -> str:
-    """The study file; nothing in it depends on what is hidden."""
+    """Return the study file, independent of hidden effects."""
     return "model: base\nlogs:\n  estimation: [e1.csv, e2.csv]\n  validation: [v1.csv]\n"
 
 
 def write(study: Study, folder: Path, duration: float = DURATION) -> Path:
-    """Write study.yaml and the three logs; gives the path of study.yaml. The answer is not among them."""
+    """Write study.yaml and the three logs, without the answer; return the path of study.yaml."""
     folder.mkdir(parents=True, exist_ok=True)
     for number, name in enumerate(LOGS):
         (folder / f"{name}.csv").write_text(_csv(fly(study, number, duration=duration)))
@@ -143,5 +143,5 @@ def write(study: Study, folder: Path, duration: float = DURATION) -> Path:
 
 
 def answer(study: Study) -> str:
-    """The answer as JSON, to be kept where the refiner never looks and opened after the verdict."""
+    """Return the answer as JSON, to be opened after the verdict."""
     return json.dumps(asdict(study), indent=1) + "\n"

@@ -1,7 +1,7 @@
-"""The craft once more, independent of `plant/`: vectors in world axes, integrated by scipy's DOP853.
+"""Independent equations of the craft: vectors in world axes, integrated by scipy's DOP853.
 
-Written from the model sheet (docs: axes, equations, catalogue) without looking at the project's own equations, so
-that an error in either shows. Nothing is imported from the project.
+Written from the model sheet (docs: axes, equations, catalogue) without the project's own equations, to detect errors in
+either. Nothing is imported from the project.
 
 Two frames: body axes f (forward) and s (starboard, to the right); world axes X, Y with heading ψ counted to the left.
 A body vector (f, s) is (f·cos ψ + s·sin ψ, f·sin ψ − s·cos ψ) in the world, and the same map leads back.
@@ -49,10 +49,10 @@ Push = tuple[float, float, float, float, float, float]  # felt forward, starboar
 
 @dataclass(frozen=True)
 class Outside:
-    """An effect no catalogue holds, by where it enters; each hook may be absent.
+    """An effect outside the catalogue, by its place in the equations; each hook is optional.
 
     force(t, state, thrusts) → Push;  servo(t, tilt, memory) → tilt of one propeller, with a memory dict of its own;
-    gain(t) → factor on both thrusts;  compass(ψ) → what the heading sensor reads.
+    gain(t) → factor on both thrusts;  compass(ψ) → reading of the heading sensor.
     """
 
     force: Callable[[float, list[float], tuple[float, float]], Push] | None = None
@@ -63,7 +63,7 @@ class Outside:
 
 @dataclass(frozen=True)
 class Craft:
-    """Base numbers that differ from the sheet, effects by catalogue name, and at most one effect from outside."""
+    """Base parameters different from the model sheet, effects by catalogue name, and at most one effect outside it."""
 
     base: Mapping[str, float] = field(default_factory=dict)
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
@@ -76,12 +76,12 @@ class Craft:
         return self.effects.get(effect, {}).get(parameter, neutral)
 
     def static_thrust(self, duty: float) -> float:
-        """Thrust out of ground effect, eq 4.20 [N]."""
+        """Return the thrust out of ground effect, eq 4.20 [N]."""
         grams = self.number("thrust_offset") + self.number("thrust_slope") * duty
         return max(0.0, grams) * self.number("gravity") / 1000.0
 
     def rest(self, **start: float) -> np.ndarray:
-        """State of a hovering craft, single states overridden by name."""
+        """Return the state of a hovering craft, with some states replaced by name."""
         hover = self.static_thrust(DUTY)
         values = {"thrust_right": hover, "thrust_left": hover} | start
         return np.array([values.pop(name, 0.0) for name in STATES])
@@ -91,7 +91,7 @@ Disturbance = tuple[float, float, float]  # forward, starboard [N], yaw [N m]; h
 
 
 class Dynamics:
-    """State derivative and outputs of a craft, with everything that does not change looked up once."""
+    """State derivative and outputs of a craft, with constants computed once."""
 
     def __init__(self, craft: Craft) -> None:
         self.craft = craft
@@ -119,11 +119,11 @@ class Dynamics:
         self.slew = value("servo_rate_limit", "rate") or math.inf
 
     def _gamma(self, height: float) -> float:
-        """Ground effect, eqs 4.23 and 4.28 (with the minus sign)."""
+        """Return the ground effect, eqs 4.23 and 4.28 (with the minus sign)."""
         return 1.0 / (1.0 - (self.radius / 4.0 / max(height, self.radius / 2.0)) ** self.k)
 
     def thrusts(self, t: float, state: list[float]) -> tuple[float, float]:
-        """Right and left thrust in ground effect, each propeller at its own height [N]."""
+        """Return right and left thrust in ground effect, each propeller at its own height [N]."""
         rise = self.arm * math.sin(state[8])
         both = 1.0 - self.drop * (1.0 - math.exp(-t / self.sag_time)) if self.drop else 1.0
         both *= 1.0 - self.inflow * state[5]
@@ -134,7 +134,7 @@ class Dynamics:
         return right, left
 
     def push(self, t: float, state: list[float]) -> Push:
-        """All forces and moments on the craft in body axes; gravity's apart, as no accelerometer feels it."""
+        """Return contact forces and moments on the craft in body axes, and gravity separately for the accelerometer."""
         _, _, _, _, psi, vf, vs, r, phi, p = state[:10]
         right, left = self.thrusts(t, state)
         right_f, right_up = right * math.sin(state[12]), right * math.cos(state[12])
@@ -195,14 +195,14 @@ class Dynamics:
         ]
 
     def outputs(self, t: float, vector: np.ndarray) -> dict[str, float]:
-        """Every quantity of `OUTPUTS`, free of sensor errors; the accelerometer reads contact force / mass."""
+        """Return every quantity of `OUTPUTS` without sensor errors; acceleration is contact force / mass."""
         state = vector.tolist()
         values = (*state[:10], self.push(t, state)[0] / self.m, *self.thrusts(t, state), *state[12:14])
         return dict(zip(OUTPUTS, values, strict=True))
 
 
 class Servos:
-    """Way of a command to the lag: delay, play, offset, dead band, in this order; then what comes from outside."""
+    """Servos up to their lag: delay, play, offset, dead band, in this order; then effects outside the catalogue."""
 
     def __init__(self, craft: Craft) -> None:
         self.craft = craft
@@ -212,7 +212,7 @@ class Servos:
         self.memory: tuple[dict[str, float], dict[str, float]] = ({}, {})
 
     def pieces(self, t: float, end: float, command: Command) -> list[tuple[float, float, Command]]:
-        """(from, until, acting command) over the sample from `t` to `end`; `command` is sent at its beginning."""
+        """Return (from, until, acting command) within the sample from `t` to `end`; `command` is sent at `t`."""
         self.sent.append((t + self.delay, command))
         cuts = [t, *(s for s, _ in self.sent if t + 1e-9 < s < end - 1e-9), end]
         while len(self.sent) > 1 and self.sent[1][0] <= t + 1e-9:
@@ -236,7 +236,7 @@ class Servos:
 
 
 class Flight:
-    """A craft in motion, advanced sample by sample; the integrator restarts wherever the acting command changes."""
+    """A moving craft, advanced by samples; the integrator restarts at each change of the acting command."""
 
     def __init__(self, craft: Craft, state: np.ndarray, t: float = 0.0, tolerance: float = 1e-9) -> None:
         self.dynamics, self.servos = Dynamics(craft), Servos(craft)
@@ -246,7 +246,7 @@ class Flight:
         )
 
     def advance(self, command: Command, disturbance: Disturbance = (0.0, 0.0, 0.0)) -> None:
-        """One sample with `command` sent at its beginning."""
+        """Advance by a sample with `command` sent at its start."""
         self.dynamics.disturbance = disturbance
         for begin, end, acting in self.servos.pieces(self.t, self.t_next, command):
             self.dynamics.command = acting

@@ -1,7 +1,8 @@
-"""Effects that are in no catalogue: what a refiner must call unexplained, not by another's name.
+"""Effects outside the catalogue: a refiner must call them unexplained, not by another effect's name.
 
-Each is a function of its parameters that gives an `Outside`; `OUTSIDE` adds how its size is drawn and what it needs to
-be seen. Sizes raise the 2 s replay error of the base model to at least twice its floor (`visibility.py`; tested).
+Each function returns an `Outside` for its parameters; `OUTSIDE` adds ranges of the parameters and conditions of
+visibility. The effects raise the 2 s replay error of the base model to at least twice its floor (`visibility.py`;
+tested).
 """
 
 from __future__ import annotations
@@ -16,12 +17,12 @@ Thrusts = tuple[float, float]
 
 
 def _felt(psi: float, east: float, north: float) -> tuple[float, float]:
-    """Body components of a vector along world X, Y."""
+    """Return the body components of a vector along world X, Y."""
     return east * math.cos(psi) + north * math.sin(psi), east * math.sin(psi) - north * math.cos(psi)
 
 
 def hold_band(width: float) -> Outside:
-    """The servo stays where it is until the command has left it by more than `width`, then goes all the way."""
+    """Return a servo that moves only if its command differs from its position by more than `width`."""
 
     def servo(t: float, goal: float, memory: dict[str, float]) -> float:
         if abs(goal - memory.get("held", 0.0)) > width:
@@ -32,22 +33,22 @@ def hold_band(width: float) -> Outside:
 
 
 def quantised_tilt(step: float) -> Outside:
-    """The servo knows only multiples of `step`."""
+    """Return a servo that moves in multiples of `step`."""
     return Outside(servo=lambda t, goal, memory: step * math.floor(goal / step + 0.5))
 
 
 def servo_cogging(amplitude: float, pitch: float) -> Outside:
-    """Magnets pull the servo to the nearest notch: α + A·sin(2πα/p)."""
+    """Return a servo with magnetic notches: α + A·sin(2πα/p)."""
     return Outside(servo=lambda t, goal, memory: goal + amplitude * math.sin(2.0 * math.pi * goal / pitch))
 
 
 def tilt_stop(angle: float) -> Outside:
-    """A mechanical stop nobody wrote down: tilt commands end at ±`angle`."""
+    """Return a mechanical stop of the tilts at ±`angle`."""
     return Outside(servo=lambda t, goal, memory: min(max(goal, -angle), angle))
 
 
 def gust(force: float, heading: float, period: float, length: float) -> Outside:
-    """A draught across the table: a force along a world heading, on for `length` of every `period`."""
+    """Return periodic gusts: a force along a world heading, for `length` of every `period`."""
 
     def push(t: float, state: list[float], thrusts: Thrusts) -> Push:
         on = force if t % period > period - length else 0.0
@@ -58,7 +59,7 @@ def gust(force: float, heading: float, period: float, length: float) -> Outside:
 
 
 def tether(stiffness: float) -> Outside:
-    """The supply cable pulls towards the world origin like a spring."""
+    """Return a spring force of the supply cable towards the world origin."""
 
     def push(t: float, state: list[float], thrusts: Thrusts) -> Push:
         forward, starboard = _felt(state[4], -stiffness * state[2], -stiffness * state[3])
@@ -68,17 +69,17 @@ def tether(stiffness: float) -> Outside:
 
 
 def cable_torsion(stiffness: float) -> Outside:
-    """The supply cable twists: yaw moment −k·ψ."""
+    """Return a torsion of the supply cable: yaw moment −k·ψ."""
     return Outside(force=lambda t, state, thrusts: (0.0, 0.0, -stiffness * state[4], 0.0, 0.0, 0.0))
 
 
 def ratchet_friction(coefficient: float) -> Outside:
-    """A brush that drags only when the craft backs: −k·vx for vx < 0."""
+    """Return friction in backward motion only: −k·vx for vx < 0."""
     return Outside(force=lambda t, state, thrusts: (-coefficient * min(state[5], 0.0), 0.0, 0.0, 0.0, 0.0, 0.0))
 
 
 def growing_friction(coefficient: float, time: float) -> Outside:
-    """Dust under the craft: viscous friction grows with time, −k·(t/θ)·(vx, vy)."""
+    """Return viscous friction that grows with time: −k·(t/θ)·(vx, vy)."""
 
     def push(t: float, state: list[float], thrusts: Thrusts) -> Push:
         k = coefficient * t / time
@@ -88,7 +89,7 @@ def growing_friction(coefficient: float, time: float) -> Outside:
 
 
 def table_bumps(force: float, pitch: float) -> Outside:
-    """A wavy table: m·g·slope along world X, periodic in X; gravity, so no accelerometer feels it."""
+    """Return a wavy table: m·g·slope along world X, periodic in X, and not sensed by the accelerometer."""
 
     def push(t: float, state: list[float], thrusts: Thrusts) -> Push:
         slope = force * math.sin(2.0 * math.pi * state[2] / pitch)
@@ -98,12 +99,12 @@ def table_bumps(force: float, pitch: float) -> Outside:
 
 
 def torque_reaction(ratio: float) -> Outside:
-    """Both propellers' drag torque turns the craft: yaw moment κ·(T_R − T_L)."""
+    """Return the drag torque of both propellers: yaw moment κ·(T_R − T_L)."""
     return Outside(force=lambda t, state, thrusts: (0.0, 0.0, ratio * (thrusts[0] - thrusts[1]), 0.0, 0.0, 0.0))
 
 
 def gyroscopic(momentum: float) -> Outside:
-    """Rotors that turn the same way: yaw and roll rates couple, roll −H·ψ̇ and yaw +H·φ̇."""
+    """Return gyroscopic coupling of equally turning rotors: roll −H·ψ̇ and yaw +H·φ̇."""
 
     def push(t: float, state: list[float], thrusts: Thrusts) -> Push:
         return 0.0, 0.0, momentum * state[9], -momentum * state[7], 0.0, 0.0
@@ -112,18 +113,18 @@ def gyroscopic(momentum: float) -> Outside:
 
 
 def thrust_ripple(depth: float, frequency: float) -> Outside:
-    """A hunting speed controller: both thrusts × (1 + d·sin 2πft)."""
+    """Return a periodic ripple of both thrusts: factor 1 + d·sin 2πft."""
     return Outside(gain=lambda t: 1.0 + depth * math.sin(2.0 * math.pi * frequency * t))
 
 
 def compass_deviation(amplitude: float) -> Outside:
-    """Iron near the heading sensor: it reads ψ + A·sin 2ψ."""
+    """Return a deviation of the heading sensor: reading ψ + A·sin 2ψ."""
     return Outside(compass=lambda psi: psi + amplitude * math.sin(2.0 * psi))
 
 
 @dataclass(frozen=True)
 class Entry:
-    """How an outside effect is made, the ranges its parameters are drawn from, and what shows it."""
+    """Function of an outside effect, ranges of its parameters, and conditions of visibility."""
 
     make: Callable[..., Outside]
     ranges: dict[str, tuple[float, float]]
@@ -155,5 +156,5 @@ OUTSIDE: dict[str, Entry] = {
 
 
 def outside(name: str, parameters: dict[str, float]) -> Outside:
-    """The effect `name` at given parameter values."""
+    """Return the effect `name` for parameter values."""
     return OUTSIDE[name].make(**parameters)

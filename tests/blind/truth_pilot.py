@@ -1,6 +1,6 @@
-"""Who flies the truth: references, a small observer, a feedback and dither. Nothing of the project's controller.
+"""Pilot of the simulated flights: references, a small observer, feedback and dither, independent of the project.
 
-The pilot knows the base model only; it sees the measurements as they are logged, sensor errors and noise included.
+The pilot assumes the base model and uses the measurements of the log, with sensor errors and noise.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ THRUST = 2.4973  # nominal thrust of a propeller in ground effect, eq 5.36 [N]
 
 @dataclass(frozen=True)
 class Style:
-    """How one log is flown: gain factors, dither amplitudes [rad], duty dither [%] (0: constant duty)."""
+    """Style of a flight: gain factors, dither amplitudes [rad], duty dither [%] (0: constant duty)."""
 
     forward_gain: float
     yaw_gain: float
@@ -40,7 +40,7 @@ Range = tuple[float, float]
 
 
 def reference(rng: np.random.Generator, count: int, size: Range, rate: Range, pause: Range) -> np.ndarray:
-    """Steps and ramps: changes of ±`size`, half of them at once, half at a drawn `rate`, each followed by a `pause`."""
+    """Return steps and ramps: changes of ±`size`, half of them with a random `rate`, each followed by a `pause`."""
     values = np.zeros(count)
     target = 0.0
     k = int(rng.uniform(0.2, 1.5) / STEP)
@@ -58,7 +58,7 @@ def reference(rng: np.random.Generator, count: int, size: Range, rate: Range, pa
 
 
 def telegraph(rng: np.random.Generator, count: int, amplitude: float, hold: Range) -> np.ndarray:
-    """Jumps to levels drawn from ±`amplitude`, each held for a time drawn from `hold` [s]: broadband, down to DC."""
+    """Return random levels within ±`amplitude`, each held for a time within `hold` [s]: broadband, down to DC."""
     values = np.zeros(count)
     k = 0
     while k < count:
@@ -69,7 +69,7 @@ def telegraph(rng: np.random.Generator, count: int, amplitude: float, hold: Rang
 
 
 class Pilot:
-    """Observer and feedback. Distance and speed come from the accelerometer and, where measured, the position."""
+    """Observer and feedback, with distance and speed from the accelerometer and, if measured, the position."""
 
     def __init__(self, rng: np.random.Generator, style: Style, count: int, heading: float) -> None:
         self.style = style
@@ -107,7 +107,7 @@ class Pilot:
         self.speed += 0.2 * error
 
     def command(self, seen: dict[str, float]) -> Command:
-        """Command from the measurement of the same instant."""
+        """Return the command for a measurement of the same instant."""
         self._observe(seen)
         k, style = self.k, self.style
         self.k += 1

@@ -1,7 +1,7 @@
-"""What a blind study hides, drawn by seed: kind, effects and sizes, what is measured, how it is flown.
+"""Hidden properties of a blind study, drawn by seed: kind, effects and sizes, measured channels, style of flight.
 
-Consecutive seeds deal from shuffled decks, so that any twenty hold 11 known, 5 nothing and 4 outside, and every effect
-has its turn; within a card everything is drawn. Sizes are those of a real rig (docs/blind.md).
+Consecutive seeds are dealt from shuffled decks: any twenty contain 11 known, 5 nothing and 4 outside, and effects
+alternate. Sizes are those of a real rig (docs/blind.md).
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ NOTHING_DECK = ("clean", "disturbed")
 
 @dataclass(frozen=True)
 class Study:
-    """The answer: what is hidden, and the conditions it was logged in."""
+    """Answer of a study: hidden effects, and the conditions of its logs."""
 
     seed: int
     kind: str  # known, nothing, outside
@@ -83,7 +83,7 @@ class Study:
 
 
 def stream(seed: int, *purpose: int) -> np.random.Generator:
-    """A random stream of its own for each purpose of each seed."""
+    """Return an independent random stream for a purpose of a seed."""
     return np.random.default_rng([9137, seed, *purpose])
 
 
@@ -92,12 +92,12 @@ def _sign(rng: np.random.Generator) -> float:
 
 
 def _near(rng: np.random.Generator, size: float) -> float:
-    """`size` within a fifth."""
+    """Return a random value within 20 % of `size`."""
     return size * float(rng.uniform(0.8, 1.2))
 
 
 def size(name: str, rng: np.random.Generator) -> dict[str, float]:
-    """Parameter values of the effect, base parameter or sensor error `name`, all in SI (thrust_slope in gf/%)."""
+    """Return random parameters of the effect, base parameter or sensor error `name`, in SI (thrust_slope in gf/%)."""
     degree = math.pi / 180.0
     between = rng.uniform
     if name in BASE:
@@ -132,7 +132,7 @@ def size(name: str, rng: np.random.Generator) -> dict[str, float]:
 
 
 def _wrong_by(name: str, rng: np.random.Generator) -> float:
-    """Relative error of a base parameter: 10-70 % up or 10-45 % down; the thrust line's slope 3-7 % either way."""
+    """Return the relative error of a base parameter: 10-70 % up or 10-45 % down; of the thrust slope ±3-7 %."""
     if name == "thrust_slope":
         # 7 % less slope is 72 % less thrust at the nominal duty: the line's offset does not shrink with it
         return _sign(rng) * float(rng.uniform(0.03, 0.07))
@@ -140,13 +140,13 @@ def _wrong_by(name: str, rng: np.random.Generator) -> float:
 
 
 def _deal(deck: tuple[str, ...], number: int, purpose: int) -> str:
-    """Card `number` of an endless pile of the same deck, each shuffled anew."""
+    """Return card `number` of an endless pile of equal decks, each shuffled separately."""
     pile, card = divmod(number, len(deck))
     return str(stream(pile, purpose).permutation(np.array(deck))[card])
 
 
 def _place(seed: int) -> tuple[str, int]:
-    """Kind of a seed, and how many of its kind come before it."""
+    """Return the kind of a seed, and the number of earlier seeds of its kind."""
     block, place = divmod(seed, len(BLOCK))
     order = stream(block, 1).permutation(np.array(BLOCK))
     kind = str(order[place])
@@ -166,7 +166,7 @@ def _known(card: str, rng: np.random.Generator) -> list[str]:
 
 
 def draw(seed: int) -> Study:
-    """The study of a seed; the same seed gives the same study, byte for byte."""
+    """Return the study of a seed, reproducible byte for byte."""
     kind, number = _place(seed)
     rng = stream(seed, 2)
     disturbed, imu_alone, duty = rng.random(3) < (0.5, 0.4, 0.5)

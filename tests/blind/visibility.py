@@ -1,9 +1,9 @@
-"""How far an effect stands out: 2 s replays of a model without it, against the truth's own noise-free measurements.
+"""Visibility of an effect: 2 s replays of a model without the effect, compared with noise-free measurements.
 
-Each replay starts from the true state, so only what the model lacks makes the error. The floor a channel must be told
-from is its sensor noise and what the coloured disturbance does to a perfect model within 2 s.
+Each replay starts from the true state, so that the missing effect alone makes the error. The noise floor of a channel
+is its sensor noise and the error of a perfect model within 2 s under the coloured disturbance.
 
-    python -m tests.blind.visibility        visibility of each outsider, and the catalogue effect that mimics it best
+    python -m tests.blind.visibility        visibility of each outside effect, and its best imitation by the catalogue
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ HORIZON = 100  # samples in 2 s
 
 
 def replay_errors(craft: Craft, log: Log) -> dict[str, np.ndarray]:
-    """Channel → replay minus noise-free measurement, consecutive 2 s replays laid end to end; first 2 s skipped."""
+    """Return channel → replay minus noise-free measurement, for consecutive 2 s replays without the first 2 s."""
     errors: dict[str, list[float]] = {c: [] for c in VARIANCE}
     for k in range(HORIZON, len(log.commands) - HORIZON, HORIZON):
         flight = _at(craft, log, k)
@@ -35,7 +35,7 @@ def replay_errors(craft: Craft, log: Log) -> dict[str, np.ndarray]:
 
 
 def _at(craft: Craft, log: Log, k: int) -> Flight:
-    """The craft at sample `k`: the true state, but heading as the compass reads it; servos have seen the last 2 s."""
+    """Return the craft at sample `k`: true state, heading of the compass, servos with the commands of the last 2 s."""
     state = log.states[k].copy()
     state[4] = log.noiseless["psi"][k]
     if not state[14:].any():
@@ -47,14 +47,14 @@ def _at(craft: Craft, log: Log, k: int) -> Flight:
 
 
 def floor(seed: int = 0) -> dict[str, float]:
-    """Channel → replay error of a perfect model under the coloured disturbance, sensor noise included."""
+    """Return channel → replay error of a perfect model under the coloured disturbance, with sensor noise."""
     quiet = Study(seed, "nothing", {}, True, True, False)
     errors = replay_errors(Craft(), fly(quiet, 0))
     return {c: math.sqrt(np.mean(e**2) + VARIANCE[c]) for c, e in errors.items()}
 
 
 def visibility(study: Study, levels: dict[str, float], duration: float = DURATION) -> dict[str, float]:
-    """Measured channel → replay error of the base model over the floor, both with noise; 1 is invisible."""
+    """Return measured channel → replay error of the base model over the floor, both with noise; 1 is invisible."""
     still = replace(study, disturbed=False)
     log = fly(still, 0, duration=duration)
     errors = replay_errors(Craft(), log)
@@ -62,9 +62,10 @@ def visibility(study: Study, levels: dict[str, float], duration: float = DURATIO
 
 
 def resemblance(study: Study, levels: dict[str, float], duration: float = DURATION) -> dict[str, float]:
-    """Catalogue effect or base number → share of the study's mean square replay error it leaves at its best size.
+    """Return catalogue effect or base parameter → share of the mean square replay error left at its best size.
 
-    Linear in the size (each parameter scaled, alone and together); in units of the floor, over measured channels.
+    The fit is linear in the size (each parameter scaled, alone and together), in units of the floor, over measured
+    channels.
     """
     log = fly(replace(study, disturbed=False), 0, duration=duration)
 

@@ -49,7 +49,7 @@ class EvaluationPoint:
 
 
 class _Math:
-    """Functions of `math` that return NaN or infinity as in C, instead of raising."""
+    """Functions of `math` with NaN or infinity as result, as in C, instead of exceptions."""
 
     def __getattr__(self, name: str) -> Any:
         import numpy as np
@@ -116,7 +116,7 @@ class CodeDifference:
 
 
 class Check:
-    """A model and its generated code."""
+    """Comparison of a model's Python equations with its generated code."""
 
     def __init__(self, model: Model, printer: ModelPrinter) -> None:
         self.model, self.printer = model, printer
@@ -256,7 +256,7 @@ class Check:
     # -- messages --------------------------------------------------------------------------------
 
     def refusal(self, difference: CodeDifference, code: GeneratedCode) -> UnprintableModel:
-        """Return the error for a difference, with probable class and remedy."""
+        """Return the error for a difference between Python and C, with the class at fault and a remedy."""
         kinds, case = self.model.catalogue, difference.case
         values = f"{difference.python:.9g} in Python and {difference.generated:.9g} as printed"
         text = f"{difference.quantity} is {values}, with {case.words}"
@@ -278,7 +278,7 @@ class Check:
 
 
 def _non_neutral_value(p: Parameter) -> float:
-    """Return a value apart from the neutral one."""
+    """Return a value different from the neutral value."""
     neutral = p.neutral or 0.0
     high = p.bounds[1] if math.isfinite(p.bounds[1]) else neutral + 1.0
     return neutral + 0.5 * (high - neutral) if high > neutral else neutral - 1.0

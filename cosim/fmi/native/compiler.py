@@ -224,7 +224,7 @@ def load_library(source: str, *headers: Path) -> ctypes.CDLL:
 
 
 def _find_cached(stem: Path) -> list[Path]:
-    """Return the cached libraries of a source that pass the check of trust; delete the others."""
+    """Return the cached libraries of a source that pass the trust check; delete all others."""
     paths = list(stem.parent.glob(f"{stem.name}-*.so"))
     return [path for path in paths if discard_untrusted([path]) and path.exists()]
 

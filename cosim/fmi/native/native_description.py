@@ -44,7 +44,7 @@ def description2(layout: VariableLayout, name: str, identifier: str, version: st
 
 
 def description3(layout: VariableLayout, name: str, identifier: str, version: str, guid: str) -> bytes:
-    """Return modelDescription.xml of FMI 3.0, which does not list the sources: `buildDescription.xml` does."""
+    """Return modelDescription.xml of FMI 3.0, without the sources."""
     head = {"fmiVersion": "3.0", "modelName": name, "instantiationToken": guid, **_head(layout, version)}
     common = {"modelIdentifier": identifier, "needsExecutionTool": "false"}
     common |= {"canGetAndSetFMUState": "true", "canSerializeFMUState": "true"}

@@ -56,7 +56,7 @@ class Native:
 
 @dataclass(frozen=True)
 class Built:
-    """An archive, and the oldest glibc of each Linux library in it, "" for others."""
+    """A written FMU, and the oldest glibc of each Linux library in it, "" for further platforms."""
 
     path: Path
     floors: Mapping[str, str]

@@ -267,7 +267,7 @@ class ModelPrinter:
         return f"{head}\n{{\n    {unused}\n{text}}}\n"
 
     def _wake(self) -> str:
-        """Return C code that activates effects with non-neutral parameters."""
+        """Return C code that activates effects away from neutral."""
         lines = []
         for k, effect in enumerate(self.trace.effects):
             neutrals = [(self.vr(f"{effect.name}.{p.name}"), p.neutral) for p in parameters_of(effect)]
@@ -277,14 +277,14 @@ class ModelPrinter:
         return f"{head}\n{{\n    (void)p, (void)awake;\n{''.join(lines)}}}\n"
 
     def _remembers(self) -> str:
-        """Return a C function that tells whether any effect with memory is active."""
+        """Return a C function that detects active memory."""
         remembering = {e.name for e, _ in self.remembering}
         places = [k for k, e in enumerate(self.trace.effects) if e.name in remembering]
         head = "static int remembers(const unsigned char *awake)\n{\n    (void)awake;\n"
         return f"{head}    return {' || '.join(f'awake[{k}]' for k in places) or '0'};\n}}\n"
 
     def _counting(self) -> str:
-        """Return C code naming an active effect dependent on substep length."""
+        """Return C code with the name of an active effect that depends on the substep length."""
         remembering = {e.name for e, _ in self.remembering}
         clock = {self.trace.step, self.trace.s.time}
         lines = {}

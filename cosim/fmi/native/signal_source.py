@@ -22,7 +22,7 @@ __all__ = ["CompilerFailed", "NoCompiler", "SignalChange", "TimeSignal", "build_
 
 @dataclass(frozen=True)
 class SignalChange:
-    """A change at time `at` [s] between two values, with `rate` per second, at once if 0."""
+    """A change of a signal at time `at` [s]; `rate` per second, 0 for a step."""
 
     at: float
     begin: float

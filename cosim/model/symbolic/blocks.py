@@ -88,7 +88,7 @@ class Nearby:
 
 
 def extract_calls(blocks: Sequence[Block], results: Sequence[Any]) -> tuple[list[Block], list[Any], list[Nearby]]:
-    """Return blocks and results with symbols for sin, cos and powers, and the calls that evaluate these.
+    """Return blocks and results with symbols for sin, cos and powers, and the calls for their values.
 
     Powers with a constant exponent remain: squares, roots and reciprocals are cheap.
     """
@@ -194,7 +194,7 @@ def _order(nodes: Sequence[_Node], results: Sequence[Any]) -> list[_Node]:
 
 
 def _sink(nodes: list[_Node], results: Sequence[Any]) -> list[_Node]:
-    """Move each node into the only branch that uses it, and return the nodes that stay outside."""
+    """Move nodes used in a single branch into this branch, and return the remaining nodes."""
     homes: dict[Any, set[tuple[int, int] | None]] = {}
 
     def use(expressions: Sequence[Any], home: tuple[int, int] | None) -> None:

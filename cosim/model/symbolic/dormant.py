@@ -87,7 +87,7 @@ class _Lines:
         return set(every)
 
     def _vanishes(self, symbol: Any, e: Any, dormant: frozenset[int]) -> bool:
-        """Return True if an expression loses a symbol while some terms are dormant."""
+        """Return True if an expression no longer contains a symbol while some terms are dormant."""
         if dormant not in self.constants:
             constants = {p: value for k in dormant for p, value in self.terms[k].items()}
             for name, line in self.lines:

@@ -109,7 +109,7 @@ class Trace:
         return effects
 
     def name(self, expression: Any) -> Any:
-        """Return a symbol for an expression, the same one for equal expressions."""
+        """Return a symbol, the same for equal expressions."""
         import sympy
 
         if expression.is_Atom:
@@ -165,7 +165,7 @@ class Trace:
         self.shaped = list(command)
 
     def _watch(self, kind: type[Any], place: int) -> type[Any]:
-        """Return the effect's class with recorded hooks."""
+        """Return the effect's class with recording hooks."""
         hooks = {name: self._hook(getattr(kind, name), name, place) for name in _overridden(kind)}
         return type(kind.__name__, (kind,), {**hooks, "__module__": kind.__module__})
 

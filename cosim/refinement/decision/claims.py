@@ -1,4 +1,4 @@
-"""`Claims`, the facts behind a verdict, and the first stage that fills them: the judgement of the fits.
+"""`Claims`, the facts behind a verdict, and their first stage: the judgement of the fits.
 
 No stage writes text: `cosim.refinement.decision.sentences.sentence` turns the complete facts into words.
 """
@@ -43,11 +43,11 @@ class MovedParameter:
 
 @dataclass(frozen=True)
 class Doubt:
-    """The reason why replays withdraw a claim.
+    """The reason for which replays or predictions withdraw a claim.
 
     Attributes:
-        kind: `missed`: replays with the claim still miss `channel` by `size` times the noise floor;
-            `no_nearer`: no channel is closer than with the recalibrated model;
+        kind: `missed`: the error of `channel` in replays with the claim is still `size` times the noise floor;
+            `no_nearer`: the recalibrated model is as good or better on every channel;
             `kept`: a share `size` of the excess error remains;
             `unsteady`: much error remains, and `names` do not clearly improve predictions of held-out logs;
             `disagreeing`: a fit to predictions gives other values of `names` and predicts held-out logs better.
@@ -61,7 +61,10 @@ class Doubt:
 
 @dataclass(frozen=True)
 class Part:
-    """The share of a channel's excess error that remains in replays with a claim."""
+    """The share of a channel's excess error that remains in replays with a claim.
+
+    Excess is the mean square error above the noise floor.
+    """
 
     channel: str
     share: float
@@ -69,13 +72,13 @@ class Part:
 
 @dataclass(frozen=True)
 class Nearest:
-    """The model that predicts held-out logs best if the claim is incomplete; None stands for the given model."""
+    """The best predictor of held-out logs beside an incomplete claim; None stands for the given model."""
 
     hypothesis: Hypothesis | None
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the names of the candidates."""
+        """Return the candidates' names in the nearest model."""
         return self.hypothesis.names if self.hypothesis else ()
 
 
@@ -163,7 +166,7 @@ class Claims:
 
     @property
     def residual(self) -> Mapping[str, Any]:
-        """Return the misfit's location and signals."""
+        """Return the equation of the misfit and its signals; for a table, the output and the input."""
         if self.left_of is None:
             return self.misfit
         output, signal = self.left_of
@@ -171,23 +174,23 @@ class Claims:
 
     @property
     def nearest_hypothesis(self) -> Hypothesis | None:
-        """Return the hypothesis of the nearest model; if there is none, the claimed hypothesis."""
+        """Return the nearest model's hypothesis, by default the claim."""
         return self.claimed if self.nearest is None else self.nearest.hypothesis
 
     @property
     def baseline(self) -> str:
-        """Return the model with which a claim is compared: recalibrated, or before for wrong parameters alone."""
+        """Return the model for comparison with a claim: `before` for wrong parameters alone, else `recalibrated`."""
         return "recalibrated" if any(c.kind != "parameter" for c in self.claimed_candidates) else "before"
 
     @property
     def claimed_candidates(self) -> tuple[Candidate, ...]:
-        """Return the claimed candidates; beside rivals, those that all of them contain."""
+        """Return the claimed candidates; for an ambiguous verdict, the candidates common to all rivals."""
         if self.claimed is None:
             return ()
         return self.certain if self.name == "ambiguous" else self.claimed.candidates
 
     def withdraw(self, doubt: Doubt) -> Claims:
-        """Return an unexplained answer with a reason."""
+        """Return the verdict `unexplained` with its reason."""
         names = self.claimed.names if self.claimed else ()
         return Claims("unexplained", rivals=names, misfit=self.misfit, doubt=doubt)
 
@@ -253,18 +256,18 @@ def _judge_claim(
 
 
 def fit_of_rest(a: Attribution, disputed: Collection[str]) -> Hypothesis | None:
-    """Return the fit of the undisputed parts, if any."""
+    """Return the earlier fit without disputed parts, if any."""
     names = tuple(n for n in a.best.names if n not in disputed)
     return next((h for h in a.tried if names and h.names == names), None)
 
 
 def _largest_disturbance(moves: Mapping[str, float]) -> str:
-    """Return the state with the largest disturbance, or ""."""
+    """Return the state with the largest unknown input, or "" if all are small disturbances."""
     return max((name for name in moves if moves[name] > LARGE), key=lambda name: moves[name], default="")
 
 
 def _ambiguous_claims(a: Attribution, subject: Subject, residual: Mapping[str, Any]) -> Claims:
-    """Claim the best hypothesis, and its shared candidates for certain."""
+    """Return ambiguous claims: rivals, and their common candidates."""
     hypotheses = (a.best, *a.rivals, *([a.fuller] if a.fuller and a.fuller.score < a.best.score else []))
     common = set(a.best.names).intersection(*(h.names for h in a.rivals))
     apart = [sorted(set(h.names) - common) for h in hypotheses]
@@ -278,7 +281,7 @@ def _ambiguous_claims(a: Attribution, subject: Subject, residual: Mapping[str, A
 
 
 def _with_intervals_of(best: Hypothesis, rivals: Sequence[Hypothesis], common: Collection[str]) -> Hypothesis:
-    """Return the best hypothesis, with intervals of its shared parts that hold those of all rivals."""
+    """Return the best hypothesis with intervals of common candidates widened to include those of all rivals."""
     fit, wider = best.fit, np.ones(len(best.fit.free))
     shared = {f.name for c in best.candidates if c.name in common for f in c.free}
     for k, f in enumerate(fit.free):
@@ -296,21 +299,24 @@ def usual_experiment(subject: Subject) -> str:
 
 
 def experiment_for(subject: Subject, names: Sequence[str]) -> str:
-    """Return the input that separates these rivals."""
+    """Return the experiment to separate these rivals."""
     experiments = [(len(row & set(names)), text) for row, text in subject.told_apart_by.items()]
     shared, text = max(experiments, default=(0, ""))
     return text if shared > 1 else usual_experiment(subject)
 
 
 def name_of(candidates: Sequence[Candidate], subject: Subject) -> Name:
-    """Return the verdict for the candidates' kinds."""
+    """Return the verdict for the kinds of claimed candidates."""
     kinds = {kind_within(c, subject) for c in candidates}
     names: dict[str, Name] = {"effect": "effect_found", "sensor": "sensor_error", "parameter": "parameter_error"}
     return next(name for kind, name in names.items() if kind in kinds)
 
 
 def _disputed_parts(a: Attribution, leftover: Leftover) -> set[str]:
-    """Return the claimed parts that unnamed terms replace; all parts if the terms gain much beside the claim."""
+    """Return the parts of a claim superfluous beside unnamed terms.
+
+    These are all parts if the unnamed terms gain much beside the claim.
+    """
     if leftover.fit is None:
         return set()
     if leftover.gain > MUCH * (a.base.score - a.best.score):
@@ -333,7 +339,7 @@ def is_moved(f: Free, alone: Fit, other: Fit) -> bool:
 
 
 def _misfit(a: Attribution, leftover: Leftover, forced: Sequence[str]) -> dict[str, Any]:
-    """Return the misfit's location and signals from the fits."""
+    """Return the deficient equation, the signals of the misfit and the process noise, from the fits."""
     q0, q1 = a.base.fit.noise.density, a.best.fit.noise.density
     noise = {
         equation: {

@@ -38,10 +38,7 @@ PREDICTED = 8  # least number of replays of a log for a model judged by a free r
 
 
 def blocks_of(problem: Problem, scored: Scored, memory: float) -> Rows:
-    """Return the block index of each scored measurement.
-
-    Blocks are longer than the correlation of the residual.
-    """
+    """Return the time block of each scored measurement; blocks are longer than the correlation of the residual."""
     length = correlation_length(scored) if problem.trusted else memory / problem.logs[0].step
     rows = max(BLOCK, round(LASTING * length))
     total = sum(len(d.u) for d in problem.logs)
@@ -68,7 +65,7 @@ def correlation_length(scored: Scored) -> float:
 
 
 def steadiness(problem: Problem, better: Fit, worse: Fit, costs: float = 0.0) -> float:
-    """Return a gain divided by its scatter over blocks.
+    """Return the likelihood gain of a fit divided by the scatter of the gain over time blocks.
 
     Args:
         costs: Additional cost of `worse` relative to `better` (Vuong 1989, eq. 5.9).
@@ -81,24 +78,24 @@ def steadiness(problem: Problem, better: Fit, worse: Fit, costs: float = 0.0) ->
 
 
 def gain_per_scatter(block: Rows, worse: Scored, better: Scored, constant: float) -> float:
-    """Return a gain divided by its scatter over blocks."""
+    """Return a likelihood gain per scatter over time blocks."""
     terms, others = (np.nan_to_num(s.terms, nan=DIVERGED, posinf=DIVERGED) for s in (worse, better))
     gains = np.bincount(block, terms - others).astype(np.float64)
     return sum_per_scatter(gains[np.bincount(block) > 0], constant)
 
 
 def sum_per_scatter(gains: Array, constant: float = 0.0) -> float:
-    """Return a sum divided by its standard deviation."""
+    """Return a sum divided by its standard deviation, estimated from the scatter of the terms."""
     total, spread = constant + float(np.sum(gains)), float(np.std(gains)) * math.sqrt(gains.size)
     return total / spread if spread > 0.0 else math.copysign(math.inf, total) if total else 0.0
 
 
 def held_out_gains(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[float, float]:
-    """Return the held-out gains in likelihood and open loop.
+    """Return the gains on held-out logs: of the likelihood, and of open-loop predictions per scatter.
 
-    Parameters claimed by only one hypothesis keep the values from the other logs, or of the model. For the likelihood,
-    the remaining parameters and the noise are refitted on the held-out log for both hypotheses, because a log with
-    little excitation leaves these parameters open. Open-loop predictions use nothing of the held-out log. A single log
+    Parameters of a single hypothesis keep the values fitted to the remaining logs, or those of the model. For the
+    likelihood, all further parameters and the noise are refitted on the held-out log for both hypotheses, because a log
+    with little excitation does not determine them. Open-loop predictions use nothing of the held-out log. A single log
     is halved.
     """
     problem = search.problem if len(search.problem.logs) > 1 else halve_log(search.problem)
@@ -127,7 +124,7 @@ def held_out_gains(search: Search, better: Hypothesis, worse: Hypothesis) -> tup
 
 
 def open_loop_gain(problem: Problem, horizon: float, better: Fit, worse: Fit) -> float:
-    """Return the open-loop gain per scatter on held-out logs."""
+    """Return the decrease of open-loop errors on held-out logs, divided by its scatter over replays."""
     problem = problem if len(problem.logs) > 1 else halve_log(problem)
     logs = list(range(len(problem.logs)))
 
@@ -140,7 +137,7 @@ def open_loop_gain(problem: Problem, horizon: float, better: Fit, worse: Fit) ->
 
 
 def log_error(problem: Problem, horizon: float, fits: Iterable[Fit], logs: Iterable[int] | None = None) -> float:
-    """Return the mean log RMSE of the outputs in open-loop predictions, with a fit for each log, by default all."""
+    """Return the logarithm of the open-loop RMSE, mean over the outputs, with a fit for each log, by default all."""
     logs = range(len(problem.logs)) if logs is None else logs
     errors = [open_loop(problem, horizon, f, k) for f, k in zip(fits, logs, strict=False)]
     rows = np.concatenate([e.reshape(-1, e.shape[-1]) for e in errors])
@@ -166,7 +163,7 @@ def error_ratios(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple
 
 
 def required_scatters(scatters: float, tried: int) -> float:
-    """Return the required gain per scatter of several candidates.
+    """Return the gain per scatter that is required of the best of several candidates.
 
     The probability that the best of n ineffective candidates passes z is at most n·(1 − Φ(z)) (Bonferroni).
     """
@@ -176,10 +173,10 @@ def required_scatters(scatters: float, tried: int) -> float:
 
 
 def chance_limit(problem: Problem, f: Fit, tried: int) -> float:
-    """Return the gain per scatter that excludes chance.
+    """Return the least gain per scatter beyond chance.
 
     An estimate of t standard deviations gains ½·t², which is ½·|t| times the scatter of the gain. t follows Student's
-    distribution over the blocks of time, with Bonferroni's correction for `tried` candidates.
+    distribution over the time blocks, with Bonferroni's correction for `tried` candidates.
     """
     from scipy.special import stdtrit
 
@@ -188,7 +185,7 @@ def chance_limit(problem: Problem, f: Fit, tried: int) -> float:
 
 
 def fit_without(search: Search, problem: Problem, h: Hypothesis, log: int) -> Fit:
-    """Return a cached fit to all logs but one."""
+    """Return the fit of a hypothesis to all logs except `log`, from the cache if possible."""
     key = (h.names, log)
     if key not in search.cross_fits:
         others = [k for k in range(len(problem.logs)) if k != log]
@@ -270,7 +267,7 @@ def fit_given_model(problem: Problem, base: Fit, left_out: int | None = None) ->
 
 
 def scatter_ratio(problem: Problem, f: Fit) -> float:
-    """Return the ratio of scattered to white estimate variances."""
+    """Return the ratio of the estimates' variance from time blocks to the variance for a white residual, at least 1."""
     spread, white = with_sandwich_covariance(problem, f).scattered, inverse(f.information)
     assert spread is not None
     ratios = [spread[k, k] / white[k, k] for k in range(len(f.free)) if white[k, k] > 0.0]
@@ -278,10 +275,7 @@ def scatter_ratio(problem: Problem, f: Fit) -> float:
 
 
 def _widen_for_few_rows(covariance: Array, rows: int, free: int) -> Array:
-    """Widen a covariance for few rows.
-
-    With few rows, residuals underestimate the noise and normal intervals are too narrow (Student).
-    """
+    """Return a covariance widened by Student's factor, since few rows underestimate the noise."""
     from scipy.special import stdtrit
 
     freedom = max(1, rows - free)

@@ -72,7 +72,7 @@ class _Remainder:
 
 
 def _drop_unsupported(search: Search, best: Hypothesis) -> _Remainder:
-    """Drop the weakest unsupported part until none remains.
+    """Drop the weakest unsupported part of a hypothesis repeatedly, until all remaining parts have support.
 
     Parts with small gains stay if their joint gain is sufficient.
     """
@@ -99,7 +99,7 @@ def _drop_unsupported(search: Search, best: Hypothesis) -> _Remainder:
 
 
 def _gain_together(search: Search, fuller: Hypothesis, rest: Hypothesis) -> bool:
-    """Return True if small parts gain enough together."""
+    """Return True if small dropped parts together gain enough."""
     small = [c for c in fuller.candidates if c.name not in rest.names]
     if len(small) < 2 or rest.fit.objective - fuller.fit.objective < search.cost(small):
         return False
@@ -108,7 +108,7 @@ def _gain_together(search: Search, fuller: Hypothesis, rest: Hypothesis) -> bool
 
 
 def _fit_without_each(search: Search, h: Hypothesis) -> dict[str, Hypothesis]:
-    """Fit the hypothesis without each of its parts."""
+    """Return candidate → fit of the hypothesis without this candidate."""
 
     def fit_without(c: Candidate) -> Hypothesis:
         rest = tuple(other for other in h.candidates if other.name != c.name)
@@ -190,10 +190,9 @@ def _is_rival(search: Search, best: Hypothesis, h: Hypothesis) -> bool:
 
 
 def _with_tolerance(h: Hypothesis, times: float, weight: float) -> float:
-    """Return the objective with all tolerances scaled.
+    """Return the objective of a fit with scaled tolerances.
 
-    With F the information without priors and θ̂ the optimum of F alone, this is the minimum of ½(θ−θ̂)'F(θ−θ̂) +
-    priors.
+    The result is the minimum of ½(θ−θ̂)'F(θ−θ̂) + priors, with F the information without priors and θ̂ its optimum.
 
     Args:
         times: Factor on every tolerance.
@@ -232,7 +231,7 @@ def noise_gain(problem: Problem, f: Fit) -> tuple[float, ...]:
 def is_at_limit(h: Hypothesis, f: Free, neutral: Mapping[str, float]) -> bool:
     """Return True if a parameter is at a limit other than its neutral value.
 
-    At the neutral value, an effect of the model is removed, which is no limit.
+    The neutral value is no limit, since it removes the effect.
     """
     value = h.fit.values[f.name]
     limits = f.low, f.high, h.fit.values.get(f.above)

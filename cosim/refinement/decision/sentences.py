@@ -1,4 +1,4 @@
-"""The words of a verdict, from its facts alone: `sentence` is called once, when all facts are known.
+"""Words of a verdict: `sentence` turns the complete facts into text.
 
 Each sentence has at most 25 words and names at most three things; refine.json and the report list all of them.
 """
@@ -33,7 +33,7 @@ IN_PART = "This explains only a part of the error"
 
 
 def sentence(c: Claims, subject: Subject) -> str:
-    """Return the verdict in words: improvement or rise on sealed logs, claim, dispute, what remains, nearest model."""
+    """Return the verdict in words: improvement or rise on sealed logs, claim, dispute, remainder, nearest model."""
     units = {q.name: q.unit for q in subject.outputs}
     files = (REFINED[0], NEAREST[0]) if c.written else ("the refined object", "the nearest object")
     rise = rise_text(c.risen, units, files[c.claimed is None])  # a reader must know it before the answer
@@ -42,7 +42,12 @@ def sentence(c: Claims, subject: Subject) -> str:
 
 
 def improvement_text(remaining: Mapping[str, float], beside: str) -> str:
-    """Say which share of the squared error of another model on sealed logs a claim explains, and where most remains."""
+    """Return a sentence on the share of squared error on sealed logs that a claim explains.
+
+    Args:
+        remaining: Channel → share of the squared error that remains.
+        beside: Model for comparison, `before` or `recalibrated`.
+    """
     share = sum(remaining.values()) / len(remaining) if remaining else 1.0
     if not share < 1.0:
         return ""
@@ -52,7 +57,7 @@ def improvement_text(remaining: Mapping[str, float], beside: str) -> str:
 
 
 def _answer_text(c: Claims, subject: Subject) -> str:
-    """Return the answer itself."""
+    """Return the text of the verdict without remarks."""
     if c.name == "ambiguous" and c.claimed is None:
         return little_excitation_text(len(c.unshown), c.experiment, still=c.still)
     if c.name == "ambiguous" and c.claimed is not None:
@@ -70,7 +75,7 @@ def _answer_text(c: Claims, subject: Subject) -> str:
 
 
 def _share_texts(c: Claims) -> Iterator[str]:
-    """Yield phrases on the share of the error that a claim leaves unexplained, and on its channels."""
+    """Yield sentences on the unexplained share of the error."""
     if c.left_share is not None and c.left_of is not None:
         of = f"of the mean square error of {c.left_of[0]} after recalibration"
         yield part_text(c.residual, f"{percent(c.left_share)} {of} remain")
@@ -86,7 +91,7 @@ def _share_texts(c: Claims) -> Iterator[str]:
 
 
 def _remark_texts(c: Claims, subject: Subject) -> Iterator[str]:
-    """Yield sentences after the answer: the rest, the nearest model, candidates, held-out rows."""
+    """Yield sentences to follow the verdict."""
     if c.claimed is not None and c.term is not None:
         yield remainder_text(c.term, c.gained)
     if c.claimed is not None and c.further:
@@ -110,7 +115,7 @@ def _units(subject: Subject) -> Mapping[str, str]:
 
 
 def little_excitation_text(effects: int, experiment: str, *, still: bool) -> str:
-    """Say that these logs would show none of the effects, and what would show them."""
+    """Return a sentence on logs that excite too little to show any of the effects, with an experiment."""
     which = "the one effect" if effects == 1 else f"none of {effects} effects"
     opening = "Nothing moves in these logs" if still else "These logs excite too little"
     would = "would not" if effects == 1 else "would"
@@ -134,12 +139,17 @@ def no_effect_text(hidden: Sequence[str], moves: Mapping[str, float]) -> str:
 
 
 def _counted_names(names: Sequence[str], noun: str) -> str:
-    """Return up to three names; more with their number before them."""
+    """Return up to three names, or more with their number."""
     return join_names(names) if len(names) <= MOST_NAMED else f"{counted(len(names), noun)}: {join_names(names)}"
 
 
 def rivals_text(names: Sequence[str], experiment: str, certain: str, subject: Subject) -> str:
-    """Say what rivals leave open, beside what they have in common."""
+    """Return a sentence on undecided rivals and an experiment.
+
+    Args:
+        names: Rival hypotheses.
+        certain: Sentence on the candidates common to all rivals, or "".
+    """
     opening = f"{certain} Beside it, these logs" if certain else "These logs"
     designed = "" if subject.static else " `cosim excite` designs it, and says whether any would."
     many = f"decide between {_counted_names(names, 'hypothesis')}"
@@ -164,7 +174,7 @@ def unexplained_text(residual: Mapping[str, Any], nearest: Sequence[str], otherw
 
 
 def doubt_text(doubt: Doubt) -> str:
-    """Say why a claim was withdrawn after replays."""
+    """Return a sentence on why replays withdrew a claim."""
     if doubt.kind == "missed":
         return f"With it, replays still miss {doubt.channel} by {plain(doubt.size, 2)} times the noise floor."
     if doubt.kind == "no_nearer":
@@ -181,7 +191,11 @@ def _other_values_text(names: Sequence[str]) -> str:
 
 
 def part_text(residual: Mapping[str, Any], rest: str) -> str:
-    """Say that a claim is a part of what is missing: how much remains, and where that acts."""
+    """Return sentences on a claim that explains only part of the error: the remaining share and its place.
+
+    Args:
+        rest: Phrase on the remaining share.
+    """
     where = f"acts on {residual['equation']}" if residual["equation"] else "has no place in the equations"
     on = f" and {_residual_text(residual)}" if residual["signals"] else ""
     return f"{IN_PART}: {rest}. The rest {where}{on}."
@@ -190,7 +204,12 @@ def part_text(residual: Mapping[str, Any], rest: str) -> str:
 def missed_channel_text(
     channel: str, times: float, recalibrated: Sequence[MovedParameter], units: Mapping[str, str]
 ) -> str:
-    """Say by how much the unchanged model misses a channel, and how far recalibration had to go to mend that."""
+    """Return sentences on a channel missed by the unchanged model.
+
+    Args:
+        times: Error as a multiple of the noise floor.
+        recalibrated: Base parameters that had to leave their tolerances to reduce this error.
+    """
     text = f"The model as it stands misses {channel} by {plain(times, 2)} times the noise floor."
     if recalibrated:
         text += f" Recalibrated beyond its tolerances it does not: {_moved_text(recalibrated, units)}."
@@ -198,7 +217,7 @@ def missed_channel_text(
 
 
 def further_text(parameters: Sequence[MovedParameter], units: Mapping[str, str]) -> str:
-    """Say that other numbers come out beyond their tolerances beside a claim."""
+    """Return a sentence on further parameters outside their tolerances."""
     return f"Beside it, recalibrated beyond tolerance: {_moved_text(parameters, units)}."
 
 
@@ -212,9 +231,11 @@ def _moved_text(parameters: Sequence[MovedParameter], units: Mapping[str, str]) 
 
 
 def rise_text(errors: Mapping[str, tuple[float, float]], units: Mapping[str, str], file: str) -> str:
-    """Say that sealed logs are predicted worse than before, on which channels; empty where no reader sees a rise.
+    """Return a sentence on channels whose error rises on sealed logs; "" if no rise shows in the rounded values.
 
-    errors: channel → root mean square before and after; file: the model that is meant by after
+    Args:
+        errors: Channel → root mean square error before and after.
+        file: Name of the refined or nearest model.
     """
     changes = {}
     for name, pair in errors.items():
@@ -230,7 +251,11 @@ def rise_text(errors: Mapping[str, tuple[float, float]], units: Mapping[str, str
 
 
 def floor_warning(part: str, channels: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -> Message:
-    """Warn of a noise floor above the error; channels: channel → floor and error."""
+    """Return a warning of a noise floor above the error.
+
+    Args:
+        channels: Channel → floor and error.
+    """
     pairs = []
     for name, (floor, error) in channels.items():
         unit, factor = finer(units.get(name, ""), error)
@@ -242,7 +267,12 @@ def floor_warning(part: str, channels: Mapping[str, tuple[float, float]], units:
 
 
 def nearest_text(names: Sequence[str], *, fitted: bool, file: str = NEAREST[0], same: bool = False) -> str:
-    """Say what the nearest model contains; fitted: base parameters are recalibrated; same: just those named before."""
+    """Return a sentence on the content of the nearest model.
+
+    Args:
+        fitted: Whether base parameters are recalibrated.
+        same: Whether the candidates are those of the previous sentence.
+    """
     content = f"contains {'them' if same else _counted_names(names, 'candidate')}"
     if not names:
         content = f"is the model {'recalibrated' if fitted else 'as it was'}"
@@ -250,7 +280,7 @@ def nearest_text(names: Sequence[str], *, fitted: bool, file: str = NEAREST[0], 
 
 
 def held_out_rows_text(c: Claims, subject: Subject) -> str:
-    """Say the errors on held-out rows: of the claim, or of the model recalibrated, and without it."""
+    """Return sentences on the errors on held-out rows, with and without the claim or recalibration."""
     units, errors = {q.name: q.unit for q in subject.outputs}, c.left_out or {}
     effect = c.claimed is not None and any(part.kind != "parameter" for part in c.claimed.candidates)
     best, other = ("after", "recalibrated") if effect else ("recalibrated", "before")
@@ -261,7 +291,7 @@ def held_out_rows_text(c: Claims, subject: Subject) -> str:
 
 
 def dependence_text(signal: str, shape: Shape | None = None) -> str:
-    """Say how a term goes with its signal, and where; `1` is the constant."""
+    """Return a phrase on the dependence of a term on its signal; signal `1` is the constant."""
     if shape is None:
         return "is constant" if signal == "1" else f"depends on {signal}"
     place, width = amount(shape.place, shape.unit), amount(shape.width, shape.unit, 2)
@@ -273,7 +303,7 @@ def dependence_text(signal: str, shape: Shape | None = None) -> str:
 
 
 def _residual_text(residual: Mapping[str, Any]) -> str:
-    """Say how the residual depends on a signal, by the first of its terms."""
+    """Return a phrase on the dependence of the residual on a signal, from its first term."""
     first = residual["terms"][0] if residual["terms"] else {}
     shape = Shape.of_entry(first["equation"], first["local"]) if first.get("local") else None
     return dependence_text(residual["signals"][0], shape)
@@ -287,7 +317,7 @@ OPENINGS = {  # kind → before up to three names, and in place of more
 
 
 def claim_text(best: Hypothesis, candidates: Sequence[Candidate], subject: Subject) -> str:
-    """Say what these candidates of the best hypothesis are, with their values and intervals."""
+    """Return sentences on claimed candidates with values and intervals."""
     kinds = {c.name: kind_within(c, subject) for c in candidates}
     values = {c.name: [_estimate_text(best, f, subject) for f in c.free] for c in candidates}
     for c in candidates:
@@ -302,7 +332,7 @@ def claim_text(best: Hypothesis, candidates: Sequence[Candidate], subject: Subje
 
 
 def _kinds_text(kinds: Mapping[str, str], texts: Mapping[str, str]) -> str:
-    """Return the claim of each kind of candidate; their number where there are more than three of a kind."""
+    """Return a phrase for each kind of claimed candidate, with names or, for more than three, their number."""
     parts = []
     for kind, (opening, several) in OPENINGS.items():
         names = [text for name, text in texts.items() if kinds[name] == kind]
@@ -329,11 +359,11 @@ def _estimate_text(best: Hypothesis, f: Free, subject: Subject) -> str:
 
 
 def small_gains_text(names: Sequence[str]) -> str:
-    """Say that something would gain, but too little."""
+    """Return a sentence on gains that may be chance."""
     return f" Perhaps also {join_names(names)}; that gain may be chance." if names else ""
 
 
 def remainder_text(term: UnnamedTerm, gained: float) -> str:
-    """Say what a claim leaves: how much a term without a name adds to its gain."""
+    """Return sentences on an unnamed term beside a claim."""
     rest = f"Something remains in {term.equation} that {dependence_text(term.signal, term.shape)}."
     return f"{rest} A term without a name would add {percent(term.gain / gained)} to the claim's gain."

@@ -42,7 +42,7 @@ Evidence = list[tuple[Log, Replay]]
 
 
 def filter_problem(problem: Problem, subject: Subject, logs: Sequence[Log]) -> Problem:
-    """Return a variant's filter problem on other logs.
+    """Return the fitting problem of a subject on other logs.
 
     The kernel of `problem` takes all parameters, including those of the variant.
     """
@@ -60,7 +60,7 @@ def replay_logs(
 ) -> dict[float, Evidence]:
     """Return horizon → corrected logs and their replays.
 
-    The subject's own horizon comes first. An unstable subject may stop its FMU on another horizon; that log is skipped.
+    The subject's own horizon comes first. On further horizons, a log on which an unstable FMU stops is skipped.
     """
     problem = filter_problem(problem, variant.subject, logs)
     judged = variant.subject.horizon
@@ -90,7 +90,7 @@ def replay_logs(
 def _starts(
     variant: Variant, problem: Problem, log: Log, index: int, horizon: float
 ) -> tuple[dict[int, Start], dict[str, Array]]:
-    """Return replay starts and parameters per log."""
+    """Return row → start of replay, and parameters per log."""
     rows, layout = first_rows(log, horizon), problem.layout
     data = problem.data(variant.values, index)
     filtered = problem.filter_causally(data, variant.values, variant.noise, index, log.grid[rows].tolist())
@@ -136,14 +136,14 @@ def remove_sensor_errors(
 
 
 def _sensors(variant: Variant, per_log: Mapping[str, Array]) -> Iterator[SensorError]:
-    """Yield the sensor errors, last one first."""
+    """Yield the sensor errors in reverse order."""
     values = {**variant.values, **per_log}
     for kind in reversed(variant.subject.sensors):
         yield kind(value=values[f"{kind.name}.value"])
 
 
 def _line(sensor: SensorError) -> tuple[Any, Any]:
-    """Return zero reading and gain of a sensor."""
+    """Return the reading at zero and the gain of a sensor with a linear error."""
     at_zero = sensor.measure(0.0)
     return at_zero, sensor.measure(1.0) - at_zero
 
@@ -180,18 +180,18 @@ def predicted_errors(variant: Variant, problem: Problem, logs: Sequence[Log]) ->
 
 @dataclass(frozen=True)
 class Floor:
-    """Channel → noise floor of the replay error, and its scatter over draws.
+    """Noise floor of the replay error by channel, and its scatter over draws.
 
     Attributes:
-        level: Root mean square error of the model against itself.
-        scatter: Standard deviation of the logarithm; no entry for a channel with a single draw.
+        level: Channel → root mean square error of the model against itself.
+        scatter: Channel → standard deviation of the logarithm; channels with a single draw are omitted.
     """
 
     level: Mapping[str, float]
     scatter: Mapping[str, float]
 
     def channels_above(self, error: Mapping[str, float]) -> dict[str, tuple[float, float]]:
-        """Return channel → floor and error if the floor is too high."""
+        """Return channel → floor and error, for floors clearly above the error."""
         pairs = {n: (f, error[n]) for n, f in self.level.items() if error.get(n, 0.0) > 0.0}
         limits = {n: max(math.log(CALMER), UNLIKE * self.scatter.get(n, 0.0)) for n in pairs}
         return {n: (f, e) for n, (f, e) in pairs.items() if f > 0.0 and math.log(f / e) > limits[n]}
@@ -200,8 +200,8 @@ class Floor:
 def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np.random.Generator) -> Floor:
     """Return the noise floor: errors of the model against itself, simulated with random noise.
 
-    Each simulation starts beside the filtered state of a replay's first row, as far away as the filter's covariance
-    says, and so stays within the motion of the log. A floor above the spread of its own channel is omitted.
+    Each simulation starts near the filtered state of a replay's first row, at a random deviation with the filter's
+    covariance, and so stays near the motion of the log. A floor above the standard deviation of its channel is omitted.
     """
     problem = filter_problem(problem, variant.subject, logs)
     draws: list[list[Array]] = [[] for _ in range(-(-DRAWS // len(logs)))]
@@ -243,7 +243,11 @@ def _final_parameters(variant: Variant, problem: Problem, index: int) -> dict[st
 
 
 def _shift(outputs: Array, late: Array | None) -> Array:
-    """Return outputs shifted by fractions of a row."""
+    """Return outputs shifted in time.
+
+    Args:
+        late: Age of each reading in rows.
+    """
     return outputs if late is None else outputs - np.nan_to_num(late) * np.diff(outputs, axis=0, prepend=outputs[:1])
 
 
@@ -267,7 +271,7 @@ class _KernelReplays:
 
     @classmethod
     def of(cls, variant: Variant, problem: Problem, log: Log, index: int, data: Data) -> _KernelReplays:
-        """Filter the measurements for the starts of the replays."""
+        """Return the replays of a log from filtered starts."""
         gains = dict.fromkeys(problem.layout.outputs, np.ones(len(data.u)))
         rows = [] if data.table else log.grid[first_rows(log, variant.subject.horizon)].tolist()
         filtered = problem.filter_causally(data, variant.values, variant.noise, index, rows)
@@ -279,13 +283,13 @@ class _KernelReplays:
         return cls(variant, problem, index, data, rows, filtered, np.column_stack(list(gains.values())))
 
     def errors(self) -> Array:
-        """Return corrected measurement − model."""
+        """Return corrected measurement − model, shape (rows, outputs)."""
         if self.data.table:
             return np.asarray(self.filtered.errors / self.gains)
         return np.asarray((self.data.y - self._predict()) / self.gains)
 
     def random_errors(self, rng: np.random.Generator) -> Array:
-        """Return the errors against a simulation with random noise, from starts beside those of the replays."""
+        """Return the errors against a simulation with random noise and random deviations of the starts."""
         problem, noise, data, rows = self.problem, self.variant.noise, self.data, self.rows
         errors = rng.standard_normal(data.y.shape) * np.sqrt(problem.variances(noise, self.index))
         if not data.table:
@@ -306,14 +310,14 @@ class _KernelReplays:
         return np.asarray(np.where(np.isnan(data.y), np.nan, errors) / self.gains)
 
     def _predict(self) -> Array:
-        """Return the outputs of the replays; NaN between them."""
+        """Return the outputs of the replays, NaN elsewhere."""
         starts = {k: self.problem.drop_unknown_inputs(self.filtered.states[k]) for k in self.rows}
         return self._simulate(self.variant.values, starts)
 
     def _simulate(
         self, values: Mapping[str, float], starts: Mapping[int, Array] | Array, kicks: Array | None = None
     ) -> Array:
-        """Return the outputs of simulations from given states; NaN between them."""
+        """Return outputs of simulations from given states, NaN elsewhere."""
         problem, data, horizon = self.problem, self.data, self.variant.subject.horizon
         length = len(data.u) if horizon == FREE_RUN else round(horizon / data.step)
         p, outputs = problem.numbers(problem.of_log(values, self.index)), np.full(data.y.shape, np.nan)

@@ -46,13 +46,18 @@ def nearest(rungs: Sequence[Rung]) -> Hypothesis | None:
 
 
 def _is_as_good(excess: Array) -> bool:
-    """Return True if a simpler model misses the logs by no more than one standard error, or predicts a log better."""
+    """Return True if a simpler model predicts the logs as well as a richer model.
+
+    Args:
+        excess: Log error of the simpler model minus log error of the richer model, for each log. The mean may be up to
+            a standard error. A single clearly negative value is enough.
+    """
     standard_error = float(np.std(excess, ddof=1)) / np.sqrt(excess.size) if excess.size > 1 else 0.0
     return bool(np.mean(excess) <= max(SIMPLER, standard_error) or np.min(excess) < -SIMPLER)
 
 
 def _parts(search: Search, best: Sequence[Hypothesis]) -> Iterator[Hypothesis]:
-    """Yield, for each smaller number of candidates, the best fitted part of the hypotheses."""
+    """Yield, for each smaller number of candidates, the best fitted subset of the hypotheses."""
     tried = sorted((h for h in search.tried.values() if h.names), key=lambda h: h.score)
     for h in best:
         for count in range(1, len(h.names)):

@@ -1,8 +1,8 @@
 """Fit of a claim's parameters to predictions over the model's own horizon.
 
-A filter corrects its state at every row, so its fit weighs the next row most. Where the equations are not complete, the
-best parameters of predictions differ. The fit to predictions replaces the filter's if it predicts held-out logs clearly
-better; its intervals then hold the values of both. A part on which both fits disagree is not claimed.
+A filter corrects its state at every row, so that its fit weighs the prediction of the next row most. With incomplete
+equations, other parameters are best for predictions. The fit to predictions replaces the filter's if it predicts
+held-out logs clearly better; its intervals then include the values of both. A part on which both fits disagree is not claimed.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def compare_with_predictions(search: Search, a: Attribution, claims: Claims) -> 
 
 
 def fit_to_predictions(search: Search, h: Hypothesis) -> Hypothesis:
-    """Return the hypothesis with the parameters that predict best, or unchanged if they are not clearly better."""
+    """Return the hypothesis refitted to predictions; unchanged if these do not improve clearly."""
     problem, horizon = search.problem, search.subject.horizon
     count = len(problem.logs)
     if problem.table or problem.own or count < 2 or not math.isfinite(horizon):

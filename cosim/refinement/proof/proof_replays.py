@@ -1,7 +1,7 @@
 """Replays of every variant on every set of logs, through a fast replayer if equal to the delivered object.
 
-The delivered object replays one log for comparison. If the results differ, or no fast replayer exists, the delivered
-object replays every log, and the record says so.
+The delivered object replays a log for comparison. If the results differ, or no fast replayer exists, the delivered
+object replays every log, and the record states this.
 """
 
 from __future__ import annotations
@@ -73,10 +73,7 @@ class Proof:
 
 
 def difference(one: Replay, other: Replay) -> float:
-    """Return the largest relative difference of outputs.
-
-    The difference is infinite if only one replay predicts.
-    """
+    """Return the largest relative difference of outputs, possibly infinite."""
     largest = 0.0
     for name, values in one.outputs.items():
         others, rows = other.outputs[name], np.isfinite(other.outputs[name])
@@ -88,6 +85,6 @@ def difference(one: Replay, other: Replay) -> float:
 
 
 def warnings_of(way: Replays) -> Iterator[str]:
-    """Warn of an unequal native FMU."""
+    """Yield a warning if native and Python FMU differ."""
     if way.through == "python" and way.log:
         yield messages.NATIVE_FMU_UNUSED(reason=way.why)

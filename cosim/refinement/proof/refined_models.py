@@ -1,4 +1,4 @@
-"""Subjects in the comparison: before, recalibrated, refined."""
+"""Variants of a subject for comparison: before, recalibrated, refined."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from cosim.subject.interface import Subject
 
 @dataclass(frozen=True, eq=False)
 class Variant:
-    """A subject under judgement with the filter for its replay starts.
+    """A subject with parameter values and noise, for filters and replays.
 
     Attributes:
-        values: All parameters of the kernel, including those of sensors and those per log.
+        values: All parameters of the kernel, including sensor errors and parameters per log.
     """
 
     subject: Subject
@@ -28,7 +28,7 @@ class Variant:
 
 
 def refined_subject(subject: Subject, settings: Settings, claimed: Hypothesis | None) -> Subject:
-    """Return the subject with the claim and recalibration.
+    """Return the subject with the fitted values of a claim; unchanged without a claim.
 
     A claim of sensor errors alone changes only sensor parameters and parameters with a stated tolerance. A parameter
     per log takes its mean.
@@ -61,7 +61,7 @@ def variants_of(
 
 
 def with_log_noise(after: Variant, a: Attribution, claimed: Hypothesis | None, sensors: Array | None) -> Variant:
-    """Return the refined subject with noise values estimated from the logs.
+    """Return a variant with noise estimated from the logs.
 
     Args:
         sensors: ln of the sensor noise variances to use if the fitted variances include model errors.
@@ -71,5 +71,5 @@ def with_log_noise(after: Variant, a: Attribution, claimed: Hypothesis | None, s
 
 
 def variant_of(subject: Subject, settings: Settings, f: Fit) -> Variant:
-    """Return a subject with the noise of a fit."""
+    """Return a subject with the noise and the parameters per log of a fit."""
     return Variant(subject, {**subject.values, **group_values(f, settings.groups.values())}, f.noise)

@@ -32,7 +32,7 @@ ErrorOf = Mapping[str, Channels]  # replays before, recalibrated and after → e
 
 
 def check_with_replays(study: Study, a: Attribution, claims: Claims, result: SearchResult, problem: Problem) -> Claims:
-    """Compare the verdict with replays of the logs."""
+    """Return the claims, changed or withdrawn if replays of the logs contradict the verdict."""
     is_within, is_single = not _beyond_tolerance(a.base.fit), False
     if claims.name == "no_effect":
         error, floor = _replay_errors(study, a, claims, problem, result.sensors)
@@ -108,7 +108,7 @@ def _weak_parts(claimed: Hypothesis, support: Mapping[str, Support]) -> tuple[st
 
 
 def _error_doubt(error: ErrorOf, floor: Channels) -> Doubt | None:
-    """Doubt a claim without effects if replays miss much."""
+    """Return a doubt about a claim without effects if replays miss a channel by far; else None."""
     worst, times = max(_errors_per_floor(error["after"], floor).items(), key=itemgetter(1), default=("", 0.0))
     return Doubt("missed", worst, times) if worst else None
 
@@ -156,7 +156,7 @@ def claim_single_number(
 
 
 def _single_errors(result: SearchResult, base: Hypothesis) -> list[Hypothesis]:
-    """Return hypotheses of a single wrong parameter."""
+    """Return hypotheses of a single wrong number, best first."""
     search = result.search
     single = [c for c in result.candidates if c.kind == "parameter" or c.gain]
     # Fits start from stated values: a fit from recalibrated values would have to follow a ridge of shared effects.

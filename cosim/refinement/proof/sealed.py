@@ -16,11 +16,11 @@ PARTS = 8  # parts of a free run, each counted as one replay
 
 
 def find_rises(before: Evidence, after: Evidence) -> dict[str, tuple[float, float]]:
-    """Return channel → error before and after of rises.
+    """Return channel → error before and after, if significantly risen.
 
     With d = ln(Σe² after / Σe² before) of each replay, t = d̄·√n / s_d is compared with Student's t of n − 1 degrees of
-    freedom. Replays with large errors therefore weigh as much as the others. The channels share the false-alarm
-    probability (Bonferroni).
+    freedom. Every replay has the same weight, also with large errors. The channels share the false-alarm probability
+    (Bonferroni).
     """
     errors = rmse(before), rmse(after)
     chance = CHANCE / max(1, len(errors[0]))
@@ -34,7 +34,7 @@ def find_rises(before: Evidence, after: Evidence) -> dict[str, tuple[float, floa
 
 
 def is_significant_rise(rises: Sequence[float], chance: float) -> bool:
-    """Return True for a significantly positive mean."""
+    """Return True if the mean rise is significantly positive."""
     from scipy.special import stdtrit
 
     count = len(rises)
@@ -45,7 +45,7 @@ def is_significant_rise(rises: Sequence[float], chance: float) -> bool:
 
 
 def _log_ratios(before: Evidence, after: Evidence, name: str) -> list[float]:
-    """Return the log error ratio of each replay."""
+    """Return ln(Σe² after / Σe² before) of each replay."""
     ratios: list[float] = []
     for (log, first), (corrected, second) in zip(before, after, strict=True):
         if name not in log.outputs:
@@ -60,7 +60,7 @@ def _log_ratios(before: Evidence, after: Evidence, name: str) -> list[float]:
 
 
 def _edges(replay: Replay) -> list[int]:
-    """Return the first row of each replay and the end.
+    """Return the first row of each replay, and the end of the last replay.
 
     The start row of a replay belongs to the previous replay.
     """

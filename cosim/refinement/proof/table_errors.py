@@ -26,7 +26,7 @@ Channels = dict[str, float]
 
 
 def errors_on_held_out_rows(search: Search, a: Attribution, claims: Claims) -> dict[str, Channels]:
-    """Return the RMSE on held-out rows."""
+    """Return model → output → RMSE on held-out rows."""
     models = {"before": None, "recalibrated": a.base, "after": claims.claimed}
     if claims.nearest is not None:
         models["nearest"] = claims.nearest_hypothesis
@@ -44,7 +44,7 @@ def _rmse(search: Search, h: Hypothesis | None) -> Channels:
 
 
 def add_dependence(claims: Claims, a: Attribution, problem: Problem, subject: Subject) -> Claims:
-    """Return the claims with the remaining input dependence."""
+    """Return the claims with the output and input of a dependent table residual, if any."""
     dependence = _strongest_dependence(problem, a.best, subject)
     if dependence is None:
         return claims
@@ -61,10 +61,10 @@ def add_dependence(claims: Claims, a: Attribution, problem: Problem, subject: Su
 
 
 def _strongest_dependence(problem: Problem, h: Hypothesis, subject: Subject) -> tuple[str, str] | None:
-    """Return the output and input of the strongest dependence.
+    """Return the output and input of the strongest dependence of a residual, None without dependence.
 
-    Statistic: Σ r_k·r_k+1 / Σ r² of the centred residual ranks in the order of the input; for noise 0 ± 1/√n, also for
-    noise of varying level (Bartels 1982).
+    The statistic is Σ r_k·r_k+1 / Σ r² of the centred residual ranks in the order of the input. For noise, also of
+    varying level, it is 0 ± 1/√n (Bartels 1982).
     """
     u, residuals = np.vstack([log.u for log in problem.logs]), _residuals(problem, h)
     largest: float = PLAIN

@@ -1,4 +1,4 @@
-"""Signals to plot a missing acceleration against, and the choice among them."""
+"""Signals as horizontal axis of a missing acceleration, and the choice of one."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BINS = 12
 
 @dataclass(frozen=True, eq=False)
 class Regressor:
-    """A signal to plot a missing acceleration against, at the rows of some logs in sequence."""
+    """A signal as horizontal axis of a missing acceleration, with the rows of some logs in sequence."""
 
     name: str
     unit: str
@@ -28,7 +28,7 @@ class Regressor:
 
 
 def regressors(subject: Subject, problem: Problem, parts: Smoothed) -> dict[str, Regressor]:
-    """Return time, filtered states, commands and products of velocities.
+    """Return name → signal as possible horizontal axis.
 
     Commands include rates, means and half differences.
     """
@@ -56,10 +56,7 @@ def _wrap_angle(values: Array, unit: str) -> Array:
 
 
 def _commands(subject: Subject, problem: Problem, parts: Smoothed) -> list[Regressor]:
-    """Return varying commands and combinations, with rates.
-
-    Combinations are mean and half difference of two commands of equal unit.
-    """
+    """Return varying commands with their rates, and means and half differences of two commands of equal unit."""
     logs = [(problem.logs[index], m.rows(problem.logs[index])) for index, m in parts]
     u = np.vstack([data.u[rows] for data, rows in logs])
     du = np.vstack([np.gradient(data.u, data.step, axis=0)[rows] for data, rows in logs])
@@ -74,10 +71,7 @@ def _commands(subject: Subject, problem: Problem, parts: Smoothed) -> list[Regre
 
 
 def explained_share(values: Array, by: Array) -> float:
-    """Return the share of variance explained by a signal.
-
-    The share is the variance between bins of `by`, 1 for a function of `by`.
-    """
+    """Return the share of variance explained by a signal: the variance between bins of `by`."""
     good = np.isfinite(values) & np.isfinite(by)
     v, x = values[good], by[good]
     total = float(v.var()) if v.size else 0.0
@@ -88,9 +82,9 @@ def explained_share(values: Array, by: Array) -> float:
 
 
 def bins(x: Array, count: int, least: int = 1) -> list[Rows]:
-    """Return the rows in each of `count` equal stretches of x.
+    """Return the rows in equal intervals of x.
 
-    Stretches with fewer than `least` rows are joined with their neighbours.
+    Intervals with fewer than `least` rows are joined with their neighbours.
     """
     low, high = float(x.min()), float(x.max())
     places = np.minimum((count * (x - low) / (high - low or 1.0)).astype(int), count - 1)
@@ -107,10 +101,7 @@ def bins(x: Array, count: int, least: int = 1) -> list[Rows]:
 
 
 def choose(signals: Mapping[str, Regressor], suggested: Sequence[str], values: Array) -> Regressor:
-    """Return the signal that explains most of `values`.
-
-    Signals suggested for a term have precedence.
-    """
+    """Return the signal that explains most of the variance of `values`; suggested signals have precedence."""
     names = [n for n in suggested if n in signals] or [n for n in signals if " · " not in n]
     return signals[max(names, key=lambda n: explained_share(values, signals[n].values))]
 

@@ -1,4 +1,4 @@
-"""Missing input and claimed term of each effect, as evidence for or against a verdict."""
+"""Comparison of the missing input with the claimed term of each effect."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ VARIES = 0.2  # least standard deviation of a term for a correlation, relative t
 
 @dataclass(frozen=True, eq=False)
 class EffectComparison:
-    """A missing quantity and the claimed term.
+    """A missing quantity, estimated from the logs, and the claimed term.
 
-    what, unit: missing quantity; where: its state or channel
-    estimated, sigma: estimate from the data without the claim, row by row
-    term:       claimed value, None without a claim
-    first:      number of rows of the first log
+    where:            state or channel of the missing quantity; `unit`: its unit
+    estimated, sigma: estimate without the claim and its standard deviation, row by row
+    term:             claimed value, None without a claim
+    first:            number of rows of the first log
     """
 
     effect: str
@@ -68,7 +68,7 @@ class EffectComparison:
 
     @property
     def share(self) -> float:
-        """Return the share of mean square explained."""
+        """Return the mean square share explained by the term."""
         if self.recorded is not None:
             return self.recorded
         power = float(np.mean(self.estimated**2))
@@ -78,7 +78,7 @@ class EffectComparison:
 
 
 def compare_effects(r: Refinement) -> list[EffectComparison]:
-    """Compare each claimed term, or the remainder, with data."""
+    """Return a comparison for each claimed effect; without a claim, for an unexplained residual."""
     claim, base = r.verdict.claimed, r.attribution.base
     if claim is None:
         return [_draw_residual(r)] if r.verdict.name == "unexplained" else []
@@ -94,9 +94,9 @@ def compare_effects(r: Refinement) -> list[EffectComparison]:
 
 
 def _term(subject: Subject, problem: Problem, c: Candidate, without: Fit, with_it: Fit) -> EffectComparison:
-    """Compare a term with the missing acceleration.
+    """Compare an effect's term in the equations with the acceleration that the model lacks.
 
-    The comparison is in the equation with the largest term, relative to its uncertainty.
+    The comparison is for the equation whose term is largest relative to the uncertainty.
     """
     parts, _, sigma = smooth_logs(problem, without)
     terms = np.vstack([contributions(problem, without, with_it, k) for k, _ in parts])
@@ -107,7 +107,7 @@ def _term(subject: Subject, problem: Problem, c: Candidate, without: Fit, with_i
 
 
 def _draw_residual(r: Refinement) -> EffectComparison:
-    """Compare the best hypothesis' remainder with the most promising unnamed term."""
+    """Compare the missing acceleration beside the best hypothesis with the most promising unnamed term."""
     subject, problem, best = r.study.subject, r.problem, r.attribution.best.fit
     parts, value, sigma = smooth_logs(problem, best)
     residual, equations = r.verdict.residual, parts[0][1].equations
@@ -124,7 +124,7 @@ def _draw_residual(r: Refinement) -> EffectComparison:
 
 
 def _picture(subject: Subject, parts: Smoothed, column: int, against: Regressor) -> EffectComparison:
-    """Return the missing input of one equation."""
+    """Return the comparison of an equation without a term."""
     where, logs = parts[0][1].equations[column], [m for _, m in parts]
     unit = _rate_unit(next((q.unit for q in subject.states if q.name == where), ""))
     first = len(logs[0].time)
@@ -141,8 +141,8 @@ def _rate_unit(unit: str) -> str:
 def _reading(subject: Subject, problem: Problem, c: Candidate, without: Fit, with_it: Fit) -> EffectComparison:
     """Compare estimated and claimed error of a sensor.
 
-    The error is shown for the output with the largest error: against the output itself if a straight line describes the
-    error, against the output's rate for late readings, otherwise against the signal with the largest explained share.
+    The comparison is for the output with the largest error. The horizontal axis is the output itself for a linear
+    error, the rate of the output for late readings, otherwise the signal with the largest explained share.
     """
     kind = next(k for k in subject.sensors if k.name == c.name)
     parts = [_readings(problem, c, with_it, index, late=kind.late) for index in smoothed_logs(problem)]
@@ -170,7 +170,7 @@ def _reading(subject: Subject, problem: Problem, c: Candidate, without: Fit, wit
 
 
 def _readings(problem: Problem, c: Candidate, with_it: Fit, index: int, *, late: bool) -> tuple[Array, ...]:
-    """Return every measured output along a log's refined estimate.
+    """Return all measured outputs of a log, along the filtered states of the refined model.
 
     Returns:
         Time, outputs without and with the sensor error, readings, and rates of the outputs.

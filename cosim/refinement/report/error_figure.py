@@ -1,4 +1,4 @@
-"""Errors before and after a refinement as a figure for a notebook."""
+"""Errors before and after a refinement as a matplotlib figure."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MODELS = {"before": "#8c8c8c", "recalibrated": "#56b4e9", "after": "#0072b2"}
 
 
 def errors_figure(record: Mapping[str, Any], part: str) -> Figure:
-    """Draw the RMSE of each channel, a bar for each model.
+    """Draw the RMSE of each channel with a bar per model.
 
     Raises:
         ValueError: The record has no errors of this part.

@@ -27,7 +27,7 @@ VARIANT_WORDS = {
 
 @dataclass(frozen=True)
 class Marks:
-    """Positions on a ruler [%]."""
+    """Positions of errors and noise floor on a logarithmic ruler [%]."""
 
     before: float
     after: float
@@ -38,7 +38,7 @@ class Marks:
 
 @dataclass(frozen=True)
 class ErrorRow:
-    """A channel's errors as text."""
+    """Errors of a channel as texts."""
 
     channel: str
     before: str
@@ -70,7 +70,7 @@ class ErrorTable:
 
 @dataclass(frozen=True)
 class HorizonTable:
-    """Errors `heading` on one set of logs; each row has a channel's name and a text for each horizon."""
+    """Errors on a set of logs; each row has a channel's name and a text for each horizon."""
 
     title: str
     heading: str
@@ -84,19 +84,19 @@ def units(r: Refinement) -> dict[str, str]:
 
 
 def error_size(value: float, unit: str, like: float) -> str:
-    """Format an error in a unit for size `like`."""
+    """Return an error in a unit for size `like`."""
     shown_unit, factor = finer(unit, like)
     return append_unit(plain(value * factor), shown_unit)
 
 
 def horizon(r: Refinement) -> str:
-    """Return the horizon: `2 s`, or `a whole run`."""
+    """Return the horizon as text: `2 s`, `a whole run`."""
     horizons = [played.horizon for _, played in r.evidence["before"]["estimation"]]
     return "a whole run" if not horizons or math.isinf(horizons[0]) else horizon_name(horizons[0])
 
 
 def error_tables(r: Refinement) -> list[ErrorTable]:
-    """Return one table for each set of logs."""
+    """Return a table for each set of logs."""
     error, tables = r.record["error"], []
     for part, title in PARTS.items():
         if part not in error["before"]:
@@ -114,14 +114,14 @@ def has_free_run(r: Refinement) -> bool:
 
 
 def _variants(r: Refinement) -> tuple[str, ...]:
-    """Return the models whose errors over other horizons are shown: two, or the only one."""
+    """Return the one or two models with horizons."""
     if r.verdict.claimed:
         return "before", "after"
     return ("before", "nearest") if r.record["error"].get("nearest") else ("after",)
 
 
 def _free_run_text(r: Refinement, part: str, channel: str) -> str:
-    """Return the errors of a channel over a whole log."""
+    """Return a channel's errors over a whole log."""
     errors = r.record["horizons"][FREE_RUN_NAME] if has_free_run(r) else {}
     sizes = [float((errors.get(name) or {}).get(part, {}).get(channel, math.nan)) for name in _variants(r)]
     return " → ".join(error_size(size, units(r).get(channel, ""), sizes[-1]) for size in sizes)
@@ -130,8 +130,8 @@ def _free_run_text(r: Refinement, part: str, channel: str) -> str:
 def horizon_table(r: Refinement) -> HorizonTable:
     """Return the errors over each horizon, shortest first.
 
-    With a claim: before → refined. Without: model → nearest model, or the model alone. Horizons without errors are
-    omitted, since a log's step is longer.
+    With a claim the models are before → refined, without a claim model → nearest model, or the model alone. Horizons
+    shorter than a log's step are omitted.
     """
     part = decisive_part(r)
     errors = {seconds: r.record["horizons"][name] for name, seconds in OTHER_HORIZONS.items()}
@@ -150,7 +150,7 @@ def horizon_table(r: Refinement) -> HorizonTable:
 
 
 def decisive_part(r: Refinement) -> str:
-    """Return the decisive part: sealed logs, else estimation logs."""
+    """Return the sealed logs, else the estimation logs."""
     return "validation" if "validation" in r.record["error"]["before"] else "estimation"
 
 
@@ -177,7 +177,7 @@ def _error_row(r: Refinement, part: str, name: str) -> ErrorRow:
 
 
 def _marks(before: float, after: float, floor: float) -> Marks | None:
-    """Return positions on a logarithmic scale."""
+    """Return positions on a logarithmic scale, or None."""
     good = [v for v in (before, after, floor) if math.isfinite(v) and v > 0]
     if len(good) < 3:
         return None
@@ -188,7 +188,7 @@ def _marks(before: float, after: float, floor: float) -> Marks | None:
 
 
 def second_sentence(r: Refinement) -> str:
-    """Report the largest relative drop of an error, on sealed logs if available."""
+    """Return a sentence on the largest relative decrease of an error, on sealed logs if available."""
     part = decisive_part(r)
     noun = "rows" if r.problem.table else "logs"
     where = (
@@ -210,7 +210,7 @@ def second_sentence(r: Refinement) -> str:
 
 
 def leading_channel(r: Refinement) -> str:
-    """Return the channel with the largest relative drop, "" without errors."""
+    """Return the channel with the largest relative decrease, or ""."""
     part = decisive_part(r)
     ratios = {}
     for name in r.record["error"]["before"][part]:
@@ -228,7 +228,7 @@ def _floor_text(after: str, floor: str, *, above: bool) -> str:
 
 
 def _unchanged_text(r: Refinement, part: str, where: str) -> str:
-    """Report the unchanged model's error farthest above its noise floor."""
+    """Return a sentence on the unchanged model's error farthest above its noise floor."""
     ratios = {}
     for name in r.record["error"]["before"][part]:
         *_, after, floor, _ = _numbers(r, part, name)

@@ -1,4 +1,4 @@
-"""Innovations and their autocorrelation, before and after."""
+"""Innovations and their autocorrelation, before and after a refinement."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ class WhitenessRow:
 
 
 def modes(r: Refinement) -> tuple[str, str]:
-    """Return the labels of the two models or filters."""
+    """Return the labels of the compared models, or of the compared filters without a claim."""
     return ("before", "refined") if r.verdict.claimed else ("equations trusted", "disturbance estimated")
 
 
 def innovations(r: Refinement, charts: Charts) -> list[WhitenessRow]:
     """Return the normalised innovations of each channel.
 
-    A filter that trusts its equations has the smallest process noise of the fit.
+    Without a claim, the filter of the fit is compared with a filter that trusts its equations.
     """
     after, logs = r.variants["after"], range(len(r.problem.logs))
     pair = [(after, replace(after.noise, power=r.problem.noise.smallest)), (after, after.noise)]
@@ -86,7 +86,7 @@ def _innovations(r: Refinement, values: dict[str, float], noise: Noise, index: i
 
 
 def _join_with_gaps(parts: Sequence[Array], lags: int) -> Array:
-    """Join logs with gaps longer than any lag."""
+    """Join innovations of logs with gaps beyond any lag."""
     gap = np.full(lags + 1, np.nan)
     return np.concatenate([piece for part in parts for piece in (part, gap)])
 

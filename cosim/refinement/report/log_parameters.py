@@ -1,4 +1,4 @@
-"""The table of parameters per log: fitted values of groups, final filter estimates for other logs."""
+"""Table of parameters per log: fitted values of groups, final filter estimates for other logs."""
 
 from __future__ import annotations
 

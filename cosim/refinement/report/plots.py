@@ -33,7 +33,7 @@ FAR = 1.5  # times the noise floor; a larger error is worth a plot
 
 @dataclass(frozen=True)
 class Pairs:
-    """Plots of one channel on one log: measurement with model, and residual."""
+    """Plots of a channel on a log: measurement with model, and residual."""
 
     channel: str
     plots: tuple[Plot, ...]
@@ -42,14 +42,14 @@ class Pairs:
 
 @dataclass(frozen=True)
 class Run:
-    """One log: title and channels."""
+    """Plots of a log: title and channels."""
 
     title: str
     channels: tuple[Pairs, ...]
     quiet: tuple[Pairs, ...]  # folded channels: explained by noise, unchanged by the claim
 
     def without(self, pair: Pairs) -> Run:
-        """Return the log without a channel."""
+        """Return the plots without a channel."""
         channels, quiet = (tuple(p for p in pairs if p is not pair) for pairs in (self.channels, self.quiet))
         return replace(self, channels=channels, quiet=quiet)
 
@@ -58,7 +58,7 @@ class Run:
 
 
 def runs(r: Refinement, charts: Charts) -> list[Run]:
-    """Return the first estimation and the first sealed log."""
+    """Return plots of the first estimation and sealed log."""
     pages = []
     words: dict[Part, str] = {"estimation": "used for the fits", "validation": "sealed"}
     for part, word in words.items():
@@ -74,7 +74,7 @@ def runs(r: Refinement, charts: Charts) -> list[Run]:
 
 
 def _pair(r: Refinement, drawing: Drawing, before: Evidence, after: Evidence, name: str, floor: float) -> Pairs:
-    """Draw one channel of a log.
+    """Draw a channel of a log.
 
     The model's output is the reading minus its error, and includes sensor errors in the model.
     """
@@ -111,7 +111,7 @@ def _windows(time: Array, starts: Array, horizon: float, panel: Panel) -> Band |
 
 
 def against_signal(s: EffectComparison, charts: Charts) -> Plot:
-    """Draw the data's means and the claimed term."""
+    """Draw the means of the missing quantity over a signal, and the claimed term."""
     unit, factor = display(s.unit)
     signal_unit, scale = display(s.against.unit)
     x = s.against.values * scale
@@ -136,7 +136,7 @@ def against_signal(s: EffectComparison, charts: Charts) -> Plot:
 
 
 def over_time(s: EffectComparison, charts: Charts) -> Plot:
-    """Draw a close-up of the first log at the largest variation."""
+    """Draw a part of the first log over time, at the largest variation."""
     unit, factor = display(s.unit)
     count = max(2, min(s.first, round(CLOSE_UP * slowness(s.step) / s.step)))
     signal = s.estimated if s.term is None else s.term
@@ -152,7 +152,7 @@ def over_time(s: EffectComparison, charts: Charts) -> Plot:
 
 
 def axis_label(s: EffectComparison) -> str:
-    """Return the axis label of the first plot."""
+    """Return the horizontal label of the plot over a signal."""
     units = " · ".join(display(u)[0] or u for u in s.against.unit.split(" · "))
     return f"{s.against.name} [{units or '1'}]"
 
@@ -175,5 +175,5 @@ def _standard_error(s: EffectComparison, rows: Rows) -> float:
 
 
 def rows_shown(s: EffectComparison) -> str:
-    """Return the number of rows of a picture."""
+    """Return the number of compared rows as text."""
     return f"{counted(s.estimated.size, 'row')} of the estimation logs"

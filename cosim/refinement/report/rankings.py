@@ -20,7 +20,7 @@ SHOWN_PAIRS = 15
 
 @dataclass(frozen=True)
 class RankingRow:
-    """A hypothesis of the ranking."""
+    """A hypothesis in the ranking, as texts."""
 
     names: str
     gain: str
@@ -59,7 +59,7 @@ class ParameterRow:
 
 @dataclass(frozen=True)
 class ParameterTable:
-    """Parameters of one kind; `first` is the title of the reference values."""
+    """Table of parameters of one kind; `first` is the heading of the reference values."""
 
     title: str
     note: str
@@ -83,7 +83,7 @@ class NoiseRow:
 
 
 def ranking_tables(r: Refinement) -> tuple[list[RankingRow], list[RankingRow], list[RankingRow]]:
-    """Return displayed single candidates, folded single candidates, and combinations."""
+    """Return displayed and folded single candidates, then combinations."""
     rows = [row for row in r.record["candidates"] if row["names"]]
     best = max((_gain(row) for row in rows), default=0.0)
     claimed = tuple(r.verdict.claimed.names) if r.verdict.claimed else ()
@@ -148,7 +148,7 @@ def parameter_tables(r: Refinement) -> list[ParameterTable]:
 
 
 def _is_base_unchanged(r: Refinement, hypothesis: Hypothesis) -> bool:
-    """Return whether the base parameters stay: only a sensor is wrong."""
+    """Return whether all base parameters are unchanged, for a claim of sensor errors alone."""
     subject = r.study.subject
     refined = refined_subject(subject, r.study.settings, hypothesis).values
     base = {n: value for n, value in subject.values.items() if n not in subject.sensor_parameters}
@@ -195,7 +195,7 @@ def _digits(value: float, sigma: float) -> int:
 def noise_rows(r: Refinement) -> list[NoiseRow]:
     """Return the process noise of each equation.
 
-    √q is a state's drift in a second that its equation does not explain.
+    √q is the drift of a state in a second that its equation does not explain.
     """
     noise, size = r.verdict.residual.get("process_noise", {}), r.problem.noise
     usual = math.log(2.0) + r.problem.plain.memory  # from ln of a power to ln of a density
@@ -219,9 +219,10 @@ def _width(q: float, smallest: float, largest: float) -> float:
 
 
 def _noise_text(q: Mapping[str, Any], quiet: float) -> str:
-    """Say whether an equation is complete.
+    """Return a text on the completeness of an equation.
 
-    The equation was complete before if ln q was at most `quiet`.
+    Args:
+        quiet: Largest ln q of a complete equation.
     """
     was = q["before"] > math.exp(quiet)
     if q["inflated"]:

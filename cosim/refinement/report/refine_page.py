@@ -101,7 +101,7 @@ _NO_TIME: Mapping[str, Any] = {"horizons": None, "terms": [], "runs": [], "lead"
 
 
 def _in_time(r: Refinement, charts: Charts) -> Mapping[str, Any]:
-    """Return the drawings and texts over time."""
+    """Return the template's values for plots over time."""
     plots = runs(r, charts)
     lead = _lead(plots, leading_channel(r))
     return {
@@ -117,10 +117,7 @@ def _in_time(r: Refinement, charts: Charts) -> Mapping[str, Any]:
 
 
 def _lead(plots: Sequence[Run], channel: str) -> tuple[Run, Pairs, list[Run]] | None:
-    """Return a channel of the last log, and the remaining plots of all logs.
-
-    The last log is the sealed log, if any.
-    """
+    """Return log and plots of a channel in the last log (sealed, if any), and the remaining plots of all logs."""
     if not plots:
         return None
     *others, last = plots
@@ -130,7 +127,7 @@ def _lead(plots: Sequence[Run], channel: str) -> tuple[Run, Pairs, list[Run]] | 
 
 
 def _whiteness(r: Refinement, charts: Charts) -> Mapping[str, Any]:
-    """Return the innovations, with white channels folded."""
+    """Return the template's values for innovations."""
     white = innovations(r, charts)
     coloured = [w for w in white if w.tells]
     return {
@@ -143,7 +140,7 @@ def _whiteness(r: Refinement, charts: Charts) -> Mapping[str, Any]:
 
 
 def _ranking(r: Refinement) -> Mapping[str, Any]:
-    """Return the hypotheses: single candidates and combinations."""
+    """Return the template's values for the ranking."""
     singles, more, pairs = ranking_tables(r)
     return {
         "singles": singles,
@@ -182,7 +179,7 @@ def _badges(r: Refinement) -> list[Badge]:
 
 
 def _next_step(r: Refinement) -> str:
-    """Return the next step for an open question."""
+    """Return a text on the next step after a verdict without a complete claim."""
     if r.verdict.name == "ambiguous":
         rest = "Nothing is claimed: the model is left as it was. Not visible in these logs, present or not:"
         if r.verdict.claimed:
@@ -222,7 +219,7 @@ def _term(s: EffectComparison, charts: Charts) -> Mapping[str, Any]:
 
 
 def _term_sentence(s: EffectComparison) -> str:
-    """State the explained share and the correlation of a term."""
+    """Return a sentence on a term's share and correlation."""
     quantity = s.quantity
     if s.term is None:
         return f"The {quantity} is drawn against {s.against.name}, which it follows most ({rows_shown(s)})."
@@ -238,7 +235,7 @@ def _term_sentence(s: EffectComparison) -> str:
 
 
 def _error_lead(r: Refinement) -> str:
-    """Explain the errors."""
+    """Return an introduction to the table of errors."""
     if r.problem.table:
         how = "over the rows, each predicted through the FMU from its own inputs"
     else:
@@ -250,7 +247,7 @@ def _error_lead(r: Refinement) -> str:
 
 
 def _error_words(r: Refinement, tables: Sequence[ErrorTable]) -> list[Row]:
-    """Explain the columns of the errors."""
+    """Return explanations of the columns of errors."""
     claimed = r.verdict.claimed is not None
     cause = "sensor noise" if r.problem.table else "sensor noise and the estimated disturbance"
     rows = [
@@ -265,7 +262,7 @@ def _error_words(r: Refinement, tables: Sequence[ErrorTable]) -> list[Row]:
 
 
 def _share_words(tables: Sequence[ErrorTable]) -> str:
-    """Explain the remaining share and the texts in place of it."""
+    """Return an explanation of the remaining share."""
     shown = {row.excess for table in tables for row in table.rows}
     text = "The part of the squared error above the noise floor that the refined model keeps."
     if NOTHING_TO_EXPLAIN in shown:
@@ -276,7 +273,7 @@ def _share_words(tables: Sequence[ErrorTable]) -> str:
 
 
 def _sealed_text(r: Refinement) -> str:
-    """Explain sealed logs, if any."""
+    """Return an explanation of sealed logs, "" without sealed logs."""
     if "validation" not in r.record["error"]["before"]:
         return ""
     noun = "tables" if r.problem.table else "logs"
@@ -328,7 +325,7 @@ def _provenance(r: Refinement) -> list[Row]:
 
 
 def _inputs(r: Refinement) -> list[Row]:
-    """Return the inputs' interpolation, and the likelihood gain of the alternative."""
+    """Return rows on the interpolation of inputs, and the likelihood gain of the alternative."""
     inputs = r.record.get("inputs")
     if not inputs:
         return []

@@ -40,7 +40,7 @@ class LabelledPlot:
 
 @dataclass(frozen=True)
 class TablePlots:
-    """One table: title, and outputs over the inputs."""
+    """Plots of a table: title, and outputs over the inputs."""
 
     title: str
     plots: tuple[LabelledPlot, ...]
@@ -54,10 +54,7 @@ def table_parts(r: Refinement, charts: Charts) -> Mapping[str, Any]:
 
 
 def held_out_table(r: Refinement) -> Grid:
-    """Return the errors on held-out rows.
-
-    Without a claim, the refined model is omitted.
-    """
+    """Return the table of errors on held-out rows; without a claim, the refined model is omitted."""
     errors = r.record["error"]["left_out"]
     models = [k for k in COLUMNS if errors.get(k) and (k != "after" or r.verdict.claimed)]
     rows = []

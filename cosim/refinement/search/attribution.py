@@ -43,7 +43,7 @@ FINALISTS = 4  # hypotheses besides the best fitted to convergence
 
 
 class Attributor:
-    """Search procedure: base fit, rounds of promising sets, convergence of the best."""
+    """Search for missing effects: fit of the base model, rounds of promising sets, final fit of the best sets."""
 
     def __init__(
         self,
@@ -97,7 +97,7 @@ class Attributor:
         return self._rescore(settled)
 
     def _rescore(self, h: Hypothesis) -> Hypothesis:
-        """Rescore all hypotheses for the non-white residual of trusted equations."""
+        """Update all scores for a non-white residual of trusted equations."""
         search = self.search
         if not search.problem.trusted:
             return h
@@ -108,11 +108,11 @@ class Attributor:
         return replace(h, score=h.fit.objective + search.cost(h.candidates))
 
     def _leader(self, best: Hypothesis) -> Hypothesis:
-        """Return the best hypothesis at new costs."""
+        """Return the best hypothesis at changed costs."""
         return best_hypothesis((best, *self.search.tried.values())) if self.search.problem.trusted else best
 
     def _with_stated_noise(self, base: Hypothesis) -> Hypothesis:
-        """Fix silent sensors at their stated noise.
+        """Fix the noise of sensors at the stated noise if the estimate is at its lower limit.
 
         The stated noise may include errors that these logs do not contain.
         """
@@ -128,7 +128,7 @@ class Attributor:
         return search.hypothesis((), start)
 
     def _with_stamp_errors(self, h: Hypothesis) -> Hypothesis:
-        """Refit with time stamp errors if indicated."""
+        """Refit with errors of time stamps, if indicated."""
         search = self.search
         problem, noise = search.problem, h.fit.noise
         late = erring_stamps(problem, h.fit)
@@ -142,7 +142,7 @@ class Attributor:
         return timed if timed.fit.objective < h.fit.objective else h
 
     def _proposals(self, best: Hypothesis) -> list[Trial]:
-        """Return promising untried sets with start values."""
+        """Return promising untried sets of candidates with start values."""
         test = ScoreTest(self.search.problem, best.fit, best.candidates)
         self.progress("asking what every candidate promises", 0.0)
         terms: list[Terms] = in_parallel(test.terms, list(self.candidates))
@@ -155,7 +155,7 @@ class Attributor:
         return [*(trial for _, trial in ranking[:FITTED]), *(((*best.candidates, c), None) for c in switched.values())]
 
     def _ranking(self, choice: Choice, best: Hypothesis) -> list[tuple[float, Trial]]:
-        """Return sets worth a fit, best first."""
+        """Return sets of candidates worth a fit, best first."""
         search, parts, ranking = self.search, {c.name: c for c in self.candidates}, []
         for names in self._sets(choice, best):
             if tuple(sorted(names)) in search.tried:
@@ -168,7 +168,7 @@ class Attributor:
         return sorted(ranking, key=lambda entry: entry[0])
 
     def _sets(self, choice: Choice, best: Hypothesis) -> Iterator[tuple[str, ...]]:
-        """Yield sets around a hypothesis."""
+        """Yield sets of candidates near a hypothesis: some added, one removed, one replaced by up to two."""
         others = [name for name in choice.terms if name not in best.names]
         promises = choice.extensions(best.names)
         ranked = list(promises)
@@ -182,7 +182,7 @@ class Attributor:
                 yield from ((*rest, *more) for more in chain([()], combinations(others, 1), likely))
 
     def _reductions(self, fitted: Sequence[Hypothesis]) -> list[Trial]:
-        """Return each fit without its ineffective parts."""
+        """Return each fit's candidates without ineffective parts."""
         sets: dict[tuple[str, ...], Trial] = {}
         for h in fitted:
             neutral = self.search.problem.values
@@ -215,7 +215,7 @@ class Attributor:
         return SearchResult(search, best, hidden, tuple(self.candidates))
 
     def _with_addition(self, best: Hypothesis) -> Hypothesis:
-        """Return the best hypothesis or a larger one.
+        """Return the best hypothesis, possibly with additional candidates.
 
         Unknown inputs with the correlation time of the best hypothesis hide the gain of another slow effect.
         """
@@ -224,14 +224,14 @@ class Attributor:
         return best_hypothesis((best, *self.search.fit_again(larger[:MOST_ENLARGED])))
 
     def _fine_enough(self, best: Hypothesis) -> Problem:
-        """Return the problem with enough substeps."""
+        """Return the problem with enough substeps for a hypothesis."""
         enough = zip(self.search.problem.logs, coarsen(self.fine, best.fit.values).logs, strict=True)
         substeps = [max(base.substeps, other.substeps) for base, other in enough]
         logs = [replace(log, substeps=n) for log, n in zip(self.fine.logs, substeps, strict=True)]
         return replace(self.fine, logs=logs)
 
     def _with_replacement(self, best: Hypothesis) -> Hypothesis:
-        """Return the best hypothesis or one with a part replaced."""
+        """Return the best hypothesis, possibly with a replaced candidate."""
         search, ended = self.search, list[Hypothesis]()
         if len(best.candidates) > MOST_REPLACED:
             return best
@@ -247,9 +247,9 @@ class Attributor:
         return best if nearest is best else best_hypothesis((best, *search.fit_again([nearest])))
 
     def _replacements(self, best: Hypothesis) -> Iterator[Trial]:
-        """Yield promising replacements of each part.
+        """Yield promising replacements of each candidate.
 
-        Each score test starts without the part: a test with the part misjudges a simpler candidate in its place.
+        Each score test starts from a fit without the candidate, because a test with it misjudges simpler replacements.
         """
         search = self.search
         others = [c for c in self.candidates if c.name not in best.names and c.kind != "parameter"]

@@ -42,7 +42,11 @@ def key_of(parts: Sequence[Candidate]) -> tuple[str, ...]:
 
 
 def starts_of(parts: Parts, moved: set[str]) -> list[dict[str, float]]:
-    """Return the starts of new candidates."""
+    """Return the start values of new candidates, start by start.
+
+    Args:
+        moved: Parameters with values from an earlier fit.
+    """
     starts = [c.starts for c in parts if not moved.issuperset(c.parameters)]
     most = max([1, *(len(c.starts) for c in parts)])
     return [dict(chain.from_iterable(s[min(k, len(s) - 1)].items() for s in starts)) for k in range(most)]
@@ -71,13 +75,13 @@ class SearchResult:
 
 
 class Search:
-    """Hypotheses on one problem.
+    """Fits of hypotheses on a problem.
 
     Attributes:
         price: Score cost of each parameter of a candidate, ½·ln N.
         entry: Additional score cost of each candidate.
         tried: Names → hypothesis.
-        cross_fits: Names and held-out log → fit to the other logs.
+        cross_fits: Names and held-out log → fit to the remaining logs.
         bound: Objective of the recalibrated base model, an upper bound for every hypothesis.
     """
 
@@ -127,20 +131,20 @@ class Search:
         return Hypothesis(parts, best, best.objective + self.cost(parts), ended=sensing and iterations == TO_THE_END)
 
     def _noise_at_start(self, noise: Noise, *, loosen: bool) -> Noise:
-        """Return the start noise of a fit."""
+        """Return the noise at the start of a fit."""
         if self.problem.trusted:
             return replace(self.problem.plain, sensors=noise.sensors, timing=noise.timing)
         return replace(noise, power=np.maximum(noise.power, self.problem.noise.quiet)) if loosen else noise
 
     def free(self, parts: Parts) -> list[Free]:
-        """Return the free parameters of a fit of these candidates."""
+        """Return the free parameters for a fit of candidates."""
         own = [*(f for c in parts for f in c.free), *self.problem.own]
         on_trial = {*(f.name for f in own), *self.problem.settings.per_log}
         base = base_parameters(self.subject, self.problem.values, self.problem.settings.tolerance)
         return [b for b in base if b.name not in on_trial] + own
 
     def fit_all(self, sets: Sequence[Trial], start: Hypothesis, stage: str, margin: float) -> list[Hypothesis]:
-        """Fit sets of candidates until a score within `margin` of `start` is out of reach."""
+        """Fit sets of candidates; a fit ends early if it cannot reach a score within `margin` of `start`."""
         todo = [trial for trial in sets if key_of(trial[0]) not in self.tried]
 
         def fit_trial(trial: Trial) -> Hypothesis:
@@ -172,7 +176,7 @@ class Search:
         return self._fit_each("fitting the best further", refit, hypotheses)
 
     def fit_alike(self, hypotheses: Sequence[Hypothesis], like: Hypothesis) -> list[Hypothesis]:
-        """Fit hypotheses with the noise of another."""
+        """Refit hypotheses from the noise of the hypothesis `like`."""
 
         def refit(h: Hypothesis) -> Hypothesis:
             return self.hypothesis(h.candidates, replace(h.fit, noise=like.fit.noise), loosen=False)
@@ -200,7 +204,7 @@ class Search:
         return replace(other, ended=h.ended) if other.fit.objective < goal else h
 
     def _without_noise(self, h: Hypothesis) -> Hypothesis:
-        """Refit a hypothesis without unnecessary unknown inputs."""
+        """Refit a hypothesis without superfluous unknown inputs."""
         least = self.problem.noise.smallest
         for k in np.argsort(h.fit.noise.power - least)[::-1]:
             if h.fit.noise.power[k] < least[k] + NEGLIGIBLE:
@@ -217,7 +221,7 @@ class Search:
         return self.problem.scatter * float(sum(self.entry + self.price * len(c.free) for c in parts))
 
     def bound_within(self, parts: Parts) -> float:
-        """Return the best objective of a subset."""
+        """Return the best objective of fitted subsets of candidates."""
         names = {c.name for c in parts}
         fitted = (h.fit.objective for h in self.tried.values() if h.fit.iterations and names.issuperset(h.names))
         return min(fitted, default=self.bound)

@@ -17,14 +17,14 @@ Groups = Mapping[str, Sequence[str]]  # group → files
 
 
 class Places(Protocol):
-    """Interface that locates faults in a study's keys: a `YamlFile`, or the arguments of a call."""
+    """Places of faults in a study's keys: a `YamlFile`, or the arguments of a call."""
 
     @property
     def path(self) -> Path:
         """Return the file of the study."""
 
     def fault(self, location: Any, message: str, *, key: bool = False) -> Fault:
-        """Return a fault at a key."""
+        """Return a fault at a key of the study."""
 
 
 def full_name(subject: Subject, name: str) -> str:
@@ -88,7 +88,7 @@ def _sealed_alone(folder: Path, groups: Groups, logs: Mapping[str, Sequence[str]
 
 
 def _group_faults(places: Places, groups: Groups, files: Sequence[str]) -> Iterator[Fault]:
-    """Yield faults of groups."""
+    """Yield faults of unknown, repeated or misnamed groups."""
     folder, owner = places.path.parent, dict[str, str]()
     paths = {os.path.realpath(folder / f) for f in files}
     for group, members in groups.items():
@@ -107,7 +107,7 @@ def _group_faults(places: Places, groups: Groups, files: Sequence[str]) -> Itera
 
 
 def _per_log_parameters(subject: Subject) -> list[str]:
-    """Return the parameters that may be per log."""
+    """Return the parameters allowed in `per_log`."""
     base = [p.name for p in subject.parameters if not isinstance(p.default, bool)]
     of_effects = [n for n in subject.candidate_parameters if n.partition(".")[0] in subject.present]
     return [*base, *of_effects, *subject.sensor_parameters]
@@ -119,7 +119,7 @@ def _parameters_of(subject: Subject, name: str) -> set[str]:
 
 
 def _unknown_parameter(subject: Subject, name: str, allowed: Sequence[str]) -> Message:
-    """Return the message of a parameter that cannot be per log."""
+    """Return the message for a parameter not allowed in `per_log`."""
     if name in subject.declared and not isinstance(subject.declared[name].default, bool):
         return messages.INACTIVE_PARAMETER(name=name, effect=name.partition(".")[0])
     own = [n for n in allowed if n.startswith(f"{name}.")]

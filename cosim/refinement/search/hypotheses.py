@@ -55,11 +55,11 @@ def best_hypothesis(hypotheses: Iterable[Hypothesis]) -> Hypothesis:
 
 @dataclass(frozen=True)
 class Support:
-    """Evidence for a hypothesis against one that lacks some of its parts.
+    """Evidence for a hypothesis compared with a hypothesis without some of its candidates.
 
     Attributes:
         gain: Log-likelihood gain, priors included.
-        steady: Gain divided by its scatter over blocks of time.
+        steady: Gain divided by its scatter over time blocks.
         held_out: Log-likelihood gain on held-out logs; NaN if not computed.
         predicted: Decrease of squared open-loop errors on held-out logs divided by its scatter; NaN if not computed.
     """
@@ -72,7 +72,7 @@ class Support:
 
 @dataclass(frozen=True)
 class Attribution:
-    """Outcome of a search: the base fit, all hypotheses (best first), the supported one and its rivals.
+    """Outcome of a search: the base fit, all hypotheses (best first), the supported hypothesis and its rivals.
 
     Attributes:
         unfitted: Given model with the noise of the base fit; only parameters per log are fitted.
@@ -94,7 +94,7 @@ class Attribution:
 
     @property
     def error_ratio(self) -> float:
-        """Return the mean ratio of held-out errors; 1 without hypotheses."""
+        """Return the geometric mean ratio of held-out errors."""
         return math.exp(sum(map(math.log, self.error_ratios)) / len(self.error_ratios)) if self.error_ratios else 1.0
 
     @property
@@ -109,7 +109,7 @@ class Attribution:
 
     @property
     def small_parts(self) -> tuple[str, ...]:
-        """Return the parts of the fuller hypothesis whose likelihood gain may be due to chance."""
+        """Return the candidates of the fuller hypothesis whose likelihood gain may be chance."""
         return tuple(n for n in self.fuller.names if n not in self.best.names) if self.fuller else ()
 
     @property

@@ -1,7 +1,7 @@
 """Missing acceleration of a model in each row, and the contribution of a hypothesis to it.
 
-Estimate of the missing input: the equations are linearized along the filtered states of the base fit by single kernel
-steps. Each forced equation has an unknown input d, estimated by a Rauch-Tung-Striebel smoother (1965):
+The missing input is estimated as follows. The equations are linearized along the filtered states of the base fit by
+single kernel steps. Each forced equation has an unknown input d, estimated by a Rauch-Tung-Striebel smoother (1965):
 
     δ⁺ = F·δ + (f(x̄) − x̄⁺) + w      y − g(x̄) = C·δ + v      d among the δ
 
@@ -33,9 +33,9 @@ NONE = 1e-6  # distance of ln input power from the minimum that counts as zero
 
 @dataclass(frozen=True, eq=False)
 class MissingInput:
-    """Missing input d in the rows of one log, with its standard deviation, for each forced equation.
+    """Missing input d of each forced equation in the rows of a log, with its standard deviation.
 
-    Units are those of the state per second.
+    Units are units of the state per second.
     """
 
     time: Array
@@ -45,7 +45,7 @@ class MissingInput:
     states: Array  # all kernel states, filtered by the base fit
 
     def rows(self, data: Data) -> slice:
-        """Return the rows of the log that are smoothed."""
+        """Return the smoothed rows of the log."""
         first = round((self.time[0] - data.start) / data.step)
         return slice(first, first + len(self.time))
 
@@ -92,12 +92,12 @@ def smooth_log(problem: Problem, base: Fit, index: int, every: int = 1) -> Missi
 
 
 def smoothed_logs(problem: Problem) -> range:
-    """Return the indices of the smoothed logs."""
+    """Return the indices of the logs to smooth."""
     return range(min(LOGS, len(problem.logs)))
 
 
 def smooth_logs(problem: Problem, base: Fit, every: int = 1) -> tuple[Smoothed, Array, Array]:
-    """Smooth the first logs; return single and stacked results."""
+    """Smooth the first logs; return the results of each log, and all values and standard deviations stacked."""
     parts = [(k, smooth_log(problem, base, k, every)) for k in smoothed_logs(problem)]
     return parts, np.vstack([m.value for _, m in parts]), np.vstack([m.sigma for _, m in parts])
 
@@ -105,7 +105,7 @@ def smooth_logs(problem: Problem, base: Fit, every: int = 1) -> tuple[Smoothed, 
 def unknown_inputs(
     problem: Problem, at: Fit, has_unknown_input: Sequence[bool], units: Mapping[str, str]
 ) -> dict[str, float]:
-    """Return the relative size of each unknown input.
+    """Return forced state → size of its unknown input relative to the derivatives of states with the same unit.
 
     Args:
         units: Units of the states.
@@ -127,9 +127,9 @@ def unknown_inputs(
 
 
 def loosen_noise(problem: Problem, noise: Noise) -> Noise:
-    """Return filter noise that follows model errors.
+    """Return noise with which a filter follows model errors.
 
-    A fit without unknown inputs counts model errors as sensor noise; sensors then keep their stated noise.
+    A fit without unknown inputs counts model errors as sensor noise; the stated sensor noise then replaces it.
     """
     bare = bool(np.all(noise.power <= problem.noise.smallest + NONE))
     sensors = np.minimum(noise.sensors, np.log(problem.r)) if bare else noise.sensors
@@ -137,7 +137,7 @@ def loosen_noise(problem: Problem, noise: Noise) -> Noise:
 
 
 def contributions(problem: Problem, base: Fit, after: Fit, index: int) -> Array:
-    """Return the claim's contribution to each equation.
+    """Return the contribution of a claim to each equation.
 
     Both steps start from the refined estimate of the measured states and from their own estimate of the rest.
     """
@@ -158,10 +158,10 @@ def contributions(problem: Problem, base: Fit, after: Fit, index: int) -> Array:
 
 
 def scale_to_missing(problem: Problem, at: Fit, column: int, term: Array, lacking: Array) -> Array:
-    """Return a term scaled to the missing input.
+    """Return a term scaled to the missing input by regression.
 
-    The share that parameters without prior can compensate is projected out, because the fit has already moved these
-    parameters. A term with the wrong sign scales to zero.
+    The part that parameters without prior can imitate is projected out, because the fit has already used it. A term
+    with the wrong sign scales to zero.
     """
     rows = []
     for f in at.free:
@@ -188,7 +188,7 @@ class _Linear:
 
 
 def _linear(problem: Problem, steps: Steps, states: Array, memory: Array, rows: int, every: int) -> _Linear:
-    """Return the linearization by differences of steps."""
+    """Return the linearization, from finite differences of steps."""
     reached = list(problem.layout.stochastic)
     size = NUDGE * np.maximum(np.abs(states[:rows, reached]).max(axis=0), np.sqrt(np.diag(problem.P0)))
     size = np.where(size > 0.0, size, NUDGE)  # A fixed parameter per log may be 0.
@@ -236,7 +236,7 @@ def _smooth(problem: Problem, model: _Linear, states: Array, noise: Noise, index
 
 
 def _update(x: Array, P: Array, C: Array, e: Array, r: Array) -> tuple[Array, Array]:
-    """Return the state conditioned on a row's measurements."""
+    """Return state and covariance after a row's measurements."""
     wide = np.zeros((len(e), len(x)))
     wide[:, : C.shape[1]] = C
     measured = np.isfinite(e)

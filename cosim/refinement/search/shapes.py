@@ -1,9 +1,9 @@
-"""Local shapes without a name: position on a signal, or time, at which an equation lacks a term.
+"""Local shapes of unnamed terms: range of a signal, or of time, in which an equation lacks a term.
 
 A smoother estimates the missing input of each equation in each row. Candidate shapes are bumps at many places with
 three widths, steps, and rows of bumps (splines) over time, each state, each command, and each difference of two states
-with equal units; each also multiplied by a velocity, its sign, or the distance from the place. Regression selects the
-most promising shapes for a filter run.
+with equal units. Each shape may be multiplied by a velocity, its sign, or the distance from the place. Regression
+selects the most promising shapes for a filter run.
 """
 
 from __future__ import annotations
@@ -40,16 +40,16 @@ Signals = Mapping[str, Array]
 
 @dataclass(frozen=True)
 class Shape:
-    """One local shape.
+    """A local shape: a function of a signal, possibly times a factor, in the equation of a state.
 
     Attributes:
         equation: Forced state.
-        of: Signal of the shape, or two signals whose difference counts.
+        of: Signal of the shape, or two signals for their difference.
         kind: `bump`, `step` or `spline`.
         place: Centre, for a spline of its first bump.
         width: Width of a bump at half its height, of a step from end to end, of a spline from bump to bump.
         times: Signals of the factor, as in `of`; may be empty.
-        dry: True if only the sign of the factor counts, which turns within `slip`.
+        dry: True if the factor is the sign of the signals, smoothed within `slip`.
         well: True if multiplied by the distance from `place`.
         turned: True for a shape over an angle, repeated every turn.
         unit: Unit of place and width.
@@ -80,12 +80,12 @@ class Shape:
 
     @property
     def signal(self) -> str:
-        """Return the signal's name for a reader."""
+        """Return the signal as text."""
         return DIFFERENCE.join(self.of)
 
     @property
     def factor(self) -> str:
-        """Return the factor's name for a reader; empty without a factor."""
+        """Return the factor as text; "" without a factor."""
         if self.well:
             return "distance from there"
         name = DIFFERENCE.join(self.times)
@@ -93,13 +93,13 @@ class Shape:
 
     @property
     def per(self) -> float:
-        """Return ζ per unit of the signal, for a turning angle per unit of 1 − cosine."""
+        """Return the normalised signal ζ per unit of the signal, for a turning angle per unit of 1 − cosine."""
         if self.turned:
             return float(HALF / (1.0 - np.cos(0.5 * self.width)))
         return float({"bump": 2.0 * HALF, "step": 2.0, "spline": 1.0}[self.kind] / self.width)
 
     def settings(self, slot: int) -> dict[str, float]:
-        """Return the kernel parameters of this shape."""
+        """Return the kernel parameters of this shape in a slot."""
 
         def weights(role: str, names: Sequence[str], size: float) -> dict[str, float]:
             return {f"{LOCAL}.{slot}.{role}.{n}": s * size for n, s in zip(names, (1.0, -1.0), strict=False)}
@@ -118,17 +118,17 @@ class Shape:
         return settings | (weights("by", self.times, 1.0) or {f"{LOCAL}.{slot}.by.1": 1.0})
 
     def coefficients(self, slot: int) -> tuple[str, ...]:
-        """Return the names of a slot's coefficients."""
+        """Return the names of the kernel parameters that scale this shape in a slot."""
         own = {"bump": ("0",), "step": ("rise",), "spline": tuple(map(str, range(KNOTS)))}[self.kind]
         return tuple(f"{LOCAL}.{slot}.{name}" for name in own)
 
     def positions(self, signals: Signals) -> Array:
-        """Return the signal, a turning angle near the place."""
+        """Return the values of the signal; a turning angle is wrapped to within half a turn of `place`."""
         z = _difference(signals, self.of)
         return np.mod(z - self.place + np.pi, TURN) + self.place - np.pi if self.turned else z
 
     def columns(self, signals: Signals) -> Array:
-        """Return the factor of each coefficient, shape (rows, coefficients)."""
+        """Return the regressor of each coefficient, shape (rows, coefficients)."""
         z = self.positions(signals)
         over = self.per * (1.0 - np.cos(z - self.place) if self.turned else z - self.place)
         if self.kind == "step":
@@ -149,7 +149,7 @@ def _difference(signals: Signals, names: Sequence[str]) -> Array:
 
 
 def signals_of(problem: Problem, parts: Smoothed) -> dict[str, Array]:
-    """Return the signals for local shapes."""
+    """Return name → values of the signals for local shapes."""
     layout, states = problem.layout, np.vstack([m.states for _, m in parts])
     commands = np.vstack([problem.logs[k].u[m.rows(problem.logs[k])] for k, m in parts])
     time, named = np.concatenate([m.time for _, m in parts]), zip(layout.states, states.T, strict=True)
@@ -158,7 +158,7 @@ def signals_of(problem: Problem, parts: Smoothed) -> dict[str, Array]:
 
 
 def promising_shapes(problem: Problem, at: Fit, units: Mapping[str, str], worth: float) -> tuple[list[Shape], int]:
-    """Return promising shapes and the number tried.
+    """Return promising shapes, and the number of shapes tried.
 
     Args:
         units: Units of the signals; two states with equal units also give a difference signal.
@@ -188,7 +188,7 @@ def promising_shapes(problem: Problem, at: Fit, units: Mapping[str, str], worth:
 
 
 class _Selection:
-    """The best shapes for one equation, beside a constant and the state itself."""
+    """Selection of the best shapes for an equation, by regression together with a constant and further signals."""
 
     def __init__(self, lacking: Array, others: Sequence[Array], worth: float) -> None:
         self.plain = orthonormal(np.column_stack([np.ones(len(lacking)), *others]))
@@ -197,7 +197,7 @@ class _Selection:
         self.groups: list[tuple[float, Shape, Array]] = []
 
     def _project(self, columns: Array) -> Array:
-        """Return the columns without their share in the constant and the state."""
+        """Return columns orthogonal to constant and further signals."""
         return np.asarray(columns - self.plain @ (self.plain.T @ columns))
 
     def try_one(self, shape: Shape, columns: Array) -> None:
@@ -210,7 +210,7 @@ class _Selection:
             (self.groups if len(sizes) > 1 else self.single).append((gain, shape, basis @ sizes))
 
     def select(self) -> list[Shape]:
-        """Return the most promising shapes that differ from each other."""
+        """Return the most promising distinct shapes."""
         chosen: list[tuple[Shape, Array]] = []
         for _, shape, row in sorted(self.single, key=lambda entry: -entry[0]):
             direction = row / np.linalg.norm(row)
@@ -224,13 +224,13 @@ class _Selection:
 
 @dataclass(frozen=True, eq=False)
 class _Ground:
-    """A signal for shapes in one equation.
+    """A signal for shapes in an equation.
 
     Attributes:
         flat: Shape of the signal without place and width.
         z: Values of the signal.
         low, high: Range of the places.
-        factors: Factor signals → value within which the sign of each turns.
+        factors: Signals of a factor → range within which its sign is smoothed.
     """
 
     flat: Shape
@@ -240,7 +240,7 @@ class _Ground:
     factors: Mapping[tuple[str, ...], float]
 
     def shapes(self) -> Iterator[Shape]:
-        """Yield every shape to be tested on a signal."""
+        """Yield every shape to test on the signal."""
         if len(self.flat.of) == 1 and self.flat.unit == "rad" and self.high - self.low > TURN:
             yield from self._turning_shapes()
             return
@@ -269,14 +269,14 @@ class _Ground:
                 yield from self._products(shape)
 
     def _products(self, shape: Shape) -> Iterator[Shape]:
-        """Yield a shape times each factor."""
+        """Yield the products of a shape with each factor."""
         for times, slip in self.factors.items():
             yield replace(shape, times=times)
             yield replace(shape, times=times, dry=True, slip=slip)
 
 
 def _grounds(problem: Problem, equation: str, signals: Signals, units: Mapping[str, str]) -> Iterator[_Ground]:
-    """Yield the signals for one equation."""
+    """Yield the signals for shapes in an equation."""
     states = [n for n in signals if n in problem.layout.states]
     pairs = [(a, b) for a, b in combinations(states, 2) if units.get(a, a) == units.get(b, b)]
     for of in (*((n,) for n in signals), *pairs):
@@ -288,7 +288,7 @@ def _grounds(problem: Problem, equation: str, signals: Signals, units: Mapping[s
 
 
 def _factors(problem: Problem, equation: str, signals: Signals, of: tuple[str, ...]) -> dict[tuple[str, ...], float]:
-    """Return the signals that may multiply a shape, each with the size below which its sign is uncertain."""
+    """Return signals of possible factors → range within which the sign is smoothed."""
     rates = tuple(problem.layout.rates.get(n, "") for n in of)
     times = [t for t in dict.fromkeys((rates, (equation,))) if signals.keys() >= {*t} and not {*t} & {*of}]
     ranges = {t: float(np.ptp(np.percentile(_difference(signals, t), INSIDE))) for t in times}

@@ -1,9 +1,9 @@
-"""Terms without a name for a residual that no effect of the catalogue explains.
+"""Unnamed terms for a residual that no effect of the catalogue explains.
 
-At the fit of a hypothesis, a term c·φ(signal) in the equation of a forced state promises a gain of ½·g²/F, with F the
-information of c after projection on the other free parameters. The most promising terms are fitted beside the
-hypothesis before any conclusion about the equation, its signals, and the hypothesis itself. Among terms that these
-logs do not distinguish, the simplest is kept.
+At the fit of a hypothesis, a term c·φ(signal) in the equation of a forced state has a predicted gain of ½·g²/F, with g
+the score and F the information of c after projection on the further free parameters. The most promising terms are
+fitted in addition to the hypothesis before any conclusion about the equation, its signals, and the hypothesis itself.
+Of several terms that these logs do not distinguish, the simplest is kept.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ ALIKE = 0.95  # correlation of two terms' differences from which one represents 
 
 @dataclass(frozen=True)
 class UnnamedTerm:
-    """A term without a name.
+    """A term outside the catalogue in the equation of a forced state.
 
     Attributes:
         equation: Forced state.
         signal: Basis such as `1` or `|velocity|`; for a local shape its signal.
         gain: Predicted log-likelihood gain.
         coefficient: First step of a fit, no estimate.
-        most: Largest predicted gain among the terms that this term represents.
+        most: Largest predicted gain of all equivalent terms.
         share: Share of the missing input's mean square that the scaled term removes; None if not computed or the filter
             diverged.
         shape: Local shape.
         sizes: Coefficients of the shape's bumps.
-        slot: Kernel slot of the shape.
+        slot: Number of the local shape in the kernel's parameters.
     """
 
     equation: str
@@ -64,7 +64,7 @@ class UnnamedTerm:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the names of the coefficients among the parameters."""
+        """Return the parameter names of the coefficients."""
         return self.shape.coefficients(self.slot) if self.shape else (f"{PREFIX}.{self.equation}.{self.signal}",)
 
     @property
@@ -79,7 +79,7 @@ class UnnamedTerm:
 
     @property
     def entry(self) -> dict[str, Any]:
-        """Return the entry for refine.json."""
+        """Return the term as an entry of refine.json."""
         entry = {name: getattr(self, name) for name in ("equation", "signal", "gain", "coefficient")}
         if self.shape is None:
             return entry
@@ -97,10 +97,10 @@ class Leftover:
     """Terms beside a hypothesis.
 
     Attributes:
-        terms: Most promising first; after a fit, those that gain more than their cost, with fitted values.
-        fit: Hypothesis with these terms; None if no term counts.
+        terms: Most promising first; after a fit, terms whose gain exceeds their cost, with fitted values.
+        fit: Hypothesis with these terms; None without terms.
         gain: Log-likelihood gain of all terms together.
-        cost: Least gain of a term that counts.
+        cost: Required gain of a simple term.
         among: Number of terms tried.
         is_stable: Whether the first term also leads without any one log, and with other sensor noise.
     """
@@ -126,7 +126,7 @@ class Leftover:
 def find_unnamed_terms(
     problem: Problem, at: Fit, price: float, units: Mapping[str, str] = MappingProxyType({})
 ) -> Leftover:
-    """Return the terms beside a fit.
+    """Return promising unnamed terms in addition to a fit.
 
     Args:
         problem: Problem with unnamed terms in the kernel.
@@ -154,9 +154,9 @@ def find_unnamed_terms(
 
 
 class _Terms:
-    """Predicted gain of terms at a fit, and the gain required of each.
+    """Predicted and required gain of unnamed terms at a fit.
 
-    Simple terms come first. The cost of local shapes counts the logarithm of all coefficients on trial.
+    The required gain of a local shape grows with the logarithm of the number of coefficients tried.
     """
 
     def __init__(self, problem: Problem, at: Fit, price: float) -> None:
@@ -199,7 +199,7 @@ class _Terms:
         return [u for e in forced for u in _without_equivalents([(u, row) for u, row in terms if u.equation == e])]
 
     def local(self, units: Mapping[str, str]) -> list[LocalTerm]:
-        """Return local shapes and their coefficients' effects."""
+        """Return promising local shapes as terms, with the effect of their coefficients on the innovations."""
         shapes, self.tried = promising_shapes(self.problem, self.at, units, self.cost)
 
         def term(shape: Shape) -> LocalTerm:
@@ -219,7 +219,7 @@ class _Terms:
     def select(self, simple: Sequence[UnnamedTerm], local: Sequence[LocalTerm]) -> list[UnnamedTerm]:
         """Return simple terms and clearly better local shapes.
 
-        Each local shape must be worth its cost beside the more promising ones of its equation.
+        Each local shape must gain more than its cost in addition to more promising shapes of the same equation.
         """
         most = {u.equation: 0.0 for u, _ in local}
         for s in simple:
@@ -255,7 +255,7 @@ class _Terms:
         return u.most - self.costs(u)
 
     def _size_step(self, equation: str, settings: Mapping[str, float], name: str) -> tuple[float, Array]:
-        """Return a coefficient step with a clear effect, and its effect."""
+        """Return a step of a coefficient with a detectable effect, and its effect on the innovations."""
         first = self.steps[equation]
         row = self.test.row({**settings, name: first})
         with np.errstate(over="ignore"):  # A term that makes the model diverge has a zero step.
@@ -277,7 +277,7 @@ def _is_leader(first: UnnamedTerm, effects: Effects, gain: Callable[[Sequence[Ar
 
 
 def _with_slots(terms: Sequence[UnnamedTerm]) -> list[UnnamedTerm]:
-    """Return terms with a separate slot for each local shape."""
+    """Return terms with a separate kernel slot for each local shape; surplus shapes are dropped."""
     placed: list[UnnamedTerm] = []
     for u in terms:
         slot = 1 + sum(p.shape is not None for p in placed)
@@ -287,7 +287,7 @@ def _with_slots(terms: Sequence[UnnamedTerm]) -> list[UnnamedTerm]:
 
 
 def _fit_terms(problem: Problem, at: Fit, terms: Sequence[UnnamedTerm]) -> Fit:
-    """Return the fit with some additional free terms."""
+    """Return the fit with additional free terms."""
     sizes = {name: abs(value) or 1.0 for u in terms for name, value in u.coefficients.items()}
     settings = {name: value for u in terms for name, value in u.kernel_settings.items()}
     free = [*at.free, *(Free(name, -math.inf, math.inf, size) for name, size in sizes.items())]
@@ -296,14 +296,14 @@ def _fit_terms(problem: Problem, at: Fit, terms: Sequence[UnnamedTerm]) -> Fit:
 
 
 def _with_coefficients(u: UnnamedTerm, fitted: Fit) -> UnnamedTerm:
-    """Return the term with its fitted coefficients and its gain beside the other terms."""
+    """Return the term with its fitted coefficients and its likelihood gain in addition to all other terms."""
     sizes = [fitted.values[name] for name in u.names]
     gain = 0.5 * float(np.array(sizes) @ fitted.marginal(u.names) @ np.array(sizes))
     return replace(u, gain=gain, most=gain, coefficient=max(sizes, key=abs), sizes=tuple(sizes) if u.shape else ())
 
 
 def _without_equivalents(terms: Sequence[tuple[UnnamedTerm, Array]]) -> list[UnnamedTerm]:
-    """Keep the simplest of several equivalent terms."""
+    """Return the simplest of each group of equivalent terms."""
     rest = [(u, row / np.linalg.norm(row)) for u, row in terms]
     distinct = []
     while rest:
@@ -319,7 +319,7 @@ def _without_equivalents(terms: Sequence[tuple[UnnamedTerm, Array]]) -> list[Unn
 def _share(problem: Problem, at: Fit, u: UnnamedTerm) -> float | None:
     """Return 1 − Σ(d − t)²/Σd² on the first logs; None if a filter diverges.
 
-    d is the smoothed missing input of the equation, t the term at its best size.
+    Here d is the smoothed missing input of the equation, t the term scaled by regression.
     """
     with_term = replace(at, values={**at.values, **u.kernel_settings, **u.coefficients})
     with np.errstate(invalid="ignore", over="ignore"):

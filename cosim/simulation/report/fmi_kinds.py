@@ -24,9 +24,9 @@ VARIABLES = "ModelVariables"  # element after which FMI 2.0 and 3.0 have no inte
 
 
 def fmi_kinds(run: Run) -> dict[str, str]:
-    """Return component → `FMI 2.0, co-simulation`, the interface being the one that ran.
+    """Return component → version and interface of the executed FMU, e.g. `FMI 2.0, co-simulation`.
 
-    Components whose FMU is missing or has changed since the run are left out.
+    Components with a missing or changed FMU are omitted.
     """
     kinds = {}
     for name, fmu in mapping(run.manifest.get("fmus")).items():

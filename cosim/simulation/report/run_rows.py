@@ -66,7 +66,7 @@ def items_of(run: Run) -> dict[str, dict[float, str]]:
 
 
 def spelled_values(run: Run) -> list[Row]:
-    """Return table rows of recorded values that have no curve, with the times of their changes.
+    """Return table rows of recorded values without curve, with the times of their changes.
 
     These are text, 64-bit integers, binary data and enumeration items.
     """

@@ -1,6 +1,6 @@
-"""A planar arm of two rigid links in a vertical plane, driven by torques at both joints.
+"""Planar arm of two rigid links in a vertical plane, driven by torques at both joints.
 
-Measured are both joint angles by encoders and both torques, which are the inputs. The inertial numbers are lumped:
+Measured are both joint angles by encoders, and both torques, which are the inputs. The inertial parameters are lumped:
 a = J₁ + m₂·l₁², b = J₂, c = m₂·l₁·r₂ with J₁, J₂ about the joints and r₂ from the second joint to its link's centre.
 """
 
@@ -18,10 +18,10 @@ TOLD_APART_BY = {
 
 
 class ArmEffect(Effect):
-    """A torque at the joints that the base model lacks."""
+    """Torques at the joints that the base model lacks."""
 
     def torque(self, m: Namespace, angles: Values, rates: Values, torques: Values) -> Values:
-        """Torques [N m] at both joints."""
+        """Return additional torques at both joints [N m]."""
         return 0.0, 0.0
 
 
@@ -39,7 +39,7 @@ class Coulomb1(ArmEffect):
     level: float = parameter(0.0, unit="N.m", bounds=(0, 5), neutral=0.0, typical=0.2, doc="dry friction F")
 
     def torque(self, m: Namespace, angles: Values, rates: Values, torques: Values) -> Values:
-        """−F·tanh(ω₁/0.02) at joint 1."""
+        """Return torque −F·tanh(ω₁/0.02) at joint 1."""
         return -self.level * m.tanh(rates[0] / CREEP), 0.0
 
 
@@ -53,7 +53,7 @@ class Coulomb2(ArmEffect):
     level: float = parameter(0.0, unit="N.m", bounds=(0, 3), neutral=0.0, typical=0.1, doc="dry friction F")
 
     def torque(self, m: Namespace, angles: Values, rates: Values, torques: Values) -> Values:
-        """−F·tanh(ω₂/0.02) at joint 2."""
+        """Return torque −F·tanh(ω₂/0.02) at joint 2."""
         return 0.0, -self.level * m.tanh(rates[1] / CREEP)
 
 
@@ -69,7 +69,7 @@ class Drag1(ArmEffect):
     )
 
     def torque(self, m: Namespace, angles: Values, rates: Values, torques: Values) -> Values:
-        """−k·|ω₁|·ω₁ at joint 1."""
+        """Return torque −k·|ω₁|·ω₁ at joint 1."""
         return -self.coefficient * _size(m, rates[0]) * rates[0], 0.0
 
 
@@ -85,13 +85,13 @@ class Drag2(ArmEffect):
     )
 
     def torque(self, m: Namespace, angles: Values, rates: Values, torques: Values) -> Values:
-        """−k·|ω₂|·ω₂ at joint 2."""
+        """Return torque −k·|ω₂|·ω₂ at joint 2."""
         return 0.0, -self.coefficient * _size(m, rates[1]) * rates[1]
 
 
 @dataclass(frozen=True, kw_only=True)
 class TorqueBias1(ArmEffect):
-    """A constant torque at joint 1."""
+    """Constant torque at joint 1."""
 
     name = "torque_bias_1"
     equation = "torque B at joint 1"
@@ -99,13 +99,13 @@ class TorqueBias1(ArmEffect):
     torque_1: float = parameter(0.0, unit="N.m", bounds=(-2, 2), neutral=0.0, typical=0.1, doc="constant torque B")
 
     def torque(self, m: Namespace, angles: Values, rates: Values, torques: Values) -> Values:
-        """B at joint 1."""
+        """Return torque B at joint 1."""
         return self.torque_1, 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class TorqueBias2(ArmEffect):
-    """A constant torque at joint 2."""
+    """Constant torque at joint 2."""
 
     name = "torque_bias_2"
     equation = "torque B at joint 2"
@@ -113,13 +113,13 @@ class TorqueBias2(ArmEffect):
     torque_2: float = parameter(0.0, unit="N.m", bounds=(-1, 1), neutral=0.0, typical=0.05, doc="constant torque B")
 
     def torque(self, m: Namespace, angles: Values, rates: Values, torques: Values) -> Values:
-        """B at joint 2."""
+        """Return torque B at joint 2."""
         return 0.0, self.torque_2
 
 
 @dataclass(frozen=True, kw_only=True)
 class CableSpring(ArmEffect):
-    """The cable to joint 2 pulls it back: −k·q₂."""
+    """Spring torque of the cable at joint 2: −k·q₂."""
 
     name = "cable_spring"
     equation = "torque −k·q₂ at joint 2"
@@ -127,13 +127,13 @@ class CableSpring(ArmEffect):
     stiffness: float = parameter(0.0, unit="N.m/rad", bounds=(0, 2), neutral=0.0, typical=0.03, doc="stiffness k")
 
     def torque(self, m: Namespace, angles: Values, rates: Values, torques: Values) -> Values:
-        """−k·q₂ at joint 2."""
+        """Return torque −k·q₂ at joint 2."""
         return 0.0, -self.stiffness * angles[1]
 
 
 @dataclass(frozen=True, kw_only=True)
 class EncoderOffset2(Bias):
-    """The encoder of joint 2 reads q₂ + b."""
+    """Offset of the encoder of joint 2: reading q₂ + b."""
 
     name = "encoder_offset_2"
     output = "angle_2"
@@ -143,7 +143,7 @@ class EncoderOffset2(Bias):
 
 @dataclass(frozen=True, kw_only=True)
 class Arm(Model):
-    """A planar arm of two links."""
+    """Planar arm of two links."""
 
     title = "Arm of two links"
     base_states = (

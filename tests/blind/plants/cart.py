@@ -1,7 +1,7 @@
-"""A cart on a rail with a bob hanging from it, like a small crane, pushed open loop by a motor.
+"""Cart on a rail with a hanging bob, like a small crane, driven in open loop by a motor.
 
-Measured are the position by a camera, the angle by a potentiometer and its rate by a gyroscope; the bob swings at
-0.8 Hz.
+Measured are the position by a camera, the angle by a potentiometer and the angular rate by a gyroscope. The bob swings
+at 0.8 Hz.
 """
 
 from dataclasses import dataclass
@@ -33,32 +33,32 @@ TOLD_APART_BY = {
 
 
 class CartEffect(Effect):
-    """A force on the cart or a moment on the pivot that the base model lacks."""
+    """Force on the cart or moment about the pivot that the base model lacks."""
 
     def drive(self, m: Namespace, force: Number) -> Number:
-        """Force of the motor in place of the commanded one."""
+        """Return the force of the motor for a commanded force."""
         return force
 
     def lag(self, m: Namespace, force: Number, states: Values) -> tuple[Number, Number]:
-        """Force after the motor's own dynamics, and the derivative of its state."""
+        """Return the force after the motor's lag, and the derivative of the lag's state."""
         raise NotImplementedError
 
     def cart(self, m: Namespace, position: Number, velocity: Number) -> Number:
-        """Force [N] on the cart."""
+        """Return an additional force on the cart [N]."""
         return 0.0
 
     def pivot(self, m: Namespace, rate: Number) -> Number:
-        """Moment [N m] about the pivot."""
+        """Return an additional moment about the pivot [N m]."""
         return 0.0
 
     def slope(self, m: Namespace) -> Number:
-        """Angle [rad] by which the rail is not level."""
+        """Return the slope of the rail [rad]."""
         return 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class ForceDeadBand(CartEffect):
-    """The amplifier swallows small commands: u − w·tanh(u/(w + 0.02))."""
+    """Dead band of the amplifier: u − w·tanh(u/(w + 0.02))."""
 
     name = "force_dead_band"
     equation = "force u − w·tanh(u/(w + 0.02)) in place of u"
@@ -66,13 +66,13 @@ class ForceDeadBand(CartEffect):
     width: float = parameter(0.0, unit="N", bounds=(0, 3), neutral=0.0, typical=0.2, doc="half width w of the band")
 
     def drive(self, m: Namespace, force: Number) -> Number:
-        """u − w·tanh(u/(w + 0.02))."""
+        """Return u − w·tanh(u/(w + 0.02))."""
         return force - self.width * m.tanh(force / (self.width + 0.02))
 
 
 @dataclass(frozen=True, kw_only=True)
 class ForceAsymmetry(CartEffect):
-    """The motor pushes harder one way than the other: u + a·|u|."""
+    """Direction-dependent force of the motor: u + a·|u|."""
 
     name = "force_asymmetry"
     equation = "force u + a·|u| in place of u"
@@ -80,13 +80,13 @@ class ForceAsymmetry(CartEffect):
     ratio: float = parameter(0.0, unit="1", bounds=(-0.5, 0.5), neutral=0.0, typical=0.03, doc="asymmetry a")
 
     def drive(self, m: Namespace, force: Number) -> Number:
-        """u + a·|u|."""
+        """Return u + a·|u|."""
         return force + self.ratio * m.where(force >= 0.0, force, -force)
 
 
 @dataclass(frozen=True, kw_only=True)
 class MotorLag(CartEffect):
-    """The motor's force builds up: τ·ḟ = u − f."""
+    """Lag of the motor's force: τ·ḟ = u − f."""
 
     name = "motor_lag"
     equation = "τ·ḟ = u − f, f in place of u"
@@ -95,7 +95,7 @@ class MotorLag(CartEffect):
     time: float = parameter(0.0, unit="s", bounds=(0, 1), neutral=0.0, typical=0.03, doc="time constant τ; 0 = off")
 
     def lag(self, m: Namespace, force: Number, states: Values) -> tuple[Number, Number]:
-        """The state in place of the force; time constants below 5 ms, a quarter of a row, are as 5 ms."""
+        """Return the lagged force and its derivative; time constants below 5 ms, a quarter of a row, count as 5 ms."""
         return m.where(self.time > 0.0, states[0], force), (force - states[0]) / m.maximum(self.time, 0.005)
 
 
@@ -109,7 +109,7 @@ class CartCoulomb(CartEffect):
     level: float = parameter(0.0, unit="N", bounds=(0, 3), neutral=0.0, typical=0.2, doc="dry friction F")
 
     def cart(self, m: Namespace, position: Number, velocity: Number) -> Number:
-        """−F·tanh(v/0.02)."""
+        """Return −F·tanh(v/0.02)."""
         return -self.level * m.tanh(velocity / CREEP)
 
 
@@ -125,13 +125,13 @@ class CartDrag(CartEffect):
     )
 
     def cart(self, m: Namespace, position: Number, velocity: Number) -> Number:
-        """−k·|v|·v."""
+        """Return −k·|v|·v."""
         return -self.coefficient * m.where(velocity >= 0.0, velocity, -velocity) * velocity
 
 
 @dataclass(frozen=True, kw_only=True)
 class CableSpring(CartEffect):
-    """The supply cable pulls the cart back to the middle: −k·x."""
+    """Spring force of the supply cable towards the middle: −k·x."""
 
     name = "cable_spring"
     equation = "force −k·x"
@@ -139,13 +139,13 @@ class CableSpring(CartEffect):
     stiffness: float = parameter(0.0, unit="N/m", bounds=(0, 20), neutral=0.0, typical=0.2, doc="stiffness k")
 
     def cart(self, m: Namespace, position: Number, velocity: Number) -> Number:
-        """−k·x."""
+        """Return −k·x."""
         return -self.stiffness * position
 
 
 @dataclass(frozen=True, kw_only=True)
 class BeltRipple(CartEffect):
-    """Notches of the belt, one every 0.1 m: s·sin(2πx/0.1) + c·cos(2πx/0.1)."""
+    """Notches of the belt every 0.1 m: s·sin(2πx/0.1) + c·cos(2πx/0.1)."""
 
     name = "belt_ripple"
     equation = "force s·sin(2πx/0.1) + c·cos(2πx/0.1)"
@@ -154,7 +154,7 @@ class BeltRipple(CartEffect):
     cosine: float = parameter(0.0, unit="N", bounds=(-3, 3), neutral=0.0, typical=0.2, doc="amplitude c")
 
     def cart(self, m: Namespace, position: Number, velocity: Number) -> Number:
-        """s·sin(2πx/0.1) + c·cos(2πx/0.1)."""
+        """Return s·sin(2πx/0.1) + c·cos(2πx/0.1)."""
         phase = 6.283185307179586 / PITCH * position
         return self.sine * m.sin(phase) + self.cosine * m.cos(phase)
 
@@ -169,7 +169,7 @@ class PivotCoulomb(CartEffect):
     level: float = parameter(0.0, unit="N.m", bounds=(0, 0.2), neutral=0.0, typical=0.005, doc="dry friction T")
 
     def pivot(self, m: Namespace, rate: Number) -> Number:
-        """−T·tanh(ω/0.1)."""
+        """Return −T·tanh(ω/0.1)."""
         return -self.level * m.tanh(rate / TURN)
 
 
@@ -185,13 +185,13 @@ class BobDrag(CartEffect):
     )
 
     def pivot(self, m: Namespace, rate: Number) -> Number:
-        """−k·|ω|·ω."""
+        """Return −k·|ω|·ω."""
         return -self.coefficient * m.where(rate >= 0.0, rate, -rate) * rate
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrackTilt(CartEffect):
-    """The rail is not level: gravity pulls along it, and the bob hangs askew."""
+    """Tilt of the rail: gravity acts along the rail, and the rest angle of the bob changes."""
 
     name = "track_tilt"
     equation = "gravity turned by α about the rail"
@@ -199,13 +199,13 @@ class TrackTilt(CartEffect):
     angle: float = parameter(0.0, unit="rad", bounds=(-0.2, 0.2), neutral=0.0, typical=0.01, doc="tilt α, uphill in +x")
 
     def slope(self, m: Namespace) -> Number:
-        """The tilt α."""
+        """Return tilt α."""
         return self.angle
 
 
 @dataclass(frozen=True, kw_only=True)
 class PositionScale(Scale):
-    """The camera reads s·x."""
+    """Scale error of the camera: reading s·x."""
 
     name = "position_scale"
     output = "position"
@@ -215,7 +215,7 @@ class PositionScale(Scale):
 
 @dataclass(frozen=True, kw_only=True)
 class GyroBias(Bias):
-    """The gyroscope reads ω + b."""
+    """Bias of the gyroscope: reading ω + b."""
 
     name = "gyro_bias"
     output = "rate"
@@ -225,7 +225,7 @@ class GyroBias(Bias):
 
 @dataclass(frozen=True, kw_only=True)
 class CameraLatency(Latency):
-    """The camera's picture takes time: the position comes T late."""
+    """Latency of the camera: the position is T old."""
 
     name = "camera_latency"
     output = "position"
@@ -234,7 +234,7 @@ class CameraLatency(Latency):
 
 @dataclass(frozen=True, kw_only=True)
 class Cart(Model):
-    """A cart and a bob on a rod."""
+    """Cart with a bob on a rod."""
 
     title = "Cart with a hanging bob"
     base_states = (

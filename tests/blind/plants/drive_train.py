@@ -1,7 +1,7 @@
-"""A drive train: a motor turns a load through a belt that gives; both run in grease.
+"""Drive train: a motor turns a load through an elastic belt; both have viscous friction.
 
-Measured are the angles of motor and load by encoders and the motor's speed by a tacho. The belt and the motor resonate
-at some 14 Hz; the whole spins up in half a second.
+Measured are the angles of motor and load by encoders and the speed of the motor by a tachometer. Motor and belt
+resonate at about 14 Hz; the drive train accelerates within half a second.
 """
 
 from dataclasses import dataclass
@@ -33,24 +33,24 @@ TOLD_APART_BY = {
 
 
 class DriveTrainEffect(Effect):
-    """A torque that the base model lacks, on the motor, on the load or in the belt."""
+    """Torque on the motor, on the load or in the belt that the base model lacks."""
 
     def motor(self, m: Namespace, torque: Number, angle: Number) -> Number:
-        """Torque [N m] on the motor, from the commanded one and its angle."""
+        """Return an additional torque on the motor [N m], from commanded torque and motor angle."""
         return 0.0
 
     def load(self, m: Namespace, speed: Number) -> Number:
-        """Torque [N m] on the load, from its speed."""
+        """Return an additional torque on the load [N m], from the load's speed."""
         return 0.0
 
     def belt(self, m: Namespace, stiffness: Number, twist: Number) -> Number:
-        """Torque [N m] in the belt beside k·twist."""
+        """Return an additional torque of the belt [N m], to be added to k·twist."""
         return 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class CommandDelay(Delay, DriveTrainEffect):
-    """The torque command arrives T later."""
+    """Delay of the torque command by T."""
 
     name = "command_delay"
     memory = (Quantity("torque", "N.m", "torque that acts until the delay has passed"),)
@@ -66,13 +66,13 @@ class LoadCoulomb(DriveTrainEffect):
     level: float = parameter(0.0, unit="N.m", bounds=(0, 1), neutral=0.0, typical=0.05, doc="dry friction F")
 
     def load(self, m: Namespace, speed: Number) -> Number:
-        """−F·tanh(ω/0.3)."""
+        """Return −F·tanh(ω/0.3)."""
         return -self.level * m.tanh(speed / REVERSAL)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoadStribeck(DriveTrainEffect):
-    """What dry friction of the load is more at low speed, beside its level: −B·e^(−(ω/ω_s)²)·tanh(ω/0.3), B ≥ 0."""
+    """Additional dry friction of the load at low speed: −B·e^(−(ω/ω_s)²)·tanh(ω/0.3), B ≥ 0."""
 
     name = "load_stribeck"
     equation = "torque −B·e^(−(ω_l/ω_s)²)·tanh(ω_l/0.3) on the load"
@@ -81,13 +81,13 @@ class LoadStribeck(DriveTrainEffect):
     speed: float = parameter(4.0, unit="rad/s", bounds=(1.5, 20), doc="Stribeck speed ω_s, well above the smoothing")
 
     def load(self, m: Namespace, speed: Number) -> Number:
-        """−B·e^(−(ω/ω_s)²)·tanh(ω/0.3)."""
+        """Return −B·e^(−(ω/ω_s)²)·tanh(ω/0.3)."""
         return -self.breakaway * m.exp(-((speed / self.speed) ** 2)) * m.tanh(speed / REVERSAL)
 
 
 @dataclass(frozen=True, kw_only=True)
 class FanDrag(DriveTrainEffect):
-    """Drag of what the load stirs: −c·|ω|·ω."""
+    """Quadratic drag of the load: −c·|ω|·ω."""
 
     name = "fan_drag"
     equation = "torque −c·|ω_l|·ω_l on the load"
@@ -97,13 +97,13 @@ class FanDrag(DriveTrainEffect):
     )
 
     def load(self, m: Namespace, speed: Number) -> Number:
-        """−c·|ω|·ω."""
+        """Return −c·|ω|·ω."""
         return -self.coefficient * m.where(speed >= 0.0, speed, -speed) * speed
 
 
 @dataclass(frozen=True, kw_only=True)
 class CubicBelt(DriveTrainEffect):
-    """A belt that hardens: k₃·twist³ beside k·twist."""
+    """Hardening belt: additional torque k₃·twist³."""
 
     name = "cubic_belt"
     equation = "belt torque k₃·twist³ beside k·twist"
@@ -113,13 +113,13 @@ class CubicBelt(DriveTrainEffect):
     )
 
     def belt(self, m: Namespace, stiffness: Number, twist: Number) -> Number:
-        """k₃·twist³."""
+        """Return k₃·twist³."""
         return self.stiffness * twist * twist * twist
 
 
 @dataclass(frozen=True, kw_only=True)
 class BeltPlay(DriveTrainEffect):
-    """Play between belt and pulley, its edges worn round: −k·w·tanh(twist/(w + 1 mrad)) beside k·twist."""
+    """Smooth play between belt and pulley: additional torque −k·w·tanh(twist/(w + 1 mrad))."""
 
     name = "belt_play"
     equation = "belt torque −k·w·tanh(twist/(w + 0.001)) beside k·twist"
@@ -129,13 +129,13 @@ class BeltPlay(DriveTrainEffect):
     )
 
     def belt(self, m: Namespace, stiffness: Number, twist: Number) -> Number:
-        """−k·w·tanh(twist/(w + 0.001))."""
+        """Return −k·w·tanh(twist/(w + 0.001))."""
         return -stiffness * self.width * m.tanh(twist / (self.width + 1e-3))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cogging(DriveTrainEffect):
-    """Notches of the motor, four a turn: s·sin 4θ + c·cos 4θ."""
+    """Cogging torque of the motor, four periods per turn: s·sin 4θ + c·cos 4θ."""
 
     name = "cogging"
     equation = "torque s·sin(4·θ_m) + c·cos(4·θ_m) on the motor"
@@ -144,13 +144,13 @@ class Cogging(DriveTrainEffect):
     cosine: float = parameter(0.0, unit="N.m", bounds=(-1, 1), neutral=0.0, typical=0.05, doc="amplitude c")
 
     def motor(self, m: Namespace, torque: Number, angle: Number) -> Number:
-        """s·sin 4θ + c·cos 4θ."""
+        """Return s·sin 4θ + c·cos 4θ."""
         return self.sine * m.sin(TEETH * angle) + self.cosine * m.cos(TEETH * angle)
 
 
 @dataclass(frozen=True, kw_only=True)
 class TorqueAsymmetry(DriveTrainEffect):
-    """The amplifier gives more one way than the other: u + a·|u|."""
+    """Direction-dependent torque of the amplifier: u + a·|u|."""
 
     name = "torque_asymmetry"
     equation = "torque a·|u| beside u"
@@ -158,13 +158,13 @@ class TorqueAsymmetry(DriveTrainEffect):
     ratio: float = parameter(0.0, unit="1", bounds=(-0.5, 0.5), neutral=0.0, typical=0.05, doc="asymmetry a")
 
     def motor(self, m: Namespace, torque: Number, angle: Number) -> Number:
-        """a·|u|."""
+        """Return a·|u|."""
         return self.ratio * m.where(torque >= 0.0, torque, -torque)
 
 
 @dataclass(frozen=True, kw_only=True)
 class TorqueOffset(DriveTrainEffect):
-    """The amplifier's zero is off, or a weight hangs on the motor: a constant torque."""
+    """Constant torque on the motor, from an amplifier offset or a hanging weight."""
 
     name = "torque_offset"
     equation = "torque b on the motor"
@@ -172,13 +172,13 @@ class TorqueOffset(DriveTrainEffect):
     value: float = parameter(0.0, unit="N.m", bounds=(-1, 1), neutral=0.0, typical=0.05, doc="offset b")
 
     def motor(self, m: Namespace, torque: Number, angle: Number) -> Number:
-        """The offset b."""
+        """Return offset b."""
         return self.value
 
 
 @dataclass(frozen=True, kw_only=True)
 class TachoScale(Scale):
-    """The tacho reads s·ω."""
+    """Scale error of the tachometer: reading s·ω."""
 
     name = "tacho_scale"
     output = "motor_speed"
@@ -188,7 +188,7 @@ class TachoScale(Scale):
 
 @dataclass(frozen=True, kw_only=True)
 class TachoBias(Bias):
-    """The tacho reads ω + b."""
+    """Bias of the tachometer: reading ω + b."""
 
     name = "tacho_bias"
     output = "motor_speed"
@@ -198,7 +198,7 @@ class TachoBias(Bias):
 
 @dataclass(frozen=True, kw_only=True)
 class LoadLatency(Latency):
-    """The load's encoder hangs on a bus: its angle comes T late."""
+    """Latency of the load's encoder on a bus: the angle is T old."""
 
     name = "load_latency"
     output = "load_angle"
@@ -207,7 +207,7 @@ class LoadLatency(Latency):
 
 @dataclass(frozen=True, kw_only=True)
 class DriveTrain(Model):
-    """Two inertias and a belt."""
+    """Drive train of two inertias and a belt."""
 
     title = "Drive train"
     base_states = (

@@ -1,7 +1,7 @@
-"""A quarter of a car on a shaker: body, suspension, wheel, tyre, and the hydraulic table under it.
+"""Quarter car on a shaker: body, suspension, wheel, tyre, and a hydraulic table.
 
-Heights are counted from where the car stands at rest. Measured are the travel of the suspension, the acceleration of
-the body and its height by a laser. The body bounces at 1.2 Hz, the wheel hops at 11 Hz.
+Heights are relative to the car at rest. Measured are the travel of the suspension, the acceleration of the body and its
+height by a laser. The body bounces at 1.2 Hz, the wheel hops at 11 Hz.
 """
 
 from dataclasses import dataclass
@@ -39,36 +39,36 @@ TOLD_APART_BY = {
 
 
 class QuarterCarEffect(Effect):
-    """A force that the base model lacks, or a table that moves otherwise."""
+    """Force or table motion that the base model lacks."""
 
     def table(self, m: Namespace, height: Number) -> Number:
-        """Height [m] commanded to the table."""
+        """Return the height of the table's command [m]."""
         return height
 
     def damper(self, m: Namespace, speed: Number) -> Number:
-        """Force [N] of the damper beside c·v, from its closing speed v."""
+        """Return an additional force of the damper [N], from its closing speed v."""
         return 0.0
 
     def mount(self, m: Namespace, force: Number, states: Values) -> tuple[Number, Number]:
-        """Force of the damper after its mount, and the derivative of the mount's state."""
+        """Return the force of the damper after its mount, and the derivative of the mount's state."""
         raise NotImplementedError
 
     def spring(self, m: Namespace, travel: Number) -> Number:
-        """Force [N] of the spring beside k·travel, from how far it is closed."""
+        """Return an additional force of the spring [N], from its compression."""
         return 0.0
 
     def tyre(self, m: Namespace, speed: Number) -> Number:
-        """Force [N] of the tyre beside k·deflection, from its closing speed."""
+        """Return an additional force of the tyre [N], from its closing speed."""
         return 0.0
 
     def body(self, m: Namespace) -> Number:
-        """Force [N] on the body, upward."""
+        """Return an additional upward force on the body [N]."""
         return 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class CommandDelay(Delay, QuarterCarEffect):
-    """The table's command arrives T later."""
+    """Delay of the table's command by T."""
 
     name = "command_delay"
     memory = (Quantity("road", "m", "height that acts until the delay has passed"),)
@@ -76,7 +76,7 @@ class CommandDelay(Delay, QuarterCarEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class RoadGain(QuarterCarEffect):
-    """The table moves further than it is told: (1 + g)·u."""
+    """Gain error of the table: (1 + g)·u."""
 
     name = "road_gain"
     equation = "(1 + g)·u in place of u"
@@ -84,13 +84,13 @@ class RoadGain(QuarterCarEffect):
     gain: float = parameter(0.0, unit="1", bounds=(-0.5, 0.5), neutral=0.0, typical=0.03, doc="excess gain g")
 
     def table(self, m: Namespace, height: Number) -> Number:
-        """(1 + g)·u."""
+        """Return (1 + g)·u."""
         return (1.0 + self.gain) * height
 
 
 @dataclass(frozen=True, kw_only=True)
 class DamperAsymmetry(QuarterCarEffect):
-    """The damper is softer closing than opening: −a·|v| beside c·v."""
+    """Direction-dependent damping, softer in closing: additional force −a·|v|."""
 
     name = "damper_asymmetry"
     equation = "damper force −a·|v| beside c·v"
@@ -100,7 +100,7 @@ class DamperAsymmetry(QuarterCarEffect):
     )
 
     def damper(self, m: Namespace, speed: Number) -> Number:
-        """−a·|v|."""
+        """Return −a·|v|."""
         return -self.coefficient * m.where(speed >= 0.0, speed, -speed)
 
 
@@ -114,13 +114,13 @@ class DamperCoulomb(QuarterCarEffect):
     level: float = parameter(0.0, unit="N", bounds=(0, 300), neutral=0.0, typical=20.0, doc="dry friction F")
 
     def damper(self, m: Namespace, speed: Number) -> Number:
-        """F·tanh(v/0.02)."""
+        """Return F·tanh(v/0.02)."""
         return self.level * m.tanh(speed / CREEP)
 
 
 @dataclass(frozen=True, kw_only=True)
 class DamperProgression(QuarterCarEffect):
-    """The damper hardens with speed: p·|v|·v beside c·v."""
+    """Damping that grows with speed: additional force p·|v|·v."""
 
     name = "damper_progression"
     equation = "damper force p·|v|·v beside c·v"
@@ -130,13 +130,13 @@ class DamperProgression(QuarterCarEffect):
     )
 
     def damper(self, m: Namespace, speed: Number) -> Number:
-        """p·|v|·v."""
+        """Return p·|v|·v."""
         return self.coefficient * m.where(speed >= 0.0, speed, -speed) * speed
 
 
 @dataclass(frozen=True, kw_only=True)
 class DamperMount(QuarterCarEffect):
-    """The damper's rubber mount gives: its force builds up, τ·ḟ = force − f."""
+    """Lag of the damper's force in a rubber mount: τ·ḟ = force − f."""
 
     name = "damper_mount"
     equation = "τ·ḟ = damper force − f, f in place of it"
@@ -145,13 +145,13 @@ class DamperMount(QuarterCarEffect):
     time: float = parameter(0.0, unit="s", bounds=(0, 0.2), neutral=0.0, typical=0.008, doc="time constant τ; 0 = off")
 
     def mount(self, m: Namespace, force: Number, states: Values) -> tuple[Number, Number]:
-        """The state in place of the force; time constants below half a row are as half a row."""
+        """Return the lagged force and its derivative; time constants below half a row count as half a row."""
         return m.where(self.time > 0.0, states[0], force), (force - states[0]) / m.maximum(self.time, 0.0025)
 
 
 @dataclass(frozen=True, kw_only=True)
 class CubicSpring(QuarterCarEffect):
-    """The spring hardens both ways: k₃·z³ beside k·z."""
+    """Spring hardening in both directions: additional force k₃·z³."""
 
     name = "cubic_spring"
     equation = "spring force k₃·z³ beside k·z"
@@ -159,13 +159,13 @@ class CubicSpring(QuarterCarEffect):
     stiffness: float = parameter(0.0, unit="N/m3", bounds=(0, 1e8), neutral=0.0, typical=2e6, doc="cubic stiffness k₃")
 
     def spring(self, m: Namespace, travel: Number) -> Number:
-        """k₃·z³."""
+        """Return k₃·z³."""
         return self.stiffness * travel * travel * travel
 
 
 @dataclass(frozen=True, kw_only=True)
 class BumpStop(QuarterCarEffect):
-    """A rubber buffer that is met after 25 mm of closing: k·max(z − 0.025, 0)²."""
+    """Rubber buffer after 25 mm of closing: k·max(z − 0.025, 0)²."""
 
     name = "bump_stop"
     equation = "spring force k·max(z − 0.025, 0)² beside k·z"
@@ -173,14 +173,14 @@ class BumpStop(QuarterCarEffect):
     stiffness: float = parameter(0.0, unit="N/m2", bounds=(0, 1e8), neutral=0.0, typical=5e5, doc="stiffness k")
 
     def spring(self, m: Namespace, travel: Number) -> Number:
-        """k·max(z − 0.025, 0)²."""
+        """Return k·max(z − 0.025, 0)²."""
         pressed = m.maximum(travel - STOP, 0.0)
         return self.stiffness * pressed * pressed
 
 
 @dataclass(frozen=True, kw_only=True)
 class TyreDamping(QuarterCarEffect):
-    """The tyre's rubber loses energy: d·v beside k·deflection."""
+    """Damping of the tyre: additional force d·v."""
 
     name = "tyre_damping"
     equation = "tyre force d·v beside k·deflection"
@@ -188,13 +188,13 @@ class TyreDamping(QuarterCarEffect):
     coefficient: float = parameter(0.0, unit="N.s/m", bounds=(0, 2000), neutral=0.0, typical=80.0, doc="damping d")
 
     def tyre(self, m: Namespace, speed: Number) -> Number:
-        """d·v."""
+        """Return d·v."""
         return self.coefficient * speed
 
 
 @dataclass(frozen=True, kw_only=True)
 class Preload(QuarterCarEffect):
-    """A load that was not there when the heights were set to 0: a constant force on the body."""
+    """Constant force on the body, from a load added after zeroing of the heights."""
 
     name = "preload"
     equation = "force f on the body"
@@ -202,13 +202,13 @@ class Preload(QuarterCarEffect):
     force: float = parameter(0.0, unit="N", bounds=(-500, 500), neutral=0.0, typical=20.0, doc="force f, upward")
 
     def body(self, m: Namespace) -> Number:
-        """The force f."""
+        """Return force f."""
         return self.force
 
 
 @dataclass(frozen=True, kw_only=True)
 class AccelerometerBias(Bias):
-    """The accelerometer reads a + b."""
+    """Bias of the accelerometer: reading a + b."""
 
     name = "accelerometer_bias"
     output = "body_acceleration"
@@ -218,7 +218,7 @@ class AccelerometerBias(Bias):
 
 @dataclass(frozen=True, kw_only=True)
 class TravelScale(Scale):
-    """The travel sensor reads s·z."""
+    """Scale error of the travel sensor: reading s·z."""
 
     name = "travel_scale"
     output = "travel"
@@ -228,7 +228,7 @@ class TravelScale(Scale):
 
 @dataclass(frozen=True, kw_only=True)
 class LaserLatency(Latency):
-    """The laser averages and then sends: the height comes T late."""
+    """Latency of the averaging laser: the height is T old."""
 
     name = "laser_latency"
     output = "body_height"
@@ -237,7 +237,7 @@ class LaserLatency(Latency):
 
 @dataclass(frozen=True, kw_only=True)
 class QuarterCar(Model):
-    """Two masses, two springs, a damper, and a table that follows its command with a lag."""
+    """Two masses, two springs, a damper, and a table with a lag."""
 
     title = "Quarter car on a shaker"
     base_states = (
@@ -294,7 +294,7 @@ class QuarterCar(Model):
         upon = sum(term.body(m) for term in overrides(awake, "body", QuarterCarEffect))
 
         def suspension(state: Values) -> tuple[Number, Values]:
-            """Force of spring and damper on the body, and the derivatives of the effects' states."""
+            """Return the force of spring and damper on the body, and the derivatives of the effects' states."""
             height, speed, wheel_height, wheel_speed, _, *own = state
             travel, closing = wheel_height - height, wheel_speed - speed
             slopes: Values = ()

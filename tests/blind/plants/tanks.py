@@ -1,6 +1,6 @@
-"""Two tanks on a bench: a pump fills each, a pipe joins them, the right one empties through an outlet with a meter.
+"""Two tanks, each filled by a pump, joined by a pipe; the right tank empties through an outlet with a flow meter.
 
-Levels of some 0.1 m to 0.5 m, pumps of up to 0.1 L/s; the tanks take minutes, a row is a second.
+Levels are about 0.1 m to 0.5 m, pumps deliver up to 0.1 L/s. Time constants are minutes; a row is a second.
 """
 
 from dataclasses import dataclass
@@ -33,34 +33,34 @@ TOLD_APART_BY = {
 
 
 class TankEffect(Effect):
-    """A flow that the base model lacks, or a pump that gives another."""
+    """Flow or pump property that the base model lacks."""
 
     def voltage(self, m: Namespace, left: Number, right: Number) -> tuple[Number, Number]:
-        """Voltages that the pumps turn into flow, from those commanded."""
+        """Return the effective voltages of the pumps for the commanded voltages."""
         return left, right
 
     def lag(
         self, m: Namespace, left: Number, right: Number, states: Values
     ) -> tuple[tuple[Number, Number], tuple[Number, Number]]:
-        """Voltages after the pumps' own dynamics, and the derivatives of its two states."""
+        """Return the voltages after the lag of the pumps, and the derivatives of its two states."""
         raise NotImplementedError
 
     def factor(self, m: Namespace, voltage: Number, level: Number) -> Number:
-        """Factor on the flow of a pump, from its voltage and the level that it pumps against."""
+        """Return a factor on the flow of a pump, from its voltage and the level of its tank."""
         return 1.0
 
     def outlet(self, m: Namespace, level: Number) -> Number:
-        """Factor on the flow through the outlet, from the level before it."""
+        """Return a factor on the flow through the outlet, from the right level."""
         return 1.0
 
     def loss(self, m: Namespace, left: Number, right: Number) -> tuple[Number, Number]:
-        """Flows [m3/s] out of the left and the right tank, from their levels."""
+        """Return additional flows out of the left and the right tank [m3/s], from both levels."""
         return 0.0, 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class PumpDeadBand(TankEffect):
-    """Neither pump turns below a voltage: max(u − w, 0)."""
+    """Dead band of both pumps: max(u − w, 0)."""
 
     name = "pump_dead_band"
     equation = "max(u − w, 0) in place of u, both pumps"
@@ -68,13 +68,13 @@ class PumpDeadBand(TankEffect):
     width: float = parameter(0.0, unit="V", bounds=(0, 3), neutral=0.0, typical=0.3, doc="dead band w")
 
     def voltage(self, m: Namespace, left: Number, right: Number) -> tuple[Number, Number]:
-        """Each max(u − w, 0)."""
+        """Return max(u − w, 0) of both pumps."""
         return m.maximum(left - self.width, 0.0), m.maximum(right - self.width, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PumpLag(TankEffect):
-    """The pumps take their time: τ·q̇ = u − q."""
+    """Lag of both pumps: τ·q̇ = u − q."""
 
     name = "pump_lag"
     equation = "τ·q̇ = u − q, q in place of u, both pumps"
@@ -88,7 +88,7 @@ class PumpLag(TankEffect):
     def lag(
         self, m: Namespace, left: Number, right: Number, states: Values
     ) -> tuple[tuple[Number, Number], tuple[Number, Number]]:
-        """The states in place of the voltages. Below half a second it is none: no row would show it."""
+        """Return the lagged voltages and their derivatives; time constants below 0.5 s count as 0.5 s."""
         slow, tau = self.time > 0.0, m.maximum(self.time, 0.5)
         after = m.where(slow, states[0], left), m.where(slow, states[1], right)
         return after, ((left - states[0]) / tau, (right - states[1]) / tau)
@@ -96,7 +96,7 @@ class PumpLag(TankEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class PumpCurve(TankEffect):
-    """A pump's flow is no straight line of its voltage: ·(1 + p·(u − 5)/5)."""
+    """Nonlinear flow of both pumps over the voltage: factor 1 + p·(u − 5)/5."""
 
     name = "pump_curve"
     equation = "flow of each pump · (1 + p·(u − 5)/5)"
@@ -104,13 +104,13 @@ class PumpCurve(TankEffect):
     curvature: float = parameter(0.0, unit="1", bounds=(-0.5, 0.5), neutral=0.0, typical=0.1, doc="curvature p")
 
     def factor(self, m: Namespace, voltage: Number, level: Number) -> Number:
-        """1 + p·(u − 5)/5."""
+        """Return 1 + p·(u − 5)/5."""
         return 1.0 + self.curvature * (voltage - USUAL) / USUAL
 
 
 @dataclass(frozen=True, kw_only=True)
 class HeadLoss(TankEffect):
-    """A pump gives less against a full tank: ·(1 − k·h)."""
+    """Loss of pump flow against the level of the tank: factor 1 − k·h."""
 
     name = "head_loss"
     equation = "flow of each pump · (1 − k·h)"
@@ -118,13 +118,13 @@ class HeadLoss(TankEffect):
     slope: float = parameter(0.0, unit="1/m", bounds=(0, 1.5), neutral=0.0, typical=0.2, doc="loss k per level")
 
     def factor(self, m: Namespace, voltage: Number, level: Number) -> Number:
-        """1 − k·h."""
+        """Return 1 − k·h."""
         return 1.0 - self.slope * level
 
 
 @dataclass(frozen=True, kw_only=True)
 class OutletExponent(TankEffect):
-    """A long outlet, rough or laminar: c·√h·(h/0.25)^e."""
+    """Deviating exponent of a rough or laminar outlet: c·√h·(h/0.25)^e."""
 
     name = "outlet_exponent"
     equation = "flow through the outlet · (h/0.25)^e"
@@ -132,13 +132,13 @@ class OutletExponent(TankEffect):
     excess: float = parameter(0.0, unit="1", bounds=(-0.4, 0.6), neutral=0.0, typical=0.1, doc="e beside one half")
 
     def outlet(self, m: Namespace, level: Number) -> Number:
-        """(h/0.25)^e."""
+        """Return (h/0.25)^e."""
         return (m.maximum(level, SHALLOW) / DEEP) ** self.excess
 
 
 @dataclass(frozen=True, kw_only=True)
 class LeftLeak(TankEffect):
-    """A hole in the left tank: k·√h."""
+    """Leak of the left tank: k·√h."""
 
     name = "left_leak"
     equation = "flow k·√h out of the left tank"
@@ -148,13 +148,13 @@ class LeftLeak(TankEffect):
     )
 
     def loss(self, m: Namespace, left: Number, right: Number) -> tuple[Number, Number]:
-        """k·√h."""
+        """Return k·√h."""
         return self.coefficient * m.sqrt(m.maximum(left, SHALLOW)), 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class ConstantDraw(TankEffect):
-    """Somebody draws from the right tank before the meter: a constant flow."""
+    """Constant flow out of the right tank, not measured by the meter."""
 
     name = "constant_draw"
     equation = "flow q out of the right tank"
@@ -162,13 +162,13 @@ class ConstantDraw(TankEffect):
     flow: float = parameter(0.0, unit="m3/s", bounds=(-3e-5, 3e-5), neutral=0.0, typical=2e-6, doc="flow q")
 
     def loss(self, m: Namespace, left: Number, right: Number) -> tuple[Number, Number]:
-        """The flow q."""
+        """Return flow q."""
         return 0.0, self.flow
 
 
 @dataclass(frozen=True, kw_only=True)
 class Overflow(TankEffect):
-    """The left tank spills over a notch at 0.42 m: k·(h − 0.42)^1.5."""
+    """Overflow of the left tank at a notch of 0.42 m: k·(h − 0.42)^1.5."""
 
     name = "overflow"
     equation = "flow k·max(h − 0.42, 0)^1.5 out of the left tank"
@@ -178,14 +178,14 @@ class Overflow(TankEffect):
     )
 
     def loss(self, m: Namespace, left: Number, right: Number) -> tuple[Number, Number]:
-        """k·max(h − 0.42, 0)^1.5."""
+        """Return k·max(h − 0.42, 0)^1.5."""
         above = m.maximum(left - EDGE, 0.0)
         return self.coefficient * above * m.sqrt(above + 1e-9), 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class CrossFlow(TankEffect):
-    """The wall between the tanks seeps: k·(h_l − h_r) from left to right."""
+    """Leak between the tanks: k·(h_l − h_r) from left to right."""
 
     name = "cross_flow"
     equation = "flow k·(h_l − h_r) from left to right"
@@ -195,14 +195,14 @@ class CrossFlow(TankEffect):
     )
 
     def loss(self, m: Namespace, left: Number, right: Number) -> tuple[Number, Number]:
-        """k·(h_l − h_r)."""
+        """Return k·(h_l − h_r)."""
         flow = self.coefficient * (left - right)
         return flow, -flow
 
 
 @dataclass(frozen=True, kw_only=True)
 class LeftGaugeBias(Bias):
-    """The left gauge reads h + b."""
+    """Bias of the left gauge: reading h + b."""
 
     name = "left_gauge_bias"
     output = "level_left"
@@ -212,7 +212,7 @@ class LeftGaugeBias(Bias):
 
 @dataclass(frozen=True, kw_only=True)
 class MeterScale(Scale):
-    """The flow meter reads s·q."""
+    """Scale error of the flow meter: reading s·q."""
 
     name = "meter_scale"
     output = "outflow"
@@ -222,7 +222,7 @@ class MeterScale(Scale):
 
 @dataclass(frozen=True, kw_only=True)
 class MeterBias(Bias):
-    """The flow meter reads q + b."""
+    """Bias of the flow meter: reading q + b."""
 
     name = "meter_bias"
     output = "outflow"
@@ -232,7 +232,7 @@ class MeterBias(Bias):
 
 @dataclass(frozen=True, kw_only=True)
 class LeftGaugeLatency(Latency):
-    """The left gauge is read through a slow bus: its level comes T late."""
+    """Latency of the left gauge on a slow bus: the level is T old."""
 
     name = "left_gauge_latency"
     output = "level_left"
