@@ -27,6 +27,7 @@ HEAD = """# Messages
 
 Every error (E), warning (W) and note (N) has a code. `-v` prints the code behind the message, and `--json` has it as
 `code`. Codes are stable; wording may change. Words in braces are values. A fault begins with its file, line and column.
+
 The subject "it", or a missing subject, is the file, FMU or component named before the message. A message made of
 several has the code of the first. Texts of modules that run inside FMUs have no code. Results have none either: values,
 outcomes of criteria, and the sentence of a verdict or a report.

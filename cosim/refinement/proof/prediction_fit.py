@@ -2,7 +2,8 @@
 
 A filter corrects its state at every row, so that its fit weighs the prediction of the next row most. With incomplete
 equations, other parameters are best for predictions. The fit to predictions replaces the filter's if it predicts
-held-out logs clearly better; its intervals then include the values of both. A part on which both fits disagree is not claimed.
+held-out logs clearly better; its intervals then include the values of both. A part on which both fits disagree is not
+claimed.
 """
 
 from __future__ import annotations
