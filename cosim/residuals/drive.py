@@ -172,6 +172,12 @@ class Drive:
         """Return the unit of every output."""
         return {s.name: s.unit for s in self.block.outputs}
 
+    @property
+    def starts(self) -> dict[str, float]:
+        """Return the start value of every input with one."""
+        variables = {v.name: v.start for v in self.description.modelVariables}
+        return {name: float(variables[name]) for name in self.inputs if variables.get(name)}
+
     def on(self, log: Log) -> Drive:
         """Return a copy of this drive for another log."""
         other = copy.copy(self)
