@@ -621,5 +621,5 @@ OTHER_DUTY = Template(
 LOW_VOLTAGE = Template(
     "E-IDN-157",
     "volts_{cell} is {value:.3g} V at most, and the lowest voltage of the cell's calibration is {limit:.3g} V: the "
-    "column is scaled or in another unit, or the cell is unplugged; write it in V, or look at the plug and record it anew",
+    "column is scaled or in another unit, or the cell is unplugged; write it in V, or look at the plug and record anew",
 )
