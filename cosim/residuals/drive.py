@@ -174,9 +174,10 @@ class Drive:
 
     @property
     def starts(self) -> dict[str, float]:
-        """Return the start value of every input with one."""
-        variables = {v.name: v.start for v in self.description.modelVariables}
-        return {name: float(variables[name]) for name in self.inputs if variables.get(name)}
+        """Return the start value of every real input with one."""
+        texts = {v.name: v.start for v in self.description.modelVariables}
+        real = [s.name for s in self.block.inputs if s.name in self.inputs and not s.is_whole]
+        return {name: float(texts[name]) for name in real if texts.get(name)}
 
     def on(self, log: Log) -> Drive:
         """Return a copy of this drive for another log."""
