@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,10 @@ from cosim.storage.csv_source import write_table
 from cosim.verbs.check_verb import check as check_files
 from plant.identification.columns import COLUMNS
 from plant.identification.equal_readings import equal_readings
+from plant.identification.estimates import Measurement
 from plant.identification.misfit import misfit, odd_group
-from plant.identification.recordings import read_recording, runs_of
+from plant.identification.odd_commands import odd_commands
+from plant.identification.recordings import Run, read_recording, runs_of
 from plant.identification.workflow import identify
 from tests.bench_runs import play_plain, read_protocol
 from tests.test_identify import LOADS, short, written
@@ -522,3 +525,97 @@ def test_white_noise_is_a_misfit_or_a_group_as_seldom_as_is_said() -> None:
     groups = [odd_group([rng.standard_normal(6)])[1] for _ in range(500)]
     assert sum(map(bool, groups)) <= 5
     assert odd_group([np.array([1.0, 1.01, 3.0, 1.02, 0.99, 1.0])]) == (0, [2])
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("name", "place", "cell"), [("thrust_line", DUTY, "z"), ("thrust_step", DUTY, "z"), ("step", SERVO, "x")]
+)
+def test_a_shifted_command_of_one_repetition_is_named(
+    name: str, place: int, cell: str, good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
+) -> None:
+    checked, identified = answers(good, tmp_path, name, column(place, lambda v: v + 1.0), first_only=True)
+    text = (
+        f"{COLUMN_NAMES[place]} of {name}0.csv differs from the other repetitions by +1 % in `window` and +1 % at rest"
+    )
+    assert f"{text}, and volts_{cell} does not: the column is shifted or scaled" in checked
+    assert text in identified
+
+
+COLUMN_NAMES = {DUTY: "duty", SERVO: "servo_duty"}
+
+
+@pytest.mark.thorough
+def test_a_run_of_another_duty_at_one_height_is_named(
+    good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
+) -> None:
+    checked, identified = answers(good, tmp_path, "ground_effect", column(DUTY, lambda v: v + 1.0), first_only=True)
+    assert "ground_effect0.csv:202:1: duty is 7.3 % in `window`, and 6.1 % in most runs" in checked
+    assert len(checked.splitlines()) == 1
+    assert identified == checked
+
+
+@pytest.mark.thorough
+def test_a_command_is_named_if_it_is_wrong_and_seldom_if_it_really_differs(tmp_path: Path) -> None:
+    protocol = read_protocol(written(tmp_path, short(thrust_line={})))
+
+    def named(change: Callable[[Run], Run], wrong: float = 0.0) -> list[int]:
+        sets = [runs_of(protocol, "thrust_line", seed) for seed in range(200)]
+        runs = [change(run) if k == 0 else run for each in sets for k, run in enumerate(each)]
+        played = play_plain(protocol.bench)(runs)
+        counts = []
+        for k in range(0, len(played), 3):
+            first = replace(played[k], duty=played[k].duty + wrong)
+            m = Measurement([first, *played[k + 1 : k + 3]], {}, protocol.bench, protocol.file.tests.thrust_line)
+            counts.append(sum("repetition 1" in text for text in odd_commands(m)))
+        return counts
+
+    def another(run: Run) -> Run:
+        return replace(run, duty=run.duty + 0.1)
+
+    assert sum(named(lambda run: run)) == 0
+    assert sum(named(another)) <= 6  # 2 are allowed for, one in a hundred
+    assert sum(named(lambda run: run, wrong=1.0)) >= 180
+
+
+TINY = "and the lowest voltage of the cell's calibration is"
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("name", "place"), [("thrust_line", Z), ("step", Z), ("step", X), ("frequency", Z), ("moment", M)]
+)
+def test_tiny_voltages_are_a_unit_and_not_a_range(
+    name: str, place: int, good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
+) -> None:
+    checked, identified = answers(good, tmp_path, name, column(place, lambda v: 1e-300 * v))
+    assert checked.count(TINY) == len(checked.splitlines())
+    assert "write it in V, or look at the plug" in checked
+    assert identified == checked
+
+
+@pytest.mark.thorough
+def test_a_tiny_duty_is_no_share_of_one(good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path) -> None:
+    checked, _ = answers(good, tmp_path, "thrust_line", column(DUTY, lambda v: 1e-300 * v))
+    assert "duty is 6.6e-300 % at most: the phase with thrust is missing; write the duty in %" in checked
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", ["thrust_line", "step", "moment"])
+def test_a_reading_near_the_largest_number_is_a_spike_without_a_warning_of_numpy(
+    name: str, good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
+) -> None:
+    checked, identified = answers(good, tmp_path, name, lone(Z, 300, 1e308), first_only=True)
+    assert (
+        f"{name}0.csv:302:1: volts_z is 1e+308 V here, beyond the converter's 0 to 3.3 V, at 1 reading: a spike"
+        in checked
+    )
+    assert len(checked.splitlines()) == 1
+    assert identified == checked
+
+
+@pytest.mark.thorough
+def test_times_too_large_to_be_told_apart_say_so(good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path) -> None:
+    checked, _ = answers(good, tmp_path, "step", column(TIME, lambda v: v + 1e17), first_only=True)
+    assert "numbers of this size are 16 s apart in double precision" in checked
+    assert "subtract the first time from all times" in checked

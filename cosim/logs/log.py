@@ -401,6 +401,18 @@ def _measured_ranges(log: Log, first: int, end: int) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in zip(starts, ends, strict=True)]
 
 
+def first_rows(log: Log, count: int) -> Log:
+    """Return the first rows of a log."""
+    return log if log.rows <= count else _cut(log, slice(count))
+
+
+def _cut(log: Log, rows: slice) -> Log:
+    """Return some rows of a log, with the outputs measured there."""
+    outputs = {name: values[rows] for name, values in log.outputs.items() if not np.isnan(values[rows]).all()}
+    inputs = {name: values[rows] for name, values in log.inputs.items()}
+    return replace(log, time=log.time[rows], inputs=inputs, outputs=outputs)
+
+
 def stretches(log: Log) -> list[Log]:
     """Return the parts of a log between pauses.
 
@@ -413,10 +425,4 @@ def stretches(log: Log) -> list[Log]:
     ]
     if pieces == [(0, log.rows)]:
         return [log]
-    logs = []
-    for piece in pieces:
-        rows = slice(*piece)
-        outputs = {name: values[rows] for name, values in log.outputs.items() if not np.isnan(values[rows]).all()}
-        inputs = {name: values[rows] for name, values in log.inputs.items()}
-        logs.append(replace(log, time=log.time[rows], inputs=inputs, outputs=outputs))
-    return logs
+    return [_cut(log, slice(*piece)) for piece in pieces]

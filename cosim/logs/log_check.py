@@ -7,6 +7,8 @@ from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 
+import numpy as np
+
 from cosim.base.registry import BASE, is_model
 from cosim.loading.file import LoadedModel, load_model
 from cosim.loading.model_check import substep_notes
@@ -14,11 +16,14 @@ from cosim.loading.own_run import predicted_outputs
 from cosim.loading.substep import with_substep
 from cosim.logs.alone import findings_without_model
 from cosim.logs.gate import gate, refuse_faults
-from cosim.logs.log import read_log
+from cosim.logs.log import first_rows, read_log
 from cosim.logs.spikes import drop_outliers, find_spikes
+from cosim.logs.unit_mistakes import input_unit_findings, output_unit_findings
 from cosim.model.traits import Traits
 from cosim.storage.artefact import Checking
 from cosim.storage.table import read_header
+
+ROWS = 1000  # first rows of a log in which the model's outputs are predicted
 
 
 def check_log(path: Path, checking: Checking) -> list[str]:
@@ -46,6 +51,12 @@ def log_findings(path: Path, loaded: LoadedModel, columns: Mapping[str, str] = M
     log = read_log(path, model.inputs, model.outputs, table=model.static, columns=columns)
     stepping = with_substep(loaded)[0].model
     spikes = {} if log.table else find_spikes(log, partial(predicted_outputs, stepping, log))
-    findings = gate(log, model.rate, traits=Traits.of(model), spikes=spikes)
+    traits = Traits.of(model)
+    findings = gate(log, model.rate, traits=traits, spikes=spikes)
+    findings += input_unit_findings(log, {q.name: q.start for q in model.inputs}, traits.bounds)
     refuse_faults(log, findings)
+    if not log.table:
+        first = first_rows(log, ROWS)
+        free = predicted_outputs(stepping, first, dict.fromkeys(log.outputs, np.arange(first.rows)))
+        findings += output_unit_findings(first, free)
     return [*(f.line for f in findings), *substep_notes(loaded, [drop_outliers(log, spikes)])]

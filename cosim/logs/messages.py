@@ -138,6 +138,11 @@ REVERSED_AXIS = Template(
     "world Y points left and {heading} is positive to the left",
 )
 
+_OTHER_SIZE = 'is its unit {unit}? Then call the column "{name} [{unit}]"'
+BEYOND_BOUND = Template("E-LOG-058", "reaches {size}, far beyond the {reference} that the model allows; " + _OTHER_SIZE)
+OTHER_SIZE = Template("W-LOG-059", "reaches {size}, where the model starts at {reference}; " + _OTHER_SIZE)
+OTHER_SLOPE = Template("W-LOG-060", "moves with the model, but {slope} ± {error} times as far; " + _OTHER_SIZE)
+
 # -- tables ---------------------------------------------------------------------------------------
 
 UNUSED_TIME = Template("N-LOG-052", "time is not read: the model has no states, each row stands for itself")

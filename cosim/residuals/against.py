@@ -10,13 +10,13 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.text import amount, plain
-from cosim.base.units import alternatives, factor
+from cosim.base.units import factor
 from cosim.logs.finding import Finding
 from cosim.logs.log import Log
+from cosim.logs.unit_mistakes import SLOW, moving_part, other_unit
 from cosim.residuals import messages
 from cosim.residuals.residual_statistics import correlation_at_lags
 
-SLOW = 1.0  # [s] slower changes carry no information about a delay
 LONGEST_DELAY = 0.5  # [s]
 LIKE = 0.85  # correlation of a signal with its model beyond chance
 TELLING = 0.6  # least correlation with the model for a delay estimate
@@ -57,7 +57,7 @@ def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
     for name, measured in log.outputs.items():
         if name not in model:
             continue
-        y, ref = _fast(log, measured), _fast(log, model[name])
+        y, ref = moving_part(log, measured), moving_part(log, model[name])
         good = np.isfinite(y) & np.isfinite(ref)
         size = float(np.linalg.norm(y[good])) * float(np.linalg.norm(ref[good]))
         if size == 0.0:
@@ -69,15 +69,9 @@ def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
             yield Finding("warning", "sign", name, messages.WRONG_SIGN(correlation=plain(rho, 2)), numbers)
         elif rho > LIKE and _is_converted_wrongly(log, name, slope):
             yield Finding("fault", "unit", name, messages.CONVERTED_UNIT(unit=log.written[name]), numbers)
-        elif rho > LIKE and (unit := _other_unit(log.units[name], slope)):
+        elif rho > LIKE and (unit := other_unit(log.units[name], slope)):
             message = messages.PROBABLE_UNIT(ratio=plain(slope), unit=unit, name=name)
             yield Finding("fault", "unit", name, message, numbers)
-
-
-def _other_unit(unit: str, slope: float) -> str | None:
-    """Return the unit whose conversion factor explains the slope between measurement and model; None without one."""
-    sizes = {other: factor(other, unit) for other in alternatives(unit)} if unit else {}
-    return next((u for u, f in sizes.items() if f and 0.7 < slope * f < 1.4 and not 0.2 < slope < 5.0), None)
 
 
 def _is_converted_wrongly(log: Log, name: str, slope: float) -> bool:
@@ -105,7 +99,7 @@ def delay(log: Log, measured: Array, model: Array) -> MeasuredDelay | None:
 
     Slow parts are removed, so that drift has no influence. A parabola refines the peak of the cross-correlation.
     """
-    fast, fast_model = _fast(log, measured), _fast(log, model)
+    fast, fast_model = moving_part(log, measured), moving_part(log, model)
     lags = min(round(LONGEST_DELAY * log.slowness / log.step), log.rows // 4)
     if lags < 2 or np.isfinite(fast).sum() < 8 * lags:
         return None
@@ -134,19 +128,3 @@ def _same_when_faster(log: Log, measured: Array, model: Array, slow: MeasuredDel
     if fast is None or fast.frequency < FASTER * slow.frequency:
         return None
     return abs(fast.time - slow.time) < max(0.3 * abs(slow.time), 3.0 * fast.error)
-
-
-def _fast(log: Log, values: Array) -> Array:
-    """Return the fast part of a signal: its deviation from the moving mean over SLOW seconds; NaN at the ends."""
-    half = max(1, round(0.5 * SLOW * log.slowness / log.step))
-    out = np.full(values.size, np.nan)
-    if values.size > 2 * half:
-        finite = np.isfinite(values)
-        parts = np.where(finite, values, 0.0), finite.astype(np.float64)
-        sums, counts = (np.concatenate(([0.0], np.cumsum(part))) for part in parts)
-        width = 2 * half + 1
-        count = counts[width:] - counts[:-width]
-        middle = slice(half, values.size - half)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            out[middle] = values[middle] - (sums[width:] - sums[:-width]) / count
-    return out

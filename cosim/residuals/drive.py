@@ -172,6 +172,13 @@ class Drive:
         """Return the unit of every output."""
         return {s.name: s.unit for s in self.block.outputs}
 
+    @property
+    def starts(self) -> dict[str, float]:
+        """Return the start value of every real input with one."""
+        texts = {v.name: v.start for v in self.description.modelVariables}
+        real = [s.name for s in self.block.inputs if s.name in self.inputs and not s.is_whole]
+        return {name: float(texts[name]) for name in real if texts.get(name)}
+
     def on(self, log: Log) -> Drive:
         """Return a copy of this drive for another log."""
         other = copy.copy(self)

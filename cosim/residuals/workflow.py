@@ -24,6 +24,7 @@ from cosim.logs.finding import Finding
 from cosim.logs.gate import gate, outliers, refuse_faults
 from cosim.logs.log import Log, read_column_names
 from cosim.logs.spikes import find_spikes
+from cosim.logs.unit_mistakes import input_unit_findings
 from cosim.report.template import render
 from cosim.residuals import messages
 from cosim.residuals.compare import Comparison, compare, steps_of
@@ -153,6 +154,7 @@ def write_replay(
     with remote or Drive(log, fmu, report_step, given=given) as drive:
         findings = gate(log, rate or drive.rate, strict=rate is not None, traits=drive.traits, spikes={})
         findings += _version_findings(drive)
+        findings += input_unit_findings(log, drive.starts, drive.traits.bounds if drive.traits else {})
         refuse_faults(log, findings)
         check_writable(folder, (rows_file.name, residual_file.name, REPLAY, "report.html"), (log.path, fmu))
         if keep:

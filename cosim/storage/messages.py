@@ -89,6 +89,11 @@ NO_UNIT_OF_TIME = Template("E-STO-058", '"{unit}" is no unit of time; known here
 TIME_NOT_INCREASING = Template(
     "E-STO-059", "time {time:g} s does not increase, {earlier:g} s stands before it; sort the rows, keep one of each"
 )
+EQUAL_TIMES = Template(
+    "E-STO-100",
+    "time {time:g} s does not increase: numbers of this size are {spacing:.2g} s apart in double precision, so the "
+    "times of rows cannot be told apart; subtract the first time from all times before they are written",
+)
 UNSORTED_TIME = Template("E-STO-060", "time {time:g} s comes after {earlier:g} s; sort the rows")
 ROW_WITHOUT_TIME = Template("E-STO-061", "the row has no time; fill the cell or leave the row out")
 TIME_WITHOUT_NUMBER = Template("E-STO-062", "a time is no number; write seconds")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from array import array
 from collections import Counter
@@ -20,6 +21,7 @@ from cosim.storage.yaml_file import did_you_mean
 
 MOST_FAULTS = 100_000  # limit at which reading stops
 FAULTS_A_KIND = 5  # reported faults of a kind per column; the rest are counted
+COARSE = 1e-6  # [s] spacing of doubles from which equal times are due to their size
 INDEX = re.compile(r"\S\[[\d,\s]+\]$")  # end of a name like p.e[1]; a unit follows a blank or is not numeric
 
 
@@ -212,7 +214,12 @@ def note_missing(faults: Faults, line: int, column: Column) -> None:
 
 def note_backwards(faults: Faults, line: int, time: float, before: float) -> None:
     """Note a time [s] that does not increase."""
-    faults.note_cell(line, 1, "times that do not increase", messages.TIME_NOT_INCREASING(time=time, earlier=before))
+    spacing = math.ulp(time)
+    if time == before and spacing > COARSE:
+        message = messages.EQUAL_TIMES(time=time, spacing=spacing)
+    else:
+        message = messages.TIME_NOT_INCREASING(time=time, earlier=before)
+    faults.note_cell(line, 1, "times that do not increase", message)
 
 
 def note_wrong_first(faults: Faults, line: int, name: str) -> None:

@@ -64,7 +64,7 @@ def lacks(bench: Bench, name: str, test: Test, r: Recording, place: str, *, own:
         return
     if name != "moment" and view.top <= view.idle:
         key = "duty" if isinstance(test, SineTest) else "phases"
-        without_limit = messages.DUTY_OF_ONE if 0.0 < view.top <= 1.0 else messages.NO_THRUST
+        without_limit = messages.DUTY_OF_ONE if view.idle < 100.0 * view.top <= 100.0 else messages.NO_THRUST
         template = messages.NO_THRUST_ABOVE if own else without_limit
         yield view.lack(key, 0, template, value=view.top, limit=view.idle)
         return

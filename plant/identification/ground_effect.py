@@ -34,7 +34,7 @@ def analyse(m: Measurement, *, draw: bool = True) -> Result:
 
     The thesis uses ln((Γ−1)/Γ) (4.24), which is undefined for Γ ≤ 1.
     """
-    main, *others = _sets(m.recordings, m.test)
+    main, *others = sets_by_duty(m.recordings, m.test)
     heights = np.array(sorted(h for h in main if h < m.test.free_height))
     free = max(main)
     count = min(len(main[h]) for h in main)
@@ -42,7 +42,8 @@ def analyse(m: Measurement, *, draw: bool = True) -> Result:
 
     def forces(force: Callable[[Recording], Array], chosen: dict[float, list[Recording]] = main) -> Array:
         """Return mean forces, shape (heights, repetitions), free height last."""
-        rows = [[float(force(r)[r.rows(m.test.window)].mean()) for r in chosen[h][:count]] for h in (*heights, free)]
+        least = min(len(chosen[h]) for h in (*heights, free))
+        rows = [[float(force(r)[r.rows(m.test.window)].mean()) for r in chosen[h][:least]] for h in (*heights, free)]
         return np.array(rows)
 
     def gains(using: Cells, estimate: Callable[[Array], Array] = np.asarray) -> Array:
@@ -124,7 +125,7 @@ def height_of(r: Recording, test: HeightTest) -> float:
     return min(round(float(np.median(r.height[r.rows(test.window)])), 4), test.free_height)
 
 
-def _sets(recordings: Sequence[Recording], test: HeightTest) -> list[dict[float, list[Recording]]]:
+def sets_by_duty(recordings: Sequence[Recording], test: HeightTest) -> list[dict[float, list[Recording]]]:
     """Return recordings by duty, largest set first, then by height."""
     sets: dict[float, dict[float, list[Recording]]] = {}
     for r in recordings:

@@ -88,8 +88,8 @@ MOTOR_ON = Template("E-IDN-027", "duty is {value:g} % in `window`: the moment is
 # Cures for a planned run and for a recording; `place` is that of the test in its protocol.
 RUN_CURES = {
     NO_THRUST_ABOVE: ("add it", "record it"),
-    NO_THRUST: ("add it", "record it"),
-    DUTY_OF_ONE: ("add it", "record it"),
+    NO_THRUST: ("add it", "write the duty in %, or record it"),
+    DUTY_OF_ONE: ("add it", "write the duty in %, or record it"),
     NO_REST: (
         "rest before the duty rises above {rest:g} %, for the tare",
         "begin each run with the motor off, for the tare",
@@ -604,4 +604,22 @@ WIDE_INTERVAL = Template(
 )
 WRONG_PROJECTION = Template(
     "W-IDN-154", "{name} is {value:.4g} ± {half:.2g}, not 1, so the {function} does not project it; {cure}"
+)
+
+# -- repetitions ----------------------------------------------------------------------------
+
+ODD_COMMAND = Template(
+    "W-IDN-155",
+    "{column} of {recording} differs from the other repetitions by {difference:+.3g} % in `window` and {rest:+.3g} % "
+    "at rest, and volts_{cell} does not: the column is shifted or scaled; correct it, or leave the file out",
+)
+OTHER_DUTY = Template(
+    "E-IDN-156",
+    "duty is {duty:.4g} % in `window`, and {usual:.4g} % in most runs: runs of another duty are read as validation, "
+    "which needs some at each height; correct the column, or leave the file out",
+)
+LOW_VOLTAGE = Template(
+    "E-IDN-157",
+    "volts_{cell} is {value:.3g} V at most, and the lowest voltage of the cell's calibration is {limit:.3g} V: the "
+    "column is scaled or in another unit, or the cell is unplugged; write it in V, or look at the plug and record anew",
 )

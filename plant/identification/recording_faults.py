@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from cosim.base.arrays import Array, Flags
+from cosim.base.arrays import Array, Flags, far_beyond
 from cosim.base.errors import Fault
 from cosim.base.messages import Message
 from cosim.base.text import counted
@@ -20,7 +20,7 @@ from plant.identification.dropouts import dropouts
 from plant.identification.equal_readings import EqualReadings, equal_readings
 from plant.identification.estimates import Measurement
 from plant.identification.frequency import group_by_frequency, sine
-from plant.identification.ground_effect import height_of
+from plant.identification.ground_effect import height_of, sets_by_duty
 from plant.identification.protocol import CHANNELS, MIN_REPETITIONS, HeightTest, Protocol, SineTest, Test
 from plant.identification.recordings import Recording
 from plant.identification.thrust_line import MIN_DUTY_RANGE, MIN_ROWS, first_beyond, rows_with_thrust
@@ -31,6 +31,7 @@ CHANNELS_OF = {"thrust_line": "z", "ground_effect": "z", "thrust_step": "z", "pr
 MIN_FORCE_RATIO = 3.0  # standard deviations of one reading at rest
 PROJECTION = (0.4, 2.5)  # plausible factors on sin α; outside, the column is wrong
 OPPOSITE = 130.0  # [°] from the tilt with the assumed lag; lags differ by less than 90°, a mirrored cell by 180°
+MIN_VOLTAGE_RATIO = 0.1  # least ratio of the highest voltage to the lowest of the calibration
 MAX_TARE = 0.25  # largest tare as a share of the calibration voltages
 TIMED = ("step", "thrust_step", "frequency")  # tests of a time
 SAME_NOISE = 0.9  # correlation of fourth differences; 0 ± 0.2 for two noisy runs
@@ -127,6 +128,9 @@ class _Check:
     def cell_faults(self) -> Iterator[Fault]:
         """Yield swapped, mirrored, saturated, stuck and coarse channels."""
         r, window = self.run, self.window
+        if low := list(self.low_voltages()):
+            yield from low
+            return
         for c in self.channels:
             volts, rail = r.volts[c], at_rail(self.bench, r.volts[c])
             share = (rail & window).sum() / window.sum()
@@ -145,6 +149,13 @@ class _Check:
                 return
         faults = [] if self.name == "moment" else list(self.channel_faults())
         yield from faults or self.tare_faults()
+
+    def low_voltages(self) -> Iterator[Fault]:
+        """Yield measured voltages far below the calibration in every row."""
+        for c in "zx" if "x" in self.channels else self.channels:
+            top, lowest = float(self.run.volts[c].max()), float(self.cells[c].volts.min())
+            if self.run.path is not None and top < MIN_VOLTAGE_RATIO * lowest:
+                yield self.fault(messages.LOW_VOLTAGE(cell=c, value=top, limit=lowest))
 
     def equal_message(self, channel: str, equal: EqualReadings) -> Message:
         """Return the message about equal readings."""
@@ -238,6 +249,7 @@ def copy_faults(recordings: Sequence[Recording]) -> list[Fault]:
     return faults
 
 
+@far_beyond
 def _has_noise_of(one: Recording, other: Recording) -> bool:
     """Return True if all varying cells have the same noise or equal values."""
     size = min(one.time.size, other.time.size)
@@ -288,8 +300,24 @@ def _joint_faults(protocol: Protocol, name: str, test: Test, recordings: Sequenc
         for h, count in heights.items():
             if count < MIN_REPETITIONS:
                 yield fault(place, messages.TOO_FEW_AT_HEIGHT(count=count, height=h, least=MIN_REPETITIONS))
+        yield from _incomplete_sets(test, recordings)
     if isinstance(test, SineTest):
         by_frequency = group_by_frequency(recordings, test)
         for w in test.frequencies:
             if (count := len(by_frequency.get(w, ()))) < MIN_REPETITIONS:
                 yield fault(place, messages.TOO_FEW_AT_FREQUENCY(count=count, frequency=w, least=MIN_REPETITIONS))
+
+
+def _incomplete_sets(test: HeightTest, recordings: Sequence[Recording]) -> Iterator[Fault]:
+    """Yield the measured runs of another duty that was not recorded at every height."""
+    main, *others = sets_by_duty(recordings, test)
+    usual = _duty_in_window(next(iter(main.values()))[0], test)
+    lone = [chosen for chosen in others if main.keys() - chosen.keys()]
+    for r in (r for chosen in lone for group in chosen.values() for r in group):
+        if r.path is not None:
+            message = messages.OTHER_DUTY(duty=_duty_in_window(r, test), usual=usual)
+            yield Fault(r.path, int(r.lines[np.flatnonzero(r.rows(test.window))[0]]), 1, message)
+
+
+def _duty_in_window(r: Recording, test: Test) -> float:
+    return float(np.median(r.duty[r.rows(test.window)]))

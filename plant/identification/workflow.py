@@ -27,6 +27,7 @@ from plant.identification.craft_workflow import identify_craft
 from plant.identification.estimates import Estimate, Measurement, Result
 from plant.identification.identified import Outcome
 from plant.identification.input_kind import craft_file
+from plant.identification.odd_commands import odd_commands
 from plant.identification.plausible import result_faults
 from plant.identification.prepared import prepare
 from plant.identification.protocol import BENCH, Protocol
@@ -156,6 +157,7 @@ def analyse(
     for name in (n for n in ANALYSES if n in recordings):
         measured = Measurement(recordings[name], cells, bench, getattr(protocol.file.tests, name), truth)
         result = ANALYSES[name](measured, draw=draw)
+        result.outliers += odd_commands(measured)
         results.append(result)
         # the lag of a step test has priority over that of sines
         fresh = {e.name: _in_bounds(bench, e) for e in result.estimates if e.name in bench.declared}

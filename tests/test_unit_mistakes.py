@@ -1,0 +1,81 @@
+"""Columns in another unit than that of the model, found by start values, bounds and predictions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim.loading.file import load_model
+from cosim.logs.log import Log, read_log
+from cosim.logs.log_check import log_findings
+from cosim.logs.unit_mistakes import input_unit_findings, output_unit_findings
+from cosim.residuals.workflow import replay
+from cosim.storage.csv_source import write_table
+from plant.hovercraft import INPUTS, OUTPUTS
+
+HOVERCRAFT = Path(__file__).parent.parent / "examples" / "hovercraft"
+RECORDED = Path(__file__).parent / "data" / "hovercraft_10s.csv"
+
+
+def scaled(folder: Path, **factors: float) -> Path:
+    """Write the recorded log with some columns scaled."""
+    header, *rows = (line.split(",") for line in RECORDED.read_text().splitlines())
+    table = [[float(cell) * factors.get(name, 1.0) for name, cell in zip(header, row, strict=True)] for row in rows]
+    write_table(folder / "log.csv", header, table)
+    return folder / "log.csv"
+
+
+def warnings_of(path: Path) -> list[str]:
+    lines = log_findings(path, load_model("base", Path()))
+    return [line.replace("\xa0", " ") for line in lines if line.startswith("warning")]
+
+
+@pytest.mark.parametrize("file", [RECORDED, *sorted(HOVERCRAFT.glob("*.csv"))])
+def test_a_genuine_log_has_the_units_of_the_model(file: Path) -> None:
+    assert warnings_of(file) == []
+
+
+def test_check_names_a_duty_in_shares_of_one(tmp_path: Path) -> None:
+    found = warnings_of(scaled(tmp_path, duty_right=0.01))
+    assert found == [
+        "warning: duty_right reaches 0.0639 %, where the model starts at 6.39 %; is its unit 1? "
+        'Then call the column "duty_right [1]"'
+    ]
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1000.0, "mm/s2"), (1.0 / 9.80665, "g")])
+def test_check_names_the_unit_of_an_acceleration(factor: float, unit: str, tmp_path: Path) -> None:
+    (found,) = warnings_of(scaled(tmp_path, ax=factor))
+    assert f'is its unit {unit}? Then call the column "ax [{unit}]"' in found
+
+
+@pytest.mark.parametrize(("column", "factor"), [("ax", 1000.0), ("duty_left", 0.01)])
+def test_replay_names_the_unit_of_a_noisy_output_and_of_an_input(column: str, factor: float, tmp_path: Path) -> None:
+    path = scaled(tmp_path, **{column: factor})
+    comparison = replay(path, tmp_path / "out", report=False, in_process=True)
+    assert [(f.severity, f.channel) for f in comparison.findings if f.kind == "unit"] == [("warning", column)]
+
+
+@pytest.fixture
+def log() -> Log:
+    return read_log(RECORDED, INPUTS, OUTPUTS)
+
+
+def test_an_input_far_beyond_its_bound_is_a_fault_if_a_unit_explains_it(log: Log) -> None:
+    log = replace(log, inputs={"u": np.linspace(0.0, 11_000.0, log.rows)}, units={**log.units, "u": "V"})
+    (found,) = input_unit_findings(log, {}, {"u": (-12.0, 12.0)})
+    assert (found.severity, found.channel) == ("fault", "u")
+    assert '"u [mV]"' in found.sentence
+    assert not [*input_unit_findings(log, {}, {"u": (-12_000.0, 12_000.0)})]
+
+
+def test_noise_has_no_unit(log: Log) -> None:
+    rng = np.random.default_rng(1)
+    counts = 0
+    for _ in range(200):
+        noise = replace(log, outputs={"ax": 1000.0 * rng.standard_normal(log.rows)})
+        counts += len([*output_unit_findings(noise, {"ax": rng.standard_normal(log.rows)})])
+    assert counts == 0
