@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import tempfile
 from collections.abc import Iterable, Mapping
@@ -30,7 +31,8 @@ def extracted(fmu: Path) -> str:
     if not folder.exists():
         draft = tempfile.mkdtemp(dir=fmu.parent)
         fmpy.extract(str(fmu), draft)
-        Path(draft).rename(folder)
+        with contextlib.suppress(OSError):  # another process has unpacked it meanwhile
+            Path(draft).rename(folder)
     return str(folder)
 
 

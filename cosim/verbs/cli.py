@@ -82,7 +82,7 @@ def _run() -> None:
     """Run the command of this process; exit with its code."""
     try:
         check_text([*sys.argv[1:], *_current_folder(), os.environ.get("TMPDIR", "")])
-        sys.exit(app(standalone_mode=False))
+        sys.exit(app(standalone_mode=False) or 0)
     except CosimError as error:
         say_error(error)
         say_failure(error)
