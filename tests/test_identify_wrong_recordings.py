@@ -20,7 +20,7 @@ from plant.identification.equal_readings import equal_readings
 from plant.identification.estimates import Measurement
 from plant.identification.misfit import misfit, odd_group
 from plant.identification.odd_commands import odd_commands
-from plant.identification.recordings import Run, read_recording, runs_of
+from plant.identification.recordings import SimulatedRecording, read_recording, runs_of
 from plant.identification.workflow import identify
 from tests.bench_runs import play_plain, read_protocol
 from tests.test_identify import LOADS, short, written
@@ -559,7 +559,7 @@ def test_a_run_of_another_duty_at_one_height_is_named(
 def test_a_command_is_named_if_it_is_wrong_and_seldom_if_it_really_differs(tmp_path: Path) -> None:
     protocol = read_protocol(written(tmp_path, short(thrust_line={})))
 
-    def named(change: Callable[[Run], Run], wrong: float = 0.0) -> list[int]:
+    def named(change: Callable[[SimulatedRecording], SimulatedRecording], wrong: float = 0.0) -> list[int]:
         sets = [runs_of(protocol, "thrust_line", seed) for seed in range(200)]
         runs = [change(run) if k == 0 else run for each in sets for k, run in enumerate(each)]
         played = play_plain(protocol.bench)(runs)
@@ -570,7 +570,7 @@ def test_a_command_is_named_if_it_is_wrong_and_seldom_if_it_really_differs(tmp_p
             counts.append(sum("repetition 1" in text for text in odd_commands(m)))
         return counts
 
-    def another(run: Run) -> Run:
+    def another(run: SimulatedRecording) -> SimulatedRecording:
         return replace(run, duty=run.duty + 0.1)
 
     assert sum(named(lambda run: run)) == 0
