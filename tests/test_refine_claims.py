@@ -14,7 +14,8 @@ import pytest
 from cosim.base.linear_algebra import square_roots
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
-from cosim.refinement.decision.claims import Claims, Rung, judge, name_of
+from cosim.logs.channel_noise import NORMAL_95
+from cosim.refinement.decision.claims import Claims, Grade, Rung, judge, name_of
 from cosim.refinement.decision.sentences import improvement_text
 from cosim.refinement.proof import prediction_fit
 from cosim.refinement.proof.nearest import _is_as_good, nearest
@@ -186,17 +187,35 @@ def test_a_part_on_which_filter_and_predictions_disagree_is_not_claimed(
 ) -> None:
     best = fitted(FRICTION, DRAG)
     values = {n: 0.0 if n.partition(".")[0] in moved else 1.01 * v for n, v in best.fit.values.items()}
-    other = replace(best, fit=replace(best.fit, values=values))
-    monkeypatch.setattr(prediction_fit, "fit_to_predictions", lambda search, h: other)
+    refit = replace(best.fit, values=values)
+    monkeypatch.setattr(prediction_fit, "_refit", lambda *arguments: refit)
+    monkeypatch.setattr(prediction_fit, "_predicts_better", lambda search, h: True)
     monkeypatch.setattr(prediction_fit, "with_intervals", lambda search, h: h)
     a = attribution(best, ratios=ratios)
-    claims = Claims("effect_found", best, grade="claimed")
-    after = compare_with_predictions(cast(Search, SimpleNamespace(subject=CRAFT)), a, claims)
+    problem = SimpleNamespace(logs=[1, 2], table=False, own=())
+    search = cast(Search, SimpleNamespace(subject=CRAFT, problem=problem))
+    after = compare_with_predictions(search, a, Claims("effect_found", best, grade="claimed"))
     names = after.claimed.names if after.claimed else None
     assert (after.name, after.grade, names, after.disagreeing) == expected
     if after.claimed is None:
         assert after.doubt is not None
         assert after.doubt.kind == "disagreeing"
+
+
+@pytest.mark.parametrize(("grade", "sigma"), [("claimed", 0.01), ("part", 0.01 + 0.02 / NORMAL_95)])
+def test_intervals_of_a_part_include_the_value_of_predictions(
+    monkeypatch: pytest.MonkeyPatch, grade: Grade, sigma: float
+) -> None:
+    best = fitted(FRICTION)
+    refit = replace(best.fit, values={n: v + 0.02 for n, v in best.fit.values.items()})
+    monkeypatch.setattr(prediction_fit, "_refit", lambda *arguments: refit)
+    monkeypatch.setattr(prediction_fit, "_predicts_better", lambda search, h: False)
+    problem = SimpleNamespace(logs=[1, 2], table=False, own=())
+    search = cast(Search, SimpleNamespace(subject=CRAFT, problem=problem))
+    after = compare_with_predictions(search, attribution(best), Claims("effect_found", best, grade=grade)).claimed
+    assert after is not None
+    assert after.fit.values == best.fit.values
+    assert after.fit.sigma("coulomb_friction.force") == pytest.approx(sigma)
 
 
 def test_the_simplest_model_within_a_standard_error_of_the_best_is_the_nearest() -> None:

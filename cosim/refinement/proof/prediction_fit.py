@@ -2,14 +2,14 @@
 
 A filter corrects its state at every row, so that its fit weighs the prediction of the next row most. With incomplete
 equations, other parameters are best for predictions. The fit to predictions replaces the filter's if it predicts
-held-out logs clearly better; its intervals then include the values of both. A part on which both fits disagree is not
+held-out logs clearly better. Intervals then include the values of both. A part on which both fits disagree is not
 claimed.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -31,14 +31,20 @@ EVALUATIONS = 8  # largest number of Jacobians of a fit
 def compare_with_predictions(search: Search, a: Attribution, claims: Claims) -> Claims:
     """Return the claims with the parameters that predict best, without parts on which filter and predictions disagree.
 
-    A claim that halves the held-out error keeps all its parts.
+    The intervals of a partial claim include both values in any case: with incomplete equations, the difference between
+    both fits is a measure of the bias. A claim that halves the held-out error keeps all its parts.
     """
-    h = claims.claimed
-    if h is None or h.is_of_sensors or (fitted := fit_to_predictions(search, h)) is h:
+    problem, horizon, h = search.problem, search.subject.horizon, claims.claimed
+    is_comparable = len(problem.logs) > 1 and math.isfinite(horizon) and not (problem.table or problem.own)
+    if h is None or h.is_of_sensors or not is_comparable:
         return claims
-    moved = {c.name for c in claims.claimed_candidates if any(is_moved(f, h.fit, fitted.fit) for f in c.free)}
-    if not moved or a.halves_error or claims.name == "ambiguous":
-        return replace(claims, claimed=fitted)
+    is_better = _predicts_better(search, h)
+    if not is_better and claims.grade == "claimed":
+        return claims
+    refit = _refit(problem, h.fit, horizon, range(len(problem.logs)))
+    moved = {c.name for c in claims.claimed_candidates if any(is_moved(f, h.fit, refit) for f in c.free)}
+    if not (is_better and moved) or a.halves_error or claims.name == "ambiguous":
+        return replace(claims, claimed=_with_both(h, refit, refit.values if is_better else h.fit.values))
     rest, names = fit_of_rest(a, moved), tuple(sorted(moved))
     if rest is None:
         return claims.withdraw(Doubt("disagreeing", names=names))
@@ -46,28 +52,28 @@ def compare_with_predictions(search: Search, a: Attribution, claims: Claims) -> 
     return replace(claims, name=name, claimed=with_intervals(search, rest), grade="part", disagreeing=names)
 
 
-def fit_to_predictions(search: Search, h: Hypothesis) -> Hypothesis:
-    """Return the hypothesis refitted to predictions; unchanged if these do not improve clearly."""
+def _predicts_better(search: Search, h: Hypothesis) -> bool:
+    """Return True if a fit to predictions clearly improves predictions of each held-out log."""
     problem, horizon = search.problem, search.subject.horizon
-    count = len(problem.logs)
-    if problem.table or problem.own or count < 2 or not math.isfinite(horizon):
-        return h
+    logs = range(len(problem.logs))
 
     def gain(log: int) -> float:
         """Return the decrease of the log error on a held-out log."""
         before = fit_without(search, problem, h, log)
-        after = _refit(problem, before, horizon, [k for k in range(count) if k != log])
+        after = _refit(problem, before, horizon, [k for k in logs if k != log])
         return log_error(problem, horizon, [before], [log]) - log_error(problem, horizon, [after], [log])
 
-    gains = in_parallel(gain, list(range(count)))
-    if not (np.mean(gains) > CLEARLY and min(gains) > 0.0):
-        return h
-    fitted = _refit(problem, h.fit, horizon, range(count))
+    gains = in_parallel(gain, list(logs))
+    return bool(np.mean(gains) > CLEARLY and min(gains) > 0.0)
+
+
+def _with_both(h: Hypothesis, refit: Fit, values: Mapping[str, float]) -> Hypothesis:
+    """Return the hypothesis with these values, and intervals that include those of both fits."""
     sigmas = np.array([h.fit.sigma(f.name) for f in h.fit.free])
-    moved = np.array([abs(fitted.values[f.name] - h.fit.values[f.name]) for f in h.fit.free])
+    moved = np.array([abs(refit.values[f.name] - h.fit.values[f.name]) for f in h.fit.free])
     wider = 1.0 + np.divide(moved / NORMAL_95, sigmas, out=np.zeros_like(sigmas), where=sigmas > 0.0)
     covariance = np.diag(sigmas**2) if h.fit.scattered is None else h.fit.scattered
-    return replace(h, fit=replace(fitted, scattered=covariance * np.outer(wider, wider)))
+    return replace(h, fit=replace(h.fit, values=values, scattered=covariance * np.outer(wider, wider)))
 
 
 def _refit(problem: Problem, f: Fit, horizon: float, logs: Sequence[int]) -> Fit:
