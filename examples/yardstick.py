@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import csv
 import json
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -129,7 +130,7 @@ def _run(rig: Rig, log: Log, p: Parameters, begin: Array, rows: int, x: tuple[Ar
 
 
 def _starts(rig: Rig, log: Log, p: Parameters, begin: Array, readings: Array) -> tuple[Array, ...]:
-    """Return the states that fit the readings (output, row, window) best, each output weighted alike."""
+    """Return the states that fit the readings (output, row, window), by least squares; a single row is the state."""
     x = np.zeros((rig.states, len(begin)))
     x[: len(rig.channels)] = readings[:, 0]
     rows = readings.shape[1] - 1
@@ -214,18 +215,18 @@ def delivered(given: Parameters, folder: Path) -> dict[str, dict[str, float]]:
 
 
 def compare(rig: Rig, given: Parameters, variants: Sequence[Variant], folder: Path, refined: Path | None) -> str:
-    """Return the table of sealed errors: as given, each fit, and the delivered models relative to the last fit."""
+    """Return a table of root mean square errors: as given, each fit, the delivered models relative to the last fit."""
     estimation = [read_log(rig, folder / name) for name in ("e1.csv", "e2.csv")]
     sealed = [read_log(rig, folder / "v1.csv")]
-    units = "  ".join(f"{c.name} [{c.unit}]" for c in rig.channels)
-    lines = [f"RMS error of predictions over {rig.horizon:g} s on the sealed log: {units}"]
+    header = "".join(f"{f'{c.name} [{c.unit}]':>16}" for c in rig.channels)
+    lines = [f"{f'error over {rig.horizon:g} s, sealed log':32}{header}{'ratio':>16}"]
 
-    def row(name: str, p: Parameters, free: Sequence[str], best: Array | None = None) -> Array:
+    def row(name: str, p: Parameters, shown: Sequence[str], best: Array | None = None) -> Array:
         error = rms(rig, sealed, p)
-        sizes = "  ".join(f"{e / c.size:8.3g}" for e, c in zip(error, rig.channels, strict=True))
-        ratio = "" if best is None else "  ratio " + ", ".join(f"{r:.2f}" for r in error / best)
-        values = ", ".join(f"{key} {p[key]:.4g}" for key in free)
-        lines.append(f"{name:36} {sizes}{ratio}" + (f"  ({values})" if values else ""))
+        sizes = "".join(f"{e / c.size:16.3g}" for e, c in zip(error, rig.channels, strict=True))
+        ratio = "" if best is None else ", ".join(f"{r:.2f}" for r in error / best)
+        values = ", ".join(f"{key} {p[key]:.4g}" for key in shown)
+        lines.append(f"{name:32}{sizes}{ratio:>16}  {values}".rstrip())
         return error
 
     row("as given", given, ())
@@ -236,11 +237,32 @@ def compare(rig: Rig, given: Parameters, variants: Sequence[Variant], folder: Pa
     return "\n".join(lines)
 
 
+def compare_logs(rig: Rig, given: Parameters, variant: Variant, folder: Path) -> str:
+    """Return a table of fits to each log alone: parameters, and the errors on each log, also the sealed one."""
+    logs = {name: read_log(rig, folder / name) for name in ("e1.csv", "e2.csv", "v1.csv")}
+    lines = []
+    for name, log in logs.items():
+        p = fit(rig, [log], given, variant)
+        values = ", ".join(f"{key} {p[key]:.4g}" for key in variant.free)
+        for other, sealed in logs.items():
+            error = rms(rig, [sealed], p)
+            sizes = "".join(f"{e / c.size:16.3g}" for e, c in zip(error, rig.channels, strict=True))
+            lines.append(f"{f'{name} alone, on {other}':32}{sizes}  {values}")
+    return "\n".join(lines)
+
+
 def main(description: str, rig: Rig, given: Parameters, variants: Sequence[Variant]) -> int:
     """Print the table for the folder of logs in the arguments; return the exit code."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("logs", type=Path, help="folder that make_logs.py wrote")
     parser.add_argument("--refined", type=Path, help="folder that `cosim refine` wrote")
+    parser.add_argument("--each", action="store_true", help="fit the last model to each log alone, too")
     options = parser.parse_args()
-    print(compare(rig, given, variants, options.logs, options.refined))
+    try:
+        print(compare(rig, given, variants, options.logs, options.refined))
+        if options.each:
+            print(compare_logs(rig, given, variants[-1], options.logs))
+    except (OSError, ValueError) as error:
+        print(error, file=sys.stderr)
+        return 2
     return 0

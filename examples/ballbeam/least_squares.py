@@ -25,7 +25,7 @@ EFFECTS = {**DELAY, "rolling_friction.level": 0.01, "level_offset.value": 0.005,
 VARIANTS = (
     Variant("base", {"incline": 7.0}),
     Variant("with delay", DELAY),
-    Variant("with delay, friction, level, curvature", EFFECTS),
+    Variant("with four effects", EFFECTS),
 )
 
 

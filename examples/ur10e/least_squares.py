@@ -20,7 +20,7 @@ GIVEN = {
     "drag.coefficient": 0.0,
     "cable_spring.stiffness": 0.0,
     "current_bias.offset": 0.0,
-    "rate_bias": 0.0,
+    "rate_bias.value": 0.0,
 }
 BASE = {name: GIVEN[name] for name in ("inertia", "viscous", "weight_cosine", "weight_sine")}
 VARIANTS = (
@@ -46,7 +46,7 @@ RIG = Rig(
     channels=(Channel("angle", "mrad", 1e-3), Channel("rate", "mrad/s", 1e-3)),
     horizon=0.3,
     every=10,
-    biases={"rate": "rate_bias"},
+    biases={"rate": "rate_bias.value"},
 )
 
 if __name__ == "__main__":
