@@ -24,7 +24,16 @@ from cosim.refinement.workflow import refine
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = ROOT / "examples"
-MODELS = {"silverbox": "Silverbox", "propeller": "Propeller", "pendulum": "Pendulum", "tclab": "Board"}
+MODELS = {
+    "silverbox": "Silverbox",
+    "propeller": "Propeller",
+    "pendulum": "Pendulum",
+    "tclab": "Board",
+    "ur10e": "Elbow",
+    "ballbeam": "BallBeam",
+}
+FILES = {"ur10e": "elbow"}  # others bear the name of the example
+YARDSTICKS = ("ur10e", "ballbeam")  # examples with a least_squares.py
 FOLDERS = {"propeller": ("propeller", "uiuc_apcsf")}  # others bear the name of the example
 
 
@@ -41,7 +50,7 @@ def _loaded(path: Path) -> ModuleType:
 
 def model_of(example: str) -> Model:
     """The model of an example, checked."""
-    return load_model(f"{example}.py:{MODELS[example]}", EXAMPLES / example).model
+    return load_model(f"{FILES.get(example, example)}.py:{MODELS[example]}", EXAMPLES / example).model
 
 
 def logs_of(example: str, folder: Path) -> Path:
@@ -105,7 +114,7 @@ def test_the_model_of_an_example_is_without_fault(example: str) -> None:
     assert all(p.tolerance for p in model.parameters if p.name in model.calibrated)
 
 
-@pytest.mark.parametrize("example", ["silverbox", "pendulum", "tclab"])
+@pytest.mark.parametrize("example", ["silverbox", "pendulum", "tclab", "ur10e", "ballbeam"])
 def test_an_effect_at_its_typical_size_is_felt_and_at_its_neutral_size_is_not(example: str) -> None:
     model = model_of(example)
     n = len(model.base_states)
@@ -114,11 +123,70 @@ def test_an_effect_at_its_typical_size_is_felt_and_at_its_neutral_size_is_not(ex
     for kind in model.catalogue:
         if kind.delay is not None:
             continue  # it shapes the command, not the equations
+        if kind.memory:
+            continue  # likewise
         switches = {name: p for name, p in model.declared.items() if name.startswith(f"{kind.name}.") and p.typical}
         shifted = model.with_values({name: p.neutral + p.typical for name, p in switches.items()})
         assert shifted.acting(SCALAR).derivative(0.0, state, command) != base, kind.name
         dormant = model.with_values({name: p.neutral for name, p in switches.items()})
         assert dormant.acting(SCALAR).derivative(0.0, state, command) == base, kind.name
+
+
+# -- yardsticks ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("example", YARDSTICKS)
+def test_a_yardstick_has_the_equations_and_values_of_its_model(example: str) -> None:
+    model, yardstick = model_of(example), _loaded(EXAMPLES / example / "least_squares.py")
+    sensors = model.sensor_parameters
+    assert {name: {**model.declared, **sensors}[name].default for name in yardstick.GIVEN} == yardstick.GIVEN
+    values = {name: value + 0.1 for name, value in yardstick.GIVEN.items() if name not in sensors}
+    state, command = (0.3, -0.2), (0.7,)
+    expected = model.with_values(values).acting(SCALAR).derivative(0.0, state, command)
+    assert yardstick.derivative(values, state, command) == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_yardstick_finds_the_parameters_of_a_simulated_rig() -> None:
+    yardstick = _loaded(EXAMPLES / "yardstick.py")
+    time = 0.1 * np.arange(120.0)
+    angle = 0.02 * np.sin(1.3 * time) + 0.01 * np.sin(0.4 * time)
+    rig = yardstick.Rig(
+        lambda p, x, u: (x[1], p["gain"] * u[0] - p["damping"] * x[1]),
+        states=2,
+        inputs=("angle",),
+        channels=(yardstick.Channel("position", "m", 1.0),),
+        horizon=2.0,
+        every=2,
+        past=1.0,
+        interpolated=True,
+        delay="delay",
+    )
+    truth = {"gain": 5.0, "damping": 0.3, "delay": 0.15}
+    x, positions = (np.zeros(1), np.zeros(1)), []
+    log = yardstick.Log(time, angle[None], np.zeros((1, len(time))))
+    for k in range(len(time) - 1):
+        positions.append(x[0][0])
+        x = yardstick._row(rig, log, truth, np.array([k]), x)
+    log = yardstick.Log(time, angle[None], np.array([[*positions, x[0][0]]]))
+    given = {"gain": 7.0, "damping": 0.0, "delay": 0.0}
+    fitted = yardstick.fit(rig, [log], given, yardstick.Variant("all", {**given, "damping": 0.1, "delay": 0.1}))
+    assert fitted == pytest.approx(truth, rel=1e-4)
+    assert yardstick.rms(rig, [log], fitted) == pytest.approx(0.0, abs=1e-7)
+    assert yardstick.rms(rig, [log], given) > 0.01
+
+
+def test_a_yardstick_reads_what_refine_delivers_and_refuses_what_it_lacks(tmp_path: Path) -> None:
+    yardstick = _loaded(EXAMPLES / "yardstick.py")
+    (tmp_path / "refine.json").write_text('{"grade": "part"}', encoding="utf-8")
+    (tmp_path / "model.yaml").write_text("parameters: {a: 1.0}\nsensors: {bias: 0.1}\n", encoding="utf-8")
+    (tmp_path / "nearest.yaml").write_text("parameters: {a: 2.0}\nsensors: {}\n", encoding="utf-8")
+    given = {"a": 0.0, "b": 3.0, "bias": 0.0}
+    assert yardstick.delivered(given, tmp_path) == {
+        "model.yaml": {"a": 1.0, "b": 3.0, "bias": 0.1},
+        "nearest.yaml": {"a": 2.0, "b": 3.0, "bias": 0.0},
+    }
+    with pytest.raises(ValueError, match="bias, which these equations lack"):
+        yardstick.delivered({"a": 0.0}, tmp_path)
 
 
 # -- recordings ---------------------------------------------------------------------------------

@@ -1,0 +1,268 @@
+"""Least-squares fits of short predictions, as a yardstick for the models that `cosim refine` delivers.
+
+Nothing here is of cosim: equations are functions on arrays, RK4 integrates all windows of a log at once, and scipy
+fits. Fitted and delivered parameters are measured in the same way.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import yaml
+from scipy.optimize import least_squares
+
+Array = np.ndarray
+Parameters = Mapping[str, float]
+PASSES = 3  # fits; each weights an output by the inverse error of the pass before
+START_PASSES = 3  # Gauss-Newton steps for the state at the start of a window
+STEP = 1e-6  # of a state, for the differences of these steps
+
+
+@dataclass(frozen=True)
+class Channel:
+    """An output of a rig, and how its error is printed: the unit, and the size of the unit in SI."""
+
+    name: str
+    unit: str
+    size: float
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Equations of a rig and the windows over which they predict.
+
+    Attributes:
+        derivative: Derivative of the states, from parameters, states and inputs.
+        states: Number of states; the outputs are the first of them.
+        inputs: Columns of the inputs.
+        channels: Outputs.
+        horizon: Length of a prediction [s].
+        every: Rows from the start of a window to that of the next.
+        past: Length of the readings to which the start of a prediction is fitted [s]; 0 if all states are measured.
+        substeps: Steps of RK4 per row.
+        interpolated: Whether inputs change linearly between rows; otherwise they hold.
+        delay: Name of the parameter that delays all inputs, "" without one.
+        biases: Output → name of the parameter that its reading has in addition.
+    """
+
+    derivative: Callable[[Parameters, tuple[Array, ...], tuple[Array, ...]], tuple[Array, ...]]
+    states: int
+    inputs: tuple[str, ...]
+    channels: tuple[Channel, ...]
+    horizon: float
+    every: int
+    past: float = 0.0
+    substeps: int = 2
+    interpolated: bool = False
+    delay: str = ""
+    biases: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Log:
+    """Columns of a log as arrays: time, inputs and outputs, a row each."""
+
+    time: Array
+    inputs: Array
+    outputs: Array
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A model to fit: its name and its free parameters with their starts."""
+
+    name: str
+    free: Mapping[str, float]
+
+
+def read_log(rig: Rig, path: Path) -> Log:
+    """Return the columns of a log that the rig has."""
+    with path.open(encoding="utf-8", newline="") as stream:
+        table = list(csv.DictReader(stream))
+
+    def columns(names: Sequence[str]) -> Array:
+        return np.array([[float(row[name]) for row in table] for name in names])
+
+    return Log(columns(["time"])[0], columns(rig.inputs), columns([c.name for c in rig.channels]))
+
+
+# -- predictions --------------------------------------------------------------------------------
+
+
+def _inputs_at(rig: Rig, log: Log, times: Array, delay: float) -> tuple[Array, ...]:
+    if rig.interpolated:
+        return tuple(np.interp(times - delay, log.time, row) for row in log.inputs)
+    rows = np.clip(np.searchsorted(log.time, times - delay, side="right") - 1, 0, None)
+    return tuple(row[rows] for row in log.inputs)
+
+
+def _row(rig: Rig, log: Log, p: Parameters, at: Array, x: tuple[Array, ...]) -> tuple[Array, ...]:
+    """Return the states a row after the rows `at`, by RK4."""
+    h = (log.time[at + 1] - log.time[at]) / rig.substeps
+    for part in range(rig.substeps):
+        begin = log.time[at] + part * h
+        # A held input has one value over a substep, that of its middle; an interpolated one changes.
+        stages = (0.0, 0.5, 0.5, 1.0) if rig.interpolated else (0.5, 0.5, 0.5, 0.5)
+        delay = p[rig.delay] if rig.delay else 0.0
+        u = {c: _inputs_at(rig, log, begin + c * h, delay) for c in set(stages)}
+        slopes: list[tuple[Array, ...]] = []
+        for stage, share in zip(stages, (0.0, 0.5, 0.5, 1.0), strict=True):
+            moved = tuple(a + share * h * b for a, b in zip(x, slopes[-1], strict=True)) if slopes else x
+            slopes.append(rig.derivative(p, moved, u[stage]))
+        x = tuple(a + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4) for a, k1, k2, k3, k4 in zip(x, *slopes, strict=True))
+    return x
+
+
+def _run(rig: Rig, log: Log, p: Parameters, begin: Array, rows: int, x: tuple[Array, ...]) -> Array:
+    """Return the outputs at the start of each window and at the rows after it: output, row, window."""
+    outputs = [x]
+    for k in range(rows):
+        x = _row(rig, log, p, begin + k, x)
+        outputs.append(x)
+    return np.array([[state[j] for state in outputs] for j in range(len(rig.channels))])
+
+
+def _starts(rig: Rig, log: Log, p: Parameters, begin: Array, readings: Array) -> tuple[Array, ...]:
+    """Return the states that fit the readings (output, row, window), by least squares; a single row is the state."""
+    x = np.zeros((rig.states, len(begin)))
+    x[: len(rig.channels)] = readings[:, 0]
+    rows = readings.shape[1] - 1
+    for _ in range(START_PASSES if rows else 0):
+        predicted = _run(rig, log, p, begin, rows, tuple(x))
+        slopes = []
+        for j in range(rig.states):
+            moved = x.copy()
+            moved[j] += STEP
+            slopes.append((_run(rig, log, p, begin, rows, tuple(moved)) - predicted) / STEP)
+        jacobian = np.moveaxis(np.array(slopes), -1, 0).reshape(len(begin), rig.states, -1)
+        misfit = np.moveaxis(readings - predicted, -1, 0).reshape(len(begin), -1)
+        normal = jacobian @ np.swapaxes(jacobian, 1, 2)
+        x = x + np.linalg.solve(normal, (jacobian @ misfit[:, :, None]))[:, :, 0].T
+    return tuple(x)
+
+
+def errors(rig: Rig, log: Log, p: Parameters) -> list[Array]:
+    """Return measured − predicted of each output, over all rows of all windows."""
+    bias = np.array([p[rig.biases[c.name]] if c.name in rig.biases else 0.0 for c in rig.channels])
+    outputs = log.outputs - bias[:, None]
+    step = float(np.median(np.diff(log.time)))
+    past, ahead = round(rig.past / step), round(rig.horizon / step)
+    begin = np.arange(0, len(log.time) - past - ahead, rig.every)
+    readings = outputs[:, begin + np.arange(past + 1)[:, None]]
+    x = _starts(rig, log, p, begin, readings)
+    predicted = _run(rig, log, p, begin, past + ahead, x)
+    measured = outputs[:, begin + np.arange(past + ahead + 1)[:, None]]
+    return [row.ravel() for row in (measured - predicted)[:, past + 1 :]]
+
+
+def rms(rig: Rig, logs: Sequence[Log], p: Parameters) -> Array:
+    """Return the root mean square error of each output over all windows of all logs."""
+    return np.array([np.sqrt(np.mean(np.square(np.concatenate(parts)))) for parts in _by_channel(rig, logs, p)])
+
+
+def _by_channel(rig: Rig, logs: Sequence[Log], p: Parameters) -> list[list[Array]]:
+    return [list(parts) for parts in zip(*(errors(rig, log, p) for log in logs), strict=True)]
+
+
+def fit(rig: Rig, logs: Sequence[Log], given: Parameters, variant: Variant) -> dict[str, float]:
+    """Return the parameters of least squares; those that are not free keep their value."""
+    names = list(variant.free)
+    p = {**given, **variant.free}
+    for _ in range(PASSES if len(rig.channels) > 1 else 1):
+        weights = 1.0 / rms(rig, logs, p)
+
+        def residuals(values: Array, weights: Array = weights) -> Array:
+            q = {**given, **dict(zip(names, values, strict=True))}
+            parts = _by_channel(rig, logs, q)
+            return np.concatenate([w * part for w, row in zip(weights, parts, strict=True) for part in row])
+
+        begin = [p[name] for name in names]
+        scale = [max(abs(given[name]), abs(variant.free[name])) for name in names]
+        solution = least_squares(residuals, begin, x_scale=scale, diff_step=1e-4)
+        p = {**given, **dict(zip(names, map(float, solution.x), strict=True))}
+    return p
+
+
+# -- models that refine delivers ----------------------------------------------------------------
+
+
+def delivered(given: Parameters, folder: Path) -> dict[str, dict[str, float]]:
+    """Return the parameters of model.yaml and, if not all is claimed, of nearest.yaml of a folder of `cosim refine`.
+
+    Raises:
+        ValueError: A file has a parameter that the yardstick does not know.
+    """
+    grade = json.loads((folder / "refine.json").read_text(encoding="utf-8"))["grade"]
+    models = {}
+    for name in ("model.yaml", *(["nearest.yaml"] if grade != "claimed" else [])):
+        file = yaml.safe_load((folder / name).read_text(encoding="utf-8"))
+        values = {**file["parameters"], **(file.get("sensors") or {})}
+        unknown = [key for key in values if key not in given]
+        if unknown:
+            raise ValueError(f"{folder / name} has {', '.join(unknown)}, which these equations lack")
+        models[name] = {**given, **values}
+    return models
+
+
+# -- the table ----------------------------------------------------------------------------------
+
+
+def compare(rig: Rig, given: Parameters, variants: Sequence[Variant], folder: Path, refined: Path | None) -> str:
+    """Return a table of root mean square errors: as given, each fit, the delivered models relative to the last fit."""
+    estimation = [read_log(rig, folder / name) for name in ("e1.csv", "e2.csv")]
+    sealed = [read_log(rig, folder / "v1.csv")]
+    header = "".join(f"{f'{c.name} [{c.unit}]':>16}" for c in rig.channels)
+    lines = [f"{f'error over {rig.horizon:g} s, sealed log':32}{header}{'ratio':>16}"]
+
+    def row(name: str, p: Parameters, shown: Sequence[str], best: Array | None = None) -> Array:
+        error = rms(rig, sealed, p)
+        sizes = "".join(f"{e / c.size:16.3g}" for e, c in zip(error, rig.channels, strict=True))
+        ratio = "" if best is None else ", ".join(f"{r:.2f}" for r in error / best)
+        values = ", ".join(f"{key} {p[key]:.4g}" for key in shown)
+        lines.append(f"{name:32}{sizes}{ratio:>16}  {values}".rstrip())
+        return error
+
+    row("as given", given, ())
+    for variant in variants:
+        best = row(f"{variant.name}, least squares", fit(rig, estimation, given, variant), list(variant.free))
+    for name, p in delivered(given, refined).items() if refined else ():
+        row(f"refine, {name}", p, [key for key in p if p[key] != given[key]], best)
+    return "\n".join(lines)
+
+
+def compare_logs(rig: Rig, given: Parameters, variant: Variant, folder: Path) -> str:
+    """Return a table of fits to each log alone: parameters, and the errors on each log, also the sealed one."""
+    logs = {name: read_log(rig, folder / name) for name in ("e1.csv", "e2.csv", "v1.csv")}
+    lines = []
+    for name, log in logs.items():
+        p = fit(rig, [log], given, variant)
+        values = ", ".join(f"{key} {p[key]:.4g}" for key in variant.free)
+        for other, sealed in logs.items():
+            error = rms(rig, [sealed], p)
+            sizes = "".join(f"{e / c.size:16.3g}" for e, c in zip(error, rig.channels, strict=True))
+            lines.append(f"{f'{name} alone, on {other}':32}{sizes}  {values}")
+    return "\n".join(lines)
+
+
+def main(description: str, rig: Rig, given: Parameters, variants: Sequence[Variant]) -> int:
+    """Print the table for the folder of logs in the arguments; return the exit code."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("logs", type=Path, help="folder that make_logs.py wrote")
+    parser.add_argument("--refined", type=Path, help="folder that `cosim refine` wrote")
+    parser.add_argument("--each", action="store_true", help="fit the last model to each log alone, too")
+    options = parser.parse_args()
+    try:
+        print(compare(rig, given, variants, options.logs, options.refined))
+        if options.each:
+            print(compare_logs(rig, given, variants[-1], options.logs))
+    except (OSError, ValueError) as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
