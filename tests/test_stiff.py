@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from cosim.estimation.posing import build_problem, own_run
+from cosim.estimation.posing import build_problem
 from cosim.kernel.backend import kernel
 from cosim.kernel.kernel import Data
 from cosim.loading.build import build as build_fmus
@@ -152,10 +152,10 @@ def test_kernel_and_fmu_integrate_a_stiff_model_alike(tmp_path: Path, kind: str)
     (fmu,) = build_fmus(tmp_path / "built", str(tmp_path / "model.yaml"), native=kind == "native")
     problem = build_problem(ModelSubject.of(loaded.model), [log])
     start = {f"{q.name}_start": x for q, x in zip(loaded.model.states, problem.x0[0].tolist(), strict=False)}
-    through, run = replay(log, fmu, start), own_run(problem, 0)
+    through, run = replay(log, fmu, start), problem.own_run(0)
     for k, output in enumerate(problem.layout.outputs):
         assert np.max(np.abs(through.outputs[output] - run.outputs[:, k])) < 1e-9  # A and rad/s
-    exact = own_run(build_problem(ModelSubject.of(loaded.model.with_substep(1e-5, "rk4")), [log]), 0)
+    exact = build_problem(ModelSubject.of(loaded.model.with_substep(1e-5, "rk4")), [log]).own_run(0)
     assert np.max(np.abs(exact.outputs - run.outputs)) < 1e-5  # of steps of 10 A
 
 

@@ -12,7 +12,7 @@ import pytest
 from cosim.base import linear_algebra
 from cosim.base.errors import InputError
 from cosim.base.registry import models
-from cosim.estimation.posing import build_problem, own_run
+from cosim.estimation.posing import build_problem
 from cosim.loading.build import build as build_fmus
 from cosim.loading.file import LoadedModel, load_model, named_model, read_model, write_model
 from cosim.loading.substep import MAX_CHOSEN, with_substep
@@ -105,10 +105,10 @@ def test_kernel_and_fmu_take_the_same_substeps(tmp_path: Path, kind: str) -> Non
     (fmu,) = build_fmus(tmp_path / "built", name, native=kind == "native")
     problem = build_problem(ModelSubject(loaded), [log])
     start = {f"{q.name}_start": x for q, x in zip(loaded.model.states, problem.x0[0].tolist(), strict=False)}
-    through, kernel = replay(log, fmu, start), own_run(problem, 0)
+    through, kernel = replay(log, fmu, start), problem.own_run(0)
     for k, output in enumerate(problem.layout.outputs):
         assert np.max(np.abs(through.outputs[output] - kernel.outputs[:, k])) < 1e-9
-    exact = own_run(build_problem(ModelSubject.of(loaded.model.with_substep(1e-5)), [log]), 0)
+    exact = build_problem(ModelSubject.of(loaded.model.with_substep(1e-5)), [log]).own_run(0)
     assert np.max(np.abs(exact.outputs - kernel.outputs)) < 2e-3  # A and rad/s; 5e-4 of the steps of 10 A
 
 

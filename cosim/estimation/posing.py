@@ -14,7 +14,7 @@ from cosim.estimation.data import count_unscored, data_of, folds
 from cosim.estimation.per_log import Origin, own_parameters
 from cosim.estimation.problem import Problem, Settings
 from cosim.estimation.readings import readings_of, readings_of_table
-from cosim.kernel.kernel import CONSTANT, DISTURBANCE, MEMORY, Data, Layout, Simulated
+from cosim.kernel.kernel import CONSTANT, DISTURBANCE, MEMORY, Data, Layout
 from cosim.logs.log import Log, slowness
 from cosim.subject.candidates import Free
 from cosim.subject.interface import Subject
@@ -135,7 +135,7 @@ def _range(problem: Problem) -> Array:
 
     All ranges are 0 if the simulation leaves the measurements by more than their span, as for an unstable model.
     """
-    runs = [own_run(problem, index) for index in range(len(problem.logs))]
+    runs = [problem.own_run(index) for index in range(len(problem.logs))]
     for log, run in zip(problem.logs, runs, strict=True):
         measured = np.isfinite(log.y)
         error = np.abs(np.where(measured, run.outputs - np.where(measured, log.y, 0.0), 0.0)).max(axis=0)
@@ -144,12 +144,6 @@ def _range(problem: Problem) -> Array:
             return np.zeros(len(problem.layout.states))
     low, high = np.percentile(np.vstack([run.states for run in runs]), (1, 99), axis=0)
     return np.asarray(high - low)
-
-
-def own_run(problem: Problem, index: int) -> Simulated:
-    """Return the noise-free response to a log's commands."""
-    p, memory = problem.numbers(problem.of_log(problem.values, index)), np.zeros(problem.layout.memory)
-    return problem.kernel.simulate(problem.logs[index], p, problem.start(problem.values, index)[0], memory)
 
 
 def _first_measured(subject: Subject, data: Data, measured: Sequence[str]) -> dict[str, float]:

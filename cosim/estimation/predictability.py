@@ -13,6 +13,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.estimation.data import count_unscored
+from cosim.estimation.fit import initial_fit
 from cosim.estimation.problem import Problem
 from cosim.kernel.kernel import CONSTANT, DISTURBANCE, Data
 
@@ -48,7 +49,7 @@ def predictable_horizon(problem: Problem, horizon: float) -> float:
 def _growth_curves(problem: Problem, index: int, horizon: float) -> list[Array]:
     """Return the growth of start errors by row of a prediction, for some starts of a log."""
     data, first = problem.data(problem.values, index), count_unscored(problem.logs[index])
-    run = problem.run(problem.values, problem.plain, index, states=True)
+    run = problem.run(problem.values, initial_fit(problem).noise, index, states=True)
     rows = len(data.u)
     length = rows - first - 1 if math.isinf(horizon) else round(horizon / data.step)
     length = min(length, rows - first - 1)

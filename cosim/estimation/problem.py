@@ -13,10 +13,10 @@ import numpy as np
 
 from cosim.base.arrays import Array, Flags, Rows
 from cosim.estimation.data import UNSCORED, count_unscored
-from cosim.estimation.noise_model import Noise, NoiseLimits, NoiseRange, noise_range
+from cosim.estimation.noise_model import GRID, Noise, NoiseLimits, NoiseRange, noise_range
 from cosim.estimation.per_log import Origin, own, spread, start_of_log
 from cosim.estimation.readings import Readings, readings_of
-from cosim.kernel.kernel import MEMORY, Data, Filtered, Kernel, Layout
+from cosim.kernel.kernel import MEMORY, Data, Filtered, Kernel, Layout, Simulated
 from cosim.logs.log import slowness
 from cosim.subject.candidates import Free
 
@@ -149,6 +149,11 @@ class Problem:
             origins=[self.origins[k] for k in chosen if self.origins],
             sensing=None,  # limits must not depend on fitted noise
         )
+        nothing = short.at(np.full(len(self.layout.noisy), GRID[0]))
+        if not all(short._follows(nothing, k) for k in range(len(chosen))):
+            # A filter that has lost the measurements says nothing of its variances; on its own outputs it cannot.
+            runs = [np.where(np.isfinite(log.y), short.own_run(k).outputs, np.nan) for k, log in enumerate(short.logs)]
+            short = replace(short, logs=[replace(log, y=y) for log, y in zip(short.logs, runs, strict=True)])
         lasting = float(np.log(self.longest_memory)) if self.layout.is_coloured else None
 
         def variances(power: Array, longest: bool) -> Array:
@@ -323,6 +328,20 @@ class Problem:
         for k, late in self.lateness(values, index).items():
             e[:, k], s[:, k] = np.roll(e[:, k], round(late)), np.roll(s[:, k], round(late))
         return e, s
+
+    def own_run(self, index: int) -> Simulated:
+        """Return the noise-free response to a log's commands."""
+        p, memory = self.numbers(self.of_log(self.values, index)), np.zeros(self.layout.memory)
+        return self.kernel.simulate(self.logs[index], p, self.start(self.values, index)[0], memory)
+
+    def _follows(self, noise: Noise, index: int) -> bool:
+        """Return True if the innovations of each output are smaller than its standard deviation."""
+        errors, _ = self.innovations(self.values, noise, index)
+        with np.errstate(over="ignore", invalid="ignore"):
+            pairs = [
+                (e[np.isfinite(y)], y[np.isfinite(y)]) for e, y in zip(errors.T, self.logs[index].y.T, strict=True)
+            ]
+            return all(bool(np.sqrt(np.mean(e**2)) <= np.std(y)) for e, y in pairs if y.size and np.ptp(y) > 0.0)
 
     def score(self, values: Mapping[str, float], noise: Noise, only: Sequence[int] | None = None) -> Scored:
         """Return innovations and variances of some logs, by default all, one after the other."""

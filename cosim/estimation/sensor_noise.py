@@ -13,7 +13,6 @@ from cosim.base.text import join_names, plain
 from cosim.estimation import messages
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
-from cosim.estimation.posing import own_run
 from cosim.estimation.problem import Problem
 from cosim.logs.channel_noise import noise_level, surprise, white_noise
 from cosim.subject.interface import Subject
@@ -31,7 +30,7 @@ def sensor_noise(problem: Problem) -> dict[str, float]:
     estimates the share of motion. Outputs with a large share, such as sensors slower than the motion, are omitted.
     """
     levels = {}
-    runs = [own_run(problem, index).outputs for index in range(len(problem.logs))]
+    runs = [problem.own_run(index).outputs for index in range(len(problem.logs))]
     if problem.table:  # A table has no neighbours, so the first guess is the residual of the given model.
         residuals = np.vstack([log.y - run for log, run in zip(problem.logs, runs, strict=True)])
         return dict(zip(problem.layout.outputs, np.sqrt(np.nanmean(residuals**2, axis=0)).tolist(), strict=True))

@@ -18,7 +18,7 @@ import numpy as np
 
 from cosim.base.errors import Fault, refuse
 from cosim.base.text import plain
-from cosim.estimation.fit import Fit
+from cosim.estimation.fit import Fit, initial_fit
 from cosim.estimation.per_log import drop_own_parameters
 from cosim.estimation.posing import build_problem, coarsen, varied_inputs
 from cosim.estimation.predictability import predictable_horizon
@@ -185,11 +185,12 @@ def _with_predictable_horizon(study: Study, problem: Problem) -> Study:
 
 def _divergences(study: Study, problem: Problem) -> Iterator[Fault]:
     """Yield a fault for each log on which the filter of the unfitted model diverges."""
+    noise = initial_fit(problem).noise
     for index, (log, data) in enumerate(zip(study.logs, problem.logs, strict=False)):
-        by_log = problem.score(problem.values, problem.plain, [index]).by_log
+        by_log = problem.score(problem.values, noise, [index]).by_log
         if np.isfinite(by_log).all():
             continue
-        errors, variances = problem.innovations(problem.values, problem.plain, index)
+        errors, variances = problem.innovations(problem.values, noise, index)
         with np.errstate(over="ignore", invalid="ignore"):
             diverged = ~np.isfinite(errors * errors / variances) & problem.readings[index].scored
         t = data.start + data.step * int(np.argmax(diverged.any(axis=1)))

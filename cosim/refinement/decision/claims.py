@@ -319,7 +319,7 @@ def _disputed_parts(a: Attribution, leftover: Leftover) -> set[str]:
     """
     if leftover.fit is None:
         return set()
-    if leftover.gain > MUCH * (a.base.score - a.best.score):
+    if leftover.gain > MUCH * (a.base.score - a.best.score) and not a.halves_error:
         return set(a.best.names)
     refitted, other = Hypothesis(a.best.candidates, leftover.fit, 0.0), leftover.fit
     neutral = {f.name: f.neutral if f.neutral is not None else a.base.fit.values.get(f.name, 0.0) for f in other.free}
