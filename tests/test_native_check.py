@@ -196,3 +196,14 @@ def test_a_filter_is_not_made_of_what_only_numbers_bear(tmp_path: Path, at: str,
 def test_a_filter_takes_a_remainder_of_time(tmp_path: Path) -> None:
     model = load_model(rotor(tmp_path, "#last", "left = left + t % 3.0"), Path()).model
     assert kernel(model, [q.name for q in model.outputs]).layout.states
+
+
+def test_equations_that_sympy_cannot_differentiate_are_refused_and_not_a_traceback(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def endless(*arguments: object) -> None:
+        raise RecursionError("maximum recursion depth exceeded")
+
+    monkeypatch.setattr("cosim.fmi.native.package.native_model", endless)
+    with pytest.raises(InputError, match="sympy finds no end in differentiating its equations"):
+        build_native("base", tmp_path)

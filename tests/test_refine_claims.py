@@ -15,8 +15,8 @@ from cosim.base.linear_algebra import square_roots
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
 from cosim.logs.channel_noise import NORMAL_95
-from cosim.refinement.decision.claims import Claims, Grade, Rung, judge, name_of
-from cosim.refinement.decision.sentences import improvement_text
+from cosim.refinement.decision.claims import Claims, Grade, MovedParameter, Rung, judge, name_of
+from cosim.refinement.decision.sentences import _moved_text, improvement_text, nearest_text, remainder_text
 from cosim.refinement.proof import prediction_fit
 from cosim.refinement.proof.nearest import _is_as_good, nearest
 from cosim.refinement.proof.prediction_fit import compare_with_predictions
@@ -228,3 +228,17 @@ def test_the_simplest_model_within_a_standard_error_of_the_best_is_the_nearest()
     ]
     assert nearest(rungs) is one
     assert nearest([*rungs[:2], rungs[3]]) is two
+
+
+def test_a_recalibration_beyond_tolerance_is_said_with_its_numbers() -> None:
+    moved = tuple(MovedParameter(name, 1.0, 2.0) for name in ("a", "b", "c", "d"))
+    text = nearest_text((), fitted=True, moved=_moved_text(moved, {"a": "kg"}))
+    assert "recalibrated, beyond tolerance: a 1.00 → 2.00 kg, b 1.00 → 2.00, c 1.00 → 2.00 and 1 more" in text.replace(
+        "\u00a0", " "
+    )
+
+
+def test_a_term_that_explains_next_to_nothing_is_not_described() -> None:
+    term = UnnamedTerm("rate", "angle", 30.0, 0.1, 30.0, 0.012)
+    assert remainder_text(term, 90.0) == "Something remains in rate; no single term explains even 5\u00a0% of it."
+    assert "angle" in remainder_text(replace(term, share=0.2), 90.0)

@@ -112,6 +112,9 @@ def _natives(loaded: LoadedModel) -> Iterator[tuple[str, Native]]:
     kind = type(loaded.model).__name__
     try:
         yield "plant", native_model(loaded.model, loaded.recipe(), f"{kind}Plant")
+    except RecursionError as error:  # sympy 1.14, for some nested minima and maxima
+        endless = UnprintableModel("sympy finds no end in differentiating its equations")
+        raise InputError([_unprintable(loaded, endless)]) from error
     except (UnprintableModel, TypeError, AttributeError) as error:
         raise InputError([_unprintable(loaded, error)]) from error
     for name, recipe in model_entry(loaded.source).native.items() if is_model(loaded.source) else ():

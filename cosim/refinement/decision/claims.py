@@ -72,9 +72,14 @@ class Part:
 
 @dataclass(frozen=True)
 class Nearest:
-    """The best predictor of held-out logs beside an incomplete claim; None stands for the given model."""
+    """The best predictor of held-out logs beside an incomplete claim; None stands for the given model.
+
+    Attributes:
+        moved: Its base parameters that were recalibrated beyond their tolerances.
+    """
 
     hypothesis: Hypothesis | None
+    moved: tuple[MovedParameter, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:

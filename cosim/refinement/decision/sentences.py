@@ -102,7 +102,8 @@ def _remark_texts(c: Claims, subject: Subject) -> Iterator[str]:
     if c.nearest is not None:
         file = NEAREST[0] if c.written else "The nearest object"
         same = c.claimed is None and c.nearest.names == c.rivals and c.name == "unexplained"
-        yield nearest_text(c.nearest.names, fitted=c.nearest.hypothesis is not None, file=file, same=same)
+        moved = _moved_text(c.nearest.moved, _units(subject))
+        yield nearest_text(c.nearest.names, fitted=c.nearest.hypothesis is not None, file=file, same=same, moved=moved)
     if c.restricted:
         yield "Only the candidates that the study names were tried."
     if c.left_out:
@@ -222,12 +223,12 @@ def further_text(parameters: Sequence[MovedParameter], units: Mapping[str, str])
 
 
 def _moved_text(parameters: Sequence[MovedParameter], units: Mapping[str, str]) -> str:
-    return join_names(
-        [
-            f"{m.name} {plain(m.stated)} → {plain(m.fitted)} {written(units.get(m.name, ''))}".rstrip()
-            for m in parameters
-        ]
-    )
+    texts = [
+        f"{m.name} {plain(m.stated)} → {plain(m.fitted)} {written(units.get(m.name, ''))}".rstrip()
+        for m in parameters[:MOST_NAMED]
+    ]
+    more = len(parameters) - len(texts)
+    return join_names([*texts, *([f"{more} more"] if more else [])])
 
 
 def rise_text(errors: Mapping[str, tuple[float, float]], units: Mapping[str, str], file: str) -> str:
@@ -266,16 +267,20 @@ def floor_warning(part: str, channels: Mapping[str, tuple[float, float]], units:
     return messages.FLOOR_ABOVE_ERROR(logs=logs, pairs=", ".join(pairs))
 
 
-def nearest_text(names: Sequence[str], *, fitted: bool, file: str = NEAREST[0], same: bool = False) -> str:
+def nearest_text(
+    names: Sequence[str], *, fitted: bool, file: str = NEAREST[0], same: bool = False, moved: str = ""
+) -> str:
     """Return a sentence on the content of the nearest model.
 
     Args:
+        moved: Base parameters that were recalibrated beyond their tolerances, in words.
         fitted: Whether base parameters are recalibrated.
         same: Whether the candidates are those of the previous sentence.
     """
     content = f"contains {'them' if same else _counted_names(names, 'candidate')}"
     if not names:
         content = f"is the model {'recalibrated' if fitted else 'as it was'}"
+        content += f", beyond tolerance: {moved}" if moved else ""
     return f"{file} predicts held-out logs best; it {content}."
 
 
@@ -365,5 +370,7 @@ def small_gains_text(names: Sequence[str]) -> str:
 
 def remainder_text(term: UnnamedTerm, gained: float) -> str:
     """Return sentences on an unnamed term beside a claim."""
+    if term.share is not None and term.share < LITTLE:
+        return f"Something remains in {term.equation}; no single term explains even {percent(LITTLE)} of it."
     rest = f"Something remains in {term.equation} that {dependence_text(term.signal, term.shape)}."
     return f"{rest} A term without a name would add {percent(term.gain / gained)} to the claim's gain."

@@ -33,23 +33,25 @@ ErrorOf = Mapping[str, Channels]  # replays before, recalibrated and after → e
 
 def check_with_replays(study: Study, a: Attribution, claims: Claims, result: SearchResult, problem: Problem) -> Claims:
     """Return the claims, changed or withdrawn if replays of the logs contradict the verdict."""
-    is_within, is_single = not _beyond_tolerance(a.base.fit), False
+    is_within, is_single = not beyond_tolerance(a.base.fit), False
     if claims.name == "no_effect":
         error, floor = _replay_errors(study, a, claims, problem, result.sensors)
         if ratios := _errors_per_floor(error["before"], floor):
             if not is_within or _errors_per_floor(error["recalibrated"], floor):
                 claims = claim_single_number(claims, a, study.subject, result, ratios)
             is_single = True
-    elif claims.name == "parameter_error" and claims.claimed and (others := _beyond_tolerance(claims.claimed.fit)):
+    elif claims.name == "parameter_error" and claims.claimed and (others := beyond_tolerance(claims.claimed.fit)):
         otherwise = claim_single_number(claims, a, study.subject, result, {})
-        further = _moved_parameters(claims.claimed.fit, others)
-        claims = otherwise if otherwise.claimed is not None else replace(claims, further=further)
+        claims = otherwise if otherwise.claimed is not None else replace(claims, further=others)
     if claims.claimed is None:
         return claims
     error, floor = _replay_errors(study, a, claims, problem, result.sensors)
     if is_single and (doubt := _error_doubt(error, floor)):
         return claims.withdraw(doubt)
-    return check_claim(claims, error, floor, a.support, recalibrated=is_within, halves=a.halves_error)
+    claims = check_claim(claims, error, floor, a.support, recalibrated=is_within, halves=a.halves_error)
+    if claims.claimed is None or claims.claimed.is_of_sensors or claims.further:
+        return claims
+    return replace(claims, further=beyond_tolerance(claims.claimed.fit))
 
 
 def _replay_errors(
@@ -175,14 +177,15 @@ def _moved_parameters(f: Fit, names: Sequence[str]) -> tuple[MovedParameter, ...
 def _is_only_error(search: Search, h: Hypothesis) -> bool:
     """Return True if only the hypothesis' parameter is off."""
     (c,) = h.candidates
-    if _beyond_tolerance(h.fit):
+    if beyond_tolerance(h.fit):
         return False
     return is_outside_tolerance(search, h, c) if c.kind == "parameter" else h.is_away(c, SIGNIFICANT)
 
 
-def _beyond_tolerance(f: Fit) -> list[str]:
-    """Return base parameters outside their tolerances."""
-    return [x.name for x in f.free if x.prior and not x.group and is_beyond_tolerance(f, x.name, x.prior)]
+def beyond_tolerance(f: Fit) -> tuple[MovedParameter, ...]:
+    """Return the base parameters whose intervals lie outside their tolerances."""
+    names = [x.name for x in f.free if x.prior and not x.group and is_beyond_tolerance(f, x.name, x.prior)]
+    return _moved_parameters(f, names)
 
 
 def _errors_per_floor(error: Channels, floor: Channels) -> dict[str, float]:
