@@ -206,4 +206,4 @@ def test_equations_that_sympy_cannot_differentiate_are_refused_and_not_a_traceba
 
     monkeypatch.setattr("cosim.fmi.native.package.native_model", endless)
     with pytest.raises(InputError, match="sympy finds no end in differentiating its equations"):
-        build_native("base", tmp_path)
+        build_native(tmp_path, model="base")
