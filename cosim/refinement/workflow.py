@@ -42,7 +42,7 @@ from cosim.refinement.proof.nearest import ladder, nearest
 from cosim.refinement.proof.prediction_fit import compare_with_predictions
 from cosim.refinement.proof.proof_replays import LogSets, Proof, warnings_of
 from cosim.refinement.proof.refined_models import Variant, refined_subject, variant_of, variants_of, with_log_noise
-from cosim.refinement.proof.replay_check import beyond_tolerance, check_with_replays
+from cosim.refinement.proof.replay_check import check_with_replays, moved_beyond_tolerance
 from cosim.refinement.proof.sealed import find_rises
 from cosim.refinement.proof.table_errors import add_dependence, errors_on_held_out_rows
 from cosim.refinement.record import Floors, Measurements, Replayed, keep_finite, record
@@ -245,7 +245,7 @@ def _add_nearest(study: Study, claims: Claims, result: SearchResult, a: Attribut
     claims = replace(claims, ladder=ladder(result.search, a, list(close.values())))
     if claims.grade != "claimed":
         h = nearest(claims.ladder)
-        claims = replace(claims, nearest=Nearest(h, beyond_tolerance(h.fit) if h else ()))
+        claims = replace(claims, nearest=Nearest(h, moved_beyond_tolerance(h.fit) if h else ()))
     left_out = errors_on_held_out_rows(result.search, a, claims) if result.search.problem.table else None
     return replace(claims, restricted=study.content.candidates is not None, left_out=left_out)
 

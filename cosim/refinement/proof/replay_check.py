@@ -151,10 +151,8 @@ def claim_single_number(
         return Claims("ambiguous", hypotheses[0], names, experiment, misfit, claims.grade, apart=names)
     if hypotheses:
         return Claims(name_of(hypotheses[0].candidates, subject), hypotheses[0], misfit=misfit, grade="claimed")
-    worst, fit = max(ratios.items(), key=itemgetter(1), default=("", 0.0)), a.base.fit
-    priors = {x.name: x.prior for x in fit.free if x.prior and not x.group}
-    far = [n for n, (mean, sigma) in priors.items() if abs(fit.values[n] - mean) > WIDTHS * sigma]
-    return Claims("unexplained", misfit=misfit, missed_channel=worst, recalibrated=_moved_parameters(fit, far))
+    worst = max(ratios.items(), key=itemgetter(1), default=("", 0.0))
+    return Claims("unexplained", misfit=misfit, missed_channel=worst, recalibrated=moved_beyond_tolerance(a.base.fit))
 
 
 def _single_errors(result: SearchResult, base: Hypothesis) -> list[Hypothesis]:
@@ -180,6 +178,12 @@ def _is_only_error(search: Search, h: Hypothesis) -> bool:
     if beyond_tolerance(h.fit):
         return False
     return is_outside_tolerance(search, h, c) if c.kind == "parameter" else h.is_away(c, SIGNIFICANT)
+
+
+def moved_beyond_tolerance(f: Fit) -> tuple[MovedParameter, ...]:
+    """Return the base parameters whose estimates, not necessarily their intervals, lie outside their tolerances."""
+    priors = {x.name: x.prior for x in f.free if x.prior and not x.group}
+    return _moved_parameters(f, [n for n, (mean, sd) in priors.items() if abs(f.values[n] - mean) > WIDTHS * sd])
 
 
 def beyond_tolerance(f: Fit) -> tuple[MovedParameter, ...]:
