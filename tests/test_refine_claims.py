@@ -57,9 +57,9 @@ def judged(a: Attribution, leftover: Leftover | None = None, move: float = 0.0) 
     return judge(a, leftover or nothing, CRAFT, ["vx"], {"vx": move} if move else {}, still=False)
 
 
-def test_an_unknown_input_withdraws_a_claim_only_if_the_claim_explains_little() -> None:
+def test_beside_an_unknown_input_a_claim_must_halve_the_error() -> None:
     """However fine the sensors are, and so however large the gain of the unknown input is."""
-    much, little = (judged(attribution(fitted(FRICTION), ratios=r), move=0.3) for r in ((0.5, 0.6), (0.97, 0.98)))
+    much, little = (judged(attribution(fitted(FRICTION), ratios=r), move=0.3) for r in ((0.4, 0.5), (0.6, 0.65)))
     assert (much.name, much.grade, much.disturbed) == ("effect_found", "part", "vx")
     assert (little.name, little.claimed, little.rivals) == ("unexplained", None, (FRICTION,))
 

@@ -243,11 +243,9 @@ def _judge_claim(
         large: State with an unknown input that is no small disturbance, or "".
     """
     gained = a.base.score - a.best.score
-    explained = 1.0 - a.error_ratio**2  # share of the mean square error on held-out logs
-    hides = large and explained < MUCH * (1.0 - explained)
     disputed = _disputed_parts(a, leftover)
     certain = fit_of_rest(a, disputed) if disputed else a.best
-    if hides or certain is None:
+    if (large and not a.halves_error) or certain is None:
         return Claims("unexplained", rivals=a.best.names, misfit=residual)
     if a.rivals:
         return _ambiguous_claims(a, subject, residual)
