@@ -21,7 +21,7 @@ Look = Callable[[float, Sequence[Any], Sequence[Any]], list[Any]]  # (t, state, 
 
 
 class Floats:
-    """Functions of equations on floats."""
+    """Math functions for equations on floats."""
 
     sin, cos, tanh, exp, sqrt = math.sin, math.cos, math.tanh, math.exp, math.sqrt
     maximum, minimum, absolute = max, min, abs
@@ -32,7 +32,7 @@ class Floats:
 
 
 class Arrays:
-    """Functions of equations on arrays."""
+    """Math functions for equations on NumPy arrays."""
 
     sin, cos, tanh, exp, sqrt = np.sin, np.cos, np.tanh, np.exp, np.sqrt
     maximum, minimum, absolute, where = np.maximum, np.minimum, np.abs, np.where

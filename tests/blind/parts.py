@@ -22,7 +22,7 @@ HALVED = 0.5  # of the sealed error of the yardstick, from which friction has to
 
 
 def draw(seed: int) -> Study:
-    """Return the mixed study of a seed."""
+    """Return the study of a seed, with several hidden effects."""
     plant = field_study.PLANTS[seed % len(field_study.PLANTS)]
     strange = (seed // len(field_study.PLANTS)) % 5 == 4 and plant != "craft"  # a craft has one effect or one stranger
     rig, rng = field_study.RIGS[plant], field_study.stream(seed, 6)
