@@ -157,7 +157,7 @@ def _response(m: Measurement, r: Recording, lags: Array) -> Array:
 
 
 def _by_hand(chosen: Sequence[Sequence[tuple[Recording, float]]], m: Measurement) -> tuple[Array, Array]:
-    """Return magnitude [dB] and phase [°] from extremes.
+    """Return magnitude [dB] and phase [°] from maximum and minimum of the filtered force, as in the thesis.
 
     Values are relative to the lowest frequency.
     """

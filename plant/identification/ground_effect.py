@@ -126,7 +126,7 @@ def height_of(r: Recording, test: HeightTest) -> float:
 
 
 def sets_by_duty(recordings: Sequence[Recording], test: HeightTest) -> list[dict[float, list[Recording]]]:
-    """Return recordings by duty, largest set first, then by height."""
+    """Return for each duty the recordings by height; most recordings first, the validation duty last."""
     sets: dict[float, dict[float, list[Recording]]] = {}
     for r in recordings:
         duty = round(float(np.median(r.duty[r.rows(test.window)])), 3)

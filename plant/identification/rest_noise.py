@@ -94,7 +94,7 @@ def _reason_against(name: str, values: Array) -> Message | None:
 
 
 def _turns(values: Array) -> int:
-    """Return the number of smoothed mean crossings."""
+    """Return how often the smoothed values cross their mean."""
     smooth = np.convolve(values - values.mean(), np.ones(9) / 9, "valid")
     return int(np.sum(smooth[1:] * smooth[:-1] < 0.0))
 
