@@ -120,7 +120,7 @@ class ScoreTest:
         return 0.5 * float(fitted @ fitted), multiples
 
     def terms(self, c: Candidate) -> Terms:
-        """Return a candidate's terms: from neutral towards its usual size if it is inactive, else about the fitted values."""
+        """Return a candidate's terms: from neutral towards its usual size if inactive, else about the fitted values."""
         if c.kind == "parameter" and c.parameters[0] in self.priors:
             return self._terms_without_prior(c)
         at_neutral = all(f.neutral is None or self.values[f.name] == f.neutral for f in c.free)

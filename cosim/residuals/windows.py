@@ -80,7 +80,7 @@ def free_run(drive: Drive, start: Mapping[str, Any] | None = None) -> Replay:
 
 
 def row_by_row(drive: Drive, start: Mapping[str, Any]) -> Replay:
-    """Return the outputs of a table, each row from its own inputs."""
+    """Return the outputs for a table (independent rows without time), each row from its own inputs."""
     table = drive.rows(start)
     return Replay(drive.log.time, FREE_RUN, {0: dict(start)}, as_columns(table, drive.outputs), drive.units)
 
@@ -97,7 +97,7 @@ def windows(
 
     Args:
         starts: First row → start values.
-        memories: Row → state of a cosim FMU.
+        memories: First row → state of a cosim FMU, for states that `starts` does not set.
     """
     table = np.full((drive.log.rows, len(drive.outputs)), np.nan)
     done = -1
@@ -146,7 +146,7 @@ def _first_predicted(log: Log, name: str, starts: Sequence[int]) -> int:
 
 
 def horizons(log: Log) -> tuple[float, ...]:
-    """Return HORIZONS [s], decisive one last, longer for rows slower than 50 ms."""
+    """Return the horizons of windows [s], longer for rows slower than 50 ms; the last one decides the verdict."""
     return tuple(horizon * log.slowness for horizon in HORIZONS)
 
 
