@@ -85,7 +85,7 @@ def match_ports(
 
 
 class _Matching:
-    """Connections found so far; `open` holds the inputs without a decision, by name."""
+    """Connections so far; `open` holds the inputs without a decision, by name."""
 
     def __init__(self, outputs: Sequence[Port], inputs: Sequence[Port], sizes: Mapping[str, int]) -> None:
         self.inputs = {text(i): i for i in inputs}

@@ -49,7 +49,11 @@ def own_parameters(
     values: Mapping[str, float],
     tolerance: Mapping[str, float],
 ) -> Iterator[Free]:
-    """Yield each parameter once per group of logs, with a prior around the subject's value."""
+    """Yield each parameter once per group of logs, with a prior around its value.
+
+    Args:
+        tolerance: Parameter → relative tolerance, by default that of the model.
+    """
     for name in names:
         p, value = subject.declared[name], values[name]
         share = tolerance.get(name, p.tolerance)

@@ -287,7 +287,13 @@ class Problem:
     def run(
         self, values: Mapping[str, float], noise: Noise, index: int, *, states: bool = False, data: Data | None = None
     ) -> Filtered:
-        """Filter a log, with its own or given measurements."""
+        """Filter a log.
+
+        Args:
+            index: Number of the log.
+            states: Return the filtered states too.
+            data: Measurements to filter, by default those of the log.
+        """
         data = self.data(values, index) if data is None else data
         lasting = {MEMORY: float(np.exp(noise.memory))} if self.layout.is_coloured else {}
         x0, more = self.start(values, index)

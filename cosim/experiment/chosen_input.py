@@ -23,6 +23,7 @@ class Excitation:
     """A designed experiment, simulated with the model and with each rival hypothesis.
 
     Attributes:
+        trial, rivals: Simulation with the model, and with each rival, under the same signals.
         apart: Distance of each pair of rivals [standard deviations].
         usual: Distance of each pair under the rig's usual input, for comparison [standard deviations].
         usual_trial: Simulation of the model with the usual input.

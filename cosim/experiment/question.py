@@ -136,7 +136,8 @@ def refinement_folder(text: str) -> Path | None:
 def _question_of_refinement(path: Path, against: Sequence[str]) -> Question:
     """Return the question of a refinement.
 
-    Rivals have the values of their significant fits. A rival without a significant fit has its typical size."""
+    Rivals have the values of their significant fits. A rival without a significant fit has its typical size.
+    """
     yaml = YamlFile(path)
     content = yaml.validate(RefineResultPart)
     file = Path(content.study)

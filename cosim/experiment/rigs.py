@@ -66,6 +66,7 @@ class Rig(Protocol):
     """A rig that plays an experiment within input ranges and writes its scenario.
 
     Attributes:
+        axes: Signals that an experiment varies.
         usual: Description of the usual input, for comparison.
         files: Files beside excitation.csv, excitation.yaml and plant.fmu.
     """
@@ -144,7 +145,12 @@ def played_lines(names: Iterable[str]) -> Iterator[str]:
 def trial_of(
     model: Model, count: int, command: Callable[[int, Values], Values], signals: Signals, references: dict[str, Array]
 ) -> Trial:
-    """Simulate a model over `count` rows; `command` returns the inputs from row index and outputs."""
+    """Simulate a model over `count` rows.
+
+    Args:
+        command: Function from (row index, outputs) to the inputs.
+        signals, references: Axis signals and references of the loop, stored in the trial.
+    """
     stepper = Stepper(model)
     moment, u = stepper.start(), model.start_command()
     inputs, outputs = np.full((count, len(model.inputs)), np.nan), np.full((count, len(model.outputs)), np.nan)

@@ -108,7 +108,10 @@ class Comparison:
 
 
 def compare(drive: Drive, free: Replay, findings: Sequence[Finding] = ()) -> Comparison:
-    """Return the complete comparison for a free run.
+    """Return the complete comparison for a free run, with windows, noise floor and statistics.
+
+    Args:
+        findings: Earlier findings on the log, included in the result.
 
     Raises:
         InputError: The comparison shows a wrong unit.

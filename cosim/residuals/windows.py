@@ -153,7 +153,7 @@ def horizons(log: Log) -> tuple[float, ...]:
 def chains(log: Log, horizon: float) -> list[Chain]:
     """Return chains of consecutive windows of a log; a pause in the log begins a new chain.
 
-    After a pause, the state settles in short windows.
+    At the start of each chain the state settles in short windows, which do not count.
     """
     result, skipped = [], SKIPPED * log.slowness
     for part in stretches(log):
@@ -168,7 +168,7 @@ def chains(log: Log, horizon: float) -> list[Chain]:
 
 
 def window_rows(log: Log, horizon: float, skipped: float = SKIPPED) -> list[int]:
-    """Return first rows of consecutive whole windows."""
+    """Return the first rows of consecutive whole windows, after the first `skipped` seconds."""
     rows: list[int] = []
     k = int(np.searchsorted(log.time, log.time[0] + skipped - 1e-6 * log.step))
     while k < log.rows - 1 and log.time[k] + horizon <= log.time[-1] + 0.5 * log.step:

@@ -24,6 +24,11 @@ def judge(m: Measurement, result: Result, channel: str, response: Response, rows
     """Compare a measured step response with the assumed first-order shape.
 
     A force earlier than its command is added to `result` as a fault, a different shape as a warning.
+
+    Args:
+        channel: Cell whose force is compared.
+        response: Function from a recording to the assumed response, one column for each of LAGS.
+        rows: Compared rows of each recording.
     """
     # rows of each run nearest to the slowest clock
     slowest = max(m.recordings, key=lambda r: r.step)

@@ -95,7 +95,11 @@ def at_rail(bench: Bench, volts: Array, margin: Array | float = 0.0) -> Flags:
 
 
 def cell_of(loads: Sequence[float], volts: Sequence[float], error: float, saturated: Sequence[float] = ()) -> Cell:
-    """Return a cell from its points.
+    """Return a cell from its calibration points.
+
+    Args:
+        error: Standard deviation of each load.
+        saturated: Loads with saturated readings.
 
     Raises:
         ValueError: The voltage is not monotonic in the load; its argument is a message.

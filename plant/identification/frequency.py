@@ -107,7 +107,11 @@ def _judge(
 
 
 def harmonics(m: Measurement, chosen: Sequence[Sequence[tuple[Recording, float]]], tau: float) -> Misfit | None:
-    """Return second and third harmonics [gf] beyond the response at a lag."""
+    """Return second and third harmonics [gf] beyond the response at the lag `tau`.
+
+    Args:
+        chosen: For each repetition, the recording and frequency [rad/s] of each sine.
+    """
     shapes = [_response(m, r, np.array([tau]))[:, 0] for r, _ in chosen[0]]
 
     def averages(using: Cells) -> Array:

@@ -98,7 +98,12 @@ def _misfit(ratios: Array, model: Array, each: Array, shifts: Array) -> list[Mes
 
 
 def fit(heights: Array, gains: Array, radius: float, free: float) -> float:
-    """Return the best k for measured Γ with weights 1/Z̄ (4.27), by Gauss-Newton."""
+    """Return the best k for measured Γ with weights 1/Z̄ (4.27), by Gauss-Newton.
+
+    Args:
+        gains: Γ at `heights`, relative to the height `free`.
+        radius: Radius of the propeller.
+    """
     k, weights = CHEESEMAN_BENNETT, radius / heights
     for _ in range(12):
         here = _relative_gain(heights, radius, k, free)

@@ -184,7 +184,7 @@ class Rig:
         return next(((name, s.output) for name, s in self.sensors.items() if s.kind == "late"), ("", ""))
 
     def acting(self, p: Flat, run: Run, parts: int) -> np.ndarray:
-        """Return the acting (delayed) command, mean over each of `parts` parts of a row, shape (rows, parts, inputs)."""
+        """Return the mean acting (delayed) command of each of `parts` parts of a row, shape (rows, parts, inputs)."""
         delay = float(p.get("command_delay.time", 0.0))
         step = np.append(np.diff(run.times), self.step)
         edges = run.times[:, None] + step[:, None] * np.arange(parts + 1) / parts

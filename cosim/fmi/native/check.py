@@ -128,7 +128,7 @@ class Check:
         return [GeneratedCode(trace) for trace in self.printer.variants]
 
     def run(self) -> None:
-        """Compare in every case; raise Unprintable with the first difference and its remedy."""
+        """Compare in every case; raise UnprintableModel with the first difference and its remedy."""
         kinds = self.model.catalogue
         flags = list(product((False, True), repeat=len(self.printer.switches)))
         for awake in dict.fromkeys([(), *((kind,) for kind in kinds), kinds]):
@@ -157,7 +157,7 @@ class Check:
     def compare(
         self, case: SwitchCase, at: EvaluationPoint, code: GeneratedCode
     ) -> Iterator[tuple[str, str, float, float]]:
-        """Yield each compared quantity: its name, its hook, and its values by Python and by generated code."""
+        """Yield each compared quantity: its name, its method of the model, and its values by Python and by generated code."""
         names = {e.name for e in case.awake}
         base = {n: v for n, v in at.values.items() if "." not in n or n.partition(".")[0] in names}
         stepper = Stepper(replace(self.model, effects=()).with_values(base))
@@ -234,7 +234,7 @@ class Check:
         return [starts.get(q.name, q.start) for q in self.printer.states]
 
     def draw_value(self, p: Parameter, value: Any, k: int) -> Any:
-        """Return a parameter value: unchanged, within 10 %, or an integer in its bounds."""
+        """Return a value of parameter `p` for test k: `value`, within 10 % of it, or an integer in its bounds."""
         low, high = p.bounds
         if isinstance(value, bool) or k % POINTS == 0:
             return value

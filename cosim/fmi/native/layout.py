@@ -59,7 +59,7 @@ def per_second(unit: str) -> str:
 
 
 def model_layout(printer: ModelPrinter, about: Description, indicators: int) -> VariableLayout:
-    """Return a model's layout: states, derivatives, memory and event indicators."""
+    """Return a model's layout with states, derivatives, memory and a number of event indicators (`indicators`)."""
     if list(about.ports) != list(model_ports(printer.model)):
         raise ValueError("the description is of another model")
     names = [q.name for q in printer.states]
