@@ -157,7 +157,7 @@ class Check:
     def compare(
         self, case: SwitchCase, at: EvaluationPoint, code: GeneratedCode
     ) -> Iterator[tuple[str, str, float, float]]:
-        """Yield each compared quantity: its name, its method of the model, and its values by Python and by generated code."""
+        """Yield each compared quantity: name, method of the model, and values by Python and by generated code."""
         names = {e.name for e in case.awake}
         base = {n: v for n, v in at.values.items() if "." not in n or n.partition(".")[0] in names}
         stepper = Stepper(replace(self.model, effects=()).with_values(base))
