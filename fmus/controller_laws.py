@@ -75,9 +75,9 @@ class HovercraftPredictiveController(HovercraftController):
 
 
 class HovercraftTimeVariantController(HovercraftController):
-    """Predictive control with A(t), B(t) along the planned motion, and an own extended Kalman filter.
+    """Predictive control with A(t), B(t) along the planned motion, and its own extended Kalman filter.
 
-    Tilt and duty are limited; y is controlled with fixes. The host needs daqp too.
+    Tilt and duty are limited. With position fixes, y is controlled too. The host also needs the solver daqp.
     """
 
     settings = TimeVariantSettings()

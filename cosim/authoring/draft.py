@@ -90,14 +90,14 @@ def write_single(
 
 
 def _read_earlier(path: Path) -> str:
-    """Return the text of an earlier scenario, or an empty text for a file longer than any first scenario."""
+    """Return the text of an earlier scenario, or an empty text for a file larger than MOST_BYTES."""
     return path.read_text(encoding="utf-8", errors="replace") if path.stat().st_size <= MOST_BYTES else ""
 
 
 def _choose_times(
     part: DraftPart, recording: DraftRecording | None, stop: float | None, step: float | None
 ) -> tuple[RequestedTimes, tuple[str, ...]]:
-    """Return the requested times of a run, by default those of the recording, and notes."""
+    """Return the times of a run, by default those of the recording or of the FMU, and notes."""
     declared = experiment_of(part.description).get("start")
     if recording is None:
         _check_end(part.path, declared, stop)
@@ -232,7 +232,7 @@ def _drop_loops(parts: Sequence[DraftPart], matches: Matches) -> Matches:
 
 
 def _algorithm(parts: Sequence[DraftPart], matches: Sequence[Match]) -> Algorithm:
-    """Return the default coupling algorithm; for an algebraic loop, the algorithm without stepping order."""
+    """Return the default coupling algorithm; with an algebraic loop, the algorithm without stepping order."""
     blocks = {part.name: part.block for part in parts}
     edges = [(m.source[0], m.target[0], m.target[1].name, m.source[1].name) for m in matches]
     try:

@@ -37,7 +37,7 @@ def scenario_text(
     """Return the text of a first scenario, to be written into `folder`.
 
     Args:
-        played: Recording that supplies the first connections.
+        played: Recording that plays inputs; its connections come first.
         verb: Command that writes the scenario.
     """
     guesses, choices = sum(bool(m.guess) for m in matches.connections), len(matches.choices)
@@ -80,7 +80,7 @@ def seal(text: str) -> str:
 
 
 def is_edited(text: str) -> bool:
-    """Return whether a scenario contradicts its digest."""
+    """Return whether a scenario was changed after `seal`: its text does not match its digest."""
     lines, digest, _ = text.rpartition(SEAL)
     return bool(digest) and text != seal(lines)
 
@@ -152,7 +152,7 @@ def _more(parts: Sequence[DraftPart]) -> list[str]:
 
 
 def relative(path: Path, folder: Path) -> str:
-    """Return a file relative to a folder, absolute if far away."""
+    """Return the path of a file relative to a folder, or the absolute path if the file is far away."""
     name = os.path.relpath(path.resolve(), folder.resolve())
     return Path(name).as_posix() if name.count("..") < 4 else path.resolve().as_posix()
 

@@ -46,7 +46,7 @@ class Exported:
 def export_ssp(
     scenario: FilePath, path: FilePath | None = None, overrides: tuple[str, ...] = (), *, nearest: bool = False
 ) -> Exported:
-    """Write a scenario as an SSP 1.0 without noise; references become FMUs in C.
+    """Write a scenario as an SSP 1.0 without noise; reference components become FMUs in C.
 
     Args:
         scenario: Scenario or manifest.json.

@@ -79,13 +79,13 @@ def match_ports(
     Equal names come first, then similar ones. Equally likely outputs are left to the user.
 
     Args:
-        sizes: Array `component.variable` → number of elements.
+        sizes: Number of elements of each array, by name `component.variable`.
     """
     return _Matching(outputs, inputs, sizes).matches()
 
 
 class _Matching:
-    """Matching in progress; `open` holds the undecided inputs by name."""
+    """Connections so far; `open` holds the inputs without a decision, by name."""
 
     def __init__(self, outputs: Sequence[Port], inputs: Sequence[Port], sizes: Mapping[str, int]) -> None:
         self.inputs = {text(i): i for i in inputs}
@@ -158,7 +158,7 @@ class _Matching:
         return None if best is None else best[1:]
 
     def _connect_remaining(self) -> None:
-        """Connect unused outputs and inputs that have no alternative."""
+        """Connect each input that a single unused output fits, unless that output also fits another such input."""
         sources: dict[str, Port] = {}
         for name, target in self.open.items():
             is_reference = _is_reference(target[1].name)

@@ -61,7 +61,7 @@ class DraftPart:
 
     @property
     def sizes(self) -> dict[str, int]:
-        """Return array `component.variable` → number of elements."""
+        """Return the number of elements of each array, by name `component.variable`."""
         block = self.block
         every = (*block.inputs, *block.exact_inputs, *block.outputs, *block.exact_outputs)
         return dict(Counter(f"{self.name}.{s.array}" for s in every if s.array and not s.local))
@@ -206,7 +206,7 @@ def _step(
     own_steps: Mapping[str, float],
     duration: float,
 ) -> tuple[float, str]:
-    """Return the desired step [s] and its reason, unadjusted."""
+    """Return the desired step [s] before it is fitted to the duration, and its reason."""
     if request.step is not None:
         return request.step, "given"
     steps = {**{n: e["step"] for n, e in experiments.items() if e.get("step", 0.0) > 0}, **own_steps}
@@ -219,7 +219,7 @@ def _step(
 
 
 def _own_step(part: DraftPart) -> float:
-    """Return an FMU's required communication step [s], 0 for any."""
+    """Return an FMU's required communication step [s], 0 if it accepts any step."""
     parameter = sampled_by(part.path)
     if parameter is not None:
         declared = next((v.start for v in part.description.modelVariables if v.name == parameter), None)

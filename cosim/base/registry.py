@@ -141,7 +141,7 @@ def page_for(components: Iterable[Collection[str]]) -> Page | None:
 
 
 def twin_of(model_name: str) -> Any:
-    """Return the array twin of a modelName, if registered."""
+    """Return the factory (`TwinMaker`) of arrays that simulate many runs of a modelName at once, or None."""
     return load(TWINS, model_name) if model_name in names(TWINS) else None
 
 

@@ -168,5 +168,5 @@ def whole_steps(time: float, step: float) -> int:
 
 
 def steps_in(time: float, step: float) -> float:
-    """Return a time in steps, within a large bound."""
+    """Return time/step, limited to ±MOST."""
     return min(max(time / step, -MOST), MOST)

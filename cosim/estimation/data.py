@@ -1,4 +1,7 @@
-"""Logs as input of the filter: equal steps, measurements, and the age of each reading."""
+"""Logs as input of the filter: equal steps, measurements, and the age of each reading.
+
+A log of a model without states is a table: its rows are independent and have no time.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,8 @@ def data_of(
     In a missing row, the previous command continues and measurements are missing.
 
     Args:
-        settle: Time [s] after which an unknown start state is negligible, see `settling`.
+        settle: Time [s] after which an unknown start state is negligible.
+        interpolated: Inputs interpolated between rows; others are held.
     """
     if log.table:
         return _data_of_table(log, layout)
@@ -47,7 +51,7 @@ def data_of(
 
 
 def _data_of_table(log: Log, layout: Layout) -> Data:
-    """Return a table, in which outputs depend on the inputs of their own row."""
+    """Return a table (independent rows), in which outputs depend on the inputs of their own row."""
     u = np.column_stack([log.inputs[name] for name in layout.inputs])
     return Data(log.step, 0.0, u, _outputs(log, layout), 1, interpolated=frozenset(layout.inputs), table=True)
 
@@ -59,7 +63,7 @@ def _outputs(log: Log, layout: Layout) -> Array:
 
 
 def folds(logs: Sequence[Data]) -> list[Data]:
-    """Return tables in parts for cross-validation, without unmeasured rows.
+    """Split tables (independent rows) into parts for cross-validation, without unmeasured rows.
 
     Each row is a part; with many rows, parts are evenly spread rows.
     """
@@ -89,7 +93,7 @@ def _mean_commands(log: Log, u: Array, grid: Rows) -> Array:
 
 
 def count_unscored(data: Data) -> int:
-    """Return the rows before scoring starts, in which the filter settles; 0 for a table."""
+    """Return the number of rows before scoring, in which the filter settles; 0 if the rows are independent."""
     if data.table:
         return 0
     return round(UNSCORED * slowness(data.step) / data.step)

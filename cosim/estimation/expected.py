@@ -15,7 +15,7 @@ from cosim.logs.channel_noise import NORMAL_95
 
 
 def means(f: Fit) -> dict[str, float]:
-    """Return each parameter per log averaged over the groups."""
+    """Return parameter → mean over the groups, for the parameters with a value per group."""
     return {name: expected_value(f, name)[0] for name in dict.fromkeys(x.parameter for x in f.free if x.group)}
 
 

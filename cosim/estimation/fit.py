@@ -37,7 +37,7 @@ class Patience:
     """Rules for abandoning a fit.
 
     Attributes:
-        goal: After `fair` iterations the quadratic model must predict an objective below `goal`.
+        goal: After `fair` iterations the quadratic model must predict an objective below `goal`; else the fit ends.
         reached: Upper bound of the optimum. Above the bound the quadratic model is unreliable, and the fit continues
             while the pace of its last iteration would reach `goal` in time.
     """
@@ -77,7 +77,7 @@ class Fit:
 
     @property
     def objective(self) -> float:
-        """Return the minimised objective: NLL plus prior penalty."""
+        """Return the minimised objective: NLL plus the penalty of the priors."""
         return self.nll + self.penalty
 
     def marginal(self, names: Sequence[str]) -> Array:
@@ -136,13 +136,17 @@ def fit(
     """Fit free parameters and noise to the posterior maximum.
 
     Args:
-        sensing: Also fit sensor noise and memory; otherwise only the power of the unknown inputs.
+        start, noise: Start values of parameters and noise.
+        only: Indices of the logs to fit; None for all.
+        iterations: Largest number of iterations.
+        patience: Rules for abandoning the fit.
+        sensing: Also fit sensor noise and correlation time; otherwise only the power of the unknown inputs.
     """
     return _Scoring(problem, tuple(free), start, noise, only, sensing=sensing).run(iterations, patience)
 
 
 def scores(problem: Problem, f: Fit) -> tuple[Array, Array]:
-    """Return the score of each measurement and the information of all free parameters."""
+    """Return the gradient of the NLL by measurement, and the information matrix of free parameters and noise."""
     scoring = _Scoring(problem, f.free, f.values, f.noise, None, sensing=True)
     scoring.scored = scoring._evaluate(scoring.theta)
     e, s = scoring.scored.errors, scoring.scored.variances

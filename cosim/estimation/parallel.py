@@ -49,7 +49,7 @@ def in_parallel(work: Callable[[Item], Result], items: Sequence[Item]) -> list[R
 
 
 def _wait(helpers: Sequence[Thread]) -> None:
-    """Wait for helper threads and lend this thread's core."""
+    """Wait for helper threads; meanwhile other work may use this thread's core."""
     if helpers:
         _idle.release()
         try:

@@ -49,7 +49,11 @@ def own_parameters(
     values: Mapping[str, float],
     tolerance: Mapping[str, float],
 ) -> Iterator[Free]:
-    """Yield each parameter once per group of logs, with a prior around the subject's value."""
+    """Yield each parameter once per group of logs, with a prior around its value.
+
+    Args:
+        tolerance: Parameter → relative tolerance, by default that of the model.
+    """
     for name in names:
         p, value = subject.declared[name], values[name]
         share = tolerance.get(name, p.tolerance)
@@ -70,11 +74,13 @@ def drop_own_parameters(candidates: Sequence[Candidate], names: Sequence[str]) -
 def start_of_log(
     kernel: Kernel, data: Data, p: Array, x0: Array, own: Mapping[str, tuple[float, float]], initial: Mapping[int, int]
 ) -> tuple[Array, Array]:
-    """Return the start state of a log, and L with L·L' added to P0, shape (stochastic states, constants).
+    """Return the start state of a log, and the factor L of the covariance L·L' that is added to P0.
+
+    L has shape (stochastic states, parameters per log).
 
     Args:
         own: Parameter → value and standard deviation.
-        initial: As in `Origin`.
+        initial: Index of a state with an initial reading → index of the output.
     """
     layout = kernel.layout
     places = [layout.constants[name] for name in own]

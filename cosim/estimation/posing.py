@@ -87,7 +87,7 @@ def start_state(subject: Subject, data: Data, measured: Sequence[str], states: S
 def origins(
     subject: Subject, layout: Layout, logs: Sequence[Log], data: Sequence[Data], settings: Settings
 ) -> list[Origin]:
-    """Return group and start of each log; empty without parameters per log."""
+    """Return the origin of each log: group and initial readings; empty without parameters per log."""
     if not settings.per_log:
         return []
     states, outputs, begins = layout.states, layout.outputs, []
@@ -100,8 +100,9 @@ def origins(
 def start_covariance(subject: Subject, problem: Problem) -> Array:
     """Return the start covariance P0 of the stochastic states.
 
-    The variance of a state with initial measurements in every log is 10·r, else the subject's start variance. Without
-    both, the variance is the squared range of the model's own run with the commands, or 1.
+    The variance of a state with initial measurements in every log is ten times the noise variance of the output, else
+    the subject's start variance. Without both, the variance is the squared range of the model's own run with the
+    commands, or 1.
     """
     layout = problem.layout
     measured = _measured_at_start(subject, problem)
@@ -131,7 +132,7 @@ def _measured_at_start(subject: Subject, problem: Problem) -> set[str]:
 
 
 def _range(problem: Problem) -> Array:
-    """Return the range of each state in a simulation of the logs, 0 for a state at rest.
+    """Return the range of each state in a simulation of the logs, 0 for a state that does not change.
 
     All ranges are 0 if the simulation leaves the measurements by more than their span, as for an unstable model.
     """

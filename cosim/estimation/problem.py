@@ -33,7 +33,7 @@ class Settings:
 
     Attributes:
         interpolated: Inputs interpolated between rows.
-        tolerance: Base parameter → relative tolerance, the half-width of 95 %.
+        tolerance: Base parameter → relative tolerance, the half-width of the 95 % interval of its prior.
         per_log: Parameters with a separate value for each group of logs.
         groups: File of a log → group.
     """
@@ -124,7 +124,7 @@ class Problem:
 
     @property
     def table(self) -> bool:
-        """Return True for tables with independent rows."""
+        """Return True if the logs are tables, whose rows are independent and have no time."""
         return self.logs[0].table
 
     @property
@@ -177,7 +177,7 @@ class Problem:
 
     @property
     def plain(self) -> Noise:
-        """Return the usual noise: unknown inputs at a detectable level, or off for trusted equations."""
+        """Return the usual noise: unknown inputs at a detectable level, or at the smallest for trusted equations."""
         return self.at(self.noise.smallest if self.trusted else self.noise.plain)
 
     @cached_property
@@ -225,11 +225,11 @@ class Problem:
         return np.array([values[name] if name in values else self.values[name] for name in self.layout.parameters])
 
     def of_log(self, values: Mapping[str, float], index: int) -> Mapping[str, float]:
-        """Return the parameter values of a log's group."""
+        """Return the parameter values for a log, with those of its group."""
         return {**values, **{name: value for name, (value, _) in self._own(values, index).items()}}
 
     def start(self, values: Mapping[str, float], index: int) -> tuple[Array, Array]:
-        """Return the start state of a log, and L with L·L' added to P0."""
+        """Return the start state of a log, and the factor L of the covariance L·L' that is added to P0."""
         own, x0 = self._own(values, index), self.x0[index]
         if not own:
             return x0, np.zeros((len(self.layout.stochastic), 0))
@@ -246,7 +246,7 @@ class Problem:
         return constants
 
     def densities(self, noise: Noise) -> Array:
-        """Return q of every stochastic state [unit²/s].
+        """Return the process noise density q of every stochastic state [unit²/s].
 
         An unknown input with variance σ² and correlation time T is driven by 2·σ²/T.
         """
@@ -287,7 +287,13 @@ class Problem:
     def run(
         self, values: Mapping[str, float], noise: Noise, index: int, *, states: bool = False, data: Data | None = None
     ) -> Filtered:
-        """Filter a log, with its own or given measurements."""
+        """Filter a log.
+
+        Args:
+            index: Number of the log.
+            states: Return the filtered states too.
+            data: Measurements to filter, by default those of the log.
+        """
         data = self.data(values, index) if data is None else data
         lasting = {MEMORY: float(np.exp(noise.memory))} if self.layout.is_coloured else {}
         x0, more = self.start(values, index)

@@ -43,7 +43,7 @@ class Readings:
 
     @staticmethod
     def earlier(table: Array, late: Mapping[int, int]) -> Array:
-        """Return a table with columns shifted to earlier rows.
+        """Return an array of readings with columns shifted to earlier rows; the last rows become NaN.
 
         Args:
             late: Index of a column → number of rows.
@@ -69,7 +69,7 @@ def readings_of(y: Array, unscored: int) -> Readings:
 
 
 def readings_of_table(parts: Sequence[Array]) -> list[Readings]:
-    """Return the readings of each part of a table. Rows are independent, so the slopes over time are 0."""
+    """Return the readings of each part of a table. Its rows are independent, so the slopes over time are 0."""
     whole = readings_of(np.vstack(parts), 0)
     return [Readings(np.isfinite(y), np.zeros_like(y), whole.resolution, whole.spread) for y in parts]
 

@@ -33,9 +33,9 @@ class Terms:
     """Effect of a candidate on the innovations at a fit.
 
     Attributes:
-        rows: Change of the innovations by a step of each term, without the part that free parameters can imitate.
-        steps: Parameter → size of each step.
-        identifiable: Largest χ² of a usual size.
+        rows: Change of the innovations by each term's step, without the part that free parameters can imitate.
+        steps: For each term, parameter → step.
+        identifiable: Largest χ² of a term at the usual size.
         switched: True if a tiny step already has a large effect, so that small steps are not informative.
     """
 
@@ -120,7 +120,7 @@ class ScoreTest:
         return 0.5 * float(fitted @ fitted), multiples
 
     def terms(self, c: Candidate) -> Terms:
-        """Return a candidate's terms at the fit, or at neutral towards the usual size."""
+        """Return a candidate's terms: from neutral towards its usual size if inactive, else about the fitted values."""
         if c.kind == "parameter" and c.parameters[0] in self.priors:
             return self._terms_without_prior(c)
         at_neutral = all(f.neutral is None or self.values[f.name] == f.neutral for f in c.free)
@@ -152,7 +152,7 @@ class ScoreTest:
     def _make_terms(
         self, c: Candidate, rows: Sequence[Array], steps: Sequence[Mapping[str, float]], switched: bool = False
     ) -> Terms:
-        """Return the terms of a candidate with their detectability."""
+        """Return the terms of a candidate, with the largest χ² at the usual size."""
         innovations = [r[: len(self.scored.errors)] for r in rows]
         identifiable = max((float(r @ r) for r in innovations), default=0.0) / SHARE**2
         return Terms(c, np.array(rows), tuple(steps), identifiable, switched)
@@ -197,7 +197,7 @@ class Choice:
     def promise(self, names: Sequence[str]) -> Promise:
         """Return the predicted gain of these candidates.
 
-        The gain may be negative for a set without a candidate of the fit. An estimate beyond a limit counts as invalid.
+        The gain may be negative for a set that lacks a candidate of the fit. `within` tells if estimates are in limits.
         """
         back = self._steps_to_neutral([name for name in self.parts if name not in names])
         places = [k for name in names for k in self.places[name]]
@@ -215,7 +215,7 @@ class Choice:
         return Promise(0.5 * (self.square - remaining), values, within)
 
     def extensions(self, names: Sequence[str]) -> dict[str, Promise]:
-        """Return the predictions for each further candidate, best first."""
+        """Return further candidate → prediction for these candidates with it, best first."""
         promises = {n: self.promise([*names, n]) for n in self.terms if n not in names}
         return dict(sorted(promises.items(), key=lambda item: -item[1].gain))
 

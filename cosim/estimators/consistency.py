@@ -35,7 +35,7 @@ ROWS = 256  # rows of the correlation matrix processed at once
 
 @dataclass(frozen=True)
 class Consistency:
-    """Test result for one kind of normalised squares.
+    """Result of a χ² test of normalised squared errors (NEES) or innovations (NIS), called squares here.
 
     Attributes:
         mean: Mean over runs and times.
@@ -75,7 +75,7 @@ class Consistency:
 
     @property
     def factor(self) -> float:
-        """Return mean square error over estimated variance."""
+        """Return the mean squared error divided by the variance that the estimator claims."""
         return self.mean / self.degrees
 
     @property
@@ -140,7 +140,7 @@ def consistency_of(squares: Array, degrees: int, *, white: bool = False) -> Cons
 
 
 def independent_times(squares: Array) -> float:
-    """Return the number K of independent times with the same scatter of the share of exceeded limits.
+    """Return the number K of independent times for which the share of exceeded limits scatters equally.
 
     p·(1 − p)/K is the mean covariance of the events z_j > c and z_k > c. Here z_j is the nearly normal mean over the
     runs at time j, with correlations from the runs; c is the 97.5 % quantile, exceeded with p = 2.5 %.
@@ -170,14 +170,14 @@ def _covariances() -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class ConsistencyRow:
-    """Result of one case on one flight for one kind of normalised squares.
+    """Result of one case on one flight in one test, such as NEES or NIS.
 
     Attributes:
         case: Estimator and true plant.
         flight: Name of the motion.
         motion: Description of the motion.
-        of: Kind of squares, such as NEES or NIS.
-        at: Times of the squares [s].
+        of: Name of the test, such as NEES or NIS.
+        at: Times of the tested errors or innovations [s].
     """
 
     case: str
@@ -195,18 +195,18 @@ class ConsistencyRow:
 
 @dataclass(frozen=True)
 class CaseResult:
-    """All results of one case on one flight."""
+    """Results of all tests of one case (estimator and true plant) on one flight (motion)."""
 
     rows: Sequence[ConsistencyRow]
 
     @property
     def consistent(self) -> bool:
-        """Return True if the case is consistent in every kind of squares."""
+        """Return True if every test of the case (NEES, NIS …) is consistent."""
         return all(row.result.verdict == CONSISTENT for row in self.rows)
 
     @property
     def verdict(self) -> str:
-        """Return the verdict over all kinds of squares: consistent, optimistic, pessimistic, or both of the latter."""
+        """Return the common verdict of all tests (NEES, NIS …): consistent, optimistic, pessimistic, or both."""
         kinds = {kind for row in self.rows for kind in (OPTIMISTIC, PESSIMISTIC) if kind in row.result.verdict}
         return BOTH if len(kinds) == 2 else next(iter(kinds), CONSISTENT)
 

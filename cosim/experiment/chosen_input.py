@@ -23,6 +23,7 @@ class Excitation:
     """A designed experiment, simulated with the model and with each rival hypothesis.
 
     Attributes:
+        trial, rivals: Simulation with the model, and with each rival, under the same signals.
         apart: Distance of each pair of rivals [standard deviations].
         usual: Distance of each pair under the rig's usual input, for comparison [standard deviations].
         usual_trial: Simulation of the model with the usual input.
@@ -38,7 +39,7 @@ class Excitation:
 
     @property
     def score(self) -> tuple[int, float]:
-        """Return the merit, reduced if rivals exceed the limits."""
+        """Return the merit (see `merit_of`), reduced if a rival exceeds the limits."""
         return merit_of(self.apart, max([1.0, *(trial.excess(self.question.limits) for trial in self.rivals.values())]))
 
     @property
@@ -62,7 +63,7 @@ class Excitation:
 
     @property
     def sentences(self) -> list[str]:
-        """Return distances, hardest first, and excursions of model and rivals."""
+        """Return sentences on the distances of the pairs, hardest first, and on excursions of model and rivals."""
         lines = self.distances
         if len(lines) > MAX_LISTED_PAIRS + 1:
             least = self.apart[self.hardest_first[MAX_LISTED_PAIRS]]
@@ -76,7 +77,7 @@ class Excitation:
 
     @property
     def warnings(self) -> list[Message]:
-        """Return warnings about inseparable pairs and about a better usual input beyond the limits."""
+        """Return warnings about inseparable pairs, and about a usual input that is better but exceeds the limits."""
         warnings = []
         if pairs := [f"{a} from {b}" for a, b in self.hardest_first if self.apart[a, b] < MIN_SEPARATION]:
             pairs[MAX_LISTED_PAIRS:] = [f"{len(pairs) - MAX_LISTED_PAIRS} more"] if pairs[MAX_LISTED_PAIRS:] else []
@@ -103,6 +104,10 @@ def merit_of(apart: Mapping[Pair, float], excess: float = 1.0) -> tuple[int, flo
     """Return the number of separated pairs and the smallest of their distances.
 
     Without separated pairs, the largest distance counts.
+
+    Args:
+        apart: Distance of each pair [standard deviations].
+        excess: Largest excursion relative to its limit; reduces the distances.
     """
     distances = [distance / excess for distance in apart.values()]
     separated = [distance for distance in distances if distance >= MIN_SEPARATION]

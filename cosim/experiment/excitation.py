@@ -31,7 +31,7 @@ def draw_signals(rng: np.random.Generator, axes: Sequence[RigAxis], time: Array)
 
 
 def _wave(rng: np.random.Generator, kind: str, axis: RigAxis, time: Array) -> Array:
-    """Return a signal of a kind within ±1."""
+    """Return a signal within ±1: a multisine, chirp, ramps or steps."""
     if kind == "multisine":
         frequency = np.geomspace(axis.slowest, axis.fastest, TONES)
         phase = rng.uniform(0.0, 2.0 * math.pi, TONES)

@@ -110,7 +110,7 @@ def excite(
 
 
 def _times(text: str, step: float, duration: float | None) -> Array:
-    """Return the rows of an experiment; slow models need longer ones."""
+    """Return the times of all rows [s]; a model with long steps gets a longer default duration."""
     default, shortest, longest = (slowness(step) * seconds for seconds in (DURATION, SHORTEST, LONGEST))
     duration = default if duration is None else duration
     if not shortest <= duration <= longest:
@@ -145,13 +145,13 @@ def _choose(question: Question, rig: Rig, time: Array, seed: int, count: int, re
 
 
 def _play_rivals(question: Question, rig: Rig, trial: Trial) -> dict[str, Trial]:
-    """Return trials of rivals with the same signals."""
+    """Simulate each rival with the signals of a trial, and return rival → trial."""
     models = {r.name: question.model_if(r) for r in question.rivals}
     return {name: rig.play(m, trial.signals) for name, m in models.items() if m != question.loaded.model}
 
 
 def _play(question: Question, rig: Rig, signals: Mapping[str, Array]) -> Trial:
-    """Return a trial, scaled down once if the first one exceeds the limits."""
+    """Simulate the model; if the trial exceeds the limits, scale the signals down once and repeat."""
     trial = rig.play(question.loaded.model, signals)
     if (excess := trial.excess(question.limits)) <= 1.0:
         return trial

@@ -1,4 +1,4 @@
-"""Purpose of an experiment: model, rivals, measured outputs and limits."""
+"""Purpose of an experiment: model, rivals (hypotheses to separate), measured outputs and limits."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ NOTHING = "nothing"
 
 @dataclass(frozen=True)
 class Question:
-    """Question to an experiment: rival hypotheses, and the pairs of rivals to separate.
+    """Question that an experiment answers: rival hypotheses, and the pairs of rivals to separate.
 
     Attributes:
         loaded: Model under test.
@@ -93,6 +93,10 @@ def ask(
 
     Args:
         text: `base`, a model file, or a refine.json or its folder.
+        against: Names of rivals; by default those of the refinement, or those hard to separate in the model.
+        limits: Texts NAME=VALUE: largest distance of an input or output from its start value, with unit.
+        measured: Outputs that will be logged; by default those of the refinement or of the model.
+        ranges: Texts NAME=MIN..MAX: range of an input, with unit.
 
     Raises:
         InputError: An argument has faults, or the model has no states.
@@ -124,13 +128,16 @@ def _read_question(text: str, against: Sequence[str]) -> tuple[Path, Question]:
 
 
 def refinement_folder(text: str) -> Path | None:
-    """Return the folder of a refinement, or None."""
+    """Return the folder that a text names or in which its .json file is; None for other texts."""
     path = Path(text)
     return path if path.is_dir() else path.parent if path.suffix == ".json" else None
 
 
 def _question_of_refinement(path: Path, against: Sequence[str]) -> Question:
-    """Return the question of a refinement, with rivals as fitted or, without significant fit, of typical size."""
+    """Return the question of a refinement.
+
+    Rivals have the values of their significant fits. A rival without a significant fit has its typical size.
+    """
     yaml = YamlFile(path)
     content = yaml.validate(RefineResultPart)
     file = Path(content.study)
@@ -158,7 +165,7 @@ def _question_of_refinement(path: Path, against: Sequence[str]) -> Question:
 def _joint_rival(
     text: str, names: Sequence[str], content: RefineResultPart, candidates: Mapping[str, Candidate]
 ) -> Rival:
-    """Return a rival of several candidates."""
+    """Return one rival that contains all candidates in `names`, with their fitted values."""
     parameters = next((h.parameters for h in content.candidates if set(h.names) == set(names)), {})
     return Rival(text, parameters, tuple(f for n in names for f in candidates[n].free))
 
@@ -186,7 +193,7 @@ def _fitted_rival(
     candidates: Mapping[str, Candidate],
     values: Mapping[str, float],
 ) -> Rival:
-    """Return a rival with the parameters of its best significant fit without other rivals, else unchanged.
+    """Return a rival with the parameters of its best-ranked significant fit without other rivals, or unchanged.
 
     A fit without significance is often close to the neutral value, at which no input separates the rival.
     """
@@ -233,14 +240,14 @@ def _question_of_model(path: Path, loaded: LoadedModel, against: Sequence[str]) 
 
 
 def _present_rival(loaded: LoadedModel, own: Sequence[str], candidates: Mapping[str, Candidate]) -> Rival:
-    """Return the rival of the effects that the model has, with their values."""
+    """Return the rival that consists of the model's active effects, with their values in the model."""
     free = tuple(f for n in own for f in candidates[n].free)
     values = ModelSubject(loaded).values
     return Rival(" and ".join(own), {f.name: values[f.name] for f in free}, free)
 
 
 def _candidates(loaded: LoadedModel) -> dict[str, Candidate]:
-    """Return all candidates, with all inputs regarded as varied."""
+    """Return all candidates of the model, as for logs in which every input varies."""
     subject = ModelSubject(loaded)
     return {c.name: c for c in subject.candidates([q.name for q in subject.inputs])}
 

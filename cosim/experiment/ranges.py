@@ -27,7 +27,7 @@ def inputs_to_limit(model: Model | Subject) -> tuple[str, ...]:
 
 
 def logged_ranges(logs: Sequence[Log]) -> dict[str, tuple[float, float]]:
-    """Return input → least and largest command in some logs."""
+    """Return input → (least, largest) command over all logs."""
     commands = {n: np.concatenate([log.inputs[n] for log in logs]) for n in (logs[0].inputs if logs else ())}
     return {name: (float(values.min()), float(values.max())) for name, values in commands.items()}
 

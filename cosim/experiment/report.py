@@ -28,7 +28,7 @@ MAX_BADGE_NAMES = 8  # rivals in a badge
 
 
 def page(excitation: Excitation, scenario: Path) -> str:
-    """Return a self-contained page; scenario: file with the input."""
+    """Return the self-contained page of an experiment; `scenario` is the file that plays the input."""
     question, charts = excitation.question, Charts()
     seconds = float(excitation.trial.time[-1] - excitation.trial.time[0])
     outputs = _outputs(excitation)

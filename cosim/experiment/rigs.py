@@ -26,7 +26,7 @@ SLOWEST = 2.0  # periods in a trial
 
 @dataclass(frozen=True)
 class RigAxis:
-    """An axis of an experiment: up to ±amplitude, between two frequencies [Hz]."""
+    """An independent signal of an experiment: up to ±amplitude, between two frequencies [Hz]."""
 
     name: str
     amplitude: float
@@ -66,6 +66,7 @@ class Rig(Protocol):
     """A rig that plays an experiment within input ranges and writes its scenario.
 
     Attributes:
+        axes: Signals that an experiment varies.
         usual: Description of the usual input, for comparison.
         files: Files beside excitation.csv, excitation.yaml and plant.fmu.
     """
@@ -81,7 +82,7 @@ class Rig(Protocol):
         """Return the signals of the usual input."""
 
     def write(self, folder: Path, trial: Trial) -> None:
-        """Write `files`."""
+        """Write the files listed in `files`."""
 
     def components(self) -> Iterator[str]:
         """Yield the scenario lines of further components, besides `plant` and `excitation`."""
@@ -120,7 +121,7 @@ class OpenLoop:
         return {axis.name: 0.5 * axis.amplitude * wave for axis, wave in zip(self.axes, waves, strict=True)}
 
     def write(self, folder: Path, trial: Trial) -> None:
-        """Write nothing."""
+        """Write no files; open loop needs none."""
 
     def components(self) -> Iterator[str]:
         """Yield no further components."""
@@ -137,14 +138,19 @@ def clip(values: Array, name: str, ranges: Ranges) -> Array:
 
 
 def played_lines(names: Iterable[str]) -> Iterator[str]:
-    """Yield scenario lines from the excitation to the plant."""
+    """Yield YAML lines that connect outputs of the excitation to inputs of the plant."""
     yield from (f"  - {{from: excitation.{name}, to: plant.{name}}}" for name in names)
 
 
 def trial_of(
     model: Model, count: int, command: Callable[[int, Values], Values], signals: Signals, references: dict[str, Array]
 ) -> Trial:
-    """Simulate a model; `command` returns the inputs from row index and outputs."""
+    """Simulate a model over `count` rows.
+
+    Args:
+        command: Function from (row index, outputs) to the inputs.
+        signals, references: Axis signals and references of the loop, stored in the trial.
+    """
     stepper = Stepper(model)
     moment, u = stepper.start(), model.start_command()
     inputs, outputs = np.full((count, len(model.inputs)), np.nan), np.full((count, len(model.outputs)), np.nan)

@@ -63,7 +63,7 @@ def _detectable_value(p: Parameter) -> float:
 
 
 def all_pairs(names: Iterable[str]) -> list[Pair]:
-    """Return all pairs."""
+    """Return every pair of two different names."""
     return list(combinations(names, 2))
 
 
@@ -107,7 +107,12 @@ class Separation:
         return [(truth, adapted) for truth, adapted in ((a, b), (b, a)) if counts[truth] >= counts[adapted]]
 
     def _remaining_distance(self, difference: Array, own: Array, base: Array, adapted: Rival) -> float:
-        """Return the distance that remains after fitting the free parameters of one hypothesis and of the base."""
+        """Return the distance that remains after fitting the free parameters of one hypothesis and of the base.
+
+        Args:
+            difference: Difference of the innovations under both hypotheses.
+            own, base: Derivatives of the innovations by the parameters of `adapted` and of the base.
+        """
         names = {f.name for f in adapted.free}
         others = [k for k, f in enumerate(self.base) if f.name not in names]
         slopes = np.vstack([own, base[others]]).T

@@ -193,7 +193,7 @@ def _sources(recipe: Recipe) -> Iterator[tuple[str, bytes]]:
 
 
 def _spec(name: str) -> ModuleSpec | None:
-    """Return a module's spec, None for a name inside a module."""
+    """Return a module's import spec, None if the name is not a module but an object in one."""
     try:
         return find_spec(name)
     except ModuleNotFoundError:
@@ -209,7 +209,7 @@ def _is_carried(module: str, packages: Sequence[str]) -> bool:
 
 
 def _imports(source: bytes) -> Iterator[str]:
-    """Yield imported names, also as possible modules."""
+    """Yield the imported modules; an imported name may be a module too."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -227,7 +227,7 @@ def _members(archive: Path) -> Iterator[tuple[str, bytes]]:
 
 
 def write_zip(path: Path, members: dict[str, bytes]) -> None:
-    """Write an archive determined by its members only."""
+    """Write a ZIP archive whose bytes depend on its members only."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as packed:
         for name in sorted(members):
             info = zipfile.ZipInfo(name, EPOCH)
@@ -236,7 +236,7 @@ def write_zip(path: Path, members: dict[str, bytes]) -> None:
 
 
 def digest(members: dict[str, bytes], more: bytes) -> str:
-    """Return the SHA-256 of names and contents."""
+    """Return the SHA-256 of names and contents, and of the bytes in `more`."""
     sha = hashlib.sha256()
     for name in sorted(members):
         sha.update(f"{name}\0{len(members[name])}\0".encode())

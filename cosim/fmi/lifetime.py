@@ -36,7 +36,7 @@ def keep(module: dict[str, Any], names: Mapping[str, Any]) -> None:
 
 
 def let_go_at_exit(folder: Path) -> None:
-    """Release pythonfmu's keepers of an unpacked FMU, once each."""
+    """Release the interpreter's keeper of each library of an unpacked FMU once, at exit."""
     if not sys.platform.startswith("linux"):
         return
     for file in set(folder.glob("binaries/linux64/*.so")) - _libraries:

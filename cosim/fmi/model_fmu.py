@@ -13,7 +13,7 @@ from cosim.model.model import Model
 
 
 class ModelSlave(Slave):
-    """A `cosim.model.model.Model` as a slave. Dormant effects are omitted once parameters are fixed."""
+    """A `cosim.model.model.Model` as a slave. Effects that are dormant after initialization are omitted."""
 
     model: ClassVar[Model]
 

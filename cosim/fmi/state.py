@@ -68,7 +68,7 @@ class _Doubles:
 
     @property
     def own(self) -> Own:
-        """Return time, state and memory."""
+        """Return the part of the state that determines the future: time, continuous state and memory."""
         split = self.first + self.states
         memory = [self.history, *self.fixed[split : split + self.memories]]
         return [self.fixed[SIZES + TIME], self.fixed[self.first : split], memory]

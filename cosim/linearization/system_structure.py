@@ -62,7 +62,7 @@ class Structure:
 
 
 def structure(linear: Linear) -> Structure:
-    """Return the structure of a linear model."""
+    """Return the poles of a linear model, and its ranks of controllability and observability."""
     A, B, C = linear.A, linear.B, linear.C
     values = poles(A)
     size = float(np.abs(values).max(initial=0.0))

@@ -22,7 +22,7 @@ def noise_level(values: Array) -> float:
 
 
 def least_noise_level(values: Array, model: Array) -> float:
-    """Return the noise level of a modelled signal, without motion explained by the model."""
+    """Return the noise level of a signal, without motion that the output of the model explains."""
     return float(np.fmin(noise_level(values), noise_level(values - model)))
 
 

@@ -30,10 +30,10 @@ class Finding:
 
     @property
     def whole(self) -> Message:
-        """Return the sentence with its subject."""
+        """Return the sentence, preceded by the channel if the finding is on a column."""
         return self.sentence if self.channel in ("", "time") else self.sentence.after(f"{self.channel} ")
 
     @property
     def line(self) -> Message:
-        """Return the line of the command line output."""
+        """Return the sentence with channel and severity, a line of the command line output."""
         return self.whole.after(f"{self.severity}: ")

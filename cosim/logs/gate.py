@@ -1,4 +1,4 @@
-"""Checks of a log before use: clock, channels, units, frame and excitation."""
+"""Gate: checks of a log before use, of clock, channels, units, frame and excitation."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Measured logs from CSV files with `time` and the model's inputs and outputs; faults have a place.
 
-A model without states has a table instead: no `time`, independent rows.
+A model without states has a table instead: its rows are independent and have no `time`.
 """
 
 from __future__ import annotations
@@ -94,12 +94,12 @@ class Log:
 
     @property
     def slowness(self) -> int:
-        """Return the log's factor for durations, see `slowness`."""
+        """Return the factor by which checks extend durations for a long step, 1 for a usual step."""
         return slowness(self.step)
 
     @property
     def pause(self) -> float:
-        """Return the longest time between rows [s] that is no pause. During a pause, commands and state are unknown."""
+        """Return the time [s] beyond which missing rows are a pause, with unknown commands and state."""
         return max(GAP, LOST * self.step)
 
     @cached_property
@@ -123,9 +123,10 @@ def read_log(
     columns: Mapping[str, str] = MappingProxyType({}),
     alone: bool = False,
 ) -> Log:
-    """Return a log of a model with these signals, or a table without time.
+    """Return a log of a model with these signals.
 
     Args:
+        table: True for a file of independent rows without `time`.
         columns: Name in the file → name in the model, or `time`, if different.
         alone: True if `columns` applies to this file alone, so that a missing column is a fault.
 
@@ -137,7 +138,7 @@ def read_log(
 
 
 class LogReader:
-    """Reader that turns a table into a log: known columns, complete inputs, plausible values."""
+    """Reader that turns the columns of a CSV file into a log: known names, complete inputs, plausible values."""
 
     def __init__(
         self,
@@ -349,11 +350,11 @@ def _unwrap_angles(
 
 
 def usual_step(time: Array) -> float:
-    """Return the row spacing [s] of a line through the times, with whole steps over gaps.
+    """Return the row spacing [s]: the slope of a line through the times, with whole steps over gaps.
 
     A median of differences is too inaccurate with jittering time stamps: an error of a thousandth adds up to whole rows
-    at the end of a log. If the line is far from the median, the clock has no single spacing. The spacing is then a
-    short one, and some rows are missing.
+    at the end of a log. If slope and median differ, the clock is irregular. The result is then a low percentile of the
+    differences, and longer differences count as gaps.
     """
     apart = np.diff(time)
     median = float(np.median(apart))
@@ -371,7 +372,7 @@ def usual_step(time: Array) -> float:
 
 
 def slowness(step: float) -> int:
-    """Return a factor for durations in the checks of a log with a long step [s], 1 for a usual step.
+    """Return the factor by which checks extend durations for a log with a long step [s], 1 for a usual step.
 
     Durations such as 0.15 s or 1 s would otherwise contain too few rows, e.g. of a tank logged every 0.5 s.
     """

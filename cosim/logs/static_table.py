@@ -1,4 +1,4 @@
-"""Findings on a static table, whose rows are independent: no clock, no neighbours, no sampling."""
+"""Findings on a table, a log of a model without states: independent rows without clock, neighbours or sampling."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def _inputs(log: Log) -> Iterator[Finding]:
 
 
 def alike_inputs(inputs: Mapping[str, Array], verb: str) -> Iterator[Finding]:
-    """Yield a note on each pair of inputs too similar to separate their influence."""
+    """Yield a note on each pair of inputs too similar to separate; `verb` begins the sentence, such as `moves`."""
     for one, other in combinations(inputs, 2):
         rho = float(np.corrcoef(inputs[one], inputs[other])[0, 1])
         if abs(rho) > ALIKE:

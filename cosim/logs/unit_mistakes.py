@@ -63,7 +63,7 @@ def output_unit_findings(log: Log, model: Mapping[str, Array]) -> Iterator[Findi
 
 
 def other_unit(unit: str, ratio: float, around: tuple[float, float] = SAME_SIZE) -> str | None:
-    """Return the unit whose conversion brings a size ratio to the model's into a range; None without one."""
+    """Return the unit whose conversion brings the ratio of sizes, log to model, into a range; None without one."""
     if not unit or 1.0 / OTHER_SIZE < ratio < OTHER_SIZE:
         return None
     sizes = {other: factor(other, unit) for other in (*alternatives(unit), "rpm")}

@@ -88,7 +88,7 @@ def _last_time(system: System, h: float, rows: int) -> float:
 def _run(
     system: System, steps: int, h: float, progress: Callable[[int], None] | None = None, rows: Rows | None = None
 ) -> Results:
-    """Return the rows of a run, or its differences by halving."""
+    """Return the signals of a run; for a halved system, their differences between whole and halved steps."""
     if not system.halved:
         return simulate(system, steps, h, progress, rows)
     return Halved(system, steps, h, progress, rows or Rows.in_memory(steps + 1, len(system.columns))).results()

@@ -207,7 +207,7 @@ def _candidates(study: Study) -> list[Candidate]:
 
 
 def _judge(study: Study, a: Attribution, result: SearchResult, progress: Progress) -> Claims:
-    """Return the claims, from the residual beside the best hypothesis and from replays."""
+    """Return the claims, judged with unnamed terms beside the best hypothesis and checked by replays."""
     subject, search = study.subject, result.search
     progress("looking for what has no name", 0.0)
     bare = build_problem(subject, study.logs, True, study.content.noise, study.settings)

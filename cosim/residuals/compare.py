@@ -55,34 +55,34 @@ class ChannelSummary:
 
     @property
     def measure(self) -> float:
-        """Return the decisive horizon: of windows if available, else the free run."""
+        """Return the horizon that decides the verdict [s]: that of the windows if available, else FREE_RUN."""
         return self.horizon if self.horizon in self.scores else FREE_RUN
 
     @property
     def lost(self) -> bool:
-        """Return True if noise alone lets the windows drift further than the noise floor."""
+        """Return True if restarts without noise miss by more than the noise floor, due to a state without output."""
         return self.floor.astray > self.floor.rmse
 
     @property
     def excess(self) -> float:
-        """Return the RMSE relative to the noise floor."""
+        """Return the RMSE relative to the noise floor; NaN without a valid floor."""
         floor = self.floor.rmse
         return self.scores[self.measure].rmse / floor if not self.lost and floor > 0.0 else math.nan
 
     @property
     def exact(self) -> bool:
-        """Return True for an error at rounding level, or nothing to compare."""
+        """Return True if the error is at rounding level, or if nothing can be compared."""
         score = self.scores[self.measure]
         return score.rows == 0 or score.rmse == 0.0 or score.fit > 100.0 * (1.0 - EXACT)
 
     @property
     def is_matched(self) -> bool:
-        """Return True for a noise or rounding error."""
+        """Return True if the error is not above that of noise or rounding."""
         return not self.lost and (self.exact or self.excess < self.floor.limit)
 
     @property
     def is_explained(self) -> bool:
-        """Return True for an error independent of inputs."""
+        """Return True if the error is not above noise or rounding, and follows no input."""
         return self.is_matched and (self.exact or not any(u.strength > FOLLOWS for u in self.inputs[:1]))
 
 
@@ -98,7 +98,7 @@ class Comparison:
 
     @property
     def measure(self) -> float:
-        """Return the decisive horizon."""
+        """Return the horizon that decides the verdict [s]: the last of `horizons`."""
         return horizons(self.log)[-1]
 
     @property
@@ -108,7 +108,10 @@ class Comparison:
 
 
 def compare(drive: Drive, free: Replay, findings: Sequence[Finding] = ()) -> Comparison:
-    """Return the complete comparison for a free run.
+    """Return the complete comparison for a free run, with windows, noise floor and statistics.
+
+    Args:
+        findings: Earlier findings on the log, included in the result.
 
     Raises:
         InputError: The comparison shows a wrong unit.

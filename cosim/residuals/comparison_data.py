@@ -12,7 +12,7 @@ from cosim.residuals.residual_statistics import FREE_RUN, Score
 def as_json(comparison: Comparison) -> list[dict[str, Any]]:
     """Return RMSE, fit [%], rows and noise floor of each channel and horizon.
 
-    Infinite values are None; `horizon` [s] is the decisive one, None for the free run.
+    Infinite values are None; `horizon` [s] is that of the verdict, None for the free run.
     """
     return [_channel(c) for c in comparison.channels]
 

@@ -1,4 +1,4 @@
-"""Simulation of one FMU instance along a log with the recorded commands."""
+"""Drive: simulation of one FMU instance along a log with the recorded commands."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class DriveSteps:
     Attributes:
         times, lengths: Start and length of each step [s].
         rows: Row of the command of each step.
-        reads: True for steps followed by reading of the outputs.
+        reads: True for each step after which the outputs are read.
         reached: Times of output readings, start included [s].
     """
 
@@ -107,10 +107,15 @@ class StoppedReplay(SimulationError):
 
 
 class Drive:
-    """Context of a replay: the FMU is loaded at the first run and freed at the end.
+    """Replay of a log through one FMU, as a context: the FMU is loaded at the first run and freed at the end.
+
+    Args:
+        progress: Function of the number of finished steps.
+        interpolated: Inputs interpolated between rows; others are held.
+        given: Start values of every run, unless the run states others.
 
     Attributes:
-        left: Outputs before a signal stopped a run to the last row.
+        left: Finished outputs of an interrupted run to the end of the log; None without interruption.
     """
 
     left: Array | None = None
@@ -193,14 +198,14 @@ class Drive:
         return dict(zip(self.outputs, self._row[len(self.block.inputs) :], strict=True))
 
     def own(self, start: Mapping[str, Any]) -> Own:
-        """Return the initial state of a cosim FMU, restored once to test support."""
+        """Return the initial state of a cosim FMU; the state is restored once to check that the FMU supports this."""
         self._begin(start, 0, float(self.log.time[-1]))
         self.block.start()
         self.block.remember({})
         return self.block.own()
 
     def state(self) -> Own:
-        """Return the last state of a cosim FMU."""
+        """Return the current state of a cosim FMU, at the end of the last run."""
         return self.block.own()
 
     def run_and_keep(
@@ -223,7 +228,7 @@ class Drive:
         memory: Memory | None = None,
         visit: Callable[[int], None] | None = None,
     ) -> Array:
-        """Run from row `first` to `last` and return the outputs, shape (rows, outputs).
+        """Simulate the FMU from row `first` to `last` and return the outputs, shape (rows, outputs).
 
         The command of row k is held from t_k to t_k+1.
 
@@ -272,7 +277,7 @@ class Drive:
         return self._at_rows(table, steps.reached, first, last)
 
     def rows(self, start: Mapping[str, Any]) -> Array:
-        """Return the FMU's outputs for each row of a table, shape (rows, outputs).
+        """Return the FMU's outputs for each row of a table (independent rows without time), shape (rows, outputs).
 
         Raises:
             StoppedReplay: The FMU fails.
@@ -390,5 +395,5 @@ def rows_of(log: Log, first: int, seconds: float) -> int:
 
 
 def as_columns(table: Array, names: Sequence[str]) -> dict[str, Array]:
-    """Return name → column."""
+    """Return the columns of an array by name."""
     return dict(zip(names, np.ascontiguousarray(table.T), strict=True))

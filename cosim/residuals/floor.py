@@ -82,7 +82,7 @@ def floors(
 
 
 class _LinearDrive(Drive):
-    """A drive whose FMU is replaced by its linearization in the start values of one run.
+    """A drive whose FMU is replaced by its linearization about one run, with respect to the start values.
 
     Args:
         about: Start values of that run.
@@ -112,7 +112,7 @@ class _LinearDrive(Drive):
 def _linearize(
     drive: Drive, parameters: Mapping[str, StartParameter], free: Replay, levels: Mapping[str, float]
 ) -> Drive:
-    """Return the drive linearized about its start values, to save FMU runs.
+    """Return a drive linearized with respect to the start values of the free run, to save FMU runs.
 
     Each start value needs one FMU run, instead of five runs per draw. If a run fails, the drive itself is returned.
     """

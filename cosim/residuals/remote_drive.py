@@ -1,4 +1,4 @@
-"""Drive with its FMU in a worker process: the worker's side and the caller's side."""
+"""Drive (replay of a log through an FMU) in a worker process: the worker's side and the caller's side."""
 
 from __future__ import annotations
 
@@ -32,7 +32,13 @@ _drives: dict[int, Drive] = {}
 
 @dataclass(frozen=True)
 class Loaded:
-    """Description of a drive for a worker: number, contents, and the file of its rows."""
+    """Description of a `Drive` (replay of a log through an FMU) for a worker.
+
+    Attributes:
+        number: Number of the drive, unique in the caller.
+        interpolated, given: As for `Drive`.
+        table: File for the rows of a run.
+    """
 
     number: int
     log: Log
@@ -43,7 +49,7 @@ class Loaded:
 
 
 def load(loaded: Loaded) -> None:
-    """Prepare a drive without loading its FMU."""
+    """Create a drive in the worker; its FMU is loaded at the first run."""
     drive = Drive(loaded.log, loaded.fmu, interpolated=loaded.interpolated, given=loaded.given)
     own_process.share_log(drive.block)
     drive._new_rows = partial(_map_rows, loaded.table)
@@ -70,7 +76,7 @@ def unload(number: int) -> None:
 
 
 class DriveApart(Drive):
-    """Context of a drive in a worker process, reloaded after a crash."""
+    """Drive whose FMU runs in a worker process, and is reloaded there after a crash."""
 
     _numbers = itertools.count()
 
@@ -171,7 +177,7 @@ class DriveApart(Drive):
         return answer
 
     def _ask(self, method: str, *arguments: Any, times: Any = ()) -> Any:
-        """Call a method in the worker; `times` belong to the resulting rows."""
+        """Call a method in the worker; `times` are the times of the rows that the call computes."""
         self._worker.start()
         if self._process != self._worker.starts:
             self._load()

@@ -23,8 +23,8 @@ class _Outcome:
 
     Attributes:
         channels: All channels.
-        measure: Decisive horizon [s].
-        lost: Channels whose error cannot be measured, because windows drift by noise alone.
+        measure: Horizon that decides the verdict [s].
+        lost: Channels whose error windows cannot measure, because the FMU has a state that no output shows.
         beyond: Channels with errors above the noise.
         lead: Size of the error in words.
     """
@@ -38,7 +38,7 @@ class _Outcome:
 
 
 def verdict(comparison: Comparison) -> str:
-    """Return the verdict of the first matching rule."""
+    """Return the verdict, from the first rule that applies to the channels."""
     outcome = _outcome(comparison)
     rules = (_not_measured, _not_in_kind, _describe_noise, _beyond_in_free_run, _beyond_in_windows)
     return next(sentence for rule in rules if (sentence := rule(outcome)))
@@ -88,7 +88,7 @@ def _beyond_in_windows(o: _Outcome) -> str:
 
 
 def _no_measure(lost: Sequence[ChannelSummary]) -> str:
-    """Return sentences on channels without valid windows."""
+    """Return sentences on channels whose error windows cannot measure, see `ChannelSummary.lost`."""
     names = join_names([c.name for c in lost])
     own = join_names([f"{c.name} by {size(c.floor.astray, c.unit)}" for c in lost])
     return (
@@ -102,7 +102,7 @@ def _sizes(channels: Sequence[ChannelSummary], horizon: float) -> str:
 
 
 def _cause(comparison: Comparison, channels: Sequence[ChannelSummary]) -> str:
-    """Return the probable cause: delay, or a command."""
+    """Return the probable cause of the error: a delay, or the input that the residual follows."""
     names = {c.name for c in channels}
     late = [f for f in comparison.findings if f.kind == "delay" and f.channel in names]
     if late := [f for f in late if abs(f.numbers["delay"]) > comparison.log.step]:
@@ -124,7 +124,7 @@ def _cause(comparison: Comparison, channels: Sequence[ChannelSummary]) -> str:
 
 
 def whiteness_words(channel: ChannelSummary) -> str:
-    """Say whether the residual is only noise."""
+    """Return the words `yes`, `no` or a remark on whether the residual is white noise."""
     test = channel.whiteness
     if math.isnan(test.p_value):
         return "too few rows to tell"

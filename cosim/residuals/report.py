@@ -59,7 +59,11 @@ def _command(log: Log, drive: Drive, passing: bool) -> list[str]:
 
 
 def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, Any]:
-    """Return the values of the template."""
+    """Return the values of the template.
+
+    Args:
+        passing: True if the FMU was built for this replay only.
+    """
     log, drive = comparison.log, comparison.drive
     charts = Charts()
     drawing = charts.over(log.time, 8 * len(log.outputs) + len(log.inputs))

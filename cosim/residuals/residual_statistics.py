@@ -61,18 +61,18 @@ class InputCorrelation:
 
     @property
     def peak(self) -> int:
-        """Return the index of the largest causal |ρ|."""
+        """Return the index of the largest causal |ρ|, at a positive lag."""
         causal = np.where((self.lags > 0) & np.isfinite(self.rho), np.abs(self.rho), -1.0)
         return int(np.argmax(causal))
 
     @property
     def strength(self) -> float:
-        """Return the largest causal |ρ| in bands."""
+        """Return the largest causal |ρ| relative to the band."""
         return abs(float(self.rho[self.peak])) / self.band
 
     @property
     def ahead(self) -> bool:
-        """Return True if causal correlation clearly exceeds the rest."""
+        """Return True if the largest causal correlation clearly exceeds those at zero and negative lags."""
         before = np.abs(self.rho[(self.lags <= 0) & np.isfinite(self.rho)])
         return abs(float(self.rho[self.peak])) > 1.2 * float(before.max(initial=0.0))
 
@@ -90,7 +90,7 @@ def rmse(*errors: Array) -> float:
 
 
 def excess_left(before: float, after: float, floor: float) -> float:
-    """Return (after² − floor²)/(before² − floor²), NaN without clear excess before."""
+    """Return the share of mean square error above the floor that remains; NaN if `before` is not clearly above."""
     if not before > COUNTS_FROM * floor:
         return math.nan
     return (after * after - floor * floor) / (before * before - floor * floor)
@@ -105,7 +105,7 @@ def fit_percent(measured: Array, model: Array) -> float:
 
 
 def score(measured: Array, model: Array) -> Score:
-    """Return RMSE and fit over common rows."""
+    """Return RMSE and fit over the rows with both values."""
     error = measured - model
     return Score(rmse(error), fit_percent(measured, model), int(np.isfinite(error).sum()))
 
@@ -160,7 +160,7 @@ def correlation_at_lags(before: Array, after: Array, lags: int) -> Array:
 
 
 def lags_of(rows: int, step: float, seconds: float = 1.0) -> int:
-    """Return the rows in `seconds`, more in a slow log, at most a quarter."""
+    """Return the number of lags [rows] within `seconds`, longer in a slow log, at most a quarter of the rows."""
     return max(1, min(round(seconds * slowness(step) / step), rows // 4))
 
 

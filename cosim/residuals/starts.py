@@ -146,7 +146,12 @@ def window_start(
 ) -> dict[str, float]:
     """Return the start values of a window at row k, from the carrier run and from past measurements.
 
-    For a cosim FMU, the result has only corrected states; `kept` provides the rest. The carrier is valid from `since`.
+    If the state of the FMU can be read, the result has only corrected states; the state of the carrier provides the
+    others.
+
+    Args:
+        carrier: Outputs of the previous window or free run, valid from row `since`.
+        sigma: Channel → noise level.
     """
     log = drive.log
     state = {name: float(carrier[name][k]) for name in parameters}
@@ -157,17 +162,17 @@ def window_start(
 
 
 def noise_levels(log: Log, model: Mapping[str, Array] | None = None) -> dict[str, float]:
-    """Return channel → noise level, more accurate with a run of the model."""
+    """Return channel → noise level, more accurate with outputs of the model."""
     return {name: sigma_of(values, (model or {}).get(name)) for name, values in log.outputs.items()}
 
 
 def readable(parameters: Mapping[str, StartParameter]) -> bool:
-    """Return True if the state is readable."""
+    """Return True if some start parameter has known indices (`places`) in the FMU's state."""
     return any(p.places for p in parameters.values())
 
 
 def remaining_memory(own: Own, parameters: Mapping[str, StartParameter], start: Mapping[str, float]) -> Memory:
-    """Return the state without the start values' part."""
+    """Return the entries of a cosim FMU's state that the start values do not set."""
     started = {(STATE, k) for p in parameters.values() if p.name in start for k in p.places}
     whole = {(part, k): value for part in (STATE, MEMORY) for k, value in enumerate(own[part])}
     return {place: value for place, value in whole.items() if place not in started}
@@ -181,7 +186,7 @@ def _corrections(
     at: int,
     rows: Rows,
 ) -> dict[str, float]:
-    """Return measured corrections of the state at a row."""
+    """Return output → value at row `at`, corrected by the measurements in `rows`, for corrected outputs only."""
     log, changes, slopes = drive.log, dict[str, float](), dict[str, float]()
     rates = {rate_of(name, log.outputs) for name in log.outputs}
     for name in log.outputs:
@@ -261,7 +266,7 @@ def _rows_near(log: Log, rows: Rows, at: int, reach: float) -> Rows:
 
 
 def sigma_of(values: Array, model: Array | None = None) -> float:
-    """Return the noise level of a channel."""
+    """Return the noise level of a channel, more accurate with the output of the model."""
     level = noise_level(values) if model is None else least_noise_level(values, model)
     floor = 1e-6 * float(np.nanmax(np.abs(values)))
     return max(floor, 1e-12) if math.isnan(level) else max(level, floor, 1e-12)

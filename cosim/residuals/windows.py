@@ -80,7 +80,7 @@ def free_run(drive: Drive, start: Mapping[str, Any] | None = None) -> Replay:
 
 
 def row_by_row(drive: Drive, start: Mapping[str, Any]) -> Replay:
-    """Return the outputs of a table, each row from its own inputs."""
+    """Return the outputs for a table (independent rows without time), each row from its own inputs."""
     table = drive.rows(start)
     return Replay(drive.log.time, FREE_RUN, {0: dict(start)}, as_columns(table, drive.outputs), drive.units)
 
@@ -97,7 +97,7 @@ def windows(
 
     Args:
         starts: First row → start values.
-        memories: Row → state of a cosim FMU.
+        memories: First row → state of a cosim FMU, for states that `starts` does not set.
     """
     table = np.full((drive.log.rows, len(drive.outputs)), np.nan)
     done = -1
@@ -146,14 +146,14 @@ def _first_predicted(log: Log, name: str, starts: Sequence[int]) -> int:
 
 
 def horizons(log: Log) -> tuple[float, ...]:
-    """Return HORIZONS [s], decisive one last, longer for rows slower than 50 ms."""
+    """Return the horizons of windows [s], longer for rows slower than 50 ms; the last one decides the verdict."""
     return tuple(horizon * log.slowness for horizon in HORIZONS)
 
 
 def chains(log: Log, horizon: float) -> list[Chain]:
     """Return chains of consecutive windows of a log; a pause in the log begins a new chain.
 
-    After a pause, the state settles in short windows.
+    At the start of each chain the state settles in short windows, which do not count.
     """
     result, skipped = [], SKIPPED * log.slowness
     for part in stretches(log):
@@ -168,7 +168,7 @@ def chains(log: Log, horizon: float) -> list[Chain]:
 
 
 def window_rows(log: Log, horizon: float, skipped: float = SKIPPED) -> list[int]:
-    """Return first rows of consecutive whole windows."""
+    """Return the first rows of consecutive whole windows, after the first `skipped` seconds."""
     rows: list[int] = []
     k = int(np.searchsorted(log.time, log.time[0] + skipped - 1e-6 * log.step))
     while k < log.rows - 1 and log.time[k] + horizon <= log.time[-1] + 0.5 * log.step:

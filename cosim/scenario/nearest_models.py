@@ -36,6 +36,6 @@ def take_nearest(file: ScenarioFile) -> None:
 
 
 def _refined_path(file: ScenarioFile, name: str) -> Path | None:
-    """Return the path of a file or folder of a refine."""
+    """Return the resolved path if it is a result folder of `refine` or a model file in one, else None."""
     path = file.resolve(name)
     return path if folder_of(path) and (path.name in (*REFINED, *NEAREST) or names_refine(path)) else None

@@ -148,7 +148,7 @@ class YamlFile:
         return self._document.place((*self._within, *location), key)
 
     def fault(self, location: Location, message: str, *, key: bool = False, exit_code: int = 2) -> Fault:
-        """Return a fault at a place of this file, its source or an option."""
+        """Return a fault at the place where a value was set: an option, the source of a generated file, or the file."""
         if (option := self._override_of(location)) is not None:
             text = with_prefix(f"{option}: ", message) if option else message
             return Fault(self.path, 0, 0, text, exit_code)

@@ -24,6 +24,11 @@ def judge(m: Measurement, result: Result, channel: str, response: Response, rows
     """Compare a measured step response with the assumed first-order shape.
 
     A force earlier than its command is added to `result` as a fault, a different shape as a warning.
+
+    Args:
+        channel: Cell whose force is compared.
+        response: Function from a recording to the assumed response, one column for each of LAGS.
+        rows: Compared rows of each recording.
     """
     # rows of each run nearest to the slowest clock
     slowest = max(m.recordings, key=lambda r: r.step)
@@ -50,14 +55,14 @@ def judge(m: Measurement, result: Result, channel: str, response: Response, rows
     first = m.recordings[0]
 
     def later(delay: float) -> Array:
-        """Return the delayed response on the clock, one column for each of LAGS."""
+        """Return the delayed response at the times of `clock`, one column for each of LAGS."""
         return np.array([np.interp(clock - delay, first.time, column) for column in response(first).T]).T
 
     _explain(result, shape, force, clock, m.test.at, later)
 
 
 def _at_lag(table: Array, lag: float) -> tuple[Array, Array]:
-    """Return the response at a lag and its slope by the logarithm of the lag."""
+    """Return the response at a lag, interpolated between the columns (one per LAGS), and its change to the next lag."""
     k = int(np.clip(np.searchsorted(LAGS, lag) - 1, 0, LAGS.size - 2))
     share = float(np.log(lag / LAGS[k]) / np.log(LAGS[k + 1] / LAGS[k]))
     return table[:, k] + share * (table[:, k + 1] - table[:, k]), table[:, k + 1] - table[:, k]
@@ -66,7 +71,12 @@ def _at_lag(table: Array, lag: float) -> tuple[Array, Array]:
 def _explain(
     result: Result, shape: Misfit, force: Array, clock: Array, at: float, later: Callable[[float], Array]
 ) -> None:
-    """Add the explanation of a misfit: a delay, a sine, or its size."""
+    """Add the explanation of a misfit: a delay, a sine, or its size.
+
+    Args:
+        force: Mean force at the times `clock`; the command changes at `at`.
+        later: Function from a delay to the delayed response, one column for each of LAGS.
+    """
     # the same response, shifted: the best of all lags and delays
     fits = [(delay, *_fit_column(force, later(delay))) for delay in DELAYS.tolist()]
     delay, fitted, k = min(fits, key=lambda fit: float((force - fit[1]) @ (force - fit[1])))
@@ -95,7 +105,7 @@ def _moves_before(shape: Misfit, clock: Array, at: float) -> bool:
 
 
 def _fit_column(force: Array, table: Array) -> tuple[Array, int]:
-    """Return offset plus the best scaled column for a force, and the column's index."""
+    """Return the fit of a force by an offset and the best scaled column of a table, and the column's index."""
     shape = table - table.mean(axis=0)
     norm = np.sqrt((shape**2).sum(axis=0))
     along = np.divide(shape.T @ force, norm, out=np.zeros(norm.size), where=norm > 0.0)
@@ -104,7 +114,7 @@ def _fit_column(force: Array, table: Array) -> tuple[Array, int]:
 
 
 def _frequency(values: Array, step: float) -> float:
-    """Return the frequency [Hz] of a sinusoidal residual, 0 for another one."""
+    """Return the frequency [Hz] of a sinusoidal residual, 0 if the residual is not sinusoidal."""
     power = np.abs(np.fft.rfft(values - values.mean())) ** 2
     k = int(np.argmax(power))
     is_sine = power[max(0, k - 1) : k + 2].sum() > SHARE * power.sum() and k >= 2

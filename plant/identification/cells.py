@@ -76,7 +76,7 @@ class Cell:
 
     @property
     def cross_validation_errors(self) -> Array:
-        """Return the error at each inner point of a curve without the point."""
+        """Return the error at each inner point of the curve fitted without this point."""
         errors = []
         for k in range(1, self.loads.size - 1):
             rest = replace(self, loads=np.delete(self.loads, k), volts=np.delete(self.volts, k))
@@ -88,14 +88,18 @@ Cells = Mapping[str, Cell]
 
 
 def at_rail(bench: Bench, volts: Array, margin: Array | float = 0.0) -> Flags:
-    """Return True for saturated readings, or for those within a larger margin [V] of the rail."""
+    """Return True for readings at a limit of the converter: saturated, or within `margin` [V] if that is more."""
     least = np.maximum(RAIL * bench.converter_range / bench.converter_levels, margin)
     result: Flags = (volts <= least) | (volts >= bench.converter_range - least)
     return result
 
 
 def cell_of(loads: Sequence[float], volts: Sequence[float], error: float, saturated: Sequence[float] = ()) -> Cell:
-    """Return a cell from its points.
+    """Return a cell from its calibration points.
+
+    Args:
+        error: Standard deviation of each load.
+        saturated: Loads with saturated readings.
 
     Raises:
         ValueError: The voltage is not monotonic in the load; its argument is a message.
@@ -111,6 +115,9 @@ def cell_of(loads: Sequence[float], volts: Sequence[float], error: float, satura
 
 def calibrate(protocol: Protocol, hung: Mapping[str, Sequence[Recording]]) -> dict[str, Cell]:
     """Calibrate the load cells by simulated loads or measured points, and return them by channel.
+
+    Args:
+        hung: Channel → recording of each load; not used for a cell with measured points.
 
     Raises:
         InputError: The points of a cell give no curve.

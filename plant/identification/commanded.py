@@ -102,7 +102,7 @@ class _TestRun:
         return Lack(key, row, template(**fields, cure=cure))
 
     def first(self, rows: Flags) -> int:
-        """Return the first of these rows."""
+        """Return the index of the first True row."""
         return int(np.flatnonzero(rows)[0])
 
     def missing_windows(self) -> Iterator[Lack]:
@@ -234,7 +234,7 @@ def _step(view: _TestRun) -> Iterator[Lack]:
 
 
 def _step_times(signal: Array, time: Array, least: float) -> str:
-    """Return the step times of a command."""
+    """Return a clause with the times of steps of at least `least` in a command."""
     steps = time[1:][np.abs(np.diff(signal)) >= least]
     return f"there is one at {', '.join(f'{t:g}' for t in steps[:3])} s" if 0 < steps.size < 20 else "there is none"
 

@@ -57,7 +57,7 @@ class CraftFile(Part):
 
 @dataclass(frozen=True)
 class CraftUnderTest:
-    """The file and its logs."""
+    """A file of craft identification, the model and the logs that it names."""
 
     yaml: YamlFile
     file: CraftFile
@@ -67,7 +67,7 @@ class CraftUnderTest:
 
     @property
     def distances(self) -> list[float]:
-        """Return the distance of each run."""
+        """Return the measured travel distance of each run."""
         assert self.file.distance is not None
         covered = self.file.distance.covered
         return covered if isinstance(covered, list) else [covered] * len(self.runs)
@@ -80,14 +80,14 @@ class CraftUnderTest:
 
 @dataclass
 class CraftOutcome:
-    """Result of the identification."""
+    """Result of an identification from logs of a craft."""
 
     craft: CraftUnderTest
     results: list[Result] = field(default_factory=list)
 
     @property
     def estimates(self) -> dict[str, Estimate]:
-        """Return every estimate by test and name."""
+        """Return the estimates by `test.name`."""
         return {f"{r.test}.{e.name}": e for r in self.results for e in r.estimates}
 
     @property

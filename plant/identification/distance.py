@@ -28,7 +28,7 @@ Distance = Callable[[float], float]  # distance as a function of the parameter
 
 
 def distance(runs: Sequence[Log], loaded: LoadedModel, parameter: str, output: str, lengths: Sequence[float]) -> Result:
-    """Return the parameter that gives every run its distance.
+    """Return the parameter value with which the model covers the measured distances (`lengths`) of the runs.
 
     The value is the mean over the runs, its interval comes from their scatter.
     """
@@ -65,10 +65,14 @@ def distance(runs: Sequence[Log], loaded: LoadedModel, parameter: str, output: s
 
 
 def match(distance_of: Distance, length: float, bounds: tuple[float, float], near: float) -> float:
-    """Return the closest value with a distance.
+    """Return the parameter value closest to `near` with which the model covers the distance `length`.
+
+    Args:
+        distance_of: Function from a parameter value to the distance covered.
+        bounds: Limits of the parameter.
 
     Raises:
-        ValueError: No value gives the distance.
+        ValueError: No value within the bounds gives the distance.
     """
     from scipy.optimize import brentq
 

@@ -63,7 +63,7 @@ def _log(bench: Bench, r: Recording) -> Log:
         return np.concatenate((values[MIRRORED_ROWS:0:-1], values))
 
     def dither(volts: Array) -> Array:
-        """Return readings with rounding noise, since rounding hides the noise of a quiet cell."""
+        """Return readings with random noise of the rounding, since rounding hides the noise of a quiet cell."""
         changes = np.abs(np.diff(volts))
         step = max(
             bench.converter_range / bench.converter_levels, float(np.min(changes[changes > 0.0], initial=np.inf))

@@ -67,7 +67,7 @@ def equal_readings(volts: Array, window: Flags, rest: Flags, rail: Flags) -> Equ
 
 
 def _coarse(volts: Array, near: Array, equal: Flags, first: int) -> EqualReadings | None:
-    """Return repeated or too coarse readings, or None."""
+    """Return `repeated` or `coarse` readings of a window, None if the readings are neither."""
     changes, jumps = (d[d > 0.0] for d in (np.abs(np.diff(volts)), np.abs(np.diff(near))))
     if not changes.size:
         return None

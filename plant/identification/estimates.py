@@ -77,7 +77,7 @@ class Result:
 
 @dataclass(frozen=True)
 class Measurement:
-    """The recordings of a test, and the known bench; `truth` if the bench is simulated."""
+    """The recordings of a test, cells and assumed bench; `truth` is the simulated bench, None for a measured one."""
 
     recordings: Sequence[Recording]
     cells: Cells
@@ -110,7 +110,7 @@ class Measurement:
         return getattr(self.truth, name) if self.truth else float("nan")
 
     def alike(self) -> list[Recording]:
-        """Return the recordings with the first one's number of rows in the window."""
+        """Return the recordings with as many rows in the window as the first recording."""
         count = self.recordings[0].rows(self.test.window).sum()
         return [r for r in self.recordings if r.rows(self.test.window).sum() == count]
 
@@ -135,7 +135,7 @@ PerRepetition = Callable[[Cells], Array]  # → shape (repetitions, numbers)
 
 
 def interval(each: Array, shifts: Array) -> tuple[Array, Array, Array, Array]:
-    """Return mean, half-width of the 95 % interval, and standard errors by scatter and calibration.
+    """Return mean, half-width of the 95 % interval, and the standard errors from scatter and from calibration.
 
     Degrees of freedom follow Welch and Satterthwaite: the calibration error is known, the scatter estimated.
 
@@ -155,7 +155,13 @@ def interval(each: Array, shifts: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def shifts_of(per_repetition: PerRepetition, cells: Cells, channels: Sequence[str], each: Array | None = None) -> Array:
-    """Return the change of the means by one standard deviation of each calibration point."""
+    """Return the change of the means by one standard deviation of each calibration point, shape (points, p).
+
+    Args:
+        per_repetition: Function from the cells to the values of each repetition, shape (N, p).
+        channels: Cells whose points change.
+        each: Values with unchanged cells, if known.
+    """
     base = (per_repetition(cells) if each is None else each).mean(axis=0)
     rows = [
         per_repetition({**cells, c: cells[c].shift_load(k)}).mean(axis=0) - base
@@ -195,7 +201,7 @@ def pseudo_values(estimate: Callable[[Rows], Array], n: int) -> Array:
 
 
 def least(grid: Array, cost: Array) -> Array:
-    """Return the minimum of each row of costs over a logarithmic grid, refined by a parabola."""
+    """Return the position of the minimum of each row of costs over a logarithmic grid, refined by a parabola."""
     k = np.clip(np.argmin(cost, axis=1), 1, grid.size - 2)
     rows = np.arange(cost.shape[0])
     before, here, after = cost[rows, k - 1], cost[rows, k], cost[rows, k + 1]

@@ -107,7 +107,11 @@ def _judge(
 
 
 def harmonics(m: Measurement, chosen: Sequence[Sequence[tuple[Recording, float]]], tau: float) -> Misfit | None:
-    """Return second and third harmonics [gf] beyond the response at a lag."""
+    """Return second and third harmonics [gf] beyond the response at the lag `tau`.
+
+    Args:
+        chosen: For each repetition, the recording and frequency [rad/s] of each sine.
+    """
     shapes = [_response(m, r, np.array([tau]))[:, 0] for r, _ in chosen[0]]
 
     def averages(using: Cells) -> Array:
@@ -157,7 +161,7 @@ def _response(m: Measurement, r: Recording, lags: Array) -> Array:
 
 
 def _by_hand(chosen: Sequence[Sequence[tuple[Recording, float]]], m: Measurement) -> tuple[Array, Array]:
-    """Return magnitude [dB] and phase [°] from extremes.
+    """Return magnitude [dB] and phase [°] from maximum and minimum of the filtered force, as in the thesis.
 
     Values are relative to the lowest frequency.
     """

@@ -98,7 +98,12 @@ def _misfit(ratios: Array, model: Array, each: Array, shifts: Array) -> list[Mes
 
 
 def fit(heights: Array, gains: Array, radius: float, free: float) -> float:
-    """Return the best k for measured Γ with weights 1/Z̄ (4.27), by Gauss-Newton."""
+    """Return the best k for measured Γ with weights 1/Z̄ (4.27), by Gauss-Newton.
+
+    Args:
+        gains: Γ at `heights`, relative to the height `free`.
+        radius: Radius of the propeller.
+    """
     k, weights = CHEESEMAN_BENNETT, radius / heights
     for _ in range(12):
         here = _relative_gain(heights, radius, k, free)
@@ -126,7 +131,7 @@ def height_of(r: Recording, test: HeightTest) -> float:
 
 
 def sets_by_duty(recordings: Sequence[Recording], test: HeightTest) -> list[dict[float, list[Recording]]]:
-    """Return recordings by duty, largest set first, then by height."""
+    """Return for each duty the recordings by height; most recordings first, the validation duty last."""
     sets: dict[float, dict[float, list[Recording]]] = {}
     for r in recordings:
         duty = round(float(np.median(r.duty[r.rows(test.window)])), 3)

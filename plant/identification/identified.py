@@ -18,7 +18,7 @@ from plant.identification.recordings import Recording
 
 @dataclass
 class Outcome:
-    """Result of a protocol."""
+    """Result of a bench protocol: cells, results of the tests, and recordings by test."""
 
     protocol: Protocol
     cells: Cells
@@ -27,12 +27,12 @@ class Outcome:
 
     @property
     def estimates(self) -> dict[str, Estimate]:
-        """Return every estimate by test and name."""
+        """Return the estimates by `test.name`."""
         return {f"{r.test}.{e.name}": e for r in self.results for e in r.estimates}
 
     @property
     def estimates_by_name(self) -> dict[str, Estimate]:
-        """Return estimates by name; a step test has priority for the lag."""
+        """Return estimates by name without the test; for the lag, a step test has priority over sines."""
         by_name: dict[str, Estimate] = {}
         for e in self.estimates.values():
             by_name.setdefault(e.name, e)
@@ -40,11 +40,11 @@ class Outcome:
 
     @property
     def warnings(self) -> list[Message]:
-        """Return the warnings with their tests."""
+        """Return the warnings, each preceded by the name of its test."""
         return [message.after(f"{r.test}: ") for r in self.results for message in r.warnings]
 
     def closing(self, out: Path) -> str:
-        """Return the power-train's place and build command."""
+        """Return a text that names powertrain.yaml and the command that builds its FMU."""
         file = out / "powertrain.yaml"
         return f"power-train: {file}, built by: cosim build --model {shell_path(file)}"
 

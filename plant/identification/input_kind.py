@@ -12,7 +12,7 @@ from plant.identification.artefacts import PROTOCOL
 
 
 def craft_file(path: Path) -> YamlFile | None:
-    """Return a file about craft logs, else None."""
+    """Return the content of a file about craft logs, None for a protocol of a bench."""
     check_given(path, PROTOCOL)
     yaml = YamlFile(path)
     return yaml if {"rest", "distance"} & set(yaml.root) and not {"cells", "tests"} & set(yaml.root) else None

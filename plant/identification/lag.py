@@ -82,7 +82,7 @@ def analyse(m: Measurement, *, draw: bool = True, thrust: bool = False) -> Resul
 
 
 def _response(m: Measurement, r: Recording, lags: Array, *, thrust: bool) -> Array:
-    """Return normalised forces, shape (rows, lags)."""
+    """Return the sine of the tilt, or with `thrust` the duty, after each lag and the low pass, shape (rows, lags)."""
     if thrust:
         effective = np.maximum(r.duty, -m.bench.thrust_offset / m.bench.thrust_slope)
         table = np.stack([held_lag(effective, r.step, tau) for tau in lags], axis=1)

@@ -34,12 +34,12 @@ class Misfit:
     repetitions: int
 
     def size(self, residual: Array | None = None) -> float:
-        """Return the squared residual relative to its covariance, by default of the mean."""
+        """Return the squared length of a residual, by default the mean one, relative to the covariance."""
         values = self.mean if residual is None else residual
         return float(values @ np.linalg.solve(self.covariance, values))
 
     def exceeds_chance(self, size: float, freedom: float) -> bool:
-        """Return whether a size exceeds chance."""
+        """Return True if a squared length with `freedom` degrees of freedom is larger than by chance."""
         from scipy import stats
 
         spare = self.freedom * (self.repetitions - 1)
@@ -73,7 +73,7 @@ def misfit(each: Array, shifts: Array, parameters: int) -> Misfit | None:
 
 
 def residuals(values: Array, basis: Array) -> Array:
-    """Return the least-squares residual of values over a basis."""
+    """Return the residual of values after a least-squares fit by the columns of a basis."""
     return np.asarray(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0])
 
 
@@ -108,7 +108,7 @@ class Drift:
 
 
 def drift(values: Sequence[Array], bases: Sequence[Array], calibration: float = 0.0) -> Drift | None:
-    """Return the coefficient of each basis' last column, None for noise-free readings.
+    """Fit each recording by its basis, and return the last column's coefficients; None for noise-free readings.
 
     Args:
         calibration: Common standard error of the coefficients by calibration.
@@ -155,7 +155,7 @@ def is_quieter(before: Sequence[Array], after: Sequence[Array]) -> bool:
 
 
 def odd_group(groups: Sequence[Array]) -> tuple[int, list[int]]:
-    """Return the group with two clusters, and the indices of the smaller one; (0, []) without any.
+    """Return the index of the group with two clusters, and the indices of the smaller cluster; (0, []) without one.
 
     All groups have equal scatter. The statistic is the scatter after the best split of one group relative to that
     without a split, compared with its quantile for normal values.

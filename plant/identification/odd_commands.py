@@ -36,7 +36,7 @@ def odd_commands(m: Measurement) -> list[Message]:
 
 
 def _odd_in_group(m: Measurement, group: Sequence[Recording], command: str) -> Iterator[Message]:
-    """Yield warnings about a command of repetitions, of fewer than half of them."""
+    """Yield a warning for each repetition with a deviating command; none if half of them deviate."""
     rests, windows = [r.rows(m.test.rest) for r in group], [_window(m, r) for r in group]
     values = [getattr(r, command) for r in group]
     at_rest, inside = (_offsets(values, rows) for rows in (rests, windows))
@@ -63,7 +63,7 @@ def _window(m: Measurement, r: Recording) -> Flags:
 
 
 def _offsets(values: Sequence[Array], rows: Sequence[Flags]) -> Array:
-    """Return the difference of each recording's mean to the median over the recordings."""
+    """Return the mean of each recording in its rows, minus the median of these means."""
     means = np.array([v[k].mean() for v, k in zip(values, rows, strict=True)])
     return np.asarray(means - np.median(means))
 

@@ -36,7 +36,7 @@ def bounds_of(name: str) -> tuple[float, float]:
 
 
 def result_faults(protocol: Protocol, results: Sequence[Result]) -> list[Fault]:
-    """Return faults of results and impossible numbers; add interval warnings to the results."""
+    """Return faults of results and impossible numbers; add warnings about possible numbers to the results."""
     faults = []
     for result in results:
         reasons = [reason for e in result.estimates if (reason := _reason_against(e, result.outliers))]
@@ -66,7 +66,7 @@ def _reason_against(e: Estimate, outliers: Sequence[str]) -> Message | None:
 
 
 def _doubts(e: Estimate) -> Iterator[Message]:
-    """Yield doubts about a possible number."""
+    """Yield warnings about a possible number: a wide interval, or a projection factor far from 1."""
     low, high = bounds_of(e.name)
     if e.low < low or e.high > high:
         yield messages.WIDE_INTERVAL(name=e.name, first=e.low, last=e.high, unit=_unit(e), low=low, high=high)

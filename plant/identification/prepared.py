@@ -21,7 +21,7 @@ NUMBERS = {"thrust_offset", "thrust_slope", "ground_effect_exponent", "lag", "as
 
 @dataclass(frozen=True)
 class BenchInput:
-    """A protocol, the model of its parameters, and measured recordings by test."""
+    """A protocol, the model whose parameters it identifies, and measured recordings by test."""
 
     protocol: Protocol
     model: Model
@@ -57,7 +57,7 @@ def prepare(path: Path) -> BenchInput:
 
 
 def _model_of(protocol: Protocol) -> Model:
-    """Return the model whose parameters the power-train sets."""
+    """Return the protocol's model; raise InputError if it has none of the parameters that tests identify."""
     text, where = protocol.file.model, protocol.yaml.place(("model",))
     try:
         model = named_model(text) if is_model(text) else load_model(text, protocol.folder, protocol.yaml).model

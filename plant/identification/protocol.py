@@ -175,7 +175,7 @@ class Tests(Part):
     moment: Test | None = None
 
     def named_tests(self) -> Iterator[tuple[str, Test]]:
-        """Yield name and test of each test done."""
+        """Yield (name, test) for each test in the protocol."""
         for name in type(self).model_fields:
             if (test := getattr(self, name)) is not None:
                 yield name, test
@@ -223,7 +223,7 @@ class Protocol:
 
     @property
     def is_simulated(self) -> bool:
-        """Return True for the simulated bench."""
+        """Return True if the protocol names the simulated bench that is built here."""
         return self.file.bench == BENCH
 
 

@@ -96,7 +96,7 @@ class _Check:
         return np.asarray(held_lag(self.angle(), self.run.step, self.bench.lag))
 
     def range_faults(self) -> Iterator[Fault]:
-        """Yield values outside the range of their column."""
+        """Yield a fault for the first value of a column outside its range."""
         r = self.run
         values = {"duty": r.duty, "servo_duty": r.servo_duty, "height": r.height}
         values |= {f"volts_{c}": r.volts[c] for c in CHANNELS}
@@ -104,19 +104,19 @@ class _Check:
             yield self.fault(message, row)
 
     def command_faults(self) -> Iterator[Fault]:
-        """Yield deficiencies of the commands."""
+        """Yield a fault for each requirement of the test that the commands do not meet."""
         place = f"{self.protocol.yaml.path.name}: tests.{self.name}"
         for lack in lacks(self.bench, self.name, self.test, self.run, place, own=False):
             yield self.fault(lack.message, lack.row)
 
     def height_faults(self) -> Iterator[Fault]:
-        """Yield wrong heights."""
+        """Yield a fault for a wrong height in the window."""
         if self.window.any():
             for row, message in wrong_height(self.bench, self.name, self.test, self.run.height, self.window):
                 yield self.fault(message, row)
 
     def dropout_faults(self) -> Iterator[Fault]:
-        """Yield channels with single readings far off their neighbours."""
+        """Yield a fault for each channel with single readings far off their neighbours."""
         for dropout in dropouts(self.bench, self.run):
             c, row, others = dropout.channel, int(dropout.rows[0]), dropout.rows.size - 1
             fields = {"cell": c, "value": self.run.volts[c][row], "distance": dropout.distance}
@@ -126,7 +126,7 @@ class _Check:
                 yield self.fault(messages.DROPOUT(**fields), row)
 
     def cell_faults(self) -> Iterator[Fault]:
-        """Yield swapped, mirrored, saturated, stuck and coarse channels."""
+        """Yield faults of swapped, mirrored, saturated, stuck and coarse channels."""
         r, window = self.run, self.window
         if low := list(self.low_voltages()):
             yield from low
@@ -151,7 +151,7 @@ class _Check:
         yield from faults or self.tare_faults()
 
     def low_voltages(self) -> Iterator[Fault]:
-        """Yield measured voltages far below the calibration in every row."""
+        """Yield a fault for each cell whose measured voltage is far below its calibration in every row."""
         for c in "zx" if "x" in self.channels else self.channels:
             top, lowest = float(self.run.volts[c].max()), float(self.cells[c].volts.min())
             if self.run.path is not None and top < MIN_VOLTAGE_RATIO * lowest:
@@ -167,7 +167,7 @@ class _Check:
         return template(cell=channel, value=equal.value, readings=counted(equal.count, "reading"))
 
     def channel_faults(self) -> Iterator[Fault]:
-        """Yield channels that do not follow the commands."""
+        """Yield faults of channels that do not follow the commands."""
         change = {}
         for c in CHANNELS:
             force = self.force(c)
@@ -204,7 +204,7 @@ class _Check:
             yield self.fault(messages.LARGE_HORIZONTAL_FORCE(angle=np.degrees(angle)))
 
     def projection_faults(self) -> Iterator[Fault]:
-        """Yield a horizontal force that differs from thrust times sine in sign or size."""
+        """Yield a fault if the horizontal force differs from thrust times sine in sign or size."""
         rows = self.end_of_step() if self.name == "step" else self.window
         if isinstance(self.test, SineTest) and (w := frequency_of(self.run, self.test)) > min(self.test.frequencies):
             yield from self.phase_faults(self.test, w)  # an unknown lag changes the phase
@@ -219,7 +219,7 @@ class _Check:
             yield self.fault(messages.WRONG_HORIZONTAL_FORCE(factor=factor), row)
 
     def phase_faults(self, test: SineTest, w: float) -> Iterator[Fault]:
-        """Yield a horizontal force in opposite phase to the commanded sine."""
+        """Yield a fault if the horizontal force has the opposite phase of the commanded sine."""
         force = self.force("x")
         size = sine(self.run, force, w, test)
         error = float(force[self.rest].std()) * float(np.sqrt(2.0 / self.window.sum()))
@@ -229,7 +229,7 @@ class _Check:
             yield self.fault(messages.OPPOSITE_PHASE(phase=phase, frequency=w), row)
 
     def tare_faults(self) -> Iterator[Fault]:
-        """Yield a channel whose rest voltage is far from the unloaded cell's."""
+        """Yield a fault for each channel whose rest voltage is far from the unloaded cell's."""
         for c in self.channels:
             volts, cell = float(self.run.volts[c][self.rest].mean()), self.cells[c]
             if abs(volts - cell.zero) > MAX_TARE * float(np.ptp(cell.volts)):
@@ -237,7 +237,7 @@ class _Check:
 
 
 def copy_faults(recordings: Sequence[Recording]) -> list[Fault]:
-    """Return a fault for each recording with the noise of an earlier one, a copy.
+    """Return a fault for each recording that is a copy: its noise equals that of an earlier one.
 
     Cut, shifted or rounded copies have the same noise too.
     """
@@ -251,7 +251,7 @@ def copy_faults(recordings: Sequence[Recording]) -> list[Fault]:
 
 @far_beyond
 def _has_noise_of(one: Recording, other: Recording) -> bool:
-    """Return True if all varying cells have the same noise or equal values."""
+    """Return True if all varying cells of two recordings have the same noise or equal values."""
     size = min(one.time.size, other.time.size)
     if abs(one.time.size - other.time.size) > 0.5 * size:
         return False
@@ -309,7 +309,7 @@ def _joint_faults(protocol: Protocol, name: str, test: Test, recordings: Sequenc
 
 
 def _incomplete_sets(test: HeightTest, recordings: Sequence[Recording]) -> Iterator[Fault]:
-    """Yield the measured runs of another duty that was not recorded at every height."""
+    """Yield a fault for each measured run of another duty, if that duty was not recorded at every height."""
     main, *others = sets_by_duty(recordings, test)
     usual = _duty_in_window(next(iter(main.values()))[0], test)
     lone = [chosen for chosen in others if main.keys() - chosen.keys()]

@@ -31,7 +31,7 @@ DEGREE = np.pi / 180.0
 
 @dataclass(frozen=True)
 class SimulatedRecording:
-    """A run for simulation; noise has one row per cell, one value per reading. `thrust`: battery factor."""
+    """A run to simulate; `noise` has a row per cell and a value per reading, `thrust` is a factor on the thrust."""
 
     label: str
     time: Array
@@ -46,7 +46,7 @@ class SimulatedRecording:
 
 @dataclass(frozen=True)
 class Recording:
-    """A recorded run: held commands, voltages by cell; `path` and `lines` for a file."""
+    """A recorded run: held commands and voltages by cell; `path` and `lines` (of the rows) for a measured run."""
 
     label: str
     time: Array
@@ -88,7 +88,7 @@ def commands(test: Test, bench: Bench, step: float) -> list[tuple[str, Array, Ar
 
 
 def _interpolate(phases: Sequence[tuple[float, float, float]], bench: Bench, step: float) -> tuple[Array, Array, Array]:
-    """Return straight lines between phases; two phases at one time make a step."""
+    """Return times, duty and servo duty as straight lines between phases; two phases at one time make a step."""
     times, duty, angle = np.array(phases, float).T
     time = step * np.arange(round(times[-1] / step) + 1)
     k = np.clip(np.searchsorted(times, time + 1e-9, side="right") - 1, 0, times.size - 2)
@@ -133,7 +133,7 @@ def _noise(protocol: Protocol, rng: np.random.Generator, rows: int, *, tare: boo
 
 
 def load_runs(protocol: Protocol, seed: int) -> dict[str, list[SimulatedRecording]]:
-    """Return calibration runs of one second per load, with random load errors."""
+    """Return for each cell the calibration runs, one per load, with random errors of the loads."""
     file, by_channel = protocol.file, dict[str, list[SimulatedRecording]]()
     time = np.asarray(file.step * np.arange(round(SECONDS / file.step) + 1), dtype=np.float64)
     at_rest = np.full_like(time, REST_DUTY), np.full_like(time, NEUTRAL_DUTY)
@@ -152,7 +152,7 @@ def load_runs(protocol: Protocol, seed: int) -> dict[str, list[SimulatedRecordin
 
 
 def load_in_si(protocol: Protocol, channel: str) -> float:
-    """Return the load unit of a cell in N or N m; a gram-force is by the bench's gravity, as in the thrust line."""
+    """Return the load unit of a cell in N or N m; a gram-force is converted with the bench's gravity."""
     unit = protocol.file.cells[channel].unit
     gravity = protocol.bench.gravity / 9.80665 if unit == "gf" else 1.0
     return (factor(unit, CHANNELS[channel]) or 1.0) * gravity

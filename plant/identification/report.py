@@ -87,7 +87,7 @@ def _headline(outcome: Outcome, testable: Sequence[Estimate]) -> str:
 
 
 def number(value: float, unit: str, like: float) -> str:
-    """Format a value with digits for its half-width."""
+    """Format a value with as many digits as `like`, the half-width of its interval, justifies."""
     if not np.isfinite(value):
         return MISSING
     shown, scale = ("ms", 1000.0) if unit == "s" else ("mm", 1000.0) if unit == "m" else (written(unit), 1.0)
@@ -113,7 +113,7 @@ def _row(key: str, e: Estimate) -> Mapping[str, Any]:
 
 
 def _places(e: Estimate) -> Mapping[str, float]:
-    """Return the positions [%] on a ruler."""
+    """Return the positions [%] of value, interval, thesis and truth on a common scale; empty with too few values."""
     values = {"low": e.low, "high": e.high, "value": e.value, "thesis": e.thesis, "truth": e.truth}
     finite = [v for v in values.values() if np.isfinite(v)]
     if len(finite) < 3 or max(finite) == min(finite):
@@ -160,9 +160,7 @@ def plot_of(figure: Figure, charts: Charts) -> Plot:
 
 
 def _trace(label: str, over: Array, values: Array, style: str) -> Trace:
-    """Return a trace.
-
-    A falling x, as for several tests, gives points."""
+    """Return a trace of lines; points instead if x decreases somewhere, as for several tests in sequence."""
     good = np.isfinite(over)
     x, order = over[good], np.argsort(over[good], kind="stable")
     several = "dots" not in style and bool(np.any(np.diff(x) < 0.0))

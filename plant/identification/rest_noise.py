@@ -45,7 +45,11 @@ def noise(logs: Sequence[Log], model: Model, window: Window = None) -> Result:
 
 
 def variance(name: str, unit: str, parts: Sequence[tuple[Array, Array]]) -> Estimate:
-    """Return the pooled S² of eq 5.44, and the variance about a line with its 95 % χ² interval."""
+    """Return the pooled S² of eq 5.44, and the variance about a line with its 95 % χ² interval.
+
+    Args:
+        parts: Times and readings of each log.
+    """
     from scipy import stats
 
     rows = sum(v.size for _, v in parts)
@@ -62,7 +66,7 @@ def variance(name: str, unit: str, parts: Sequence[tuple[Array, Array]]) -> Esti
 
 
 def rest_faults(yaml: YamlFile, logs: Sequence[Log], window: Window) -> Iterator[Fault]:
-    """Yield faults of short or moving logs."""
+    """Yield a fault for an empty window, and for each log that is too short or not at rest."""
     if window is not None and window[0] >= window[1]:
         yield yaml.fault(("rest", "window"), messages.EMPTY_WINDOW(start=window[0], end=window[1]))
         return
@@ -94,7 +98,7 @@ def _reason_against(name: str, values: Array) -> Message | None:
 
 
 def _turns(values: Array) -> int:
-    """Return the number of smoothed mean crossings."""
+    """Return how often the smoothed values cross their mean."""
     smooth = np.convolve(values - values.mean(), np.ones(9) / 9, "valid")
     return int(np.sum(smooth[1:] * smooth[:-1] < 0.0))
 

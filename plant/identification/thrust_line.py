@@ -29,7 +29,15 @@ MIN_ROWS, MIN_DUTY_RANGE = 50, 0.1  # rows of a repetition, [%] of its ramp with
 
 @dataclass(frozen=True)
 class LineReadings:
-    """Readings of a line fit: rows of each repetition, and the duty [%] of their thrust."""
+    """Readings of a line fit.
+
+    Attributes:
+        end: Highest duty within the range of the cells [%].
+        dead_end: Highest duty of zero thrust [%].
+        chosen: Rows of each repetition.
+        delayed: Duty in these rows after lag and low pass [%].
+        idle: Number of rows within the range but without thrust, of `whole` rows within the range.
+    """
 
     end: float
     dead_end: float
@@ -40,7 +48,7 @@ class LineReadings:
 
     @property
     def is_sufficient(self) -> bool:
-        """Return True for sufficient ramps."""
+        """Return True if every repetition has enough rows and range of duty for a line."""
         return all(d.size >= MIN_ROWS and np.ptp(d) >= MIN_DUTY_RANGE for d in self.delayed)
 
 
@@ -182,7 +190,7 @@ def _second_tare(m: Measurement, dead_end: float, slope: float) -> list[Message]
 
 
 def _bend(result: Result, degree: int, errors: dict[int, float], duty: Array, thrust: Array) -> None:
-    """Extend the intervals over the tangents of a nonlinear thrust curve, and warn."""
+    """Extend the intervals to all tangents of a curve of `degree`, and add a warning that the thrust is nonlinear."""
     curve = np.poly1d(np.polyfit(duty - 6.0, thrust, degree))
     grid = np.linspace(duty.min(), duty.max(), 101)
     slopes = curve.deriv()(grid - 6.0)
@@ -202,12 +210,12 @@ def _gain(r: Recording, rows: Flags, bench: Bench) -> Array:
 
 
 def _delay_duty(r: Recording, bench: Bench, test: Test, dead_end: float) -> Array:
-    """Return the duty after lag and low pass, at least that of zero thrust."""
+    """Return the duty after lag and low pass, with commands limited to at least `dead_end`, the duty of zero thrust."""
     return low_pass(held_lag(np.maximum(r.duty, dead_end), r.step, bench.lag), r.step, test.low_pass)
 
 
 def _bow(r: Recording, line: Array, cell: Cell, bench: Bench, test: Test, dead_end: float) -> Array:
-    """Return the error [gf] of a line's thrust on ramps by the low pass and the cell's curve."""
+    """Return the error [gf] of readings on ramps: the low pass filters volts, and the cell's curve bends."""
     effective = held_lag(np.maximum(r.duty, dead_end), r.step, bench.lag)
     steady = line[0] + line[1] * effective
     everywhere = np.ones(r.time.size, dtype=bool)
@@ -221,7 +229,7 @@ def _bow(r: Recording, line: Array, cell: Cell, bench: Bench, test: Test, dead_e
 
 
 def _recent_duty(m: Measurement) -> Iterator[tuple[Recording, Array]]:
-    """Yield each recording with the highest duty still in the memory of its readings."""
+    """Yield each recording, and for each row the highest recent duty that still influences the reading."""
     highest: dict[bytes, Array] = {}
     for r in m.recordings:
         if (key := r.duty.tobytes()) not in highest:
@@ -233,7 +241,7 @@ def _recent_duty(m: Measurement) -> Iterator[tuple[Recording, Array]]:
 
 @dataclass(frozen=True)
 class Beyond:
-    """Reading beyond the range of cell z: recording, row, and the highest duty [%] in its memory."""
+    """Reading beyond the range of cell z: recording, row, and the highest recent duty that influences it [%]."""
 
     recording: int
     row: int

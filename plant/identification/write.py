@@ -57,7 +57,12 @@ def model_text(
     identified: Mapping[str, Estimate],
     repetitions: str,
 ) -> str:
-    """Return a model.yaml: parameters, sensor errors, and interval, unit and origin of identified numbers."""
+    """Return a model.yaml: parameters, sensor errors, and interval, unit and origin of identified numbers.
+
+    Args:
+        source: Model from which the file derives.
+        repetitions: Word after the number of repetitions, such as `runs`.
+    """
     lines = ["schema_version: 1", f"model: {source}", "parameters:" if values else "parameters: {}"]
     lines += [f"  {n}: {str(v).lower() if isinstance(v, bool) else repr(float(v))}" for n, v in values.items()]
     lines += ["sensors:" if sensors else "sensors: {}", *(f"  {n}: {v!r}" for n, v in sensors.items())]

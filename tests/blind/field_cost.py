@@ -125,13 +125,13 @@ class _Filter:
         self.registers = math.ceil(float(self.latency.max())) + 1 if self.latency.max() > 0.0 else 0
 
     def _neutral(self, key: str, everyone: Sequence[Values]) -> float:
-        """Return the value of a parameter in a case without its effect: neutral."""
+        """Return the neutral value of a parameter, for a case without its effect."""
         name, _, parameter = key.partition(".")
         having = next(case[key] for case in everyone if key in case)
         return left_out(self.rig, name, {parameter: having})[parameter] if parameter else having
 
     def _actings(self, everyone: Sequence[Values]) -> np.ndarray:
-        """Return the acting commands, shape (rows, parts, inputs, logs, columns)."""
+        """Return the acting commands (after delay, play and such), shape (rows, parts, inputs, logs, columns)."""
         made: dict[Any, np.ndarray] = {}
         for case in everyone:
             key = shaping(self.rig, case)

@@ -21,7 +21,7 @@ Look = Callable[[float, Sequence[Any], Sequence[Any]], list[Any]]  # (t, state, 
 
 
 class Floats:
-    """Functions of equations on floats."""
+    """Math functions for equations on floats."""
 
     sin, cos, tanh, exp, sqrt = math.sin, math.cos, math.tanh, math.exp, math.sqrt
     maximum, minimum, absolute = max, min, abs
@@ -32,7 +32,7 @@ class Floats:
 
 
 class Arrays:
-    """Functions of equations on arrays."""
+    """Math functions for equations on NumPy arrays."""
 
     sin, cos, tanh, exp, sqrt = np.sin, np.cos, np.tanh, np.exp, np.sqrt
     maximum, minimum, absolute, where = np.maximum, np.minimum, np.abs, np.where
@@ -138,7 +138,11 @@ class Rig:
     shaping: ClassVar[tuple[str, ...]] = ("command_delay.time",)  # numbers that decide the acting commands
 
     def bind(self, f: Any, p: Flat) -> tuple[Rate, Look]:
-        """Return equations and outputs of the rig with parameters `p`; effects missing in `p` are absent."""
+        """Return derivatives and outputs as functions, for parameters `p`; effects missing in `p` are absent.
+
+        Args:
+            f: `Floats` or `Arrays`, the math functions.
+        """
         raise NotImplementedError
 
     def drive(self, rng: np.random.Generator) -> np.ndarray:
@@ -176,11 +180,11 @@ class Rig:
         return value
 
     def late(self) -> tuple[str, str]:
-        """Return the name of the latency and its output, or two empty texts."""
+        """Return the name of the latency and its output, or two empty texts for a rig without a late sensor."""
         return next(((name, s.output) for name, s in self.sensors.items() if s.kind == "late"), ("", ""))
 
     def acting(self, p: Flat, run: Run, parts: int) -> np.ndarray:
-        """Return the mean command, with delay, over `parts` equal parts of each row, shape (rows, parts, inputs)."""
+        """Return the mean acting (delayed) command of each of `parts` parts of a row, shape (rows, parts, inputs)."""
         delay = float(p.get("command_delay.time", 0.0))
         step = np.append(np.diff(run.times), self.step)
         edges = run.times[:, None] + step[:, None] * np.arange(parts + 1) / parts

@@ -36,7 +36,7 @@ def grade(line: Line) -> str:
 
 
 def put_forward(line: Line) -> set[str]:
-    """Return the names that are claimed, or stated as part of the answer."""
+    """Return the names that a verdict claims, wholly (`claimed`) or in part (`part`)."""
     return named(line) if grade(line) in ("claimed", "part") else set()
 
 
@@ -63,7 +63,7 @@ def is_in_set(line: Line) -> bool:
 
 
 def is_wrong(line: Line) -> bool:
-    """Return whether a known study puts forward a name that is not in the truth."""
+    """Return whether a known study gets a name, claimed wholly or in part, that is not in the truth."""
     return not put_forward(line) <= set(line["truth"])
 
 

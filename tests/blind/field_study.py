@@ -85,7 +85,7 @@ def _card(deck: tuple[Any, ...], number: int, purpose: int) -> Any:
 
 
 def deal(seed: int) -> Deal:
-    """Return the properties of a seed from the decks, without the search for sizes."""
+    """Return the properties of a seed from the decks, without effects and sizes."""
     block, place = divmod(seed, len(BLOCK))
     order = [BLOCK[k] for k in stream(block, 1).permutation(len(BLOCK))]
     kind = order[place]
@@ -118,7 +118,7 @@ def draw(seed: int) -> Study:
 
 
 def bare(seed: int, plant: str, rng: np.random.Generator, kind: str = "known") -> Study:
-    """Return a study without hidden effects: base parameters, disturbance and recorder."""
+    """Return a study with base parameters, disturbance and recorder, but without hidden effects."""
     rig = RIGS[plant]
     longest_hole = min(90, int(0.45 / rig.step)) if rig.step < 0.05 else 9
     recorder = Recorder.draw(rng, list(rig.outputs), longest_hole)
@@ -189,7 +189,7 @@ class _Sized:
 
 
 def _hidden(study: Study, rng: np.random.Generator, count: int) -> Study:
-    """Return a known study with visible effects, each of the size whose cost was drawn."""
+    """Return a study with random effects of the catalogue, each of the size that has a randomly drawn cost."""
     rig = study.rig
     for _ in range(50):
         if (found := sized(study, names_of(rig, rng, count), rng, _wanted)) is not None:
@@ -218,7 +218,7 @@ def _wanted(rng: np.random.Generator) -> float:
 
 
 def wanted_large(rng: np.random.Generator) -> float:
-    """Return the random cost of a large effect [nats]."""
+    """Return a random cost [nats], as large as for a large effect."""
     return math.exp(rng.uniform(*np.log(LARGE)))
 
 

@@ -25,7 +25,7 @@ def plain(plant: str, truth: Mapping[str, Values], seed: int = 0) -> Study:
 
 
 def middling(rig: Rig, name: str, share: float = 1.0) -> list[Values]:
-    """Return an effect at the first size of its search, or a share of this size, for each scaled parameter."""
+    """Return the parameters of an effect at its start size times `share`, once for each scaled parameter."""
     entry = {**rig.entries, **rig.outside}[name]
     size = share * (np.mean(entry.limits) if entry.fixed else entry.start)
     shape = {p: float(np.mean(between)) for p, between in {**entry.ratio, **entry.shape}.items()}
@@ -34,7 +34,7 @@ def middling(rig: Rig, name: str, share: float = 1.0) -> list[Values]:
 
 
 def mimics(study: Study) -> tuple[float, dict[str, float]]:
-    """Return the cost of a study's only effect [nats], and catalogue effect → share of the cost left by imitation."""
+    """Return the cost of a study's only effect [nats], and catalogue effect → share of it after imitation."""
     rig = study.rig
     ((name, values),) = study.truth.items()
     p = rig.numbers(study.base, study.truth)

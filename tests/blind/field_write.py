@@ -84,7 +84,7 @@ def true_error(study: Study) -> dict[str, float]:
 
 
 def _replayed(study: Study, run: Run, result: Course) -> np.ndarray:
-    """Return predictions of the true model from the true state at the start of each horizon."""
+    """Return predictions of the true model, restarted from the true state at the start of each horizon."""
     rig = study.rig
     if isinstance(rig, CraftRig):
         made = craft(study.base, study.kind, study.truth)

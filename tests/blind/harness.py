@@ -102,7 +102,7 @@ def conduct(seed: int, refiner: Refiner, half: str = LABORATORY) -> dict[str, An
 
 
 def invent(half: str, seed: int, folder: Path) -> tuple[Path, str]:
-    """Write the study of a seed; return the path of study.yaml and the answer."""
+    """Write the study of a seed; return the path of study.yaml, and the answer as JSON."""
     if half in (FIELD, MIXED):
         drawn = field_study.draw(seed) if half == FIELD else parts.draw(seed)
         told = field_write.answer(drawn)

@@ -22,7 +22,7 @@ HALVED = 0.5  # of the sealed error of the yardstick, from which friction has to
 
 
 def draw(seed: int) -> Study:
-    """Return the mixed study of a seed."""
+    """Return the study of a seed, with several hidden effects."""
     plant = field_study.PLANTS[seed % len(field_study.PLANTS)]
     strange = (seed // len(field_study.PLANTS)) % 5 == 4 and plant != "craft"  # a craft has one effect or one stranger
     rig, rng = field_study.RIGS[plant], field_study.stream(seed, 6)
@@ -35,7 +35,7 @@ def draw(seed: int) -> Study:
 
 
 def _names(rig: Rig, rng: Any, *, strange: bool) -> list[str]:
-    """Return two or three effects, or an effect and a stranger."""
+    """Return two or three effects of the catalogue; with `strange` an effect of the catalogue and one outside."""
     if strange:
         return [str(rng.choice(sorted(rig.entries))), str(rng.choice(sorted(rig.outside)))]
     return field_study.names_of(rig, rng, int(rng.integers(2, 4)))
@@ -45,24 +45,24 @@ def _names(rig: Rig, rng: Any, *, strange: bool) -> list[str]:
 
 
 def parts(line: Line) -> set[str]:
-    """Return the true effects of the catalogue."""
+    """Return the true effects of a study without strangers (effects outside the catalogue)."""
     return set(line["truth"]) - set(line.get("strangers", ()))
 
 
 def named_parts(line: Line) -> set[str]:
-    """Return the true effects that are claimed, or contained in a rival of a small set."""
+    """Return the true effects that a verdict claims, wholly or in part, or that one of a few rivals contains."""
     sets = alternatives(line)
     shared = set().union(*sets) if 0 < len(sets) <= LARGEST_SET else set()
     return parts(line) & (put_forward(line) | shared)
 
 
 def wrong_parts(line: Line) -> set[str]:
-    """Return names put forward that are not in the truth."""
+    """Return names that a verdict claims, wholly or in part, and that are not true effects of the catalogue."""
     return put_forward(line) - parts(line)
 
 
 def is_due(line: Line) -> bool:
-    """Return whether friction in a least-squares fit of the arm halves the sealed error of a channel."""
+    """Return whether friction in a least-squares fit of the arm at least halves a channel's error on the sealed log."""
     errors = line["yardstick"]
     return any(w <= HALVED * o for o, w in zip(errors["without"], errors["with"], strict=True))
 
@@ -80,7 +80,7 @@ def counts(lines: Sequence[Line]) -> dict[str, tuple[int, int]]:
 
 
 def summary(lines: Sequence[Line]) -> dict[str, Any]:
-    """Return the figures as fractions."""
+    """Return figure → share of its cases."""
     return {"studies": len(lines)} | {name: share(*counted) for name, counted in counts(lines).items()}
 
 
@@ -97,7 +97,7 @@ def said(line: Line) -> str:
 
 
 def table(lines: Sequence[Line]) -> str:
-    """Return a row per study, then the figures with Wilson's 95 % intervals."""
+    """Return a table with a row per study, then the figures with Wilson's 95 % intervals."""
     text = [f"{label(line):70} {said(line)}" for line in lines]
     for name, (hits, of) in counts(lines).items():
         low, high = wilson(hits, of)

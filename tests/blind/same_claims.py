@@ -2,7 +2,7 @@
 
     python -m tests.blind.same_claims 12 --half field --first 400 --results /tmp/same.jsonl [--jobs 2]
 
-A study counts as the same if all four answers put the same names forward. Lines of studies that have one are skipped.
+A study counts as the same if all four verdicts claim the same names. Studies with a line in the results are skipped.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def with_noise(refiner: Refiner, factor: float | None) -> Refiner:
 
 
 def repeat(seed: int, refiner: Refiner, half: str) -> dict[str, Any]:
-    """Return the answers of a study under each noise: verdict and names put forward."""
+    """Return the verdict and the claimed names of a study under each noise."""
     answers = {}
     for name, factor in FACTORS.items():
         line = conduct(seed, with_noise(refiner, factor), half)
@@ -46,7 +46,7 @@ def repeat(seed: int, refiner: Refiner, half: str) -> dict[str, Any]:
 
 
 def is_same(line: dict[str, Any]) -> bool:
-    """Return whether all answers of a study put the same names forward."""
+    """Return whether all verdicts on a study claim the same names, wholly or in part."""
     return len({tuple(answer["names"]) for answer in line["answers"].values()}) == 1
 
 

@@ -197,7 +197,7 @@ def label(line: Line) -> str:
 
 
 def said(line: Line) -> str:
-    """Return the column of a study; wrong names follow after a colon."""
+    """Return the outcome of a study, a column of the table; wrong names follow after a colon."""
     verdict = line["verdict"]
     names = " + ".join(sorted(named(line))) or "?"
     if line["kind"] == "known":

@@ -82,17 +82,17 @@ class Threshold:
 
     @property
     def decides(self) -> bool:
-        """Return whether the threshold decides a verdict."""
+        """Return whether a verdict depends on the threshold: its name is in DECIDING."""
         return self.name in DECIDING.get(self.module, ())
 
     @property
     def key(self) -> str:
-        """Return the name with the name of the module."""
+        """Return `module.NAME`."""
         return f"{self.module}.{self.name}"
 
     @property
     def origin(self) -> str:
-        """Return the origin of the value."""
+        """Return the source of the value, such as a reference or a convention; UNKNOWN without one."""
         return ORIGIN.get(self.key, UNKNOWN)
 
 

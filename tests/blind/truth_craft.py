@@ -202,7 +202,7 @@ class Dynamics:
 
 
 class Servos:
-    """Servos up to their lag: delay, play, offset, dead band, in this order; then effects outside the catalogue."""
+    """Servos without their lag: delay, play, offset, dead band, in this order; then effects outside the catalogue."""
 
     def __init__(self, craft: Craft) -> None:
         self.craft = craft

@@ -146,7 +146,7 @@ def _deal(deck: tuple[str, ...], number: int, purpose: int) -> str:
 
 
 def _place(seed: int) -> tuple[str, int]:
-    """Return the kind of a seed, and the number of earlier seeds of its kind."""
+    """Return the kind of study of a seed, and the number of earlier seeds of this kind."""
     block, place = divmod(seed, len(BLOCK))
     order = stream(block, 1).permutation(np.array(BLOCK))
     kind = str(order[place])

@@ -38,7 +38,7 @@ NOT_NEUTRAL = (
 
 @dataclass(frozen=True)
 class EvaluationPoint:
-    """A point of evaluation: all possible states, inputs and memory, and parameters by FMI name."""
+    """A point of evaluation: states and memory (those of dormant effects too), inputs, and parameters by FMI name."""
 
     t: float
     h: float
@@ -58,7 +58,7 @@ class _Math:
 
 
 class GeneratedCode:
-    """The blocks of a trace as Python functions."""
+    """Generated equations of a model, as Python functions in place of C."""
 
     def __init__(self, trace: Trace) -> None:
         self.names = list(trace.s.parameters)
@@ -77,7 +77,7 @@ class GeneratedCode:
             exec(function(Python(), name, arguments, blocks, results, places), self._functions)
 
     def values(self, name: str, at: EvaluationPoint, awake: set[str]) -> list[float]:
-        """Return a function's values with given active effects."""
+        """Return the values of the function `name` at a point, with the effects in `awake` active."""
         import numpy as np
 
         arguments: dict[str, Any] = {"t": at.t, "h": at.h, "x": at.state, "u": at.command, "memory": at.memory}
@@ -128,7 +128,7 @@ class Check:
         return [GeneratedCode(trace) for trace in self.printer.variants]
 
     def run(self) -> None:
-        """Compare in every case; raise Unprintable with the first difference and its remedy."""
+        """Compare in every case; raise UnprintableModel with the first difference and its remedy."""
         kinds = self.model.catalogue
         flags = list(product((False, True), repeat=len(self.printer.switches)))
         for awake in dict.fromkeys([(), *((kind,) for kind in kinds), kinds]):
@@ -157,7 +157,7 @@ class Check:
     def compare(
         self, case: SwitchCase, at: EvaluationPoint, code: GeneratedCode
     ) -> Iterator[tuple[str, str, float, float]]:
-        """Yield each compared quantity: its name, its hook, and its values by Python and by generated code."""
+        """Yield each compared quantity: name, method of the model, and values by Python and by generated code."""
         names = {e.name for e in case.awake}
         base = {n: v for n, v in at.values.items() if "." not in n or n.partition(".")[0] in names}
         stepper = Stepper(replace(self.model, effects=()).with_values(base))
@@ -204,7 +204,7 @@ class Check:
     def draw_point(self, case: SwitchCase, k: int) -> EvaluationPoint:
         """Return the random point of test k.
 
-        The first points have unchanged parameters. Points of late tests are near the start.
+        Parameters of the first points are unchanged. From test POINTS on, points approach the start values.
         """
         size = 1.0 if k < POINTS else 10.0 ** -(k - POINTS + 1)
         around: Callable[[float], float] = lambda v: v + size * self.random.uniform(-1, 1) * max(1.0, abs(v))  # noqa: E731
@@ -224,17 +224,17 @@ class Check:
 
     @cached_property
     def parameters(self) -> dict[str, Parameter]:
-        """Return the model's own parameters."""
+        """Return the parameters of the model without those of effects."""
         return {p.name: p for p in self.model.parameters}
 
     @cached_property
     def starts(self) -> list[float]:
-        """Return the start values of all possible states."""
+        """Return the start values of all states, including those of dormant effects."""
         starts = dict(zip((q.name for q in self.model.states), self.model.start(), strict=True))
         return [starts.get(q.name, q.start) for q in self.printer.states]
 
     def draw_value(self, p: Parameter, value: Any, k: int) -> Any:
-        """Return a parameter value: unchanged, within 10 %, or an integer in its bounds."""
+        """Return a value of parameter `p` for test k: `value`, within 10 % of it, or an integer in its bounds."""
         low, high = p.bounds
         if isinstance(value, bool) or k % POINTS == 0:
             return value
@@ -244,7 +244,7 @@ class Check:
         return min(high, max(low, value * self.random.uniform(0.9, 1.1)))
 
     def draw_effect_value(self, p: Parameter, awake: bool, k: int) -> Any:
-        """Return a parameter value of an effect."""
+        """Return a random parameter value of an effect: neutral if dormant, else about its default or typical size."""
         if isinstance(p.default, bool):
             return p.default
         if p.neutral is not None and not awake:

@@ -99,7 +99,11 @@ def cure(extra: str) -> str:
 
 
 def _command_for(target: Platform, is_local: bool, by_name: bool) -> list[str]:
-    """Return the local compiler, else the cross compiler. The cross compiler also targets old versions of glibc."""
+    """Return the command of the compiler for a platform.
+
+    The cross compiler, which also targets old versions of glibc, is taken for a platform named by the user, or without
+    a local compiler.
+    """
     local = compiler() if is_local else None
     if can_cross() and (by_name or local is None):
         return cross_command(target)
@@ -146,6 +150,8 @@ def library_of(
 
     Args:
         files: Contents by path below the compiler's folder.
+        main: Path of the file to compile.
+        command: Command of the compiler.
         exports: Required functions, because some commands succeed without making the right library.
         limit: Time limit of the compiler [s].
 

@@ -59,7 +59,7 @@ def per_second(unit: str) -> str:
 
 
 def model_layout(printer: ModelPrinter, about: Description, indicators: int) -> VariableLayout:
-    """Return a model's layout: states, derivatives, memory and event indicators."""
+    """Return a model's layout with states, derivatives, memory and a number of event indicators (`indicators`)."""
     if list(about.ports) != list(model_ports(printer.model)):
         raise ValueError("the description is of another model")
     names = [q.name for q in printer.states]
@@ -79,7 +79,7 @@ def _rate(q: Quantity, k: int) -> Local:
 
 
 def _dependencies(printer: ModelPrinter, names: Sequence[str]) -> dict[str, list[str]]:
-    """Return inputs and states behind each output and derivative. They cover all effects and switch positions."""
+    """Return output or derivative → inputs and states on which it depends, for any active effects and switches."""
     sources: dict[str, set[str]] = {}
     inputs, states = [q.name for q in printer.model.inputs], [f"{n}_state" for n in names]
     for trace in printer.variants:
@@ -99,5 +99,5 @@ def _dependencies(printer: ModelPrinter, names: Sequence[str]) -> dict[str, list
 
 
 def _sources_of(expression: Any, reach: Mapping[Any, set[str]]) -> set[str]:
-    """Return the dependencies of an expression's symbols."""
+    """Return the inputs and states on which an expression depends."""
     return set().union(*(reach.get(s, set()) for s in expression.free_symbols))

@@ -102,7 +102,7 @@ def _annotations(layout: VariableLayout) -> list[Element]:
 
 
 def _variables(layout: VariableLayout, local: Sequence[Local], fmi: Version) -> Element:
-    """Return the ports and these local variables."""
+    """Return the XML of the ports and of the variables in `local`."""
     states = {v.state: k for k, v in layout.of("state")}
     variables = Element("ModelVariables")
     variables.extend(_port(k, port, fmi) for k, port in enumerate(layout.ports))

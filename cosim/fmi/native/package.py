@@ -63,7 +63,7 @@ class Built:
 
 
 def native_model(model: Model, recipe: Recipe, name: str) -> Native:
-    """Return a model for a native FMU, checked against its Python; raise Unprintable on failure."""
+    """Return a model for a native FMU, checked against its Python; raise UnprintableModel on failure."""
     printer = ModelPrinter(model, recipe.about.ports)
     printed = printer.sources()
     Check(model, printer).run()

@@ -23,7 +23,7 @@ class Platform:
         return [] if self.suffix == ".dll" else ["-fPIC"]
 
     def folder(self, fmi: int) -> str:
-        """Return the folder below `binaries`. FMI 2.0.4 uses 3.0's names for platforms without an own name."""
+        """Return the folder below `binaries`. Platforms without a name in FMI 2.0 have that of 3.0, as in 2.0.4."""
         return self.name if fmi == 2 else self.fmi3
 
 

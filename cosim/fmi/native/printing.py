@@ -1,4 +1,4 @@
-"""A model as C: generated body, and tables for equations.c."""
+"""Generated C code of a model: functions of its equations, and tables for equations.c."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def variable_tables(ports: Sequence[Port]) -> tuple[str, int]:
 
 
 class ModelPrinter:
-    """Code generator of a model, with a body per switch position chosen at run time."""
+    """Code generator of a model; C code of each position of the model's switches is chosen at run time."""
 
     def __init__(self, model: Model, ports: Sequence[Port]) -> None:
         self.model, self.ports = model, ports
@@ -106,7 +106,7 @@ class ModelPrinter:
 
     @property
     def states(self) -> tuple[Any, ...]:
-        """Return all states of the model and its catalogue."""
+        """Return all states of the model, including those of the effects in its catalogue."""
         states: tuple[Any, ...] = self.trace.s.model.states
         return states
 
@@ -157,7 +157,7 @@ class ModelPrinter:
     # -- functions ------------------------------------------------------------------------------
 
     def _serialize(self) -> str:
-        """Return a text that determines all functions, for the cache."""
+        """Return a text that determines all generated functions, as key of the cache."""
         from sympy import srepr
 
         def as_text(blocks: Sequence[Block]) -> list[Any]:
@@ -174,7 +174,7 @@ class ModelPrinter:
         return repr((parts, [self.vr(name) for name in self.switches]))
 
     def _functions(self) -> tuple[list[str], int, int, int]:
-        """Return functions, and counts of body kinks, all kinks and calls."""
+        """Return C functions, and the numbers of kinks of derivatives and outputs, of all kinks, and of calls."""
         gaps = [self._kinks(trace) for trace in self.variants]
         sizes = [max(len(pair[k][1]) for pair in gaps) for k in (0, 1)]
         calls = [extract_calls(trace.blocks, trace.derivative) for trace in self.variants]
@@ -184,7 +184,7 @@ class ModelPrinter:
 
     @staticmethod
     def _kinks(trace: Trace) -> tuple[tuple[list[Any], list[Any]], tuple[list[Any], list[Any]]]:
-        """Return kinks of the body and of immediate command shaping. Memory changes at events only."""
+        """Return indicators of kinks, for derivatives and outputs, and for command shaping without memory."""
         moving = {*trace.s.state, *trace.s.command, trace.s.time}
         at_once = [b for b in trace.shaping if b.effect is None or not trace.effects[b.effect].memory]
         shaped = {*moving, *(s for b in trace.shaping for s in b.values)}
@@ -222,7 +222,7 @@ class ModelPrinter:
             raise UnprintableModel(str(error)) from error
 
     def _merge(self, variants: Sequence[Function]) -> str:
-        """Return a function that switches between variants."""
+        """Return a C function that calls the variant for the values of the model's switches."""
         name, arguments, text = variants[0]
         if all(other == text for _, _, other in variants):
             return text
@@ -237,7 +237,7 @@ class ModelPrinter:
         return "\n".join(texts) + f"\n{head}\n{{\n    switch ({bits}) {{\n{cases}    }}\n}}\n"
 
     def _starts(self) -> str:
-        """Return C code of start values calculated from parameters, unless set."""
+        """Return C code that computes start values from parameters, unless the host sets the start values."""
         import sympy
 
         m, model = SymbolNamespace(), self.trace.s.model
@@ -267,7 +267,7 @@ class ModelPrinter:
         return f"{head}\n{{\n    {unused}\n{text}}}\n"
 
     def _wake(self) -> str:
-        """Return C code that activates effects away from neutral."""
+        """Return C code that marks effects as active if a parameter is not neutral."""
         lines = []
         for k, effect in enumerate(self.trace.effects):
             neutrals = [(self.vr(f"{effect.name}.{p.name}"), p.neutral) for p in parameters_of(effect)]
@@ -277,14 +277,14 @@ class ModelPrinter:
         return f"{head}\n{{\n    (void)p, (void)awake;\n{''.join(lines)}}}\n"
 
     def _remembers(self) -> str:
-        """Return a C function that detects active memory."""
+        """Return the C function `remembers`: whether an active effect has memory."""
         remembering = {e.name for e, _ in self.remembering}
         places = [k for k, e in enumerate(self.trace.effects) if e.name in remembering]
         head = "static int remembers(const unsigned char *awake)\n{\n    (void)awake;\n"
         return f"{head}    return {' || '.join(f'awake[{k}]' for k in places) or '0'};\n}}\n"
 
     def _counting(self) -> str:
-        """Return C code with the name of an active effect that depends on the substep length."""
+        """Return the C function `counting`: name of an active effect that depends on the substep, or NULL."""
         remembering = {e.name for e, _ in self.remembering}
         clock = {self.trace.step, self.trace.s.time}
         lines = {}

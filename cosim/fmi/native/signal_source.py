@@ -47,7 +47,7 @@ class TimeSignal:
 def build_source(
     name: str, signals: Mapping[str, TimeSignal], path: Path, step: float = 0.01, stop: float = 10.0
 ) -> Path:
-    """Write the FMU completely or not at all.
+    """Write an FMU with the signals as outputs, completely or not at all.
 
     Args:
         step: Step size of its default experiment [s].
