@@ -51,8 +51,8 @@ STATES = (
 )
 PSI, VX, OWN = 4, 5, len(STATES)  # indices of the heading, the forward velocity, and the effects' first state
 INPUTS = (
-    Quantity("duty_right", "%", "duty command of the right motor", DUTY_NOMINAL),
-    Quantity("duty_left", "%", "duty command of the left motor", DUTY_NOMINAL),
+    Quantity("duty_right", "%", "duty command of the right motor", DUTY_NOMINAL, (0.0, 100.0)),
+    Quantity("duty_left", "%", "duty command of the left motor", DUTY_NOMINAL, (0.0, 100.0)),
     Quantity("tilt_right", "rad", "tilt command of the right propeller, positive forward", bounds=QUARTER_TURN),
     Quantity("tilt_left", "rad", "tilt command of the left propeller, positive forward", bounds=QUARTER_TURN),
 )

@@ -15,9 +15,9 @@ from cosim.base.errors import InputError
 from cosim.logs.finding import Finding
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.log import Log, read_log
+from cosim.logs.model_comparison import delay, delays, scales
 from cosim.model import Equations, Model, Namespace, Quantity
 from cosim.model.traits import Traits
-from cosim.residuals.against import delay, delays, scales
 from cosim.verbs.check_verb import check as check_files
 from plant.hovercraft import INPUTS, OUTPUTS, Hovercraft
 from tests.logs import MOVING, STEP, Array, Flight, fly, log_of, measured, times, write_log

@@ -496,7 +496,10 @@ def test_a_sentence_says_of_a_term_without_a_name_how_much_it_is(cart: Refinemen
     nothing = judged(UnnamedTerm("v", "1", 40.0, 0.1, 41.0, 0.0), best=base, rivals=(), noise_gain=(50.0,))
     assert words(nothing, cart).endswith("acts on v; it is constant.")
     gained = base.score - cart.attribution.best.score
-    disputed = judged(UnnamedTerm("v", "|v|", 0.35 * gained, 0.1, 0.35 * gained), rivals=())
+    # a claim that halves the held-out error stays, whatever a term without a name would add to it
+    assert cart.attribution.halves_error
+    assert judged(UnnamedTerm("v", "|v|", 0.35 * gained, 0.1, 0.35 * gained), rivals=()).claimed
+    disputed = judged(UnnamedTerm("v", "|v|", 0.35 * gained, 0.1, 0.35 * gained), rivals=(), error_ratios=(0.7, 0.8))
     assert (disputed.name, disputed.claimed, disputed.rivals) == ("unexplained", None, cart.attribution.best.names)
     left = judged(UnnamedTerm("v", "|v|", 0.25 * gained, 0.1, 0.25 * gained), rivals=())
     assert left.claimed is cart.attribution.best

@@ -17,7 +17,7 @@ from cosim.blocks.sources import playback
 from cosim.logs.finding import Finding
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.log import Log, read_log
-from cosim.residuals.against import scales
+from cosim.logs.model_comparison import scales
 from cosim.residuals.replay_signals import Replay
 from cosim.storage.results import read_results
 from cosim.storage.table import read_columns

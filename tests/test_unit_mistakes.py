@@ -11,7 +11,8 @@ import pytest
 from cosim.loading.file import load_model
 from cosim.logs.log import Log, read_log
 from cosim.logs.log_check import log_findings
-from cosim.logs.unit_mistakes import input_unit_findings, output_unit_findings
+from cosim.logs.model_comparison import scales
+from cosim.logs.unit_mistakes import input_unit_findings
 from cosim.residuals.workflow import replay
 from cosim.storage.csv_source import write_table
 from plant.hovercraft import INPUTS, OUTPUTS
@@ -70,6 +71,33 @@ def test_an_input_far_beyond_its_bound_is_a_fault_if_a_unit_explains_it(log: Log
     assert (found.severity, found.channel) == ("fault", "u")
     assert '"u [mV]"' in found.sentence
     assert not [*input_unit_findings(log, {}, {"u": (-12_000.0, 12_000.0)})]
+    (found,) = input_unit_findings(replace(log, units={**log.units, "u": "%"}), {}, {"u": (0.0, 100.0)})
+    assert (found.severity, found.channel) == ("fault", "u")
+    assert "is it scaled" in found.sentence
+
+
+@pytest.mark.parametrize("kind", ["sign", "swapped", "delay"])
+def test_check_names_what_only_the_model_can_show(kind: str, tmp_path: Path) -> None:
+    header, *rows = (line.split(",") for line in RECORDED.read_text().splitlines())
+    table = np.array(rows, dtype=float)
+    ax, psi_dot = header.index("ax"), header.index("psi_dot")
+    if kind == "sign":  # with so much noise that the correlation alone is no proof
+        table[:, ax] *= -1.0
+        table[:, ax] += 0.7 * np.std(table[:, ax]) * np.random.default_rng(3).standard_normal(len(table))
+    elif kind == "swapped":
+        table[:, [ax, psi_dot]] = table[:, [psi_dot, ax]]
+    else:
+        outputs = [k for k, name in enumerate(header) if name != "time" and name not in {q.name for q in INPUTS}]
+        table[10:, outputs] = table[:-10, outputs]
+    write_table(tmp_path / "wrong.csv", header, table.tolist())
+    sentences = log_findings(tmp_path / "wrong.csv", load_model("base", tmp_path))
+    wanted = {
+        "sign": "ax moves against the model",
+        "swapped": "are the columns swapped?",
+        "delay": "trails the model by",
+    }
+    assert any(wanted[kind] in line for line in sentences)
+    assert not any(wanted[kind] in line for line in log_findings(RECORDED, load_model("base", tmp_path)))
 
 
 def test_noise_has_no_unit(log: Log) -> None:
@@ -77,5 +105,5 @@ def test_noise_has_no_unit(log: Log) -> None:
     counts = 0
     for _ in range(200):
         noise = replace(log, outputs={"ax": 1000.0 * rng.standard_normal(log.rows)})
-        counts += len([*output_unit_findings(noise, {"ax": rng.standard_normal(log.rows)})])
+        counts += len([*scales(noise, {"ax": rng.standard_normal(log.rows)})])
     assert counts == 0

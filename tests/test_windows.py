@@ -14,14 +14,15 @@ import pytest
 from scipy import stats
 
 from cosim.base.arrays import Array
+from cosim.base.correlation import correlation_at_lags
 from cosim.base.messages import Message
 from cosim.base.text import join_names
 from cosim.base.units import read_quantity
 from cosim.logs.finding import Finding
 from cosim.logs.log import Log
+from cosim.logs.model_comparison import delay, delays, scales
 from cosim.report.drawing import Charts
 from cosim.residuals import floor, windows
-from cosim.residuals.against import delay, delays, scales
 from cosim.residuals.compare import ChannelSummary
 from cosim.residuals.comparison_data import as_json
 from cosim.residuals.drive import rows_of
@@ -33,7 +34,6 @@ from cosim.residuals.residual_statistics import (
     InputCorrelation,
     Score,
     Whiteness,
-    correlation_at_lags,
     excess_left,
     input_correlations,
     lags_of,

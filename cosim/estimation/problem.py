@@ -135,6 +135,18 @@ class Problem:
     @cached_property
     def noise(self) -> NoiseRange:
         """Return the search range of process noise."""
+        short = self._short()
+        lasting = float(np.log(self.longest_memory)) if self.layout.is_coloured else None
+
+        def variances(power: Array, longest: bool) -> Array:
+            noise = short.at(power)
+            noise = replace(noise, memory=lasting) if longest and lasting is not None else noise
+            return short.score(self.values, noise).variances
+
+        return noise_range(variances, len(self.layout.noisy))
+
+    def _short(self) -> Problem:
+        """Return the problem on the first rows of few logs, or on its own outputs where the filter loses the logs."""
         step = self.logs[0].step
         rows = round((UNSCORED * slowness(step) + max(RANGE_FROM, RANGE_ROWS * step)) / step)
         logs = [log.rows(0, rows) for log in self.logs]
@@ -149,19 +161,18 @@ class Problem:
             origins=[self.origins[k] for k in chosen if self.origins],
             sensing=None,  # limits must not depend on fitted noise
         )
-        nothing = short.at(np.full(len(self.layout.noisy), GRID[0]))
-        if not all(short._follows(nothing, k) for k in range(len(chosen))):
-            # A filter that has lost the measurements says nothing of its variances; on its own outputs it cannot.
-            runs = [np.where(np.isfinite(log.y), short.own_run(k).outputs, np.nan) for k, log in enumerate(short.logs)]
-            short = replace(short, logs=[replace(log, y=y) for log, y in zip(short.logs, runs, strict=True)])
-        lasting = float(np.log(self.longest_memory)) if self.layout.is_coloured else None
+        # A filter that has lost the measurements says nothing of its variances; on its own outputs it cannot.
+        return short if short._follows_all() else short._on_own_outputs()
 
-        def variances(power: Array, longest: bool) -> Array:
-            noise = short.at(power)
-            noise = replace(noise, memory=lasting) if longest and lasting is not None else noise
-            return short.score(self.values, noise).variances
+    def _follows_all(self) -> bool:
+        """Return True if the filter with the least process noise follows all logs."""
+        nothing = self.at(np.full(len(self.layout.noisy), GRID[0]))
+        return all(self._follows(nothing, k) for k in range(len(self.logs)))
 
-        return noise_range(variances, len(self.layout.noisy))
+    def _on_own_outputs(self) -> Problem:
+        """Return the problem with the outputs of the model's own run in place of the measurements."""
+        runs = [np.where(np.isfinite(log.y), self.own_run(k).outputs, np.nan) for k, log in enumerate(self.logs)]
+        return replace(self, logs=[replace(log, y=y) for log, y in zip(self.logs, runs, strict=True)])
 
     @property
     def longest_memory(self) -> float:

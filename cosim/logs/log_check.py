@@ -17,8 +17,9 @@ from cosim.loading.substep import with_substep
 from cosim.logs.alone import findings_without_model
 from cosim.logs.gate import gate, refuse_faults
 from cosim.logs.log import first_rows, read_log
+from cosim.logs.model_comparison import output_findings
 from cosim.logs.spikes import drop_outliers, find_spikes
-from cosim.logs.unit_mistakes import input_unit_findings, output_unit_findings
+from cosim.logs.unit_mistakes import input_unit_findings
 from cosim.model.traits import Traits
 from cosim.storage.artefact import Checking
 from cosim.storage.table import read_header
@@ -58,5 +59,7 @@ def log_findings(path: Path, loaded: LoadedModel, columns: Mapping[str, str] = M
     if not log.table:
         first = first_rows(log, ROWS)
         free = predicted_outputs(stepping, first, dict.fromkeys(log.outputs, np.arange(first.rows)))
-        findings += output_unit_findings(first, free)
+        against = output_findings(first, free)
+        refuse_faults(log, against)
+        findings += against
     return [*(f.line for f in findings), *substep_notes(loaded, [drop_outliers(log, spikes)])]

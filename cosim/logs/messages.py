@@ -141,7 +141,29 @@ REVERSED_AXIS = Template(
 _OTHER_SIZE = 'is its unit {unit}? Then call the column "{name} [{unit}]"'
 BEYOND_BOUND = Template("E-LOG-058", "reaches {size}, far beyond the {reference} that the model allows; " + _OTHER_SIZE)
 OTHER_SIZE = Template("W-LOG-059", "reaches {size}, where the model starts at {reference}; " + _OTHER_SIZE)
-OTHER_SLOPE = Template("W-LOG-060", "moves with the model, but {slope} ± {error} times as far; " + _OTHER_SIZE)
+BEYOND_EVERY_UNIT = Template(
+    "E-LOG-061", "reaches {size}, far beyond the {reference} that the model allows: is it scaled, or in another unit?"
+)
+_OTHER_SLOPE = "moves with the model, but {slope} ± {error} times as far; " + _OTHER_SIZE
+OTHER_SLOPE = Template("W-LOG-060", _OTHER_SLOPE)
+PROBABLE_UNIT = Template("E-LOG-062", _OTHER_SLOPE)
+CONVERTED_UNIT = Template(
+    "E-LOG-063",
+    "was converted from {unit}, as the model declares no unit, but agrees with the model without this conversion: "
+    'leave "[{unit}]" out of the header',
+)
+WRONG_SIGN = Template(
+    "W-LOG-064",
+    "moves against the model ({slope} ± {error} times as far, correlation {correlation}): "
+    "it, or a command, has the wrong sign",
+)
+SWAPPED = Template(
+    "W-LOG-065",
+    "moves as {other} does in the model (correlation {correlation}), and {other} as {name}: are the columns swapped?",
+)
+_DELAY = "{direction} the model by {delay} ± {error}: {cause}, {doubt}"
+DELAY = Template("W-LOG-066", _DELAY)
+POSSIBLE_DELAY = Template("N-LOG-067", _DELAY)
 
 # -- tables ---------------------------------------------------------------------------------------
 

@@ -11,9 +11,8 @@ from cosim.logs.channel_noise import least_noise_level
 from cosim.logs.finding import Finding
 from cosim.logs.gate import ORDER, refuse_faults
 from cosim.logs.log import Log
-from cosim.logs.unit_mistakes import output_unit_findings
+from cosim.logs.model_comparison import output_findings
 from cosim.residuals import messages
-from cosim.residuals.against import delays, scales
 from cosim.residuals.drive import Drive
 from cosim.residuals.floor import EXACT, ChannelFloor, draws, floors
 from cosim.residuals.residual_statistics import (
@@ -118,9 +117,8 @@ def compare(drive: Drive, free: Replay, findings: Sequence[Finding] = ()) -> Com
     """
     log, replays, parameters = drive.log, {FREE_RUN: free}, start_parameters(drive)
     *_, measure = spans = horizons(log)
-    against = [*scales(log, free.outputs), *delays(log, free.outputs)]
+    against = output_findings(log, free.outputs)
     refuse_faults(log, against)
-    against += output_unit_findings(log, free.outputs)
     for horizon in spans:
         if (windowed := self_started(drive, parameters, free, horizon)) is not None:
             replays[horizon] = windowed

@@ -25,19 +25,3 @@ HIDDEN_STATE = Template(
     "is missed by {error} over {horizon}\u00a0s where the FMU is restarted from its own outputs: "
     "it keeps a state that no output shows, and only the free run measures it",
 )
-_DELAY = "{direction} the model by {delay} ± {error}: {cause}, {doubt}"
-DELAY = Template("W-RES-010", _DELAY)
-POSSIBLE_DELAY = Template("N-RES-011", _DELAY)
-WRONG_SIGN = Template(
-    "W-RES-012",
-    "moves against the model (correlation {correlation}): it, or a command, has the wrong sign",
-)
-CONVERTED_UNIT = Template(
-    "E-RES-013",
-    "was converted from {unit}, as the model declares no unit, but agrees with the model without this conversion: "
-    'leave "[{unit}]" out of the header',
-)
-PROBABLE_UNIT = Template(
-    "E-RES-014",
-    'moves as the model does, but {ratio} times as far: is it in {unit}? Then call the column "{name} [{unit}]"',
-)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.base.arrays import Array, Rows
+from cosim.base.correlation import centre, correlation
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.logs.log import slowness
 
@@ -117,9 +118,9 @@ def whiteness(residual: Array, lags: int) -> Whiteness:
     """
     from scipy.special import gammaincc
 
-    z, weight = _centre(residual)
+    z, weight = centre(residual)
     count = int(weight.sum())
-    rho, pairs = _correlation(z, weight, z, weight, lags)
+    rho, pairs = correlation(z, weight, z, weight, lags)
     rho, pairs = rho[lags:], pairs[lags:]
     used = [k for k in range(1, min(LJUNG_BOX_LAGS, lags) + 1) if pairs[k] > 0 and math.isfinite(rho[k])]
     if not used:
@@ -135,7 +136,7 @@ def input_correlations(residual: Array, inputs: Mapping[str, Array], lags: int) 
 
     The band is Bartlett's, 1.96·√(Σ_k ρ_r(k)·ρ_u(k) / n), because slow signals correlate by chance.
     """
-    z, weight = _centre(residual)
+    z, weight = centre(residual)
     count, reach = int(weight.sum()), max(lags, residual.size // 4)
     everywhere = np.ones(residual.size)
     correlations = []
@@ -144,19 +145,14 @@ def input_correlations(residual: Array, inputs: Mapping[str, Array], lags: int) 
         if count < 3 or np.ptp(values) <= 1e-9 * max(1.0, float(np.abs(values).max())) or not np.any(z):
             continue
         own_r, own_u = (
-            _correlation(z, weight, z, weight, reach)[0],
-            _correlation(u, everywhere, u, everywhere, reach)[0],
+            correlation(z, weight, z, weight, reach)[0],
+            correlation(u, everywhere, u, everywhere, reach)[0],
         )
         overlap = float(np.nansum(own_r * own_u))
-        rho, _ = _correlation(u, everywhere, z, weight, lags)
+        rho, _ = correlation(u, everywhere, z, weight, lags)
         band = NORMAL_95 * math.sqrt(max(1.0, overlap) / count)
         correlations.append(InputCorrelation(name, np.arange(-lags, lags + 1), rho, band))
     return tuple(sorted(correlations, key=lambda c: -c.strength))
-
-
-def correlation_at_lags(before: Array, after: Array, lags: int) -> Array:
-    """Return the correlation of `after` with `before` −lags … lags rows earlier."""
-    return _correlation(*_centre(before), *_centre(after), lags)[0]
 
 
 def lags_of(rows: int, step: float, seconds: float = 1.0) -> int:
@@ -171,28 +167,3 @@ def pool_errors(errors: Iterable[Mapping[str, Array]]) -> dict[str, float]:
         for name, error in log.items():
             channels.setdefault(name, []).append(error)
     return {name: rmse(*parts) for name, parts in channels.items()}
-
-
-def _centre(values: Array) -> tuple[Array, Array]:
-    """Return centred values and a validity mask."""
-    finite = np.isfinite(values)
-    mean = float(values[finite].mean()) if finite.any() else 0.0
-    return np.where(finite, values - mean, 0.0), finite.astype(np.float64)
-
-
-def _correlation(a: Array, weight_a: Array, b: Array, weight_b: Array, lags: int) -> tuple[Array, Array]:
-    """Return ρ(k) of b(t + k) with a(t), k = −lags … lags, and the number of pairs."""
-    products, pairs = _lagged_products(a, b, lags), np.rint(_lagged_products(weight_a, weight_b, lags))
-    counts = float(weight_a.sum()), float(weight_b.sum())
-    scale = math.sqrt(float(a @ a) / counts[0] * float(b @ b) / counts[1]) if min(counts) > 0.0 else 0.0
-    usable = pairs > 0 if scale > 0.0 else np.zeros(pairs.size, dtype=bool)
-    rho = np.full(2 * lags + 1, np.nan)
-    rho[usable] = products[usable] / pairs[usable] / scale
-    return rho, pairs
-
-
-def _lagged_products(a: Array, b: Array, lags: int) -> Array:
-    """Return Σ_t a(t)·b(t + k) for k = −lags … lags, by FFT."""
-    size = 1 << (a.size + lags).bit_length()
-    whole = np.fft.irfft(np.conj(np.fft.rfft(a, size)) * np.fft.rfft(b, size), size)
-    return np.concatenate((whole[-lags:], whole[: lags + 1]))

@@ -94,17 +94,21 @@ def _run() -> None:
     except MemoryError:
         _fail(messages.NO_MEMORY(), SimulationError.exit_code)
     except OSError as error:  # a folder that cannot be written, a disk that is full
-        file = f"{error.filename}: " if error.filename else ""
-        reason = error.strerror or error
-        is_disk = is_full(error)
-        message = messages.DISK_FULL(file=file) if is_disk else messages.FILE_ERROR(file=file, reason=reason)
-        _fail(message, SimulationError.exit_code if is_disk else 2)
+        _fail_on_file(error)
     except typer.Abort:
         _fail(messages.NO_ANSWER(), CosimError.exit_code)
     except Exception as error:
         if not hasattr(error, "format_message"):  # Typer has classes of its own or those of click, by its version.
             raise
         sys.exit(say_usage(error))
+
+
+def _fail_on_file(error: OSError) -> NoReturn:
+    """Print which file cannot be read or written and why, and exit."""
+    file = f"{error.filename}: " if error.filename else ""
+    if is_full(error):
+        _fail(messages.DISK_FULL(file=file), SimulationError.exit_code)
+    _fail(messages.FILE_ERROR(file=file, reason=error.strerror or error), 2)
 
 
 def _fail(message: str, exit_code: int) -> NoReturn:

@@ -35,16 +35,31 @@ def compare_with_predictions(search: Search, a: Attribution, claims: Claims) -> 
     both fits is a measure of the bias. A claim that halves the held-out error keeps all its parts.
     """
     problem, horizon, h = search.problem, search.subject.horizon, claims.claimed
-    is_comparable = len(problem.logs) > 1 and math.isfinite(horizon) and not (problem.table or problem.own)
-    if h is None or h.is_of_sensors or not is_comparable:
+    if h is None or h.is_of_sensors or not _has_predictions(search):
         return claims
     is_better = _predicts_better(search, h)
     if not is_better and claims.grade == "claimed":
         return claims
     refit = _refit(problem, h.fit, horizon, range(len(problem.logs)))
-    moved = {c.name for c in claims.claimed_candidates if any(is_moved(f, h.fit, refit) for f in c.free)}
-    if not (is_better and moved) or a.halves_error or claims.name == "ambiguous":
+    moved = _moved_parts(claims, h.fit, refit) if is_better else set()
+    if not moved or a.halves_error or claims.name == "ambiguous":
         return replace(claims, claimed=_with_both(h, refit, refit.values if is_better else h.fit.values))
+    return _without(search, a, claims, moved)
+
+
+def _has_predictions(search: Search) -> bool:
+    """Return True for several logs with a horizon and one set of values, on which both fits can be compared."""
+    problem = search.problem
+    return len(problem.logs) > 1 and math.isfinite(search.subject.horizon) and not (problem.table or problem.own)
+
+
+def _moved_parts(claims: Claims, before: Fit, after: Fit) -> set[str]:
+    """Return the claimed candidates with a parameter that differs between both fits."""
+    return {c.name for c in claims.claimed_candidates if any(is_moved(f, before, after) for f in c.free)}
+
+
+def _without(search: Search, a: Attribution, claims: Claims, moved: set[str]) -> Claims:
+    """Return the claims without the parts on which both fits disagree."""
     rest, names = fit_of_rest(a, moved), tuple(sorted(moved))
     if rest is None:
         return claims.withdraw(Doubt("disagreeing", names=names))

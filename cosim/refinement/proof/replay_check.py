@@ -40,9 +40,8 @@ def check_with_replays(study: Study, a: Attribution, claims: Claims, result: Sea
             if not is_within or _errors_per_floor(error["recalibrated"], floor):
                 claims = claim_single_number(claims, a, study.subject, result, ratios)
             is_single = True
-    elif claims.name == "parameter_error" and claims.claimed and (others := beyond_tolerance(claims.claimed.fit)):
-        otherwise = claim_single_number(claims, a, study.subject, result, {})
-        claims = otherwise if otherwise.claimed is not None else replace(claims, further=others)
+    elif claims.name == "parameter_error":
+        claims = _beyond_tolerance_checked(claims, a, study, result)
     if claims.claimed is None:
         return claims
     error, floor = _replay_errors(study, a, claims, problem, result.sensors)
@@ -52,6 +51,15 @@ def check_with_replays(study: Study, a: Attribution, claims: Claims, result: Sea
     if claims.claimed is None or claims.claimed.is_of_sensors or claims.further:
         return claims
     return replace(claims, further=beyond_tolerance(claims.claimed.fit))
+
+
+def _beyond_tolerance_checked(claims: Claims, a: Attribution, study: Study, result: SearchResult) -> Claims:
+    """Return a claim on parameters, as a single number or with all others that left their tolerance."""
+    others = beyond_tolerance(claims.claimed.fit) if claims.claimed else ()
+    if not others:
+        return claims
+    otherwise = claim_single_number(claims, a, study.subject, result, {})
+    return otherwise if otherwise.claimed is not None else replace(claims, further=others)
 
 
 def _replay_errors(

@@ -1,33 +1,41 @@
-"""Comparison of a log with a replay, to find errors of clocks, units and signs."""
+"""Comparison of a log with predictions of the model, to find errors of clocks, units, signs and columns."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 
 from cosim.base.arrays import Array
+from cosim.base.correlation import correlation_at_lags
 from cosim.base.text import amount, plain
 from cosim.base.units import factor
+from cosim.logs import messages
 from cosim.logs.finding import Finding
 from cosim.logs.log import Log
-from cosim.logs.unit_mistakes import SLOW, moving_part, other_unit
-from cosim.residuals import messages
-from cosim.residuals.residual_statistics import correlation_at_lags
+from cosim.logs.unit_mistakes import SAME_SIZE, other_unit
 
+SLOW = 1.0  # [s] slower changes also come from drift and the unknown start
 LONGEST_DELAY = 0.5  # [s]
 LIKE = 0.85  # correlation of a signal with its model beyond chance
 TELLING = 0.6  # least correlation with the model for a delay estimate
+MAX_SLOPE_ERROR = 0.1  # standard error of a slope relative to the slope
+BLOCKS, MIN_BLOCK = 20, 10  # blocks of rows for the standard error, and rows of a block
 REGULAR = "or, the motion being so regular, a wrong friction or inertia"
 FASTER = 1.15  # ratio of mean frequencies from which fast changes are independent evidence
-
 
 DIRECTIONS = {  # of a delay and its likely causes, for positive and other times
     True: ("trails", "a delay, a slower actuator"),
     False: ("leads", "a faster actuator, a command logged late"),
 }
+
+
+def output_findings(log: Log, model: Mapping[str, Array]) -> list[Finding]:
+    """Return findings on outputs that follow their predictions late, in another unit, mirrored or in another column."""
+    return [*scales(log, model), *swaps(log, model), *delays(log, model)]
 
 
 def delays(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
@@ -55,23 +63,75 @@ def delays(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
 def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
     """Yield findings on channels in another unit or with the opposite sign."""
     for name, measured in log.outputs.items():
-        if name not in model:
+        if name not in model or (fit := fit_slope(log, measured, model[name])) is None:
             continue
-        y, ref = moving_part(log, measured), moving_part(log, model[name])
-        good = np.isfinite(y) & np.isfinite(ref)
-        size = float(np.linalg.norm(y[good])) * float(np.linalg.norm(ref[good]))
-        if size == 0.0:
-            continue
-        both = float(y[good] @ ref[good])
-        rho, slope = both / size, both / float(ref[good] @ ref[good])
-        numbers = {"slope": slope, "correlation": rho}
-        if rho < -LIKE:
-            yield Finding("warning", "sign", name, messages.WRONG_SIGN(correlation=plain(rho, 2)), numbers)
-        elif rho > LIKE and _is_converted_wrongly(log, name, slope):
+        numbers = {"slope": fit.slope, "error": fit.error, "correlation": fit.correlation}
+        slope, error = plain(fit.slope), plain(fit.error, 1)
+        is_alike = fit.correlation > LIKE
+        if fit.correlation < -LIKE or (fit.is_certain and SAME_SIZE[0] < -fit.slope < SAME_SIZE[1]):
+            text = messages.WRONG_SIGN(slope=slope, error=error, correlation=plain(fit.correlation, 2))
+            yield Finding("warning", "sign", name, text, numbers)
+        elif is_alike and _is_converted_wrongly(log, name, fit.slope):
             yield Finding("fault", "unit", name, messages.CONVERTED_UNIT(unit=log.written[name]), numbers)
-        elif rho > LIKE and (unit := other_unit(log.units[name], slope)):
-            message = messages.PROBABLE_UNIT(ratio=plain(slope), unit=unit, name=name)
-            yield Finding("fault", "unit", name, message, numbers)
+        elif (is_alike or fit.is_certain) and (unit := other_unit(log.units[name], fit.slope)):
+            template = messages.PROBABLE_UNIT if is_alike else messages.OTHER_SLOPE
+            text = template(slope=slope, error=error, unit=unit, name=name)
+            yield Finding("fault" if is_alike else "warning", "unit", name, text, numbers)
+
+
+def swaps(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
+    """Yield findings on two outputs that follow each other's prediction better than their own at any delay."""
+    names = [name for name in log.outputs if name in model]
+    for one, other in combinations(names, 2):
+        across = [fit_slope(log, log.outputs[a], model[b]) for a, b in ((one, other), (other, one))]
+        least = min((abs(f.correlation) if f and f.is_certain else 0.0) for f in across)
+        own = (_largest_correlation(log, log.outputs[name], model[name]) for name in (one, other))
+        if least >= 0.5 * TELLING and max(own) < least:
+            text = messages.SWAPPED(name=one, other=other, correlation=plain(least, 2))
+            yield Finding("warning", "swapped", one, text, {"correlation": least})
+
+
+def _largest_correlation(log: Log, measured: Array, model: Array) -> float:
+    """Return the largest magnitude of the correlation at any delay up to LONGEST_DELAY."""
+    rho = correlation_at_lags(moving_part(log, model), moving_part(log, measured), _longest_lag(log))
+    return float(np.nanmax(np.abs(rho), initial=0.0))
+
+
+def _longest_lag(log: Log) -> int:
+    """Return the number of rows of the longest delay on trial."""
+    return max(0, min(round(LONGEST_DELAY * log.slowness / log.step), log.rows // 4))
+
+
+class SlopeFit(NamedTuple):
+    """Least-squares slope of a measured signal over its prediction, slow parts removed.
+
+    Attributes:
+        error: Standard error from blocks of rows, so that the residual may be correlated; infinite without enough rows.
+    """
+
+    slope: float
+    error: float
+    correlation: float
+
+    @property
+    def is_certain(self) -> bool:
+        """Return True for a small standard error."""
+        return self.error < MAX_SLOPE_ERROR * abs(self.slope)
+
+
+def fit_slope(log: Log, measured: Array, model: Array) -> SlopeFit | None:
+    """Return the slope of a measured signal over its prediction, or None if one of them does not move."""
+    y, x = moving_part(log, measured), moving_part(log, model)
+    good = np.isfinite(y) & np.isfinite(x)
+    y, x = y[good], x[good]
+    size = float(np.linalg.norm(y)) * float(np.linalg.norm(x))
+    if not size > 0.0:
+        return None
+    both, square = float(y @ x), float(x @ x)
+    slope, error = both / square, math.inf
+    if x.size >= BLOCKS * MIN_BLOCK:
+        error = math.hypot(*(float(part.sum()) for part in np.array_split(x * (y - slope * x), BLOCKS))) / square
+    return SlopeFit(slope, error, both / size)
 
 
 def _is_converted_wrongly(log: Log, name: str, slope: float) -> bool:
@@ -100,7 +160,7 @@ def delay(log: Log, measured: Array, model: Array) -> MeasuredDelay | None:
     Slow parts are removed, so that drift has no influence. A parabola refines the peak of the cross-correlation.
     """
     fast, fast_model = moving_part(log, measured), moving_part(log, model)
-    lags = min(round(LONGEST_DELAY * log.slowness / log.step), log.rows // 4)
+    lags = _longest_lag(log)
     if lags < 2 or np.isfinite(fast).sum() < 8 * lags:
         return None
     rho = correlation_at_lags(fast_model, fast, lags)
@@ -128,3 +188,19 @@ def _same_when_faster(log: Log, measured: Array, model: Array, slow: MeasuredDel
     if fast is None or fast.frequency < FASTER * slow.frequency:
         return None
     return abs(fast.time - slow.time) < max(0.3 * abs(slow.time), 3.0 * fast.error)
+
+
+def moving_part(log: Log, values: Array) -> Array:
+    """Return the fast part of a signal: its deviation from the moving mean over SLOW seconds; NaN at the ends."""
+    half = max(1, round(0.5 * SLOW * log.slowness / log.step))
+    out = np.full(values.size, np.nan)
+    if values.size > 2 * half:
+        finite = np.isfinite(values)
+        parts = np.where(finite, values, 0.0), finite.astype(np.float64)
+        sums, counts = (np.concatenate(([0.0], np.cumsum(part))) for part in parts)
+        width = 2 * half + 1
+        count = counts[width:] - counts[:-width]
+        middle = slice(half, values.size - half)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            out[middle] = values[middle] - (sums[width:] - sums[:-width]) / count
+    return out
