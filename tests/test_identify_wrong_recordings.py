@@ -170,6 +170,10 @@ CASES: dict[str, tuple[str, Change, str]] = {
     "a recording that was cut, test 5": ("moment", lambda t: t[:450], "the phase `window` from 3 to 13 s is missing"),
     "a recording that was cut, sines": ("frequency", lambda t: t[:230], "before a whole period after what is skipped"),
     "10 Hz, sines": ("frequency", lambda t: t[::5], "rows are 0.1 s apart, fewer than 10 in a period of 10 rad/s"),
+    "commands resampled by straight lines": (
+        "frequency", column(SERVO, lambda v: np.interp(np.arange(v.size), np.arange(0, v.size, 2), v[::2])),
+        "only one row in 2 of servo_duty is a command",
+    ),
     "a clock 10 % slow, sines": (
         "frequency", column(TIME, lambda v: 1.1 * v), "is 9.09 rad/s, and the protocol has 10 rad/s",
     ),
@@ -316,6 +320,32 @@ def test_a_cell_mirrored_at_one_frequency_is_named(
 
 
 @pytest.mark.thorough
+@pytest.mark.parametrize(("name", "place"), [("moment", M), ("projection", X)])
+def test_one_mirrored_recording_of_few_is_named(
+    name: str, place: int, good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
+) -> None:
+    content, tables = good
+    rest = tables[f"{name}1.csv"][:40, place].mean()
+    mirrored = column(place, lambda v: 2.0 * rest - v)(tables[f"{name}1.csv"].copy())
+    checked, identified = answers((content, {**tables, f"{name}1.csv": mirrored}), tmp_path, name, lambda t: t)
+    assert f"{name}1.csv" in checked
+    assert "mirrored" in checked or MIRRORED in checked
+    assert identified in checked
+
+
+@pytest.mark.thorough
+def test_a_wrong_parameter_is_not_blamed_on_the_recordings(
+    good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
+) -> None:
+    content, tables = good
+    wrong = {**content, "parameters": {**content["parameters"], "propeller_radius": 100.0}}
+    checked, identified = answers((wrong, tables), tmp_path, "ground_effect", lambda t: t)
+    assert "propeller_radius is 100.0" in checked
+    assert ".csv" not in checked
+    assert identified == checked
+
+
+@pytest.mark.thorough
 def test_10_hz_is_enough_for_a_step_but_not_for_the_thesis_estimator_and_says_so(
     good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
 ) -> None:
@@ -335,7 +365,7 @@ CELLS: dict[str, tuple[str, Callable[[str, Any], Any], str]] = {
     "loads in gf said to be N": ("thrust_line", lambda _, c: {"unit": "N"}, "thrust_offset comes out as -1.93e+05 gf"),
     "a unit of mass": ("thrust_line", lambda _, c: {"unit": "kg"}, "a mass that is hung is a force: write kgf"),
     "points in mV": ("step", lambda _, c: {"points": [[a, 1000 * v] for a, v in c["points"]]}, "beyond the"),
-    "load and voltage swapped": ("step", lambda _, c: {"points": [[v, a] for a, v in c["points"]]}, "beyond the"),
+    "load and voltage swapped": ("step", lambda _, c: {"points": [[v, a] for a, v in c["points"]]}, "the loads span"),
     "a load beyond full scale": ("step", lambda _, c: {"full_scale": 8}, "is beyond the cell's full_scale of 8 gf"),
     "an error in percent": ("step", lambda _, c: {"error": 0.25}, "less than or equal to 0.1"),
     "loads of the other sign": (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import warnings
 from pathlib import Path
 
@@ -120,3 +121,18 @@ def test_numbers_that_no_double_holds_the_square_of_print_no_warning(tmp_path: P
         run = cosim.run(scenario, tmp_path / "ran", in_process=True)
     assert not compared.same
     assert len(run.missed) == 5
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("time|u|y\n0|1|2\n1|2|3\n", "cells are separated by vertical bars"),
+        ("time  u  y\n0  1  2\n1  2  3\n", "cells are separated by blanks"),
+        ("0,1,2\n1,2,3\n2,3,4\n", "the file has no header: write the names of the columns into the first line"),
+        ("time,u\n0,6_3\n1,2\n", ':2:2: "6_3" in column u is no number'),
+    ],
+)
+def test_a_table_that_only_looks_like_a_log_is_refused_with_the_cure(text: str, reason: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(InputError, match=re.escape(reason)):
+        cosim.check(tmp_path / "a.csv")

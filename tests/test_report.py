@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 import shutil
 import subprocess
@@ -598,6 +599,24 @@ def test_figures_are_png_files_with_safe_names(tmp_path: Path) -> None:
     paths = write_figures(tmp_path / "figures", both, {})
     assert sorted(tmp_path.joinpath("figures").iterdir()) == sorted(paths)
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
+
+
+@pytest.mark.parametrize("variable", ["XDG_CONFIG_HOME", "XDG_CACHE_HOME"])
+def test_without_a_place_for_its_lists_matplotlib_says_nothing_and_leaves_nothing(
+    variable: str, tmp_path: Path
+) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "temporary").mkdir()
+    without = {name: value for name, value in os.environ.items() if name != "MPLCONFIGDIR"}
+    done = subprocess.run(
+        [sys.executable, "-c", "from cosim.report.figure import new_figure; new_figure(3.0, 2.0)"],
+        env=without | {variable: str(tmp_path / "file"), "TMPDIR": str(tmp_path / "temporary")},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert (done.stdout, done.stderr) == ("", "")
+    assert list((tmp_path / "temporary").iterdir()) == []
 
 
 def test_a_figure_has_the_axes_of_the_page() -> None:

@@ -99,7 +99,7 @@ def test_a_model_that_moves_as_the_column_did_before_it_was_converted_is_told(tm
     log = tank_log(tmp_path / "a.csv", "time,inflow,level [mm]")
     (found,) = scales(log, {"level": 1000.0 * log.outputs["level"]})
     assert found.severity == "fault"
-    assert found.whole.startswith("level was converted from mm, as the model declares no unit")
+    assert found.whole.startswith("level was converted from mm to m, but agrees with the model without")
     assert not [*scales(log, {"level": log.outputs["level"]})]
 
 

@@ -122,7 +122,9 @@ OPPOSITE_RATE_BY_NAME = Template("W-LOG-042", _OPPOSITE_RATE)
 _DEGREES = "is {factor} times what {other} says: one is in degrees, the other in radians. {cure}"
 DEGREES = Template("E-LOG-043", _DEGREES)
 DEGREES_BY_NAME = Template("W-LOG-044", _DEGREES)
-SCALED_RATE = Template("W-LOG-045", "integrates to {factor} times the change of {name}: a scale is off")
+SCALED_RATE = Template(
+    "W-LOG-045", "integrates to {factor} times the change of {name}: a scale is off, or one of them is limited"
+)
 BIASED_RATE = Template("N-LOG-046", "is {bias} above d {name}/dt throughout: a bias of one of the sensors")
 UNWRAPPED_ANGLE = Template("N-LOG-047", "has {count} of a turn, first at t = {first:.6g} s; undone, it is continuous")
 ANGLE_BEYOND_BOUNDS = Template(
@@ -145,13 +147,14 @@ BEYOND_EVERY_UNIT = Template(
     "E-LOG-061", "reaches {size}, far beyond the {reference} that the model allows: is it scaled, or in another unit?"
 )
 _OTHER_SLOPE = "moves with the model, but {slope} ± {error} times as far; " + _OTHER_SIZE
-OTHER_SLOPE = Template("W-LOG-060", _OTHER_SLOPE)
-PROBABLE_UNIT = Template("E-LOG-062", _OTHER_SLOPE)
-CONVERTED_UNIT = Template(
-    "E-LOG-063",
-    "was converted from {unit}, as the model declares no unit, but agrees with the model without this conversion: "
-    'leave "[{unit}]" out of the header',
+OTHER_SLOPE = Template("E-LOG-062", _OTHER_SLOPE)
+PERHAPS_OTHER_SLOPE = Template("W-LOG-060", _OTHER_SLOPE)
+_CONVERTED_UNIT = (
+    "was converted from {unit} to {to}, but agrees with the model without this conversion: "
+    'leave "[{unit}]" out of the header'
 )
+CONVERTED_UNIT = Template("E-LOG-063", _CONVERTED_UNIT)
+PERHAPS_CONVERTED_UNIT = Template("W-LOG-068", _CONVERTED_UNIT)
 WRONG_SIGN = Template(
     "W-LOG-064",
     "moves against the model ({slope} ± {error} times as far, correlation {correlation}): "

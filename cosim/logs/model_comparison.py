@@ -11,12 +11,13 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.correlation import correlation_at_lags
+from cosim.base.messages import Message
 from cosim.base.text import amount, plain
 from cosim.base.units import factor
 from cosim.logs import messages
 from cosim.logs.finding import Finding
 from cosim.logs.log import Log
-from cosim.logs.unit_mistakes import SAME_SIZE, other_unit
+from cosim.logs.unit_mistakes import OTHER_SIZE, SAME_SIZE, other_unit
 
 SLOW = 1.0  # [s] slower changes also come from drift and the unknown start
 LONGEST_DELAY = 0.5  # [s]
@@ -66,17 +67,24 @@ def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
         if name not in model or (fit := fit_slope(log, measured, model[name])) is None:
             continue
         numbers = {"slope": fit.slope, "error": fit.error, "correlation": fit.correlation}
-        slope, error = plain(fit.slope), plain(fit.error, 1)
         is_alike = fit.correlation > LIKE
         if fit.correlation < -LIKE or (fit.is_certain and SAME_SIZE[0] < -fit.slope < SAME_SIZE[1]):
-            text = messages.WRONG_SIGN(slope=slope, error=error, correlation=plain(fit.correlation, 2))
-            yield Finding("warning", "sign", name, text, numbers)
-        elif is_alike and _is_converted_wrongly(log, name, fit.slope):
-            yield Finding("fault", "unit", name, messages.CONVERTED_UNIT(unit=log.written[name]), numbers)
-        elif (is_alike or fit.is_certain) and (unit := other_unit(log.units[name], fit.slope)):
-            template = messages.PROBABLE_UNIT if is_alike else messages.OTHER_SLOPE
-            text = template(slope=slope, error=error, unit=unit, name=name)
-            yield Finding("fault" if is_alike else "warning", "unit", name, text, numbers)
+            text = {"slope": plain(fit.slope), "error": plain(fit.error, 1), "correlation": plain(fit.correlation, 2)}
+            yield Finding("warning", "sign", name, messages.WRONG_SIGN(**text), numbers)
+        elif (is_alike or fit.is_certain) and (message := _unit_mistake(log, name, fit)):
+            yield Finding("fault" if is_alike else "warning", "unit", name, message, numbers)
+
+
+def _unit_mistake(log: Log, name: str, fit: SlopeFit) -> Message | None:
+    """Return the message on a signal whose slope over its prediction is the factor between two units."""
+    is_alike = fit.correlation > LIKE
+    if _is_converted_wrongly(log, name, fit.slope):
+        template = messages.CONVERTED_UNIT if is_alike else messages.PERHAPS_CONVERTED_UNIT
+        return template(unit=log.written[name], to=log.units[name])
+    if not (unit := other_unit(log.units[name], fit.slope)):
+        return None
+    template = messages.OTHER_SLOPE if is_alike else messages.PERHAPS_OTHER_SLOPE
+    return template(slope=plain(fit.slope), error=plain(fit.error, 1), unit=unit, name=name)
 
 
 def swaps(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
@@ -135,9 +143,9 @@ def fit_slope(log: Log, measured: Array, model: Array) -> SlopeFit | None:
 
 
 def _is_converted_wrongly(log: Log, name: str, slope: float) -> bool:
-    """Return True if a conversion from the header's unit was wrong, because the model uses that unit itself."""
-    by = factor(log.written[name], log.units[name]) if name in log.undeclared else None
-    return by is not None and not 0.2 < by < 5.0 and 0.7 < slope / by < 1.4
+    """Return True if the signal fits the model without the conversion from its header's unit."""
+    by = factor(log.written[name], log.units[name])
+    return by is not None and not 1.0 / OTHER_SIZE < by < OTHER_SIZE and SAME_SIZE[0] < slope / by < SAME_SIZE[1]
 
 
 class MeasuredDelay(NamedTuple):

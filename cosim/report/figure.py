@@ -25,7 +25,14 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def _has_place() -> bool:
-    """Return whether matplotlib can write its font list to the user's folder."""
-    folder = Path(os.path.expanduser("~")) / ".config" / "matplotlib"
+    """Return whether matplotlib can write its settings and its font list to the user's folders."""
+    home = Path(os.path.expanduser("~"))
+    settings = Path(os.environ.get("XDG_CONFIG_HOME") or home / ".config")
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache")
+    return all(_is_writable(folder / "matplotlib") for folder in (settings, cache))
+
+
+def _is_writable(folder: Path) -> bool:
+    """Return whether the folder can be written, or created in the first folder above it that exists."""
     existing = next((p for p in (folder, *folder.parents) if p.exists()), folder)
     return folder.is_absolute() and existing.is_dir() and os.access(existing, os.W_OK)

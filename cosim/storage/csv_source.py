@@ -9,6 +9,7 @@ import re
 from array import array
 from collections.abc import Callable, Collection, Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -36,7 +37,7 @@ from cosim.storage.table_source import Frame, Source, SourceColumn, fill
 MOST_BYTES = 200_000_000  # size of a file [bytes]; files are read whole to report every fault
 LONGEST_LINE = 2_000_000  # length of a line [bytes], enough for about 100 000 columns
 DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
-SEPARATORS = {";": "semicolons", "\t": "tabs"}
+SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "blanks"}
 EMPTY_CELL = re.compile(rb",(?=[,\r\n]|\Z)")
 
 
@@ -148,10 +149,12 @@ class _Cells:
             self.faults.note(self.line, 1, messages.BINARY_TABLE())
             return
         only = header[0] if len(header) == 1 else ""
-        if mark := next((m for m in SEPARATORS if m in only), None):
+        has_unit = "[" in only  # which a blank separates from its name
+        if mark := next((m for m in SEPARATORS if m in only.strip() and not (m == " " and has_unit)), None):
             self.faults.note(self.line, 1, messages.WRONG_SEPARATOR(separator=SEPARATORS[mark]))
-            header = next(csv.reader(header, delimiter=mark))  # Reading continues, to report further faults.
-            self._above, self._rows = self._rows.line_num, csv.reader(self._text, delimiter=mark)
+            split = partial(csv.reader, delimiter=mark, skipinitialspace=True)
+            header = next(split([only.strip()]))  # Reading continues, to report further faults.
+            self._above, self._rows = self._rows.line_num, split(self._text)
             self.plain = False
         self.header = header
 
@@ -311,7 +314,7 @@ class _Reader:
     def _value(self, line: int, column: Column, text: str) -> float:
         """Return a cell's converted number; NaN if empty or faulty."""
         try:
-            value = float(text) if text and not text.isspace() else math.nan
+            value = _number(text) if text and not text.isspace() else math.nan
         except ValueError:
             value = math.nan
             if not column.spare:
@@ -326,6 +329,13 @@ class _Reader:
         elif column.role and math.isnan(value):
             note_missing(self.faults, line, column)
         return float(column.convert(value))
+
+
+def _number(text: str) -> float:
+    """Return the number of a cell; raise ValueError without one, also for an underscore, which Python reads over."""
+    if "_" in text:
+        raise ValueError(text)
+    return float(text)
 
 
 def _no_number(text: str, column: Column) -> tuple[str, Message]:

@@ -224,7 +224,16 @@ def note_backwards(faults: Faults, line: int, time: float, before: float) -> Non
 
 def note_wrong_first(faults: Faults, line: int, name: str) -> None:
     """Note a first column that is not time."""
-    faults.note(line, 1, messages.NO_TIME_COLUMN(name=name, hint=did_you_mean(name, ["time"])))
+    faults.note(line, 1, messages.NO_TIME_COLUMN(name=name, hint=_hint_of_first(name)))
+
+
+def _hint_of_first(name: str) -> str:
+    """Return the likely cause of a wrong first column."""
+    try:
+        float(name)
+    except ValueError:
+        return did_you_mean(name, ["time"])
+    return "; the file has no header: write the names of the columns into the first line"
 
 
 # -- names and units ------------------------------------------------------------------------------

@@ -29,6 +29,8 @@ JUMP = 3.0  # multiple of a ramp's step from row to row beyond which a jump is n
 MIN_SPEED_SHARE = 0.2  # share of a sine's fastest change from which a row belongs to the sine
 SAME_FREQUENCY = 0.005  # difference of a frequency that is written with three digits, as a share
 FREQUENCY_ERRORS = 4.0  # standard errors within which frequencies are equal
+MAX_ROWS_PER_COMMAND = 10  # of a column that was resampled by straight lines
+STRAIGHT = 0.1  # bend of a straight line relative to that between two lines, from rounding
 SETTLED = 3.0  # lags and low passes until the thrust has settled to 5 % of a change
 
 
@@ -260,10 +262,23 @@ def _sine(view: _TestRun) -> Iterator[Lack]:
         yield view.lack("periods", r.time.size - 1, messages.SHORT_SINE, frequency=w, **times)
     if r.path is None:
         return
+    if rows := _rows_per_command(r.servo_duty[view.window]):
+        fields = {"rows": rows, "time": 0.5 * (rows - 1) * r.step}
+        yield view.lack("frequencies", view.first(view.window), messages.INTERPOLATED_COMMAND, **fields)
     yield from _other_frequency(view, w)
     if w * r.step > 2.0 * np.pi / ROWS_PER_PERIOD * (1.0 + 1e-3):
         fields = {"step": r.step, "least": ROWS_PER_PERIOD, "frequency": w, "limit": 2.0 * np.pi / w / ROWS_PER_PERIOD}
         yield view.lack("frequencies", 1, messages.TOO_FEW_ROWS_IN_PERIOD, **fields)
+
+
+def _rows_per_command(command: Array) -> int:
+    """Return the rows from command to command of a column with straight lines between them; 0 for other columns."""
+    bends = np.diff(command, 2)
+    for rows in range(2, MAX_ROWS_PER_COMMAND + 1):
+        sizes = np.array([np.sqrt(np.mean(bends[k::rows] ** 2)) for k in range(rows)]) if bends.size >= rows else None
+        if sizes is not None and np.sort(sizes)[-2] < STRAIGHT * sizes.max():
+            return rows
+    return 0
 
 
 def frequency_of(r: Recording, test: SineTest) -> float:

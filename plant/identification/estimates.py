@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,6 +18,7 @@ from plant.identification.misfit import odd_group
 from plant.identification.recordings import Recording
 
 CONFIDENCE = 0.95
+MAX_MIRRORED_SPREAD = 0.1  # spread of magnitudes, as a share of their median, within which values differ only in sign
 
 
 @dataclass(frozen=True)
@@ -121,6 +122,9 @@ def outlier_warnings(groups: Sequence[tuple[str, Sequence[Recording], Array]]) -
     Args:
         groups: Name of the values, recordings and their values; all groups have equal scatter.
     """
+    mirrored = [message for group in groups for message in _mirrored(*group)]
+    if mirrored:
+        return mirrored
     place, chosen = odd_group([values for _, _, values in groups])
     if not chosen:
         return []
@@ -129,6 +133,17 @@ def outlier_warnings(groups: Sequence[tuple[str, Sequence[Recording], Array]]) -
     if len(chosen) == 1:
         return [messages.OUTLIER(recording=recordings[chosen[0]].label, **fields)]
     return [messages.OUTLIERS(recordings=", ".join(recordings[k].label for k in chosen), **fields)]
+
+
+def _mirrored(name: str, recordings: Sequence[Recording], values: Array) -> Iterator[Message]:
+    """Yield a warning about values of equal size and opposite sign: those of the fewer recordings, if they differ."""
+    sizes, is_negative = np.abs(values), values < 0.0
+    if is_negative.all() or not is_negative.any() or np.ptp(sizes) > MAX_MIRRORED_SPREAD * np.median(sizes):
+        return
+    fewer = is_negative if 2 * is_negative.sum() <= values.size else ~is_negative
+    labels = ", ".join(recordings[int(k)].label for k in np.flatnonzero(fewer))
+    means = {"value": values[fewer].mean(), "others": values[~fewer].mean()}
+    yield messages.MIRRORED_REPETITIONS(name=name, recordings=labels, **means)
 
 
 PerRepetition = Callable[[Cells], Array]  # → shape (repetitions, numbers)

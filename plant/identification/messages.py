@@ -86,6 +86,11 @@ OTHER_FREQUENCY = Template(
 MOTOR_ON = Template("E-IDN-027", "duty is {value:g} % in `window`: the moment is read with the motor off; {cure}")
 
 # Cures for a planned run and for a recording; `place` is that of the test in its protocol.
+INTERPOLATED_COMMAND = Template(
+    "E-IDN-159",
+    "only one row in {rows} of servo_duty is a command, the others lie on straight lines between commands: a servo "
+    "holds its command, and the lines move it by {time:.2g} s; {cure}",
+)
 RUN_CURES = {
     NO_THRUST_ABOVE: ("add it", "record it"),
     NO_THRUST: ("add it", "write the duty in %, or record it"),
@@ -123,6 +128,7 @@ RUN_CURES = {
     NO_SINE: ("give it 1° at least", "record it, or change {place}.lead"),
     SINE_AT_SEVERAL_DUTIES: ("keep it", "record it at one duty"),
     SHORT_SINE: ("play it until {needed:.4g} s", "record it until {needed:.4g} s"),
+    INTERPOLATED_COMMAND: ("", "write each command until the next, as it was sent"),
     TOO_FEW_ROWS_IN_PERIOD: ("", "record it at {limit:.3g} s or less, or leave it out"),
     OTHER_FREQUENCY: ("", "look at the clock of the recording, or change {place}.frequencies"),
     MOTOR_ON: ("keep the duty of `rest`", "record it without thrust"),
@@ -622,4 +628,9 @@ LOW_VOLTAGE = Template(
     "E-IDN-157",
     "volts_{cell} is {value:.3g} V at most, and the lowest voltage of the cell's calibration is {limit:.3g} V: the "
     "column is scaled or in another unit, or the cell is unplugged; write it in V, or look at the plug and record anew",
+)
+MIRRORED_REPETITIONS = Template(
+    "W-IDN-158",
+    "{name} is {value:.4g} in {recordings}, and {others:.4g} in the others, as large with the opposite sign: a cell or "
+    "a command is mirrored in one group; turn its sign, or leave the files out",
 )

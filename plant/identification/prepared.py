@@ -72,11 +72,15 @@ def _model_of(protocol: Protocol) -> Model:
 
 
 def _read_measured(protocol: Protocol) -> dict[str, list[Recording]]:
-    """Return the measured recordings after all checks."""
+    """Return the measured recordings after all checks.
+
+    With a wrong bench, only what does not depend on it is checked: a fault of the protocol must not be blamed on
+    recordings.
+    """
     faults: list[Fault] = []
     recordings: dict[str, list[Recording]] = {}
     cells: Cells | None = None
-    if all(c in protocol.file.cells and protocol.file.cells[c].points for c in CHANNELS):
+    if protocol.is_bench_right and all(c in protocol.file.cells and protocol.file.cells[c].points for c in CHANNELS):
         try:
             cells = calibrate(protocol, {})
         except InputError as error:

@@ -210,11 +210,17 @@ class ProtocolFile(Part):
 
 @dataclass(frozen=True)
 class Protocol:
-    """A protocol; `bench` is the bench with the stated parameters, exact for a simulated one."""
+    """A protocol.
+
+    Attributes:
+        bench: The bench with the stated parameters, exact for a simulated one.
+        is_bench_right: False if parameters or cells have faults; recordings cannot be judged by them.
+    """
 
     yaml: YamlFile
     file: ProtocolFile
     bench: Bench
+    is_bench_right: bool = True
 
     @property
     def folder(self) -> Path:
@@ -242,16 +248,16 @@ def read_partly(path: Path) -> tuple[Protocol, list[Fault]]:
     units = {n: p.unit for n, p in bench.declared.items()}
     parameters, of_units = yaml.in_units(("parameters",), content.parameters, units)
     content = content.model_copy(update={"parameters": parameters})
-    faults += [*of_units, *_parameter_faults(yaml, content, bench)]
-    faults += _cell_faults(yaml, content)
+    of_bench = [*of_units, *_parameter_faults(yaml, content, bench), *_cell_faults(yaml, content)]
+    faults += of_bench
     faults += [fault for name, test in content.tests.named_tests() for fault in _test_faults(yaml, content, name, test)]
     if not any(True for _ in content.tests.named_tests()):
         faults.append(yaml.fault(("tests",), messages.NO_TEST(names=", ".join(Tests.model_fields)), key=True))
     if content.bench not in (None, BENCH) and not (path.parent / str(content.bench)).is_file():
         faults.append(yaml.fault(("bench",), messages.NO_FMU(name=content.bench, bench=BENCH)))
-    if faults:
-        return Protocol(yaml, content, bench), faults
-    return Protocol(yaml, content, bench.with_values(content.parameters)), []
+    if of_bench:
+        return Protocol(yaml, content, bench, is_bench_right=False), faults
+    return Protocol(yaml, content, bench.with_values(content.parameters)), faults
 
 
 def _parameter_faults(yaml: YamlFile, content: ProtocolFile, bench: Bench) -> Iterator[Fault]:
