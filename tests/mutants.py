@@ -86,7 +86,7 @@ SUBJECTS: list[tuple[str, str]] = [
     ("cosim/logs/log_check.py", "log_alone"),
     ("cosim/logs/*", "log_edges spikes gate log"),
     ("cosim/residuals/replay_settings.py", "windows undeclared_units replay"),
-    ("cosim/residuals/against.py", "windows gate undeclared_units"),
+    ("cosim/logs/model_comparison.py", "windows gate undeclared_units"),
     ("cosim/residuals/starts.py", "starts windows replay hidden_state"),
     ("cosim/residuals/drive.py", "starts windows replay hidden_state"),
     ("cosim/residuals/report.py", "replay"),

@@ -101,7 +101,7 @@ def test_cells_read_at_once_are_those_read_one_by_one(tmp_path: Path, monkeypatc
 @pytest.mark.parametrize(
     "text",
     [
-        "time,x\n0,1\n\n1,2\n", "time,x\n0,1_0\n1,2\n", 'time,x\n0,"1"\n1,2\n', "time,x\r0,1\r1,2\r",
+        "time,x\n0,1\n\n1,2\n", 'time,x\n0,"1"\n1,2\n', "time,x\r0,1\r1,2\r",
         "\n\ntime,x\n0,1\n1,2\n",
         "time,x\n0,1\n1,2\n,\n",
     ],

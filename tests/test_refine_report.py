@@ -333,7 +333,7 @@ def test_every_verdict_has_its_page(
     jsonschema.validate(record, json.loads(SCHEMA.read_text()))
     text = page(replace(cart, verdict=verdict, record=record), tmp_path)
     assert says in text
-    assert ("Remaining share" in text) == (claimed is not None)
+    assert ("Left of recalibrated" in text) == (claimed is not None)
     assert ('id="term"' in text) == (name == "unexplained" or claimed is not None)
 
 
@@ -449,7 +449,7 @@ def test_the_deficient_equation_is_that_whose_noise_is_worth_most_not_that_of_th
     small = judged(vx=0.018, vy=0.01)
     assert (small.name, small.residual["equation"]) == ("no_effect", "vy")
     assert [q["inflated"] for q in small.residual["process_noise"].values()] == [False, True, True]
-    sizes = "Its size: 2\u00a0% of what moves vx and 1\u00a0% of what moves vy."
+    sizes = "Its size: 2\u00a0% of the derivative of vx and 1\u00a0% of the derivative of vy."
     assert sentence(small, CRAFT) == f"{DISTURBED} {sizes}"
     # where a disturbance is no small one, it is the equation that it moves most
     large = judged(vx=0.3, vy=0.03)

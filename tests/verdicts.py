@@ -196,7 +196,7 @@ def _left(record: Record) -> Iterator[str]:
         elif abs(0.01 * float(found[1]) - (after[found[2]] / other[found[2]]) ** 2) > NOISE:
             yield f"{found[0]} in the sentence, {error} in the record"
     elif record["grade"] == "part" and "an unknown input of" in said:
-        if re.search(r"unknown input of [\d.]+\u00a0% of what moves \w+ remains", said) is None:
+        if re.search(r"unknown input of [\d.]+\u00a0% of the derivative of \w+ remains", said) is None:
             yield f"a part, and the sentence does not say how much is left: {said!r}"
     elif record["grade"] == "part" and "may take the place of" not in said and record["verdict"] != "ambiguous":
         found = re.search(r"replays keep (\d+)\u00a0% of the excess error of (\w+)", said)

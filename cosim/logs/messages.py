@@ -102,8 +102,8 @@ SLOWER_SENSOR = Template(
 )
 FROZEN_SENSOR = Template(
     "W-LOG-039",
-    "is exactly {value} in {rows} rows from t = {first:.6g} s, although its noise is larger: the sensor was "
-    "frozen or at the end of its range",
+    "is exactly {value} in {rows} rows from t = {first:.6g} s, although its noise is larger elsewhere: the sensor "
+    "was frozen, at the end of its range, or at rest where it makes no noise",
 )
 OUTLIERS = Template(
     "W-LOG-040",

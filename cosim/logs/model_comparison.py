@@ -144,7 +144,7 @@ def fit_slope(log: Log, measured: Array, model: Array) -> SlopeFit | None:
 
 def _is_converted_wrongly(log: Log, name: str, slope: float) -> bool:
     """Return True if the signal fits the model without the conversion from its header's unit."""
-    by = factor(log.written[name], log.units[name])
+    by = factor(log.written.get(name, ""), log.units[name])
     return by is not None and not 1.0 / OTHER_SIZE < by < OTHER_SIZE and SAME_SIZE[0] < slope / by < SAME_SIZE[1]
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic.json_schema import GenerateJsonSchema
 
+from cosim.base.text import join_names
 from cosim.base.version import __version__
 from cosim.estimation.expected import expected_value
 from cosim.estimation.fit import Fit
@@ -246,8 +247,8 @@ class Record(_Entry):
     sentence: str = Field(description="the verdict in plain words")
     grade: Grade = Field(
         description="`claimed`; `part`: a claim that leaves more than 10 % of the excess error, or an unknown input "
-        "of more than 2 % of what moves its equation; `nearest`: nothing is claimed for sure, and nearest.yaml is the "
-        "model that predicts best"
+        "of more than 2 % of the derivative of its state; `nearest`: nothing is claimed for sure, and nearest.yaml is "
+        "the model that predicts best"
     )
     effects: list[EffectEntry] = Field(
         description="what is claimed, most important first; where the verdict is `ambiguous`, what all rivals contain, "
@@ -463,7 +464,7 @@ def _reason(a: Attribution, h: Hypothesis, claims: Claims) -> str:
     if claims.claimed is not None and h.names == claims.claimed.names:
         return "claimed"
     if h.names != a.best.names:
-        return a.reasons[h.names]
+        return a.reasons[h.names] or _score_text(h, claims.claimed or a.best)
     if claims.name == "unexplained":
         return "nearest, but disputed"
     if claims.name == "no_effect":
@@ -471,6 +472,14 @@ def _reason(a: Attribution, h: Hypothesis, claims: Claims) -> str:
     if claims.claimed is not None:
         return "only with its numbers beyond their tolerances"
     return "nothing can be said: the logs excite too little"
+
+
+def _score_text(h: Hypothesis, best: Hypothesis) -> str:
+    """Return the comparison of two scores in words."""
+    than, behind = join_names(best.names) or "the base model", h.score - best.score
+    if behind < 0.0:
+        return f"gains {-behind:.1f} on {than}, but not with every part borne out"
+    return f"explains less than {than} by {behind:.1f}"
 
 
 if __name__ == "__main__":  # usage: python -m cosim.refinement.record > cosim/refinement/refine.schema.json

@@ -246,8 +246,8 @@ def _parameters_at_limit(h: Hypothesis, parts: Sequence[Candidate], neutral: Map
 def _reason(
     search: Search, h: Hypothesis, best: Hypothesis, rivals: Sequence[Hypothesis], dropped: Mapping[str, str]
 ) -> str:
-    """Return the first reason that applies against a hypothesis, in words."""
-    base, behind = search.tried[()], h.score - best.score
+    """Return the first reason that applies against a hypothesis, in words; "" if only its score decides."""
+    base = search.tried[()]
     than = join_names(best.names) or "the base model"
     if any(h.names == r.names for r in rivals):
         return f"a rival: explains as well as {than}"
@@ -261,6 +261,4 @@ def _reason(
         return "gains less than it costs"
     if limits := _parameters_at_limit(h, h.candidates, search.problem.values):
         return f"{limits[0]} is at its limit"
-    if behind < 0.0:
-        return f"gains {-behind:.1f} on {than}, but not with every part borne out"
-    return f"explains less than {than} by {behind:.1f}"
+    return ""

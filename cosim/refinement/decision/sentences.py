@@ -82,7 +82,7 @@ def _share_texts(c: Claims) -> Iterator[str]:
     if c.part is not None:
         yield part_text(c.misfit, f"replays keep {percent(c.part.share)} of the excess error of {c.part.channel}")
     if c.disturbed:
-        disturbance = f"an unknown input of {percent(c.moves[c.disturbed])} of what moves {c.disturbed}"
+        disturbance = f"an unknown input of {percent(c.moves[c.disturbed])} of the derivative of {c.disturbed}"
         yield f"{IN_PART}: {disturbance} remains."
     elif c.replaced and c.claimed is not None:
         yield f"{IN_PART}: a term without a name may take the place of {join_names(c.replaced)}."
@@ -134,7 +134,7 @@ def no_effect_text(hidden: Sequence[str], moves: Mapping[str, float]) -> str:
     Args:
         moves: Forced state → RMS of its unknown input relative to the RMS of its derivative, where available.
     """
-    sizes = [f"{percent(share)} of what moves {name}" for name, share in moves.items()]
+    sizes = [f"{percent(share)} of the derivative of {name}" for name, share in moves.items()]
     text = f"{DISTURBED} Its size: {join_names(sizes)}." if sizes else NOTHING
     return f"{text} These logs would not show {_counted_names(hidden, 'effect')}." if hidden else text
 
@@ -165,7 +165,7 @@ def unexplained_text(residual: Mapping[str, Any], nearest: Sequence[str], otherw
         text = f"Something outside the catalogue acts on {where}; it {_residual_text(residual)}."
         # a term may promise likelihood where noise, not its own share, fills what is missing
         if share := residual["share"]:
-            little = f"No single term for that explains even {percent(LITTLE)} of what is missing."
+            little = f"None of the terms tried explains even {percent(LITTLE)} of what is missing."
             text += f" {little if share < LITTLE else f'That explains {percent(share)} of what is missing.'}"
     elif where:
         text = f"A disturbance acts on {where}; it shows no stable pattern."
@@ -371,6 +371,6 @@ def small_gains_text(names: Sequence[str]) -> str:
 def remainder_text(term: UnnamedTerm, gained: float) -> str:
     """Return sentences on an unnamed term beside a claim."""
     if term.share is not None and term.share < LITTLE:
-        return f"Something remains in {term.equation}; no single term explains even {percent(LITTLE)} of it."
+        return f"Something remains in {term.equation}; none of the terms tried explains even {percent(LITTLE)} of it."
     rest = f"Something remains in {term.equation} that {dependence_text(term.signal, term.shape)}."
     return f"{rest} A term without a name would add {percent(term.gain / gained)} to the claim's gain."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from cosim.estimation.data import count_unscored
 from cosim.estimation.fit import Fit
 from cosim.estimation.problem import Problem
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.report.dependence import Regressor, choose, regressors, unnamed_term
+from cosim.refinement.report.dependence import BINS, Regressor, bins, choose, regressors, unnamed_term
 from cosim.refinement.search.missing import (
     MOST_ROWS,
     Smoothed,
@@ -50,6 +51,7 @@ class EffectComparison:
     first: int
     step: float
     recorded: float | None = None  # the share in refine.json
+    horizon: float = 0.0  # [s] of the replays; 0 for a whole run
 
     @property
     def quantity(self) -> str:
@@ -65,6 +67,17 @@ class EffectComparison:
             return float("nan")
         varies = np.std(self.term) > VARIES * np.sqrt(np.mean(self.term**2))
         return float(np.corrcoef(self.estimated, self.term)[0, 1]) if varies else float("nan")
+
+    @property
+    def share_of_means(self) -> float:
+        """Return the mean square share explained by the term in means over intervals of the signal; 0 without them."""
+        if self.term is None:
+            return 0.0
+        groups = bins(self.against.values, BINS)
+        sizes = np.array([rows.size for rows in groups])
+        mean, term = (np.array([v[rows].mean() for rows in groups]) for v in (self.estimated, self.term))
+        power = float(sizes @ mean**2)
+        return max(0.0, 1.0 - float(sizes @ (mean - term) ** 2) / power) if power else 0.0
 
     @property
     def share(self) -> float:
@@ -89,8 +102,14 @@ def compare_effects(r: Refinement) -> list[EffectComparison]:
             neutral = {n: r.problem.values[n] for n in candidate.parameters}
             without = replace(base.fit, values={**claim.fit.values, **neutral})
         picture = _reading if candidate.kind == "sensor" else _term
-        pictures.append(picture(r.study.subject, r.problem, candidate, without, claim.fit))
+        compared = picture(r.study.subject, r.problem, candidate, without, claim.fit)
+        pictures.append(replace(compared, horizon=_finite_horizon(r.study.subject)))
     return pictures
+
+
+def _finite_horizon(subject: Subject) -> float:
+    """Return the horizon of the replays [s], 0 for a whole run."""
+    return subject.horizon if math.isfinite(subject.horizon) else 0.0
 
 
 def _term(subject: Subject, problem: Problem, c: Candidate, without: Fit, with_it: Fit) -> EffectComparison:

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from cosim.base.text import MISSING, append_unit, finer, percent, plain
-from cosim.refinement.record import OTHER_HORIZONS
+from cosim.refinement.record import OTHER_HORIZONS, Part
 from cosim.refinement.refinement import Refinement
 from cosim.residuals.replay_sentences import horizon_name
 from cosim.residuals.residual_statistics import excess_left
 
-PARTS = {"estimation": "Logs used for the fits", "validation": "Sealed logs"}
+PARTS: Mapping[Part, str] = {"estimation": "Logs used for the fits", "validation": "Sealed logs"}
+MAX_SHARE_OF_REPLAY, LEAST_REPLAYS = 0.3, 10  # share of the squared error in one replay of so many, worth a sentence
 NOISE = 1.2  # times the floor; smaller errors are noise
-FLOOR = "the error by noise alone"
+FLOOR = "the error by sensor noise and disturbance alone"
 FREE_RUN_NAME = "free run"  # among the horizons of refine.json
 NOTHING_TO_EXPLAIN, TOO_LITTLE = "nothing to explain", "too little to judge"  # in place of a remaining share
 VARIANT_WORDS = {
@@ -46,6 +49,7 @@ class ErrorRow:
     after: str
     floor: str
     excess: str
+    of_recalibrated: str
     marks: Marks | None
     nearest: str = MISSING
     sensor_noise: str = MISSING
@@ -103,9 +107,30 @@ def error_tables(r: Refinement) -> list[ErrorTable]:
             continue
         rows = tuple(_error_row(r, part, name) for name in error["before"][part])
         note = "Estimation logs." if part == "estimation" else "Opened once, at the end, to test the chosen model."
+        note += "".join(f" {text}" for text in _concentration(r, part))
         heading = f"Free run, {VARIANT_WORDS[_variants(r)]}" if has_free_run(r) else ""
-        tables.append(ErrorTable(title, note, rows, bool(error.get("nearest")), heading.rstrip(", ")))
+        has_nearest = any(row.nearest not in (MISSING, row.after) for row in rows)
+        tables.append(ErrorTable(title, note, rows, has_nearest, heading.rstrip(", ")))
     return tables
+
+
+def _concentration(r: Refinement, part: Part) -> Iterator[str]:
+    """Yield a sentence for each channel whose squared error comes mostly from a single replay."""
+    runs, model = r.evidence["after"][part], "refined model" if r.verdict.claimed else "model"
+    for name in r.record["error"]["before"][part]:
+        squares = []
+        for log, played in runs:
+            first = np.array(sorted(played.starts), dtype=np.intp)
+            errors = np.nan_to_num(played.errors(log)[name]) ** 2
+            sums = (float(part.sum()) for part in np.split(errors, first)[1:])
+            squares += [(square, log, log.time[k]) for square, k in zip(sums, first, strict=True)]
+        total = sum(square for square, *_ in squares)
+        if len(squares) < LEAST_REPLAYS or not total > 0.0:
+            continue
+        worst, log, start = max(squares, key=lambda s: s[0])
+        if worst > MAX_SHARE_OF_REPLAY * total:
+            at = f"{log.path.name} from t = {start:.6g}\u00a0s"
+            yield f"One replay, {at}, has {percent(worst / total)} of the {model}'s squared error of {name}."
 
 
 def has_free_run(r: Refinement) -> bool:
@@ -149,7 +174,7 @@ def horizon_table(r: Refinement) -> HorizonTable:
     return HorizonTable(PARTS[part], heading, tuple(map(horizon_name, ordered)), tuple(rows))
 
 
-def decisive_part(r: Refinement) -> str:
+def decisive_part(r: Refinement) -> Part:
     """Return the sealed logs, else the estimation logs."""
     return "validation" if "validation" in r.record["error"]["before"] else "estimation"
 
@@ -163,17 +188,22 @@ def _numbers(r: Refinement, part: str, name: str) -> list[float]:
 
 
 def _error_row(r: Refinement, part: str, name: str) -> ErrorRow:
-    before, _, after, floor, _ = numbers = _numbers(r, part, name)
+    before, recalibrated, after, floor, _ = numbers = _numbers(r, part, name)
     *texts, nearest = (error_size(value, units(r).get(name, ""), after) for value in numbers)
-    share = excess_left(before, after, floor)
-    excess = percent(max(0.0, share))
-    if math.isnan(share):
-        excess = NOTHING_TO_EXPLAIN if before < NOISE * floor else TOO_LITTLE if floor else MISSING
+    excess, of_recalibrated = (_share_text(error, after, floor) for error in (before, recalibrated))
     marks, noise = _marks(before, after, floor), float(r.record.get("sensor_noise", {}).get(name, math.nan))
     sensor_noise = error_size(noise, units(r).get(name, ""), after)
     free_run = _free_run_text(r, part, name)
-    old, recalibrated, new, level = texts
-    return ErrorRow(name, old, recalibrated, new, level, excess, marks, nearest, sensor_noise, free_run)
+    old, refitted, new, level = texts
+    return ErrorRow(name, old, refitted, new, level, excess, of_recalibrated, marks, nearest, sensor_noise, free_run)
+
+
+def _share_text(before: float, after: float, floor: float) -> str:
+    """Return the remaining share of the excess error as text."""
+    share = excess_left(before, after, floor)
+    if math.isnan(share):
+        return NOTHING_TO_EXPLAIN if before < NOISE * floor else TOO_LITTLE if floor else MISSING
+    return percent(max(0.0, share))
 
 
 def _marks(before: float, after: float, floor: float) -> Marks | None:

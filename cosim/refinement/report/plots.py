@@ -28,6 +28,7 @@ MEMORIES = 0.3  # [s] between independent rows of an error bar: twice the smooth
 CLOSE_UP = 12.0  # [s] duration of a close-up
 CHANNELS = 8  # at most, drawn of a log
 TELLS = 1.1  # ratio of errors before and after; a larger one is worth a plot
+MAX_FAST_SHARE = 0.5  # share of a missing quantity row by row; below it, means are compared
 FAR = 1.5  # times the noise floor; a larger error is worth a plot
 
 
@@ -144,10 +145,15 @@ def over_time(s: EffectComparison, charts: Charts) -> Plot:
     first = int(np.argmax(power)) if power.size else 0
     rows = slice(first, first + count)
     estimated, width = s.estimated[rows] * factor, 2.0 * s.sigma[rows] * factor
+    band: Band | None = Band("±2σ", estimated - width, estimated + width)
     traces = [Trace("data", estimated, "estimate")]
+    average = min(round(s.horizon / s.step), count // 10)
+    if s.share < MAX_FAST_SHARE and average > 1:
+        smooth = np.convolve(s.estimated[: s.first], np.ones(average) / average, "same")[rows]
+        traces, band = [Trace(f"data, mean over {average * s.step:.3g}\u00a0s", smooth * factor, "estimate")], None
     if s.term is not None:
         traces.append(Trace(s.effect or "unnamed term", s.term[rows] * factor, "true"))
-    panel = Panel(f"{_heading(s)} over time", unit or "1", traces, Band("±2σ", estimated - width, estimated + width))
+    panel = Panel(f"{_heading(s)} over time", unit or "1", traces, band)
     return charts.over(s.time[rows], len(traces) + 2).plots([panel])[0]
 
 

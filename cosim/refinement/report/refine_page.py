@@ -30,12 +30,22 @@ from cosim.refinement.report.error_tables import (
 )
 from cosim.refinement.report.innovations import innovations, modes
 from cosim.refinement.report.log_parameters import per_log_rows
-from cosim.refinement.report.plots import Pairs, Run, against_signal, axis_label, over_time, rows_shown, runs
+from cosim.refinement.report.plots import (
+    MAX_FAST_SHARE,
+    Pairs,
+    Run,
+    against_signal,
+    axis_label,
+    over_time,
+    rows_shown,
+    runs,
+)
 from cosim.refinement.report.rankings import SHOWN_PAIRS, ladder_rows, noise_rows, parameter_tables, ranking_tables
 from cosim.refinement.report.table_plots import table_parts
 from cosim.report.drawing import Charts
 from cosim.report.html_tables import Badge, Row
 from cosim.report.template import render
+from cosim.residuals.windows import SKIPPED
 from cosim.storage.files import atomic_write
 
 TEMPLATE = Path(__file__).with_name("templates") / "refine.html.j2"
@@ -163,8 +173,9 @@ def _badges(r: Refinement) -> list[Badge]:
     noun, amount = "log", f"{plain(sum(float(log.time[-1] - log.time[0]) for log in r.study.logs))} s"
     if r.problem.table:
         noun, amount = "table", counted(sum(log.rows for log in r.study.logs), "row")
-    fitted = sum(bool(row["fitted"]) for row in r.record["candidates"])
-    screened = len(r.record["candidates"]) - fitted
+    hypotheses = [row for row in r.record["candidates"] if row["names"]]  # without the model recalibrated
+    fitted = sum(bool(row["fitted"]) for row in hypotheses)
+    screened = len(hypotheses) - fitted
     return [
         Badge(text, tone),
         *([Badge("a part of it", "warn")] if r.verdict.grade == "part" else []),
@@ -203,7 +214,8 @@ def _term_lead(r: Refinement) -> str:
         return "Each reading minus the output of the refined model, and over it the estimated sensor error."
     way = "A smoother estimates, row by row, the input that an equation lacks, without knowing the proposed effect. "
     if r.verdict.claimed:
-        return way + "Over it the claimed term: a step of the model with it minus a step without."
+        with_it = "Over it the claimed term: a step of the refined model minus a step of the model without the term"
+        return f"{way}{with_it}, recalibrated."
     rivals = f" beside {join_names(r.verdict.rivals)}" if r.verdict.rivals else ""
     return f"{way}Over the remainder{rivals}: the unnamed term that would explain most of it, if there is one."
 
@@ -226,7 +238,11 @@ def _term_sentence(s: EffectComparison) -> str:
     if not np.any(s.term):  # the effect acts elsewhere, for example behind a sensor
         return f"{s.effect} adds nothing to the {quantity}: it acts on another equation ({rows_shown(s)})."
     who = s.effect if s.kind != "nameless" else "a constant" if s.effect == "1" else f"the term in {s.effect}"
-    text = f"Of the mean square {quantity}, {who} explains {percent(min(1.0, max(0.0, s.share)))}"
+    share = min(1.0, max(0.0, s.share))
+    if share < MAX_FAST_SHARE and s.kind != "sensor" and (mean := s.share_of_means) > share:
+        text = f"Averaged over intervals of {s.against.name}, the {quantity} is explained by {who} to {percent(mean)}"
+        return f"{text}; row by row to {percent(share)}, as much of it changes from row to row ({rows_shown(s)})."
+    text = f"Of the mean square {quantity}, {who} explains {percent(share)}"
     if s.kind == "sensor":
         return f"{text}; the rest is the noise of the sensor ({rows_shown(s)})."
     if math.isfinite(s.correlation):
@@ -243,7 +259,14 @@ def _error_lead(r: Refinement) -> str:
         over = f"over replays of {length}" if windowed else f"over {length}"
         each = "each started" if windowed else "started"
         how = f"{over} through the FMU, {each} from the state that the model's own filter had estimated by then"
+        if windowed:
+            return f"Root mean square of measured − model {how}. The first {SKIPPED:g}\u00a0s of each log are left out."
     return f"Root mean square of measured − model {how}."
+
+
+def _floor_text(r: Refinement) -> str:
+    """Return what a smaller error would need, "" for tables."""
+    return "" if r.problem.table else " A smaller error would need a model of the disturbance."
 
 
 def _error_words(r: Refinement, tables: Sequence[ErrorTable]) -> list[Row]:
@@ -254,8 +277,8 @@ def _error_words(r: Refinement, tables: Sequence[ErrorTable]) -> list[Row]:
         Row("Recalibrated", "The model with its own parameters fitted anew, nothing added."),
         Row("Nearest", "The model in nearest.yaml, which predicts held-out logs best.") if tables[-1].nearest else None,
         Row("Sensor noise", "Standard deviation of the noise of one reading, estimated from the logs."),
-        Row("Noise floor", f"The error that {cause} alone would cause. No model can be expected to do better."),
-        Row("Remaining share", _share_words(tables)) if claimed else None,
+        Row("Noise floor", f"The error that {cause} alone would cause.{_floor_text(r)}"),
+        Row("Left of …", _share_words(tables)) if claimed else None,
         Row("Free run", "The model alone from the first row to the last.") if has_free_run(r) else None,
     ]
     return [row for row in rows if row]
@@ -263,8 +286,11 @@ def _error_words(r: Refinement, tables: Sequence[ErrorTable]) -> list[Row]:
 
 def _share_words(tables: Sequence[ErrorTable]) -> str:
     """Return an explanation of the remaining share."""
-    shown = {row.excess for table in tables for row in table.rows}
-    text = "The part of the squared error above the noise floor that the refined model keeps."
+    shown = {excess for table in tables for row in table.rows for excess in (row.excess, row.of_recalibrated)}
+    text = (
+        "The part of the squared error above the noise floor that the refined model keeps, relative to the model "
+        "before and to the model recalibrated."
+    )
     if NOTHING_TO_EXPLAIN in shown:
         text += f" “{NOTHING_TO_EXPLAIN[:1].upper()}{NOTHING_TO_EXPLAIN[1:]}”: before, the error was the noise floor."
     if TOO_LITTLE in shown:
@@ -331,7 +357,7 @@ def _inputs(r: Refinement) -> list[Row]:
         return []
     gain = inputs["gain_otherwise"]
     raises = "raises" if gain is not None and gain > 0.0 else "lowers"
-    by = "" if gain is None else f"the other way {raises} the log-likelihood of the logs by {plain(abs(gain))}"
+    by = "" if gain is None else f"the opposite choice {raises} the log-likelihood of the logs by {plain(abs(gain))}"
     return [Row("Inputs between rows", ", ".join(f"{name} {way}" for name, way in inputs["taken"].items()), by)]
 
 
