@@ -136,7 +136,7 @@ class Trial:
             found += self._taken_over()
         elif case.verb != "check":
             found += self._rows(case)
-        return found + self._left()
+        return found + self._leftovers()
 
     def _signal(self, process: subprocess.Popen[str], case: Case) -> None:
         for _ in range(600):
@@ -171,7 +171,7 @@ class Trial:
         with folder_locks():
             return [] if take_folder(self.folder / "out") else ["the folder cannot be taken over"]
 
-    def _left(self) -> list[str]:
+    def _leftovers(self) -> list[str]:
         """Return processes and folders left after a moment."""
         found: list[str] = []
         for _ in range(150):

@@ -35,7 +35,7 @@ def flown(
     return flight.outputs()
 
 
-def known(name: str, seed: int = 0, **conditions: bool) -> Study:
+def study_with(name: str, seed: int = 0, **conditions: bool) -> Study:
     values = {name: size(name, np.random.default_rng(seed))}
     told = {"disturbed": False, "position": True, "duty_varied": name == "thrust_slope"} | conditions
     return Study(seed, "known", values, **told)
@@ -114,7 +114,7 @@ def trajectory(craft: Craft, tolerance: float, count: int = 250) -> np.ndarray:
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", [*EFFECTS, *OUTSIDE])
 def test_a_finer_integration_changes_nothing(name: str) -> None:
-    study = known(name) if name in EFFECTS else first_of(name)
+    study = study_with(name) if name in EFFECTS else first_of(name)
     coarse, fine = trajectory(craft_of(study), 1e-9), trajectory(craft_of(study), 1e-12)
     # kinks cost an adaptive method a few digits of its 1e-9, and 5 s of a free heading keep what they cost; the
     # sensors resolve 1e-3
@@ -132,7 +132,7 @@ def plant_model(study: Study, substep: float) -> Stepper:
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", ["base", *EFFECTS, *BASE])
 def test_truth_and_plant_are_the_same_craft(name: str) -> None:
-    study = NOTHING if name == "base" else known(name)
+    study = NOTHING if name == "base" else study_with(name)
     # the plant averages a late command over a substep and steps over the rate limit's kink: first-order errors that
     # need 1 ms to be as small as the others' at the plant's own 5 ms
     substep = 0.0005 if name in ("actuator_delay", "servo_rate_limit") else 0.005
@@ -164,7 +164,7 @@ def parsed(path: Path) -> dict[str, np.ndarray]:
 
 
 def test_row_k_holds_the_measurement_and_the_command_that_acts_from_it(tmp_path: Path) -> None:
-    study = known("actuator_delay")
+    study = study_with("actuator_delay")
     write(study, tmp_path, duration=4.0)
     written, log = parsed(tmp_path / "e1.csv"), fly(study, 0, duration=4.0)
     assert len(written["time"]) == 201
@@ -293,7 +293,7 @@ def test_the_thrust_slope_is_only_wrong_where_the_duty_varies() -> None:
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", [*EFFECTS, *BASE, *SENSORS])
 def test_each_effect_changes_what_is_measured(name: str) -> None:
-    study = known(name)
+    study = study_with(name)
     plain = replace(study, truth={})
     changed, base = fly(study, 0, duration=6.0), fly(plain, 0, duration=6.0)
     # same references and noise; half a percent of full scale is beyond any rounding (six digits)
@@ -317,7 +317,7 @@ def test_an_outsider_at_least_doubles_the_replay_error_of_the_base_model(name: s
 @pytest.mark.thorough
 def test_an_effect_mimics_itself_and_nothing_mimics_a_tether(levels: dict[str, float]) -> None:
     # the drag is scaled about its true size, so what is left is the replays' tolerance of 1e-7
-    assert resemblance(known("quadratic_drag"), levels, duration=8.0)["quadratic_drag"] < 1e-6
+    assert resemblance(study_with("quadratic_drag"), levels, duration=8.0)["quadratic_drag"] < 1e-6
     # what an outsider must leave to be one: a tenth of its error, under the best of the catalogue
     assert min(resemblance(first_of("tether"), levels, duration=8.0).values()) > 0.1
 

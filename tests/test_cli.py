@@ -25,7 +25,7 @@ from tests.deeds import deeds_fmu, deeds_scenario
 from tests.logs import times, write_log
 
 
-def told(*files: Path) -> list[str]:
+def faults_of(*files: Path) -> list[str]:
     with pytest.raises(InputError) as refused:
         check_files(files)
     return [str(f) for f in refused.value.faults]
@@ -50,7 +50,7 @@ def test_any_terminal_can_be_written_to(tmp_path: Path, encoding: str) -> None:
 @pytest.mark.parametrize("name", ["a.csv", "study.yaml", "plant.fmu", "log"])
 def test_a_pipe_is_no_file_and_not_waited_for(tmp_path: Path, name: str) -> None:
     os.mkfifo(tmp_path / name)
-    assert told(tmp_path / name) == [f"{tmp_path / name}: is no file"]
+    assert faults_of(tmp_path / name) == [f"{tmp_path / name}: is no file"]
     with pytest.raises(InputError, match="is no file"):
         read_study(tmp_path / name)
 
@@ -58,12 +58,12 @@ def test_a_pipe_is_no_file_and_not_waited_for(tmp_path: Path, name: str) -> None
 @pytest.mark.parametrize("text", ["model: base\nnoise: {}\n", "candidates: [mass]\n"])
 def test_a_study_without_logs_is_told_what_a_study_lacks(tmp_path: Path, text: str) -> None:
     (tmp_path / "study.yaml").write_text(text)
-    assert told(tmp_path / "study.yaml") == [f'{tmp_path / "study.yaml"}:1:1: "logs" is missing; add it']
+    assert faults_of(tmp_path / "study.yaml") == [f'{tmp_path / "study.yaml"}:1:1: "logs" is missing; add it']
 
 
 def test_an_answer_is_no_study(tmp_path: Path) -> None:
     (tmp_path / "refine.json").write_text('{"study": "study.yaml", "verdict": "no_effect", "candidates": []}')
-    (line,) = told(tmp_path / "refine.json")
+    (line,) = faults_of(tmp_path / "refine.json")
     assert "refine.json: is an answer of `cosim refine`, in which there is nothing to check: `cosim excite " in line
     assert line.endswith("check the study or model.yaml beside it")
 
@@ -73,7 +73,7 @@ def test_what_is_faulty_in_a_study_does_not_hide_the_rest(tmp_path: Path) -> Non
     path.write_text(
         "noise: {psi: 0, psy: 1}\ncandidates: [masss]\nlogs:\n  estimation: [none.csv]\n  validaton: [b.csv]\n"
     )
-    told_of = [line.removeprefix(f"{tmp_path}/").partition(";")[0] for line in told(path)]
+    told_of = [line.removeprefix(f"{tmp_path}/").partition(";")[0] for line in faults_of(path)]
     assert told_of == [
         "study.yaml:1:14: noise.psi is 0: it should be greater than 0",
         'study.yaml:1:17: no output "psy"',
@@ -92,14 +92,14 @@ def test_what_is_faulty_in_a_study_does_not_hide_the_rest(tmp_path: Path) -> Non
 )
 def test_nothing_is_guessed_of_a_study_whose_model_is_not_known(tmp_path: Path, text: str, line: str) -> None:
     (tmp_path / "study.yaml").write_text(f"{text}logs: {{estimation: [none.csv]}}\n")
-    first, second = told(tmp_path / "study.yaml")
+    first, second = faults_of(tmp_path / "study.yaml")
     assert first.startswith(f"{tmp_path / 'study.yaml'}:{line}")
     assert second.startswith(f"{tmp_path / 'study.yaml'}:2:16: noise.speed is 0")
 
 
 def test_a_list_with_a_faulty_item_moves_no_place(tmp_path: Path) -> None:
     (tmp_path / "study.yaml").write_text("candidates: [[], masss]\nlogs: {estimation: [none.csv]}\n")
-    item, missing = told(tmp_path / "study.yaml")
+    item, missing = faults_of(tmp_path / "study.yaml")
     assert "study.yaml:1:14: candidates.0 is a list" in item
     assert "study.yaml:2:21: none.csv: no such file" in missing
 

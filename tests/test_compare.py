@@ -275,17 +275,17 @@ def test_rows_between_those_of_the_other_are_held_against_what_these_span(
 
 
 def test_text_between_rows_may_change_a_row_early_and_say_nothing_else() -> None:
-    def said(name: str, time: list[float], words: list[str]) -> RecordedRun:
+    def spoken_run(name: str, time: list[float], words: list[str]) -> RecordedRun:
         return RecordedRun(
             Path(name), name, Results(np.array(time), (), np.zeros((len(time), 0)), {}, exact={"s": words})
         )
 
-    a = said("a", [0.0, 1.0, 2.0], ["x", "x", "y"])
-    assert compare_runs(a, said("b", [0.0, 1.0, 1.5, 2.0], ["x", "x", "y", "y"]), 0.0).same
-    (d,) = compare_runs(a, said("b", [0.0, 1.0, 1.5, 2.0], ["x", "x", "q", "y"]), 0.0).beyond
+    a = spoken_run("a", [0.0, 1.0, 2.0], ["x", "x", "y"])
+    assert compare_runs(a, spoken_run("b", [0.0, 1.0, 1.5, 2.0], ["x", "x", "y", "y"]), 0.0).same
+    (d,) = compare_runs(a, spoken_run("b", [0.0, 1.0, 1.5, 2.0], ["x", "x", "q", "y"]), 0.0).beyond
     assert d.at == 1.5
     for words in (["q", "q", "q", "q"], ["q", "x", "x", "y"]):
-        (d,) = compare_runs(a, said("b", [0.0, 1.0, 1.5, 2.0], words), 0.0).beyond
+        (d,) = compare_runs(a, spoken_run("b", [0.0, 1.0, 1.5, 2.0], words), 0.0).beyond
         assert d.at == 0.0
 
 
@@ -314,10 +314,10 @@ def test_without_a_tolerance_the_same_is_what_is_equal_and_nothing_is_beyond() -
     assert (other.same, other.beyond, other.reasons) == (False, [], ["1 signal differs"])
     assert other.as_json()["within"] is None
 
-    def said(word: str) -> RecordedRun:
+    def spoken_run(word: str) -> RecordedRun:
         return RecordedRun(Path(word), word, Results(COARSE, (), np.zeros((3, 0)), {}, exact={"s": [word] * 3}))
 
-    found = compare_runs(said("x"), said("y"))
+    found = compare_runs(spoken_run("x"), spoken_run("y"))
     assert (found.same, found.beyond) == (False, [])
 
 

@@ -15,7 +15,7 @@ from cosim.scenario.pinned import sha256, with_files_beside
 from cosim.scenario.scenario import FmuComponent, Scenario
 from cosim.storage import folders, table_source
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_left, keep_earlier
+from cosim.storage.folders import check_overwritable, keep_earlier
 from cosim.storage.yaml_file import YamlFile
 from tests.users import OTHER, shared_folder
 
@@ -82,7 +82,7 @@ def test_a_move_that_is_cut_off_anywhere_is_finished_by_the_next_verb(
         except Killed:
             assert cut < len(FILES) + 2  # the list of files, each of them, the folder
     with folder_locks():
-        check_left(results, "cosim run")
+        check_overwritable(results, "cosim run")
     kept = results / "runs" / "0001"
     where = kept if kept.exists() else results
     assert {name for name in FILES if (where / name).is_file()} == set(FILES)
@@ -121,12 +121,12 @@ def test_a_second_run_at_the_same_time_is_refused_and_moves_nothing(results: Pat
     import sys
 
     with folder_locks():
-        check_left(results, "cosim run", keep=True)
+        check_overwritable(results, "cosim run", keep=True)
         code = (
             "import sys; from pathlib import Path; from cosim.base.errors import InputError\n"
-            "from cosim.storage.folder_lock import folder_locks; from cosim.storage.folders import check_left\n"
+            "from cosim.storage.folder_lock import folder_locks; from cosim.storage.folders import check_overwritable\n"
             "with folder_locks():\n"
-            "    try: check_left(Path(sys.argv[1]), 'cosim run', keep=True)\n"
+            "    try: check_overwritable(Path(sys.argv[1]), 'cosim run', keep=True)\n"
             "    except InputError as error: sys.exit(str(error))\n"
         )
         root = Path(__file__).resolve().parent.parent
@@ -148,8 +148,8 @@ def test_numbers_go_on_beyond_four_digits(results: Path, last: str, following: s
 def test_runs_that_is_a_file_of_the_user_is_refused_before_any_work(results: Path) -> None:
     (results / "runs").write_text("5 km, 10 km")
     with pytest.raises(InputError, match="is a file; earlier runs are kept in a folder of this name; move it away"):
-        check_left(results, "cosim run", keep=True)
-    check_left(results, "cosim run")  # with --out nothing is kept
+        check_overwritable(results, "cosim run", keep=True)
+    check_overwritable(results, "cosim run")  # with --out nothing is kept
     assert (results / "runs").read_text() == "5 km, 10 km"
 
 
@@ -163,7 +163,7 @@ def test_runs_that_cannot_be_written_are_refused_before_any_work() -> None:
             code = 1
             try:
                 os.setuid(OTHER)
-                check_left(folder, "cosim run", keep=True)
+                check_overwritable(folder, "cosim run", keep=True)
             except InputError as error:
                 code = 3 if "cannot be written" in str(error) else 4
             finally:
@@ -231,7 +231,7 @@ def test_a_planted_list_moves_no_file_of_another_place(results: Path, tmp_path: 
     (moving := results / "runs" / folders.MOVING).mkdir(0o700, parents=True)
     (moving / folders.LIST).write_text(name)
     with folder_locks(), pytest.raises(InputError, match=re.escape(f"names {name[:80]}, outside")):
-        check_left(results, "cosim run")
+        check_overwritable(results, "cosim run")
     assert (private.read_text(), photo.read_text()) == ("mine", "mine too")
 
 
@@ -248,7 +248,7 @@ def test_a_move_that_others_can_have_begun_is_not_finished(results: Path, tmp_pa
         elsewhere.rename(moving)
         moving.chmod(0o777)
     with folder_locks(), pytest.raises(InputError, match="is open to other users, or not yours; move it away"):
-        check_left(results, "cosim run")
+        check_overwritable(results, "cosim run")
     assert (results / "results.csv").is_file()
 
 
@@ -259,7 +259,7 @@ def test_no_file_is_moved_or_written_through_a_link(results: Path, tmp_path: Pat
     shutil.rmtree(results / name, ignore_errors=True)
     (results / name).symlink_to(photo.parent)
     with folder_locks(), pytest.raises(InputError, match=f"{name}: is a link, so files would be moved or written"):
-        check_left(results, "cosim run", force=True)
+        check_overwritable(results, "cosim run", force=True)
     assert photo.is_file()
 
 
@@ -268,12 +268,12 @@ def test_a_results_folder_that_is_the_link_of_another_user_is_refused_before_its
     (target := tmp_path / "target").mkdir()
     link = tmp_path / "link"
     link.symlink_to(target)
-    check_left(link, "cosim run")  # one of our own leads to another disk, for example
+    check_overwritable(link, "cosim run")  # one of our own leads to another disk, for example
     os.chown(link, OTHER, OTHER, follow_symlinks=False)
     with folder_locks(), pytest.raises(InputError, match="is a link of another user; give another folder as --out"):
-        check_left(link, "cosim run")
+        check_overwritable(link, "cosim run")
     with folder_locks(), pytest.raises(InputError, match="is a link of another user"):
-        check_left(link / "tank", "cosim run")
+        check_overwritable(link / "tank", "cosim run")
     assert not list(target.iterdir())
 
 
@@ -301,7 +301,7 @@ def test_a_planted_link_inside_a_move_is_not_followed(results: Path, tmp_path: P
     (moving / folders.LIST).write_text("figures/tank.png")
     (moving / "figures").symlink_to(home)
     with folder_locks(), pytest.raises(InputError, match="is a link, and earlier runs hold none"):
-        check_left(results, "cosim run")
+        check_overwritable(results, "cosim run")
     assert (home / "tank.png").read_text() == "mine"
 
 
@@ -309,7 +309,7 @@ def test_a_list_that_is_no_text_is_damaged(results: Path) -> None:
     (moving := results / "runs" / folders.MOVING).mkdir(0o700, parents=True)
     (moving / folders.LIST).write_bytes(b"\xff\xfe")
     with folder_locks(), pytest.raises(InputError, match=r"\.files: is damaged; move .* away"):
-        check_left(results, "cosim run")
+        check_overwritable(results, "cosim run")
 
 
 def test_the_target_of_a_linked_file_is_not_copied(results: Path, tmp_path: Path) -> None:

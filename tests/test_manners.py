@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cosim.base.errors import InputError
-from cosim.storage.folders import check_left, folder_named, folder_of_file, name_of
+from cosim.storage.folders import check_overwritable, folder_named, folder_of_file, name_of
 from cosim.verbs.cli import app, entry
 from tests.tank import MODEL as TANK
 from tests.typed import typed_fmu
@@ -139,12 +139,12 @@ def test_what_another_left_is_written_over_by_force_alone(
 ) -> None:
     (tmp_path / file).write_text(content)
     sources = "a/study.yaml", "c"
-    check_left(tmp_path, by, *sources, force=True)
+    check_overwritable(tmp_path, by, *sources, force=True)
     if not words:
-        check_left(tmp_path, by, *sources)
+        check_overwritable(tmp_path, by, *sources)
         return
     with pytest.raises(InputError, match="give another folder with --out, or overwrite them with --force") as refused:
-        check_left(tmp_path, by, *sources)
+        check_overwritable(tmp_path, by, *sources)
     assert words in str(refused.value)
     assert refused.value.exit_code == 2
 

@@ -34,7 +34,7 @@ from cosim.refinement.report.dependence import bins, explained_share
 from cosim.refinement.report.effect_plots import EffectComparison, compare_effects
 from cosim.refinement.report.error_tables import error_tables, second_sentence
 from cosim.refinement.report.innovations import innovations
-from cosim.refinement.report.plots import runs
+from cosim.refinement.report.plots import over_time, runs
 from cosim.refinement.report.refine_page import context, write_refine_report
 from cosim.refinement.search.attribution import Attributor
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
@@ -42,7 +42,7 @@ from cosim.refinement.search.unnamed import Leftover, UnnamedTerm, find_unnamed_
 from cosim.refinement.study import LogLists, Study, StudyFile
 from cosim.refinement.workflow import refine
 from cosim.report.drawing import Charts
-from cosim.residuals.residual_statistics import excess_left
+from cosim.residuals.residual_statistics import remaining_excess
 from cosim.residuals.windows import Replay
 from cosim.subject.model_subject import ModelSubject
 from cosim.verbs.cli import app
@@ -353,6 +353,32 @@ def test_what_is_left_is_drawn_with_the_term_that_explains_it(cart: Refinement) 
     assert "the term in v explains 60\u00a0%" in context(r)["terms"][0]["sentence"]
 
 
+def test_a_term_is_compared_by_means_where_much_changes_from_row_to_row(cart: Refinement) -> None:
+    (effect,) = compare_effects(cart)
+    assert effect.term is not None
+    jumping = 5.0 * np.std(effect.term) * (-1.0) ** np.arange(effect.term.size)
+    effect = replace(effect, estimated=effect.term + jumping)
+    assert effect.share < 0.1
+    assert effect.share_of_means > 0.9
+    effect = replace(effect, horizon=20 * effect.step)
+    assert "data, mean over" in over_time(effect, Charts()).curves[0].label
+    assert over_time(replace(effect, horizon=0.0), Charts()).curves[0].label == "data"
+
+
+def test_a_replay_with_most_of_the_squared_error_is_named(cart: Refinement) -> None:
+    assert not any("One replay" in table.note for table in error_tables(cart))
+    log, played = cart.evidence["after"]["estimation"][0]
+    first = sorted(played.starts)[3]
+    outputs = {name: values.copy() for name, values in played.outputs.items()}
+    outputs["s"][first + 5 : first + 20] += 100.0
+    others = cart.evidence["after"]["estimation"][1:]
+    after = {**cart.evidence["after"], "estimation": [(log, replace(played, outputs=outputs)), *others]}
+    (note,) = (
+        t.note for t in error_tables(replace(cart, evidence={**cart.evidence, "after": after})) if "fits" in t.title
+    )
+    assert f"One replay, {log.path.name} from t = {log.time[first]:.6g}\u00a0s, has more than 99\u00a0% of the" in note
+
+
 CRAFT = ModelSubject.of(Hovercraft())
 
 
@@ -535,10 +561,10 @@ def test_every_hypothesis_has_its_reason_and_only_what_is_claimed_is_claimed(car
 
 
 def test_excess_left_is_that_of_the_contract() -> None:
-    assert excess_left(5.0, 3.0, 1.0) == pytest.approx((9 - 1) / (25 - 1), rel=1e-15)
-    assert excess_left(5.0, 5.0, 1.0) == 1.0
-    assert math.isnan(excess_left(2.0, 1.0, 1.0))  # before is not above twice the floor
-    assert math.isnan(excess_left(math.nan, 1.0, 1.0))
+    assert remaining_excess(5.0, 3.0, 1.0) == pytest.approx((9 - 1) / (25 - 1), rel=1e-15)
+    assert remaining_excess(5.0, 5.0, 1.0) == 1.0
+    assert math.isnan(remaining_excess(2.0, 1.0, 1.0))  # before is not above twice the floor
+    assert math.isnan(remaining_excess(math.nan, 1.0, 1.0))
 
 
 def test_bins_hold_every_row_once_and_none_too_few() -> None:

@@ -34,9 +34,9 @@ from cosim.residuals.residual_statistics import (
     InputCorrelation,
     Score,
     Whiteness,
-    excess_left,
     input_correlations,
     lags_of,
+    remaining_excess,
     rmse,
     whiteness,
 )
@@ -140,9 +140,9 @@ def test_the_end_of_a_window_is_the_last_row_within_it() -> None:
 
 
 def test_excess_is_a_share_of_squares_above_the_floor_from_twice_the_floor_on() -> None:
-    assert excess_left(5.0, 3.0, 1.0) == pytest.approx(8 / 24)
-    assert math.isnan(excess_left(2.0, 1.0, 1.0))
-    assert excess_left(2.1, 1.0, 1.0) == 0.0
+    assert remaining_excess(5.0, 3.0, 1.0) == pytest.approx(8 / 24)
+    assert math.isnan(remaining_excess(2.0, 1.0, 1.0))
+    assert remaining_excess(2.1, 1.0, 1.0) == 0.0
     assert math.isnan(rmse())
 
 

@@ -45,7 +45,10 @@ def draft_of(path: Path) -> Iterator[Path]:
 
 
 def remove_drafts(folder: Path, names: Sequence[str]) -> None:
-    """Remove drafts that killed processes have left behind. The caller must hold the folder's lock."""
+    """Remove drafts of the files `names` that killed processes have left behind.
+
+    The caller must hold the folder's lock.
+    """
     drafts = re.compile(rf"\.({'|'.join(map(re.escape, names))})\.\d+")
     with suppress(OSError):
         for path in folder.iterdir():

@@ -131,7 +131,10 @@ class ModelExchange2(Calls):
         return 0
 
     def _integrate(self, target: float, min_span: float) -> tuple[bool, float]:
-        """Integrate to the target or the first state event. Nothing is integrated over `min_span` [s] or less."""
+        """Integrate to the target or the first state event; return whether an event occurred, and the time reached.
+
+        Nothing is integrated over `min_span` [s] or less.
+        """
         if target - self.time <= min_span:
             return False, max(self.time, target)
         try:

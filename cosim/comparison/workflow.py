@@ -22,7 +22,7 @@ from cosim.report.template import render
 from cosim.simulation.run_files import RecordedRun
 from cosim.storage.files import FilePath, check_writable, named_path, write_json, write_text
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_left, folder_named, keep_earlier
+from cosim.storage.folders import check_overwritable, folder_named, keep_earlier
 
 TEMPLATE = Path(__file__).with_name("templates") / "comparison.html.j2"
 MAX_PLOTTED = 24  # signals with the largest differences
@@ -64,7 +64,7 @@ def compare(
     if not write:
         return comparison, place
     read = [p / "manifest.json" if p.is_dir() else p for p in (a.path, b.path)]
-    check_left(place, "cosim compare", str(a.path), str(b.path), force=force, keep=folder is None)
+    check_overwritable(place, "cosim compare", str(a.path), str(b.path), force=force, keep=folder is None)
     check_writable(place, FILES, read)
     if folder is None:
         keep_earlier(place, "cosim compare")

@@ -146,7 +146,10 @@ class Problem:
         return noise_range(variances, len(self.layout.noisy))
 
     def _short(self) -> Problem:
-        """Return the problem on the first rows of few logs, or on its own outputs where the filter loses the logs."""
+        """Return the problem on the first rows of few logs, to find the range of the noise.
+
+        If the filter diverges from a log, the model's own simulated outputs replace the measurements of all.
+        """
         step = self.logs[0].step
         rows = round((UNSCORED * slowness(step) + max(RANGE_FROM, RANGE_ROWS * step)) / step)
         logs = [log.rows(0, rows) for log in self.logs]

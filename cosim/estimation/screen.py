@@ -152,7 +152,10 @@ class ScoreTest:
     def _make_terms(
         self, c: Candidate, rows: Sequence[Array], steps: Sequence[Mapping[str, float]], switched: bool = False
     ) -> Terms:
-        """Return the terms of a candidate, with the largest χ² at the usual size."""
+        """Return a candidate's terms from their rows and steps, and the largest χ² of a term at the usual size.
+
+        The χ² is that of the innovations alone, scaled to the usual size of the term.
+        """
         innovations = [r[: len(self.scored.errors)] for r in rows]
         identifiable = max((float(r @ r) for r in innovations), default=0.0) / SHARE**2
         return Terms(c, np.array(rows), tuple(steps), identifiable, switched)

@@ -14,7 +14,7 @@ from cosim.estimators import messages
 from cosim.estimators.consistency import ConsistencyRow, consistency_of
 from cosim.estimators.report import page
 from cosim.storage.files import check_writable, write_json, write_text
-from cosim.storage.folders import check_left, keep_earlier
+from cosim.storage.folders import check_overwritable, keep_earlier
 
 MIN_RUNS = 2
 MIN_STEPS = 100  # errors count after the first second
@@ -78,7 +78,7 @@ def check_folder(folder: Path, *, force: bool = False, keep: bool = False) -> No
     Raises:
         InputError: The folder is not writable, or holds results of another command without `force`.
     """
-    check_left(folder, "cosim consistency", force=force, keep=keep)
+    check_overwritable(folder, "cosim consistency", force=force, keep=keep)
     check_writable(folder, [RECORD, PAGE])
 
 

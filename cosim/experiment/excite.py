@@ -27,7 +27,7 @@ from cosim.experiment.separation import Separation
 from cosim.logs.log import slowness
 from cosim.storage.files import FilePath, check_writable, named_path, write_text
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_left, keep_earlier
+from cosim.storage.folders import check_overwritable, keep_earlier
 from cosim.storage.table import write_columns
 from cosim.subject.model_subject import ModelSubject
 
@@ -90,7 +90,7 @@ def excite(
     time = _times(text, model.rate, duration)
     rig: Rig = registry.rig_of(type(model), OpenLoop)(model, question.limits, question.ranges, float(time[-1]))
     files = ("excitation.csv", "excitation.yaml", "plant.fmu", REPORT, *rig.files)
-    check_left(folder, "cosim excite", force=force, keep=keep)
+    check_overwritable(folder, "cosim excite", force=force, keep=keep)
     check_writable(folder, files, [source / "plant.fmu"] if (source := refinement_folder(text)) else [])
     excitation = _choose(question, rig, time, seed, experiments, show_stage)
     if excitation is None:

@@ -117,7 +117,10 @@ def ask(
 
 
 def _read_question(text: str, against: Sequence[str]) -> tuple[Path, Question]:
-    """Return the file that the user named, and the question read from it."""
+    """Return the named file (of a folder, its refine.json), and the question.
+
+    The question is the file's model with the rivals `against`, or default ones.
+    """
     path = Path(text)
     if path.exists() and not names_refine(path) and ".py:" not in text:
         (check_given if path.suffix == ".json" else check_form)(path, ANSWER, MODEL, CODE)

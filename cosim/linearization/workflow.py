@@ -31,7 +31,7 @@ from cosim.loading.file import LoadedModel, load_model, named_model
 from cosim.loading.refined import names_refine, refined_file
 from cosim.storage.files import FilePath, check_writable, named_path, write_text
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_left, keep_earlier
+from cosim.storage.folders import check_overwritable, keep_earlier
 from cosim.storage.kinds import CODE, FMU, MODEL, check_given, kind_of
 from cosim.storage.yaml_file import did_you_mean
 
@@ -109,7 +109,7 @@ def linearize(
         source = _source(stack, Path(model), values, step)
         selection = _complete(source, selection)
         if folder is not None:
-            check_left(folder, "cosim linearize", str(model), force=force, keep=keep)
+            check_overwritable(folder, "cosim linearize", str(model), force=force, keep=keep)
             check_writable(folder, (*FILES, "report.html"), source.files)
         notes: list[str] = []
         if where.moment is None:

@@ -46,5 +46,5 @@ def refined_file(path: Path, *, nearest: bool = False) -> Path:
 
 
 def names_refine(path: Path) -> bool:
-    """Return whether a path names a whole refine."""
+    """Return whether a path is the results folder of `cosim refine` or its refine.json, and not another file in it."""
     return path.name == ANSWER if path.is_file() else (path / ANSWER).is_file()

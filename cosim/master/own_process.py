@@ -70,7 +70,7 @@ def exchange(name: str, inputs: Values | None, step: tuple[float, float] | None)
 
 
 def change(name: str, values: dict[str, Any]) -> Values:
-    """Set an event's values; return the inputs."""
+    """Set the values of an event in component `name`; return all its inputs after that."""
     _components[name].component.change(values)
     return _components[name].inputs()
 

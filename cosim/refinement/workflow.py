@@ -65,7 +65,7 @@ from cosim.storage.files import (
     scratch_folder,
 )
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_left, keep_earlier
+from cosim.storage.folders import check_overwritable, keep_earlier
 from cosim.subject.candidates import Candidate
 from cosim.subject.interface import Subject, Workplace
 
@@ -106,7 +106,7 @@ def refine(
     progress("reading the logs", 0.0)
     folder = named_path(folder)
     study = study if isinstance(study, Study) else read_study(Path(study))
-    check_left(folder, "cosim refine", *filter(None, [str(study.path or "")]), force=force, keep=keep)
+    check_overwritable(folder, "cosim refine", *filter(None, [str(study.path or "")]), force=force, keep=keep)
     check_writable(folder, (*RESULTS, "report.html"), study.files)
     problem = _build_problem(study)
     refuse(_divergences(study, problem))

@@ -127,7 +127,7 @@ class _Range:
         return cls(low, high, math.inf if constant else high - low)
 
     def union(self, other: _Range) -> _Range:
-        """Return the common range."""
+        """Return the smallest range that contains both."""
         return _Range(min(self.low, other.low), max(self.high, other.high), min(self.smallest, other.smallest))
 
     @property

@@ -90,7 +90,7 @@ def rmse(*errors: Array) -> float:
         return math.sqrt(float(np.mean(finite * finite))) if finite.size else math.nan
 
 
-def excess_left(before: float, after: float, floor: float) -> float:
+def remaining_excess(before: float, after: float, floor: float) -> float:
     """Return the share of mean square error above the floor that remains; NaN if `before` is not clearly above."""
     if not before > COUNTS_FROM * floor:
         return math.nan

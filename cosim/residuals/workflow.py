@@ -46,7 +46,7 @@ from cosim.storage.files import (
     write_text,
 )
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import REPLAY, check_left, keep_earlier
+from cosim.storage.folders import REPLAY, check_overwritable, keep_earlier
 from cosim.storage.results import Results, remove_rows, rows_name
 
 SCHEMA_VERSION = 1
@@ -91,7 +91,7 @@ def replay(
     rows_name("results", format_)  # An unavailable format must fail before the replay.
     check_files(Path(log), None if fmu is None else Path(fmu))
     place = named_path(folder)
-    check_left(place, "cosim replay", str(log), str(fmu or ""), force=force, keep=keep)
+    check_overwritable(place, "cosim replay", str(log), str(fmu or ""), force=force, keep=keep)
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         if worker is not None:

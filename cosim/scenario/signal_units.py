@@ -93,7 +93,10 @@ def convert_quantities(data: dict[str, Any], resolve: Resolve, note: Note) -> No
 
 
 def _measure(data: Mapping[str, Any], signal: str, resolve: Resolve) -> Measure | None:
-    """Return the measure of a signal; None if unknown. Other checks report unknown signals."""
+    """Return the unit of a signal and its reader of texts; None if unknown.
+
+    Other checks report unknown signals.
+    """
     owner, _, name = signal.partition(".")
     component = _part(data, "components", owner)
     if not isinstance(component, dict):

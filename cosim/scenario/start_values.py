@@ -81,7 +81,7 @@ def _number(text: Any) -> Any:
 
 
 def convert_value(description: Any, variable: Any, value: Any) -> Any:
-    """Return a start value in the variable's FMI type, or the reason why it does not fit.
+    """Return a start value in the variable's FMI type, or a `Misfit` with the reason why it does not fit.
 
     An array has a list of values.
     """

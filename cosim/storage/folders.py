@@ -99,10 +99,10 @@ def check_run_folder(
         return
     if owner is not None and (ssp is not None or owner != name):
         raise InputError.at(folder, messages.FOLDER_OF_OTHER_SCENARIO(name=owner))
-    check_left(folder, "cosim run")
+    check_overwritable(folder, "cosim run")
 
 
-def check_left(folder: Path, by: str, *sources: str, force: bool = False, keep: bool = False) -> None:
+def check_overwritable(folder: Path, by: str, *sources: str, force: bool = False, keep: bool = False) -> None:
     """Lock a results folder; refuse results of another command or of other sources.
 
     Args:

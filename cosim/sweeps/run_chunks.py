@@ -51,7 +51,7 @@ class WatchSettings:
 
     @classmethod
     def of(cls, system: System, step: float) -> WatchSettings:
-        """Return the description of a system."""
+        """Return the settings for watching runs of a system with communication step `step` [s]."""
         blocks = [stage.component for stage in system.stages]
         calls = tuple(tuple(fmi_calls(getattr(b, "description", None))) for b in blocks)
         return cls(tuple(b.name for b in blocks), calls, system.start, step, 8 * len(system.columns))

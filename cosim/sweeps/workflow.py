@@ -23,7 +23,7 @@ from cosim.isolation.limits import Limits
 from cosim.scenario.scenario import Criterion
 from cosim.storage.files import FilePath, atomic_write, check_writable, delay_stops, hold_stops, named_path, one_stop
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_left, content_of, folder_named, keep_earlier
+from cosim.storage.folders import check_overwritable, content_of, folder_named, keep_earlier
 from cosim.sweeps import messages
 from cosim.sweeps.batch import obstacle_to_arrays
 from cosim.sweeps.reading import Sweep, read_sweep
@@ -81,7 +81,7 @@ def sweep(
     study = read_sweep(Path(path))
     folder = folder_named(study.name) if out is None else named_path(out)
     inputs = [study.yaml.path, study.job.scenario, *(fmu for fmu, _ in study.system.fmus.values())]
-    check_left(folder, "cosim sweep", force=force, keep=out is None)
+    check_overwritable(folder, "cosim sweep", force=force, keep=out is None)
     check_writable(folder, (TABLE, RECORD, REPORT, DATABASE), inputs)
     address = study.file.dask if dask is None else dask
     for library in ("pyarrow", "SALib"):  # missing libraries are reported before any run

@@ -26,7 +26,7 @@ SMOOTH = np.exp(-0.5 * (np.arange(-1, 2) / 10.0) ** 2) / np.exp(-0.5 * (np.arang
 
 
 def analyse(m: Measurement, *, draw: bool = True, thrust: bool = False) -> Result:
-    """Return τ from a fit of F_x(t), and by 63 %, rise time and slope (§4.3.4)."""
+    """Return τ from a fit of F_x(t), of the thrust if `thrust`, and by 63 %, rise time and slope (§4.3.4)."""
     channel, name, title = ("z", "lag_of_thrust", "thrust") if thrust else ("x", "lag", "horizontal force")
     # simulated repetitions share commands; measured ones have their own
     rows = [r.rows((m.test.at - BEFORE, m.test.window[1])) for r in m.recordings]

@@ -16,7 +16,7 @@ from cosim.base.settings import Seed
 from cosim.model import Model
 from cosim.storage.files import FilePath, check_writable, named_path
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_left
+from cosim.storage.folders import check_overwritable
 from cosim.storage.kinds import check_given
 from plant.bench import Bench
 from plant.identification import frequency, ground_effect, lag, moment, projection, thrust_line
@@ -79,7 +79,7 @@ def identify(
     """
     path, out = Path(path), named_path(out)
     check_given(path, PROTOCOL)
-    check_left(out, "cosim identify", force=force, keep=keep)
+    check_overwritable(out, "cosim identify", force=force, keep=keep)
     if (yaml := craft_file(path)) is not None:
         return identify_craft(yaml, out, report=report, keep=keep)
     ready = prepare(path)

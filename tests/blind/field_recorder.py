@@ -77,7 +77,7 @@ class Recorder:
         slopes = np.gradient(readings, rig.step, axis=0)
         return np.where(kept, self.deviations(rig) ** 2 + cells**2 / 12.0 + (stamp_error * slopes) ** 2, np.inf)
 
-    def kept(self, rng: np.random.Generator, count: int, width: int) -> np.ndarray:
+    def rows_to_keep(self, rng: np.random.Generator, count: int, width: int) -> np.ndarray:
         """Return which cells are recorded, shape (rows, outputs)."""
         if not self.lost:
             return np.ones((count, width), bool)

@@ -159,7 +159,7 @@ def label(line: Line) -> str:
     return f"{line['plant']}: {'outside: ' if line['kind'] == 'outside' else ''}{names}"
 
 
-def said(line: Line) -> str:
+def outcome_text(line: Line) -> str:
     """Return the outcome of a study as a word; wrong names follow after a colon."""
     names = " + ".join(sorted(put_forward(line)))
     if line["kind"] == "known":
@@ -178,8 +178,8 @@ def table(lines: Sequence[Line]) -> str:
     columns = ("right", "in set", "part", "wrong", "no_effect", "unexplained", "ambiguous", "failed")
     text = [f"{'field':48} {'n':>3}  " + "  ".join(columns)]
     for (kind, name), chosen in sorted(rows.items()):
-        heard = [said(line).split(": ")[0] for line in chosen]
-        cells = "  ".join(f"{heard.count(c) or '·':>{len(c)}}" for c in columns)
+        outcomes = [outcome_text(line).split(": ")[0] for line in chosen]
+        cells = "  ".join(f"{outcomes.count(c) or '·':>{len(c)}}" for c in columns)
         text.append(f"{'outside: ' if kind == 'outside' else ''}{name}".ljust(48) + f" {len(chosen):3d}  {cells}")
     text.append("")
     for name, (hits, of) in counts(lines).items():

@@ -118,7 +118,11 @@ def draw(seed: int) -> Study:
 
 
 def bare(seed: int, plant: str, rng: np.random.Generator, kind: str = "known") -> Study:
-    """Return a study with base parameters, disturbance and recorder, but without hidden effects."""
+    """Return a study with base parameters, disturbance and recorder, but without hidden effects.
+
+    Args:
+        kind: `known`, `nothing` or `outside`, the label of what is hidden later.
+    """
     rig = RIGS[plant]
     longest_hole = min(90, int(0.45 / rig.step)) if rig.step < 0.05 else 9
     recorder = Recorder.draw(rng, list(rig.outputs), longest_hole)
@@ -152,9 +156,9 @@ def noise(study: Study, number: int) -> np.ndarray:
     return white * study.recorder.deviations(study.rig)
 
 
-def kept(study: Study, number: int) -> np.ndarray:
+def rows_to_keep(study: Study, number: int) -> np.ndarray:
     """Return which cells of a log are recorded, shape (rows, outputs)."""
-    return study.recorder.kept(stream(study.seed, 10 + number, 4), study.rig.rows, len(study.rig.outputs))
+    return study.recorder.rows_to_keep(stream(study.seed, 10 + number, 4), study.rig.rows, len(study.rig.outputs))
 
 
 # -- how large it is ---------------------------------------------------------------------------------------
@@ -252,12 +256,12 @@ def _searched(study: Study, sized: dict[str, _Sized], tries: int = 6) -> Study |
 
 
 def conditions(study: Study) -> Conditions:
-    """Return the estimation logs as input of the cost."""
+    """Return what `costs` needs of the estimation logs: runs without pushes, variances of readings, sizes of pushes."""
     rig, recorder = study.rig, study.recorder
     flown = [course(study, number) for number in range(2)]
     still = [replace_pushes(run) for run, _ in flown]
     variances = [
-        recorder.variances(rig, result.readings, study.stamp_error, kept(study, number))
+        recorder.variances(rig, result.readings, study.stamp_error, rows_to_keep(study, number))
         for number, (_, result) in enumerate(flown)
     ]
     return Conditions(still, variances, [DISTURBANCES[study.disturbance] * reach for reach in rig.pushes])

@@ -21,7 +21,7 @@ import numpy as np
 
 from tests.blind.field_craft import CraftRig, craft, replay_craft
 from tests.blind.field_rig import Course, Run, fly
-from tests.blind.field_study import LOGS, Study, course, draw, kept, noise, replace_pushes, stream
+from tests.blind.field_study import LOGS, Study, course, draw, noise, replace_pushes, rows_to_keep, stream
 
 PLANTS = Path(__file__).with_name("plants")
 SKIPPED = 2.0  # [s] of rows of 50 ms and faster that are not judged at the start of a log; longer where rows are slower
@@ -33,7 +33,7 @@ def recorded(study: Study, number: int) -> tuple[Run, Course, np.ndarray]:
     run, result = course(study, number)
     spoiling = stream(study.seed, 10 + number, 5)
     cells = study.recorder.spoil(spoiling, study.rig, result.readings, noise(study, number), study.stamp_error)
-    return run, result, np.where(kept(study, number), cells, np.nan)
+    return run, result, np.where(rows_to_keep(study, number), cells, np.nan)
 
 
 def write(study: Study, folder: Path) -> Path:

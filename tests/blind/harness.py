@@ -190,8 +190,8 @@ def run(
         have[line["seed"]] = line
         with results.open("a") as file:
             file.write(json.dumps(line) + "\n")
-        heard = line.get("failure") or counted.said(line)
-        print(f"{number:4d}/{len(missing)}  {counted.label(line):40} {heard}  {line['seconds']} s", file=sys.stderr)
+        outcome = line.get("failure") or counted.outcome_text(line)
+        print(f"{number:4d}/{len(missing)}  {counted.label(line):40} {outcome}  {line['seconds']} s", file=sys.stderr)
     return [have[seed] for seed in todo]
 
 

@@ -89,7 +89,7 @@ def label(line: Line) -> str:
     return f"{line['plant']}: {' + '.join(sorted(line['truth'])) or 'nothing'}"
 
 
-def said(line: Line) -> str:
+def outcome_text(line: Line) -> str:
     """Return the outcome of a study: number of named effects, wrong names, verdict and grade."""
     told = f"{len(named_parts(line))} of {len(parts(line))}"
     wrong = "".join(f", wrong: {name}" for name in sorted(wrong_parts(line)))
@@ -98,7 +98,7 @@ def said(line: Line) -> str:
 
 def table(lines: Sequence[Line]) -> str:
     """Return a table with a row per study, then the figures with Wilson's 95 % intervals."""
-    text = [f"{label(line):70} {said(line)}" for line in lines]
+    text = [f"{label(line):70} {outcome_text(line)}" for line in lines]
     for name, (hits, of) in counts(lines).items():
         low, high = wilson(hits, of)
         part = f"{100 * hits / of:5.1f} %" if of else "    – "

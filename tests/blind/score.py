@@ -169,17 +169,17 @@ def table(lines: Sequence[Line]) -> str:
     """Return the confusion matrix with a row per hidden effect, then the figures with counts and Wilson intervals."""
     rows: dict[tuple[str, str], Counter[str]] = defaultdict(Counter)
     for line in lines:
-        rows[line["kind"], label(line)][said(line)] += 1
+        rows[line["kind"], label(line)][outcome_text(line)] += 1
     columns = ("right", "in set", "part", "wrong", "no_effect", "unexplained", "ambiguous", "failed")
     text = [f"{'hidden':48} {'n':>3}  " + "  ".join(f"{c:>{len(c)}}" for c in columns) + "  instead"]
     for kind in ("known", "nothing", "outside"):
-        for (of_kind, hidden), heard in sorted(rows.items()):
+        for (of_kind, hidden), outcomes in sorted(rows.items()):
             if of_kind != kind:
                 continue
-            cells = [sum(n for what, n in heard.items() if what.split(": ")[0] == c) for c in columns]
-            instead = ", ".join(f"{w.split(': ')[1]} ×{n}" for w, n in sorted(heard.items()) if ": " in w)
+            cells = [sum(n for what, n in outcomes.items() if what.split(": ")[0] == c) for c in columns]
+            instead = ", ".join(f"{w.split(': ')[1]} ×{n}" for w, n in sorted(outcomes.items()) if ": " in w)
             numbers = "  ".join(f"{n or '·':>{len(c)}}" for n, c in zip(cells, columns, strict=True))
-            text.append(f"{hidden:48} {heard.total():3d}  {numbers}  {instead}".rstrip())
+            text.append(f"{hidden:48} {outcomes.total():3d}  {numbers}  {instead}".rstrip())
     text.append("")
     for name, (hits, of) in counts(lines).items():
         low, high = wilson(hits, of)
@@ -196,7 +196,7 @@ def label(line: Line) -> str:
     return f"outside: {names}" if line["kind"] == "outside" else names
 
 
-def said(line: Line) -> str:
+def outcome_text(line: Line) -> str:
     """Return the outcome of a study, a column of the table; wrong names follow after a colon."""
     verdict = line["verdict"]
     names = " + ".join(sorted(named(line))) or "?"

@@ -349,12 +349,16 @@ def show(results: Path) -> str:
         for factor in FACTORS:
             of = [e for e in entries if (e["threshold"], e["factor"]) == (t.key, factor)]
             compared = [(plain[key], e) for e in of if (key := (e["half"], e["seed"])) in plain]
-            other = [f"{e['half']} {e['seed']}: {_said(b)} → {_said(e)}" for b, e in compared if _said(b) != _said(e)]
+            other = [
+                f"{e['half']} {e['seed']}: {_outcome_text(b)} → {_outcome_text(e)}"
+                for b, e in compared
+                if _outcome_text(b) != _outcome_text(e)
+            ]
             lines.append(f"{t.name} × {factor:g} ({len(compared)} studies): {'; '.join(other) or 'nothing changes'}")
     return "\n".join(lines)
 
 
-def _said(entry: dict[str, Any]) -> str:
+def _outcome_text(entry: dict[str, Any]) -> str:
     names = entry["effects"] or entry["rivals"]
     return f"{entry['verdict']} [{entry['grade']}] {', '.join(names)}".strip()
 

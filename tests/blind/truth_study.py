@@ -154,7 +154,7 @@ def _place(seed: int) -> tuple[str, int]:
     return kind, block * BLOCK.count(kind) + before
 
 
-def _known(card: str, rng: np.random.Generator) -> list[str]:
+def _names_of_card(card: str, rng: np.random.Generator) -> list[str]:
     if card == BASE_PAIR:
         return [str(n) for n in rng.choice(BASE[:4], 2, replace=False)]
     if card != PAIR:
@@ -172,7 +172,7 @@ def draw(seed: int) -> Study:
     disturbed, imu_alone, duty = rng.random(3) < (0.5, 0.4, 0.5)
     truth: Truth = {}
     if kind == "known":
-        truth = {name: size(name, rng) for name in _known(_deal(KNOWN_DECK, number, 3), rng)}
+        truth = {name: size(name, rng) for name in _names_of_card(_deal(KNOWN_DECK, number, 3), rng)}
         imu_alone &= truth.keys() <= IMU_ENOUGH
         duty |= "thrust_slope" in truth
     elif kind == "outside":

@@ -106,7 +106,11 @@ class Body:
     def function(
         self, language: Language, name: str, expressions: Sequence[Any], before: Sequence[dict[Any, Any]] = ()
     ) -> str:
-        """Return the text of `name(t, x, u, p, out)` with the values of some expressions."""
+        """Return the text of `name(t, x, u, p, out)`, which stores the values of the expressions in `out`.
+
+        Args:
+            before: Stages computed first, symbol → expression.
+        """
         return language.function(name, "t x u p", expressions, self._places, before, self.terms)
 
     @property

@@ -20,7 +20,7 @@ from cosim.refinement.proof.refined_models import refined_subject, variants_of, 
 from cosim.refinement.search.fits import Search, SearchResult
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
 from cosim.refinement.study import Study
-from cosim.residuals.residual_statistics import COUNTS_FROM, excess_left
+from cosim.residuals.residual_statistics import COUNTS_FROM, remaining_excess
 from cosim.subject.base_parameters import WIDTHS
 from cosim.subject.interface import Subject
 
@@ -134,7 +134,7 @@ def _plant_doubt(error: ErrorOf, floor: Channels, *, effects: bool) -> Doubt | N
 
 def _remaining_excess(error: ErrorOf, floor: Channels) -> dict[str, float]:
     """Return the remaining excess error of each channel."""
-    shares = {n: excess_left(error["before"][n], error["after"][n], f) for n, f in floor.items()}
+    shares = {n: remaining_excess(error["before"][n], error["after"][n], f) for n, f in floor.items()}
     return {n: x for n, x in shares.items() if not math.isnan(x)}
 
 

@@ -13,7 +13,7 @@ from cosim.base.text import MISSING, append_unit, finer, percent, plain
 from cosim.refinement.record import OTHER_HORIZONS, Part
 from cosim.refinement.refinement import Refinement
 from cosim.residuals.replay_sentences import horizon_name
-from cosim.residuals.residual_statistics import excess_left
+from cosim.residuals.residual_statistics import remaining_excess
 
 PARTS: Mapping[Part, str] = {"estimation": "Logs used for the fits", "validation": "Sealed logs"}
 MAX_SHARE_OF_REPLAY, LEAST_REPLAYS = 0.3, 10  # share of the squared error in one replay of so many, worth a sentence
@@ -200,7 +200,7 @@ def _error_row(r: Refinement, part: str, name: str) -> ErrorRow:
 
 def _share_text(before: float, after: float, floor: float) -> str:
     """Return the remaining share of the excess error as text."""
-    share = excess_left(before, after, floor)
+    share = remaining_excess(before, after, floor)
     if math.isnan(share):
         return NOTHING_TO_EXPLAIN if before < NOISE * floor else TOO_LITTLE if floor else MISSING
     return percent(max(0.0, share))

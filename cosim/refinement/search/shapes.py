@@ -224,13 +224,13 @@ class _Selection:
 
 @dataclass(frozen=True, eq=False)
 class _Ground:
-    """A signal for shapes in an equation.
+    """A signal over which local shapes are tried in an equation.
 
     Attributes:
-        flat: Shape of the signal without place and width.
+        flat: Template of the shapes, without place and width.
         z: Values of the signal.
         low, high: Range of the places.
-        factors: Signals of a factor → range within which its sign is smoothed.
+        factors: Signals that may multiply a shape → range within which the sign of this factor is smoothed.
     """
 
     flat: Shape
