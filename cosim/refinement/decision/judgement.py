@@ -254,7 +254,7 @@ def _reason(
     if extra := [n for n in h.names if n in dropped]:
         return f"{extra[0]}: {dropped[extra[0]]}"
     if h.fit.is_cut:
-        return f"its fit was stopped after {MAX_SECONDS:.0f} s"
+        return f"its fit was stopped after {MAX_SECONDS:.0f} s of processor time"
     if h.fit.objective >= base.fit.objective:
         return "no gain"
     if base.score - h.score < 0.0:
