@@ -240,7 +240,8 @@ def test_a_recalibration_beyond_tolerance_is_said_with_its_numbers() -> None:
 
 def test_a_term_that_explains_next_to_nothing_is_not_described() -> None:
     term = UnnamedTerm("rate", "angle", 30.0, 0.1, 30.0, 0.012)
-    assert (
-        remainder_text(term, 90.0) == "Something remains in rate; none of the terms tried explains even 5\u00a0% of it."
+    rest = (
+        "Something remains in the equation of rate; no term in a state, an input or time explains even 5\u00a0% of it."
     )
+    assert remainder_text(term, 90.0) == rest
     assert "angle" in remainder_text(replace(term, share=0.2), 90.0)

@@ -529,7 +529,10 @@ def test_a_sentence_says_of_a_term_without_a_name_how_much_it_is(cart: Refinemen
     assert (disputed.name, disputed.claimed, disputed.rivals) == ("unexplained", None, cart.attribution.best.names)
     left = judged(UnnamedTerm("v", "|v|", 0.25 * gained, 0.1, 0.25 * gained), rivals=())
     assert left.claimed is cart.attribution.best
-    assert "in v that depends on |v|. A term without a name would add 25\u00a0% to the claim's" in words(left, cart)
+    assert (
+        "in the equation of v that depends on |v|. A term without a name would add 25\u00a0% to the claim's"
+        in words(left, cart)
+    )
 
 
 @pytest.mark.thorough

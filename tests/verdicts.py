@@ -162,7 +162,7 @@ def _share(record: Record) -> Iterator[str]:
 
 def _improved(record: Record) -> Iterator[str]:
     """Yield a contradiction of the explained share of squared error with the errors on sealed logs."""
-    text = r"claim explains ((?:less than |more than )?[\d.]+\u00a0%) of the squared error that the (\w+) model has"
+    text = r"explains? ((?:less than |more than )?[\d.]+\u00a0%) of the squared error that the (\w+) model has"
     found = re.search(text, record["sentence"])
     if found is None:
         return

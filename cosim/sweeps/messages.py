@@ -95,7 +95,7 @@ ARRAYS_DISAGREE = Template(
 TOO_FEW_RUNS = Template("W-SWP-039", "Too few runs for sensitivities: {completed} completed, {least} are needed.")
 WIDE_INTERVALS = Template(
     "W-SWP-040",
-    "Too few runs to rank the factors: intervals of the indices reach ±{width}. Take more runs.",
+    "Too few runs to rank the factors of {outcome}: intervals of its indices reach ±{width}. Take more runs.",
 )
 ARRAYS_AGREE = Template(
     "N-SWP-041",

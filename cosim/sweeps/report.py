@@ -28,6 +28,8 @@ MOST_BANDS = 16
 MOST_RUNS = 20_000  # at most, for a band
 MOST_POINTS = 2000  # runs in a scatter plot
 MOST_SCATTERED = 4  # criteria with scatter plots, each over two factors
+NEVER = "never"
+LISTED = {"values", "grid"}  # ways of variation without a distribution
 MOST_LISTED = 10  # runs farthest from meeting a criterion
 WIDE = 0.2  # half-width of a sensitivity's interval; the page asks for more runs above
 
@@ -60,7 +62,7 @@ def page(swept: Swept) -> str:
             "more_failures": max(0, failed - len(record["failures"])),
             "way": way_sentence(record),
             "check": swept.check,
-            "sampling": swept.sweep.file.sampling,
+            "sampling_note": _sampling_note(swept),
             "repeat": f"cosim sweep {swept.sweep.yaml.path}",
             "version": __version__,
         },
@@ -72,10 +74,14 @@ def _criteria_context(swept: Swept, table: Any) -> Mapping[str, Any]:
     record = swept.record
     if not record["criteria"]:
         return {"tone": "plain", "worst": [], "hardest_name": "", "criteria": [], "values": []}
+    worst, name = _worst(swept, table), hardest(record)["name"]
+    equal = bool(worst) and worst[-1]["value"] == NEVER  # none of the listed runs is worse than another
     return {
+        "worst_words": f"{'Runs that never meet' if equal else 'Runs farthest from the limit of'} {name}",
+        "worst_note": "The first of the runs that never settle." if equal else "Farthest from its limit first.",
         "tone": "good" if record.get("met_all") == record["runs"] else "bad",
-        "worst": _worst(swept, table),
-        "hardest_name": hardest(record)["name"],
+        "worst": worst,
+        "hardest_name": name,
         "criteria": [_criterion(c) for c in record["criteria"]],
         "values": [_spread(c, _values_of(table, c["name"])) for c in record["criteria"]],
     }
@@ -129,7 +135,8 @@ def _warnings(swept: Swept, indices: Sequence[Sensitivity]) -> list[str]:
         texts.append(messages.TOO_FEW_RUNS(completed=completed, least=MIN_RUNS))
     widest = max((half for s in indices for _, half in (*s.first, *s.total)), default=0.0)
     if widest > WIDE:
-        texts.append(messages.WIDE_INTERVALS(width=plain(widest, 2)))
+        widths = {s.outcome: max(half for _, half in (*s.first, *s.total)) for s in indices}
+        texts.append(messages.WIDE_INTERVALS(outcome=max(widths, key=lambda n: widths[n]), width=plain(widest, 2)))
     if swept.check.code.startswith("W-"):
         texts.append(swept.check)
     return texts
@@ -137,6 +144,16 @@ def _warnings(swept: Swept, indices: Sequence[Sensitivity]) -> list[str]:
 
 def _values_of(table: Any, name: str) -> Array:
     return np.array(table.column(name).to_pylist(), float)
+
+
+def _sampling_note(swept: Swept) -> str:
+    """Return how the values of several factors are combined."""
+    ways = {varied.way for varied in swept.sweep.file.vary.values()}
+    drawn, listed = ways - LISTED - {"each", "count"}, ways & LISTED
+    text = f"Distributions are sampled together ({swept.sweep.file.sampling})" if drawn else ""
+    if listed:
+        text += "; each sample is combined with every listed value" if drawn else "Every combination is run"
+    return f"{text}." if text else ""
 
 
 def _worst(swept: Swept, table: Any) -> list[Mapping[str, Any]]:
@@ -151,7 +168,7 @@ def _worst(swept: Swept, table: Any) -> list[Mapping[str, Any]]:
     return [
         {
             "run": int(runs[k]),
-            "value": append_unit(plain(float(values[k]) * factor, 3), unit) if np.isfinite(values[k]) else "never",
+            "value": append_unit(plain(float(values[k]) * factor, 3), unit) if np.isfinite(values[k]) else NEVER,
             "factors": ", ".join(f"{n} = {_short(swept.sweep.columns[n][runs[k]])}" for n in names),
             "command": repeat_command(swept.sweep, int(runs[k])),
         }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -72,9 +73,7 @@ def headline(record: Mapping[str, Any]) -> str:
     if met == runs:
         return f"All {counted(runs, 'run')} meet {all_of}."
     worst = [c["name"] for c in criteria if c["met"] == fewest < c["of"]]
-    most = (
-        f"; {join_names(worst)} {'fails' if len(worst) == 1 else 'fail'} most" if 0 < len(worst) < len(criteria) else ""
-    )
+    most = f"; fewest, {fewest}, meet {join_names(worst)}" if 0 < len(worst) < len(criteria) else ""
     return f"{met} of {counted(runs, 'run')} {'meets' if met == 1 else 'meet'} {all_of}{most}."
 
 
@@ -92,7 +91,7 @@ def repeat_command(study: Sweep, run: int) -> str:
         for component, values in request.starts.items()
         for name, value in values.items()
     ]
-    words = ["cosim", "run", str(study.yaml.path.parent / study.file.scenario)]
+    words = ["cosim", "run", os.path.normpath(study.yaml.path.parent / study.file.scenario)]
     words += [word for text in (*study.job.overrides, *request.overrides, *starts) for word in ("--set", text)]
     return shlex.join([*words, *(["--seed", str(request.seed)] if request.seed is not None else [])])
 

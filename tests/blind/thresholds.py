@@ -63,9 +63,10 @@ DECIDING = {  # module below cosim → thresholds that decide a verdict
     "refinement.proof.replay_check": ("PART", "HALF"),
     "refinement.proof.nearest": ("SIMPLER",),
     "refinement.search.fits": ("ENTRY",),
-    "refinement.search.hypotheses": ("NOISE",),
+    "refinement.search.hypotheses": ("NOISE", "MAX_HALVED_RATIO"),
     "refinement.search.attribution": ("HOPE",),
     "subject.base_parameters": ("TOLERANCE",),
+    "estimation.predictability": ("FAR", "NEAR", "EXPONENTIAL"),
 }  # fmt: skip
 
 NOT_COMPARED = ("subject.base_parameters.TOLERANCE",)  # it goes into arrays: each of its cases is refined

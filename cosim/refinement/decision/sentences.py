@@ -30,6 +30,7 @@ DISTURBED = "Nothing is missing: what the model does not explain is a disturbanc
 NO_HYPOTHESIS = "No hypothesis holds on logs it was not fitted on."
 NOT_AFTER_REPLAYS = "No hypothesis explains what the model misses."
 IN_PART = "This explains only a part of the error"
+NO_TERM = "no term in a state, an input or time explains even"
 
 
 def sentence(c: Claims, subject: Subject) -> str:
@@ -37,23 +38,28 @@ def sentence(c: Claims, subject: Subject) -> str:
     units = {q.name: q.unit for q in subject.outputs}
     files = (REFINED[0], NEAREST[0]) if c.written else ("the refined object", "the nearest object")
     rise = rise_text(c.risen, units, files[c.claimed is None])  # a reader must know it before the answer
-    opening = rise or improvement_text(c.remaining, c.baseline)
+    names = c.claimed.names if c.claimed is not None else ()
+    opening = rise or improvement_text(c.remaining, c.baseline, names)
     return " ".join(filter(None, (opening, _answer_text(c, subject), *_share_texts(c), *_remark_texts(c, subject))))
 
 
-def improvement_text(remaining: Mapping[str, float], beside: str) -> str:
+def improvement_text(remaining: Mapping[str, float], beside: str, names: Sequence[str] = ()) -> str:
     """Return a sentence on the share of squared error on sealed logs that a claim explains.
 
     Args:
         remaining: Channel → share of the squared error that remains.
         beside: Model for comparison, `before` or `recalibrated`.
+        names: Claimed candidates; more than three are counted.
     """
     share = sum(remaining.values()) / len(remaining) if remaining else 1.0
     if not share < 1.0:
         return ""
     worst = f", mostly in {max(remaining, key=lambda name: remaining[name])}" if len(remaining) > 1 else ""
     error = f"the squared error that the {'recalibrated' if beside == 'recalibrated' else 'unchanged'} model has"
-    return f"The claim explains {percent(1.0 - share)} of {error} on sealed logs; {percent(share)} remain{worst}."
+    who = join_names(names) if 0 < len(names) <= MOST_NAMED else "the claim"
+    verb = "explain" if 1 < len(names) <= MOST_NAMED else "explains"
+    subject = who if names and who != "the claim" else "The claim"
+    return f"{subject} {verb} {percent(1.0 - share)} of {error} on sealed logs; {percent(share)} remain{worst}."
 
 
 def _answer_text(c: Claims, subject: Subject) -> str:
@@ -165,7 +171,7 @@ def unexplained_text(residual: Mapping[str, Any], nearest: Sequence[str], otherw
         text = f"Something outside the catalogue acts on {where}; it {_residual_text(residual)}."
         # a term may promise likelihood where noise, not its own share, fills what is missing
         if share := residual["share"]:
-            little = f"None of the terms tried explains even {percent(LITTLE)} of what is missing."
+            little = f"{NO_TERM.capitalize()} {percent(LITTLE)} of what is missing."
             text += f" {little if share < LITTLE else f'That explains {percent(share)} of what is missing.'}"
     elif where:
         text = f"A disturbance acts on {where}; it shows no stable pattern."
@@ -371,6 +377,6 @@ def small_gains_text(names: Sequence[str]) -> str:
 def remainder_text(term: UnnamedTerm, gained: float) -> str:
     """Return sentences on an unnamed term beside a claim."""
     if term.share is not None and term.share < LITTLE:
-        return f"Something remains in {term.equation}; none of the terms tried explains even {percent(LITTLE)} of it."
-    rest = f"Something remains in {term.equation} that {dependence_text(term.signal, term.shape)}."
+        return f"Something remains in the equation of {term.equation}; {NO_TERM} {percent(LITTLE)} of it."
+    rest = f"Something remains in the equation of {term.equation} that {dependence_text(term.signal, term.shape)}."
     return f"{rest} A term without a name would add {percent(term.gain / gained)} to the claim's gain."

@@ -55,10 +55,10 @@ class EffectComparison:
 
     @property
     def quantity(self) -> str:
-        """Return the missing quantity in words: `acceleration missing from speed`."""
+        """Return the missing quantity in words: `missing acceleration of speed`."""
         if self.kind == "sensor":
             return f"error of {self.where}"
-        return f"{'acceleration' if self.unit in {'m/s2', 'rad/s2'} else 'rate'} missing from {self.where}"
+        return f"missing {'acceleration' if self.unit in {'m/s2', 'rad/s2'} else 'rate'} of {self.where}"
 
     @property
     def correlation(self) -> float:

@@ -104,7 +104,8 @@ def context(r: Refinement) -> Mapping[str, Any]:
 
 
 LADDER_NOTE = (
-    "Each log is predicted by a fit to the other logs; the error is relative to the model of the study. The standard "
+    "Each log is predicted by a fit to the other logs; the error (root mean square) is relative to the model of the "
+    "study. The standard "
     "error is that of the difference from the best. Within it, a model with fewer candidates is as good."
 )
 _NO_TIME: Mapping[str, Any] = {"horizons": None, "terms": [], "runs": [], "lead": None, "whiteness": []}  # for tables
@@ -241,7 +242,7 @@ def _term_sentence(s: EffectComparison) -> str:
     share = min(1.0, max(0.0, s.share))
     if share < MAX_FAST_SHARE and s.kind != "sensor" and (mean := s.share_of_means) > share:
         text = f"Averaged over intervals of {s.against.name}, the {quantity} is explained by {who} to {percent(mean)}"
-        return f"{text}; row by row to {percent(share)}, as much of it changes from row to row ({rows_shown(s)})."
+        return f"{text}; row by row to {percent(share)}, since most of it changes from row to row ({rows_shown(s)})."
     text = f"Of the mean square {quantity}, {who} explains {percent(share)}"
     if s.kind == "sensor":
         return f"{text}; the rest is the noise of the sensor ({rows_shown(s)})."
@@ -321,7 +322,8 @@ def _ranking_lead(r: Refinement) -> str:
     lead = (
         "A score test predicted the likelihood gain of every set of candidates. The promising sets were then fitted "
         "together with the base parameters and the noise levels. The score is the gain in log-likelihood over the base "
-        "model, minus ½ ln N for each added parameter and, for each candidate, 3 and the logarithm of their number."
+        "model, minus ½ ln N for each added parameter (N readings) and, for each candidate of the set, 3 plus the "
+        "logarithm of the number of candidates on trial."
     )
     if r.verdict.claimed is not None and gain is not None:
         each = "each part of the table" if r.problem.table else "each log"

@@ -10,6 +10,9 @@ from typing import Any
 from cosim.base.text import amount, counted, join_names
 from cosim.simulation.report.recorded import Run, mapping, mappings, number
 
+NEGLIGIBLE = 1e-9  # share of its limit below which a value is shown as 0
+NAMES = {"peak": "largest magnitude"}  # of kinds, others are shown as the scenario names them
+
 
 @dataclass(frozen=True)
 class CriterionText:
@@ -32,11 +35,13 @@ def _criterion(entry: Mapping[str, Any], unit_of_signal: str) -> CriterionText:
     kind = str(entry.get("kind", "criterion"))
     met = bool(entry["met"]) if "met" in entry else value <= bound
     target = entry.get("to")
-    parts = [f"{kind.replace('_', ' ')} of {entry.get('of', '?')}"]
+    parts = [f"{NAMES.get(kind, kind.replace('_', ' '))} of {entry.get('of', '?')}"]
     if target is not None:
         parts.append(f"to {target if isinstance(target, str) else amount(number(target), unit_of_signal, None)}")
     parts += [f"within ±{amount(number(entry['band']), unit_of_signal, None)}"] if "band" in entry else []
     parts += [f"{word} {amount(number(entry[word]), 's', None)}" for word in ("after", "until") if word in entry]
+    if abs(value) < NEGLIGIBLE * bound:
+        value = 0.0
     text = amount(value, unit) if math.isfinite(value) else ("not settled" if kind == "settling_time" else "none")
     rest = bound - value
     margin = "" if not math.isfinite(rest) else f"{amount(abs(rest), unit)} {'left' if rest >= 0 else 'over'}"
@@ -59,7 +64,8 @@ def outcome(run: Run, judged: list[CriterionText]) -> str:
     if not judged:
         return _describe_simulation(run)
     if not missed:
-        return "The criterion was met." if len(judged) == 1 else f"All {counted(len(judged), 'criterion')} were met."
+        every = {1: "The criterion was met.", 2: "Both criteria were met."}
+        return every.get(len(judged), f"All {counted(len(judged), 'criterion')} were met.")
     verb = "was" if len(missed) == 1 else "were"
     first = missed[0]
     detail = f"{first.title}: {first.value}" + (f", allowed {first.allowed}" if first.allowed else "")
