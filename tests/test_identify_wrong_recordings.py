@@ -174,6 +174,9 @@ CASES: dict[str, tuple[str, Change, str]] = {
         "frequency", column(SERVO, lambda v: np.interp(np.arange(v.size), np.arange(0, v.size, 2), v[::2])),
         "only one row in 2 of servo_duty is a command",
     ),
+    "half the slope of the servo": (
+        "frequency", column(SERVO, lambda v: 7.5 + 0.5 * (v - 7.5)), "times the thrust of volts_z times sin α",
+    ),
     "a clock 10 % slow, sines": (
         "frequency", column(TIME, lambda v: 1.1 * v), "is 9.09 rad/s, and the protocol has 10 rad/s",
     ),
@@ -334,6 +337,29 @@ def test_one_mirrored_recording_of_few_is_named(
 
 
 @pytest.mark.thorough
+def test_commands_of_a_sweep_that_were_recorded_late_are_named(
+    good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
+) -> None:
+    late = column(SERVO, lambda v: np.concatenate((np.full(20, v[0]), v[:-20])))
+    checked, identified = answers(good, tmp_path, "projection", late)
+    assert "ahead of the commanded tilt: were the commands recorded late?" in checked
+    assert identified in checked
+
+
+@pytest.mark.thorough
+def test_frequencies_may_stand_in_any_order(good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path) -> None:
+    def turn(content: dict[str, Any]) -> None:
+        test = content["tests"]["frequency"]
+        for key in {"frequencies", "periods", "thesis_skip"} & test.keys():
+            test[key] = test[key][::-1]
+
+    for name, edit in (("plain", lambda content: None), ("turned", turn)):
+        assert answers(good, tmp_path / name, "frequency", lambda t: t, edit=edit) == ("", "")
+    results = [json.loads((tmp_path / name / "out" / "identify.json").read_text()) for name in ("plain", "turned")]
+    assert results[0]["estimates"] == results[1]["estimates"]
+
+
+@pytest.mark.thorough
 def test_a_wrong_parameter_is_not_blamed_on_the_recordings(
     good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
 ) -> None:
@@ -364,6 +390,10 @@ CELLS: dict[str, tuple[str, Callable[[str, Any], Any], str]] = {
     ),
     "loads in gf said to be N": ("thrust_line", lambda _, c: {"unit": "N"}, "thrust_offset comes out as -1.93e+05 gf"),
     "a unit of mass": ("thrust_line", lambda _, c: {"unit": "kg"}, "a mass that is hung is a force: write kgf"),
+    "a mistyped point": (
+        "thrust_line", lambda n, c: {"points": [[a, v + 0.1 * (k == 3)] for k, (a, v) in enumerate(c["points"])]},
+        "off the curve through the other points",
+    ),
     "points in mV": ("step", lambda _, c: {"points": [[a, 1000 * v] for a, v in c["points"]]}, "beyond the"),
     "load and voltage swapped": ("step", lambda _, c: {"points": [[v, a] for a, v in c["points"]]}, "the loads span"),
     "a load beyond full scale": ("step", lambda _, c: {"full_scale": 8}, "is beyond the cell's full_scale of 8 gf"),

@@ -76,28 +76,54 @@ def test_an_input_far_beyond_its_bound_is_a_fault_if_a_unit_explains_it(log: Log
     assert "is it scaled" in found.sentence
 
 
-@pytest.mark.parametrize("kind", ["sign", "swapped", "delay"])
-def test_check_names_what_only_the_model_can_show(kind: str, tmp_path: Path) -> None:
-    header, *rows = (line.split(",") for line in RECORDED.read_text().splitlines())
-    table = np.array(rows, dtype=float)
-    ax, psi_dot = header.index("ax"), header.index("psi_dot")
+WRONG_COLUMNS = {
+    "sign": "ax moves against the model",
+    "swapped": "are the columns swapped?",
+    "delay": "trails the model by",
+    "positions in cm": 'is its unit cm? Then call the column "x_world [cm]"',
+    "exchanged axes": "moves sideways unless x_world and y_world are exchanged",
+    "a mirrored axis": "moves sideways unless x_world, y_world or psi is turned round",
+    "a jump of an angle": "and psi_dot shows no such motion",
+    "a jump of a position": "x_world jumps by 0.5",
+    "half a log mirrored": "psi does not follow the integral of psi_dot",
+}
+
+
+def spoil(kind: str, header: list[str], table: np.ndarray) -> None:
+    """Make the columns of a log wrong in one way."""
+    ax, psi_dot, psi, x, y = (header.index(name) for name in ("ax", "psi_dot", "psi", "x_world", "y_world"))
     if kind == "sign":  # with so much noise that the correlation alone is no proof
         table[:, ax] *= -1.0
         table[:, ax] += 0.7 * np.std(table[:, ax]) * np.random.default_rng(3).standard_normal(len(table))
     elif kind == "swapped":
         table[:, [ax, psi_dot]] = table[:, [psi_dot, ax]]
-    else:
+    elif kind == "delay":
         outputs = [k for k, name in enumerate(header) if name != "time" and name not in {q.name for q in INPUTS}]
         table[10:, outputs] = table[:-10, outputs]
+    elif kind == "positions in cm":
+        table[:, x] *= 100.0
+    elif kind == "exchanged axes":
+        table[:, [x, y]] = table[:, [y, x]]
+    elif kind == "a mirrored axis":
+        table[:, x] *= -1.0
+    elif kind == "a jump of an angle":
+        table[200:, psi] += 0.5
+    elif kind == "a jump of a position":
+        table[200:, x] += 0.5
+    else:
+        table[len(table) // 2 :, psi] *= -1.0
+
+
+@pytest.mark.parametrize("kind", WRONG_COLUMNS)
+def test_check_names_wrong_columns(kind: str, tmp_path: Path) -> None:
+    right = HOVERCRAFT / "e1.csv" if kind in {"positions in cm", "exchanged axes", "half a log mirrored"} else RECORDED
+    header, *rows = (line.split(",") for line in right.read_text().splitlines())
+    table = np.array(rows, dtype=float)
+    spoil(kind, header, table)
     write_table(tmp_path / "wrong.csv", header, table.tolist())
     sentences = log_findings(tmp_path / "wrong.csv", load_model("base", tmp_path))
-    wanted = {
-        "sign": "ax moves against the model",
-        "swapped": "are the columns swapped?",
-        "delay": "trails the model by",
-    }
-    assert any(wanted[kind] in line for line in sentences)
-    assert not any(wanted[kind] in line for line in log_findings(RECORDED, load_model("base", tmp_path)))
+    assert any(WRONG_COLUMNS[kind] in line.replace("\xa0", " ") for line in sentences), sentences
+    assert not any(WRONG_COLUMNS[kind] in line for line in log_findings(right, load_model("base", tmp_path)))
 
 
 def test_noise_has_no_unit(log: Log) -> None:

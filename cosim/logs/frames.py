@@ -12,6 +12,7 @@ from cosim.base.linear_algebra import least_squares
 from cosim.base.messages import Template
 from cosim.base.text import amount, counted, plain
 from cosim.logs import messages
+from cosim.logs.channel_noise import noise_level
 from cosim.logs.finding import Finding, Severity
 from cosim.logs.log import TURN, Log
 from cosim.logs.planar_motion import axis_findings
@@ -19,6 +20,8 @@ from cosim.model.traits import Traits, rate_of
 
 STILL = 1e-9  # [unit of the signal] change below which only rounding is visible
 DEGREES = 180.0 / math.pi
+MIN_AGREEMENT = 0.9  # correlation of the change of a signal with the integral of its rate
+FAR_OFF = 8.0  # multiple of the usual miss, or of the noise
 PAUSE = 0.2  # [s] without a reading
 BLOCK = 0.5  # [s] over which a signal's change is compared with the integral of its rate
 
@@ -59,11 +62,14 @@ def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator
     if change.size < 8 or np.std(integral) == 0.0 or np.std(change) <= STILL:
         return
     rho = float(np.corrcoef(change, integral)[0, 1])
-    if abs(rho) < 0.9:
+    if abs(rho) < MIN_AGREEMENT:
+        jumps = list(_jump_findings(log, name, rate, (change, integral), change - integral))
+        yield from jumps or _disagreement(log, name, rate, (change, integral), rho)
         return
     design = np.column_stack((integral, length))
     slope, drift = least_squares(design, change)
     residual = change - design @ (slope, drift)
+    yield from _jump_findings(log, name, rate, (change, integral), residual)
     sigma = math.sqrt(float(residual @ residual) / (change.size - 2))
     error_slope, error_drift = sigma * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
     numbers = {"slope": float(slope), "correlation": rho, "drift": float(drift)}
@@ -80,6 +86,31 @@ def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator
     if slope > 0.0 and abs(drift) > 5.0 * error_drift and abs(drift) > 0.003 * float(np.nanstd(log.outputs[rate])):
         bias = amount(float(-drift / slope), log.units[rate], 2)
         yield Finding("note", "drift", rate, messages.BIASED_RATE(bias=bias, name=name), numbers)
+
+
+def _jump_findings(log: Log, name: str, rate: str, moves: tuple[Array, Array], miss: Array) -> Iterator[Finding]:
+    """Yield a warning for a single block in which a signal changes and its rate does not.
+
+    Args:
+        moves: Changes of the signal and integrals of its rate, by block.
+        miss: Deviation of each change from the usual relation of both.
+    """
+    k, others = int(np.argmax(np.abs(miss))), np.arange(miss.size) != int(np.argmax(np.abs(miss)))
+    scale = max(1.4826 * float(np.median(np.abs(miss))), math.sqrt(2.0) * noise_level(log.outputs[name]))
+    change, integral = moves[0][others], moves[1][others]
+    if abs(miss[k]) <= FAR_OFF * scale or not (np.std(change) > 0.0 and np.std(integral) > 0.0):
+        return
+    if float(np.corrcoef(change, integral)[0, 1]) > MIN_AGREEMENT:
+        message = messages.JUMP_AGAINST_RATE(size=amount(abs(float(miss[k])), log.units[name]), rate=rate)
+        yield Finding("warning", "jumps", name, message, {"size": float(miss[k])})
+
+
+def _disagreement(log: Log, name: str, rate: str, moves: tuple[Array, Array], rho: float) -> Iterator[Finding]:
+    """Yield a warning for a signal that does not follow the integral of its rate, though both move beyond noise."""
+    change, integral = (float(np.std(values)) for values in moves)
+    if change > FAR_OFF * noise_level(log.outputs[name]) and integral > 0.5 * change:
+        message = messages.DISAGREEING_RATE(rate=rate, correlation=plain(rho, 2))
+        yield Finding("warning", "disagreement", name, message, {"correlation": rho})
 
 
 def _unit_cure(log: Log, degrees: str, other: str, unit: str) -> str:

@@ -136,8 +136,24 @@ JUMPING_ANGLE = Template(
 )
 REVERSED_AXIS = Template(
     "W-LOG-051",
-    "the body moves sideways unless {y}, or {heading}, is turned round: "
+    "the body moves sideways unless {x}, {y} or {heading} is turned round: "
     "world Y points left and {heading} is positive to the left",
+)
+EXCHANGED_AXES = Template(
+    "W-LOG-069", "the body moves sideways unless {x} and {y} are exchanged: are the columns swapped?"
+)
+JUMPING_POSITION = Template(
+    "W-LOG-070",
+    "jumps by {size} in the row at t = {first:.6g} s, far more than in other rows: was the sensor set anew, or are two "
+    "logs joined?",
+)
+JUMP_AGAINST_RATE = Template(
+    "W-LOG-071", "jumps by {size} at one place, and {rate} shows no such motion: was the sensor set anew?"
+)
+DISAGREEING_RATE = Template(
+    "W-LOG-072",
+    "does not follow the integral of {rate} (correlation {correlation}), though both move far beyond their noise: "
+    "one of them has another sign in a part of the log, or belongs to another body",
 )
 
 _OTHER_SIZE = 'is its unit {unit}? Then call the column "{name} [{unit}]"'
@@ -155,6 +171,7 @@ _CONVERTED_UNIT = (
 )
 CONVERTED_UNIT = Template("E-LOG-063", _CONVERTED_UNIT)
 PERHAPS_CONVERTED_UNIT = Template("W-LOG-068", _CONVERTED_UNIT)
+OTHER_RANGE = Template("W-LOG-073", "moves {ratio} times as far as the model; " + _OTHER_SIZE)
 WRONG_SIGN = Template(
     "W-LOG-064",
     "moves against the model ({slope} ± {error} times as far, correlation {correlation}): "

@@ -15,6 +15,7 @@ from cosim.base.messages import Message
 from cosim.base.text import amount, plain
 from cosim.base.units import factor
 from cosim.logs import messages
+from cosim.logs.channel_noise import noise_level
 from cosim.logs.finding import Finding
 from cosim.logs.log import Log
 from cosim.logs.unit_mistakes import OTHER_SIZE, SAME_SIZE, other_unit
@@ -25,6 +26,7 @@ LIKE = 0.85  # correlation of a signal with its model beyond chance
 TELLING = 0.6  # least correlation with the model for a delay estimate
 MAX_SLOPE_ERROR = 0.1  # standard error of a slope relative to the slope
 BLOCKS, MIN_BLOCK = 20, 10  # blocks of rows for the standard error, and rows of a block
+MIN_SIGNAL = 3.0  # multiple of its noise from which the size of a signal is judged
 REGULAR = "or, the motion being so regular, a wrong friction or inertia"
 FASTER = 1.15  # ratio of mean frequencies from which fast changes are independent evidence
 
@@ -71,8 +73,11 @@ def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
         if fit.correlation < -LIKE or (fit.is_certain and SAME_SIZE[0] < -fit.slope < SAME_SIZE[1]):
             text = {"slope": plain(fit.slope), "error": plain(fit.error, 1), "correlation": plain(fit.correlation, 2)}
             yield Finding("warning", "sign", name, messages.WRONG_SIGN(**text), numbers)
-        elif (is_alike or fit.is_certain) and (message := _unit_mistake(log, name, fit)):
-            yield Finding("fault" if is_alike else "warning", "unit", name, message, numbers)
+        elif is_alike or fit.is_certain:
+            if message := _unit_mistake(log, name, fit):
+                yield Finding("fault" if is_alike else "warning", "unit", name, message, numbers)
+        else:
+            yield from _size_findings(log, name, model[name])
 
 
 def _unit_mistake(log: Log, name: str, fit: SlopeFit) -> Message | None:
@@ -87,16 +92,38 @@ def _unit_mistake(log: Log, name: str, fit: SlopeFit) -> Message | None:
     return template(slope=plain(fit.slope), error=plain(fit.error, 1), unit=unit, name=name)
 
 
+def _size_findings(log: Log, name: str, model: Array) -> Iterator[Finding]:
+    """Yield a warning if a signal unlike its prediction moves more than it by the factor of another unit."""
+    y, noise = log.outputs[name], noise_level(log.outputs[name])
+    size, own = (float(np.nanstd(moving_part(log, values))) for values in (y, model))
+    ratio = size / own if own > 0.0 else 0.0
+    if ratio > OTHER_SIZE and size > MIN_SIGNAL * noise and (unit := other_unit(log.units[name], ratio)):
+        text = messages.OTHER_RANGE(ratio=plain(ratio, 2), unit=unit, name=name)
+        yield Finding("warning", "unit", name, text, {"ratio": ratio})
+
+
 def swaps(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
     """Yield findings on two outputs that follow each other's prediction better than their own at any delay."""
     names = [name for name in log.outputs if name in model]
     for one, other in combinations(names, 2):
-        across = [fit_slope(log, log.outputs[a], model[b]) for a, b in ((one, other), (other, one))]
-        least = min((abs(f.correlation) if f and f.is_certain else 0.0) for f in across)
+        correlations = [_correlation_across(log, a, b, model[b]) for a, b in ((one, other), (other, one))]
+        least = min(correlations)
         own = (_largest_correlation(log, log.outputs[name], model[name]) for name in (one, other))
         if least >= 0.5 * TELLING and max(own) < least:
             text = messages.SWAPPED(name=one, other=other, correlation=plain(least, 2))
             yield Finding("warning", "swapped", one, text, {"correlation": least})
+
+
+def _correlation_across(log: Log, name: str, other: str, model: Array) -> float:
+    """Return the correlation of an output with the prediction of another; 0 if they differ in size or by chance.
+
+    The numbers of exchanged columns keep their size, apart from the units in their headers.
+    """
+    fit = fit_slope(log, log.outputs[name], model)
+    if fit is None or not fit.is_certain:
+        return 0.0
+    own, others = (factor(log.written.get(n, ""), log.units[n]) or 1.0 for n in (name, other))
+    return abs(fit.correlation) if SAME_SIZE[0] < fit.slope * others / own < SAME_SIZE[1] else 0.0
 
 
 def _largest_correlation(log: Log, measured: Array, model: Array) -> float:

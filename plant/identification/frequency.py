@@ -167,11 +167,11 @@ def _by_hand(chosen: Sequence[Sequence[tuple[Recording, float]]], m: Measurement
     """
     mask = np.exp(-0.5 * (np.arange(-4, 5) / 100.0) ** 2)
     mask /= mask.sum()
-    skips = [*m.test.thesis_skip, *(0.0 for _ in chosen[0])]
+    skips = dict(zip(m.test.frequencies, m.test.thesis_skip, strict=False))
     size, phase = np.empty((2, len(chosen), len(chosen[0])))
     for k, row in enumerate(chosen):
         for j, (r, w) in enumerate(row):
-            begin = m.test.lead + skips[j] * 2.0 * np.pi / w
+            begin = m.test.lead + skips.get(w, 0.0) * 2.0 * np.pi / w
             rows = (r.time >= begin) & (r.time < begin + 2.0 * np.pi / w + 1e-9)
             y = np.convolve(m.printed_force(r, "x"), mask, mode="same")[rows]
             t = r.time[rows] - m.test.lead

@@ -478,19 +478,19 @@ NOISE_FALLS = Template(
 EARLY_STEP = Template(
     "E-IDN-125",
     "the force moves some {delay:.2g} s before its command: the cells are ahead of the commands by as much; record "
-    "both by one clock, or shift the columns of volts",
+    "both by one clock, shift the columns of volts, or correct `low_pass`",
 )
 LATE_STEP = Template(
     "W-IDN-126",
     "the mean response misses the curve of first order by up to {miss:.2g} % of the step, more than the scatter of the "
     "repetitions: the force answers some {delay:.2g} s late, as a pure delay does, and with that delay the lag is "
-    "{lag:.2g} s; look at the clocks of commands and cells",
+    "{lag:.2g} s; look at the clocks of commands and cells, and at `low_pass`",
 )
 NOT_FIRST_ORDER = Template(
     "W-IDN-127",
     "the mean response misses the curve of first order by up to {miss:.2g} % of the step, more than the scatter of the "
-    "repetitions: it is not of first order, so the lag has no physical meaning; look at the cell, its range and "
-    "the motor",
+    "repetitions: it is not of first order, so the lag has no physical meaning; look at the cell, its range, "
+    "`low_pass` and the motor",
 )
 HUM = Template(
     "W-IDN-128",
@@ -502,12 +502,12 @@ HUM = Template(
 EARLY_SINES = Template(
     "W-IDN-129",
     "phases miss those of first order by up to {miss:.2g}°, more than the scatter: the force is some {delay:.2g} s "
-    "ahead of the sines, so look at the clocks of commands and cells",
+    "ahead of the sines, so look at the clocks of commands and cells, and at `low_pass`",
 )
 LATE_SINES = Template(
     "W-IDN-130",
     "phases miss those of first order by up to {miss:.2g}°, more than the scatter: the force answers some {delay:.2g} "
-    "s late, as a pure delay does; look at the clocks of commands and cells",
+    "s late, as a pure delay does; look at the clocks of commands and cells, at `low_pass` and at `servo_slope`",
 )
 WRONG_SIZES = Template(
     "W-IDN-131",
@@ -633,4 +633,19 @@ MIRRORED_REPETITIONS = Template(
     "W-IDN-158",
     "{name} is {value:.4g} in {recordings}, and {others:.4g} in the others, as large with the opposite sign: a cell or "
     "a command is mirrored in one group; turn its sign, or leave the files out",
+)
+ODD_POINT = Template(
+    "E-IDN-160",
+    "the point of {load:g} {unit} at {volts:g} V lies {miss:.2g} {unit} off the curve through the other points, "
+    "{times:.0f} times the stated error of a load: is it mistyped? Correct it, or leave it out",
+)
+EARLY_SWEEP = Template(
+    "W-IDN-161",
+    "the horizontal force is some {delay:.2g} s ahead of the commanded tilt: were the commands recorded late? Record "
+    "both by one clock, or shift the columns of volts",
+)
+LATE_SWEEP = Template(
+    "W-IDN-162",
+    "the horizontal force is some {delay:.2g} s behind the commanded tilt, more than the lag of a servo: look at the "
+    "clocks of commands and cells",
 )

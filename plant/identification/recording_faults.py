@@ -29,7 +29,7 @@ from plant.powertrain import servo_angle
 MAX_RAIL_SHARE = {"thrust_line": 0.8, "projection": 0.5}  # share of saturated readings in a window; default 0.05
 CHANNELS_OF = {"thrust_line": "z", "ground_effect": "z", "thrust_step": "z", "projection": "zx", "moment": "m"}
 MIN_FORCE_RATIO = 3.0  # standard deviations of one reading at rest
-PROJECTION = (0.4, 2.5)  # plausible factors on sin α; outside, the column is wrong
+PROJECTION = (0.4, 1.7)  # plausible factors on sin α; outside, the column is wrong
 OPPOSITE = 130.0  # [°] from the tilt with the assumed lag; lags differ by less than 90°, a mirrored cell by 180°
 MIN_VOLTAGE_RATIO = 0.1  # least ratio of the highest voltage to the lowest of the calibration
 MAX_TARE = 0.25  # largest tare as a share of the calibration voltages
