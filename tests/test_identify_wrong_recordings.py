@@ -347,6 +347,22 @@ def test_commands_of_a_sweep_that_were_recorded_late_are_named(
 
 
 @pytest.mark.thorough
+@pytest.mark.parametrize(("name", "place"), [("thrust_line", Z), ("projection", X), ("moment", M)])
+def test_a_cell_that_slips_in_every_repetition_is_named(
+    name: str, place: int, good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path
+) -> None:
+    start, end = good[0]["tests"][name]["window"]
+
+    def slip(table: Table) -> Table:
+        table[table[:, TIME] > 0.4 * start + 0.6 * end, place] += 0.03
+        return table
+
+    checked, identified = answers(good, tmp_path, name, slip)
+    assert f"cell {'zxm'[place - Z]} jumps by" in checked
+    assert identified in checked
+
+
+@pytest.mark.thorough
 def test_frequencies_may_stand_in_any_order(good: tuple[dict[str, Any], dict[str, Table]], tmp_path: Path) -> None:
     def turn(content: dict[str, Any]) -> None:
         test = content["tests"]["frequency"]

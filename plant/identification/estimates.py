@@ -14,7 +14,7 @@ from plant.bench import Bench
 from plant.identification import messages
 from plant.identification.cells import Cells, force_of
 from plant.identification.command_response import tilt_response
-from plant.identification.misfit import odd_group
+from plant.identification.misfit import find_slip, odd_group
 from plant.identification.recordings import Recording
 
 CONFIDENCE = 0.95
@@ -133,6 +133,20 @@ def outlier_warnings(groups: Sequence[tuple[str, Sequence[Recording], Array]]) -
     if len(chosen) == 1:
         return [messages.OUTLIER(recording=recordings[chosen[0]].label, **fields)]
     return [messages.OUTLIERS(recordings=", ".join(recordings[k].label for k in chosen), **fields)]
+
+
+def slip_warnings(
+    m: Measurement, cell: str, values: Sequence[Array], bases: Sequence[Array], scale: float, unit: str
+) -> list[Message]:
+    """Return a warning if a cell jumps within a recording beside the response that `bases` describe.
+
+    Args:
+        scale: Factor from the values to the unit.
+    """
+    slip = find_slip(values, bases)
+    if slip is None:
+        return []
+    return [messages.SLIP(cell=cell, size=scale * slip[1], unit=unit, recording=m.recordings[slip[0]].label)]
 
 
 def _mirrored(name: str, recordings: Sequence[Recording], values: Array) -> Iterator[Message]:

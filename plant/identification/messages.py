@@ -639,6 +639,11 @@ ODD_POINT = Template(
     "the point of {load:g} {unit} at {volts:g} V lies {miss:.2g} {unit} off the curve through the other points, "
     "{times:.0f} times the stated error of a load: is it mistyped? Correct it, or leave it out",
 )
+SLIP = Template(
+    "W-IDN-163",
+    "cell {cell} jumps by {size:.2g} {unit} within the window (most in {recording}), which the response does not "
+    "explain: did the rig slip or touch something? Fasten it, and record anew",
+)
 EARLY_SWEEP = Template(
     "W-IDN-161",
     "the horizontal force is some {delay:.2g} s ahead of the commanded tilt: were the commands recorded late? Record "

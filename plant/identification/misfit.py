@@ -16,6 +16,8 @@ from cosim.base.arrays import Array
 FALSE_ALARM = 1e-3  # false alarm probability of each test
 MIN_FREEDOM = 4  # degrees of freedom for a test of one group or two
 DRAWS = 20_000  # normal samples for the quantile at `FALSE_ALARM`
+SLIP, SLIP_PLACES = 8.0, 40  # standard errors of a jump, and rows on trial for it
+SLIP_OVER_CURVE = 1.3  # improvement by a jump, relative to that by a smooth curve of two more terms
 SHARE = 0.5  # share of a misfit that a single cause must explain
 
 
@@ -140,6 +142,35 @@ def drift(values: Sequence[Array], bases: Sequence[Array], calibration: float = 
     spare = min((count - 1) * variance**2 / max(scatter**2, 1e-300), 1e6)  # Welch and Satterthwaite
     beyond = mean > stats.t.ppf(1.0 - FALSE_ALARM / 2.0, spare) * np.sqrt(variance)
     return Drift(coefficients, noise, bool(is_above_noise), bool(is_above_noise and beyond))
+
+
+def find_slip(values: Sequence[Array], bases: Sequence[Array]) -> tuple[int, float] | None:
+    """Return recording and size of the largest jump of the residual that no smooth curve explains; None without one.
+
+    A jump within a recording is compared with a quadratic and a cubic term in the row number.
+    """
+    slips = [_largest_jump(y, basis) for y, basis in zip(values, bases, strict=True)]
+    if not any(slips):
+        return None
+    worst = int(np.argmax(np.abs(slips)))
+    return worst, slips[worst]
+
+
+def _largest_jump(values: Array, basis: Array) -> float:
+    """Return the size of the jump that explains most of a residual, 0 if a smooth curve or noise explains as much."""
+    rows, x = np.arange(values.size), np.linspace(-1.0, 1.0, values.size)
+    basis = np.column_stack((basis, x))
+    rest = residuals(values, basis)
+    places = np.linspace(0.1 * rows.size, 0.9 * rows.size, SLIP_PLACES).astype(int)
+    jumps = [residuals(np.where(rows >= place, 1.0, 0.0), basis) for place in places]
+    gains = [float(jump @ rest) ** 2 / float(jump @ jump) for jump in jumps]
+    best = int(np.argmax(gains))
+    size = float(jumps[best] @ rest) / float(jumps[best] @ jumps[best])
+    noise = rest - size * jumps[best]
+    variance = float(noise @ noise) / max(1, rows.size - basis.shape[1] - 1) * _correlation_factor(noise[None], 1.0)
+    smooth = residuals(values, np.column_stack((basis, x**2, x**3)))
+    by_curve = float(rest @ rest) - float(smooth @ smooth)
+    return size if gains[best] > max(SLIP**2 * variance, SLIP_OVER_CURVE * by_curve) else 0.0
 
 
 def is_quieter(before: Sequence[Array], after: Sequence[Array]) -> bool:

@@ -11,7 +11,15 @@ from cosim.model.namespaces import arrays
 from plant.identification import messages
 from plant.identification.cells import Cells
 from plant.identification.command_response import low_pass
-from plant.identification.estimates import Figure, Measurement, Result, make_estimates, outlier_warnings, shifts_of
+from plant.identification.estimates import (
+    Figure,
+    Measurement,
+    Result,
+    make_estimates,
+    outlier_warnings,
+    shifts_of,
+    slip_warnings,
+)
 from plant.identification.misfit import drift
 from plant.identification.recordings import Recording
 from plant.powertrain import assembly_moment, servo_angle
@@ -47,6 +55,10 @@ def analyse(m: Measurement, *, draw: bool = True) -> Result:
     )
     result.outliers += outlier_warnings([("the arm [m]", m.recordings, each[:, 0])])
     _judge(m, result, shape)
+    windows = [r.rows(window) for r in m.recordings]
+    bases = [np.column_stack((np.ones(int(w.sum())), shape(r))) for r, w in zip(m.recordings, windows, strict=True)]
+    moments = [m.force(r, "m")[w] for r, w in zip(m.recordings, windows, strict=True)]
+    result.warnings += slip_warnings(m, "m", moments, bases, 1.0, "N·m")
     step = bench.converter_range / bench.converter_levels
     volts = m.recordings[0].volts["m"][m.recordings[0].rows(window)]
     twentieths = [volts[k * volts.size // 20 : (k + 1) * volts.size // 20] for k in range(20)]

@@ -9,7 +9,7 @@ from cosim.base.messages import Message
 from plant.identification import messages
 from plant.identification.cells import Cells
 from plant.identification.command_response import low_pass
-from plant.identification.estimates import Figure, Measurement, Result, make_estimates, shifts_of
+from plant.identification.estimates import Figure, Measurement, Result, make_estimates, shifts_of, slip_warnings
 from plant.identification.misfit import drift
 from plant.powertrain import servo_angle
 
@@ -64,17 +64,18 @@ def analyse(m: Measurement, *, draw: bool = True) -> Result:
 
 
 def _shifted_sweep(m: Measurement) -> list[Message]:
-    """Return a warning about a horizontal force that is early or late."""
+    """Return warnings about a horizontal force that is early or late, or jumps."""
     forces, bases, sizes = [], [], []
     for r in m.recordings:
         w, sin = r.rows(m.test.window), low_pass(np.sin(m.tilt(r)), r.step, m.test.low_pass)
         forces.append(m.force(r, "x")[w])
         bases.append(np.column_stack((np.ones(int(w.sum())), sin[w], np.gradient(sin, r.step)[w])))
         sizes.append(np.linalg.lstsq(bases[-1][:, :2], forces[-1], rcond=None)[0][1])
+    found = slip_warnings(m, "x", forces, bases, m.gram, "gf")
     late = drift(forces, bases)
     if late is None or not late.is_above_noise or abs(delay := -late.mean / float(np.mean(sizes))) <= MAX_SHIFT:
-        return []
-    return [(messages.EARLY_SWEEP if delay < 0.0 else messages.LATE_SWEEP)(delay=abs(delay))]
+        return found
+    return [*found, (messages.EARLY_SWEEP if delay < 0.0 else messages.LATE_SWEEP)(delay=abs(delay))]
 
 
 def _thesis(m: Measurement) -> tuple[float, float]:

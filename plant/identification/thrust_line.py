@@ -15,7 +15,15 @@ from plant.bench import Bench
 from plant.identification import messages
 from plant.identification.cells import Cell, Cells, at_rail
 from plant.identification.command_response import held_lag, low_pass
-from plant.identification.estimates import Figure, Measurement, Result, make_estimates, outlier_warnings, shifts_of
+from plant.identification.estimates import (
+    Figure,
+    Measurement,
+    Result,
+    make_estimates,
+    outlier_warnings,
+    shifts_of,
+    slip_warnings,
+)
 from plant.identification.misfit import drift
 from plant.identification.protocol import Test
 from plant.identification.recordings import Recording
@@ -145,6 +153,8 @@ def analyse(m: Measurement, *, draw: bool = True) -> Result:
     result = Result("thrust_line", make_estimates(names, each, shifts, "Test 1, line by repetition"))
     thrust = thrusts(cells)
     result.outliers += outlier_warnings([("the mean thrust [gf]", m.recordings, np.array([y.mean() for y in thrust]))])
+    bases = [np.column_stack((np.ones_like(d), d)) for d in delayed]
+    result.warnings += slip_warnings(m, "z", thrust, bases, 1.0, "gf")
     degree, errors = least_degree(delayed, thrust)
     r2 = float(np.corrcoef(duty, raw)[0, 1] ** 2)
     result.details = {"degree": degree, "rmse_left_out_gf": errors, "r2": r2}
