@@ -535,6 +535,17 @@ def test_a_sentence_says_of_a_term_without_a_name_how_much_it_is(cart: Refinemen
     )
 
 
+def test_a_base_model_in_a_local_optimum_is_fitted_again_from_the_best_hypothesis(cart: Refinement) -> None:
+    subject = cart.study.subject
+    attributor = Attributor(subject, build_problem(subject, cart.study.logs), subject.candidates(()))
+    base = attributor.search.hypothesis((), None)
+    push = next(c for c in subject.candidates(()) if c.name == "push")
+    best = replace(base, candidates=(push,))  # with a candidate that does nothing
+    assert attributor._better_base(base, best) is base
+    stuck = replace(base, fit=replace(base.fit, nll_by_log=tuple(nll + 100.0 for nll in base.fit.nll_by_log)))
+    assert attributor._better_base(stuck, best).fit.objective == pytest.approx(base.fit.objective, abs=1.0)
+
+
 @pytest.mark.thorough
 def test_of_terms_that_the_logs_do_not_tell_apart_the_simplest_stands_for_all(cart: Refinement) -> None:
     subject, logs, base = cart.study.subject, cart.study.logs, cart.attribution.base.fit

@@ -275,9 +275,11 @@ def _remaining(claims: Claims, played: Replayed, subject: Subject) -> Mapping[st
     """Return channel → share of the squared error on sealed logs that remains with the claim."""
     if not claims.claimed_candidates or "validation" not in played["before"]:
         return {}
-    before, after = (
-        keep_finite(rmse(played[name]["validation"][subject.horizon])) for name in (claims.baseline, "after")
+    given, before, after = (
+        keep_finite(rmse(played[name]["validation"][subject.horizon])) for name in ("before", claims.baseline, "after")
     )
+    if sum(before[name] > given[name] for name in before if name in given) > 0.5 * len(before):
+        return {}  # recalibration alone made the model worse, so it is no reference
     return {name: (after[name] / size) ** 2 for name, size in before.items() if size > 0.0 and name in after}
 
 

@@ -62,10 +62,7 @@ class Attributor:
         search = self.search
         self.progress("recalibrating the base model", 0.0)
         base = self._with_stamp_errors(self._with_stated_noise(search.hypothesis((), None)))
-        search.tried[()] = base
-        search.bound = base.fit.objective
-        search.problem = replace(search.problem, sensing=base.fit.noise)
-        best, idle = self._rescore(base), 0
+        best, idle = self._start_from(base), 0
         for number in range(ROUNDS):
             proposed = self._proposals(best)
             if not proposed:
@@ -74,6 +71,10 @@ class Attributor:
             fitted = search.fit_all(proposed, best, stage, NEAR)
             reduced = search.fit_all(self._reductions(fitted), best, "leaving out what does nothing", NEAR)
             before, best = best.score, best_hypothesis((best, *fitted, *reduced))
+            if (better := self._better_base(base, best)) is not base:
+                base = best = self._start_from(better)
+                idle = 0
+                continue
             if best.score > before - DONE:
                 idle += 1
                 if idle > 1:
@@ -82,6 +83,27 @@ class Attributor:
                 idle = 0
                 best = self._leader(self._with_own_noise(best))
         return self._finish(base, best)
+
+    def _start_from(self, base: Hypothesis) -> Hypothesis:
+        """Begin the search from a fit of the base model; return it with its score."""
+        search = self.search
+        search.tried = {(): base}
+        search.bound = base.fit.objective
+        search.problem = replace(search.problem, sensing=base.fit.noise)
+        return self._rescore(base)
+
+    def _better_base(self, base: Hypothesis, best: Hypothesis) -> Hypothesis:
+        """Return the fit of the base model, from the values of the best hypothesis if it is better there.
+
+        A fit may end in a local optimum, which candidates leave without an effect of their own.
+        """
+        problem = self.search.problem
+        free = {f.name for f in base.fit.free}
+        values = {n: best.fit.values[n] if n in free else value for n, value in problem.values.items()}
+        if not best.candidates or problem.score(values, best.fit.noise).nll >= base.fit.nll - DONE:
+            return base
+        other = self.search.hypothesis((), replace(best.fit, values={**best.fit.values, **values}), loosen=False)
+        return other if other.fit.objective < base.fit.objective - DONE else base
 
     def _with_own_noise(self, h: Hypothesis) -> Hypothesis:
         """Refit the best hypothesis with its own noise.
