@@ -94,8 +94,10 @@ def _judge(
     basis = np.column_stack((np.ones(frequencies.size), slopes.real))
     size = misfit(np.array([residuals(s, basis) for s in ratio.real]), np.zeros((0, frequencies.size)), 2)
     if phase is not None and phase.is_significant:
-        both = np.column_stack((slopes.imag, -frequencies)) * weights[:, None]
-        delay = float(np.linalg.lstsq(both, ratio.imag.mean(axis=0) * weights, rcond=None)[0][1])
+        shifts = -frequencies[:, None]
+        if 0 < place < LAGS.size - 1:  # at its limit, the lag would only hide the delay
+            shifts = np.column_stack((shifts, slopes.imag))
+        delay = float(np.linalg.lstsq(shifts * weights[:, None], ratio.imag.mean(axis=0) * weights, rcond=None)[0][0])
         miss = DEGREE * float(np.abs(phase.mean / weights).max())
         template = messages.EARLY_SINES if delay < 0.0 else messages.LATE_SINES
         result.warnings.append(template(miss=miss, delay=abs(delay)))

@@ -142,7 +142,7 @@ def parameter_tables(r: Refinement) -> list[ParameterTable]:
     if _is_base_unchanged(r, hypothesis):
         title, note = "fitted beside it", "The model keeps its values: the error is in a sensor, not in the plant."
     else:
-        title, note = "recalibrated", "A change within the tolerance of the data sheet is not significant."
+        title, note = "recalibrated", "± is the tolerance of the data sheet; a change within it is not significant."
     tables.append(ParameterTable(f"Base parameters, {title}", note, "Data sheet", tuple(rest)))
     return [t for t in tables if t.rows]
 
@@ -167,6 +167,8 @@ def _parameter_row(r: Refinement, free: Free, hypothesis: Hypothesis) -> Paramet
     least, most = max(free.low, least - room), min(free.high, most + room)
     digits = _digits(value, sigma)
     neutral = f"{amount(start, unit, 4)}{' (start)' if is_shape else ''}"
+    if free.prior:  # the tolerance is the half-width of the 95 % interval of the prior
+        neutral = f"{_number(start, unit, 4)} ± {amount(NORMAL_95 * free.prior[1], unit, 2)}"
 
     def at(x: float) -> float:
         return round(100 * min(1.0, max(0.0, (x - least) / (most - least))), 2) if most > least else 50.0
