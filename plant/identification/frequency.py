@@ -94,10 +94,7 @@ def _judge(
     basis = np.column_stack((np.ones(frequencies.size), slopes.real))
     size = misfit(np.array([residuals(s, basis) for s in ratio.real]), np.zeros((0, frequencies.size)), 2)
     if phase is not None and phase.is_significant:
-        shifts = -frequencies[:, None]
-        if 0 < place < LAGS.size - 1:  # at its limit, the lag would only hide the delay
-            shifts = np.column_stack((shifts, slopes.imag))
-        delay = float(np.linalg.lstsq(shifts * weights[:, None], ratio.imag.mean(axis=0) * weights, rcond=None)[0][0])
+        delay = _delay_beside_lag(frequencies, c.mean(axis=0), tables, weights)
         miss = DEGREE * float(np.abs(phase.mean / weights).max())
         template = messages.EARLY_SINES if delay < 0.0 else messages.LATE_SINES
         result.warnings.append(template(miss=miss, delay=abs(delay)))
@@ -106,6 +103,20 @@ def _judge(
     beyond = harmonics(m, chosen, result.estimates[0].value)
     if beyond is not None and beyond.is_significant:
         result.warnings.append(messages.HARMONICS(size=float(np.abs(beyond.mean).max())))
+
+
+def _delay_beside_lag(frequencies: Array, amplitudes: Any, tables: Any, weights: Array) -> float:
+    """Return the delay [s] with which some lag explains the phases best.
+
+    Args:
+        amplitudes: Complex amplitude of the force at each frequency.
+        tables: Complex amplitude by the equations, shape (frequencies, lags).
+        weights: Reciprocal of the standard error of each phase.
+    """
+    phases, squares = np.angle(amplitudes[:, None] / tables), weights**2
+    delays = -(squares * frequencies) @ phases / (squares @ frequencies**2)
+    misses = squares @ (phases + frequencies[:, None] * delays) ** 2
+    return float(delays[int(np.argmin(misses))])
 
 
 def harmonics(m: Measurement, chosen: Sequence[Sequence[tuple[Recording, float]]], tau: float) -> Misfit | None:
