@@ -117,12 +117,12 @@ def errors(before: dict[str, float], after: dict[str, float], floor: dict[str, f
 def test_excess_is_what_remains_above_the_floor_of_what_was() -> None:
     # channel a: (5 − 1)/(17 − 1) = 0.25 in squares; b began below twice its floor and does not count
     e = errors({"a": 17**0.5, "b": 1.9}, {"a": 5**0.5, "b": 1.8}, {"a": 1.0, "b": 1.0})
-    assert score.remaining_excess(known(COULOMB, "effect_found", **e)) == pytest.approx(0.25)
+    assert score.excess_left(known(COULOMB, "effect_found", **e)) == pytest.approx(0.25)
     # two channels are averaged; one below its floor has nothing left: (0.25 + 0)/2
     e = errors({"a": 17**0.5, "b": 3.0}, {"a": 5**0.5, "b": 0.9}, {"a": 1.0, "b": 1.0})
-    assert score.remaining_excess(known(COULOMB, "effect_found", **e)) == pytest.approx(0.125)
-    assert score.remaining_excess(known(COULOMB, "no_effect", **errors({"a": 1.0}, {"a": 1.0}, {"a": 1.0}))) is None
-    assert score.remaining_excess(known(COULOMB, "failed")) == 1.0
+    assert score.excess_left(known(COULOMB, "effect_found", **e)) == pytest.approx(0.125)
+    assert score.excess_left(known(COULOMB, "no_effect", **errors({"a": 1.0}, {"a": 1.0}, {"a": 1.0}))) is None
+    assert score.excess_left(known(COULOMB, "failed")) == 1.0
 
 
 def claim(low: float, high: float) -> dict[str, Any]:
@@ -163,7 +163,7 @@ def test_the_summary_counts_each_figure_among_its_own_studies() -> None:
         "false_alarms": 0.5,
         "outside_flagged": 0.3333,
         "outside_misnamed": 0.3333,
-        "remaining_excess": 0.25,  # median of 0.25, 0.25, 0.25, 1
+        "excess_left": 0.25,  # median of 0.25, 0.25, 0.25, 1
         "coverage": 1.0,
     }
     text = score.table(lines)
@@ -207,7 +207,7 @@ def test_a_refiner_that_knows_everything_scores_everything(short: None, tmp_path
     lines = harness.run(range(20), oracle, tmp_path / "r.jsonl", "abc")
     figures = score.summary(lines)
     assert figures.pop("studies") == 20
-    nought = ("wrong", "false_alarms", "outside_misnamed", "remaining_excess")
+    nought = ("wrong", "false_alarms", "outside_misnamed", "excess_left")
     assert figures == {name: 0.0 if name in nought else 1.0 for name in figures}
 
 
@@ -287,7 +287,7 @@ def test_the_command_ends_with_one_line_of_figures(
         "false_alarms",
         "outside_flagged",
         "outside_misnamed",
-        "remaining_excess",
+        "excess_left",
         "coverage",
     ]
     assert (figures["studies"], figures["false_alarms"]) == (3, 0.0)
