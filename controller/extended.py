@@ -201,7 +201,7 @@ class ExtendedFilter(SampledFilter):
 
     @property
     def sigma(self) -> tuple[float, ...]:
-        """Return the estimated standard deviations of x, ψ and y."""
+        """Return estimated standard deviations of x, ψ and y."""
         P = self.filter.P
         return tuple(math.sqrt(max(0.0, P[k, k])) for k in map(STATES.index, ("x", "psi", "y")))
 

@@ -75,7 +75,7 @@ class PredictionSteps(NamedTuple):
 
 
 def limits(p: PredictionSettings) -> tuple[Matrix, Matrix, Matrix]:
-    """Return the rest command and its lower and upper margins.
+    """Return the rest command and both its margins.
 
     Duties are in %, tilts in rad.
     """
@@ -146,7 +146,7 @@ def of_steps(p: PredictionSettings) -> Matrix:
 
 
 def block_lengths(steps: int) -> list[int]:
-    """Return the block lengths, cut or extended to the horizon."""
+    """Return block lengths, cut or extended to the horizon."""
     lengths: list[int] = []
     for length in BLOCKS:
         if (left := steps - sum(lengths)) > 0:
@@ -173,7 +173,7 @@ class Program:
         self.iterations = int(p.iterations_max)
 
     def cold(self) -> Matrix:
-        """Return the start of the first sample, without active limits."""
+        """Return the first sample's start, without active limits."""
         return np.zeros(len(self.kinds))
 
     def solve(self, cost: Condensed, hot: Matrix) -> Solution:

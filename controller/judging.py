@@ -92,7 +92,7 @@ def _place_of(axis: str, options: Mapping[str, Any], law: str) -> Place:
 
 
 def _cure(loop: FlownLoop, craft: Settings, axis: str, options: Mapping[str, Any], law: str) -> str:
-    """Return the closest options with a damped axis, in words."""
+    """Return the closest options with damped axis, in words."""
     for factor in SLOWER_FIRST:
         other, proposal = _scale_options(options, axis, law, factor)
         try:

@@ -48,7 +48,7 @@ class Estimator(Protocol):
 
     @property
     def sigma(self) -> tuple[float, ...]:
-        """Return the estimated standard deviations of x, ψ and y."""
+        """Return estimated standard deviations of x, ψ and y."""
 
     def snapshot(self) -> Any:
         """Return the complete state for JSON."""
@@ -65,7 +65,7 @@ class Law(Protocol):
 
     @property
     def duties(self) -> tuple[float, float]:
-        """Return the duties [%] of the last command, right and left."""
+        """Return the last command's duties [%], right and left."""
 
     def command(self, x_hat: Sequence[float], seen: LawInput) -> tuple[float, ...]:
         """Return the tilts [rad], right and left."""

@@ -24,7 +24,7 @@ class SampledFilter:
     fix, nis, fix_nis = 0.0, 0.0, 0.0
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the complete state, and the last NIS for display."""
+        """Return the complete state, and the displayed NIS."""
         return {"x": self.filter.x.tolist(), "P": self.filter.P.tolist(), "fix": self.fix, "nis": self.nis}
 
     def restore(self, snapshot: Mapping[str, Any]) -> None:
@@ -72,7 +72,7 @@ class LinearFilter(SampledFilter):
 
     @property
     def sigma(self) -> tuple[float, ...]:
-        """Return the estimated standard deviations of x, ψ and y."""
+        """Return estimated standard deviations of x, ψ and y."""
         P = self.filter.P
         return math.sqrt(max(0.0, P[0, 0])), math.sqrt(max(0.0, P[2, 2])), 0.0
 
@@ -117,7 +117,7 @@ class DoubleIntegration:
         return math.sqrt(self.variances[0]), math.sqrt(self.noise[0]), 0.0
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the estimates and their variances, for a later restore."""
+        """Return estimates and their variances, for a later restore."""
         return {"values": self.values, "variances": self.variances}
 
     def restore(self, snapshot: Mapping[str, Any]) -> None:

@@ -37,7 +37,7 @@ class Predicting:
 
     @property
     def duties(self) -> tuple[float, float]:
-        """Return the duties [%] of the last command, right and left."""
+        """Return the last command's duties [%], right and left."""
         right, left, *_ = (self.last + self.rest).tolist()
         return right, left
 

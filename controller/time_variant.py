@@ -81,11 +81,11 @@ class TimeVariantLaw(Predicting):
         return [self.filter.estimate[5], self.filter.sigma[2], float(self.iterations), float(self.solved)]
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state of the law with its planned motion."""
+        """Return the law's state with its planned motion."""
         return {"path": self.path.tolist(), "plan": self.plan.tolist(), **super().snapshot()}
 
     def restore(self, snapshot: Mapping[str, Any]) -> None:
-        """Restore the state of the law with its planned motion."""
+        """Restore the law's state with its planned motion."""
         self.path = np.array(snapshot["path"]).reshape(-1, len(NAMES))
         self.plan = np.array(snapshot["plan"]).reshape(-1, len(INPUTS))
         super().restore(snapshot)

@@ -94,7 +94,7 @@ class BenchSecondOrder(BenchEffect):
     damping_ratio: float = parameter(0.7, unit="1", bounds=(0.02, 2.5), doc="damping ratio ζ")
 
     def tilt_rate(self, m: Namespace, rate: Number, error: Number, states: Values) -> tuple[Number, Values]:
-        """Return the tilt rate of the second-order lag, and the derivative of this rate."""
+        """Return tilt rate and acceleration of the second-order lag."""
         w, (own,) = self.natural_frequency, states
         return m.where(w > 0.0, own, rate), (second_order(error, 0.0, own, w, self.damping_ratio),)
 
@@ -174,7 +174,7 @@ class Bench(Model):
         terms = overrides(self.awake, "tilt_rate", BenchEffect)  # only these effects have states
 
         def tilting(state: Values, target: Number) -> tuple[Number, Values]:
-            """Return the tilt rate and the derivatives of the effects' states."""
+            """Return the tilt rate and the effects' state derivatives."""
             rate = servo_rate(m, target, state[1], self.lag, self.servo_dead_band, self.servo_speed)
             error = servo_error(m, target, state[1], self.servo_dead_band)
             added: Values = ()

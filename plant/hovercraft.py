@@ -203,7 +203,7 @@ class Hovercraft(Model):
             return right, left
 
         def contact(t: Number, state: Values) -> tuple[Number, Number, Number, Number]:
-            """Return the sensed forward and rightward force [N], yaw and roll moment [N m]."""
+            """Return sensed forces [N], and yaw and roll moments [N m]."""
             vx, vy, psi_dot, phi, phi_dot, thrust_right, thrust_left, tilt_right, tilt_left = state[VX:OWN]
             right, left = thrusts(t, vx, phi, thrust_right, thrust_left)
             right_x, right_z = thrust_vector(m, right, tilt_right)

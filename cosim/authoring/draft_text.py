@@ -110,7 +110,7 @@ def _component(folder: Path, part: DraftPart, times: Times) -> Iterator[str]:
 
 
 def _parameter(v: Any) -> str:
-    """Return a commented YAML line: name, start value, unit, description."""
+    """Return a commented YAML line: name, start, unit, description."""
     text, start = v.type == "String", "" if v.start is None else str(v.start)
     about = ", ".join(filter(None, (unit_of(v), _comment(v.description or "")[:80])))
     value = scalar(start if text else start.strip(), literal=not text)

@@ -207,7 +207,7 @@ def _source(file: ScenarioFile, name: str, component: ReferenceComponent | Playb
 
 
 def _profile(profile: Profile) -> TimeSignal:
-    """Return a reference profile as steps and ramps in radians."""
+    """Return a reference profile as steps and ramps [rad]."""
     unit, factor = computed_in(profile.unit)
     changes = []
     for k, change in enumerate(profile.changes):

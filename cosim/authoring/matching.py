@@ -136,7 +136,7 @@ class _Matching:
                 self._leave(name, same)
 
     def _likely(self, target: Port) -> list[tuple[float, Port]]:
-        """Return likely outputs of an input with scores, best first."""
+        """Return an input's likely outputs with scores, best first."""
         scored = []
         for source in self.candidates[text(target)]:
             score = similarity(source[1].name, target[1].name) + _unit_score(source[1], target[1])

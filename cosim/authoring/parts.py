@@ -191,7 +191,7 @@ def _move_end(t: Times, steps: int) -> Times:
 
 
 def _shorten_step(t: Times, steps: int) -> Times:
-    """Shorten the step so that the run ends on time."""
+    """Shorten the step for a run of whole steps."""
     step = t.duration / steps
     if abs(step - t.step) <= SLACK * t.step:
         return replace(t, step=step)

@@ -36,7 +36,7 @@ class Message(str):
         return type(self), (str.__str__(self), self.code, dict(self.fields))
 
     def replace(self, old: str, new: str, count: SupportsIndex = -1) -> Message:
-        """Return the message with a part of its text replaced."""
+        """Return the message with part of its text replaced."""
         return Message(super().replace(old, new, count), self.code, self.fields)
 
     def removeprefix(self, prefix: str) -> Message:

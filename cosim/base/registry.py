@@ -99,7 +99,7 @@ def models() -> dict[str, ModelEntry]:
 
 
 def model_entry(name: str = BASE) -> ModelEntry:
-    """Return the model of a name; raise InputError if unknown."""
+    """Return a model by name; raise InputError if unknown."""
     entry = load(MODELS, name) if name in names(MODELS) else None
     if not isinstance(entry, ModelEntry):
         raise InputError.at(Path("model"), messages.NO_MODEL(name=name, cure=_cure_without_base()))
@@ -122,7 +122,7 @@ def _cure_without_base() -> str:
 
 
 def entry_of(kind: type) -> ModelEntry | None:
-    """Return the entry of a class or its nearest ancestor."""
+    """Return the entry of a class or nearest ancestor."""
     places = (f"{parent.__module__}:{parent.__qualname__}" for parent in kind.__mro__)
     return next((e for place in places for e in models().values() if e.model == place), None)
 

@@ -33,7 +33,7 @@ class ScratchFolder:
             fresh.rename(path / LOCK)
 
     def remove(self) -> None:
-        """Remove the folder, except in a fork of its owner."""
+        """Remove the folder, except in a fork."""
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None

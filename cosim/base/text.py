@@ -88,7 +88,7 @@ def join_names(names: Sequence[str]) -> str:
 
 
 def split_sentence(text: str) -> tuple[str, str]:
-    """Return the first sentence of a text, and the rest."""
+    """Return the first sentence of a text and the rest."""
     first, stop, others = text.partition(". ")
     return f"{first}{stop}".strip(), others
 

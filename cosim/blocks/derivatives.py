@@ -25,7 +25,7 @@ REALS = ("Real", "Float64")
 
 
 def states_of(description: Any) -> list[Any]:
-    """Return the continuous states in the order of the derivatives.
+    """Return the continuous states, ordered as the derivatives.
 
     The list is empty if the FMU does not declare them.
     """
@@ -108,7 +108,7 @@ class DifferentiableFmu(FmuBlock):
         return self._continuous(), self._read(self._inputs)
 
     def move(self, t: float, states: Array, inputs: Array) -> Array:
-        """Move to a time, states and inputs, and handle events.
+        """Set time, states and inputs, and handle events.
 
         Returns:
             The states after the events.
@@ -147,7 +147,7 @@ class DifferentiableFmu(FmuBlock):
         return self._vector(self.instance.fmu.getContinuousStates)
 
     def _vector(self, function: Any) -> Array:
-        """Return the numbers, one per state, from an FMU function."""
+        """Return one number per state from an FMU function."""
         values = np.zeros(self.order)
         if self.order:
             with self.instance.check_calls():

@@ -99,7 +99,7 @@ def _kind(description: Any) -> str:
 
 
 def platform_of(description: Any) -> str:
-    """Return FMI's name of this platform for the FMU's version."""
+    """Return this platform's name in the FMU's version."""
     import fmpy
 
     return str(fmpy.platform_tuple if description.fmiVersion.startswith("3") else fmpy.platform)
@@ -114,7 +114,7 @@ def platforms_among(names: Sequence[str]) -> list[str]:
 
 
 def no_library(here: str, platforms: Sequence[str]) -> Message:
-    """Return a message on a missing library, with the remedy."""
+    """Return a message on a missing library, with remedy."""
     others = ", ".join(p for p in platforms if p != C_CODE)
     if C_CODE in platforms:
         text = messages.SOURCES_WITH_LIBRARIES if others else messages.SOURCES_ONLY
@@ -124,7 +124,7 @@ def no_library(here: str, platforms: Sequence[str]) -> Message:
 
 
 def library_file(folder: Path, description: Any, identifier: str) -> Path:
-    """Return the standard path of the library for this platform."""
+    """Return the library's standard path on this platform."""
     import fmpy
 
     return folder / "binaries" / platform_of(description) / f"{identifier}{fmpy.sharedLibraryExtension}"
@@ -165,7 +165,7 @@ def default_tolerance(description: Any) -> float | None:
 
 
 def unit_definition(description: Any, unit: str | None) -> tuple[float, ...] | None:
-    """Return SI exponents, factor and offset of a defined unit."""
+    """Return a defined unit's SI exponents, factor and offset."""
     for definition in description.unitDefinitions:
         if definition.name == unit and definition.baseUnit is not None:
             base = definition.baseUnit

@@ -163,7 +163,7 @@ def points(begin: float | None, end: float | None, start: float, step: float, co
 
 
 def whole_steps(time: float, step: float) -> int:
-    """Return a time as the nearest positive number of steps."""
+    """Return a time in steps, rounded, at least one."""
     return max(1, round(steps_in(time, step)))
 
 

@@ -68,7 +68,7 @@ class Calls(ABC):
         self.fmu = kind(guid=self.description.guid, unzipDirectory=str(folder), instanceName=self.name, **library)
 
     def instantiate(self, listen: Listen, logging: bool) -> None:
-        """Instantiate the FMU and send its log messages to `listen`."""
+        """Instantiate the FMU; send its log messages to `listen`."""
         self.fmu.instantiate(callbacks=_callbacks2(_route(self.name, listen)), loggingOn=logging)
 
     def limit_logging(self) -> None:

@@ -117,7 +117,7 @@ class Exchange:
         self.places = slice(0, 0)
 
     def arguments(self, fmi3: bool, address: int | None = None) -> tuple[Any, ...]:
-        """Return the arguments after the instance of an FMI function.
+        """Return an FMI function's arguments after the instance.
 
         Args:
             address: Address of the values; None for the own buffer.

@@ -102,7 +102,7 @@ class FmuBlock:
         self._values = Values(self.instance, ports)
 
     def __reduce__(self) -> tuple[Callable[..., FmuBlock], tuple[Any, ...]]:
-        """Return a recipe for a new instance in another process."""
+        """Return a recipe for an instance in another process."""
         return self._recipe
 
     def with_start_values(self, start: Mapping[str, Any], unpacked: Path | None = None) -> FmuBlock:
@@ -307,7 +307,7 @@ class FmuBlock:
         self.instance.raise_stop()
 
     def raise_error(self, reason: StopReason, plan: Plan, slot: Slot) -> None:
-        """Raise the error behind a return of the C loop.
+        """Raise the error behind the C loop's return.
 
         Warnings are only logged.
 

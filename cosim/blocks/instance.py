@@ -210,7 +210,7 @@ class Instance:
             self.judge(error.function, error.status)
 
     def stepping(self) -> Step:
-        """Return the function that makes a step of the FMU.
+        """Return the function that steps the FMU.
 
         Model exchange makes many FMI calls per step. Its errors therefore name the failed call and the call's time.
         """

@@ -38,7 +38,7 @@ def load_error(library: Path, error: Exception) -> Message:
 
 
 def header_fault(library: Path) -> Message | None:
-    """Return a misfit of a library file with this machine.
+    """Return a library file's misfit with this machine.
 
     Only Linux files are examined; on other systems the loader's own text is clear.
     """

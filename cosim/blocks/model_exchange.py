@@ -86,7 +86,7 @@ class ModelExchange2(Calls):
         self.fmu.enterContinuousTimeMode()
 
     def _completed_step(self) -> tuple[bool, bool]:
-        """Report a solver step; return requests for event and end."""
+        """Report a solver step; return event and end requests."""
         if not self.description.modelExchange.needsCompletedIntegratorStep:
             return False, False
         event, terminate = self.fmu.completedIntegratorStep()
@@ -144,7 +144,7 @@ class ModelExchange2(Calls):
         return bool(state_event), float(time)
 
     def _explain(self, error: SolverFailed) -> str:
-        """Return the solver's reason with the name of the derivative."""
+        """Return the solver's reason with the derivative's name."""
         if error.derivative is None:
             return error.reason
         number, value = error.derivative

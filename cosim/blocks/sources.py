@@ -41,7 +41,7 @@ class SourceBlock(RowComponent):
         self._t = t + h
 
     def slot(self) -> Slot | str:
-        """Return the slot for the C loop with prepared values."""
+        """Return the C loop's slot with prepared values."""
         slot = Slot(0, every=1, time=self._t, scalars=len(self.outputs))
         slot.row = ctypes.addressof(self._row) + 8 * self._first
         return slot

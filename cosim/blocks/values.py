@@ -183,7 +183,7 @@ class Values:
                 raise SimulationError(component, self.instance.time, messages.VALUE_NOT_FINITE(value=value))
 
     def _finite_of(self, exchange: Exchange) -> tuple[str, ...]:
-        """Return the scalars that must be finite: leading float outputs."""
+        """Return scalars that must be finite: leading float outputs."""
         return self.ports.outputs_of(exchange) if exchange.kind.ctype in (ctypes.c_double, ctypes.c_float) else ()
 
     def _check_finite(self, exchange: Exchange) -> None:

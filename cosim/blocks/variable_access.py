@@ -74,7 +74,7 @@ class Ports:
         return *first, *(ctypes.c_size_t(n) for n in scalars)
 
     def real_outputs(self) -> tuple[slice, tuple[str, ...]]:
-        """Return places and names of outputs that must be finite."""
+        """Return places and names of necessarily finite outputs."""
         doubles = _doubles(self.read)
         if doubles is None:
             return slice(0, 0), ()

@@ -138,7 +138,7 @@ class Compared:
         return cells[:MAX_LISTED], f"… and {len(cells) - MAX_LISTED} more" if len(cells) > MAX_LISTED else ""
 
     def as_json(self) -> dict[str, Any]:
-        """Return the comparison as plain data, non-finite values as None."""
+        """Return the comparison as plain data; non-finite becomes None."""
         return {
             "a": str(self.a.path),
             "b": str(self.b.path),
@@ -225,7 +225,7 @@ class _Overlap:
 
 
 def criteria_of(c: Compared) -> Sequence[tuple[str, Any, Any]]:
-    """Return all criteria with their outcomes in a and b."""
+    """Return all criteria with outcomes in a and b."""
     by_title: dict[str, list[Any]] = {}
     for side, run in enumerate((c.a, c.b)):
         for entry in run.criteria:

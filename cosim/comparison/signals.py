@@ -162,7 +162,7 @@ def format_size(d: Difference, value: float) -> str:
 
 
 def format_share(d: Difference) -> str:
-    """Return a difference as a share of the signal's range."""
+    """Return a difference relative to the signal's range."""
     if not d.alike:
         return "not comparable"
     return f"{plain(100 * d.share, 2)} %" if math.isfinite(d.share) else "no number in one run"

@@ -33,7 +33,7 @@ class Origin:
 
 
 def own(name: str, group: str) -> str:
-    """Return the name of a parameter's value in a group."""
+    """Return the name of a parameter in a group."""
     return f"{name}@{group}"
 
 

@@ -85,7 +85,7 @@ def check_folder(folder: Path, *, force: bool = False, keep: bool = False) -> No
 def write(
     folder: Path, rows: Sequence[ConsistencyRow], steps: int, seed: int, *, report: bool = True, keep: bool = False
 ) -> None:
-    """Write consistency.json and report.html to a checked folder.
+    """Write consistency.json and report.html to a folder.
 
     Args:
         keep: Move an earlier result to `runs`.

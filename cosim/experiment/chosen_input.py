@@ -91,7 +91,7 @@ class Excitation:
 
     @property
     def hardest_first(self) -> list[Pair]:
-        """Return the pairs of rivals, the hardest to separate first."""
+        """Return pairs of rivals, the hardest to separate first."""
         return sorted(self.apart, key=lambda pair: self.apart[pair])
 
     def _ranges(self, trial: Trial) -> str:

@@ -144,7 +144,7 @@ def _pack(recipe: Recipe, folder: Path) -> Path:
 
 
 def _rename_imports(source: str, packages: Sequence[str], package: str) -> str:
-    """Return a module's source with imports from the FMU's package."""
+    """Return a module's source, importing from the FMU's package."""
     names = "|".join(packages)
     pattern, replacement = rf"^(\s*)import (({names})(?:\.\w+)*)$", rf"\1import {package}.\2; from {package} import \3"
     source = re.sub(pattern, replacement, source, flags=re.MULTILINE)

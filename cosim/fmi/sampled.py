@@ -35,7 +35,7 @@ def law_of(fmu: Path) -> str:
 
 
 def sampled_by(fmu: Path) -> str | None:
-    """Return the parameter with an FMU's accepted step, if any."""
+    """Return an FMU's parameter of its accepted step, if any."""
     node = own_annotation(fmu, "Sampled")
     return None if node is None else node.get("parameter")
 

@@ -63,7 +63,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
         raise NotImplementedError
 
     def snapshot(self) -> Any:
-        """Return the state beyond the variables' values as JSON types."""
+        """Return state beyond the variables' values as JSON types."""
         raise NotImplementedError
 
     def restore(self, snapshot: Any) -> None:

@@ -57,7 +57,7 @@ class Worker:
     progress: Progress  # also valid after the process has ended
 
     def start(self) -> None:
-        """Start the process, unless running, ahead of the first job."""
+        """Start the process ahead of the first job."""
         if self.running:
             return
         with delay_stops():
@@ -183,7 +183,7 @@ class Worker:
             return content
 
     def _crash(self, clock: Clock) -> SimulationError:
-        """Return the crash with its cause, call and last message."""
+        """Return the crash with cause, call and last message."""
         assert self._process is not None
         try:
             code: int | None = self._process.wait(ENDING)

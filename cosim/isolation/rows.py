@@ -107,7 +107,7 @@ def mapped_table(path: Path, rows: int, columns: int) -> Array:
 
 
 def read_table(path: Path, rows: int, columns: int) -> Array:
-    """Return the first rows of a table file in memory."""
+    """Return a table file's first rows in memory."""
     if not rows * columns:
         return np.zeros((rows, columns))
     return np.fromfile(path, np.float64, rows * columns).reshape(rows, columns)

@@ -203,7 +203,7 @@ def _answer(content: bytes) -> bytes:
 
 
 def transfer_fault(error: Exception) -> InputError:
-    """Return the fault of an argument that cannot be sent."""
+    """Return the fault of an unsendable argument."""
     reason = " ".join(str(error).split())[:200]
     message = messages.UNSENDABLE_OBJECT(kind=type(error).__name__, reason=reason)
     return InputError.at(Path("the worker process"), message)

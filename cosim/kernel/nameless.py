@@ -82,7 +82,7 @@ class LocalShape:
 def local_shape(
     slot: int, signals: dict[str, Any], equations: Sequence[str], number: Callable[[str], Any]
 ) -> LocalShape:
-    """Return a local shape with its derivatives by all states.
+    """Return a local shape and its derivatives by states.
 
     Args:
         slot: Number of the shape, part of its parameters' names.

@@ -97,7 +97,7 @@ def pole_table(structure: Structure) -> list[tuple[str, ...]]:
 
 
 def matrix_lines(name: str, matrix: Array, rows: Sequence[str], columns: Sequence[str]) -> list[list[str]]:
-    """Return a matrix as rows of cells with a header.
+    """Return a matrix as cells with a header.
 
     A matrix with more than MAX_COLUMNS columns is a list of its nonzero entries.
     """

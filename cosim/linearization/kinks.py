@@ -45,7 +45,7 @@ class Kink:
 
     @property
     def description(self) -> str:
-        """Return location and slopes in words, at most three rows."""
+        """Return location and slopes in words, three rows at most."""
         rows = "; ".join(map(str, self.rows[:3]))
         more = f"; and {len(self.rows) - 3} rows more" if len(self.rows) > 3 else ""
         kind = "jump" if any(r.jump for r in self.rows) else "kink"

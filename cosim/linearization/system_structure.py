@@ -122,7 +122,7 @@ def controllable_rank(A: Array, B: Array) -> int:
 
 
 def jordan_blocks(A: Array, value: complex, count: int) -> tuple[int, ...]:
-    """Return the sizes of an eigenvalue's Jordan blocks, largest first.
+    """Return sizes of an eigenvalue's Jordan blocks, largest first.
 
     On the invariant subspace from Schur's form, A − λI is nilpotent, and the ranks of its powers give the sizes.
     """

@@ -104,7 +104,7 @@ class LoadedModel:
 
     @property
     def values(self) -> dict[str, float]:
-        """Return the sensor errors by name, including those at zero."""
+        """Return the sensor errors by name, zero ones included."""
         clean = {name: float(p.default) for name, p in self.model.sensor_parameters.items()}
         return {**clean, **self.sensors}
 
@@ -334,7 +334,7 @@ def without_execution() -> Iterator[list[Path]]:
 
 
 def _execute(path: Path) -> tuple[ModelText, ModuleType]:
-    """Execute a file and return its text and its module.
+    """Execute a file; return its text and module.
 
     This is the only place that executes a model's Python.
 

@@ -84,7 +84,7 @@ def moments(
 
 
 def command_rows(model: Model, log: RunLog) -> list[Values]:
-    """Return the commands by row, in the model's input order."""
+    """Return the commands by row, in input order."""
     columns = [log.inputs[q.name].tolist() for q in model.inputs]
     return list(zip(*columns, strict=True)) if columns else [()] * len(log.time)
 

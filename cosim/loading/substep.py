@@ -189,7 +189,7 @@ class _Fastest:
         return StateMode(value, self._state(A, value), place)
 
     def _state(self, A: Array, value: complex) -> str:
-        """Return the state with the largest participation in a mode.
+        """Return the state that participates most in a mode.
 
         Participation is left times right eigenvector, independent of units.
         """

@@ -92,7 +92,7 @@ class CompiledSteps:
         self._values: list[Array] = []
 
     def make_all(self) -> None:
-        """Make all steps, with errors as in the Python loop."""
+        """Make all steps; errors are those of the Python loop."""
         run, chunk = self.run, PREPARED_POINTS if self.sources else self.run.steps
         for first in range(1, run.steps + 1, max(1, chunk)):
             last = min(first + chunk - 1, run.steps)

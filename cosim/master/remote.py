@@ -70,7 +70,7 @@ def simulate_here(system: System, steps: int, h: float, observers: Sequence[Obse
 
 
 def _feed(observers: Sequence[Observer], system: System, steps: int, h: float) -> Feed:
-    """Return the feed of a run's rows to its observers."""
+    """Return the feed of rows to a run's observers."""
     time = system.start + h * np.arange(steps + 1, dtype=np.float64)
     return Feed(observers, ObservedRun(system.columns, steps + 1, system.start, h), time)
 

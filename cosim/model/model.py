@@ -279,6 +279,6 @@ class Model(Parametric):
         return tuple(values.get(s.name, own.get(s.name, s.start)) for s in self.states)
 
     def start_command(self) -> Values:
-        """Return the start values of the inputs, in their order."""
+        """Return the inputs' start values, in their order."""
         own = self.start_input()
         return tuple(own.get(q.name, q.start) for q in self.inputs)

@@ -387,7 +387,7 @@ def _usable_stretches(log: Log, horizon: float) -> list[Log]:
 
 
 def _short_log(log: Log, horizon: float) -> Fault:
-    """Return the fault of a log without a usable stretch."""
+    """Return a log's fault without a usable stretch."""
     durations = [float(s.time[-1] - s.time[0]) for s in stretches(log)]
     message = messages.LOG_TOO_SHORT if len(durations) == 1 else messages.PIECES_TOO_SHORT
     least, better = plain(_min_duration(log, horizon), None), plain(20 * log.slowness)

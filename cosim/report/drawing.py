@@ -63,7 +63,7 @@ class Drawing:
         return Keys(tuple(self.series.add(panel)), self.series.band(panel))
 
     def _split_at_breaks(self, panel: Panel) -> Panel:
-        """Return a panel with extra rows at breaks of curves.
+        """Return a panel with rows at breaks of curves.
 
         A drawing of a single row shows dots instead of lines.
         """

@@ -132,5 +132,5 @@ class _Range:
 
     @property
     def shows_all(self) -> bool:
-        """Return whether every signal is large enough to be visible."""
+        """Return whether every signal is large enough to see."""
         return self.high - self.low <= WIDEST_RANGES * self.smallest

@@ -125,7 +125,7 @@ def extent(signals: Sequence[Array]) -> tuple[float, float] | None:
 
 
 def make_axis(low: float, high: float, count: int, angle: bool = False) -> Axis:
-    """Return an axis with about `count` ticks at round values.
+    """Return an axis with about `count` round ticks.
 
     Huge and tiny ticks share a power of ten.
     """

@@ -35,7 +35,7 @@ def render(page: Path, values: Mapping[str, Any], folders: Sequence[Path] = ()) 
 
 
 def inline(files: Sequence[Path]) -> str:
-    """Return the texts of files without indentation and comment lines."""
+    """Return files' texts without indentation and comment lines."""
     text = "\n".join(file.read_text(encoding="utf-8") for file in files)
     return re.sub(r"^\s*(?://.*|/\*.*\*/)?\n|^[ \t]+", "", text, flags=re.MULTILINE)
 

@@ -179,7 +179,7 @@ class Drive:
 
     @property
     def starts(self) -> dict[str, float]:
-        """Return the start value of every real input with one."""
+        """Return start values of the real inputs with one."""
         texts = {v.name: v.start for v in self.description.modelVariables}
         real = [s.name for s in self.block.inputs if s.name in self.inputs and not s.is_whole]
         return {name: float(texts[name]) for name in real if texts.get(name)}

@@ -128,7 +128,7 @@ def _tile(channel: ChannelSummary) -> Row:
 
 
 def _pair_panels(comparison: Comparison, horizon: float) -> list[Panel]:
-    """Return measured and model outputs, a panel for each channel."""
+    """Return measured and model outputs, a panel per channel."""
     log, outputs = comparison.log, comparison.replays[horizon].outputs
     label = "model, free run" if horizon == FREE_RUN else f"model, started anew every {words.horizon_name(horizon)}"
     panels = []

@@ -106,7 +106,7 @@ def fit_percent(measured: Array, model: Array) -> float:
 
 
 def score(measured: Array, model: Array) -> Score:
-    """Return RMSE and fit over the rows with both values."""
+    """Return RMSE and fit over rows with both values."""
     error = measured - model
     return Score(rmse(error), fit_percent(measured, model), int(np.isfinite(error).sum()))
 

@@ -55,7 +55,7 @@ class _Options(Design):
 
 
 def designed_values(file: ScenarioFile) -> dict[str, dict[str, Any]]:
-    """Design the controller and return its start values by component.
+    """Design the controller; return its start values by component.
 
     The scenario gets the options with their defaults. Failures and warnings are added to the file's.
     """

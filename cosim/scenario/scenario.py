@@ -315,6 +315,6 @@ class Scenario(Part):
 
 
 def resolve_defaults(scenario: Scenario) -> dict[str, Any]:
-    """Return a scenario as a JSON mapping with all defaults."""
+    """Return a scenario as JSON with all defaults."""
     data: dict[str, Any] = json.loads(scenario.model_dump_json(by_alias=True, exclude_none=True))
     return data

@@ -252,7 +252,7 @@ def _from_here(keys: Sequence[str], value: Any) -> Any:
 
 
 def from_here(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a scenario without a file, with absolute file names."""
+    """Return a fileless scenario with absolute file names."""
     scenario = dict(data)
     if isinstance(components := scenario.get("components"), Mapping):
         scenario["components"] = {

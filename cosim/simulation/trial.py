@@ -62,7 +62,7 @@ def check_fmu(path: Path, worker: Worker | None = None) -> list[Fault]:
 
 
 def _experiment(description: Any) -> tuple[float, float]:
-    """Return start time and step [s] of the default experiment."""
+    """Return the default experiment's start time and step [s]."""
     experiment = description.defaultExperiment
     start, stop, step = (
         float(getattr(experiment, name, None) or 0.0) for name in ("startTime", "stopTime", "stepSize")
@@ -71,7 +71,7 @@ def _experiment(description: Any) -> tuple[float, float]:
 
 
 def check_scenario(path: Path, checking: Checking) -> list[str]:
-    """Check a scenario or manifest; return warnings of its design.
+    """Check a scenario or manifest; return design warnings.
 
     With a worker, the first step is tried too.
 

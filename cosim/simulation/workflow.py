@@ -202,7 +202,7 @@ class _Files:
         return failure
 
     def _write_rows(self) -> None:
-        """Write rows and manifest of a complete or failed run."""
+        """Write a complete or failed run's rows and manifest."""
         self.rows.with_name("report.html").unlink(missing_ok=True)  # An earlier report belongs to another run.
         with delay_stops():  # A second stop signal must not destroy the rows.
             self.stepped.results.write(self.rows)
@@ -212,7 +212,7 @@ class _Files:
             self.written.append(MANIFEST)
 
     def _draw(self, *, report: bool, figures: bool) -> None:
-        """Draw the report and the figures of a written run."""
+        """Draw report and figures of a written run."""
         if report:
             from cosim.simulation.report import write_report
 

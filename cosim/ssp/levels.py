@@ -66,7 +66,7 @@ class Level:
 
 
 def direct_connections(system: SspSystem) -> SspSystem:
-    """Return a system whose connections lead from source to target.
+    """Return a system with connections from source to target.
 
     FMPy and OMSimulator accept both directions in a file.
     """

@@ -134,7 +134,7 @@ class Reader(ParameterReader):
         return None
 
     def _times(self, experiment: Element | None) -> tuple[float | None, float | None]:
-        """Return start and stop time of the default experiment [s]."""
+        """Return the default experiment's start and stop time [s]."""
         if experiment is None:
             return None, None
         start, stop = (self._number(experiment, name, None) for name in ("startTime", "stopTime"))

@@ -130,7 +130,7 @@ def _make(folder: Path) -> None:
 
 
 def _temporary() -> Path:
-    """Return a cache removed at the end of this process."""
+    """Return a cache removed at this process's end."""
     folder = process_folder() / "cache" / "cosim"
     _make(folder)
     return folder
@@ -162,7 +162,7 @@ def _distrust(folder: Path) -> str:
 
 
 def _is_trusted(path: Path) -> bool:
-    """Return whether only this user could have written a path."""
+    """Return whether only this user can write a path."""
     if not hasattr(os, "geteuid"):
         return True
     try:

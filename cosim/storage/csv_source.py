@@ -339,7 +339,7 @@ def _number(text: str) -> float:
 
 
 def _no_number(text: str, column: Column) -> tuple[str, Message]:
-    """Return the plural and the message of a faulty cell."""
+    """Return a faulty cell's plural and message."""
     cell, name = text.strip()[:30], column.name
     if DECIMAL_COMMA.fullmatch(cell):
         return f"cells of {name} with a decimal comma", messages.DECIMAL_COMMA(cell=cell, column=name)

@@ -127,7 +127,7 @@ def check_overwritable(folder: Path, by: str, *sources: str, force: bool = False
 
 
 def _is_same(one: str, other: str) -> bool:
-    """Return whether two names mean the same file or model."""
+    """Return whether two names mean one file or model."""
     try:
         return one == other or Path(one).resolve() == Path(other).resolve()
     except (OSError, ValueError):
@@ -186,7 +186,7 @@ def keep_earlier(folder: Path, verb: str, also: Iterable[str] = ()) -> Path | No
 
 
 def _files_of(folder: Path, verb: str, also: Iterable[str]) -> list[Path]:
-    """Return the files of an earlier run in a folder."""
+    """Return an earlier run's files in a folder."""
     declared = [a for a in artefacts() if a.verb and (a.verb == verb or a.is_left_in(folder))]
     tables = (f"{stem}{suffix}" for a in declared for stem in a.tables for suffix in suffixes())
     patterns = dict.fromkeys((*(name for a in declared for name in a.files), *tables, *also))
@@ -232,7 +232,7 @@ def _is_inside(folder: Path, name: str) -> bool:
 
 
 def _listed_names(folder: Path, moving: Path) -> list[str]:
-    """Return the names in the list of an interrupted move.
+    """Return the names of an interrupted move.
 
     Raises:
         InputError: The list is damaged, or a name leads outside the folder or through a link.

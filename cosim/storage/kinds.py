@@ -64,7 +64,7 @@ class Form:
             return ()
 
     def is_of(self, a: Artefact) -> bool:
-        """Return whether the form of the file matches a kind."""
+        """Return whether the file's form matches a kind."""
         text = "" if self.ending in WRITTEN else self.text.lstrip("\ufeff \t\r\n")
         begins = bool(a.heads and self.head.startswith(a.heads)) or bool(text and a.text and re.match(a.text, text))
         return begins or bool(a.member and any(a.member == "*" or n.startswith(a.member) for n in self.members))
@@ -88,7 +88,7 @@ def kind_by_form(path: Path) -> str | None:
 
 
 def _table(form: Form) -> str | None:
-    """Return the kind of a table file; None if undecided."""
+    """Return a table file's kind; None if undecided."""
     if any(source.magic and form.head.startswith(source.magic) for source in sources()):
         return LOG  # Later checks examine its columns.
     if form.ending != ".csv":
@@ -99,7 +99,7 @@ def _table(form: Form) -> str | None:
 
 
 def _other_kind(form: Form) -> str | None:
-    """Return the kind of an undeclared file; None if undecided."""
+    """Return an undeclared file's kind; None if undecided."""
     if b"\0" in form.head and form.ending not in WRITTEN and not form.head.startswith(UTF_16):
         return BINARY
     is_text = form.ending in PROSE or (form.ending in COLUMNS and not _is_tabular(form.text))
@@ -123,7 +123,7 @@ def _is_tabular(text: str) -> bool:
 
 
 def _is_binary(head: bytes) -> bool:
-    """Return whether the first bytes of a file are binary.
+    """Return whether a file's first bytes are binary.
 
     Loggers use various encodings, and a truncated row contains zero bytes.
     """

@@ -203,7 +203,7 @@ def rows_name(stem: str, format_: str) -> str:
 
 
 def rows_in(folder: Path, stem: str = "results") -> Path | None:
-    """Return the rows file in a folder, in any format."""
+    """Return a folder's rows file, in any format."""
     return next((path for suffix in suffixes() if (path := folder / f"{stem}{suffix}").is_file()), None)
 
 

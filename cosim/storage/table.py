@@ -65,7 +65,7 @@ def read_table(
 
 
 def is_there(faults: Faults) -> bool:
-    """Return whether the file exists; note a fault if not."""
+    """Return whether the file exists; note a missing one."""
     path = faults.path
     try:
         if path.is_file():
@@ -79,7 +79,7 @@ def is_there(faults: Faults) -> bool:
 
 
 def read_header(path: Path) -> list[str]:
-    """Return the column names of a file, none if unreadable."""
+    """Return a file's column names, none if unreadable."""
     faults = Faults(path)
     try:
         return source_of(path).column_names(path) if is_there(faults) else []

@@ -75,7 +75,7 @@ class Column:
 
     @property
     def cure(self) -> str:
-        """Return the remedy for a cell without a finite number."""
+        """Return the remedy for a cell without finite number."""
         return "write a number or leave the row out" if self.role else "leave the cell empty where there is no value"
 
 

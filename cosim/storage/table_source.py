@@ -129,7 +129,7 @@ class Source:
 
 
 def fill(table: Table, columns: Sequence[SourceColumn], lines: Sequence[int], faults: Faults, *, timed: bool) -> None:
-    """Fill the columns of a table and note their faults."""
+    """Fill a table's columns and note their faults."""
     for column in table.columns.values():
         source = columns[column.cell - 1]
         values = np.full(len(lines), np.nan)

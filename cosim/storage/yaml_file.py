@@ -266,7 +266,7 @@ def wrong_value(name: str, value: Any, reason: str) -> Message:
 
 
 def _text(path: Path) -> str:
-    """Return the text of a file; raise InputError if unreadable."""
+    """Return a file's text; raise InputError if unreadable."""
     try:
         if not path.is_file():
             raise InputError.at(path, messages.NO_FILE() if path.exists() else messages.NO_SUCH_FILE())
@@ -338,7 +338,7 @@ _LENGTHS = {"too_short": ("at least", "min_length"), "too_long": ("at most", "ma
 
 
 def _errors_of_branches(errors: Sequence[Any], data: Any) -> list[Any]:
-    """Return the errors of the intended branch of each union.
+    """Return errors of the intended branch of each union.
 
     A branch with nested errors fits the form of the value. If no branch fits, the first error holds the rest as `else`.
     """

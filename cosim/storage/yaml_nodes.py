@@ -58,7 +58,7 @@ class Document:
 
     @cached_property
     def _root(self) -> Any:
-        """Return the root node of the text, None if empty."""
+        """Return the text's root node, None if empty."""
         return nodes(self._text)
 
     def pairs(self, node: Any) -> dict[str, tuple[Any, Any]]:

@@ -254,7 +254,7 @@ class Factors:
                 yield self.yaml.fault(("signals", k), messages.UNKNOWN_SIGNAL(name=short(signal), hint=hint))
 
     def drawn_faults(self, factors: Sequence[Factor], columns: Mapping[str, list[Any]]) -> Iterator[Fault]:
-        """Yield faults of the extreme drawn values of each factor."""
+        """Yield faults of each factor's extreme drawn values."""
         for name in (f.name for f in factors if f.drawn is not None):
             way = self.file.vary[name].way
             cure = "cut it by within: [low, high]" if way == "normal" else "move its ends"
@@ -275,7 +275,7 @@ class Factors:
 
 
 def _size(varied: Varied) -> int | None:
-    """Return the number of listed values; None if not listed."""
+    """Return the number of listed values, or None."""
     if varied.values is not None:
         return len(varied.values)
     return varied.grid.count if varied.grid is not None else varied.count

@@ -64,7 +64,7 @@ def place_of(name: str, components: Collection[str]) -> Place:
 
 
 def _pairs(parts: Mapping[str, Place], wholes: Mapping[str, Place]) -> Iterator[tuple[str, str]]:
-    """Yield pairs of an entry and another entry containing it."""
+    """Yield pairs of an entry and another containing it."""
     at: dict[Place, list[str]] = {}
     for name, place in wholes.items():
         at.setdefault(place, []).append(name)

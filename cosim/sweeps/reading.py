@@ -48,7 +48,7 @@ class Sweep:
 
     @property
     def name(self) -> str:
-        """Return the name of the sweep, by default the scenario's."""
+        """Return the sweep's name, by default the scenario's."""
         return self.file.name or self.scenario.name
 
     @property
@@ -77,7 +77,7 @@ class Sweep:
 
 
 def check_sweep(path: Path, checking: Checking) -> list[str]:
-    """Return the warnings of a sweep; InputError lists its faults."""
+    """Return a sweep's warnings; InputError lists its faults."""
     return [with_prefix("warning: ", text) for text in read_sweep(path).warnings]
 
 

@@ -157,7 +157,7 @@ def read_table(path: Path) -> tuple[pyarrow.Table, dict[str, Any]]:
 
 
 def signal_of(table: pyarrow.Table, name: str, most: int | None = None) -> Array:
-    """Return a signal of all successful runs, shape (runs, times).
+    """Return a signal of successful runs, shape (runs, times).
 
     Args:
         most: Largest number of runs, evenly spread; None for all.

@@ -45,7 +45,7 @@ class Runs:
 
 
 def read_runs(folder: Path) -> Runs | None:
-    """Return the runs of a completed sweep in a folder."""
+    """Return a completed sweep's runs in a folder."""
     if not all((folder / name).is_file() for name in ("sweep.json", "sweep.parquet")):
         return None
     return Runs(content_of(folder / "sweep.json"), folder)

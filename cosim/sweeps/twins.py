@@ -57,7 +57,7 @@ class TwinMaker(Protocol):
 
 
 def kind_of(component: Component) -> TwinMaker | None:
-    """Return the maker of twins for a component, if any."""
+    """Return a component's maker of twins, if any."""
     if isinstance(component, SourceBlock):
         return _SourceTwin(component)
     if not isinstance(component, FmuBlock) or component.exact_inputs or component.exact_outputs:
@@ -131,7 +131,7 @@ def model_of(path: Path, name: str) -> tuple[Any, Any, Any] | None:
 
 @cache
 def unpack_once(path: Path) -> Path:
-    """Return the folder of an FMU unpacked for this process."""
+    """Return an FMU's folder unpacked for this process."""
     folder = Path(tempfile.mkdtemp(prefix="fmu-", dir=process_folder()))
     unpack(path, folder)
     return folder

@@ -161,7 +161,7 @@ class _Sweep:
         return record, self.count
 
     def _choose_way(self, pool: Executor) -> tuple[Way, str]:
-        """Return the way of running, and the reason against arrays.
+        """Return the way of running, and why not arrays.
 
         Arrays are used if random runs agree with FMU runs.
         """

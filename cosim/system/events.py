@@ -77,5 +77,5 @@ def _value(
 
 
 def _is_changeable(variable: Any) -> bool:
-    """Return whether FMI allows setting the variable during a run."""
+    """Return whether FMI allows setting the variable mid-run."""
     return bool(variable.causality == "input" or (variable.causality, variable.variability) == ("parameter", "tunable"))

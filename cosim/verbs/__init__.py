@@ -32,7 +32,7 @@ MEASURED, BUILD = "Measured data", "Build and export"
 
 
 def _verb(room: str, group: str, function: str = "") -> Verb:
-    """Return the verb of a module cosim/verbs/ROOM_verb.py."""
+    """Return the verb of a module of cosim/verbs."""
     return Verb(f"cosim.verbs.{room}_verb:command", function, group=group)
 
 

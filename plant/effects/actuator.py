@@ -10,7 +10,7 @@ from plant.powertrain import second_order
 
 
 def clip(m: Namespace, value: Number, low: Number, high: Number) -> Number:
-    """Return `value` limited to the range from `low` to `high`."""
+    """Return `value` limited to `low` … `high`."""
     return m.minimum(m.maximum(value, low), high)
 
 

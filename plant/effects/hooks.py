@@ -33,7 +33,7 @@ class HovercraftEffect(Effect):
         return rate, ()
 
     def thrust_factor(self, m: Namespace, t: Number, vx: Number) -> Pair:
-        """Return the factors by which the effect multiplies the right and the left thrust."""
+        """Return the factors on the right and left thrust."""
         return 1.0, 1.0
 
     def wrench(self, m: Namespace, motion: Motion) -> Wrench:
@@ -44,5 +44,5 @@ class HovercraftEffect(Effect):
         return 0.0, 0.0, 0.0, 0.0
 
     def acceleration(self, m: Namespace, gravity: Number, psi: Number, vx: Number, vy: Number, psi_dot: Number) -> Pair:
-        """Return forward and rightward acceleration [m/s²] not sensed by the accelerometer."""
+        """Return unsensed forward and rightward acceleration [m/s²]."""
         return 0.0, 0.0

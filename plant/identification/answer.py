@@ -21,7 +21,7 @@ Response = Callable[[Recording], Array]  # force of a run's commands, one column
 
 
 def judge(m: Measurement, result: Result, channel: str, response: Response, rows: Sequence[Flags]) -> None:
-    """Compare a measured step response with the assumed first-order shape.
+    """Compare a step response with the assumed first-order shape.
 
     A force earlier than its command is added to `result` as a fault, a different shape as a warning.
 
@@ -96,7 +96,7 @@ def _explain(
 
 
 def _moves_before(shape: Misfit, clock: Array, at: float) -> bool:
-    """Return whether the mean residual moves before the command beyond its scatter."""
+    """Return whether the mean residual precedes the command."""
     before = clock < at - 1e-9
     if before.sum() < 2:
         return False
@@ -114,7 +114,7 @@ def _fit_column(force: Array, table: Array) -> tuple[Array, int]:
 
 
 def _frequency(values: Array, step: float) -> float:
-    """Return the frequency [Hz] of a sinusoidal residual, 0 if the residual is not sinusoidal."""
+    """Return a sinusoidal residual's frequency [Hz], else 0."""
     power = np.abs(np.fft.rfft(values - values.mean())) ** 2
     k = int(np.argmax(power))
     is_sine = power[max(0, k - 1) : k + 2].sum() > SHARE * power.sum() and k >= 2

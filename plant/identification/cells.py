@@ -67,14 +67,14 @@ class Cell:
         return float(np.interp(0.0, loads[order], grid[order]))
 
     def force(self, volts: Array) -> Array:
-        """Return the force [N] or moment [N m] for the voltages of the cell."""
+        """Return force [N] or moment [N m] for voltages."""
         low, high = self.volts[0], self.volts[-1]
         slopes = self.curve([low, high], 1)
         inside = self.curve(np.clip(volts, low, high))
         return np.asarray(inside + slopes[0] * np.minimum(volts - low, 0.0) + slopes[1] * np.maximum(volts - high, 0.0))
 
     def shift_load(self, point: int) -> Cell:
-        """Return the cell with one load greater by its error."""
+        """Return the cell with one load off by its error."""
         loads = self.loads.copy()
         loads[point] += self.error
         return replace(self, loads=loads)
@@ -98,7 +98,7 @@ class Cell:
 
     @property
     def cross_validation_errors(self) -> Array:
-        """Return the error at each inner point of the curve fitted without this point."""
+        """Return leave-one-out errors at the inner points."""
         errors = []
         for k in range(1, self.loads.size - 1):
             errors.append(float(self._without(k).force(self.volts[k])) - self.loads[k])
@@ -161,7 +161,7 @@ def calibrate(protocol: Protocol, hung: Mapping[str, Sequence[Recording]]) -> di
 
 
 def _odd_point_fault(protocol: Protocol, channel: str, cell: Cell, place: int, miss: float) -> Fault:
-    """Return the fault of a measured point far off the curve through the others."""
+    """Return the fault of an odd calibration point."""
     written, unit = protocol.file.cells[channel], load_in_si(protocol, channel)
     number = next(k for k, (_, volts) in enumerate(written.points) if volts == cell.volts[place])
     load, volts = written.points[number]

@@ -85,7 +85,7 @@ def _outside(bench: Bench, column: BenchColumn, values: Array) -> Flags:
 
 
 def _voltage_message(bench: Bench, name: str, values: Array, outside: Flags) -> Message:
-    """Return the message of a voltage outside the range, by its most likely cause."""
+    """Return the message of an impossible voltage, by cause."""
     value = values[_first(outside)]
     fields = {"column": name, "value": value, "high": bench.converter_range}
     if outside.mean() < SPIKE_SHARE:

@@ -99,7 +99,7 @@ class _TestRun:
         self.settling = SETTLED * (bench.lag + test.low_pass)  # [s]
 
     def lack(self, key: str, row: int, template: Template, **fields: Any) -> Lack:
-        """Return a deficiency with the cure for a planned run or for a recording."""
+        """Return a deficiency with its cure."""
         cure = messages.RUN_CURES[template][self.run.path is not None].format(place=self.place, **fields)
         return Lack(key, row, template(**fields, cure=cure))
 
@@ -108,7 +108,7 @@ class _TestRun:
         return int(np.flatnonzero(rows)[0])
 
     def missing_windows(self) -> Iterator[Lack]:
-        """Yield windows that the run does not cover with enough rows."""
+        """Yield windows with too few rows of the run."""
         r, windows = self.run, windows_of(self.test)
         late = self.test.rest[1] < r.time[0] and r.time[-1] - r.time[0] >= max(end for _, end in windows.values())
         for key, (start, end) in windows.items():
@@ -124,7 +124,7 @@ class _TestRun:
                 yield self.lack(key, r.time.size - 1, template, first=r.time[0], last=r.time[-1], **window)
 
     def check_thrust(self, rows: Flags, key: str, where: str) -> Iterator[Lack]:
-        """Yield a deficiency if the motor does not run in some rows."""
+        """Yield a deficiency for rows without thrust."""
         idle = max(self.idle, float(self.duty[self.rest].max()))
         low = rows & (self.duty <= idle)
         if low.any():
@@ -139,20 +139,20 @@ class _TestRun:
             yield self.lack(key, self.first(over), messages.NOT_UPRIGHT, where=where, **fields)
 
     def check_steady(self, window: tuple[float, float], key: str, where: str) -> Iterator[Lack]:
-        """Yield a deficiency if the duty changes in or shortly before a window."""
+        """Yield a deficiency for duty changes about a window."""
         rows = self.run.rows((window[0] - self.settling, window[1]))
         if moves(self.duty[rows]):
             fields = {"low": self.duty[rows].min(), "high": self.duty[rows].max(), "time": self.settling}
             yield self.lack(key, self.first(rows), messages.UNSTEADY_DUTY, where=where, **fields)
 
     def check_tilted_end(self, row: int) -> Iterator[Lack]:
-        """Yield a deficiency if a step of the tilt ends without a horizontal force."""
+        """Yield a deficiency for a tilt step ending upright."""
         last = abs(float(np.mean(self.angle[self.window][-MIN_ROWS_BEFORE:])))
         if last < UPRIGHT:
             yield self.lack("window", row, messages.UPRIGHT_END, angle=np.degrees(last))
 
     def check_sweep(self) -> Iterator[Lack]:
-        """Yield a deficiency if the tilt does not vary in the window."""
+        """Yield a deficiency for constant tilt in the window."""
         if np.ptp(self.angle[self.window]) < MIN_ANGLE:
             yield self.lack("window", self.first(self.window), messages.NO_SWEEP)
 
@@ -282,7 +282,7 @@ def _rows_per_command(command: Array) -> int:
 
 
 def frequency_of(r: Recording, test: SineTest) -> float:
-    """Return the protocol's frequency [rad/s] closest to the command of a run."""
+    """Return the protocol's frequency [rad/s] nearest a run's command."""
     rows = r.time >= test.lead
     t, command = r.time[rows] - test.lead, r.servo_duty[rows] - r.servo_duty[rows].mean()
     return min(test.frequencies, key=lambda w: _squared_misfit(w, t, command))
@@ -295,7 +295,7 @@ def _squared_misfit(w: float, t: Array, values: Array) -> float:
 
 
 def _other_frequency(view: _TestRun, w: float) -> Iterator[Lack]:
-    """Yield a deficiency if the command has another frequency than the protocol."""
+    """Yield a deficiency for a frequency not in the protocol."""
     assert isinstance(view.test, SineTest)
     after = np.flatnonzero(view.run.time >= view.test.lead - 0.5 * view.run.step)
     changes = np.abs(np.diff(view.run.servo_duty[after]))

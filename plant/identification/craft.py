@@ -105,7 +105,7 @@ class CraftOutcome:
         return [text for r in self.results for text in r.warnings]
 
     def closing(self, out: Path) -> str:
-        """Return a text that names the files of the results."""
+        """Return a text naming the result files."""
         return f"model: {out / 'model.yaml'}, numbers: {out / 'identify.json'}"
 
 

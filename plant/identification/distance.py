@@ -65,7 +65,7 @@ def distance(runs: Sequence[Log], loaded: LoadedModel, parameter: str, output: s
 
 
 def match(distance_of: Distance, length: float, bounds: tuple[float, float], near: float) -> float:
-    """Return the parameter value closest to `near` with which the model covers the distance `length`.
+    """Return the value nearest `near` covering the distance `length`.
 
     Args:
         distance_of: Function from a parameter value to the distance covered.
@@ -111,7 +111,7 @@ def _model_distance(run: Log, model: Model, parameter: str, output: str) -> Dist
 
 
 def _path(run: Log, model: Model, output: str) -> Array:
-    """Return an output of the model under the recorded commands, from its start."""
+    """Return a model output under the recorded commands."""
     stepper, row = Stepper(model), [q.name for q in model.outputs].index(output)
     commands = np.column_stack([run.inputs[q.name] for q in model.inputs]).tolist()
     moment = stepper.start(float(run.time[0]))

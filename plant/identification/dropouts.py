@@ -56,7 +56,7 @@ def _outside(values: Array, row: int, suspects: Rows) -> bool:
 
 
 def _log(bench: Bench, r: Recording) -> Log:
-    """Return the recording as a log after its mirrored first rows."""
+    """Return the recording as log, preceded by mirrored rows."""
     rng = np.random.default_rng(0)
 
     def mirror(values: Array) -> Array:

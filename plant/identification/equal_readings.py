@@ -36,7 +36,7 @@ class EqualReadings:
 
 
 def equal_readings(volts: Array, window: Flags, rest: Flags, rail: Flags) -> EqualReadings | None:
-    """Return the most significant group of equal readings in a window, or None.
+    """Return the most significant equal readings, or None.
 
     Args:
         rail: Saturated readings, which may be equal.
@@ -67,7 +67,7 @@ def equal_readings(volts: Array, window: Flags, rest: Flags, rail: Flags) -> Equ
 
 
 def _coarse(volts: Array, near: Array, equal: Flags, first: int) -> EqualReadings | None:
-    """Return `repeated` or `coarse` readings of a window, None if the readings are neither."""
+    """Return `repeated` or `coarse` readings of a window, or None."""
     changes, jumps = (d[d > 0.0] for d in (np.abs(np.diff(volts)), np.abs(np.diff(near))))
     if not changes.size:
         return None

@@ -97,11 +97,11 @@ class Measurement:
         return force_of(r, using or self.cells, channel, self.test.rest)
 
     def printed_force(self, r: Recording, channel: str) -> Array:
-        """Return the force of a cell as in the thesis, tare included."""
+        """Return a cell's force as in the thesis, with tare."""
         return force_of(r, self.cells, channel, None)
 
     def tilt(self, r: Recording) -> Array:
-        """Return the tilt [rad] of a run by the equations."""
+        """Return a run's tilt [rad] by the equations."""
         if (key := r.servo_duty.tobytes()) not in self.tilts:
             self.tilts[key] = tilt_response(self.bench, r.time, r.servo_duty, np.array([self.bench.lag]))[:, 0]
         return self.tilts[key]
@@ -111,7 +111,7 @@ class Measurement:
         return getattr(self.truth, name) if self.truth else float("nan")
 
     def alike(self) -> list[Recording]:
-        """Return the recordings with as many rows in the window as the first recording."""
+        """Return recordings with the first one's number of rows."""
         count = self.recordings[0].rows(self.test.window).sum()
         return [r for r in self.recordings if r.rows(self.test.window).sum() == count]
 

@@ -200,7 +200,7 @@ def _fit_magnitudes(w: Array, db: Array) -> float:
 
 
 def _mean_of_nine(w: float, step: float) -> float:
-    """Return the gain of a moving mean over nine rows at the frequency w."""
+    """Return a nine-row mean's gain at the frequency w."""
     return float(np.mean(np.cos(w * step * np.arange(-(SMOOTHING // 2), SMOOTHING // 2 + 1))))
 
 

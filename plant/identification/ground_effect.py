@@ -126,7 +126,7 @@ def _relative_gain(heights: Array, radius: float, exponent: float, free: float) 
 
 
 def height_of(r: Recording, test: HeightTest) -> float:
-    """Return the height of a run [m]; heights above `free_height` are equal."""
+    """Return a run's height [m], at most `free_height`."""
     return min(round(float(np.median(r.height[r.rows(test.window)])), 4), test.free_height)
 
 
@@ -142,7 +142,7 @@ def sets_by_duty(recordings: Sequence[Recording], test: HeightTest) -> list[dict
 
 
 def _thesis(ratios: Array, gains: Array) -> tuple[float, int]:
-    """Return the thesis' estimate of k, and the number of ratios without logarithm.
+    """Return the thesis' k, and the number of unusable ratios.
 
     The estimate fits ln((Γ−1)/Γ) = k·ln(1/(4Z̄)) with weights 1/Z̄.
     """

@@ -40,7 +40,7 @@ class Outcome:
 
     @property
     def warnings(self) -> list[Message]:
-        """Return the warnings, each preceded by the name of its test."""
+        """Return the warnings, preceded by their test's name."""
         return [message.after(f"{r.test}: ") for r in self.results for message in r.warnings]
 
     def closing(self, out: Path) -> str:

@@ -92,7 +92,7 @@ def _response(m: Measurement, r: Recording, lags: Array, *, thrust: bool) -> Arr
 
 
 def _mean_and_half(values: Array) -> tuple[float, float]:
-    """Return the mean of finite values and 1.96 σ, NaN without values."""
+    """Return mean and 1.96 σ of the finite values."""
     finite = values[np.isfinite(values)]
     mean = float(finite.mean()) if finite.size else float("nan")
     return mean, 1.96 * float(finite.std(ddof=1)) if finite.size > 1 else float("nan")

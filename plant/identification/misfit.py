@@ -75,7 +75,7 @@ def misfit(each: Array, shifts: Array, parameters: int) -> Misfit | None:
 
 
 def residuals(values: Array, basis: Array) -> Array:
-    """Return the residual of values after a least-squares fit by the columns of a basis."""
+    """Return the residual of a least-squares fit."""
     return np.asarray(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0])
 
 
@@ -221,7 +221,7 @@ def _split(groups: Sequence[Array]) -> tuple[Array, Array, Array]:
 
 
 def _correlation_factor(scatter: Array, power: float) -> float:
-    """Return the number of correlated rows that count as one, 1 for white noise.
+    """Return how many correlated rows count as one.
 
     Args:
         power: 1 for the variance of a mean, 2 for that of a sum of squares; assumes first-order noise.

@@ -63,7 +63,7 @@ def _window(m: Measurement, r: Recording) -> Flags:
 
 
 def _offsets(values: Sequence[Array], rows: Sequence[Flags]) -> Array:
-    """Return the mean of each recording in its rows, minus the median of these means."""
+    """Return each recording's mean relative to their median."""
     means = np.array([v[k].mean() for v, k in zip(values, rows, strict=True)])
     return np.asarray(means - np.median(means))
 

@@ -28,7 +28,7 @@ CURES = {
 
 
 def bounds_of(name: str) -> tuple[float, float]:
-    """Return the possible range of a number, as declared by the bench."""
+    """Return a number's possible range declared by the bench."""
     if name.endswith("_projection"):
         return FACTOR_BOUNDS
     declared = Bench().declared["lag" if name.startswith("lag") else name]

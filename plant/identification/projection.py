@@ -64,7 +64,7 @@ def analyse(m: Measurement, *, draw: bool = True) -> Result:
 
 
 def _shifted_sweep(m: Measurement) -> list[Message]:
-    """Return warnings about a horizontal force that is early or late, or jumps."""
+    """Return warnings about an early, late or jumping force."""
     forces, bases, sizes = [], [], []
     for r in m.recordings:
         w, sin = r.rows(m.test.window), low_pass(np.sin(m.tilt(r)), r.step, m.test.low_pass)

@@ -229,7 +229,7 @@ class Protocol:
 
     @property
     def is_simulated(self) -> bool:
-        """Return True if the protocol names the simulated bench that is built here."""
+        """Return whether the protocol names the simulated bench."""
         return self.file.bench == BENCH
 
 
@@ -290,7 +290,7 @@ def _cell_faults(yaml: YamlFile, content: ProtocolFile) -> Iterator[Fault]:
 
 
 def _calibration_faults(yaml: YamlFile, content: ProtocolFile, name: str, cell: CellFile) -> Iterator[Fault]:
-    """Yield faults in the calibration of a cell: its loads or its measured points."""
+    """Yield faults in a cell's loads or points."""
     at, unit, key = ("cells", name), cell.unit, "loads" if cell.loads else "points"
     if cell.loads and content.bench is None:
         yield yaml.fault((*at, key), messages.LOADS_WITHOUT_BENCH())

@@ -66,7 +66,7 @@ class _Check:
         self.channels = CHANNELS_OF.get(name, "x")
 
     def faults(self) -> list[Fault]:
-        """Return the faults of the first check that has any."""
+        """Return the first check's faults, if it has any."""
         if self.run.path is None:  # planned phases are checked before
             return list(self.cell_faults())
         return (
@@ -92,11 +92,11 @@ class _Check:
         return np.asarray(servo_angle(self.run.servo_duty, self.bench.servo_neutral, self.bench.servo_slope))
 
     def delayed_angle(self) -> Array:
-        """Return the angle of the servo, delayed by the assumed lag."""
+        """Return the servo's angle, delayed by the assumed lag."""
         return np.asarray(held_lag(self.angle(), self.run.step, self.bench.lag))
 
     def range_faults(self) -> Iterator[Fault]:
-        """Yield a fault for the first value of a column outside its range."""
+        """Yield a fault for each column's first implausible value."""
         r = self.run
         values = {"duty": r.duty, "servo_duty": r.servo_duty, "height": r.height}
         values |= {f"volts_{c}": r.volts[c] for c in CHANNELS}
@@ -104,19 +104,19 @@ class _Check:
             yield self.fault(message, row)
 
     def command_faults(self) -> Iterator[Fault]:
-        """Yield a fault for each requirement of the test that the commands do not meet."""
+        """Yield a fault for each requirement not met."""
         place = f"{self.protocol.yaml.path.name}: tests.{self.name}"
         for lack in lacks(self.bench, self.name, self.test, self.run, place, own=False):
             yield self.fault(lack.message, lack.row)
 
     def height_faults(self) -> Iterator[Fault]:
-        """Yield a fault for a wrong height in the window."""
+        """Yield a fault for wrong height in the window."""
         if self.window.any():
             for row, message in wrong_height(self.bench, self.name, self.test, self.run.height, self.window):
                 yield self.fault(message, row)
 
     def dropout_faults(self) -> Iterator[Fault]:
-        """Yield a fault for each channel with single readings far off their neighbours."""
+        """Yield a fault for each channel with dropouts."""
         for dropout in dropouts(self.bench, self.run):
             c, row, others = dropout.channel, int(dropout.rows[0]), dropout.rows.size - 1
             fields = {"cell": c, "value": self.run.volts[c][row], "distance": dropout.distance}
@@ -126,7 +126,7 @@ class _Check:
                 yield self.fault(messages.DROPOUT(**fields), row)
 
     def cell_faults(self) -> Iterator[Fault]:
-        """Yield faults of swapped, mirrored, saturated, stuck and coarse channels."""
+        """Yield faults of swapped, mirrored, saturated, stuck, coarse channels."""
         r, window = self.run, self.window
         if low := list(self.low_voltages()):
             yield from low
@@ -167,7 +167,7 @@ class _Check:
         return template(cell=channel, value=equal.value, readings=counted(equal.count, "reading"))
 
     def channel_faults(self) -> Iterator[Fault]:
-        """Yield faults of channels that do not follow the commands."""
+        """Yield faults of channels not following the commands."""
         change = {}
         for c in CHANNELS:
             force = self.force(c)
@@ -219,7 +219,7 @@ class _Check:
             yield self.fault(messages.WRONG_HORIZONTAL_FORCE(factor=factor), row)
 
     def phase_faults(self, test: SineTest, w: float) -> Iterator[Fault]:
-        """Yield a fault if the horizontal force has the opposite phase of the commanded sine."""
+        """Yield a fault for a force of opposite phase."""
         force = self.force("x")
         size = sine(self.run, force, w, test)
         error = float(force[self.rest].std()) * float(np.sqrt(2.0 / self.window.sum()))
@@ -229,7 +229,7 @@ class _Check:
             yield self.fault(messages.OPPOSITE_PHASE(phase=phase, frequency=w), row)
 
     def tare_faults(self) -> Iterator[Fault]:
-        """Yield a fault for each channel whose rest voltage is far from the unloaded cell's."""
+        """Yield a fault for each implausible rest voltage."""
         for c in self.channels:
             volts, cell = float(self.run.volts[c][self.rest].mean()), self.cells[c]
             if abs(volts - cell.zero) > MAX_TARE * float(np.ptp(cell.volts)):

@@ -279,7 +279,7 @@ def read_recording(path: Path) -> Recording:
 
 
 def _fill_single_rows(time: Array, values: Array, lines: Array) -> tuple[Array, Array, Array]:
-    """Return rows with single gaps filled: commands held, voltages interpolated."""
+    """Return rows with single gaps filled."""
     gaps = np.diff(time)
     step = float(np.median(gaps))
     missing = np.flatnonzero(np.abs(gaps - 2.0 * step) < SAME_STEP * step)
@@ -298,7 +298,7 @@ def _fill_single_rows(time: Array, values: Array, lines: Array) -> tuple[Array, 
 
 
 def read_recordings(protocol: Protocol, name: str) -> tuple[list[Recording], list[Fault]]:
-    """Return the readable recordings of a test, and the faults of the others."""
+    """Return a test's readable recordings, and the others' faults."""
     faults: list[Fault] = []
     recordings = []
     for text in getattr(protocol.file.tests, name).files:

@@ -71,7 +71,7 @@ def page(outcome: Outcome) -> str:
 
 
 def _headline(outcome: Outcome, testable: Sequence[Estimate]) -> str:
-    """Return the number of correct intervals, or the least certain estimate.
+    """Count correct intervals, or return the least certain estimate.
 
     An interval is correct if the true value is inside. Without true values, the widest relative interval is named.
     """

@@ -78,7 +78,7 @@ def rest_faults(yaml: YamlFile, logs: Sequence[Log], window: Window) -> Iterator
 
 
 def _reason_against(name: str, values: Array) -> Message | None:
-    """Return the message against rows of an output, or None."""
+    """Return the message against an output's rows, or None."""
     if values.size < MIN_ROWS:
         return messages.TOO_FEW_ROWS_AT_REST(rows=values.size, output=name, least=MIN_ROWS)
     low, high = float(values.min()), float(values.max())

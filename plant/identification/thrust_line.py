@@ -179,7 +179,7 @@ def _add_notes(result: Result, m: Measurement, rows: LineReadings) -> None:
 
 
 def _second_tare(m: Measurement, dead_end: float, slope: float) -> list[Message]:
-    """Return a warning if a cell without thrust reads differently after the window."""
+    """Return a warning about tare drift over the window."""
     values, bases, corrections = [], [], [0.0]
     for r in m.recordings:
         delayed = _delay_duty(r, m.bench, m.test, dead_end)
@@ -281,7 +281,7 @@ def highest_duty(m: Measurement) -> float:
 
 
 def least_degree(duty: Sequence[Array], thrust: Sequence[Array]) -> tuple[int, dict[int, float]]:
-    """Return the lowest degree within one standard error of the best cross-validation error."""
+    """Return the lowest degree about as good as the best."""
     means, spreads = {}, {}
     for degree in DEGREES:
         x = [np.vander(d - 6.0, degree + 1) for d in duty]

@@ -169,7 +169,7 @@ def analyse(
 def checked_results(
     protocol: Protocol, cells: Cells, recordings: Mapping[str, Sequence[Recording]], *, draw: bool = True
 ) -> list[Result]:
-    """Analyse the recordings and return the results of all tests, checked for plausibility.
+    """Return all tests' results, checked for plausibility.
 
     Raises:
         InputError: Every impossible number.
@@ -215,7 +215,7 @@ def powertrain(outcome: Outcome, model: Model) -> str:
 
 
 def _hovering(model: Model, values: Mapping[str, float]) -> dict[str, float]:
-    """Return the nominal duty that keeps the model's thrust, by eqs 4.20 and 4.28."""
+    """Return the nominal duty of equal thrust, eqs 4.20, 4.28."""
     needed = {"duty_nominal", "height", "propeller_radius", "ground_effect_exponent", "thrust_offset", "thrust_slope"}
     base: Any = model
     if not needed <= {p.name for p in model.parameters} or not needed & set(values):

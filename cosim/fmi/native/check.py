@@ -224,7 +224,7 @@ class Check:
 
     @cached_property
     def parameters(self) -> dict[str, Parameter]:
-        """Return the parameters of the model without those of effects."""
+        """Return the model's parameters without those of effects."""
         return {p.name: p for p in self.model.parameters}
 
     @cached_property

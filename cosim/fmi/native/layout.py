@@ -99,5 +99,5 @@ def _dependencies(printer: ModelPrinter, names: Sequence[str]) -> dict[str, list
 
 
 def _sources_of(expression: Any, reach: Mapping[Any, set[str]]) -> set[str]:
-    """Return the inputs and states on which an expression depends."""
+    """Return the inputs and states in an expression."""
     return set().union(*(reach.get(s, set()) for s in expression.free_symbols))

@@ -126,7 +126,7 @@ class ModelPrinter:
         return self.place[name]
 
     def sources(self) -> GeneratedSources:
-        """Return all C code that is generated for the model."""
+        """Return all generated C code of the model."""
         tables, texts = variable_tables(self.ports)
         functions, body_kinks, kinks_in_all, calls = load_or_make(self._serialize(), self._functions)
         parts = [tables, self._tables(), *functions, self._starts(), self._wake(), self._remembers(), self._counting()]

@@ -83,7 +83,7 @@ class Language:
         raise NotImplementedError
 
     def frame(self, name: str, arguments: Sequence[str], body: str) -> str:
-        """Return the source code of a function with this body."""
+        """Return the source of a function with this body."""
         raise NotImplementedError
 
 

@@ -316,7 +316,7 @@ def name_of(candidates: Sequence[Candidate], subject: Subject) -> Name:
 
 
 def _disputed_parts(a: Attribution, leftover: Leftover) -> set[str]:
-    """Return the parts of a claim superfluous beside unnamed terms.
+    """Return a claim's parts superfluous beside unnamed terms.
 
     These are all parts if the unnamed terms gain much beside the claim.
     """

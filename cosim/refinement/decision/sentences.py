@@ -276,7 +276,7 @@ def floor_warning(part: str, channels: Mapping[str, tuple[float, float]], units:
 def nearest_text(
     names: Sequence[str], *, fitted: bool, file: str = NEAREST[0], same: bool = False, moved: str = ""
 ) -> str:
-    """Return a sentence on the content of the nearest model.
+    """Return a sentence on the nearest model's content.
 
     Args:
         moved: Base parameters that were recalibrated beyond their tolerances, in words.

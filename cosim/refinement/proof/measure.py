@@ -42,7 +42,7 @@ Evidence = list[tuple[Log, Replay]]
 
 
 def filter_problem(problem: Problem, subject: Subject, logs: Sequence[Log]) -> Problem:
-    """Return the fitting problem of a subject on other logs.
+    """Return a subject's fitting problem on other logs.
 
     The kernel of `problem` takes all parameters, including those of the variant.
     """

@@ -195,7 +195,7 @@ def moved_beyond_tolerance(f: Fit) -> tuple[MovedParameter, ...]:
 
 
 def beyond_tolerance(f: Fit) -> tuple[MovedParameter, ...]:
-    """Return the base parameters whose intervals lie outside their tolerances."""
+    """Return base parameters whose intervals lie outside their tolerances."""
     names = [x.name for x in f.free if x.prior and not x.group and is_beyond_tolerance(f, x.name, x.prior)]
     return _moved_parameters(f, names)
 

@@ -199,7 +199,7 @@ def _error_row(r: Refinement, part: str, name: str) -> ErrorRow:
 
 
 def _share_text(before: float, after: float, floor: float) -> str:
-    """Return the remaining share of the excess error as text."""
+    """Return the excess error's remaining share as text."""
     share = remaining_excess(before, after, floor)
     if math.isnan(share):
         return NOTHING_TO_EXPLAIN if before < NOISE * floor else TOO_LITTLE if floor else MISSING

@@ -158,7 +158,7 @@ def over_time(s: EffectComparison, charts: Charts) -> Plot:
 
 
 def axis_label(s: EffectComparison) -> str:
-    """Return the horizontal label of the plot over a signal."""
+    """Return the horizontal label of a signal's plot."""
     units = " · ".join(display(u)[0] or u for u in s.against.unit.split(" · "))
     return f"{s.against.name} [{units or '1'}]"
 
@@ -168,7 +168,7 @@ def _heading(s: EffectComparison) -> str:
 
 
 def _standard_error(s: EffectComparison, rows: Rows) -> float:
-    """Return the standard error of a mean over correlated rows.
+    """Return a mean's standard error over correlated rows.
 
     A linear trend in the rows does not count as scatter.
     """

@@ -42,7 +42,7 @@ def key_of(parts: Sequence[Candidate]) -> tuple[str, ...]:
 
 
 def starts_of(parts: Parts, moved: set[str]) -> list[dict[str, float]]:
-    """Return the start values of new candidates, start by start.
+    """Return new candidates' start values, start by start.
 
     Args:
         moved: Parameters with values from an earlier fit.

@@ -119,7 +119,7 @@ def _parameters_of(subject: Subject, name: str) -> set[str]:
 
 
 def _unknown_parameter(subject: Subject, name: str, allowed: Sequence[str]) -> Message:
-    """Return the message for a parameter not allowed in `per_log`."""
+    """Return the message on a parameter refused in `per_log`."""
     if name in subject.declared and not isinstance(subject.declared[name].default, bool):
         return messages.INACTIVE_PARAMETER(name=name, effect=name.partition(".")[0])
     own = [n for n in allowed if n.startswith(f"{name}.")]

@@ -158,7 +158,7 @@ def contributions(problem: Problem, base: Fit, after: Fit, index: int) -> Array:
 
 
 def scale_to_missing(problem: Problem, at: Fit, column: int, term: Array, lacking: Array) -> Array:
-    """Return a term scaled to the missing input by regression.
+    """Return a term scaled by regression to the missing input.
 
     The part that parameters without prior can imitate is projected out, because the fit has already used it. A term
     with the wrong sign scales to zero.

@@ -99,7 +99,7 @@ class Shape:
         return float({"bump": 2.0 * HALF, "step": 2.0, "spline": 1.0}[self.kind] / self.width)
 
     def settings(self, slot: int) -> dict[str, float]:
-        """Return the kernel parameters of this shape in a slot."""
+        """Return this shape's kernel parameters in a slot."""
 
         def weights(role: str, names: Sequence[str], size: float) -> dict[str, float]:
             return {f"{LOCAL}.{slot}.{role}.{n}": s * size for n, s in zip(names, (1.0, -1.0), strict=False)}

@@ -251,7 +251,7 @@ class _Terms:
         return all(in_parallel(leads_without, list(parts))) and all(map(leads_with_noise, NOISE_FACTORS))
 
     def net(self, u: UnnamedTerm) -> float:
-        """Return the predicted gain of a term minus its cost."""
+        """Return a term's predicted gain minus its cost."""
         return u.most - self.costs(u)
 
     def _size_step(self, equation: str, settings: Mapping[str, float], name: str) -> tuple[float, Array]:

@@ -86,7 +86,7 @@ def spelled_values(run: Run) -> list[Row]:
 
 
 def _over_time(run: Run, points: Sequence[int], texts: Sequence[str]) -> str:
-    """Return the first changes of a value with their times."""
+    """Return a value's first changes with their times."""
     parts = [f"from {run.time[k]:g} s {text}" if k else text for k, text in zip(points, texts, strict=False)]
     more = len(points) - len(parts)
     return "; ".join([*parts, *([f"and {counted(more, 'more change')}"] if more > 0 else [])])
@@ -175,7 +175,7 @@ def _setting_text(key: str, value: object) -> str:
 
 
 def _format_setting(value: object) -> str:
-    """Return a setting in scenario notation on a single line."""
+    """Return a setting in scenario notation on one line."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, Mapping):
@@ -218,7 +218,7 @@ def _pairs(facts: Mapping[str, Any], between: str) -> str:
 
 
 def _fmu_row(name: str, fmu: Mapping[str, Any], kind: str) -> Row:
-    """Return the identity of an FMU, a line per fact."""
+    """Return an FMU's identity, a line per fact."""
     keys = ("model_name", "version", "guid", "sha256", "generation_tool")
     lines = [*filter(None, [kind]), *(f"{key.replace('_', ' ')} {fmu[key]}" for key in keys if fmu.get(key))]
     return Row(f"FMU {name}", "\n".join(lines), str(fmu.get("path") or ""))
