@@ -54,6 +54,7 @@ def test_two_logs_give_the_truth_and_sealed_logs_prove_it(bench: Path, tmp_path:
         tmp_path / "out",
         vary=["mass=0.3..5 kg", "damping"],
         sealed=[bench / "c.csv"],
+        in_process=True,
     )
     assert holds(fitted, mass=1.6, damping=0.8)
     assert fitted.verdict == "improved"
@@ -114,8 +115,8 @@ def test_an_unknown_start_that_no_output_shows_is_estimated_where_it_is_named(tm
 
 
 def test_a_prior_holds_what_the_log_does_not_show(bench: Path) -> None:
-    fixed = {"damping": 0.8}
-    fitted = cosim.fit([bench / "a.csv"], bench / "slider.fmu", vary={"gain": "10%", "mass": None}, start=fixed, **QUICK)
+    vary, fixed = {"gain": "10%", "mass": None}, {"damping": 0.8}
+    fitted = cosim.fit([bench / "a.csv"], bench / "slider.fmu", vary=vary, start=fixed, **QUICK)
     assert fitted.values["mass"] / fitted.values["gain"] == pytest.approx(0.8, rel=0.01)
     low, high = fitted.intervals["gain"] or (0.0, 0.0)
     assert (fitted.values["gain"], high - low) == (pytest.approx(2.0, abs=0.1), pytest.approx(0.4, rel=0.1))
@@ -145,6 +146,14 @@ def test_without_vary_the_identifiable_parameters_are_chosen_with_reasons(bench:
     assert fitted.values["damping"] == pytest.approx(0.8, rel=0.02)
     assert fitted.verdict == "improved"
     assert "No sealed log confirms it" in fitted.sentence
+
+
+def test_a_named_parameter_without_effect_keeps_its_value_and_is_told(bench: Path) -> None:
+    fitted = cosim.fit([bench / "a.csv"], bench / "slider.fmu", vary=["mass", "idle"], **QUICK)
+    assert (fitted.values["idle"], fitted.intervals["idle"]) == (3.0, None)
+    assert "no effect on any measured output of these logs, so the value is kept: idle" in fitted.record["warnings"]
+    with pytest.raises(InputError, match="idle: no effect on any measured output"):
+        cosim.fit([bench / "a.csv"], bench / "slider.fmu", vary=["idle"], **QUICK)
 
 
 def test_a_parameter_that_ends_at_its_bound_is_named(bench: Path) -> None:
@@ -314,4 +323,4 @@ def test_intervals_hold_the_truth_under_a_coloured_disturbance(tmp_path: Path) -
 
 
 def test_a_few_intervals_hold_the_truth(tmp_path: Path) -> None:
-    assert min(coverage(tmp_path, 10, 151, 0.0).values()) >= 7
+    assert min(coverage(tmp_path, 6, 151, 0.0).values()) >= 4

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.base.arrays import Array
+from cosim.base.arrays import Array, Flags
 from cosim.base.errors import InputError, SimulationError
 from cosim.calibration import messages
 from cosim.calibration.identifiability import Choice, Combination, find_combination, screen
@@ -16,6 +16,7 @@ from cosim.calibration.intervals import Covariance, covariance
 from cosim.calibration.likelihood import Jacobian, Likelihood, Point
 from cosim.calibration.simulations import Logs, SetDrive, Unknown
 from cosim.calibration.vary import Parameter
+from cosim.logs.channel_noise import noise_level
 from cosim.residuals.windows import free_run, horizons, self_started
 
 DRIFTS = 5.0  # error of free runs over that of windows, after the fit, from which free runs are useless
@@ -23,6 +24,8 @@ STAYS = 0.2  # effect of a start value in the last quarter relative to its large
 GROWS = 1e3  # effect of a start value in the last quarter relative to the first, from which a plant is unstable
 REFINEMENTS = 3  # times that central differences may move the estimate
 CLOSE = 0.05  # gain in log-likelihood of a move of a third of a standard error, over which slopes do not change
+ABOVE = 1.5  # standard deviation of a residual relative to its white part, from which something is missing
+COLOURED = 2.0  # variance of the mean of a residual relative to white noise, from which it is not white
 NAMED_REASONS = 3
 Report = Callable[[str, float], None]
 
@@ -35,6 +38,7 @@ class Estimate:
         screened: Choice among the parameters, empty if they were named.
         combinations: Parameters that are not identifiable one by one; `held` has those that keep their value.
         singular: Singular values of the scaled sensitivities.
+        idle: Named parameters without effect.
         reason: Reason for windows in place of free runs, "" for free runs.
         dropped: Named start values that windows cannot estimate.
     """
@@ -47,6 +51,7 @@ class Estimate:
     combinations: list[Combination] = field(default_factory=list)
     held: dict[str, Parameter] = field(default_factory=dict)
     singular: Array = field(default_factory=lambda: np.zeros(0))
+    idle: tuple[str, ...] = ()
     reason: str = ""
     dropped: tuple[str, ...] = ()
     settled: bool = False
@@ -124,6 +129,7 @@ class Estimate:
         """Move to the largest likelihood; return central differences there."""
         self.report("measuring sensitivities", 0.0)
         slopes = likelihood.jacobian(point)
+        likelihood, point, slopes = self._without_idle(likelihood, point, slopes)
         while True:
             found, self.singular = find_combination(likelihood, point, slopes)
             if found is None:
@@ -131,9 +137,7 @@ class Estimate:
             self.combinations.append(found)
             self.held |= {u.name: u.parameter for u in likelihood.unknowns if u.name == found.held}
             kept = np.array([u.log is not None or u.name != found.held for u in likelihood.unknowns])
-            likelihood, point = likelihood.restricted(kept, point)
-            slopes = [s[..., kept] for s in slopes]
-            self.likelihood = likelihood
+            likelihood, point, slopes = self._keep(kept, likelihood, point, slopes)
         if self.logs.horizon is None and _growth(likelihood, point, slopes) > GROWS and self._has_windows():
             return slopes  # the plant is unstable: windows come next
         for number in range(REFINEMENTS):
@@ -146,8 +150,43 @@ class Estimate:
             slopes = likelihood.jacobian(point, central=True)
         return slopes
 
+    def _without_idle(
+        self, likelihood: Likelihood, point: Point, slopes: Jacobian
+    ) -> tuple[Likelihood, Point, Jacobian]:
+        """Return everything without the unknowns that change no output; these keep their values."""
+        acts = np.zeros(len(likelihood.unknowns), bool)
+        for slope in slopes:
+            acts |= np.nanmax(np.abs(slope / point.residuals.sigma[:, None]), axis=(0, 1), initial=0.0) > 0.0
+        idle = {u.name: u.parameter for u, act in zip(likelihood.unknowns, acts, strict=True) if not act}
+        if not idle:
+            return likelihood, point, slopes
+        if not any(u.log is None and act for u, act in zip(likelihood.unknowns, acts, strict=True)):
+            shown = "; ".join(f"{name}: no effect on any measured output" for name in idle)
+            raise InputError.at(Path("--vary"), messages.NOTHING_IDENTIFIABLE(reasons=shown))
+        self.idle, self.held = tuple(idle), {**self.held, **idle}
+        return self._keep(acts, likelihood, point, slopes)
+
+    def _keep(
+        self, kept: Flags, likelihood: Likelihood, point: Point, slopes: Jacobian
+    ) -> tuple[Likelihood, Point, Jacobian]:
+        """Return everything for some of the unknowns."""
+        self.likelihood, point = likelihood.restricted(kept, point)
+        return self.likelihood, point, [s[..., kept] for s in slopes]
+
     def _report_iteration(self, number: int) -> None:
         self.report(f"fitting, iteration {number + 1}", 0.0)
+
+    def above_noise(self) -> list[str]:
+        """Return the outputs whose residual is larger than its white part and is not white."""
+        assert self.point is not None
+        assert self.covariance is not None
+        names = []
+        for c, name in enumerate(self.logs.channels):
+            levels = [noise_level(t[:, c]) for t in self.point.residuals.tables if np.isfinite(t[:, c]).any()]
+            above = self.point.residuals.sigma[c] > ABOVE * float(np.nanmedian(levels))
+            if above and self.covariance.colour[c] > COLOURED:
+                names.append(name)
+        return names
 
     # -- windows ------------------------------------------------------------------------------
 

@@ -38,7 +38,9 @@ class ParameterEntry(_Entry):
     high: Finite | None
     tolerance: Finite | None = Field(description="half-width of the 95 % interval of a prior about start; null: none")
     ci95: tuple[Finite, Finite] | None = Field(description="95 % confidence interval; null if not identifiable alone")
-    status: Literal["estimated", "at_bound", "held"] = Field(description="held: kept at start, see combinations")
+    status: Literal["estimated", "at_bound", "held"] = Field(
+        description="held: kept at start, see combinations, or without effect"
+    )
 
 
 class StartEntry(_Entry):
@@ -188,9 +190,8 @@ def parameter_entries(estimate: Estimate) -> dict[str, ParameterEntry]:
         at_bound = value in (p.low, p.high)
         half = None if matrix is None or p.name in alone else matrix.half(j)
         entries[p.name] = _parameter_entry(p, value, half, "at_bound" if at_bound else "estimated")
-    for c in estimate.combinations:
-        if (held := estimate.held.get(c.held)) is not None:
-            entries[c.held] = _parameter_entry(held, held.start, None, "held")
+    for name, held in estimate.held.items():
+        entries[name] = _parameter_entry(held, held.start, None, "held")
     return entries
 
 

@@ -54,10 +54,12 @@ def warnings(fitted: Outcome) -> Iterator[str]:
     for c in estimate.combinations:
         held = fitted.parameters[c.held]
         yield messages.HELD(sentence=c.sentence, held=c.held, value=amount(held.value, held.unit, 4))
+    if estimate.idle:
+        yield messages.IDLE(names=join_names(estimate.idle))
     for name, entry in fitted.parameters.items():
         if entry.status == "at_bound":
             yield messages.AT_BOUND(name=name, value=amount(entry.value, entry.unit, 4))
-        elif entry.ci95 is not None and entry.ci95[1] - entry.ci95[0] > 2.0 * abs(entry.value) > 0.0:
+        elif entry.ci95 is not None and entry.ci95[1] - entry.ci95[0] > abs(entry.start) > 0.0:
             yield messages.UNCERTAIN(name=name)
     if estimate.covariance is not None and not estimate.settled:
         yield messages.NOT_CONVERGED()
@@ -70,7 +72,7 @@ def warnings(fitted: Outcome) -> Iterator[str]:
         yield messages.DROPPED_STARTS(names=join_names(estimate.dropped))
     if fitted.risen:
         yield messages.RISEN(names=join_names(fitted.risen))
-    if fitted.decisive is not None and (names := fitted.decisive.remaining()):
+    if estimate.covariance is not None and (names := estimate.above_noise()):
         yield messages.ABOVE_NOISE(names=join_names(names))
 
 

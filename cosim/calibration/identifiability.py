@@ -11,7 +11,7 @@ import numpy as np
 
 from cosim.base.arrays import Array, Flags
 from cosim.base.linear_algebra import least_squares, orthonormal
-from cosim.base.text import join_names, percent
+from cosim.base.text import join_names, plain
 from cosim.calibration.likelihood import Jacobian, Likelihood, Point
 from cosim.calibration.simulations import Unknown
 
@@ -168,7 +168,7 @@ def _select(names: Sequence[str], matrix: Array, sizes: Array, acts: Sequence[bo
             break
         best = max(fits, key=lambda i: (round(math.log10(left[i]), 3), -i))
         chosen.append(best)
-        reasons[best] = f"expected interval at best ±{percent(1.96 / left[best])} of its value"
+        reasons[best] = f"its interval is at best ± {plain(196.0 / left[best], 2)} % of its value"
         direction = rest[:, best] / left[best]
         rest = rest - np.outer(direction, direction @ rest)
     for i, reason in enumerate(reasons):
@@ -181,7 +181,7 @@ def _against(names: Sequence[str], matrix: Array, chosen: Sequence[int], i: int,
     if np.linalg.norm(matrix[:, i]) < 1.96 / WIDEST or not chosen:
         if size >= 1.96 / WIDEST:
             return "imitated by the start values of the logs"
-        return f"its effect is within the noise: interval ±{percent(1.96 / max(size, 1e-12))} of its value or wider"
+        return f"its effect is within the noise: at best ± {plain(196.0 / max(size, 1e-12), 2)} % of its value"
     weights = least_squares(matrix[:, list(chosen)], matrix[:, i])
     parts = np.abs(weights) * np.linalg.norm(matrix[:, list(chosen)], axis=0)
     imitators = [names[c] for c, part in zip(chosen, parts, strict=True) if part > 0.3 * np.max(parts)]
@@ -223,7 +223,7 @@ def find_combination(likelihood: Likelihood, point: Point, slopes: Jacobian) -> 
 def _try_forms(
     likelihood: Likelihood, point: Point, places: list[int], direction: Array, alone: float
 ) -> Combination | None:
-    """Return the form of a combination whose move changes the outputs least, if it is invisible."""
+    """Return the form of a combination whose move is invisible, if any."""
     scales = np.maximum(likelihood.scales, np.abs(point.x))[places]
     powers, shares = _snapped(direction), _snapped(direction * scales)
     x = point.x[places]
@@ -232,15 +232,12 @@ def _try_forms(
         moves.append((_log_form(powers), x * np.exp(MOVE * powers) - x))
     sizes = float(np.min(np.abs(x[np.abs(shares) > 0.0]), initial=math.inf)) or float(np.min(scales))
     moves.append(({1: "difference", -1: "sum"}.get(_sign(shares), "combination"), MOVE * sizes * shares))
-    tried = []
-    for form, move in moves:
-        visible = min((_change(likelihood, point, places, side * move) for side in (1.0, -1.0)), default=math.inf)
-        tried.append((visible, form))
-    visible, form = min(tried)
-    if visible > INVISIBLE * alone:
-        return None
-    names = tuple(likelihood.unknowns[j].name for j in places)
-    return Combination(names, names[-1], form, _expression(names, form, powers))
+    for form, move in sorted(moves, key=lambda pair: pair[0] == "combination"):  # a name is preferred
+        visible = min(_change(likelihood, point, places, side * move) for side in (1.0, -1.0))
+        if visible <= INVISIBLE * alone:
+            names = tuple(likelihood.unknowns[j].name for j in places)
+            return Combination(names, names[-1], form, _expression(names, form))
+    return None
 
 
 def _snapped(direction: Array) -> Array:
@@ -264,7 +261,7 @@ def _log_form(powers: Array) -> str:
     return {1: "ratio", -1: "product"}.get(_sign(powers), "combination")
 
 
-def _expression(names: Sequence[str], form: str, powers: Array) -> str:
+def _expression(names: Sequence[str], form: str) -> str:
     """Return the invariant of a direction of two parameters."""
     signs = {"ratio": "/", "product": "·", "sum": "+", "difference": "−"}
     if form in signs:

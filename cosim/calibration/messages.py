@@ -60,7 +60,7 @@ NO_COPY = Template(
     "no fitted.fmu: {reason}. fitted.ssv has the values; `{command}` sets them",
 )
 UNCERTAIN = Template(
-    "W-CAL-022", "{name} is barely determined by these logs: its 95 % interval is wider than its value"
+    "W-CAL-022", "{name} is barely determined by these logs: its 95 % interval is wider than its value before the fit"
 )
 WINDOWS_USED = Template("N-CAL-023", "the estimate uses windows of {horizon:g} s in place of free runs: {reason}")
 DROPPED_STARTS = Template("W-CAL-024", "windows have start values of their own, so {names} is not estimated")
@@ -74,3 +74,4 @@ IGNORES_XML = Template(
 )
 UNREADABLE_XML = Template("N-CAL-027", "the start value of {name} was not found in modelDescription.xml")
 NO_PANDAS = Template("E-CAL-028", "to_pandas() needs pandas: pip install pandas")
+IDLE = Template("W-CAL-029", "no effect on any measured output of these logs, so the value is kept: {names}")

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.base.arrays import Array
 from cosim.calibration.simulations import SetDrive
 from cosim.logs.log import Log
 from cosim.residuals.drive import Drive
 from cosim.residuals.floor import floors
-from cosim.residuals.residual_statistics import FREE_RUN, Whiteness, excess_left, lags_of, pool_errors, whiteness
+from cosim.residuals.residual_statistics import FREE_RUN, excess_left, pool_errors
 from cosim.residuals.starts import start_parameters
 from cosim.residuals.windows import Replay, free_run, horizons, self_started
 
@@ -64,22 +63,6 @@ class Part:
         """Return the geometric mean over the channels of the error after relative to that before."""
         pairs = [(a, b) for a, b in self.errors(self.horizon).values() if a > 0.0 and b > 0.0 and math.isfinite(a * b)]
         return math.exp(float(np.mean([math.log(b / a) for a, b in pairs]))) if pairs else math.nan
-
-    def remaining(self) -> list[str]:
-        """Return channels whose error stays above the noise floor and is not white."""
-        floor, names = self.floor, []
-        for name, (_, after) in self.errors(self.horizon).items():
-            coloured = any(not w.white for w in self.whiteness(name))
-            if coloured and after > 2.0 * floor.get(name, math.inf):
-                names.append(name)
-        return names
-
-    def whiteness(self, name: str) -> list[Whiteness]:
-        """Return the whiteness of a channel's residual on each log."""
-        residuals: list[tuple[Log, Array]] = [
-            (r.log, r.replays[self.horizon].errors(r.log)[name]) for r in self.after if name in r.log.outputs
-        ]
-        return [whiteness(e, lags_of(log.rows, log.step)) for log, e in residuals]
 
     def excess(self, name: str) -> float:
         """Return the share of a channel's mean square error above the floor that remains."""

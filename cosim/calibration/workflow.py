@@ -99,7 +99,12 @@ def fit(
         parts: tuple[Part, ...] = ()
         if stop is None:
             progress("replaying with the values before and after", 0.0)
-            parts = _prove(estimate, chosen, opened, closed)
+            try:
+                parts = _prove(estimate, chosen, opened, closed)
+            except SimulationError as error:  # the values stand, without proof
+                stop = error
+            except (KeyboardInterrupt, Terminated) as signal:
+                stop = stop_error(signal, 0.0, "the proof")
         hold_stops()
         entries = parameter_entries(estimate)
         outcome = Outcome(path, tuple(estimation), tuple(test), estimate, fixed, parts, _risen(parts), entries)

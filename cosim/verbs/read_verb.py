@@ -21,7 +21,8 @@ def read(folder: FilePath) -> Run | Replay | Fitted | Refined | Runs | Signals:
     """Read the results of a verb from a folder, or the signals of a CSV file.
 
     Args:
-        folder: Folder of `run`, `simulate`, `replay`, `fit`, `refine` or `sweep`, or a CSV file whose first column is time.
+        folder: Folder of `run`, `simulate`, `replay`, `fit`, `refine` or `sweep`, or a CSV file whose first column is
+            time.
 
     Returns:
         The object that the verb's function returns; `Runs` of a sweep; `Signals` of a CSV file.
