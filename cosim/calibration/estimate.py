@@ -93,20 +93,10 @@ class Estimate:
 
     def _begin(self, parameters: Sequence[Parameter]) -> tuple[Likelihood, Point]:
         """Return the likelihood of these parameters and its value before the fit."""
-        shared = [p for p in parameters if not p.per_log]
-        named = [p for p in parameters if p.per_log]
-        values = {p.name: p.start for p in parameters}
         while True:
-            unknowns, x = [Unknown(p) for p in shared], [p.start for p in shared]
-            if self.logs.horizon is None:
-                unknowns += [Unknown(p, k, hidden=True) for k in range(len(self.logs.drives)) for p in named]
-                x += [p.start for _ in self.logs.drives for p in named]
-                shown = self.logs.start_unknowns(values, values)
-                unknowns, x = unknowns + [u for u, _ in shown], x + [value for _, value in shown]
-            else:
-                self.dropped = tuple(p.name for p in named)
-            likelihood = Likelihood(self.logs, unknowns, self.given)
-            start = np.clip(np.array(x), likelihood.low, likelihood.high)
+            unknowns = self._unknowns(parameters)
+            likelihood = Likelihood(self.logs, [u for u, _ in unknowns], self.given)
+            start = np.clip(np.array([value for _, value in unknowns]), likelihood.low, likelihood.high)
             point = likelihood.point(start)
             if point is not None:
                 self.likelihood = likelihood
@@ -114,6 +104,17 @@ class Estimate:
             if self.logs.horizon is not None or not self._has_windows():
                 raise self._failure()
             self._use_windows("the free run fails with the values before the fit")
+
+    def _unknowns(self, parameters: Sequence[Parameter]) -> list[tuple[Unknown, float]]:
+        """Return everything to estimate with its first value; windows need no start values."""
+        shared = [(Unknown(p), p.start) for p in parameters if not p.per_log]
+        named = [p for p in parameters if p.per_log]
+        if self.logs.horizon is not None:
+            self.dropped = tuple(p.name for p in named)
+            return shared
+        values, count = {p.name: p.start for p in parameters}, len(self.logs.drives)
+        own = [(Unknown(p, k, hidden=True), p.start) for k in range(count) for p in named]
+        return [*shared, *own, *self.logs.start_unknowns(values, values)]
 
     def _failure(self) -> SimulationError:
         first = self.logs.first_failure

@@ -48,6 +48,15 @@ def _changes(fitted: Outcome, part: Part) -> str:
     return join_names(texts) or "there is none"
 
 
+def _about_values(fitted: Outcome) -> Iterator[str]:
+    """Yield warnings about values at bounds, and about wide intervals."""
+    for name, entry in fitted.parameters.items():
+        if entry.status == "at_bound":
+            yield messages.AT_BOUND(name=name, value=amount(entry.value, entry.unit, 4))
+        elif entry.ci95 is not None and entry.ci95[1] - entry.ci95[0] > abs(entry.start) > 0.0:
+            yield messages.UNCERTAIN(name=name)
+
+
 def warnings(fitted: Outcome) -> Iterator[str]:
     """Yield the warnings of a fit."""
     estimate = fitted.estimate
@@ -56,11 +65,7 @@ def warnings(fitted: Outcome) -> Iterator[str]:
         yield messages.HELD(sentence=c.sentence, held=c.held, value=amount(held.value, held.unit, 4))
     if estimate.idle:
         yield messages.IDLE(names=join_names(estimate.idle))
-    for name, entry in fitted.parameters.items():
-        if entry.status == "at_bound":
-            yield messages.AT_BOUND(name=name, value=amount(entry.value, entry.unit, 4))
-        elif entry.ci95 is not None and entry.ci95[1] - entry.ci95[0] > abs(entry.start) > 0.0:
-            yield messages.UNCERTAIN(name=name)
+    yield from _about_values(fitted)
     if estimate.covariance is not None and not estimate.settled:
         yield messages.NOT_CONVERGED()
     if estimate.logs.first_failure is not None:

@@ -86,34 +86,40 @@ def screen(likelihood: Likelihood, point: Point) -> tuple[list[Choice], Flags]:
     sensitivities: the one that the chosen ones imitate least comes next.
     """
     sigma = _noise(likelihood)
-    parameters = [j for j, u in enumerate(likelihood.unknowns) if u.log is None]
-    starts = [j for j, u in enumerate(likelihood.unknowns) if u.log is not None]
-    tables = point.residuals.tables
-    columns, effects, acts = [], [], []
-    for j in parameters:
-        moved = [_moved(likelihood, point, j, change) for change in CHANGES]
-        sizes = [_relative(likelihood, m) for m in moved]
-        slope = next((m for m in moved if m is not None), None)
-        change = CHANGES[0] if moved[0] is not None else CHANGES[1]
-        flat = (
-            np.zeros(sum(int(np.isfinite(t).sum()) for t in tables)) if slope is None else _flat(slope, tables, sigma)
-        )
-        columns.append(flat / change)
-        effects.append(float(np.linalg.norm(_flat(moved[1], tables, sigma))) if moved[1] else float("nan"))
-        acts.append(max(sizes) > NO_EFFECT)
-    nuisance = []
-    for j in starts:
-        slope = _moved(likelihood, point, j, CHANGES[0])
-        if slope is not None:
-            nuisance.append(_flat(slope, tables, sigma))
-    matrix = without(
-        np.column_stack(columns), np.column_stack(nuisance) if nuisance else np.zeros((columns[0].size, 0))
-    )
-    names = [likelihood.unknowns[j].name for j in parameters]
-    chosen, reasons = _select(names, matrix, np.linalg.norm(np.column_stack(columns), axis=0), acts)
-    choices = [Choice(n, effects[i], i in chosen, reasons[i]) for i, n in enumerate(names)]
+    names = [u.name for u in likelihood.unknowns if u.log is None]
+    tried = [_try(likelihood, point, j, sigma) for j, u in enumerate(likelihood.unknowns) if u.log is None]
+    columns = np.column_stack([t.slope for t in tried])
+    nuisance = [
+        _flat(moved, point.residuals.tables, sigma)
+        for j, u in enumerate(likelihood.unknowns)
+        if u.log is not None and (moved := _moved(likelihood, point, j, CHANGES[0])) is not None
+    ]
+    starts = np.column_stack(nuisance) if nuisance else np.zeros((columns.shape[0], 0))
+    sizes = np.linalg.norm(columns, axis=0)
+    chosen, reasons = _select(names, without(columns, starts), sizes, [t.acts for t in tried])
+    choices = [Choice(n, t.effect, i in chosen, reasons[i]) for i, (n, t) in enumerate(zip(names, tried, strict=True))]
     kept = np.array([u.log is not None or names.index(u.name) in chosen for u in likelihood.unknowns])
     return choices, kept
+
+
+class _Trial(NamedTuple):
+    """Sensitivity to a parameter, effect of the larger change, and whether there is any."""
+
+    slope: Array
+    effect: float
+    acts: bool
+
+
+def _try(likelihood: Likelihood, point: Point, j: int, sigma: Array) -> _Trial:
+    """Return the effects of the changes of a parameter; none if the FMU fails with each."""
+    tables = point.residuals.tables
+    moved = {change: _moved(likelihood, point, j, change) for change in CHANGES}
+    effects = {change: _flat(m, tables, sigma) for change, m in moved.items() if m is not None}
+    if not effects:
+        return _Trial(np.zeros(sum(int(np.isfinite(t).sum()) for t in tables)), math.nan, False)
+    slope = next(effect / change for change, effect in effects.items())
+    effect = float(np.linalg.norm(effects[CHANGES[1]])) if CHANGES[1] in effects else math.nan
+    return _Trial(slope, effect, max(_relative(likelihood, m) for m in moved.values()) > NO_EFFECT)
 
 
 def _noise(likelihood: Likelihood) -> Array:
@@ -141,8 +147,7 @@ def _moved(likelihood: Likelihood, point: Point, j: int, change: float) -> list[
     return None
 
 
-def _flat(tables: Sequence[Array] | None, measured: Sequence[Array], sigma: Array) -> Array:
-    assert tables is not None
+def _flat(tables: Sequence[Array], measured: Sequence[Array], sigma: Array) -> Array:
     return np.concatenate([(t / sigma)[np.isfinite(m)] for t, m in zip(tables, measured, strict=True)])
 
 

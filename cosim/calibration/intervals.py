@@ -156,11 +156,7 @@ def _autoregression(parts: Sequence[Array]) -> Autoregression:
     forward, backward, variance, least = list(parts), list(parts), square, count * math.log(square)
     for order in range(1, min(MOST_LAGS, count // FEW) + 1):
         forward, backward = [f[1:] for f in forward], [b[:-1] for b in backward]
-        cross = sum(float(f @ b) for f, b in zip(forward, backward, strict=True))
-        sizes = sum(float(f @ f + b @ b) for f, b in zip(forward, backward, strict=True))
-        if sizes <= 0.0:
-            break
-        k = -2.0 * cross / sizes
+        k = _reflection(forward, backward)
         longer = np.append(a, 0.0)
         a = longer + k * longer[::-1]
         variance *= max(1e-12, 1.0 - k * k)
@@ -170,6 +166,13 @@ def _autoregression(parts: Sequence[Array]) -> Autoregression:
         if criterion < least:
             least, best = criterion, Autoregression(a, variance, variance / float(np.sum(a)) ** 2 / square)
     return best
+
+
+def _reflection(forward: Sequence[Array], backward: Sequence[Array]) -> float:
+    """Return the reflection coefficient that makes the prediction errors smallest."""
+    pairs = [(float(f @ b), float(f @ f + b @ b)) for f, b in zip(forward, backward, strict=True)]
+    size = sum(size for _, size in pairs)
+    return -2.0 * sum(cross for cross, _ in pairs) / size if size > 0.0 else 0.0
 
 
 def _whitened(model: Autoregression, values: Array) -> Array:

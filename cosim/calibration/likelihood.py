@@ -180,15 +180,11 @@ class Likelihood:
         at_low, at_high = point.x <= self.low, point.x >= self.high
         return np.asarray(~((at_low & (gradient > 0.0)) | (at_high & (gradient < 0.0))))
 
-    def maximize(
-        self, start: Point, slopes: Jacobian | None = None, report: Callable[[int], None] | None = None
-    ) -> bool:
+    def maximize(self, start: Point, slopes: Jacobian, report: Callable[[int], None]) -> bool:
         """Move from a point to the largest likelihood, `best`; return True if it settled."""
-        point, damping, fresh = start, 1e-3, slopes is not None
-        slopes = slopes or []
+        point, damping, fresh = start, 1e-3, True
         for iteration in range(ITERATIONS):
-            if report is not None:
-                report(iteration)
+            report(iteration)
             if not slopes:
                 slopes, fresh = self.jacobian(point), True
             step, expected = self._step(point, slopes, damping)

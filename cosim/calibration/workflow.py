@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.errors import Fault, InputError, SimulationError, Terminated, TimedOut, refuse, stop_error
-from cosim.blocks.description import read_description, unit_definition
+from cosim.blocks.description import read_description, unit_definition, unit_of
 from cosim.calibration import messages
 from cosim.calibration.estimate import Estimate, Report
 from cosim.calibration.fit_record import Outcome, Record, parameter_entries, record
@@ -56,7 +56,7 @@ def fit(
     report: bool = True,
     force: bool = True,
     keep: bool = False,
-    progress: Report | None = None,
+    progress: Report = lambda stage, share: None,
 ) -> tuple[Outcome, Record]:
     """Estimate parameters and start values of an FMU from logs.
 
@@ -76,17 +76,15 @@ def fit(
         SimulationError: The FMU fails with the values before the fit, or the fit was stopped.
     """
     begin = time.monotonic()
-    progress = progress or (lambda stage, share: None)
     most, path, place = read_limits(limits), Path(fmu), named_path(folder)
-    estimation, test = [Path(p) for p in logs], [Path(p) for p in sealed]
+    estimation, test = [*map(Path, logs)], [*map(Path, sealed)]
     check_left(place, "cosim fit", str(path), force=force, keep=keep)
-    progress("reading the logs", 0.0)
     read, chosen, given = _read(path, estimation, test, (vary, start, columns))
     check_writable(place, FILES, (*estimation, *test, path))
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         inner = most.model_copy(update={"total": None, "step": most.step or most.total})
-        fixed = {n: v for n, v in given.items() if n not in {p.name for p in chosen}}
+        fixed = _without(given, chosen)
 
         def load(log: Log, file: Path = path) -> AbstractContextManager[Drive]:
             return DriveApart(worker, log, file, limits=inner, given=fixed) if worker else Drive(log, file, given=fixed)
@@ -96,22 +94,13 @@ def fit(
         opened, closed = drives[: len(estimation)], drives[len(estimation) :]
         estimate = Estimate(Logs(opened, begin + (most.total or np.inf)), {}, progress)
         stop = _run(estimate, chosen, screening=not vary, limits=most)
-        parts: tuple[Part, ...] = ()
-        if stop is None:
-            progress("replaying with the values before and after", 0.0)
-            try:
-                parts = _prove(estimate, chosen, opened, closed)
-            except SimulationError as error:  # the values stand, without proof
-                stop = error
-            except (KeyboardInterrupt, Terminated) as signal:
-                stop = stop_error(signal, 0.0, "the proof")
+        parts, stop = ((), stop) if stop else _prove_or_stop(estimate, chosen, opened, closed)
         hold_stops()
         entries = parameter_entries(estimate)
         outcome = Outcome(path, tuple(estimation), tuple(test), estimate, fixed, parts, _risen(parts), entries)
         if keep:
             keep_earlier(place, "cosim fit")
-        for name in FILES:
-            (place / name).unlink(missing_ok=True)
+        _remove(place)
         written = _write(place, outcome, begin, stop, lambda file: load(read[0], file))
         if report:
             from cosim.calibration.report import page
@@ -154,14 +143,7 @@ def _read(
     refuse(faults)
     description = read_description(fmu)
     given = attempt(start_values, {}, fmu, start)
-    numbers = {n: v for n, v in given.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
-    offered = candidates(description, numbers)
-    shared = [p for p in offered.values() if not p.per_log and p.low <= p.start <= p.high]
-    chosen = attempt(read_vary, [], description, offered, vary) if vary else shared
-    if not vary and not shared:
-        faults.append(Fault(fmu, 0, 0, messages.NO_PARAMETERS()))
-    if not vary:
-        chosen = [p for p in shared if p.name not in given]
+    chosen = attempt(_chosen, [], fmu, description, vary, given)
 
     def read(path: Path) -> Log:
         return log_of_fmu(path, fmu, read_column_names(columns, path), alone=len(paths) == 1)
@@ -169,6 +151,18 @@ def _read(
     logs = [attempt(read, None, path) for path in paths]
     refuse(faults)
     return logs, chosen, given
+
+
+def _chosen(fmu: Path, description: Any, vary: Sequence[str], given: Mapping[str, Any]) -> list[Parameter]:
+    """Return the parameters named by `vary`, or all that the FMU offers."""
+    numbers = {n: v for n, v in given.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
+    offered = candidates(description, numbers)
+    if vary:
+        return read_vary(description, offered, vary)
+    chosen = [p for p in offered.values() if not p.per_log and p.low <= p.start <= p.high and p.name not in given]
+    if not chosen:
+        raise InputError.at(fmu, messages.NO_PARAMETERS())
+    return chosen
 
 
 def _refuse_bad(drives: Sequence[Drive]) -> None:
@@ -179,6 +173,12 @@ def _refuse_bad(drives: Sequence[Drive]) -> None:
         findings += input_unit_findings(drive.log, drive.starts, drive.traits.bounds if drive.traits else {})
         faults += gate_faults(drive.log, findings)
     refuse(faults)
+
+
+def _without(given: Mapping[str, Any], chosen: Sequence[Parameter]) -> dict[str, Any]:
+    """Return the given values that are not estimated."""
+    varied = {p.name for p in chosen}
+    return {n: v for n, v in given.items() if n not in varied}
 
 
 # -- estimate and proof -------------------------------------------------------------------------------
@@ -198,6 +198,19 @@ def _run(estimate: Estimate, chosen: Sequence[Parameter], *, screening: bool, li
             raise
         return stop_error(stop, 0.0, "the fit")
     return None
+
+
+def _prove_or_stop(
+    estimate: Estimate, chosen: Sequence[Parameter], opened: Sequence[Drive], closed: Sequence[Drive]
+) -> tuple[tuple[Part, ...], SimulationError | None]:
+    """Return the proof; without it the values stand, and the reason is returned."""
+    estimate.report("replaying with the values before and after", 0.0)
+    try:
+        return _prove(estimate, chosen, opened, closed), None
+    except SimulationError as error:
+        return (), error
+    except (KeyboardInterrupt, Terminated) as signal:
+        return (), stop_error(signal, 0.0, "the proof")
 
 
 def _prove(
@@ -230,6 +243,12 @@ def _risen(parts: Sequence[Part]) -> tuple[str, ...]:
 # -- files --------------------------------------------------------------------------------------------
 
 
+def _remove(place: Path) -> None:
+    """Remove the files of an earlier fit."""
+    for name in FILES:
+        (place / name).unlink(missing_ok=True)
+
+
 def _write(
     place: Path,
     outcome: Outcome,
@@ -238,25 +257,27 @@ def _write(
     load: Callable[[Path], AbstractContextManager[Drive]],
 ) -> Record:
     """Write fitted.ssv, fitted.fmu and fit.json; return the content of the last."""
-    described = read_description(outcome.fmu)
-    values = dict(_values(outcome))
-    numbers = {n: v for n, v in outcome.given.items() if isinstance(v, float)}
-    units = {v.name: v.unit or "" for v in described.modelVariables}
-    sets = {n: (v, units[n]) for n, v in {**numbers, **values}.items()}
-    definitions = {u: d for u in {u for _, u in sets.values()} if (d := unit_definition(described, u)) is not None}
-    write_parameter_set(place / "fitted.ssv", f"{outcome.fmu.stem}-fitted", sets, definitions)
-    told = list(warnings(outcome))
-    if stop is None and values:
-        drive, estimate = outcome.estimate.logs.drives[0], outcome.estimate
-        assert estimate.likelihood is not None
-        assert estimate.point is not None
+    values, told = dict(_values(outcome)), list(warnings(outcome))
+    _write_set(place / "fitted.ssv", outcome, values)
+    estimate = outcome.estimate
+    if stop is None and values and estimate.likelihood is not None and estimate.point is not None:
         start = {n: v for n, v in estimate.likelihood.values(estimate.point.x, 0).items() if n not in values}
-        reason = why_no_copy(drive, values, start, place / "fitted.fmu", load)
+        reason = why_no_copy(estimate.logs.drives[0], values, start, place / "fitted.fmu", load)
         if reason is not None:
             told.append(messages.NO_COPY(reason=reason, command=command(outcome, values)))
     written = record(outcome, verdict(outcome), time.monotonic() - begin, told, list(notes(outcome)))
     write_json(place / "fit.json", written.model_dump(mode="json"), allow_nan=False)
     return written
+
+
+def _write_set(path: Path, outcome: Outcome, values: Mapping[str, float]) -> None:
+    """Write the values and the given real values as an SSV file."""
+    described = read_description(outcome.fmu)
+    units = {v.name: unit_of(v) for v in described.modelVariables}
+    numbers = {n: v for n, v in outcome.given.items() if isinstance(v, float)}
+    sets = {n: (v, units[n]) for n, v in {**numbers, **values}.items()}
+    definitions = {u: d for u in {u for _, u in sets.values()} if (d := unit_definition(described, u)) is not None}
+    write_parameter_set(path, f"{outcome.fmu.stem}-fitted", sets, definitions)
 
 
 def _values(outcome: Outcome) -> Iterator[tuple[str, float]]:

@@ -83,9 +83,13 @@ def fit(
             in_process=in_process,
             report=report and out is not None,
             force=force,
-            progress=progress,
+            progress=progress or _silent,
         )
     return Fitted(record.model_dump(mode="json"), None if out is None else Path(out))
+
+
+def _silent(stage: str, share: float) -> None:
+    """Show no progress."""
 
 
 def command(
@@ -153,7 +157,7 @@ def command(
             report=report,
             force=force,
             keep=out is None,
-            progress=progress,
+            progress=progress or _silent,
         )
     warn(*record.warnings, *record.notes)
     if as_json:
