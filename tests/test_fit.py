@@ -163,6 +163,20 @@ def test_a_parameter_that_ends_at_its_bound_is_named(bench: Path) -> None:
     assert any(w.startswith("damping ends at its bound 0.6") for w in fitted.record["warnings"])
 
 
+def test_windows_replace_free_runs_that_drift(tmp_path: Path) -> None:
+    rng, rows, h = np.random.default_rng(1), 401, 0.05
+    force, pull = np.repeat(rng.uniform(-1.0, 1.0, 41), 10)[:rows], np.cumsum(0.02 * rng.standard_normal(rows))
+    speed = np.cumsum(h * (2.0 / 1.6 * force + pull))
+    columns = {"position": np.cumsum(h * speed) + 2e-3 * rng.standard_normal(rows), "velocity": speed}
+    log = write_log(tmp_path / "a.csv", {"time": h * np.arange(rows), "force": force, **columns})
+    fmu = slider_fmu(tmp_path / "slider.fmu")
+    fitted = cosim.fit([log], fmu, vary=["mass"], start={"damping": 0}, **QUICK)
+    assert fitted.record["windows"] == 2.0
+    assert "a free run misses" in fitted.record["windows_reason"]
+    assert fitted.values["mass"] == pytest.approx(1.6, abs=0.5)
+    assert any("stays above the noise and is not white" in w for w in fitted.record["warnings"])
+
+
 # -- failures -----------------------------------------------------------------------------------------
 
 
@@ -258,9 +272,10 @@ def test_other_bytes_of_a_description_stay() -> None:
 
 
 def test_the_command_prints_verdict_estimates_and_files(bench: Path, tmp_path: Path) -> None:
+    logs = [slider_log(tmp_path / f"{k}.csv", seed=k, seconds=6.0) for k in (1, 2)]
     done: subprocess.CompletedProcess[str] = command(
-        "fit", bench / "a.csv", "--fmu", bench / "slider.fmu", "--vary", "mass", "--vary", "damping", "--sealed",
-        bench / "b.csv", "--out", tmp_path / "out",
+        "fit", logs[0], "--fmu", bench / "slider.fmu", "--vary", "mass", "--vary", "damping", "--sealed",
+        logs[1], "--out", tmp_path / "out",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert "On 1 sealed log the free-run error falls" in done.stdout
@@ -320,7 +335,3 @@ def test_intervals_hold_the_truth_under_white_noise(tmp_path: Path) -> None:
 @pytest.mark.thorough
 def test_intervals_hold_the_truth_under_a_coloured_disturbance(tmp_path: Path) -> None:
     assert min(coverage(tmp_path, 60, 301, 0.8).values()) >= 50  # of 60
-
-
-def test_a_few_intervals_hold_the_truth(tmp_path: Path) -> None:
-    assert min(coverage(tmp_path, 6, 151, 0.0).values()) >= 4

@@ -212,22 +212,12 @@ class Estimate:
             return f"the plant is unstable: a small change of the start grows {growth:.0e} times over a log"
         if not _stays(likelihood, slopes, point):
             return ""
-        squares: list[Array] = []
-        for k, drive in enumerate(self.logs.drives):
-            moved = SetDrive(drive, likelihood.values(point.x, k))
-            self.logs.count += 1
-            try:
-                windowed = self_started(moved, self.logs.all_starts[k], free_run(moved), horizons(drive.log)[-1])
-            except SimulationError:
-                return ""
-            if windowed is None:
-                return ""
-            errors = windowed.errors(drive.log)
-            table = [np.nanmean(errors[n] ** 2) if n in errors else np.nan for n in self.logs.channels]
-            squares.append(np.array(table))
+        squares = [self._window_squares(k, likelihood.values(point.x, k)) for k in range(len(self.logs.drives))]
+        before = [self._window_squares(k, _first(likelihood)) for k in range(len(self.logs.drives))]
         with np.errstate(invalid="ignore", divide="ignore"):
-            ratio = point.residuals.sigma / np.sqrt(np.nanmean(squares, axis=0))
-        worst = int(np.nanargmax(ratio))
+            errors = np.fmin(np.mean(squares, axis=0), np.mean(before, axis=0))
+            ratio = np.nan_to_num(point.residuals.sigma / np.sqrt(errors))
+        worst = int(np.argmax(ratio))
         if not ratio[worst] > DRIFTS:
             return ""
         name = self.logs.channels[worst]
@@ -235,6 +225,26 @@ class Estimate:
             f"the effect of the start does not fade, and a free run misses {name} {ratio[worst]:.0f} times "
             "as far as windows, even after a fit"
         )
+
+    def _window_squares(self, k: int, values: Mapping[str, float]) -> Array:
+        """Return the mean square errors of a log over windows, infinite after a failure."""
+        drive, nothing = self.logs.drives[k], np.full(len(self.logs.channels), np.inf)
+        moved = SetDrive(drive, values)
+        self.logs.count += 1
+        try:
+            windowed = self_started(moved, self.logs.all_starts[k], free_run(moved), horizons(drive.log)[-1])
+        except SimulationError:
+            return nothing
+        if windowed is None:
+            return nothing
+        errors = windowed.errors(drive.log)
+        squares = {n: float(np.mean(e[np.isfinite(e)] ** 2)) for n, e in errors.items() if np.isfinite(e).any()}
+        return np.array([squares.get(n, np.inf) for n in self.logs.channels])
+
+
+def _first(likelihood: Likelihood) -> dict[str, float]:
+    """Return the values of the parameters before the fit."""
+    return {**likelihood.given, **{u.name: u.parameter.start for u in likelihood.unknowns if u.log is None}}
 
 
 def _quarters(likelihood: Likelihood, point: Point, slopes: Jacobian) -> list[Array]:

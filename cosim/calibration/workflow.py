@@ -57,7 +57,7 @@ def fit(
     force: bool = True,
     keep: bool = False,
     progress: Report = lambda stage, share: None,
-) -> tuple[Outcome, Record]:
+) -> tuple[Record, list[str]]:
     """Estimate parameters and start values of an FMU from logs.
 
     Writes fit.json, fitted.ssv, fitted.fmu (if its library follows the start values of the file) and report.html.
@@ -69,6 +69,9 @@ def fit(
         columns: Log columns with other names than in the FMU, `measured_speed=motor.w`.
         limits: Limits of the FMU; `total` limits the estimate.
         keep: Move the files of an earlier fit to `runs` in the folder.
+
+    Returns:
+        The content of fit.json, and warnings and notes with their codes.
 
     Raises:
         InputError: Logs or arguments have faults.
@@ -101,7 +104,7 @@ def fit(
         if keep:
             keep_earlier(place, "cosim fit")
         _remove(place)
-        written = _write(place, outcome, begin, stop, lambda file: load(read[0], file))
+        written, told = _write(place, outcome, begin, stop, lambda file: load(read[0], file))
         if report:
             from cosim.calibration.report import page
 
@@ -109,7 +112,7 @@ def fit(
     if stop is not None:
         stop.left = place
         raise stop
-    return outcome, written
+    return written, told
 
 
 # -- input ------------------------------------------------------------------------------------------
@@ -255,8 +258,8 @@ def _write(
     begin: float,
     stop: SimulationError | None,
     load: Callable[[Path], AbstractContextManager[Drive]],
-) -> Record:
-    """Write fitted.ssv, fitted.fmu and fit.json; return the content of the last."""
+) -> tuple[Record, list[str]]:
+    """Write fitted.ssv, fitted.fmu and fit.json; return the content of the last, and all warnings and notes."""
     values, told = dict(_values(outcome)), list(warnings(outcome))
     _write_set(place / "fitted.ssv", outcome, values)
     estimate = outcome.estimate
@@ -265,9 +268,10 @@ def _write(
         reason = why_no_copy(estimate.logs.drives[0], values, start, place / "fitted.fmu", load)
         if reason is not None:
             told.append(messages.NO_COPY(reason=reason, command=command(outcome, values)))
-    written = record(outcome, verdict(outcome), time.monotonic() - begin, told, list(notes(outcome)))
+    remarks = list(notes(outcome))
+    written = record(outcome, verdict(outcome), time.monotonic() - begin, told, remarks)
     write_json(place / "fit.json", written.model_dump(mode="json"), allow_nan=False)
-    return written
+    return written, [*told, *remarks]
 
 
 def _write_set(path: Path, outcome: Outcome, values: Mapping[str, float]) -> None:

@@ -71,7 +71,7 @@ def fit(
     settings = normalize_settings(columns, "columns")
     pairs = [f"{c}={v}" for c, v in settings.items()] if isinstance(settings, dict) else list(settings)
     with compiling(compile), results_in(out) as folder:
-        _, record = fit_logs(
+        record, _ = fit_logs(
             list(logs),
             fmu,
             folder,
@@ -144,7 +144,7 @@ def command(
 
     place = folder_of_file(fmu, "fit") if out is None else out
     with compiling(compile_), stages() as progress:
-        _, record = fit_logs(
+        record, told = fit_logs(
             logs,
             fmu,
             place,
@@ -159,7 +159,7 @@ def command(
             keep=out is None,
             progress=progress or _silent,
         )
-    warn(*record.warnings, *record.notes)
+    warn(*told)
     if as_json:
         say_json({**record.model_dump(mode="json"), "files": files_in(place, "fit.json", "fitted.ssv", "fitted.fmu")})
     else:
