@@ -143,7 +143,7 @@ def _read(
     faults += [Fault(p, 0, 0, messages.USED_TWICE()) for k, p in enumerate(paths) if p in paths[:k]]
     for path in paths or [fmu]:
         attempt(check_files, None, path, fmu)
-    refuse(faults)
+    refuse(faults if any(f.file == fmu for f in faults) else ())
     description = read_description(fmu)
     given = attempt(start_values, {}, fmu, start)
     chosen = attempt(_chosen, [], fmu, description, vary, given)
