@@ -1,8 +1,8 @@
 """Co-simulation of FMUs, and their refinement with measured logs.
 
-`run`, `simulate`, `replay`, `refine`, `check`, `build`, `excite`, `linearize`, `compare`, `consistency`, `export_ssp`
-and `sweep` are the verbs of the command line as functions; `read` reads their results. Installed packages add more.
-Each is imported at its first use. docs/python.md has examples.
+`run`, `simulate`, `replay`, `fit`, `refine`, `check`, `build`, `excite`, `linearize`, `compare`, `consistency`,
+`export_ssp` and `sweep` are the verbs of the command line as functions; `read` reads their results. Installed packages
+add more. Each is imported at its first use. docs/python.md has examples.
 """
 
 from __future__ import annotations

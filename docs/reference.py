@@ -12,6 +12,7 @@ import typer.main
 
 import cosim.model
 from cosim.base.registry import resolve
+from cosim.calibration.fitted import Fitted
 from cosim.comparison.differences import Compared
 from cosim.refinement.refined_result import Refined
 from cosim.residuals.replay_signals import Replay
@@ -22,7 +23,7 @@ from cosim.verbs import verbs
 from cosim.verbs.cli import app
 from cosim.verbs.help import OTHERS, format_description, format_names
 
-RESULTS = (Run, Signals, Replay, Refined, Compared, Swept, Runs)
+RESULTS = (Run, Signals, Replay, Fitted, Refined, Compared, Swept, Runs)
 ALIASES = {"Number", "Values"}  # of types: they have no docstring
 SECTIONS = re.compile(r"^(Args|Attributes|Returns|Raises):$", re.MULTILINE)
 

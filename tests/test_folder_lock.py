@@ -37,6 +37,7 @@ VERBS: dict[str, Verb] = {
     "run": lambda given, out: cosim.run(given / "scenario.yaml", out),
     "simulate": lambda given, out: cosim.simulate(given / "good.fmu", out),
     "replay": lambda given, out: cosim.replay(given / "log.csv", out, given / "good.fmu"),
+    "fit": lambda given, out: cosim.fit([given / "log.csv"], given / "good.fmu", out),
     "refine": lambda given, out: cosim.refine(ROOT / "examples" / "hovercraft" / "study.yaml", out),
     "compare": lambda given, out: cosim.compare(given / "log.csv", given / "log.csv", out),
     "excite": lambda given, out: cosim.excite("base", out, ["friction"]),

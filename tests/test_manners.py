@@ -16,7 +16,7 @@ from tests.typed import typed_fmu
 
 COMMANDS = sorted(c.name or c.callback.__name__ for c in app.registered_commands if c.callback)
 WITHOUT_FILES = {"bench", "consistency", "schema"}  # the first and the last print nothing but JSON
-ASKED = {"build": ["--model"], "compare": ["none.csv"]}
+ASKED = {"build": ["--model"], "compare": ["none.csv"], "fit": ["--fmu", "none.fmu"]}
 
 
 def told(

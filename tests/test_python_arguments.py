@@ -81,6 +81,7 @@ def good(function: str, folder: Path) -> dict[str, Any]:
         "run": {"scenario": folder / "s.yaml", **quick},
         "simulate": {"fmu": fmu, "stop": 0.2, "step": 0.1, **quick},
         "replay": {"log": folder / "log.csv", "fmu": fmu, **quick},
+        "fit": {"logs": [missing], "fmu": missing, "out": "out", **quick},
         "refine": {"study": missing, "out": "out", **quick},
         "check": {"files": folder / "s.yaml", "load": False},
         "compare": {"a": folder / "run", "b": folder / "run"},

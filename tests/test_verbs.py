@@ -34,6 +34,7 @@ CASES = {  # verb → its words, and a file that it writes
     "export-ssp": ("run.yaml", "tank.ssp"),
     "check": ("run.yaml tank.fmu tank.py e1.csv", ""),
     "replay": ("e1.csv --plant tank.fmu", "results/e1/residual.csv"),
+    "fit": ("e1.csv --fmu tank.fmu --vary area=0.3..2", "results/tank-fit/fit.json"),
     "refine": ("study.yaml --no-report", "results/study/refine.json"),
     "excite": ("tank.py:Tank --against leak --limit level=1 --duration 60", "results/Tank-excitation/excitation.csv"),
     "info": ("tank.fmu", ""),

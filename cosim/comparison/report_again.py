@@ -26,7 +26,7 @@ def report_of(folder: FilePath, *, figures: bool = False) -> Path:
         check_given(path, "a folder that a run left")
         raise InputError.at(path, messages.FILE_FOR_FOLDER())
     if not (path / "manifest.json").is_file():
-        verbs = {"refine.json": "refine", "replay.json": "replay", "comparison.json": "compare"}
+        verbs = {"refine.json": "refine", "fit.json": "fit", "replay.json": "replay", "comparison.json": "compare"}
         verb = next((v for name, v in verbs.items() if (path / name).is_file()), None)
         raise InputError.at(path, messages.FOLDER_OF_OTHER_VERB(verb=verb) if verb else messages.NO_MANIFEST())
     run = read_ran(path)

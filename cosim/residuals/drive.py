@@ -77,11 +77,12 @@ def check_files(log: Path, fmu: Path | None) -> None:
     refuse(faults)
 
 
-def log_of_fmu(path: Path, fmu: Path, columns: Mapping[str, str] = MappingProxyType({})) -> Log:
+def log_of_fmu(path: Path, fmu: Path, columns: Mapping[str, str] = MappingProxyType({}), *, alone: bool = True) -> Log:
     """Return a log of an FMU.
 
     Args:
         columns: Name in the log → name in the FMU, if different.
+        alone: True if `columns` applies to this log alone, so that a missing column is a fault.
 
     Raises:
         InputError: Every fault of the log.
@@ -91,7 +92,7 @@ def log_of_fmu(path: Path, fmu: Path, columns: Mapping[str, str] = MappingProxyT
     signals = model_signals(fmu)
     if (traits := traits_of(fmu)) is not None and traits.static:
         raise InputError.at(fmu, messages.NO_STATES())
-    return read_log(path, *signals, columns=columns, alone=True)
+    return read_log(path, *signals, columns=columns, alone=alone)
 
 
 class StoppedReplay(SimulationError):

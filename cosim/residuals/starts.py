@@ -35,6 +35,7 @@ FEWEST = 6  # samples of a parabola
 LEAST = 4  # samples of a channel; slow sensors use a longer time
 PASSES = 4  # passes over the first second
 OLDEST = 2.0  # [s] oldest useful sample, even of a slow sensor
+REALS = {"Real", "Float64"}
 Error = tuple[Array, float, bool]  # measured − carrier, its noise, True for the rate
 
 
@@ -62,16 +63,25 @@ class StartParameter:
 def start_parameters(drive: Drive) -> dict[str, StartParameter]:
     """Return output → start parameter, determined by trial initializations.
 
-    `angle` and `angle_actual` may be set by `angle_start`. Parameters without proportional output are ignored.
+    `angle` and `angle_actual` may be set by `angle_start`, or `angle` by its own start value. Parameters without
+    proportional output are ignored.
     """
-    variables = {v.name: v for v in drive.description.modelVariables if v.type == "Real" and v.causality == "parameter"}
+    variables = {v.name: v for v in drive.description.modelVariables if _is_start(v)}
     parameters = {}
     for output in drive.outputs:
-        names = (f"{output}_start", f"{output.removesuffix('_actual')}_start")
+        names = (f"{output}_start", f"{output.removesuffix('_actual')}_start", output)
         variable = next((variables[n] for n in names if n in variables), None)
         if variable is not None and (parameter := _try_parameter(drive, output, variable)) is not None:
             parameters[output] = parameter
     return _with_places(drive, parameters)
+
+
+def _is_start(variable: Any) -> bool:
+    """Return whether a variable may be a start parameter: a real parameter, or an output with an exact start value."""
+    if variable.type not in REALS or getattr(variable, "shape", None):
+        return False
+    is_state = variable.causality == "output" and getattr(variable, "initial", None) == "exact"
+    return bool(variable.causality == "parameter" or (is_state and variable.start is not None))
 
 
 def _with_places(drive: Drive, parameters: dict[str, StartParameter]) -> dict[str, StartParameter]:

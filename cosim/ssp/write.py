@@ -77,6 +77,25 @@ def write_ssp(path: Path, whole: Whole) -> Path:
     return path
 
 
+def write_parameter_set(path: Path, name: str, values: Mapping[str, tuple[float, str]], units: Units) -> Path:
+    """Write an SSV file of real parameters completely or not at all.
+
+    Args:
+        values: Parameter → value and unit, "" without one.
+        units: Definitions of the units.
+    """
+    root = Element("ssv:ParameterSet", _namespaces("ssv", "ssc") | {"version": "1.0", "name": name})
+    parameters = SubElement(root, "ssv:Parameters")
+    for parameter, (value, unit) in values.items():
+        real = SubElement(SubElement(parameters, "ssv:Parameter", name=parameter), "ssv:Real", value=repr(value))
+        if unit in units:
+            real.set("unit", unit)
+    _write_units(root, "ssv:Units", units)
+    with draft_of(path) as draft:
+        draft.write_bytes(_xml(root))
+    return path
+
+
 def _xml(root: Element) -> bytes:
     indent(root)
     return bytes(tostring(root, encoding="UTF-8", xml_declaration=True))
@@ -99,21 +118,27 @@ def _description(whole: Whole, files: Mapping[str, str]) -> Element:
         for (start, output), (end, target) in whole.connections:
             ends = {"startElement": start, "startConnector": output, "endElement": end, "endConnector": target}
             SubElement(connections, "ssd:Connection", ends)
-    if whole.units:
-        units = SubElement(root, "ssd:Units")
-        for name, definition in sorted(whole.units.items()):
-            base = SubElement(SubElement(units, "ssc:Unit", name=name), "ssc:BaseUnit")
-            for unit, exponent in zip(BASE_UNITS, definition, strict=False):
-                if exponent:
-                    base.set(unit, str(int(exponent)))
-            if definition[-2] != 1.0:
-                base.set("factor", repr(definition[-2]))
-            if definition[-1] != 0.0:
-                base.set("offset", repr(definition[-1]))
+    _write_units(root, "ssd:Units", whole.units)
     experiment = SubElement(root, "ssd:DefaultExperiment", startTime=repr(whole.start), stopTime=repr(whole.stop))
     annotation = SubElement(SubElement(experiment, "ssd:Annotations"), "ssc:Annotation", type=OSP_TYPE)
     SubElement(SubElement(annotation, "osp:Algorithm"), "osp:FixedStepAlgorithm", baseStepSize=repr(whole.step))
     return root
+
+
+def _write_units(root: Element, tag: str, definitions: Units) -> None:
+    """Add the definitions of units, if any."""
+    if not definitions:
+        return
+    units = SubElement(root, tag)
+    for name, definition in sorted(definitions.items()):
+        base = SubElement(SubElement(units, "ssc:Unit", name=name), "ssc:BaseUnit")
+        for unit, exponent in zip(BASE_UNITS, definition, strict=False):
+            if exponent:
+                base.set(unit, str(int(exponent)))
+        if definition[-2] != 1.0:
+            base.set("factor", repr(definition[-2]))
+        if definition[-1] != 0.0:
+            base.set("offset", repr(definition[-1]))
 
 
 def _component(model: SspFmu, source: str) -> Element:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:  # signatures of the functions, for type checkers
     from cosim.sweeps.workflow import sweep as sweep
     from cosim.verbs.check_verb import check as check
     from cosim.verbs.compare_verb import compare as compare
+    from cosim.verbs.fit_verb import fit as fit
     from cosim.verbs.read_verb import read as read
     from cosim.verbs.refine_verb import refine as refine
     from cosim.verbs.replay_verb import replay as replay
@@ -49,6 +50,7 @@ VERBS = {  # in the order of `cosim -h`
     "linearize": _verb("linearize", INSPECT, "cosim.linearization.workflow:linearize"),
     "consistency": _verb("consistency", INSPECT, "cosim.estimators.workflow:consistency"),
     "replay": _verb("replay", MEASURED, "cosim.verbs.replay_verb:replay"),
+    "fit": _verb("fit", MEASURED, "cosim.verbs.fit_verb:fit"),
     "refine": _verb("refine", MEASURED, "cosim.verbs.refine_verb:refine"),
     "excite": _verb("excite", MEASURED, "cosim.experiment.excite:excite"),
     "build": _verb("build", BUILD, "cosim.loading.build:build"),

@@ -10,17 +10,19 @@ from cosim.storage.artefact import artefacts
 from cosim.storage.files import FilePath
 
 if TYPE_CHECKING:
+    from cosim.calibration.fitted import Fitted
     from cosim.refinement.refined_result import Refined
     from cosim.residuals.replay_signals import Replay
     from cosim.simulation.run_signals import Run, Signals
     from cosim.sweeps.sweep_table import Runs
 
 
-def read(folder: FilePath) -> Run | Replay | Refined | Runs | Signals:
+def read(folder: FilePath) -> Run | Replay | Fitted | Refined | Runs | Signals:
     """Read the results of a verb from a folder, or the signals of a CSV file.
 
     Args:
-        folder: Folder of `run`, `simulate`, `replay`, `refine` or `sweep`, or a CSV file whose first column is time.
+        folder: Folder of `run`, `simulate`, `replay`, `fit`, `refine` or `sweep`, or a CSV file whose first column is
+            time.
 
     Returns:
         The object that the verb's function returns; `Runs` of a sweep; `Signals` of a CSV file.
@@ -33,7 +35,7 @@ def read(folder: FilePath) -> Run | Replay | Refined | Runs | Signals:
     path = Path(folder)
     for artefact in artefacts():
         if artefact.reader and artefact.is_left_in(path):
-            result: Run | Replay | Refined | Runs | None = resolve(artefact.reader)(path)
+            result: Run | Replay | Fitted | Refined | Runs | None = resolve(artefact.reader)(path)
             if result is not None:
                 return result
     return read_run(path)

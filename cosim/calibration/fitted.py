@@ -1,0 +1,87 @@
+"""Result of `fit` in Python."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cosim.calibration import messages
+from cosim.storage.folders import content_of
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, repr=False)
+class Fitted:
+    """Result of a fit: `record` is the content of fit.json.
+
+    Attributes:
+        folder: Folder of the files; None if nothing was written.
+    """
+
+    record: Mapping[str, Any]
+    folder: Path | None = None
+
+    @property
+    def verdict(self) -> str:
+        """Return the verdict: improved, unchanged, worse or stopped."""
+        return str(self.record.get("verdict", ""))
+
+    @property
+    def sentence(self) -> str:
+        """Return the verdict in words."""
+        return str(self.record.get("sentence", ""))
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Return parameter → estimate."""
+        return {name: entry["value"] for name, entry in dict(self.record.get("parameters") or {}).items()}
+
+    @property
+    def intervals(self) -> dict[str, tuple[float, float] | None]:
+        """Return parameter → 95 % interval, None if the logs do not determine it alone."""
+        entries = dict(self.record.get("parameters") or {})
+        return {name: entry["ci95"] and tuple(entry["ci95"]) for name, entry in entries.items()}
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return one row per parameter; raise ImportError without pandas."""
+        try:
+            import pandas
+        except ImportError:
+            raise ImportError(messages.NO_PANDAS()) from None
+        rows = []
+        for name, entry in dict(self.record.get("parameters") or {}).items():
+            low, high = entry["ci95"] or (None, None)
+            rows.append({"parameter": name, **entry, "ci95_low": low, "ci95_high": high})
+        return pandas.DataFrame(rows).drop(columns="ci95", errors="ignore")
+
+    def plot(self) -> Figure:
+        """Plot the estimates with their intervals, relative to the values before, with matplotlib."""
+        from matplotlib.figure import Figure
+
+        figure = Figure(layout="constrained")
+        axes = figure.add_subplot()
+        entries = list(dict(self.record.get("parameters") or {}).items())
+        for row, (_, entry) in enumerate(entries):
+            scale = abs(entry["start"]) or 1.0
+            low, high = entry["ci95"] or (entry["value"],) * 2
+            axes.plot([(low - entry["start"]) / scale, (high - entry["start"]) / scale], [row, row], "-")
+            axes.plot([(entry["value"] - entry["start"]) / scale], [row], "o")
+        axes.set_yticks(range(len(entries)), [name for name, _ in entries])
+        axes.axvline(0.0, linestyle="--")
+        axes.set_xlabel("change relative to the value before")
+        return figure
+
+    def __repr__(self) -> str:
+        values = ", ".join(f"{name} = {value:.5g}" for name, value in self.values.items())
+        return f"{self.sentence}\n  {values}".rstrip()
+
+
+def read_fitted(folder: Path) -> Fitted | None:
+    """Return the fit in a folder, or None."""
+    record = content_of(folder / "fit.json")
+    return Fitted(record, folder) if record else None

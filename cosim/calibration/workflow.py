@@ -1,0 +1,299 @@
+"""Workflow of a fit: logs → gate → drives → estimate → replays → files. Sealed logs are simulated at the end only."""
+
+from __future__ import annotations
+
+import shlex
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.errors import Fault, InputError, SimulationError, Terminated, TimedOut, refuse, stop_error
+from cosim.blocks.description import read_description, unit_definition, unit_of
+from cosim.calibration import messages
+from cosim.calibration.estimate import Estimate, Report
+from cosim.calibration.fit_record import Outcome, Record, parameter_entries, record
+from cosim.calibration.fit_sentences import notes, verdict, warnings
+from cosim.calibration.fitted_fmu import why_no_copy
+from cosim.calibration.replay_proof import Part, prove
+from cosim.calibration.simulations import Logs, OutOfTime
+from cosim.calibration.vary import Parameter, candidates, read_vary
+from cosim.isolation.limits import Limits, read_limits
+from cosim.isolation.process import Worker
+from cosim.logs.gate import gate, gate_faults
+from cosim.logs.log import Log, read_column_names
+from cosim.logs.unit_mistakes import input_unit_findings
+from cosim.refinement.proof.sealed import find_rises
+from cosim.residuals.drive import Drive, check_files, log_of_fmu
+from cosim.residuals.remote_drive import MODULES, DriveApart
+from cosim.residuals.replay_settings import start_values
+from cosim.residuals.residual_statistics import FREE_RUN
+from cosim.ssp.write import write_parameter_set
+from cosim.storage.files import FilePath, check_writable, hold_stops, named_path, one_stop, write_json, write_text
+from cosim.storage.folder_lock import folder_locks
+from cosim.storage.folders import check_left, keep_earlier
+
+FILES = ("fit.json", "fitted.ssv", "fitted.fmu", "report.html")
+SEALED = Path("--sealed")
+
+
+@one_stop()
+@folder_locks()
+def fit(
+    logs: Sequence[FilePath],
+    fmu: FilePath,
+    folder: FilePath,
+    *,
+    vary: Sequence[str] = (),
+    start: Sequence[str] = (),
+    sealed: Sequence[FilePath] = (),
+    columns: Sequence[str] = (),
+    limits: str = "",
+    in_process: bool = False,
+    report: bool = True,
+    force: bool = True,
+    keep: bool = False,
+    progress: Report = lambda stage, share: None,
+) -> tuple[Record, list[str]]:
+    """Estimate parameters and start values of an FMU from logs.
+
+    Writes fit.json, fitted.ssv, fitted.fmu (if its library follows the start values of the file) and report.html.
+
+    Args:
+        vary: Parameters as NAME, NAME=20% or NAME=LOW..HIGH; none: those that the logs determine.
+        start: Further values as NAME=VALUE; of a varied parameter: its first value.
+        sealed: Logs for the proof.
+        columns: Log columns with other names than in the FMU, `measured_speed=motor.w`.
+        limits: Limits of the FMU; `total` limits the estimate.
+        keep: Move the files of an earlier fit to `runs` in the folder.
+
+    Returns:
+        The content of fit.json, and warnings and notes with their codes.
+
+    Raises:
+        InputError: Logs or arguments have faults.
+        FmuError: The FMU cannot be used.
+        SimulationError: The FMU fails with the values before the fit, or the fit was stopped.
+    """
+    begin = time.monotonic()
+    most, path, place = read_limits(limits), Path(fmu), named_path(folder)
+    estimation, test = [*map(Path, logs)], [*map(Path, sealed)]
+    check_left(place, "cosim fit", str(path), force=force, keep=keep)
+    read, chosen, given = _read(path, estimation, test, (vary, start, columns))
+    check_writable(place, FILES, (*estimation, *test, path))
+    with ExitStack() as stack:
+        worker = None if in_process else stack.enter_context(Worker(*MODULES))
+        inner = most.model_copy(update={"total": None, "step": most.step or most.total})
+        fixed = _without(given, chosen)
+
+        def load(log: Log, file: Path = path) -> AbstractContextManager[Drive]:
+            return DriveApart(worker, log, file, limits=inner, given=fixed) if worker else Drive(log, file, given=fixed)
+
+        drives = [stack.enter_context(load(log)) for log in read]
+        _refuse_bad(drives)
+        opened, closed = drives[: len(estimation)], drives[len(estimation) :]
+        estimate = Estimate(Logs(opened, begin + (most.total or np.inf)), {}, progress)
+        stop = _run(estimate, chosen, screening=not vary, limits=most)
+        parts, stop = ((), stop) if stop else _prove_or_stop(estimate, chosen, opened, closed)
+        hold_stops()
+        entries = parameter_entries(estimate)
+        outcome = Outcome(path, tuple(estimation), tuple(test), estimate, fixed, parts, _risen(parts), entries)
+        if keep:
+            keep_earlier(place, "cosim fit")
+        _remove(place)
+        written, told = _write(place, outcome, begin, stop, lambda file: load(read[0], file))
+        if report:
+            from cosim.calibration.report import page
+
+            write_text(place / "report.html", page(outcome, written))
+    if stop is not None:
+        stop.left = place
+        raise stop
+    return written, told
+
+
+# -- input ------------------------------------------------------------------------------------------
+
+
+def _read(
+    fmu: Path, estimation: Sequence[Path], sealed: Sequence[Path], texts: tuple[Sequence[str], ...]
+) -> tuple[list[Log], list[Parameter], dict[str, Any]]:
+    """Return logs, parameters to estimate and given values.
+
+    Raises:
+        InputError: Every fault of logs and arguments.
+        FmuError: Only the FMU has faults.
+    """
+    vary, start, columns = texts
+    faults: list[Fault] = []
+
+    def attempt(function: Callable[..., Any], default: Any, *arguments: Any) -> Any:
+        try:
+            return function(*arguments)
+        except InputError as error:
+            faults.extend(error.faults)
+            return default
+
+    paths = [*estimation, *sealed]
+    if not estimation:
+        faults.append(Fault(Path("LOG"), 0, 0, messages.NO_LOGS()))
+    faults += [Fault(p, 0, 0, messages.USED_TWICE()) for k, p in enumerate(paths) if p in paths[:k]]
+    for path in paths or [fmu]:
+        attempt(check_files, None, path, fmu)
+    refuse(faults if any(f.file == fmu for f in faults) else ())
+    description = read_description(fmu)
+    given = attempt(start_values, {}, fmu, start)
+    chosen = attempt(_chosen, [], fmu, description, vary, given)
+
+    def read(path: Path) -> Log:
+        return log_of_fmu(path, fmu, read_column_names(columns, path), alone=len(paths) == 1)
+
+    logs = [attempt(read, None, path) for path in paths]
+    refuse(faults)
+    return logs, chosen, given
+
+
+def _chosen(fmu: Path, description: Any, vary: Sequence[str], given: Mapping[str, Any]) -> list[Parameter]:
+    """Return the parameters named by `vary`, or all that the FMU offers."""
+    numbers = {n: v for n, v in given.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
+    offered = candidates(description, numbers)
+    if vary:
+        return read_vary(description, offered, vary)
+    chosen = [p for p in offered.values() if not p.per_log and p.low <= p.start <= p.high and p.name not in given]
+    if not chosen:
+        raise InputError.at(fmu, messages.NO_PARAMETERS())
+    return chosen
+
+
+def _refuse_bad(drives: Sequence[Drive]) -> None:
+    """Refuse logs with faults of clock, units or channels; every fault of every log at once."""
+    faults: list[Fault] = []
+    for drive in drives:
+        findings = gate(drive.log, drive.rate, traits=drive.traits)
+        findings += input_unit_findings(drive.log, drive.starts, drive.traits.bounds if drive.traits else {})
+        faults += gate_faults(drive.log, findings)
+    refuse(faults)
+
+
+def _without(given: Mapping[str, Any], chosen: Sequence[Parameter]) -> dict[str, Any]:
+    """Return the given values that are not estimated."""
+    varied = {p.name for p in chosen}
+    return {n: v for n, v in given.items() if n not in varied}
+
+
+# -- estimate and proof -------------------------------------------------------------------------------
+
+
+def _run(estimate: Estimate, chosen: Sequence[Parameter], *, screening: bool, limits: Limits) -> SimulationError | None:
+    """Run the estimate; return the error of a stop that left values, if any."""
+    try:
+        estimate.run(chosen, screening=screening)
+    except OutOfTime:
+        error = TimedOut("the fit", 0.0, messages.STOPPED_AT_LIMIT(limit=limits.total))
+        if estimate.point is None:
+            raise error from None
+        return error
+    except (KeyboardInterrupt, Terminated) as stop:
+        if estimate.point is None:
+            raise
+        return stop_error(stop, 0.0, "the fit")
+    return None
+
+
+def _prove_or_stop(
+    estimate: Estimate, chosen: Sequence[Parameter], opened: Sequence[Drive], closed: Sequence[Drive]
+) -> tuple[tuple[Part, ...], SimulationError | None]:
+    """Return the proof; without it the values stand, and the reason is returned."""
+    estimate.report("replaying with the values before and after", 0.0)
+    try:
+        return _prove(estimate, chosen, opened, closed), None
+    except SimulationError as error:
+        return (), error
+    except (KeyboardInterrupt, Terminated) as signal:
+        return (), stop_error(signal, 0.0, "the proof")
+
+
+def _prove(
+    estimate: Estimate, chosen: Sequence[Parameter], opened: Sequence[Drive], closed: Sequence[Drive]
+) -> tuple[Part, ...]:
+    """Return the errors before and after, on the logs of the estimate and then on sealed logs."""
+    likelihood, point = estimate.likelihood, estimate.point
+    assert likelihood is not None
+    assert point is not None
+    varied = {p.name for p in chosen}
+    horizon = FREE_RUN if estimate.logs.horizon is None else estimate.logs.horizon
+    first = {p.name: p.start for p in chosen if not p.per_log}
+    own = [{n: v for n, v in likelihood.values(point.x, k).items() if n in varied} for k in range(len(opened))]
+    parts = [prove(opened, [first] * len(opened), own, horizon, sealed=False)]
+    if closed:
+        mean = {n: float(np.mean([each[n] for each in own])) for n in own[0]}
+        parts.append(prove(closed, [first] * len(closed), [mean] * len(closed), horizon, sealed=True))
+    return tuple(parts)
+
+
+def _risen(parts: Sequence[Part]) -> tuple[str, ...]:
+    """Return outputs whose error rises significantly on sealed logs."""
+    if not parts or not parts[-1].sealed:
+        return ()
+    part = parts[-1]
+    before, after = ([(r.log, r.replays[part.horizon]) for r in side] for side in (part.before, part.after))
+    return tuple(find_rises(before, after))
+
+
+# -- files --------------------------------------------------------------------------------------------
+
+
+def _remove(place: Path) -> None:
+    """Remove the files of an earlier fit."""
+    for name in FILES:
+        (place / name).unlink(missing_ok=True)
+
+
+def _write(
+    place: Path,
+    outcome: Outcome,
+    begin: float,
+    stop: SimulationError | None,
+    load: Callable[[Path], AbstractContextManager[Drive]],
+) -> tuple[Record, list[str]]:
+    """Write fitted.ssv, fitted.fmu and fit.json; return the content of the last, and all warnings and notes."""
+    values, told = dict(_values(outcome)), list(warnings(outcome))
+    _write_set(place / "fitted.ssv", outcome, values)
+    estimate = outcome.estimate
+    if stop is None and values and estimate.likelihood is not None and estimate.point is not None:
+        start = {n: v for n, v in estimate.likelihood.values(estimate.point.x, 0).items() if n not in values}
+        reason = why_no_copy(estimate.logs.drives[0], values, start, place / "fitted.fmu", load)
+        if reason is not None:
+            told.append(messages.NO_COPY(reason=reason, command=command(outcome, values)))
+    remarks = list(notes(outcome))
+    written = record(outcome, verdict(outcome), time.monotonic() - begin, told, remarks)
+    write_json(place / "fit.json", written.model_dump(mode="json"), allow_nan=False)
+    return written, [*told, *remarks]
+
+
+def _write_set(path: Path, outcome: Outcome, values: Mapping[str, float]) -> None:
+    """Write the values and the given real values as an SSV file."""
+    described = read_description(outcome.fmu)
+    units = {v.name: unit_of(v) for v in described.modelVariables}
+    numbers = {n: v for n, v in outcome.given.items() if isinstance(v, float)}
+    sets = {n: (v, units[n]) for n, v in {**numbers, **values}.items()}
+    definitions = {u: d for u in {u for _, u in sets.values()} if (d := unit_definition(described, u)) is not None}
+    write_parameter_set(path, f"{outcome.fmu.stem}-fitted", sets, definitions)
+
+
+def _values(outcome: Outcome) -> Iterator[tuple[str, float]]:
+    """Yield the values for new start attributes: all parameters, and named start values of a single log."""
+    yield from ((name, entry.value) for name, entry in outcome.parameters.items())
+    likelihood, point = outcome.estimate.likelihood, outcome.estimate.point
+    if len(outcome.logs) == 1 and likelihood is not None and point is not None:
+        named = zip(likelihood.unknowns, point.x.tolist(), strict=True)
+        yield from ((u.name, value) for u, value in named if u.hidden)
+
+
+def command(outcome: Outcome, values: Mapping[str, float]) -> str:
+    """Return the command that simulates the FMU with the values."""
+    sets = [word for n, v in values.items() for word in ("--set", f"{n}={v!r}")]
+    return shlex.join(["cosim", "simulate", str(outcome.fmu), *sets])

@@ -1,0 +1,337 @@
+"""`cosim fit`: parameters and start values of any FMU from logs, against truths that are known."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+import cosim
+from cosim.base.errors import InputError, SimulationError, TimedOut
+from cosim.calibration import fit_record, fitted_fmu, likelihood, simulations
+from cosim.calibration.estimate import Estimate
+from cosim.calibration.simulations import Logs
+from cosim.calibration.vary import candidates, read_vary
+from cosim.residuals.drive import Drive, log_of_fmu
+from cosim.storage.kinds import kind_of
+from tests.logs import write_log
+from tests.slider import PARAMETERS, TRUTH, slide, slider_fmu, slider_log
+from tests.users import cosim as command
+
+QUICK: dict[str, Any] = {"in_process": True, "report": False}
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the FMU and three logs."""
+    folder = tmp_path_factory.mktemp("bench")
+    slider_fmu(folder / "slider.fmu")
+    for seed, name in enumerate(("a.csv", "b.csv", "c.csv"), 1):
+        slider_log(folder / name, seed=seed, start=(0.3 - 0.2 * seed, 0.1 * seed - 0.4), seconds=15.0)
+    return folder
+
+
+def holds(fitted: Any, **truth: float) -> bool:
+    """Return whether every interval, widened by a half, holds its truth; one in a hundred misses by chance."""
+    return all(abs(fitted.values[n] - v) < 0.75 * (np.ptp(fitted.intervals[n])) for n, v in truth.items())
+
+
+# -- estimates ----------------------------------------------------------------------------------------
+
+
+def test_two_logs_give_the_truth_and_sealed_logs_prove_it(bench: Path, tmp_path: Path) -> None:
+    fitted = cosim.fit(
+        [bench / "a.csv", bench / "b.csv"],
+        bench / "slider.fmu",
+        tmp_path / "out",
+        vary=["mass=0.3..5 kg", "damping"],
+        sealed=[bench / "c.csv"],
+        in_process=True,
+    )
+    assert holds(fitted, mass=1.6, damping=0.8)
+    assert fitted.verdict == "improved"
+    assert fitted.sentence.startswith("On 1 sealed log the free-run error falls: ")
+    record = fitted.record
+    schema = json.loads(fit_record.SCHEMA.read_text(encoding="utf-8"))
+    jsonschema.validate(json.loads((tmp_path / "out" / "fit.json").read_text(encoding="utf-8")), schema)
+    assert schema == fit_record.schema(), "python -m cosim.calibration.fit_record > cosim/calibration/fit.schema.json"
+    errors = record["errors"]["sealed"]["channels"]["velocity"]
+    assert errors["after"] < 1.2 * errors["noise_floor"] < 0.2 * errors["before"]
+    assert {(Path(s["log"]).name, s["name"]) for s in record["starts"]} == {
+        (log, name) for log in ("a.csv", "b.csv") for name in ("position", "velocity_start")
+    }
+    assert record["simulations"] < 80
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "Which values do the logs tell apart?" in page
+    assert cosim.read(tmp_path / "out").values == fitted.values  # type: ignore[union-attr]
+    assert kind_of(tmp_path / "out" / "fit.json") == "an answer of `cosim fit`"
+    assert not (tmp_path / "out" / "fitted.fmu").exists()  # the library has its values compiled in
+    ssv = (tmp_path / "out" / "fitted.ssv").read_text()
+    assert 'name="mass"' in ssv
+    assert 'unit="kg"' in ssv
+    assert list(fitted.to_pandas()["parameter"]) == ["mass", "damping"]
+
+
+@pytest.mark.parametrize(("version", "exchange"), [(3, False), (2, True), (3, True)])
+def test_every_kind_of_fmu_gives_the_same(bench: Path, tmp_path: Path, version: int, exchange: bool) -> None:
+    fmu = slider_fmu(tmp_path / "slider.fmu", version, exchange=exchange)
+    log = slider_log(tmp_path / "a.csv", seconds=6.0)
+    fitted = cosim.fit([log], fmu, vary=["mass=1..3"], start={"damping": 0.8}, **QUICK)
+    assert holds(fitted, mass=1.6)
+
+
+def test_missing_cells_rows_and_other_names_are_read_as_by_replay(tmp_path: Path) -> None:
+    columns = slide(0.05 * np.arange(401), TRUTH, (0.3, -0.4))
+    rng = np.random.default_rng(3)
+    speed = columns.pop("velocity") + 0.01 * rng.standard_normal(401)
+    speed[rng.uniform(size=401) < 0.3] = math.nan
+    kept = np.setdiff1d(np.arange(401), np.arange(150, 155))
+    columns["position"] += 2e-3 * rng.standard_normal(401)
+    log = write_log(tmp_path / "a.csv", {n: v[kept] for n, v in {**columns, "v_mm [mm/s]": 1000.0 * speed}.items()})
+    fmu = slider_fmu(tmp_path / "slider.fmu")
+    fitted = cosim.fit([log], fmu, vary=["mass", "damping"], columns={"v_mm": "velocity"}, **QUICK)
+    assert holds(fitted, mass=1.6, damping=0.8)
+
+
+def test_an_unknown_start_that_no_output_shows_is_estimated_where_it_is_named(tmp_path: Path) -> None:
+    logs = [
+        slider_log(tmp_path / f"{k}.csv", seed=k, start=(0.1 * k, 0.3 * k), outputs=("position",), seconds=8.0)
+        for k in (1, 2)
+    ]
+    fmu = slider_fmu(tmp_path / "slider.fmu")
+    fitted = cosim.fit(logs, fmu, vary=["mass", "velocity_start"], start={"damping": 0.8}, **QUICK)
+    speeds = [s for s in fitted.record["starts"] if s["named"]]
+    assert [s["value"] for s in speeds] == pytest.approx([0.3, 0.6], abs=0.02)
+    assert [s["ci95"][0] < v < s["ci95"][1] for s, v in zip(speeds, (0.3, 0.6), strict=True)] == [True, True]
+    assert set(fitted.values) == {"mass"}
+
+
+def test_a_prior_holds_what_the_log_does_not_show(bench: Path) -> None:
+    vary, fixed = {"gain": "10%", "mass": None}, {"damping": 0.8}
+    fitted = cosim.fit([bench / "a.csv"], bench / "slider.fmu", vary=vary, start=fixed, **QUICK)
+    assert fitted.values["mass"] / fitted.values["gain"] == pytest.approx(0.8, rel=0.01)
+    low, high = fitted.intervals["gain"] or (0.0, 0.0)
+    assert (fitted.values["gain"], high - low) == (pytest.approx(2.0, abs=0.1), pytest.approx(0.4, rel=0.1))
+
+
+# -- what can be told apart ---------------------------------------------------------------------------
+
+
+def test_two_parameters_that_act_as_a_ratio_are_said_to_and_have_no_interval(bench: Path) -> None:
+    fitted = cosim.fit([bench / "a.csv"], bench / "slider.fmu", vary=["mass", "gain", "damping"], **QUICK)
+    (combination,) = fitted.record["combinations"]
+    assert (combination["form"], combination["expression"], combination["held"]) == ("ratio", "mass / gain", "gain")
+    assert (fitted.values["gain"], fitted.intervals["gain"], fitted.intervals["mass"]) == (2.0, None, None)
+    assert fitted.values["mass"] == pytest.approx(1.6, rel=0.01)
+    assert "mass and gain are only identifiable as their ratio mass / gain" in fitted.record["warnings"][0]
+
+
+def test_without_vary_the_identifiable_parameters_are_chosen_with_reasons(bench: Path) -> None:
+    fitted = cosim.fit([bench / "a.csv"], bench / "slider.fmu", **QUICK)
+    choices = {c["name"]: c for c in fitted.record["screening"]}
+    assert set(choices) == {n for n in PARAMETERS if n != "velocity_start"}
+    chosen = {n for n, c in choices.items() if c["estimated"]}
+    assert chosen in ({"mass", "damping", "offset"}, {"gain", "damping", "offset"})
+    (other,) = {"mass", "gain"} - chosen
+    assert choices[other]["reason"].startswith("imitated by ")
+    assert choices["idle"]["reason"] == "no effect on any measured output"
+    assert fitted.values["damping"] == pytest.approx(0.8, rel=0.02)
+    assert fitted.verdict == "improved"
+    assert "No sealed log confirms it" in fitted.sentence
+
+
+def test_a_named_parameter_without_effect_keeps_its_value_and_is_told(bench: Path) -> None:
+    fitted = cosim.fit([bench / "a.csv"], bench / "slider.fmu", vary=["mass", "idle"], **QUICK)
+    assert (fitted.values["idle"], fitted.intervals["idle"]) == (3.0, None)
+    assert "no effect on any measured output of these logs, so the value is kept: idle" in fitted.record["warnings"]
+    with pytest.raises(InputError, match="idle: no effect on any measured output"):
+        cosim.fit([bench / "a.csv"], bench / "slider.fmu", vary=["idle"], **QUICK)
+
+
+def test_a_parameter_that_ends_at_its_bound_is_named(bench: Path) -> None:
+    fitted = cosim.fit([bench / "a.csv"], bench / "slider.fmu", vary=["damping=0..0.6", "mass"], **QUICK)
+    assert fitted.values["damping"] == 0.6
+    assert fitted.record["parameters"]["damping"]["status"] == "at_bound"
+    assert any(w.startswith("damping ends at its bound 0.6") for w in fitted.record["warnings"])
+
+
+def test_windows_replace_free_runs_that_drift(tmp_path: Path) -> None:
+    rng, rows, h = np.random.default_rng(1), 401, 0.05
+    force, pull = np.repeat(rng.uniform(-1.0, 1.0, 41), 10)[:rows], np.cumsum(0.02 * rng.standard_normal(rows))
+    speed = np.cumsum(h * (2.0 / 1.6 * force + pull))
+    columns = {"position": np.cumsum(h * speed) + 2e-3 * rng.standard_normal(rows), "velocity": speed}
+    log = write_log(tmp_path / "a.csv", {"time": h * np.arange(rows), "force": force, **columns})
+    fmu = slider_fmu(tmp_path / "slider.fmu")
+    fitted = cosim.fit([log], fmu, vary=["mass"], start={"damping": 0}, **QUICK)
+    assert fitted.record["windows"] == 2.0
+    assert "a free run misses" in fitted.record["windows_reason"]
+    assert fitted.values["mass"] == pytest.approx(1.6, abs=0.5)
+    assert any("stays above the noise and is not white" in w for w in fitted.record["warnings"])
+
+
+# -- failures -----------------------------------------------------------------------------------------
+
+
+def test_a_crash_at_some_values_costs_one_simulation(tmp_path: Path) -> None:
+    log = slider_log(tmp_path / "a.csv", {**TRUTH, "mass": 0.8}, seconds=6.0)
+    fmu = slider_fmu(tmp_path / "slider.fmu")
+    start = {"fragile": 0.75, "mass": 3, "damping": 0.8, "gain": 2}
+    fitted = cosim.fit([log], fmu, vary=["mass"], start=start, report=False)
+    assert fitted.values["mass"] == pytest.approx(0.8, rel=0.01)
+    assert fitted.record["failed_simulations"] > 0
+    assert any("simulations failed and were rejected" in w for w in fitted.record["warnings"])
+
+
+def test_an_fmu_that_fails_before_the_fit_is_an_error(tmp_path: Path) -> None:
+    log, fmu = slider_log(tmp_path / "a.csv", seconds=6.0), slider_fmu(tmp_path / "slider.fmu")
+    with pytest.raises(SimulationError, match="fmi2DoStep"):
+        cosim.fit([log], fmu, tmp_path / "out", vary=["mass"], start={"fragile": 9}, report=False)
+    assert not (tmp_path / "out" / "fit.json").exists()
+
+
+def test_a_spent_budget_and_ctrl_c_leave_the_best_values(bench: Path, tmp_path: Path, monkeypatch: Any) -> None:
+    plain = simulations.Logs.errors
+
+    def stop_at(number: int, error: BaseException) -> None:
+        def errors(self: Any, k: int, values: Any) -> Any:
+            if self.count == number:
+                raise error
+            return plain(self, k, values)
+
+        monkeypatch.setattr(simulations.Logs, "errors", errors)
+
+    arguments = ([bench / "a.csv"], bench / "slider.fmu", tmp_path / "out")
+    stop_at(12, simulations.OutOfTime())
+    with pytest.raises(TimedOut, match="the limit of 60 s") as late:
+        cosim.fit(*arguments, vary=["mass"], limits="total: 60 s", in_process=True)
+    stop_at(12, KeyboardInterrupt())
+    with pytest.raises(SimulationError, match="keyboard") as stopped:
+        cosim.fit(*arguments, vary=["mass"], sealed=[bench / "b.csv"], in_process=True)
+    assert (late.value.exit_code, stopped.value.exit_code) == (124, 130)
+    left = cosim.read(tmp_path / "out")
+    assert left.verdict == "stopped"  # type: ignore[union-attr]
+    assert left.record["errors"] == {}  # type: ignore[union-attr]
+    assert (tmp_path / "out" / "report.html").exists()
+
+
+def test_all_faults_of_arguments_and_logs_are_told_at_once(bench: Path, tmp_path: Path) -> None:
+    (tmp_path / "bad.csv").write_text("time,force\n0,1\n1,x\n")
+    wrong = ["mas", "force", "mass=0..", "gain=3..1", "damping=200 kg..3", "idle=-1%", "offset=5%", "velocity"]
+    with pytest.raises(InputError) as refused:
+        cosim.fit([bench / "a.csv", tmp_path / "bad.csv"], bench / "slider.fmu", vary=wrong, start=["x=1"], **QUICK)
+    told = "\n".join(f.message for f in refused.value.faults)
+    for words in (
+        'no variable "mas"; did you mean "mass"?', "force is an input", "mass=0..", "3 is not below 1", "damping: ",
+        "-1% is no tolerance", "starts at 0, of which 5% is nothing", "velocity is an output", '--start "x=1"',
+        "no output",
+    ):  # fmt: skip
+        assert words in told, (words, told)
+    assert refused.value.exit_code == 2
+    with pytest.raises(InputError, match="named twice"):
+        cosim.fit([bench / "a.csv"], bench / "slider.fmu", vary=["mass"], sealed=[bench / "a.csv"], **QUICK)
+    with pytest.raises(InputError, match="starts at 1, outside 2 to 3; give another value as --start mass=VALUE"):
+        cosim.fit([bench / "a.csv"], bench / "slider.fmu", vary={"mass": (2, 3)}, **QUICK)
+
+
+# -- files --------------------------------------------------------------------------------------------
+
+
+def test_an_fmu_whose_library_follows_its_file_gets_a_copy_with_the_values(bench: Path, tmp_path: Path) -> None:
+    fmu = slider_fmu(tmp_path / "slider.fmu", follow=True)
+    fitted = cosim.fit([bench / "a.csv"], fmu, tmp_path / "out", vary=["mass", "damping"], **QUICK)
+    copy = tmp_path / "out" / "fitted.fmu"
+    with zipfile.ZipFile(fmu) as old, zipfile.ZipFile(copy) as new:
+        assert old.namelist() == new.namelist()
+        assert [n for n in old.namelist() if old.read(n) != new.read(n)] == ["modelDescription.xml"]
+        assert f'start="{fitted.values["mass"]!r}"' in new.read("modelDescription.xml").decode()
+    before = copy.read_bytes()
+    fitted_fmu.write_copy(fmu, fitted.values, copy)
+    assert copy.read_bytes() == before
+    again = cosim.replay(bench / "a.csv", fmu=copy, in_process=True)
+    assert float(np.nanstd(again.residual["free_run.velocity"])) < 0.02  # type: ignore[index]
+
+
+def test_other_bytes_of_a_description_stay() -> None:
+    text = (
+        b'<a><Float64 name="m" description="a > b" start=\'1\'/><ScalarVariable name="k">\n <Real unit="x" start="2" />'
+        b'</ScalarVariable><Float64 name="n" start="3"/></a>'
+    )
+    assert fitted_fmu.with_starts(text, {"m": 1.5, "k": -2e-7}) == text.replace(b"'1'", b'"1.5"').replace(
+        b'"2"', b'"-2e-07"'
+    )
+    with pytest.raises(ValueError, match="start value of q"):
+        fitted_fmu.with_starts(text, {"q": 1.0})
+
+
+def test_the_command_prints_verdict_estimates_and_files(bench: Path, tmp_path: Path) -> None:
+    logs = [slider_log(tmp_path / f"{k}.csv", seed=k, seconds=6.0) for k in (1, 2)]
+    done: subprocess.CompletedProcess[str] = command(
+        "fit", logs[0], "--fmu", bench / "slider.fmu", "--vary", "mass", "--vary", "damping", "--sealed",
+        logs[1], "--out", tmp_path / "out",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "On 1 sealed log the free-run error falls" in done.stdout
+    assert "95 % interval" in done.stdout
+    assert "no fitted.fmu: the library ignores the start values" in done.stderr
+    assert "cosim simulate" in done.stderr
+    refused = command("report", tmp_path / "out")
+    assert "`cosim fit`" in refused.stderr
+
+
+# -- methods ------------------------------------------------------------------------------------------
+
+
+def test_noise_of_a_solver_enlarges_the_step_of_differences(bench: Path) -> None:
+    log = log_of_fmu(bench / "a.csv", bench / "slider.fmu")
+    with Drive(log, bench / "slider.fmu") as drive:
+        logs = Logs([drive])
+        plain, rng = logs.errors, np.random.default_rng(1)
+        offered = candidates(drive.description, {})
+        estimate = Estimate(logs, {}, lambda stage, share: None)
+        smooth, point = estimate._begin([offered["mass"]])
+        smooth.jacobian(point)
+        logs.errors = lambda k, values: plain(k, values) + 1e-3 * rng.standard_normal((301, 2))  # type: ignore[operator]
+        rough, point = estimate._begin([offered["mass"]])
+        rough.jacobian(point)
+    assert (smooth.steps[0], rough.steps[0]) == (likelihood.SMALL, likelihood.STEP)
+
+
+def coverage(folder: Path, count: int, rows: int, correlation: float) -> dict[str, int]:
+    """Return how many of the 95 % intervals of fits hold the truth, under noise of a correlation between rows."""
+    fmu, hits = slider_fmu(folder / "slider.fmu"), dict.fromkeys(("mass", "damping", "offset"), 0)
+    for seed in range(count):
+        columns = slide(0.05 * np.arange(rows), TRUTH, (0.1, -0.1), seed)
+        rng = np.random.default_rng([seed, 5])
+        for name, sigma in (("position", 2e-3), ("velocity", 1e-2)):
+            white = rng.standard_normal(rows + 500) * math.sqrt(1.0 - correlation**2)
+            columns[name] += sigma * lfilter([1.0], [1.0, -correlation], white)[500:]
+        log = log_of_fmu(write_log(folder / "log.csv", columns), fmu)
+        with Drive(log, fmu) as drive:
+            estimate = Estimate(Logs([drive]), {}, lambda stage, share: None)
+            offered = candidates(drive.description, {})
+            estimate.run(read_vary(drive.description, offered, [*hits]), screening=False)
+            assert estimate.likelihood is not None
+            assert estimate.point is not None
+            assert estimate.covariance is not None
+            for j, unknown in enumerate(estimate.likelihood.unknowns[: len(hits)]):
+                error = abs(estimate.point.x[j] - TRUTH[unknown.name])
+                hits[unknown.name] += bool(error <= estimate.covariance.half(j))
+    return hits
+
+
+@pytest.mark.thorough
+def test_intervals_hold_the_truth_under_white_noise(tmp_path: Path) -> None:
+    assert min(coverage(tmp_path, 100, 301, 0.0).values()) >= 88  # 95 ± 7
+
+
+@pytest.mark.thorough
+def test_intervals_hold_the_truth_under_a_coloured_disturbance(tmp_path: Path) -> None:
+    assert min(coverage(tmp_path, 60, 301, 0.8).values()) >= 50  # of 60
