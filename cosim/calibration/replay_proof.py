@@ -12,7 +12,7 @@ from cosim.calibration.simulations import SetDrive
 from cosim.logs.log import Log
 from cosim.residuals.drive import Drive
 from cosim.residuals.floor import floors
-from cosim.residuals.residual_statistics import FREE_RUN, excess_left, pool_errors
+from cosim.residuals.residual_statistics import FREE_RUN, pool_errors, remaining_excess
 from cosim.residuals.starts import start_parameters
 from cosim.residuals.windows import Replay, free_run, horizons, self_started
 
@@ -67,7 +67,7 @@ class Part:
     def excess(self, name: str) -> float:
         """Return the share of a channel's mean square error above the floor that remains."""
         before, after = self.errors(self.horizon)[name]
-        return excess_left(before, after, self.floor.get(name, 0.0))
+        return remaining_excess(before, after, self.floor.get(name, 0.0))
 
 
 def replayed(drive: Drive, values: Mapping[str, float], horizon: float, *, with_floor: bool) -> Replayed:

@@ -34,7 +34,7 @@ from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.ssp.write import write_parameter_set
 from cosim.storage.files import FilePath, check_writable, hold_stops, named_path, one_stop, write_json, write_text
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_left, keep_earlier
+from cosim.storage.folders import check_overwritable, keep_earlier
 
 FILES = ("fit.json", "fitted.ssv", "fitted.fmu", "report.html")
 SEALED = Path("--sealed")
@@ -81,7 +81,7 @@ def fit(
     begin = time.monotonic()
     most, path, place = read_limits(limits), Path(fmu), named_path(folder)
     estimation, test = [*map(Path, logs)], [*map(Path, sealed)]
-    check_left(place, "cosim fit", str(path), force=force, keep=keep)
+    check_overwritable(place, "cosim fit", str(path), force=force, keep=keep)
     read, chosen, given = _read(path, estimation, test, (vary, start, columns))
     check_writable(place, FILES, (*estimation, *test, path))
     with ExitStack() as stack:
