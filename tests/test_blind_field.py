@@ -21,7 +21,18 @@ from tests.blind.field_cost import Conditions, costs, remaining
 from tests.blind.field_craft import CraftRig
 from tests.blind.field_recorder import FAULTS, Recorder
 from tests.blind.field_rig import Arrays, Entry, Floats, Rig, Run, coloured, fly, manoeuvre
-from tests.blind.field_study import DISTURBANCES, LEAST, PLANTS, RIGS, Study, conditions, course, deal, draw, kept
+from tests.blind.field_study import (
+    DISTURBANCES,
+    LEAST,
+    PLANTS,
+    RIGS,
+    Study,
+    conditions,
+    course,
+    deal,
+    draw,
+    rows_to_keep,
+)
 from tests.blind.field_visibility import middling, mimics, plain
 from tests.blind.field_write import recorded, true_error, write
 from tests.blind.truth_craft import STATES, Craft, Dynamics
@@ -295,10 +306,10 @@ def test_rows_are_taken_early_and_late_and_lost() -> None:
     times = recorder(rig, jitter=0.2).times(np.random.default_rng(1), 1000, rig.step)
     off = times / rig.step - np.arange(1000)
     assert 0.19 < np.max(np.abs(off)) <= 0.2 + 1e-4  # stamps have six digits
-    whole = recorder(rig, lost=0.03, whole_rows=True, hole=20).kept(np.random.default_rng(1), 1000, 3)
+    whole = recorder(rig, lost=0.03, whole_rows=True, hole=20).rows_to_keep(np.random.default_rng(1), 1000, 3)
     assert {tuple(row) for row in whole.tolist()} == {(True,) * 3, (False,) * 3}
     assert 0.02 < np.mean(~whole) - 0.02 < 0.05
-    single = recorder(rig, lost=0.03).kept(np.random.default_rng(1), 1000, 3)
+    single = recorder(rig, lost=0.03).rows_to_keep(np.random.default_rng(1), 1000, 3)
     assert len({tuple(row) for row in single.tolist()}) > 2
 
 
@@ -338,7 +349,7 @@ def test_a_folder_holds_the_logs_and_nothing_of_the_answer(tmp_path: Path, plant
     with (tmp_path / "v1.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == ["time", *study.rig.inputs, *study.rig.outputs]
-    there = kept(study, 2).any(axis=1) if study.recorder.whole_rows else np.ones(len(table), bool)
+    there = rows_to_keep(study, 2).any(axis=1) if study.recorder.whole_rows else np.ones(len(table), bool)
     assert len(rows) == np.sum(there)
     # seven digits are logged
     logged = [[float(row[o] or "nan") for o in study.rig.outputs] for row in rows]
