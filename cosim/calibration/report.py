@@ -10,6 +10,7 @@ from typing import Any
 
 from cosim.base.text import MISSING, amount, counted, display, join_names, percent, plain, size, split_sentence
 from cosim.base.version import __version__
+from cosim.blocks.compiling import permission
 from cosim.calibration.fit_record import Outcome, ParameterEntry, Record, StartEntry
 from cosim.calibration.replay_proof import Part
 from cosim.report.drawing import Charts
@@ -206,7 +207,8 @@ def _repeat(outcome: Outcome, record: Record) -> list[str]:
     for path in record.sealed:
         words += ["--sealed", path]
     called = {c: n for d in outcome.estimate.logs.drives for c, n in d.log.called.items()}
-    return words + [word for c, n in called.items() for word in ("--column", f"{c}={n}")]
+    words += [word for c, n in called.items() for word in ("--column", f"{c}={n}")]
+    return [*words, *(["--compile"] if permission.get() else [])]
 
 
 def _provenance(record: Record) -> list[Row]:

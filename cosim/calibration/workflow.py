@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.errors import Fault, InputError, SimulationError, Terminated, TimedOut, refuse, stop_error
+from cosim.blocks.compiling import permission
 from cosim.blocks.description import read_description, unit_definition, unit_of
 from cosim.calibration import messages
 from cosim.calibration.estimate import Estimate, Report
@@ -296,4 +297,4 @@ def _values(outcome: Outcome) -> Iterator[tuple[str, float]]:
 def command(outcome: Outcome, values: Mapping[str, float]) -> str:
     """Return the command that simulates the FMU with the values."""
     sets = [word for n, v in values.items() for word in ("--set", f"{n}={v!r}")]
-    return shlex.join(["cosim", "simulate", str(outcome.fmu), *sets])
+    return shlex.join(["cosim", "simulate", str(outcome.fmu), *sets, *(["--compile"] if permission.get() else [])])
