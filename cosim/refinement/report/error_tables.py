@@ -120,6 +120,8 @@ def _concentration(r: Refinement, part: Part) -> Iterator[str]:
     for name in r.record["error"]["before"][part]:
         squares = []
         for log, played in runs:
+            if name not in log.outputs:
+                continue
             first = np.array(sorted(played.starts), dtype=np.intp)
             errors = np.nan_to_num(played.errors(log)[name]) ** 2
             sums = (float(part.sum()) for part in np.split(errors, first)[1:])
