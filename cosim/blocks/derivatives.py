@@ -89,6 +89,13 @@ class DifferentiableFmu(FmuBlock):
         exact = len(self.exact_inputs) + len(self.exact_outputs)
         self.bind((ctypes.c_double * max(1, count))(), 0, [None] * exact, 0)
 
+    def open_again(self, values: Mapping[str, Any], start: float, stop: float) -> None:
+        """Load the FMU anew and initialize it with other start values; it remains unpacked."""
+        self.start_values = values
+        self.instance.free()
+        self.open(start, stop)
+        self.start()
+
     @property
     def gives_slopes(self) -> bool:
         """Return whether directional derivatives of scalars are available."""
@@ -106,6 +113,17 @@ class DifferentiableFmu(FmuBlock):
     def current_point(self) -> tuple[Array, Array]:
         """Return the current states and inputs."""
         return self._continuous(), self._read(self._inputs)
+
+    @property
+    def event_counts(self) -> dict[str, int]:
+        """Return the number of state, time and step events of `advance` so far; changes of inputs count as none."""
+        assert isinstance(self._calls, ModelExchange2)
+        return self._calls.event_counts
+
+    def restart_solver(self, t: float) -> None:
+        """Let the solver go on from the states set by `move`."""
+        assert isinstance(self._calls, ModelExchange2)
+        self._calls.solver.reset(t)
 
     def move(self, t: float, states: Array, inputs: Array) -> Array:
         """Set time, states and inputs, and handle events.

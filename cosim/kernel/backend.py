@@ -13,15 +13,22 @@ from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, cure
 from cosim.kernel import messages
 from cosim.kernel.c_filter import CompiledKernel
 from cosim.kernel.generate import generate
+from cosim.kernel.kernel import Kernel
+from cosim.kernel.remote_kernel import RemoteLibraryKernel
 from cosim.model.model import Model
 from cosim.model.symbolic.tracing_guard import OfNumbersOnly
+from cosim.terms.fmu_model import FmuModel
 
-_kernels: dict[tuple[Any, ...], CompiledKernel] = {}
+_kernels: dict[tuple[Any, ...], Kernel] = {}
 
 
 def kernel(
-    model: Model, measured: Sequence[str], unnamed: bool = False, constant: Sequence[str] = ()
-) -> CompiledKernel:
+    model: Model,
+    measured: Sequence[str],
+    unnamed: bool = False,
+    constant: Sequence[str] = (),
+    fmu: tuple[Path, Any, Sequence[float]] | None = None,
+) -> Kernel:
     """Return the kernel (Kalman filter over a log) for a model and its measured outputs, compiled or from the cache.
 
     Boolean parameters are compiled in; the kernel takes all others as arguments.
@@ -29,6 +36,7 @@ def kernel(
     Args:
         unnamed: Whether to add terms outside the catalogue, as in `generate`.
         constant: Parameters that the filter treats as constant states.
+        fmu: File, description and usual sizes of the states, for a model of an FMU's library.
 
     Raises:
         InputError: No working C compiler exists, or the model compares symbols with ==.
@@ -37,7 +45,12 @@ def kernel(
     key = (type(model), flags, tuple(measured), unnamed, tuple(constant), model.integrator)
     if key not in _kernels:
         try:
-            _kernels[key] = CompiledKernel(generate(model, measured, unnamed, constant))
+            generated = generate(model, measured, unnamed, constant)
+            if isinstance(model, FmuModel) and fmu is not None:
+                variables = {p.name: model.variables[p.name] for p in model.parameters}
+                _kernels[key] = RemoteLibraryKernel(generated, fmu[0], fmu[1], variables, fmu[2])
+            else:
+                _kernels[key] = CompiledKernel(generated)
         except OfNumbersOnly as error:
             line = traceback.extract_tb(error.__traceback__)[-2]  # the model's line of the operation
             place = Path(line.filename), line.lineno or 0, (line.colno or 0) + 1

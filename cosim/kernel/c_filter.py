@@ -14,7 +14,7 @@ from cosim.kernel.generate import Generated
 from cosim.kernel.kernel import Data, Filtered, Layout, Simulated
 
 NATIVE = Path(cosim.fmi.native.__file__).parent
-FILTER = Path(__file__).with_name("filter.c")
+FILTER, LIBRARY = (Path(__file__).with_name(name) for name in ("filter.c", "library.c"))
 
 
 class _Log(ctypes.Structure):
@@ -91,9 +91,13 @@ def _address(a: Array) -> int | None:
 def _source(generated: Generated) -> str:
     """Return the C source of the filter: sizes, generated functions and hand-written code."""
     sizes = _sizes(generated.layout) | {"STIFF": str(int(generated.stiff))}
+    before = []
+    if generated.library is not None:
+        sizes |= dict(zip(("NB", "NL"), (f"({generated.library[k]})" for k in (0, 2)), strict=True))
+        before = [LIBRARY.read_text(encoding="utf-8")]
     head = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
     bodies = ((NATIVE / "step.c").read_text(encoding="utf-8"), FILTER.read_text(encoding="utf-8"))
-    return "\n".join(("#include <math.h>", head, generated.source, *bodies))
+    return "\n".join(("#include <math.h>", head, *before, generated.source, *bodies))
 
 
 def _sizes(layout: Layout) -> dict[str, str]:

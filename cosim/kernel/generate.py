@@ -24,6 +24,7 @@ from cosim.model.symbolic.functions import Body
 from cosim.model.symbolic.languages import C
 from cosim.model.symbolic.tracing_guard import number_guard
 from cosim.storage.cache import fingerprint, load_or_make
+from cosim.terms.fmu_model import FmuModel
 
 
 @dataclass(frozen=True)
@@ -32,13 +33,15 @@ class Generated:
 
     Attributes:
         source: `deriv(t, x, u, p, dx)`, `jacobian(t, x, u, p, A)`, `measure(t, x, u, p, y)`,
-            `measure_jacobian(t, x, u, p, C)`, `shape_all(u, memory, p, out)`; A and C refer to the stochastic states.
+            `measure_jacobian(t, x, u, p, C)`, `shape_all(h, u, memory, p, out)`; A and C refer to the stochastic states.
         stiff: True for a stiff integrator, with `state_jacobian(t, x, u, p, J)` of all states.
+        library: Number of states, inputs and outputs of an FMU's library, for `library.c`; None without one.
     """
 
     layout: Layout
     source: str
     stiff: bool = False
+    library: tuple[int, int, int] | None = None
 
 
 @dataclass(frozen=True)
@@ -81,11 +84,14 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
     x = [body.symbols.state[k] for k in stochastic]
     f, g = [body.derivative[n] for n in names], [sympy.sympify(body.outputs[n]) for n in measured]
     symbols, shaping, local = body.symbols, body.shaping, [(s.factor, s.shape, s.stages, s.slopes) for s in shapes]
-    key = srepr([f, g, x, body.parameters, list(symbols.state), list(symbols.command), symbols.time])
+    library = _library_inputs(body)
+    key = srepr([f, g, x, body.parameters, list(symbols.state), list(symbols.command), symbols.time, library])
     key += srepr([shaping.stages, shaping.results, shaping.remembered, local, body.terms])
     stiff = model.integrator == STIFF
-    version = (stochastic, stiff, fingerprint(("cosim.model.symbolic", "cosim.kernel")))
+    version = (stochastic, stiff, fingerprint(("cosim.model.symbolic", "cosim.kernel", "cosim.terms")))
     text: str = load_or_make(f"{version} {key}", lambda: _print_functions(body, (f, g), (stochastic, x), shapes, stiff))
+    if library:
+        text += body.function(C(), "library_inputs", library)
     layout = Layout(
         parameters=tuple(body.parameters),
         states=tuple(names),
@@ -99,7 +105,19 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
         carrying=tuple(names.index(n) for n in carrying),
         rates=rates,
     )
-    return Generated(layout, text, stiff)
+    counts = len(model.base_states), len(model.inputs), len(model.outputs)
+    return Generated(layout, text, stiff, counts if isinstance(model, FmuModel) else None)
+
+
+def _library_inputs(body: Body) -> list[Any]:
+    """Return the inputs of an FMU's library as expressions; none for a model with equations."""
+    import sympy
+
+    s = body.symbols
+    if not isinstance(s.model, FmuModel):
+        return []
+    with number_guard(smooth=True):
+        return [sympy.sympify(e) for e in s.model.library_inputs(SymbolNamespace(), s.state, s.command)]
 
 
 def _print_functions(

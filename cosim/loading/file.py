@@ -30,6 +30,7 @@ from cosim.storage.artefact import kind_by_keys
 from cosim.storage.files import write_text
 from cosim.storage.kinds import CODE, MODEL, check_form, refuse_other
 from cosim.storage.yaml_file import UNIT_OF_KEY, YamlFile, did_you_mean
+from cosim.terms.language import Term
 
 if TYPE_CHECKING:
     from cosim.fmi.fmu_build import Recipe
@@ -307,6 +308,20 @@ def only_model(path: Path) -> Model:
         choice = " or ".join(f"{path}:{name}" for name in kinds.values())
         raise InputError.at(path, messages.SEVERAL_CLASSES(count=len(kinds), choice=choice))
     return make_model(next(iter(kinds)), source)
+
+
+def own_terms(path: Path) -> list[type[Term]]:
+    """Return the terms of a user's file: classes derived from `cosim.terms.Term`.
+
+    Raises:
+        InputError: The file has faults, or no terms.
+    """
+    _, module = _execute(path.resolve())
+    terms = [v for v in vars(module).values() if isinstance(v, type) and issubclass(v, Term)]
+    own = [v for v in terms if v.__module__ == module.__name__]
+    if not own:
+        raise InputError.at(path, messages.NO_TERM_CLASS())
+    return [dataclass(frozen=True, kw_only=True)(v) for v in own]
 
 
 class _UncachedLoader(SourceFileLoader):

@@ -209,3 +209,6 @@ FMI_VERSION = Template("E-LOD-085", "is {version}; it is {versions}")
 NOT_PRINTABLE = Template("E-LOD-086", "cannot be printed as C: {error}; {cure}")
 COMPILER_FAILED = Template("E-LOD-087", "the compiler {error}; mend the compiler, or name another in CC")
 UNKNOWN_PLATFORM = Template("E-LOD-088", 'no platform "{name}"{cure} (known: {names})')
+NO_TERM_CLASS = Template(
+    "E-LOD-089", "holds no term; a term is a subclass of cosim.terms.Force, InputTerm or RateTerm with a kind"
+)

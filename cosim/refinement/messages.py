@@ -109,3 +109,9 @@ FLOOR_ABOVE_ERROR = Template(
     "on the {logs} logs the error is below its noise floor ({pairs}). These logs hold less noise and disturbance than "
     "was estimated, so the floor does not apply to them",
 )
+
+# Studies of FMUs
+NO_SUCH_FMU = Template("E-REF-041", "{name}: no such file; model names the FMU, relative to the study")
+TERMS_WITHOUT_FMU = Template(
+    "E-REF-042", "terms are for an FMU, and {model} is none; a model lists its effects in its catalogue"
+)

@@ -22,23 +22,27 @@ from cosim.base.text import counted, plain
 from cosim.base.units import has_unit, read_quantity
 from cosim.estimation.problem import Settings
 from cosim.isolation.limits import Limits
-from cosim.loading.file import LoadedModel, load_model
+from cosim.loading.file import LoadedModel, load_model, own_terms
 from cosim.loading.substep import with_substep
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.holes import fill_holes
 from cosim.logs.log import Log, read_log, stretches
 from cosim.logs.spikes import drop_outliers, find_spikes
+from cosim.probing.probe_structure import probe_structure
 from cosim.refinement import messages
 from cosim.refinement.search.groups import Places, full_name, group_of, per_log_faults
+from cosim.residuals.drive import log_of_fmu
 from cosim.residuals.windows import SKIPPED
 from cosim.storage.artefact import Checking, kind_by_keys
 from cosim.storage.files import FilePath
 from cosim.storage.kinds import STUDY, check_form, refuse_other
 from cosim.storage.yaml_file import UNIT_OF_KEY, Positive, YamlFile, did_you_mean
 from cosim.subject.base_parameters import tolerances
+from cosim.subject.fmu_subject import FmuSubject
 from cosim.subject.interface import Subject
 from cosim.subject.model_subject import ModelSubject
 
+FMU_SUFFIX = ".fmu"
 SCORED = 1.0  # [s] least scored time, beside the skipped start and one horizon
 SPARE = 3  # rows of tables beyond the estimated parameters, to estimate the noise
 FINEST, COARSEST = 1e-12, 1e3  # share of the largest reading outside which a standard deviation is implausible
@@ -89,7 +93,7 @@ class LogLists(BaseModel):
 class StudyFile(BaseModel):
     """A study: the model and its logs.
 
-    model:      A registered name, a model.yaml, or `file.py:Class`.
+    model:      A registered name, a model.yaml, `file.py:Class`, or an FMU.
     logs:       Files, relative to the study.
     noise:      Output → standard deviation of its sensor, if different from the model's, in its unit or `2 deg`.
     tolerance:  Relative tolerance of base parameters, for all or by name.
@@ -99,6 +103,7 @@ class StudyFile(BaseModel):
     per_log:    Parameters with a separate value for each log.
     groups:     Name → logs with common values of per_log.
     limits:     Limits of each FMU call in replays.
+    terms:      File with further terms for an FMU, subclasses of `cosim.terms.Force`, `InputTerm` or `RateTerm`.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -118,6 +123,7 @@ class StudyFile(BaseModel):
     per_log: list[str] | None = None
     groups: dict[str, list[FileName]] = {}
     limits: Limits | None = None
+    terms: FileName = ""
 
     def find_interpolated(self, subject: Subject) -> frozenset[str]:
         """Return the interpolated inputs."""
@@ -207,6 +213,10 @@ def read_study(path: Path) -> Study:
     content, faults = yaml.partly(StudyFile, "model")
     if content is None:
         raise InputError(faults)
+    if content.model.lower().endswith(FMU_SUFFIX):
+        return _of_fmu(yaml, content, faults)
+    if content.terms:
+        faults.append(yaml.fault(("terms",), messages.TERMS_WITHOUT_FMU(model=content.model), key=True))
     try:
         loaded = load_model(content.model, path.parent, yaml)
     except InputError as error:
@@ -230,6 +240,63 @@ def read_study(path: Path) -> Study:
     loaded, notes = with_substep(loaded, logs["estimation"])
     warnings += [with_prefix(f"{content.model}: ", text) for text in notes]
     return Study(path, content, ModelSubject(loaded), tuple(logs["estimation"]), tuple(warnings))
+
+
+def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
+    """Return the study of an FMU, probed along the estimation logs.
+
+    Raises:
+        InputError: Every fault of the study and its logs.
+        FmuError: Only the FMU has faults.
+    """
+    folder = yaml.path.parent
+    fmu = folder / content.model
+    if not fmu.is_file():
+        refuse([*faults, yaml.fault(("model",), messages.NO_SUCH_FMU(name=content.model))])
+    logs, terms = list[Log](), list[type[Any]]()
+    for part, name in _entries(content.logs):
+        if not os.path.exists(folder / name):
+            place = ("logs", part, getattr(content.logs, part).index(name))
+            faults.append(yaml.fault(place, messages.MISSING_LOG(log=name)))
+            continue
+        try:
+            log = log_of_fmu(folder / name, fmu, content.columns, alone=False)
+        except InputError as error:
+            faults += error.faults
+            continue
+        logs += [log] if part == "estimation" else []
+    if not content.logs.estimation:
+        faults.append(yaml.fault(("logs", "estimation"), messages.NO_LOG()))
+    if content.terms:
+        try:
+            terms = own_terms(folder / content.terms)
+        except InputError as error:
+            faults += error.faults
+    refuse(faults)
+    subject = FmuSubject.of_fmu(probe_structure(fmu, logs), logs, terms)
+    content = _in_names_of(subject, content)
+    units = {q.name: q.unit for q in subject.outputs}
+    noise, unit_faults = yaml.in_units(("noise",), content.noise, units, difference=True)
+    content = content.model_copy(update={"noise": noise})
+    faults += [*unit_faults, *_key_faults(yaml, content, subject, unlisted=False)]
+    read, warnings, log_faults = _read_logs(yaml, content, subject)
+    refuse([*faults, *log_faults])
+    return Study(yaml.path, content, subject, tuple(read["estimation"]), tuple(warnings))
+
+
+def _in_names_of(subject: FmuSubject, content: StudyFile) -> StudyFile:
+    """Return the study with the names of the subject in place of the FMU's variables."""
+    names = subject.names
+    columns = {n: names[v] for n, v in content.columns.items()}
+    columns |= {v: n for v, n in names.items() if v != n and v not in content.columns.values()}
+    update: dict[str, Any] = {"columns": columns}
+    for key in ("noise", "tolerance", "inputs"):
+        setting = getattr(content, key)
+        if isinstance(setting, dict):
+            update[key] = {names.get(n, n): value for n, value in setting.items()}
+    if content.candidates is not None:
+        update["candidates"] = [names.get(n, n) for n in content.candidates]
+    return content.model_copy(update=update)
 
 
 @dataclass(frozen=True)

@@ -96,7 +96,7 @@ static void row_command(const Log *log, int k, double *u)
  * delay and everything that shapes it; what remembers takes one step, with the command in the middle. */
 static void act(const Log *log, int k, int s, double delay, double *memory, const double *p, double *u)
 {
-    double shaped[NU + NM + 1], from = k - 1 + (double)s / log->substeps, width = 1.0 / log->substeps, *middle = u + NU;
+    double shaped[NU + NM + 1], length = log->step / log->substeps, from = k - 1 + (double)s / log->substeps, width = 1.0 / log->substeps, *middle = u + NU;
     int ramps = 0;
     for (int j = 0; j < NU; j++) ramps |= log->ramps[j];
     if (delay > 0.0) held_mean(log, from - delay, from + width - delay, middle);
@@ -106,12 +106,12 @@ static void act(const Log *log, int k, int s, double delay, double *memory, cons
         memcpy(at, middle, sizeof(double) * NU);
         if (ramps) {
             on_ramps(log, from + 0.5 * i * width - delay, at);
-            shape_all(at, memory, p, shaped);
+            shape_all(length, at, memory, p, shaped);
             memcpy(at, shaped, sizeof(double) * NU);
         }
     }
     if (ramps) on_ramps(log, from + 0.5 * width - delay, middle);
-    shape_all(middle, memory, p, shaped);
+    shape_all(length, middle, memory, p, shaped);
     memcpy(middle, shaped, sizeof(double) * NU);
     memcpy(memory, shaped + NU, sizeof(double) * NM);
     if (!ramps) for (int i = 0; i < 3; i += 2) memcpy(u + i * NU, middle, sizeof(double) * NU);

@@ -123,10 +123,10 @@ class Body:
         return [term for term in every if term]
 
     def shaping_function(self, language: Language, name: str) -> str:
-        """Return the text of `name(u, memory, p, out)`: shaped command, then memory."""
+        """Return the text of `name(h, u, memory, p, out)`: shaped command, then memory, over a substep h."""
         memory = {symbol: f"memory[{k}]" for k, symbol in enumerate(self.shaping.remembered)}
         return language.function(
-            name, "u memory p", self.shaping.results, {**self._places, **memory}, self.shaping.stages
+            name, "h u memory p", self.shaping.results, {**self._places, **memory}, self.shaping.stages
         )
 
     @property

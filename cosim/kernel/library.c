@@ -1,0 +1,112 @@
+/* Derivatives, outputs and their slopes from the library of an FMU for model exchange, in continuous-time mode.
+ *
+ * NB states, NU inputs and NL outputs of the library; `library_inputs`, which stands below this text, gives the inputs that the
+ * library gets. Values are kept for a point (t, x, u), since each derivative asks for its own. Slopes are forward differences. */
+#include <math.h>
+#include <stddef.h>
+#include <string.h>
+
+#define MOST_STATUS 1 /* OK and Warning */
+
+typedef int (*SetTime)(void *, double);
+typedef int (*SetStates)(void *, const double *, size_t);
+typedef int (*GetRates)(void *, double *, size_t);
+typedef int (*SetReals2)(void *, const unsigned *, size_t, const double *);
+typedef int (*GetReals2)(void *, const unsigned *, size_t, double *);
+typedef int (*SetReals3)(void *, const unsigned *, size_t, const double *, size_t);
+typedef int (*GetReals3)(void *, const unsigned *, size_t, double *, size_t);
+typedef void (*Function)(void);
+
+typedef struct {
+    void *instance;
+    Function set_time, set_states, get_rates, set_reals, get_reals;
+    const unsigned *inputs, *outputs;
+    const double *steps; /* NB: step of each state for differences */
+    int version;
+} Library;
+
+static __thread const Library *library; /* a thread has an instance of its own */
+static __thread double point[1 + NB + NU], value[NB + NL + 1], slope[(NB + NL + 1) * (NB + 1)];
+static __thread int is_placed, has_rates, has_outputs, has_slopes[2][NB + 1];
+
+static void library_inputs(double t, const double *x, const double *u, const double *p, double *out);
+
+/* Called before each run, with the instance of this thread. */
+void use_library(const Library *used)
+{
+    library = used;
+    point[0] = NAN; /* equals no time */
+}
+
+static int move_library(double t, const double *x, const double *u, const double *p)
+{
+    double acting[NU + 1];
+    void *instance = library->instance;
+    int status = ((SetTime)library->set_time)(instance, t);
+    if (NB && status <= MOST_STATUS) status = ((SetStates)library->set_states)(instance, x, NB);
+    if (NU && status <= MOST_STATUS) {
+        library_inputs(t, x, u, p, acting);
+        status = library->version == 2 ? ((SetReals2)library->set_reals)(instance, library->inputs, NU, acting)
+                                       : ((SetReals3)library->set_reals)(instance, library->inputs, NU, acting, NU);
+    }
+    return status;
+}
+
+/* Rates (row 0) or outputs (row 1) of the present point of the library. */
+static int read_library(int of_outputs, double *out)
+{
+    void *instance = library->instance;
+    if (!of_outputs) return ((GetRates)library->get_rates)(instance, out, NB);
+    if (library->version == 2) return ((GetReals2)library->get_reals)(instance, library->outputs, NL, out);
+    return ((GetReals3)library->get_reals)(instance, library->outputs, NL, out, NL);
+}
+
+static int is_at(double t, const double *x, const double *u)
+{
+    return point[0] == t && !memcmp(point + 1, x, sizeof(double) * NB) && !memcmp(point + 1 + NB, u, sizeof(double) * NU);
+}
+
+static void evaluate_library(int of_outputs, double t, const double *x, const double *u, const double *p)
+{
+    int status = 0;
+    if (!is_at(t, x, u)) {
+        point[0] = t;
+        memcpy(point + 1, x, sizeof(double) * NB);
+        memcpy(point + 1 + NB, u, sizeof(double) * NU);
+        is_placed = has_rates = has_outputs = 0;
+        memset(has_slopes, 0, sizeof has_slopes);
+    }
+    if (of_outputs ? has_outputs : has_rates) return;
+    if (!is_placed) status = move_library(t, x, u, p);
+    is_placed = 1;
+    if (status <= MOST_STATUS) status = read_library(of_outputs, value + of_outputs * NB);
+    if (status > MOST_STATUS)
+        for (int i = of_outputs * NB; i < (of_outputs ? NB + NL : NB); i++) value[i] = NAN;
+    if (of_outputs) has_outputs = 1;
+    else has_rates = 1;
+}
+
+static double library_value(int row, double t, const double *x, const double *u, const double *p)
+{
+    evaluate_library(row >= NB, t, x, u, p);
+    return value[row];
+}
+
+static double library_slope(int row, int by, double t, const double *x, const double *u, const double *p)
+{
+    const int of_outputs = row >= NB;
+    evaluate_library(of_outputs, t, x, u, p);
+    if (!has_slopes[of_outputs][by]) {
+        double moved[NB + 1], other[NB + NL + 1];
+        const double h = library->steps[by];
+        memcpy(moved, x, sizeof(double) * NB);
+        moved[by] += h;
+        is_placed = 0;
+        int status = move_library(t, moved, u, p);
+        if (status <= MOST_STATUS) status = read_library(of_outputs, other + of_outputs * NB);
+        for (int i = of_outputs * NB; i < (of_outputs ? NB + NL : NB); i++)
+            slope[i * (NB + 1) + by] = status > MOST_STATUS ? NAN : (other[i] - value[i]) / (moved[by] - x[by]);
+        has_slopes[of_outputs][by] = 1;
+    }
+    return slope[row * (NB + 1) + by];
+}

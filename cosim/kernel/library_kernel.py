@@ -1,0 +1,122 @@
+"""Filter over a log with the library of an FMU for model exchange; every thread has an instance of its own."""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.blocks.derivatives import DifferentiableFmu, reals
+from cosim.kernel.c_filter import CompiledKernel
+from cosim.kernel.generate import Generated
+from cosim.kernel.kernel import Data, Filtered, Simulated
+
+NAME = "model"  # component name in messages
+STEP = 1e-6  # step of differences, as a share of a state's usual size
+
+
+_loading = threading.Lock()  # the working folder changes while a library is loaded
+
+
+class _Library(ctypes.Structure):
+    """Functions and variables of an instance, as in `library.c`."""
+
+    _fields_ = (
+        *((n, ctypes.c_void_p) for n in ("instance", "set_time", "set_states", "get_rates", "set_reals", "get_reals")),
+        *((n, ctypes.c_void_p) for n in ("inputs", "outputs", "steps")),
+        ("version", ctypes.c_int),
+    )
+
+
+class LibraryInstance:
+    """An instance of an FMU in continuous-time mode, initialized again whenever a parameter changes.
+
+    Args:
+        sizes: Usual size of each state.
+    """
+
+    def __init__(self, path: Path, description: Any, sizes: Sequence[float]) -> None:
+        self._path, self._description = path, description
+        self._steps = np.array([STEP * (size or 1.0) for size in sizes])
+        self._values: dict[str, float] | None = None
+        self._block: DifferentiableFmu | None = None
+
+    def prepare(self, values: Mapping[str, float]) -> _Library:
+        """Return the functions of an instance with these parameter values.
+
+        Raises:
+            SimulationError: The FMU refuses them.
+        """
+        if self._values == values:
+            return self._struct
+        self._values = None
+        with _loading:
+            if self._block is None:
+                self._block = DifferentiableFmu(NAME, self._path, self._description, {}, frozenset())
+                self._block.bind_nothing()
+            self._block.open_again(values, 0.0, 1.0)
+        self._values, self._struct = dict(values), self._functions(self._block)
+        return self._struct
+
+    def close(self) -> None:
+        """Free the instance."""
+        if self._block is not None:
+            self._block.close()
+        self._block = self._values = None
+
+    def _functions(self, block: DifferentiableFmu) -> _Library:
+        """Return the functions of the library."""
+        fmu, version = block.instance.fmu, int(self._description.fmiVersion[0])
+        reals_name = "Real" if version == 2 else "Float64"
+        names = ("SetTime", "SetContinuousStates", None, f"Set{reals_name}", f"Get{reals_name}")
+        derivatives = "GetDerivatives" if version == 2 else "GetContinuousStateDerivatives"
+        symbols = [f"fmi{version}{name or derivatives}" for name in names]
+        pointers = [ctypes.cast(getattr(fmu.dll, symbol), ctypes.c_void_p) for symbol in symbols]
+        groups = [[v.valueReference for v in reals(self._description, kind)] for kind in ("input", "output")]
+        self._references = [np.array(group or [0], np.uint32) for group in groups]
+        addresses = [a.ctypes.data for a in (*self._references, self._steps)]
+        return _Library(fmu.component, *pointers, *addresses, version)
+
+
+class LibraryKernel(CompiledKernel):
+    """Kernel of an FMU with terms.
+
+    Args:
+        parameters: Parameter of the kernel → variable of the FMU.
+    """
+
+    def __init__(
+        self, generated: Generated, path: Path, description: Any, parameters: Mapping[str, str], sizes: Sequence[float]
+    ) -> None:
+        super().__init__(generated)
+        self._library.use_library.argtypes = [ctypes.POINTER(_Library)]
+        self._fmu = path, description, tuple(sizes)
+        self._places = {v: self.layout.parameters.index(n) for n, v in parameters.items()}
+        self._own = threading.local()
+
+    def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
+        """Filter one log, as `Kernel.run`."""
+        self._use(p)
+        return super().run(data, p, x0, P0, q, r, states=states)
+
+    def simulate(
+        self, data: Data, p: Array, x0: Array, memory: Array, kicks: Array | None = None, *, first: int = 0
+    ) -> Simulated:
+        """Simulate with the commands of a log, as `Kernel.simulate`."""
+        self._use(p)
+        return super().simulate(data, p, x0, memory, kicks, first=first)
+
+    def _use(self, p: Array) -> None:
+        """Prepare this thread's instance for the parameter values."""
+        instance = getattr(self._own, "instance", None)
+        if instance is None:
+            instance = self._own.instance = LibraryInstance(*self._fmu)
+        prepared = instance.prepare({name: float(p[k]) for name, k in self._places.items()})
+        self._library.use_library(ctypes.byref(prepared))
+
+

@@ -1,0 +1,227 @@
+"""FMUs for model exchange as subjects: the filter evaluates the library, terms of the general catalogue are added."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.errors import InputError
+from cosim.blocks.description import read_description
+from cosim.kernel.backend import kernel
+from cosim.kernel.kernel import Data, Kernel
+from cosim.kernel.messages import NO_CONSTANTS
+from cosim.loading.file import LoadedModel
+from cosim.logs.log import Log
+from cosim.model.model import Model
+from cosim.model.quantities import Parameter, Quantity
+from cosim.probing.fmu_structure import Structure
+from cosim.residuals.windows import Replay
+from cosim.subject.candidates import Candidate
+from cosim.subject.interface import Predict, Replayer, Start, Workplace
+from cosim.subject.model_subject import ModelSubject
+from cosim.terms.catalogue import bound_terms, delay_of, sensor_errors
+from cosim.terms.fmu_model import Dependencies, fmu_model
+from cosim.terms.language import Place, with_place
+
+HORIZON_ROWS, HORIZON_SHARE = 50, 0.1  # duration of replays: least in rows, and usual share of a log
+LATEST = 20  # longest delay of the inputs, in rows
+WIDEST = 100.0  # factor on a parameter without bounds, up and down
+
+
+class FmuSubject(ModelSubject):
+    """An FMU for model exchange with the terms that it may lack.
+
+    Attributes:
+        structure: Structure of the FMU along the logs.
+    """
+
+    def __init__(self, loaded: LoadedModel, structure: Structure) -> None:
+        super().__init__(loaded)
+        self.structure = structure
+        self._description = read_description(structure.fmu)
+
+    @classmethod
+    def of_fmu(cls, structure: Structure, logs: Sequence[Log], terms: Sequence[type[Any]] = ()) -> FmuSubject:
+        """Return the subject of a probed FMU.
+
+        Args:
+            logs: Estimation logs, for usual sizes.
+            terms: Terms of the user.
+        """
+        model = _model(structure, logs, terms)
+        return cls(LoadedModel(model, str(structure.fmu)), structure)
+
+    @property
+    def names(self) -> dict[str, str]:
+        """Return variable of the FMU → name in the model."""
+        variables: Mapping[str, str] = self.model.variables  # type: ignore[attr-defined]
+        return {variable: name for name, variable in variables.items()}
+
+    @property
+    def measured_states(self) -> frozenset[str]:
+        """Return the states that an output shows; the model gives them its name."""
+        return frozenset(map(with_place, self.structure.shown.values()))
+
+    def kernel(self, measured: Sequence[str], *, unnamed: bool = False, constant: Sequence[str] = ()) -> Kernel:
+        """Return the filter with the FMU's library.
+
+        Raises:
+            InputError: Parameters as constant states, which a library cannot have, or no compiler.
+        """
+        if constant:
+            raise InputError.at(self.structure.fmu, NO_CONSTANTS(names=", ".join(constant)))
+        scales = self.structure.scales
+        sizes = [scales.get(q.name, 0.0) for q in self.structure.states]
+        return kernel(self.model, measured, unnamed, fmu=(self.structure.fmu, self._description, sizes))
+
+    def start(self) -> dict[str, float]:
+        """Return the start value of each state."""
+        return {q.name: q.start for q in self.states}
+
+    def settling(self, states: Sequence[str]) -> float:
+        """Return 0: every state that is not exactly the integral of another one has process noise."""
+        return 0.0
+
+    def prediction(self, log: Log) -> Predict | None:
+        """Return None: outliers are found by their neighbours."""
+        return None
+
+    def nameless(self, signal: str) -> tuple[Callable[..., Any], Sequence[str]] | None:
+        """Return a basis function of the kernel's unnamed terms."""
+        return super().nameless(signal)
+
+    def refined(self, claims: Mapping[str, float]) -> FmuSubject:
+        """Return the subject with claimed values."""
+        return FmuSubject(super().refined(claims).loaded, self.structure)
+
+    def replayer(self, place: Workplace) -> LibraryReplayer:
+        """Return a replayer with the kernel's integration of the FMU and its terms."""
+        return LibraryReplayer(self)
+
+    def quick_replayer(self, place: Workplace) -> None:
+        """Return None: the only replayer is quick."""
+
+    def write(self, scratch: Path, folder: Path, name: str) -> Sequence[Path]:
+        """Write nothing."""
+        return ()
+
+    def use(self, folder: Path) -> list[str]:
+        """Return no command, since no file is delivered."""
+        return []
+
+
+@dataclass
+class LibraryReplayer(Replayer):
+    """Replays by the kernel of a subject."""
+
+    subject: FmuSubject
+    through = "own"
+
+    def replays(
+        self, log: Log, data: Data, values: Mapping[str, float], starts: Mapping[float, Mapping[int, Start]]
+    ) -> Generator[Replay, None, None]:
+        """Yield one replay for each horizon."""
+        units = {q.name: q.unit for q in self.subject.outputs}
+        kernel = self.subject.kernel(tuple(units))
+        layout = kernel.layout
+        p = np.array([values.get(n, self.subject.values.get(n, 1.0)) for n in layout.parameters])
+        grid = np.asarray(log.grid, np.intp)
+        for horizon, begins in starts.items():
+            table, rows = np.full((log.rows, len(units)), np.nan), sorted(begins)
+            for k, last in zip(rows, [*(row for row in rows[1:]), log.rows - 1], strict=True):
+                start = begins[k]
+                x0 = np.array([start.states.get(n, 0.0) if not n.startswith("disturbance.") else 0.0 for n in layout.states])
+                end = int(grid[last])
+                run = kernel.simulate(data.rows(0, end + 1), p, x0, np.asarray(start.memory, float), first=int(grid[k]))
+                table[k + 1 : last + 1] = run.outputs[grid[k + 1 : last + 1]]
+            given = {k: {n: v for n, v in start.states.items() if "." not in n} for k, start in begins.items()}
+            yield Replay(log.time, horizon, given, dict(zip(units, table.T, strict=True)), units)
+
+
+def _model(structure: Structure, logs: Sequence[Log], terms: Sequence[type[Any]]) -> Model:
+    """Return the model of a probed FMU."""
+    own = _names(structure)
+    states, inputs, outputs = (
+        [replace(q, name=own.get(q.name, with_place(q.name)) if is_state else with_place(q.name)) for q in group]
+        for group, is_state in ((structure.states, True), (structure.inputs, False), (structure.outputs, False))
+    )
+    step, duration = logs[0].step, max(float(log.time[-1] - log.time[0]) for log in logs)
+    ranges = {q.name: max(float(np.ptp(log.inputs[q.name])) for log in logs) for q in inputs}
+    sizes = {with_place(n): v for n, v in structure.scales.items()}
+    parameters = [_parameter(p.quantity) for p in structure.acting]
+    positions = {p.position: p.velocity for p in structure.pairs if p.gain == 1.0}
+    index = {q.name: k for k, q in enumerate(structure.states)}
+    places = [*_places(structure, sizes | ranges, step)]
+    varied = tuple(n for n, width in ranges.items() if width > 0.0)
+    catalogue = (*([delay_of(inputs, LATEST * step)] if inputs else ()), *bound_terms(places, terms))
+    horizon = max(HORIZON_ROWS * step, HORIZON_SHARE * duration)
+    sensors = [error for q in outputs for error in sensor_errors(q, sizes.get(q.name) or 1.0, step, duration)]
+    return fmu_model(
+        structure.fmu.stem,
+        (states, inputs, outputs),
+        parameters,
+        catalogue,
+        dependencies=Dependencies(
+            np.vstack([structure.state_in_rate, structure.state_in_output]),
+            np.vstack([structure.input_in_rate, structure.input_in_output]),
+        ),
+        rates={index[q]: index[v] for q, v in positions.items()},
+        variables={with_place(q.name): q.name for q in (*structure.states, *structure.inputs, *structure.outputs)}
+        | {with_place(p.name): p.name for p in structure.acting},
+        sensors=tuple(sensors),
+        forced=tuple(own[q.name] for q in structure.states if q.name not in positions),
+        calibrated=tuple(p.name for p in parameters),
+        suspect={p.name: varied for p in parameters},
+        horizon=float(f"{horizon:.2g}"),
+        rate=step,
+        substep=min(step, 1.0 / structure.largest_rate) if structure.largest_rate > 0.0 else step,
+        integrator="rk4",
+    )
+
+
+def _names(structure: Structure) -> dict[str, str]:
+    """Return the model's names of the states: that of an output that shows the state, else the FMU's."""
+    return {q.name: with_place(structure.shown.get(q.name, q.name)) for q in structure.states}
+
+
+def _parameter(q: Quantity) -> Parameter:
+    """Return the declaration of an FMU's parameter; without bounds, it keeps its sign."""
+    low, high = q.bounds
+    if q.start != 0.0:
+        ends = sorted((q.start / WIDEST, q.start * WIDEST))
+        low, high = max(low, ends[0]), min(high, ends[1])
+    return Parameter(with_place(q.name), q.start, q.unit, q.doc, (low, high))
+
+
+def _places(structure: Structure, sizes: Mapping[str, float], step: float) -> Sequence[Place]:
+    """Return the places of terms."""
+    names = [q.name for q in structure.states]
+    units = {q.name: q.unit for q in (*structure.states, *structure.inputs)}
+    places = [
+        Place(with_place(q.name), {"u": q.unit, "T": "s"}, {"u": 0.5 * sizes[with_place(q.name)] or 1.0, "T": step}, k)
+        for k, q in enumerate(structure.inputs)
+    ]
+    inputs = [q.name for q in structure.inputs]
+    for pair in structure.pairs:
+        v, q = with_place(pair.velocity), with_place(pair.position)
+        alone = [port for port in pair.ports if port.is_alone] or pair.ports
+        rate = structure.scales.get(f"der({pair.velocity})") or 1.0
+        kinds = {"v": units[pair.velocity], "q": units[pair.position], "d": units[pair.position]}
+        moves = {"v": sizes.get(v) or 1.0, "q": sizes.get(q) or 1.0, "d": math.sqrt(12.0) * (sizes.get(q) or 1.0)}
+        port, sign, unit, size = None, 1.0, f"{units[pair.velocity]}/s", rate
+        if alone:
+            port, sign = inputs.index(alone[0].input), math.copysign(1.0, alone[0].gain)
+            unit, size = units[alone[0].input], 0.5 * sizes[with_place(alone[0].input)] or 1.0
+        places.append(
+            Place(v, {"u": unit, **kinds}, {"u": size, **moves}, port, names.index(pair.position), names.index(pair.velocity), sign)
+        )
+    for name in structure.storages:
+        size, rate = sizes.get(with_place(name)) or 1.0, structure.scales.get(f"der({name})") or 1.0
+        kinds = {"q": units[name], "r": f"{units[name]}/s"}
+        places.append(Place(with_place(name), kinds, {"q": size, "r": rate}, state=names.index(name)))
+    return places

@@ -1,0 +1,358 @@
+"""The general catalogue of terms at the inputs, pairs and storage states of an FMU, and of its sensors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from cosim.model.delay import Delay
+from cosim.model.model import Number, Values
+from cosim.model.namespaces import Namespace
+from cosim.model.quantities import Quantity, parameter
+from cosim.model.sensors import Bias, Drift, Latency, Scale
+from cosim.terms.language import Force, InputTerm, Place, RateTerm, RememberingTerm, bind, scaled
+
+BEGUN = Quantity("begun", "1", "whether the memory holds values")
+SHORTEST = 1e-3  # least time constant of a lag, as a share of a substep; below, the input passes unchanged
+
+# -- at an input -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class InputBias(InputTerm):
+    """Offset of an input."""
+
+    kind = "bias"
+    equation = "u + b in place of u"
+
+    offset: float = scaled("u", neutral=0.0, typical=0.05, low=-2.0, high=2.0, doc="offset b")
+
+    def change(self, m: Namespace, value: Number) -> Number:
+        """Return u + b."""
+        return value + self.offset
+
+
+@dataclass(frozen=True, kw_only=True)
+class InputGain(InputTerm):
+    """Gain of an input."""
+
+    kind = "gain"
+    equation = "(1 + e)·u in place of u"
+
+    excess: float = scaled("1", neutral=0.0, typical=0.1, low=-0.95, high=10.0, doc="excess e of the gain")
+
+    def change(self, m: Namespace, value: Number) -> Number:
+        """Return (1 + e)·u."""
+        return (1.0 + self.excess) * value
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeadBand(InputTerm):
+    """Dead band of an input about zero."""
+
+    kind = "dead_band"
+    equation = "u − clip(u, ±w) in place of u"
+
+    width: float = scaled("u", neutral=0.0, typical=0.1, low=0.0, high=2.0, doc="half width w")
+
+    def change(self, m: Namespace, value: Number) -> Number:
+        """Return u − clip(u, ±w)."""
+        return value - m.clip(value, -self.width, self.width)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Saturation(InputTerm):
+    """Limit of an input."""
+
+    kind = "saturation"
+    equation = "clip(u, ±1/i) in place of u"
+
+    inverse_limit: float = scaled("1/u", neutral=0.0, typical=0.7, low=0.0, high=10.0, doc="inverse i of the limit")
+
+    def change(self, m: Namespace, value: Number) -> Number:
+        """Return clip(u, ±1/i)."""
+        limit = 1.0 / m.maximum(self.inverse_limit, 1e-3 / self.place.sizes["u"])
+        return m.where(self.inverse_limit > 0.0, m.clip(value, -limit, limit), value)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RateLimit(RememberingTerm):
+    """Limit of the rate of an input."""
+
+    kind = "rate_limit"
+    equation = "u follows with at most 1/i per second"
+    memory = (Quantity("value", "1", "input after the limit"), BEGUN)
+
+    inverse_rate: float = scaled("s/u", neutral=0.0, typical=0.5, low=0.0, high=100.0, doc="inverse i of the rate")
+
+    def advance(self, m: Namespace, h: Number, value: Number, memory: Values) -> tuple[Number, Values]:
+        """Return the input, moved by at most h/i."""
+        step = h / m.maximum(self.inverse_rate, 1e-6 / self.place.sizes["u"])
+        limited = memory[0] + m.clip(value - memory[0], -step, step)
+        after = m.where(self.inverse_rate > 0.0, limited, value)
+        return after, (after,)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Play(RememberingTerm):
+    """Play of an input."""
+
+    kind = "play"
+    equation = "p ← clip(p, u ± w), p in place of u"
+    memory = (Quantity("value", "1", "input after the play"), BEGUN)
+
+    width: float = scaled("u", neutral=0.0, typical=0.1, low=0.0, high=2.0, doc="half width w")
+
+    def advance(self, m: Namespace, h: Number, value: Number, memory: Values) -> tuple[Number, Values]:
+        """Return clip(p, u ± w)."""
+        after = m.clip(memory[0], value - self.width, value + self.width)
+        return after, (after,)
+
+
+@dataclass(frozen=True, kw_only=True)
+class InputLag(RememberingTerm):
+    """First-order lag of an input."""
+
+    kind = "lag"
+    equation = "T·u̇ₗ = u − uₗ, uₗ in place of u"
+    memory = (Quantity("value", "1", "input after the lag"), BEGUN)
+
+    time: float = scaled("T", neutral=0.0, typical=3.0, low=0.0, high=1000.0, doc="time constant T")
+
+    def advance(self, m: Namespace, h: Number, value: Number, memory: Values) -> tuple[Number, Values]:
+        """Return the mean over the substep, and the value at its end; exact for an input held over the substep."""
+        mean, end = _lagged(m, h, value, memory[0], self.time)
+        return mean, (end,)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SecondOrderLag(RememberingTerm):
+    """Two equal lags of an input in series."""
+
+    kind = "second_order_lag"
+    equation = "two lags T in series, in place of u"
+    memory = (
+        Quantity("first", "1", "input after the first lag"),
+        Quantity("second", "1", "input after the second lag"),
+        BEGUN,
+    )
+
+    time: float = scaled("T", neutral=0.0, typical=2.0, low=0.0, high=500.0, doc="time constant T of each lag")
+
+    def advance(self, m: Namespace, h: Number, value: Number, memory: Values) -> tuple[Number, Values]:
+        """Return the mean over the substep, and both values at its end."""
+        mean, first = _lagged(m, h, value, memory[0], self.time)
+        after, second = _lagged(m, h, mean, memory[1], self.time)
+        return after, (first, second)
+
+
+def _lagged(m: Namespace, h: Number, value: Number, before: Number, time: Number) -> tuple[Number, Number]:
+    """Return mean and end value of a first-order lag over a substep."""
+    acts, slow = time > SHORTEST * h, m.maximum(time, SHORTEST * h)
+    share = m.exp(-h / slow)
+    end = value + (before - value) * share
+    mean = value + (before - value) * (1.0 - share) * slow / h
+    return m.where(acts, mean, value), m.where(acts, end, value)
+
+
+# -- at a pair of position and velocity ------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coulomb(Force):
+    """Dry friction."""
+
+    kind = "coulomb"
+    equation = "−F·tanh(v/ε)"
+
+    level: float = scaled("u", neutral=0.0, typical=0.1, low=0.0, high=5.0, doc="level F")
+    softness: float = scaled("v", default=0.02, typical=0.02, low=0.002, high=0.2, doc="velocity ε of the transition")
+
+    def force(self, m: Namespace, position: Number, velocity: Number) -> Number:
+        """Return −F·tanh(v/ε)."""
+        return -self.level * m.tanh(velocity / self.softness)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stribeck(Force):
+    """Dry friction that is larger at rest."""
+
+    kind = "stribeck"
+    equation = "−(F + S·exp(−(v/w)²))·tanh(v/ε)"
+
+    level: float = scaled("u", neutral=0.0, typical=0.1, low=0.0, high=5.0, doc="level F at speed")
+    excess: float = scaled("u", neutral=0.0, typical=0.1, low=0.0, high=5.0, doc="excess S at rest")
+    velocity: float = scaled("v", default=0.2, typical=0.1, low=0.02, high=1.5, doc="velocity w of the decay")
+    softness: float = scaled("v", default=0.02, typical=0.02, low=0.002, high=0.2, doc="velocity ε of the transition")
+
+    def force(self, m: Namespace, position: Number, velocity: Number) -> Number:
+        """Return −(F + S·exp(−(v/w)²))·tanh(v/ε)."""
+        ratio = velocity / self.velocity
+        return -(self.level + self.excess * m.exp(-ratio * ratio)) * m.tanh(velocity / self.softness)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Viscous(Force):
+    """Viscous friction."""
+
+    kind = "viscous"
+    equation = "−c·v"
+
+    coefficient: float = scaled("u/v", neutral=0.0, typical=0.1, low=-5.0, high=5.0, doc="coefficient c")
+
+    def force(self, m: Namespace, position: Number, velocity: Number) -> Number:
+        """Return −c·v."""
+        return -self.coefficient * velocity
+
+
+@dataclass(frozen=True, kw_only=True)
+class QuadraticDrag(Force):
+    """Drag with the square of the velocity."""
+
+    kind = "quadratic_drag"
+    equation = "−c·v·|v|"
+
+    coefficient: float = scaled("u/v^2", neutral=0.0, typical=0.05, low=0.0, high=5.0, doc="coefficient c")
+
+    def force(self, m: Namespace, position: Number, velocity: Number) -> Number:
+        """Return −c·v·|v|."""
+        return -self.coefficient * velocity * m.sqrt(velocity * velocity)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CubicSpring(Force):
+    """Force with the cube of the position."""
+
+    kind = "cubic_spring"
+    equation = "−k·q³"
+
+    stiffness: float = scaled("u/q^3", neutral=0.0, typical=0.1, low=-5.0, high=5.0, doc="stiffness k")
+
+    def force(self, m: Namespace, position: Number, velocity: Number) -> Number:
+        """Return −k·q³."""
+        return -self.stiffness * position * position * position
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cogging(Force):
+    """Force that repeats along the position, at least twice over the travel of the logs."""
+
+    kind = "cogging"
+    equation = "a·sin(2π·q/P) + b·cos(2π·q/P)"
+    starts = tuple({"sine": 0.05, "period": 1.0 / periods} for periods in (3.0, 6.0, 12.0))
+
+    sine: float = scaled("u", neutral=0.0, typical=0.05, low=-2.0, high=2.0, doc="amplitude a of the sine")
+    cosine: float = scaled("u", neutral=0.0, typical=0.05, low=-2.0, high=2.0, doc="amplitude b of the cosine")
+    period: float = scaled("d", default=0.25, typical=0.02, low=0.005, high=0.5, doc="period P")
+
+    def force(self, m: Namespace, position: Number, velocity: Number) -> Number:
+        """Return a·sin(2π·q/P) + b·cos(2π·q/P)."""
+        angle = 2.0 * math.pi * position / self.period
+        return self.sine * m.sin(angle) + self.cosine * m.cos(angle)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Offset(Force):
+    """Constant force at a pair without an input of its own."""
+
+    kind = "offset"
+    equation = "+F"
+
+    force_: float = scaled("u", neutral=0.0, typical=0.05, low=-5.0, high=5.0, doc="force F")
+
+    def force(self, m: Namespace, position: Number, velocity: Number) -> Number:
+        """Return F."""
+        return self.force_
+
+
+# -- at a storage state ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Leak(RateTerm):
+    """Loss in proportion to a level."""
+
+    kind = "leak"
+    equation = "−c·s in the rate of s"
+
+    coefficient: float = scaled("r/q", neutral=0.0, typical=0.05, low=0.0, high=5.0, doc="coefficient c")
+
+    def rate(self, m: Namespace, level: Number) -> Number:
+        """Return −c·s."""
+        return -self.coefficient * level
+
+
+@dataclass(frozen=True, kw_only=True)
+class Overflow(RateTerm):
+    """Loss above a level."""
+
+    kind = "overflow"
+    equation = "−c·max(s − l, 0) in the rate of s"
+
+    coefficient: float = scaled("r/q", neutral=0.0, typical=1.0, low=0.0, high=100.0, doc="coefficient c")
+    limit: float = scaled("q", default=0.8, typical=0.05, low=-2.0, high=2.0, doc="level l of the overflow")
+
+    def rate(self, m: Namespace, level: Number) -> Number:
+        """Return −c·max(s − l, 0)."""
+        return -self.coefficient * m.maximum(level - self.limit, 0.0)
+
+
+INPUT_TERMS = (InputBias, InputGain, DeadBand, Saturation, RateLimit, Play, InputLag, SecondOrderLag)
+FORCES = (Coulomb, Stribeck, Viscous, QuadraticDrag, CubicSpring, Cogging)
+RATE_TERMS = (Leak, Overflow)
+
+
+def bound_terms(places: Sequence[Place], own: Sequence[type[Any]] = ()) -> Iterator[type[Any]]:
+    """Yield every term of the catalogue and of the user at each place, in the order in which they act.
+
+    Args:
+        own: Terms of the user.
+    """
+    for kind in (*INPUT_TERMS, *FORCES, Offset, *RATE_TERMS, *own):
+        yield from (bind(kind, place) for place in places if _fits(kind, place))
+
+
+def _fits(kind: type[Any], place: Place) -> bool:
+    """Return True if a term can act at a place."""
+    if place.position >= 0:
+        return issubclass(kind, Force) and (kind is not Offset or place.input is None)
+    return issubclass(kind, RateTerm if place.state >= 0 else InputTerm)
+
+
+def delay_of(inputs: Sequence[Quantity], longest: float) -> type[Delay]:
+    """Return the delay of all inputs, up to `longest` [s]."""
+
+    @dataclass(frozen=True, kw_only=True)
+    class InputDelay(Delay):
+        name = "delay"
+        memory = tuple(Quantity(q.name, q.unit, f"late {q.name}") for q in inputs)
+
+        time: float = parameter(
+            0.0, unit="s", bounds=(0.0, longest), neutral=0.0, typical=0.1 * longest, doc="delay T of all inputs"
+        )
+
+    InputDelay.longest = longest
+    return InputDelay
+
+
+def sensor_errors(output: Quantity, size: float, step: float, duration: float) -> Iterator[type[Any]]:
+    """Yield the possible errors of the sensor of an output.
+
+    Args:
+        size: Spread of the output along the logs.
+        step, duration: Time between rows, and of a log [s].
+    """
+    errors = (
+        (Bias, "bias", output.unit, 0.0, 0.02 * size, (-2.0 * size, 2.0 * size), "bias b"),
+        (Scale, "scale", "1", 1.0, 0.02, (0.2, 5.0), "scale s"),
+        (Drift, "drift", f"{output.unit}/s", 0.0, 0.05 * size / duration, (-size, size), "drift d"),
+        (Latency, "latency", "s", 0.0, 1.0 * step, (0.0, 20.0 * step), "latency T"),
+    )
+    for base, kind, unit, neutral, typical, bounds, doc in errors:
+        value = parameter(neutral, unit=unit, bounds=bounds, neutral=neutral, typical=typical, doc=doc)
+        of = {"output": output.name} if base is not Latency else {"output": output.name, "outputs": (output.name,)}
+        name = f"{kind}_at_{output.name}"
+        namespace = {"name": name, **of, "value": value, "__annotations__": {"value": "float"}, "__module__": __name__}
+        yield dataclass(frozen=True, kw_only=True)(type(name, (base,), namespace))

@@ -1,0 +1,166 @@
+"""An FMU for model exchange as a model: derivatives and outputs come from its library, terms are added as equations.
+
+The equations are for symbols only. Each derivative and output of the library is a function of the states on which it
+depends, printed in C as a call; `cosim/kernel/binary.c` evaluates the library.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import field, make_dataclass
+from functools import cache
+from typing import Any, ClassVar, NamedTuple
+
+from cosim.base.arrays import Flags
+from cosim.model.model import Effect, Equations, Model, Number, Values, overrides
+from cosim.model.namespaces import Namespace, SymbolNamespace
+from cosim.model.quantities import Parameter, Quantity
+from cosim.terms.language import Force, RateTerm
+
+PARAMETERS = "the equations are those of a library"
+
+
+class Dependencies(NamedTuple):
+    """Dependencies of derivatives and outputs, shape (derivatives + outputs, states) and (…, inputs)."""
+
+    states: Flags
+    inputs: Flags
+
+
+class FmuModel(Model):
+    """Base class of models whose equations are in an FMU; `fmu_model` makes one.
+
+    Attributes:
+        dependencies: States and inputs on which each derivative and output depends.
+        rates: Position → velocity that equals its derivative, by index.
+        variables: Name in the model → name of the FMU's variable.
+    """
+
+    dependencies: ClassVar[Dependencies]
+    rates: ClassVar[Mapping[int, int]]
+    variables: ClassVar[Mapping[str, str]]
+
+    def equations(self, m: Namespace) -> Equations:
+        """Return the equations with symbols.
+
+        Raises:
+            TypeError: The namespace is one of numbers.
+        """
+        if not isinstance(m, SymbolNamespace):
+            raise TypeError(PARAMETERS)
+
+        def value(row: int, state: Values, command: Values) -> Number:
+            return library_value(row)(*self._arguments(m, row, state, command))
+
+        def derivative(t: Number, state: Values, command: Values) -> Values:
+            order = len(self.base_states)
+            rates = [
+                state[self.rates[k]] if k in self.rates else value(k, state, command) for k in range(order)
+            ]
+            for term in self.awake:
+                place = getattr(term, "place", None)
+                if isinstance(term, Force) and place.input is None:
+                    rates[place.state] += term.force(m, state[place.position], state[place.state])
+                elif isinstance(term, RateTerm):
+                    rates[place.state] += term.rate(m, state[place.state])
+            return (*rates, *(0.0 for _ in state[order:]))
+
+        def output(t: Number, state: Values, command: Values) -> Values:
+            first = len(self.base_states)
+            return tuple(value(first + k, state, command) for k in range(len(self.outputs)))
+
+        return Equations(derivative, output)
+
+    def library_inputs(self, m: Namespace, state: Values, command: Values) -> Values:
+        """Return the inputs of the library: the command as transmitted, plus the forces at ports."""
+        names = [q.name for q in self.inputs]
+        values: Mapping[str, Number] = dict(zip(names, command, strict=True))
+        for term in overrides(self.awake, "transmit", Effect):
+            values = term.transmit(m, values)
+        inputs = [values[name] for name in names]
+        for term in self.awake:
+            if isinstance(term, Force) and term.place.input is not None:
+                place = term.place
+                inputs[place.input] += place.sign * term.force(m, state[place.position], state[place.state])
+        return tuple(inputs)
+
+    def _arguments(self, m: Namespace, row: int, state: Values, command: Values) -> list[Number]:
+        """Return the symbols on which a derivative or output depends, also through forces at ports."""
+        import sympy
+
+        of_states, of_inputs = self.dependencies
+        inputs = self.library_inputs(m, state, command)
+        places = {k for k, depends in enumerate(of_states[row]) if depends}
+        acting = [sympy.sympify(u) for u, depends in zip(inputs, of_inputs[row], strict=True) if depends]
+        through = set().union(*(u.free_symbols for u in acting)) if acting else set()
+        places |= {k for k, x in enumerate(state[: len(self.base_states)]) if x in through}
+        commands = [u for u in command if u in through]
+        return [*(state[k] for k in sorted(places)), *commands]
+
+
+@cache
+def library_value(row: int) -> Any:
+    """Return the symbolic function of a derivative or output, numbered in the order of the library."""
+    import sympy
+
+    class LibraryValue(sympy.Function):  # type: ignore[misc]  # sympy is untyped
+        is_real = True
+
+        def fdiff(self, argindex: int = 1) -> Any:
+            return library_slope(row, self.args[argindex - 1])(*self.args)
+
+        def _ccode(self, printer: Any) -> str:
+            return f"library_value({row}, t, x, u, p)"
+
+    LibraryValue.__name__ = f"library_value_{row}"
+    return LibraryValue
+
+
+@cache
+def library_slope(row: int, by: Any) -> Any:
+    """Return the symbolic function of a slope, printed with the place of the state by which it is taken."""
+    import sympy
+
+    class LibrarySlope(sympy.Function):  # type: ignore[misc]
+        is_real = True
+
+        def fdiff(self, argindex: int = 1) -> Any:
+            return sympy.Integer(0)  # second derivatives are not used
+
+        def _ccode(self, printer: Any) -> str:
+            place = printer._print(by)  # `x[3]`
+            return f"library_slope({row}, {place[2:-1]}, t, x, u, p)"
+
+    LibrarySlope.__name__ = f"library_slope_{row}_{by}"
+    return LibrarySlope
+
+
+def fmu_model(
+    title: str,
+    signals: tuple[Sequence[Quantity], Sequence[Quantity], Sequence[Quantity]],
+    parameters: Sequence[Parameter],
+    terms: Sequence[type[Any]],
+    **attributes: Any,
+) -> Model:
+    """Return the model of an FMU with its own parameter values.
+
+    Args:
+        signals: States, inputs and outputs, in the order of the FMU.
+        parameters: Settable parameters; the default is the FMU's value.
+        terms: Catalogue in the order in which the terms act.
+        attributes: Further class attributes: `dependencies`, `rates`, `variables`, `sensors`, `forced`, …
+    """
+    fields = [(p.name, "float", field(default=p.default, metadata={"parameter": p})) for p in parameters]
+    states, inputs, outputs = map(tuple, signals)
+    namespace = {
+        "title": title,
+        "base_states": states,
+        "inputs": inputs,
+        "outputs": outputs,
+        "catalogue": tuple(terms),
+        "__module__": __name__,
+        **attributes,
+    }
+    made: type[Any] = make_dataclass("OfFmu", fields, bases=(FmuModel,), namespace=namespace, frozen=True, kw_only=True)
+    model: Model = made()
+    return model

@@ -1,0 +1,198 @@
+"""Terms and places: a term is declared in units of its place, and binding gives it a name, units and sizes."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
+
+from cosim.model.model import Effect, Number, Values
+from cosim.model.namespaces import Namespace
+from cosim.model.quantities import Parameter, parameter, parameters_of
+
+FACTOR = re.compile(r"(?P<symbol>[A-Za-z]+|1)(\^(?P<power>\d+))?")
+
+
+@dataclass(frozen=True)
+class Place:
+    """A place of an FMU where terms can act.
+
+    Attributes:
+        name: Name in the terms' names: that of the input, of the velocity, or of the state.
+        units, sizes: Symbol of `scaled` → unit, and usual size along the logs.
+        input: Index of the input of an input term, or of the port of a force; None for a force on a rate.
+        position, state: Indices of the position, and of the velocity or storage state.
+        sign: Sign of the port's effect on the derivative of the velocity.
+    """
+
+    name: str
+    units: Mapping[str, str]
+    sizes: Mapping[str, float]
+    input: int | None = None
+    position: int = -1
+    state: int = -1
+    sign: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Term(Effect):
+    """A term of the general catalogue, before or after binding to a place.
+
+    Attributes:
+        kind: First part of the name, `kind_at_place`.
+        place: Place of a bound term.
+    """
+
+    kind: ClassVar[str]
+    place: ClassVar[Place]
+
+
+@dataclass(frozen=True, kw_only=True)
+class InputTerm(Term):
+    """A term that changes one input on its way to the FMU; symbol of `scaled`: u."""
+
+    def change(self, m: Namespace, value: Number) -> Number:
+        """Return the changed input, for a term without memory."""
+        return value
+
+    def transmit(self, m: Namespace, command: Mapping[str, Number]) -> Mapping[str, Number]:
+        """Return all inputs, with this one changed."""
+        return {**command, self.place.name: self.change(m, command[self.place.name])}
+
+
+@dataclass(frozen=True, kw_only=True)
+class RememberingTerm(InputTerm):
+    """A change of one input with a memory, advanced once per substep."""
+
+    def advance(self, m: Namespace, h: Number, value: Number, memory: Values) -> tuple[Number, Values]:
+        """Return the changed input from `t` to `t + h` [s], and the new memory, which is the input at the start."""
+        raise NotImplementedError
+
+    def transmit(self, m: Namespace, command: Mapping[str, Number]) -> Mapping[str, Number]:
+        """Return the inputs unchanged; `shape` changes them."""
+        return command
+
+    def shape(self, m: Namespace, t: Number, h: Number, command: Values, memory: Values) -> tuple[Values, Values]:
+        """Return the command with this input changed, and the new memory; the last value says that it has begun."""
+        place = self.place.input
+        assert place is not None
+        value, (*kept, begun) = command[place], memory
+        past = tuple(m.where(begun > 0.5, past, value) for past in kept)
+        changed, after = self.advance(m, h, value, past)
+        return (*command[:place], changed, *command[place + 1 :]), (*after, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Force(Term):
+    """A force at a pair of position and velocity; symbols of `scaled`: u (unit of the port), q and v."""
+
+    def force(self, m: Namespace, position: Number, velocity: Number) -> Number:
+        """Return the force in the direction of the velocity."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, kw_only=True)
+class RateTerm(Term):
+    """An addition to the derivative of a storage state; symbols of `scaled`: r (unit of the derivative) and q."""
+
+    def rate(self, m: Namespace, level: Number) -> Number:
+        """Return the addition to the derivative."""
+        raise NotImplementedError
+
+
+def scaled(
+    unit: str,
+    *,
+    doc: str,
+    default: float = 0.0,
+    neutral: float | None = None,
+    typical: float | None = None,
+    low: float = -math.inf,
+    high: float = math.inf,
+) -> Any:
+    """Declare a parameter of a term in units of its place.
+
+    Args:
+        unit: Product of symbols, such as `u/v^2`; `1` and `s` stand for themselves.
+        default, neutral, typical, low, high: Multiples of the same product of usual sizes.
+    """
+    declaration = Parameter("", default, unit, doc, (low, high), neutral, typical)
+    return field(default=default, metadata={"parameter": declaration})
+
+
+def bind(kind: type[Any], place: Place) -> type[Any]:
+    """Return a term for a place: a class with name, units, bounds and usual sizes."""
+    fields = {p.name: _bound(p, place) for p in parameters_of(kind)}
+    starts = tuple(
+        {name: value * _size(_declared(kind, name).unit, place) for name, value in start.items()}
+        for start in kind.starts
+    )
+    namespace = {
+        "name": f"{kind.kind}_at_{place.name}",
+        "place": place,
+        "starts": starts,
+        "__annotations__": dict.fromkeys(fields, "float"),
+        "__doc__": kind.__doc__,
+        "__module__": __name__,
+        **fields,
+    }
+    return dataclass(frozen=True, kw_only=True)(type(f"{kind.__name__}At{place.name}", (kind,), namespace))
+
+
+def _declared(kind: type[Any], name: str) -> Parameter:
+    return next(p for p in parameters_of(kind) if p.name == name)
+
+
+def _bound(p: Parameter, place: Place) -> Any:
+    size = _size(p.unit, place)
+    low, high = p.bounds
+    return parameter(
+        float(p.default) * size,
+        unit=unit_of(p.unit, place.units),
+        doc=p.doc,
+        bounds=(low * size, high * size),
+        neutral=None if p.neutral is None else p.neutral * size,
+        typical=None if p.typical is None else p.typical * size,
+    )
+
+
+def _factors(expression: str) -> list[tuple[str, int]]:
+    """Return symbol and power of each factor of a product such as `u/v^2`."""
+    factors, sign = [], 1
+    for part in re.split(r"([/.])", expression):
+        if part in ("/", "."):
+            sign = -1 if part == "/" else 1
+            continue
+        match = FACTOR.fullmatch(part)
+        if match is None:
+            raise ValueError(f"no product of symbols: {expression!r}")
+        factors.append((match["symbol"], sign * int(match["power"] or 1)))
+    return factors
+
+
+def _size(expression: str, place: Place) -> float:
+    """Return the product of usual sizes."""
+    return math.prod(place.sizes.get(symbol, 1.0) ** power for symbol, power in _factors(expression))
+
+
+def unit_of(expression: str, units: Mapping[str, str]) -> str:
+    """Return the product of units as text: `N/(m/s)2`."""
+    above, below = [], []
+    for symbol, power in _factors(expression):
+        unit = units.get(symbol, symbol)
+        if unit in ("1", ""):
+            continue
+        text = unit if not re.search(r"[/.]", unit) or (power == 1 and len(_factors(expression)) == 1) else f"({unit})"
+        (above if power > 0 else below).append(text if abs(power) == 1 else f"{text}{abs(power)}")
+    over = ".".join(above) or "1"
+    return f"{over}/{'/'.join(below)}" if below else over
+
+
+def with_place(text: str) -> str:
+    """Return a variable's name as part of a term's name: letters, digits and underscores only."""
+    return re.sub(r"\W", "_", text, flags=re.ASCII)
+
+
+__all__ = ["Force", "InputTerm", "Place", "RateTerm", "RememberingTerm", "Term", "bind", "replace", "scaled"]
