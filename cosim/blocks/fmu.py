@@ -177,6 +177,19 @@ class FmuBlock:
         self._load()
         self._begin(start, stop)
 
+    def open_again(self, values: Mapping[str, Any], start: float, stop: float) -> None:
+        """Load the FMU anew and initialize it with other start values; it remains unpacked."""
+        self.start_values = values
+        self.instance.free()
+        self.open(start, stop)
+        self.start()
+
+    def bind_nothing(self) -> None:
+        """Bind the signals to a private row."""
+        count = len(self.inputs) + len(self.outputs)
+        exact = len(self.exact_inputs) + len(self.exact_outputs)
+        self.bind((ctypes.c_double * max(1, count))(), 0, [None] * exact, 0)
+
     def _load(self) -> None:
         self.instance.load()
         self._values.look_up()

@@ -12,7 +12,7 @@ from cosim.base.errors import Fault, InputError
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, cure
 from cosim.kernel import messages
 from cosim.kernel.c_filter import CompiledKernel
-from cosim.kernel.generate import generate
+from cosim.kernel.generate import generate, generate_stepped
 from cosim.kernel.kernel import Kernel
 from cosim.kernel.remote_kernel import RemoteLibraryKernel
 from cosim.model.model import Model
@@ -45,7 +45,8 @@ def kernel(
     key = (type(model), flags, tuple(measured), unnamed, tuple(constant), model.integrator)
     if key not in _kernels:
         try:
-            generated = generate(model, measured, unnamed, constant)
+            is_stepped = isinstance(model, FmuModel) and model.stepped
+            generated = generate_stepped(model, measured) if is_stepped else generate(model, measured, unnamed, constant)
             if isinstance(model, FmuModel) and fmu is not None:
                 variables = {p.name: model.variables[p.name] for p in model.parameters}
                 _kernels[key] = RemoteLibraryKernel(generated, fmu[0], fmu[1], variables, fmu[2])

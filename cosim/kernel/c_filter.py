@@ -11,10 +11,10 @@ import cosim.fmi.native
 from cosim.base.arrays import Array
 from cosim.fmi.native.compiler import load_library
 from cosim.kernel.generate import Generated
-from cosim.kernel.kernel import Data, Filtered, Layout, Simulated
+from cosim.kernel.kernel import MEMORY, Data, Filtered, Layout, Simulated
 
 NATIVE = Path(cosim.fmi.native.__file__).parent
-FILTER, LIBRARY = (Path(__file__).with_name(name) for name in ("filter.c", "library.c"))
+FOLDER = Path(__file__).parent
 
 
 class _Log(ctypes.Structure):
@@ -90,14 +90,22 @@ def _address(a: Array) -> int | None:
 
 def _source(generated: Generated) -> str:
     """Return the C source of the filter: sizes, generated functions and hand-written code."""
-    sizes = _sizes(generated.layout) | {"STIFF": str(int(generated.stiff))}
+    stepped, library = generated.stepped, generated.library
+    sizes = _sizes(generated.layout) | {"STIFF": str(int(generated.stiff)), "STEPPED": str(int(stepped))}
     before = []
-    if generated.library is not None:
-        sizes |= dict(zip(("NB", "NL"), (f"({generated.library[k]})" for k in (0, 2)), strict=True))
-        before = [LIBRARY.read_text(encoding="utf-8")]
+    if library is not None:
+        states, _, outputs = library
+        sizes |= {"NB": f"({outputs if stepped else states})", "NL": f"({outputs})"}
+        before = [_text(FOLDER / ("stepped_library.c" if stepped else "library.c"))]
+    if stepped:
+        sizes["LASTING"] = f"({generated.layout.parameters.index(MEMORY)})"
     head = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
-    bodies = ((NATIVE / "step.c").read_text(encoding="utf-8"), FILTER.read_text(encoding="utf-8"))
+    bodies = _text(NATIVE / "step.c"), _text(FOLDER / ("free_run.c" if stepped else "filter.c"))
     return "\n".join(("#include <math.h>", head, *before, generated.source, *bodies))
+
+
+def _text(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
 
 
 def _sizes(layout: Layout) -> dict[str, str]:

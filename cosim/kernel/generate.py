@@ -35,13 +35,15 @@ class Generated:
         source: `deriv(t, x, u, p, dx)`, `jacobian(t, x, u, p, A)`, `measure(t, x, u, p, y)`,
             `measure_jacobian(t, x, u, p, C)`, `shape_all(h, u, memory, p, out)`; A and C refer to the stochastic states.
         stiff: True for a stiff integrator, with `state_jacobian(t, x, u, p, J)` of all states.
-        library: Number of states, inputs and outputs of an FMU's library, for `library.c`; None without one.
+        library: Number of states, inputs and outputs of an FMU's library; None without one.
+        stepped: True for a library of co-simulation, with the outputs in place of states.
     """
 
     layout: Layout
     source: str
     stiff: bool = False
     library: tuple[int, int, int] | None = None
+    stepped: bool = False
 
 
 @dataclass(frozen=True)
@@ -107,6 +109,31 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
     )
     counts = len(model.base_states), len(model.inputs), len(model.outputs)
     return Generated(layout, text, stiff, counts if isinstance(model, FmuModel) else None)
+
+
+def generate_stepped(model: FmuModel, measured: Sequence[str]) -> Generated:
+    """Return the C functions for free runs of an FMU for co-simulation, with an unknown addition to each output."""
+    import sympy
+
+    body = Body.of(model)
+    _add_sensor_errors(body, model)
+    body.parameter(MEMORY)
+    names = [q.name for q in model.outputs]
+    values = [sympy.sympify(body.outputs[n]) for n in measured]
+    texts = [body.function(C(), "measure", values), body.shaping_function(C(), "shape_all")]
+    texts.append(body.function(C(), "library_inputs", _library_inputs(body)))
+    additions = tuple(range(len(names), len(names) + len(measured)))
+    layout = Layout(
+        parameters=tuple(body.parameters),
+        states=(*names, *(DISTURBANCE + n for n in measured)),
+        inputs=tuple(q.name for q in model.inputs),
+        outputs=tuple(measured),
+        stochastic=additions,
+        noisy=tuple(range(len(measured))),
+        memory=len(body.shaping.remembered),
+        delay=body.delay,
+    )
+    return Generated(layout, "\n".join(texts), library=(0, len(model.inputs), len(names)), stepped=True)
 
 
 def _library_inputs(body: Body) -> list[Any]:

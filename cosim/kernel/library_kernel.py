@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import threading
+from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,11 +13,13 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.blocks.derivatives import DifferentiableFmu, reals
+from cosim.blocks.fmu import FmuBlock
 from cosim.kernel.c_filter import CompiledKernel
 from cosim.kernel.generate import Generated
-from cosim.kernel.kernel import Data, Filtered, Simulated
+from cosim.kernel.kernel import MEMORY, Data, Filtered, Simulated
 
 NAME = "model"  # component name in messages
+RUNS = 16  # kept free runs
 STEP = 1e-6  # step of differences, as a share of a state's usual size
 
 
@@ -40,26 +43,28 @@ class LibraryInstance:
         sizes: Usual size of each state.
     """
 
-    def __init__(self, path: Path, description: Any, sizes: Sequence[float]) -> None:
-        self._path, self._description = path, description
+    def __init__(self, path: Path, description: Any, sizes: Sequence[float], *, stepped: bool = False) -> None:
+        self._path, self._description, self._stepped = path, description, stepped
         self._steps = np.array([STEP * (size or 1.0) for size in sizes])
         self._values: dict[str, float] | None = None
-        self._block: DifferentiableFmu | None = None
+        self._block: FmuBlock | None = None
 
-    def prepare(self, values: Mapping[str, float]) -> _Library:
-        """Return the functions of an instance with these parameter values.
+    def prepare(self, values: Mapping[str, float], start: float = 0.0, stop: float = 1.0) -> _Library:
+        """Return the functions of an instance with these parameter values, of co-simulation at its start.
 
         Raises:
             SimulationError: The FMU refuses them.
         """
-        if self._values == values:
+        if self._values == values and not self._stepped:
             return self._struct
         self._values = None
         with _loading:
             if self._block is None:
-                self._block = DifferentiableFmu(NAME, self._path, self._description, {}, frozenset())
+                arguments = NAME, self._path, self._description, {}, frozenset[str]()
+                stepped = self._stepped
+                self._block = FmuBlock(*arguments, way="co-simulation") if stepped else DifferentiableFmu(*arguments)
                 self._block.bind_nothing()
-            self._block.open_again(values, 0.0, 1.0)
+            self._block.open_again(values, start, stop)
         self._values, self._struct = dict(values), self._functions(self._block)
         return self._struct
 
@@ -69,13 +74,13 @@ class LibraryInstance:
             self._block.close()
         self._block = self._values = None
 
-    def _functions(self, block: DifferentiableFmu) -> _Library:
+    def _functions(self, block: FmuBlock) -> _Library:
         """Return the functions of the library."""
         fmu, version = block.instance.fmu, int(self._description.fmiVersion[0])
         reals_name = "Real" if version == 2 else "Float64"
-        names = ("SetTime", "SetContinuousStates", None, f"Set{reals_name}", f"Get{reals_name}")
         derivatives = "GetDerivatives" if version == 2 else "GetContinuousStateDerivatives"
-        symbols = [f"fmi{version}{name or derivatives}" for name in names]
+        names = ("DoStep",) * 3 if self._stepped else ("SetTime", "SetContinuousStates", derivatives)
+        symbols = [f"fmi{version}{name}" for name in (*names, f"Set{reals_name}", f"Get{reals_name}")]
         pointers = [ctypes.cast(getattr(fmu.dll, symbol), ctypes.c_void_p) for symbol in symbols]
         groups = [[v.valueReference for v in reals(self._description, kind)] for kind in ("input", "output")]
         self._references = [np.array(group or [0], np.uint32) for group in groups]
@@ -97,26 +102,45 @@ class LibraryKernel(CompiledKernel):
         self._library.use_library.argtypes = [ctypes.POINTER(_Library)]
         self._fmu = path, description, tuple(sizes)
         self._places = {v: self.layout.parameters.index(n) for n, v in parameters.items()}
-        self._own = threading.local()
+        self._own, self._stepped = threading.local(), generated.stepped
+        self._runs: deque[tuple[Any, Simulated]] = deque(maxlen=RUNS)
 
     def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
         """Filter one log, as `Kernel.run`."""
-        self._use(p)
+        if not self._stepped:
+            self._use(p, data)
+            return super().run(data, p, x0, P0, q, r, states=states)
+        run = self._free_run(data, p, x0)
+        arrays = [np.ascontiguousarray(a) for a in (run.outputs, run.states, run.memory)]
+        self._library.use_run(*(a.ctypes.data_as(ctypes.c_void_p) for a in arrays))
         return super().run(data, p, x0, P0, q, r, states=states)
 
     def simulate(
         self, data: Data, p: Array, x0: Array, memory: Array, kicks: Array | None = None, *, first: int = 0
     ) -> Simulated:
         """Simulate with the commands of a log, as `Kernel.simulate`."""
-        self._use(p)
+        self._use(p, data)
         return super().simulate(data, p, x0, memory, kicks, first=first)
 
-    def _use(self, p: Array) -> None:
+    def _free_run(self, data: Data, p: Array, x0: Array) -> Simulated:
+        """Return the free run at parameter values; the last ones are kept, since noise levels change more often."""
+        acting = p.copy()
+        acting[self.layout.parameters.index(MEMORY)] = 0.0
+        key = data.u.tobytes(), data.start, data.substeps, acting.tobytes()
+        for known, run in self._runs:
+            if known == key:
+                return run
+        run = self.simulate(data, p, x0, np.zeros(self.layout.memory))
+        self._runs.append((key, run))
+        return run
+
+    def _use(self, p: Array, data: Data) -> None:
         """Prepare this thread's instance for the parameter values."""
         instance = getattr(self._own, "instance", None)
         if instance is None:
-            instance = self._own.instance = LibraryInstance(*self._fmu)
-        prepared = instance.prepare({name: float(p[k]) for name, k in self._places.items()})
+            instance = self._own.instance = LibraryInstance(*self._fmu, stepped=self._stepped)
+        values = {name: float(p[k]) for name, k in self._places.items()}
+        prepared = instance.prepare(values, data.start, data.start + len(data.u) * data.step)
         self._library.use_library(ctypes.byref(prepared))
 
 

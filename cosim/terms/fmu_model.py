@@ -34,11 +34,13 @@ class FmuModel(Model):
         dependencies: States and inputs on which each derivative and output depends.
         rates: Position → velocity that equals its derivative, by index.
         variables: Name in the model → name of the FMU's variable.
+        stepped: True for an FMU for co-simulation; its outputs stand in place of states.
     """
 
     dependencies: ClassVar[Dependencies]
     rates: ClassVar[Mapping[int, int]]
     variables: ClassVar[Mapping[str, str]]
+    stepped: ClassVar[bool] = False
 
     def equations(self, m: Namespace) -> Equations:
         """Return the equations with symbols.
@@ -53,6 +55,8 @@ class FmuModel(Model):
             return library_value(row)(*self._arguments(m, row, state, command))
 
         def derivative(t: Number, state: Values, command: Values) -> Values:
+            if self.stepped:
+                return tuple(0.0 for _ in state)
             order = len(self.base_states)
             rates = [
                 state[self.rates[k]] if k in self.rates else value(k, state, command) for k in range(order)
@@ -66,6 +70,8 @@ class FmuModel(Model):
             return (*rates, *(0.0 for _ in state[order:]))
 
         def output(t: Number, state: Values, command: Values) -> Values:
+            if self.stepped:
+                return tuple(state[: len(self.outputs)])
             first = len(self.base_states)
             return tuple(value(first + k, state, command) for k in range(len(self.outputs)))
 

@@ -41,7 +41,12 @@ static void on_ramps(const Log *log, double at, double *out)
 }
 
 /* Commands (3 x NU) act at the start, the middle and the end of a substep. */
-#if STIFF
+#if STEPPED
+static void substep(double t, double h, double *x, const double *u, const double *p)
+{
+    step_library(t, h, x, u + NU, p);
+}
+#elif STIFF
 #define MOST NX
 #include "stiff.h"
 
@@ -128,6 +133,13 @@ int simulate(const Log *log, int first, const double *p, const double *x0, const
     memcpy(memory, memory0, sizeof(double) * NM);
     for (int k = first; k < log->rows; k++) {
         double t = log->start + k * log->step;
+#if STEPPED
+        if (k == first) {
+            row_command(log, k, command);
+            set_library(t, x, command, p);
+            read_library(x);
+        }
+#endif
         if (k > first) {
             for (int s = 0; s < log->substeps; s++) {
                 act(log, k, s, delay, memory, p, u);
