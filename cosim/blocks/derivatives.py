@@ -107,6 +107,17 @@ class DifferentiableFmu(FmuBlock):
         """Return the current states and inputs."""
         return self._continuous(), self._read(self._inputs)
 
+    @property
+    def event_counts(self) -> dict[str, int]:
+        """Return the number of state, time and step events of `advance` so far; changes of inputs count as none."""
+        assert isinstance(self._calls, ModelExchange2)
+        return self._calls.event_counts
+
+    def restart_solver(self, t: float) -> None:
+        """Let the solver go on from the states set by `move`."""
+        assert isinstance(self._calls, ModelExchange2)
+        self._calls.solver.reset(t)
+
     def move(self, t: float, states: Array, inputs: Array) -> Array:
         """Set time, states and inputs, and handle events.
 

@@ -43,6 +43,7 @@ class ModelExchange2(Calls):
         self.solver_name: Solver | None = None
         self._started = False
         self._events: deque[float] = deque(maxlen=MOST_EVENTS)  # times of the last events
+        self.event_counts = {"state": 0, "time": 0, "step": 0}
 
     def prepare(self) -> None:
         self._started, self.solver = False, None
@@ -127,6 +128,7 @@ class ModelExchange2(Calls):
             if terminate:
                 self._end()
             if state_event or at_event or step_event:
+                self.event_counts["state" if state_event else "time" if at_event else "step"] += 1
                 self._handle_event(h)
         return 0
 

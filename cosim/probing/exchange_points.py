@@ -1,0 +1,173 @@
+"""Dependencies, slopes and equalities of an FMU for model exchange, from displaced points of its simulations.
+
+Runs in the worker process.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cosim.base.arrays import Array, Flags
+from cosim.base.errors import SimulationError
+from cosim.blocks.derivatives import DifferentiableFmu, reals, scalars
+from cosim.probing.log_runs import SAME, Course, Fmu, Run, simulate
+
+POINTS = 40  # points over all logs
+SMALL, LARGE = 1e-4, 0.5  # displacements relative to the spread
+STARTS = 6  # displaced starts to find the states that outputs show
+
+
+@dataclass(eq=False)
+class Points:
+    """Evaluations of an FMU at points of its simulations.
+
+    Attributes:
+        scale: Displacement unit of each state and input.
+        size: Magnitude of each rate and output, for comparisons.
+        depends: Whether a rate or output (row) changes with a state or input (column).
+        slopes: Slopes at each point.
+        places: Time, states and inputs of each point.
+        known, values: States with inputs, and rates with outputs, of all points and of points displaced at random.
+    """
+
+    scale: Array
+    size: Array
+    depends: Flags
+    slopes: list[Array] = field(default_factory=list)
+    places: list[tuple[float, Array, Array]] = field(default_factory=list)
+    known: list[Array] = field(default_factory=list)
+    values: list[Array] = field(default_factory=list)
+
+    def add(self, block: DifferentiableFmu, t: float, x: Array, u: Array) -> None:
+        """Evaluate the FMU about a point; the caller restores the point."""
+        n, z = x.size, np.concatenate([x, u])
+
+        def at(z: Array) -> Array:
+            return safe_rates(block, z[:n], z[n:])
+
+        value = at(z)
+        slopes = np.zeros((value.size, z.size))
+        for k, scale in enumerate(self.scale):
+            ahead, behind, up, down = (_moved(z, k, s * scale) for s in (SMALL, -SMALL, LARGE, -LARGE))
+            rates = at(ahead)
+            slopes[:, k] = (rates - at(behind)) / (ahead[k] - behind[k])
+            for other in (rates, at(up), at(down)):
+                self.depends[:, k] |= np.nan_to_num(np.abs(other - value)) > SAME * self.size
+        rng = np.random.default_rng(len(self.places))
+        displaced = z + LARGE * self.scale * rng.uniform(-1.0, 1.0, z.size)
+        self.known += [z, displaced]
+        self.values += [value, at(displaced)]
+        self.slopes.append(slopes)
+        self.places.append((t, x, u))
+
+    @property
+    def known_table(self) -> tuple[Array, Array]:
+        """Return states with inputs, and rates with outputs, of all finite evaluations."""
+        known, values = np.array(self.known), np.array(self.values)
+        finite = np.isfinite(values).all(axis=1)
+        return known[finite], values[finite]
+
+
+def _moved(z: Array, k: int, by: float) -> Array:
+    moved = z.copy()
+    moved[k] += by
+    return moved
+
+
+def safe_rates(block: DifferentiableFmu, x: Array, u: Array) -> Array:
+    """Return rates and outputs, NaN where the FMU refuses the point."""
+    try:
+        return block.rates(x, u)
+    except SimulationError:
+        return np.full(block.order + len(scalars(reals(block.description, "output"))), np.nan)
+
+
+# -- jobs of the worker -----------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class StartPoint:
+    """Values of an FMU after its initialization.
+
+    Attributes:
+        shown: State → output that equals it, from points displaced about the start.
+    """
+
+    states: Array
+    inputs: Array
+    outputs: Array
+    shown: dict[int, int]
+
+
+def start_point(fmu: Fmu, course: Course) -> StartPoint:
+    """Return the values of the FMU after its initialization."""
+    block, _ = fmu.opened(course)
+    with closing(block):
+        block.start()
+        x, u = block.current_point()
+        start = block.rates(x, u)[x.size :]
+        rng, known, values = np.random.default_rng(1), [], []
+        for _ in range(STARTS):
+            z = x + 0.1 * np.where(x == 0.0, 1.0, np.abs(x)) * rng.uniform(-1.0, 1.0, x.size)
+            known.append(z)
+            values.append(safe_rates(block, z, u))
+    table = np.array(values)
+    finite = np.isfinite(table).all(axis=1)
+    return StartPoint(x, u, start, equal_columns(np.array(known)[finite], table[finite][:, x.size :]))
+
+
+def equal_columns(known: Array, values: Array) -> dict[int, int]:
+    """Return for each column of `known` the first column of `values` with the same numbers."""
+    equal = {}
+    for k, column in enumerate(known.T if len(known) > 1 else ()):
+        for j, other in enumerate(values.T):
+            if np.abs(other - column).max() <= SAME * np.abs(column).max() and np.ptp(column) > 0.0:
+                equal[k] = j
+                break
+    return equal
+
+
+def simulated(fmu: Fmu, course: Course, first: Mapping[int, float]) -> Run:
+    """Return a simulation along a course."""
+    block, row = fmu.opened(course)
+    with closing(block):
+        return simulate(block, row, course, first)
+
+
+def evaluated(
+    fmu: Fmu, course: Course, first: Mapping[int, float], rows: Sequence[int], points: Points, run: Run | None
+) -> Points:
+    """Return points with the evaluations at rows of a course.
+
+    Args:
+        run: The simulation, so that the FMU is moved to its points; None to simulate again, as events demand.
+    """
+    block, row = fmu.opened(course)
+    with closing(block):
+        if run is None:
+            simulate(block, row, course, first, lambda t, x, u: points.add(block, t, x, u), rows)
+            return points
+        block.start()
+        for k in rows:
+            x = block.move(float(run.time[k]), run.states[k], run.inputs[k])
+            points.add(block, float(run.time[k]), x, run.inputs[k])
+    return points
+
+
+def reactions(fmu: Fmu, course: Course, places: Sequence[tuple[float, Array, Array]]) -> tuple[Array, Array]:
+    """Return the states after initialization, and rates with outputs at points, NaN where the FMU refuses."""
+    block, _ = fmu.opened(course)
+    with closing(block):
+        block.start()
+        states, _ = block.current_point()
+        rows = []
+        for t, x, u in places:
+            try:
+                rows.append(block.rates(block.move(t, x, u), u))
+            except SimulationError:
+                rows.append(np.full(block.order + len(fmu.names[2]), np.nan))
+    return states, np.array(rows)

@@ -1,0 +1,132 @@
+"""Structure of an FMU as measured on its binary: dependencies, pairs, ports, time constants and acting parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from cosim.base.arrays import Flags
+from cosim.blocks.description import Way
+from cosim.model.quantities import Quantity
+
+
+@dataclass(frozen=True)
+class Port:
+    """An input that changes the rate of a velocity and not the rate of its position.
+
+    Attributes:
+        gain: ∂v'/∂u, the median over the points.
+        is_alone: True if the input changes no rate but this one.
+    """
+
+    input: str
+    gain: float
+    is_alone: bool
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A position and its velocity: q' = gain·v.
+
+    In co-simulation both are outputs.
+
+    Attributes:
+        ports: Inputs that act on the velocity as forces do.
+    """
+
+    position: str
+    velocity: str
+    gain: float
+    ports: tuple[Port, ...]
+
+
+@dataclass(frozen=True)
+class EventCount:
+    """Events of an FMU along a log; an input that changes counts as none.
+
+    Attributes:
+        state, time, step: Events at zero crossings, at announced times, and requested after a solver step.
+    """
+
+    log: str
+    state: int = 0
+    time: int = 0
+    step: int = 0
+
+    @property
+    def total(self) -> int:
+        """Return the number of events."""
+        return self.state + self.time + self.step
+
+
+@dataclass(frozen=True)
+class ProbedParameter:
+    """A real parameter that may be set before initialization.
+
+    Attributes:
+        acts: True if another value changes a rate or an output.
+        starts: True if another value changes a state after initialization.
+        tried: Value that was tried last.
+        failure: Reason why the FMU took no other value, "" if it did.
+    """
+
+    quantity: Quantity
+    acts: bool
+    starts: bool
+    tried: float
+    failure: str = ""
+
+    @property
+    def name(self) -> str:
+        """Return the name of the parameter."""
+        return self.quantity.name
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """Structure of an FMU along logs.
+
+    Names are of the FMU, in its order; arrays have an entry for each element.
+
+    Attributes:
+        way: Probed interface.
+        states: Continuous states; empty for co-simulation.
+        state_in_rate: Whether a state (column) changes a rate (row).
+        input_in_rate, state_in_output, input_in_output: As `state_in_rate`. In co-simulation an input is in an output
+            if it changes the output at any later time.
+        pairs: Positions with their velocities.
+        storages: States in no pair with a rate that an input or another state changes.
+        shown: State → output that equals it.
+        largest_rate: Largest |eigenvalue| over the points [1/s]; 0 for co-simulation.
+        slowest: Smallest |eigenvalue| [1/s] that is not zero to rounding; 0 without any.
+        scales: Standard deviation along the logs by name; the rate of x is `der(x)`.
+        step: Shortest usual step of the logs [s].
+        events: Events along each log, in model exchange.
+        stops: Reason for each simulation that ended early.
+    """
+
+    fmu: Path
+    way: Way
+    states: tuple[Quantity, ...]
+    inputs: tuple[Quantity, ...]
+    outputs: tuple[Quantity, ...]
+    state_in_rate: Flags
+    input_in_rate: Flags
+    state_in_output: Flags
+    input_in_output: Flags
+    pairs: tuple[Pair, ...]
+    storages: tuple[str, ...]
+    shown: Mapping[str, str]
+    largest_rate: float
+    slowest: float
+    scales: Mapping[str, float]
+    step: float
+    events: tuple[EventCount, ...] = ()
+    parameters: tuple[ProbedParameter, ...] = ()
+    stops: tuple[str, ...] = ()
+
+    @property
+    def acting(self) -> tuple[ProbedParameter, ...]:
+        """Return the parameters that change a rate or an output."""
+        return tuple(p for p in self.parameters if p.acts)

@@ -1,0 +1,229 @@
+"""Simulations of a probed FMU along the inputs of a log or along small sines, in the worker process."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import SimulationError
+from cosim.blocks.derivatives import DifferentiableFmu, reals, scalars, states_of
+from cosim.blocks.fmu import FmuBlock
+from cosim.isolation import worker as here
+from cosim.isolation.rows import ADVANCE, OTHER
+from cosim.logs.log import Log
+from cosim.probing.fmu_structure import EventCount
+
+NAME = "fmu"
+ROWS, SECONDS = 400, 10.0  # simulation without a log: rows, and duration without a default experiment [s]
+SHARE = 0.1  # amplitude of a sine relative to the input's range or start value
+SAME = 1e-9  # relative difference below which numbers are equal
+SINES = (1.0, 3.0, 7.0, 13.0)  # periods over the duration; every input has its own phases
+Named = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]  # states, inputs, outputs
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """Inputs of a simulation, held from row to row, and measurements for its initial states.
+
+    Attributes:
+        step: Usual step [s].
+    """
+
+    name: str
+    time: Array
+    inputs: Mapping[str, Array]
+    outputs: Mapping[str, Array]
+    step: float
+
+    @classmethod
+    def of(cls, log: Log) -> Course:
+        """Return the course of a log."""
+        return cls(log.path.name, log.time, dict(log.inputs), dict(log.outputs), log.step)
+
+    def first(self, rows: int) -> Course:
+        """Return the first rows."""
+        inputs, outputs = ({n: v[:rows] for n, v in each.items()} for each in (self.inputs, self.outputs))
+        return Course(self.name, self.time[:rows], inputs, outputs, self.step)
+
+    def with_step(self, name: str, row: int, size: float) -> Course:
+        """Return the course with an input that is larger by `size` from a row on."""
+        changed = self.inputs[name].copy()
+        changed[row:] += size
+        return Course(self.name, self.time, {**self.inputs, name: changed}, self.outputs, self.step)
+
+
+def sine_course(description: Any, values: Mapping[str, Any]) -> Course:
+    """Return small sines of many periods about the start values of the inputs."""
+    experiment = description.defaultExperiment
+    begin = float(getattr(experiment, "startTime", None) or 0.0)
+    end = float(getattr(experiment, "stopTime", None) or 0.0)
+    duration = end - begin if end > begin else SECONDS
+    step = float(getattr(experiment, "stepSize", None) or 0.0)
+    rows = ROWS if not step else int(min(ROWS, max(2, round(duration / step))))
+    step = step or duration / rows
+    time = np.asarray(begin + step * np.arange(rows + 1), np.float64)
+    phase = 2.0 * np.pi * np.arange(rows + 1) / rows
+    inputs = {}
+    for k, variable in enumerate(v for v in reals(description, "input") if not v.shape):
+        start = float(values.get(variable.name, variable.start or 0.0))
+        waves = [np.sin(p * phase + 1.7 * k + p) for p in SINES]
+        size = amplitude_of(variable, start) / len(SINES)
+        inputs[variable.name] = np.asarray(start + size * np.sum(waves, axis=0), np.float64)
+    return Course("sines", time, inputs, {}, step)
+
+
+def amplitude_of(variable: Any, start: float) -> float:
+    """Return a small amplitude for a variable: a share of its range, start value or nominal value."""
+    ends = [getattr(variable, e, None) or getattr(variable.declaredType, e, None) for e in ("min", "max", "nominal")]
+    low, high, nominal = (None if e is None else float(e) for e in ends)
+    if low is not None and high is not None and np.isfinite(high - low) and high > low:
+        return SHARE * min(high - low, 2.0 * max(high - start, start - low))
+    return SHARE * (abs(start) or abs(nominal or 0.0) or 1.0)
+
+
+@dataclass(eq=False)
+class Run:
+    """Simulation along a course, up to its end or to the failure of the FMU.
+
+    Attributes:
+        time: Times of the rows [s].
+        states, inputs, values: One row for each time; values are rates and outputs in model exchange, else outputs.
+        stop: Reason of an early end.
+    """
+
+    time: Array
+    states: Array
+    inputs: Array
+    values: Array
+    events: EventCount
+    stop: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Fmu:
+    """An FMU for the worker.
+
+    Attributes:
+        place: Folder of the unpacked FMU.
+        values: Start values.
+    """
+
+    path: Path
+    place: Path
+    description: Any
+    values: Mapping[str, Any]
+
+    @property
+    def names(self) -> Named:
+        """Return the names of continuous states, real inputs and outputs."""
+        listed = states_of(self.description), reals(self.description, "input"), reals(self.description, "output")
+        states, inputs, outputs = (scalars(group) for group in listed)
+        return states, inputs, outputs
+
+    def opened(self, course: Course) -> tuple[DifferentiableFmu, Any]:
+        """Return an instance for model exchange before its initialization, and the row of its signals."""
+        block = DifferentiableFmu(NAME, self.path, self.description, self.values, frozenset(course.inputs))
+        return block, self._opened_row(block, course)
+
+    def opened_for_steps(self, course: Course) -> tuple[FmuBlock, Any]:
+        """Return an instance for co-simulation before its initialization, and the row of its signals."""
+        connected = frozenset(course.inputs)
+        block = FmuBlock(NAME, self.path, self.description, self.values, connected, way="co-simulation")
+        return block, self._opened_row(block, course)
+
+    def _opened_row(self, block: FmuBlock, course: Course) -> Any:
+        here.progress.made[0], here.progress.doing[0] = 0, OTHER
+        block.instance.place = self.place
+        here.share_log(block)
+        row = (ctypes.c_double * max(1, len(block.inputs) + len(block.outputs)))()
+        exact = len(block.exact_inputs) + len(block.exact_outputs)
+        block.bind(row, 0, [None] * exact, 0)
+        block.open(float(course.time[0]), float(course.time[-1]) + course.step)
+        put_row(block, row, course, 0)
+        return row
+
+
+def put_row(block: FmuBlock, row: Any, course: Course, k: int) -> None:
+    """Set the inputs of a row of the course."""
+    for number, signal in enumerate(block.inputs):
+        if signal.name in course.inputs:
+            row[number] = float(course.inputs[signal.name][k])
+    block.put()
+
+
+def simulate(
+    block: DifferentiableFmu,
+    row: Any,
+    course: Course,
+    first: Mapping[int, float],
+    visit: Callable[[float, Array, Array], None] = lambda t, x, u: None,
+    rows: Collection[int] = (),
+) -> Run:
+    """Simulate an opened FMU for model exchange along a course with the solver.
+
+    Args:
+        first: Initial values of states by number, instead of those of the FMU.
+        visit: Function of time, states and inputs at each row of `rows`, which leaves the FMU as it was.
+    """
+    visited, last = frozenset(rows), course.time.size - 1
+    states, inputs, values, stop = list[Array](), list[Array](), list[Array](), ""
+    try:
+        block.start()
+        _set_states(block, float(course.time[0]), first)
+        for k, t in enumerate(course.time.tolist()):
+            put_row(block, row, course, k)
+            x, u = block.current_point()
+            values.append(block.rates(x, u))
+            states.append(x)
+            inputs.append(u)
+            if k in visited:
+                visit(t, x, u)
+                block.rates(x, u)
+            if k < last:
+                here.progress.doing[0] = ADVANCE
+                block.advance(t, float(course.time[k + 1]) - t)
+                here.progress.made[0] += 1
+    except SimulationError as error:
+        stop = str(error)
+    counts, made = block.event_counts, len(inputs)
+    events = EventCount(course.name, counts["state"], counts["time"], counts["step"])
+    return Run(course.time[:made], _table(states), _table(inputs), _table(values[:made]), events, stop)
+
+
+def _table(rows: Sequence[Array]) -> Array:
+    return np.array(rows, float).reshape(len(rows), -1) if rows else np.zeros((0, 0))
+
+
+def _set_states(block: DifferentiableFmu, t: float, first: Mapping[int, float]) -> None:
+    """Replace initial states."""
+    if first:
+        x, u = block.current_point()
+        for number, value in first.items():
+            x[number] = value
+        block.move(t, x, u)
+        block.restart_solver(t)
+
+
+def run_co_simulation(block: FmuBlock, row: Any, course: Course) -> tuple[Array, str]:
+    """Return the outputs of an opened FMU for co-simulation along a course, one row each, and the reason of an end."""
+    first, table, stop = len(block.inputs), list[list[float]](), ""
+    try:
+        block.start()
+        block.get()
+        table.append(row[first : first + len(block.outputs)])
+        for k in range(course.time.size - 1):
+            here.progress.doing[0] = ADVANCE
+            put_row(block, row, course, k)
+            block.advance(float(course.time[k]), float(course.time[k + 1] - course.time[k]))
+            block.get()
+            table.append(row[first : first + len(block.outputs)])
+            here.progress.made[0] += 1
+    except SimulationError as error:
+        stop = str(error)
+    return np.array(table, float).reshape(len(table), len(block.outputs)), stop
