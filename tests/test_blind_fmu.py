@@ -20,6 +20,7 @@ from tests.blind.fmu_build import FAULTS, PLANTS, WAYS, build
 pytestmark = pytest.mark.skipif(
     compiler() is None or platform.system() != "Linux", reason="needs a C compiler and Linux folders"
 )
+ROOT = Path(__file__).resolve().parent.parent
 KINDS = {"model_exchange": "ModelExchange", "co_simulation": "CoSimulation"}
 
 
@@ -115,7 +116,11 @@ def test_instances_leak(tmp_path: Path) -> None:
     grown = {}
     for fault in ("", "leaks"):
         done = subprocess.run(
-            [sys.executable, "-c", code, str(fmu(tmp_path, fault))], capture_output=True, text=True, check=True
+            [sys.executable, "-c", code, str(fmu(tmp_path, fault))],
+            capture_output=True,
+            text=True,
+            check=True,
+            cwd=ROOT,
         )
         grown[fault] = int(done.stdout.split()[-1])
     assert grown["leaks"] > 16 << 20 > grown[""]
@@ -141,9 +146,9 @@ def test_a_parameter_above_its_limit_ends_the_process(tmp_path: Path, fault: str
         "simulated(Path(sys.argv[1]), 'drive', 'co_simulation', 2, start_values={'motor.J': float(sys.argv[2])})"
     )
     command = [sys.executable, "-c", code, str(fmu(tmp_path, fault))]
-    assert subprocess.run([*command, "0.0104"], check=False, capture_output=True).returncode == 0
+    assert subprocess.run([*command, "0.0104"], check=False, capture_output=True, cwd=ROOT).returncode == 0
     if fault == "crashes":
-        assert subprocess.run([*command, "0.0106"], check=False, capture_output=True).returncode < 0
+        assert subprocess.run([*command, "0.0106"], check=False, capture_output=True, cwd=ROOT).returncode < 0
     else:
         with pytest.raises(subprocess.TimeoutExpired):
-            subprocess.run([*command, "0.0106"], check=False, capture_output=True, timeout=3)
+            subprocess.run([*command, "0.0106"], check=False, capture_output=True, cwd=ROOT, timeout=3)
