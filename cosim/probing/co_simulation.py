@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import closing
+from functools import partial
 from itertools import permutations
-from typing import Any
 
 import numpy as np
 
 from cosim.base.arrays import Array, Flags
 from cosim.base.errors import SimulationError
 from cosim.blocks.derivatives import reals, scalars
-from cosim.blocks.fmu import FmuBlock
-from cosim.probing.exchange_points import SAME, Fmu
 from cosim.probing.fmu_structure import Pair, Port, Structure
-from cosim.probing.log_runs import NAME, Course, amplitude_of, opened, run_co_simulation
+from cosim.probing.log_runs import NAME, SAME, Course, Fmu, amplitude_of, run_co_simulation
+from cosim.probing.parameter_trials import tried_parameters
+from cosim.probing.prober import Prober, no_flags, quantities, separate_pairs
 
 ROWS = 300  # rows of a simulation for responses and parameters
 PAIR_ERROR = 1e-2  # error of an integrated velocity relative to the position's increments
@@ -26,62 +26,66 @@ DIRECT = 2.8  # response after two steps over that after one: about 2 through on
 
 def outputs_along(fmu: Fmu, course: Course) -> tuple[Array, str]:
     """Return the real outputs along a course, and the reason of an early end. Runs in the worker."""
-    block, row = opened(fmu.path, fmu.place, fmu.description, fmu.values, course, FmuBlock)
+    block, row = fmu.opened_for_steps(course)
     with closing(block):
         table, stop = run_co_simulation(block, row, course)
         names = [s.name for s in block.outputs]
     return table[:, [names.index(name) for name in scalars(reals(fmu.description, "output"))]], stop
 
 
-def co_simulation_structure(prober: Any, courses: Sequence[Course]) -> Structure:
-    """Return the structure of an FMU for co-simulation."""
-    from cosim.probing.probe_structure import no_flags, quantities, separate_pairs, tried_parameters
+def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
+    """Return the structure of an FMU for co-simulation.
 
-    fmu: Fmu = prober.fmu
+    Raises:
+        SimulationError: The FMU fails at its start.
+    """
+    fmu = prober.fmu
     _, inputs, outputs = fmu.names
     runs: list[tuple[Array, str]] = [prober.call(outputs_along, fmu, course) for course in courses]
     good = [(course, table) for course, (table, _) in zip(courses, runs, strict=True) if len(table) > 2]
     if not good:
         raise SimulationError(NAME, float(courses[0].time[0]), runs[0][1])
-    fits = _fits(good)
     values = np.concatenate([table for _, table in good])
     size = np.maximum(np.abs(values).max(axis=0), SAME)
     short, base = good[0][0].first(min(ROWS, len(good[0][1]))), good[0][1][:ROWS]
     responses = Responses(prober, short, base, size)
-    changed = np.column_stack([responses.reaches(name) for name in inputs]) if inputs else no_flags(len(outputs), 0)
-    chosen = separate_pairs(fits)
+    chosen = separate_pairs(_fits(good))
     ports = responses.ports(inputs, [v for _, v, _ in chosen])
-
-    def react(changed_fmu: Fmu) -> tuple[Array, Array]:
-        table, stop = prober.call(outputs_along, changed_fmu, short)
-        if not len(table):
-            raise SimulationError(NAME, float(short.time[0]), stop)
-        return table[0], table[1:]
-
-    known = {name: np.concatenate([c.inputs[name] for c, _ in good if name in c.inputs] or [[0.0]]) for name in inputs}
+    spreads = {name: float(np.std(_known(name, good))) for name in inputs}
     return Structure(
         fmu=prober.path,
         way="co-simulation",
         states=(),
-        inputs=quantities(prober.description, inputs, [float(known[name][0]) for name in inputs]),
+        inputs=quantities(prober.description, inputs, [float(_known(name, good)[0]) for name in inputs]),
         outputs=quantities(prober.description, outputs, good[0][1][0]),
         state_in_rate=no_flags(0, 0),
         input_in_rate=no_flags(0, len(inputs)),
         state_in_output=no_flags(len(outputs), 0),
-        input_in_output=changed,
-        pairs=tuple(Pair(outputs[q], outputs[v], gain, ports.get(v, ())) for q, v, gain in chosen),
+        input_in_output=responses.flags(inputs),
+        pairs=tuple(Pair(outputs[q], outputs[v], gain, ports[v]) for q, v, gain in chosen),
         storages=(),
         shown={},
         largest_rate=0.0,
         slowest=0.0,
-        scales={
-            **{name: float(values_of.std()) for name, values_of in known.items()},
-            **dict(zip(outputs, map(float, values.std(axis=0)), strict=True)),
-        },
+        scales={**spreads, **dict(zip(outputs, map(float, values.std(axis=0)), strict=True))},
         step=min(course.step for course in courses),
-        parameters=tried_parameters(prober, react, size),
+        parameters=tried_parameters(prober, partial(_react, prober, short), size),
         stops=tuple(stop for _, stop in runs if stop),
     )
+
+
+def _react(prober: Prober, course: Course, fmu: Fmu) -> tuple[Array, Array]:
+    """Return the initial and the later outputs along a course."""
+    table, stop = prober.call(outputs_along, fmu, course)
+    if not len(table):
+        raise SimulationError(NAME, float(course.time[0]), stop)
+    return table[0], table[1:]
+
+
+def _known(name: str, good: Sequence[tuple[Course, Array]]) -> Array:
+    """Return the values of an input along all courses, 0 without any."""
+    values = [course.inputs[name] for course, _ in good if name in course.inputs]
+    return np.concatenate(values) if values else np.zeros(1)
 
 
 def _fits(good: Sequence[tuple[Course, Array]]) -> list[tuple[int, int, float]]:
@@ -100,7 +104,7 @@ def _fits(good: Sequence[tuple[Course, Array]]) -> list[tuple[int, int, float]]:
             continue
         gain = float(rises[:, q] @ areas[:, v]) / power
         error, size = _rms(rises[:, q] - gain * areas[:, v]), _rms(rises[:, q])
-        if 0.0 < size and error <= min(PAIR_ERROR * size, abs(gain) * _rms(euler[:, v]) + SAME * size):
+        if size > 0.0 and error <= min(PAIR_ERROR * size, abs(gain) * _rms(euler[:, v]) + SAME * size):
             fits.append((q, v, 1.0 if abs(gain - 1.0) <= UNITY else gain))
     return fits
 
@@ -117,12 +121,16 @@ class Responses:
         size: Magnitude of each output.
     """
 
-    def __init__(self, prober: Any, course: Course, base: Array, size: Array) -> None:
+    def __init__(self, prober: Prober, course: Course, base: Array, size: Array) -> None:
         self._prober, self._course, self._base, self._size = prober, course, base, size
         repeated, _ = prober.call(outputs_along, prober.fmu, course)
         rows = min(len(repeated), len(base))
         self._noise = 10.0 * np.abs(repeated[:rows] - base[:rows]).max(axis=0, initial=0.0) + SAME * size
         self._known: dict[tuple[str, float], tuple[int, float, Array]] = {}
+
+    def flags(self, inputs: Sequence[str]) -> Flags:
+        """Return whether an input (column) changes an output (row) at any time."""
+        return np.column_stack([self.reaches(n) for n in inputs]) if inputs else no_flags(self._size.size, 0)
 
     def reaches(self, name: str) -> Flags:
         """Return for each output whether the input changes it at any time."""

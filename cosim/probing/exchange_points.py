@@ -8,48 +8,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from cosim.base.arrays import Array, Flags
 from cosim.base.errors import SimulationError
-from cosim.blocks.derivatives import DifferentiableFmu, reals, scalars, states_of
-from cosim.probing.log_runs import Course, Run, opened, simulate
+from cosim.blocks.derivatives import DifferentiableFmu, reals, scalars
+from cosim.probing.log_runs import SAME, Course, Fmu, Run, simulate
 
 POINTS = 40  # points over all logs
 SMALL, LARGE = 1e-4, 0.5  # displacements relative to the spread
-SAME = 1e-9  # relative difference below which numbers are equal
 STARTS = 6  # displaced starts to find the states that outputs show
-Named = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]  # states, inputs, outputs
-
-
-@dataclass(frozen=True, eq=False)
-class Fmu:
-    """An FMU for the worker.
-
-    Attributes:
-        place: Folder of the unpacked FMU.
-        values: Start values.
-    """
-
-    path: Path
-    place: Path
-    description: Any
-    values: Mapping[str, Any]
-
-    @property
-    def names(self) -> Named:
-        """Return the names of continuous states, real inputs and outputs."""
-        listed = states_of(self.description), reals(self.description, "input"), reals(self.description, "output")
-        states, inputs, outputs = (scalars(group) for group in listed)
-        return states, inputs, outputs
-
-    def opened(self, course: Course) -> tuple[DifferentiableFmu, Any]:
-        """Return an instance before its initialization, and the row of its signals."""
-        block, row = opened(self.path, self.place, self.description, self.values, course, DifferentiableFmu)
-        return block, row
 
 
 @dataclass(eq=False)

@@ -93,8 +93,8 @@ class Structure:
         way: Probed interface.
         states: Continuous states; empty for co-simulation.
         state_in_rate: Whether a state (column) changes a rate (row).
-        input_in_rate, state_in_output, input_in_output: As `state_in_rate`. In co-simulation an input is in an output if
-            it changes the output at any later time.
+        input_in_rate, state_in_output, input_in_output: As `state_in_rate`. In co-simulation an input is in an output
+            if it changes the output at any later time.
         pairs: Positions with their velocities.
         storages: States in no pair with a rate that an input or another state changes.
         shown: State → output that equals it.

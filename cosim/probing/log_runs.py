@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
-from cosim.blocks.derivatives import DifferentiableFmu, reals, scalars
+from cosim.blocks.derivatives import DifferentiableFmu, reals, scalars, states_of
 from cosim.blocks.fmu import FmuBlock
 from cosim.isolation import worker as here
 from cosim.isolation.rows import ADVANCE, OTHER
@@ -22,7 +22,9 @@ from cosim.probing.fmu_structure import EventCount
 NAME = "fmu"
 ROWS, SECONDS = 400, 10.0  # simulation without a log: rows, and duration without a default experiment [s]
 SHARE = 0.1  # amplitude of a sine relative to the input's range or start value
+SAME = 1e-9  # relative difference below which numbers are equal
 SINES = (1.0, 3.0, 7.0, 13.0)  # periods over the duration; every input has its own phases
+Named = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]  # states, inputs, outputs
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,13 +67,14 @@ def sine_course(description: Any, values: Mapping[str, Any]) -> Course:
     step = float(getattr(experiment, "stepSize", None) or 0.0)
     rows = ROWS if not step else int(min(ROWS, max(2, round(duration / step))))
     step = step or duration / rows
-    time = begin + step * np.arange(rows + 1)
+    time = np.asarray(begin + step * np.arange(rows + 1), np.float64)
     phase = 2.0 * np.pi * np.arange(rows + 1) / rows
     inputs = {}
     for k, variable in enumerate(v for v in reals(description, "input") if not v.shape):
         start = float(values.get(variable.name, variable.start or 0.0))
         waves = [np.sin(p * phase + 1.7 * k + p) for p in SINES]
-        inputs[variable.name] = start + amplitude_of(variable, start) / len(SINES) * np.sum(waves, axis=0)
+        size = amplitude_of(variable, start) / len(SINES)
+        inputs[variable.name] = np.asarray(start + size * np.sum(waves, axis=0), np.float64)
     return Course("sines", time, inputs, {}, step)
 
 
@@ -102,24 +105,48 @@ class Run:
     stop: str = ""
 
 
-def opened(
-    path: Path, place: Path | None, description: Any, values: Mapping[str, Any], course: Course, kind: type[FmuBlock]
-) -> tuple[Any, Any]:
-    """Return an FMU before its initialization with the first inputs of a course, and the row of its signals."""
-    here.progress.made[0], here.progress.doing[0] = 0, OTHER
-    connected = frozenset(course.inputs)
-    if kind is DifferentiableFmu:
-        block: Any = DifferentiableFmu(NAME, path, description, values, connected)
-    else:
-        block = FmuBlock(NAME, path, description, values, connected, way="co-simulation")
-    block.instance.place = place
-    here.share_log(block)
-    row = (ctypes.c_double * max(1, len(block.inputs) + len(block.outputs)))()
-    exact = len(block.exact_inputs) + len(block.exact_outputs)
-    block.bind(row, 0, [None] * exact, 0)
-    block.open(float(course.time[0]), float(course.time[-1]) + course.step)
-    put_row(block, row, course, 0)
-    return block, row
+@dataclass(frozen=True, eq=False)
+class Fmu:
+    """An FMU for the worker.
+
+    Attributes:
+        place: Folder of the unpacked FMU.
+        values: Start values.
+    """
+
+    path: Path
+    place: Path
+    description: Any
+    values: Mapping[str, Any]
+
+    @property
+    def names(self) -> Named:
+        """Return the names of continuous states, real inputs and outputs."""
+        listed = states_of(self.description), reals(self.description, "input"), reals(self.description, "output")
+        states, inputs, outputs = (scalars(group) for group in listed)
+        return states, inputs, outputs
+
+    def opened(self, course: Course) -> tuple[DifferentiableFmu, Any]:
+        """Return an instance for model exchange before its initialization, and the row of its signals."""
+        block = DifferentiableFmu(NAME, self.path, self.description, self.values, frozenset(course.inputs))
+        return block, self._opened_row(block, course)
+
+    def opened_for_steps(self, course: Course) -> tuple[FmuBlock, Any]:
+        """Return an instance for co-simulation before its initialization, and the row of its signals."""
+        connected = frozenset(course.inputs)
+        block = FmuBlock(NAME, self.path, self.description, self.values, connected, way="co-simulation")
+        return block, self._opened_row(block, course)
+
+    def _opened_row(self, block: FmuBlock, course: Course) -> Any:
+        here.progress.made[0], here.progress.doing[0] = 0, OTHER
+        block.instance.place = self.place
+        here.share_log(block)
+        row = (ctypes.c_double * max(1, len(block.inputs) + len(block.outputs)))()
+        exact = len(block.exact_inputs) + len(block.exact_outputs)
+        block.bind(row, 0, [None] * exact, 0)
+        block.open(float(course.time[0]), float(course.time[-1]) + course.step)
+        put_row(block, row, course, 0)
+        return row
 
 
 def put_row(block: FmuBlock, row: Any, course: Course, k: int) -> None:
@@ -166,8 +193,11 @@ def simulate(
         stop = str(error)
     counts, made = block.event_counts, len(inputs)
     events = EventCount(course.name, counts["state"], counts["time"], counts["step"])
-    tables = [np.array(rows_of[:made], float).reshape(made, -1) for rows_of in (states, inputs, values) if made]
-    return Run(course.time[:made], *(tables or [np.zeros((0, 0))] * 3), events, stop)
+    return Run(course.time[:made], _table(states), _table(inputs), _table(values[:made]), events, stop)
+
+
+def _table(rows: Sequence[Array]) -> Array:
+    return np.array(rows, float).reshape(len(rows), -1) if rows else np.zeros((0, 0))
 
 
 def _set_states(block: DifferentiableFmu, t: float, first: Mapping[int, float]) -> None:

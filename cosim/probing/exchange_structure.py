@@ -1,0 +1,167 @@
+"""Structure of an FMU for model exchange: simulations along logs, and evaluations about their points."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import permutations
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array, Flags
+from cosim.base.errors import FmuError, InputError, SimulationError
+from cosim.blocks.derivatives import states_of
+from cosim.probing import messages
+from cosim.probing.exchange_points import (
+    POINTS,
+    Points,
+    StartPoint,
+    equal_columns,
+    evaluated,
+    reactions,
+    simulated,
+    start_point,
+)
+from cosim.probing.fmu_structure import Pair, Port, ProbedParameter, Structure
+from cosim.probing.log_runs import NAME, SAME, Course, Run
+from cosim.probing.parameter_trials import tried_parameters
+from cosim.probing.prober import Prober, quantities, separate_pairs
+
+RATE_SHARE = 1e-6  # eigenvalue relative to the largest, below which it is zero
+PLACES = 12  # points at which parameters are tried
+STEADY = 1e-2  # share of a value that displaces an unmoved state or input
+
+
+def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
+    """Return the structure of an FMU for model exchange.
+
+    Raises:
+        InputError: The FMU does not declare its states.
+        SimulationError: The FMU fails at its start.
+    """
+    if len(states_of(prober.description)) != len(prober.description.derivatives):
+        raise InputError.at(prober.path, messages.DERIVATIVES_WITHOUT_STATES(), FmuError.exit_code)
+    names = states, inputs, outputs = prober.fmu.names
+    start: StartPoint = prober.call(start_point, prober.fmu, courses[0])
+    firsts = [_measured_start(course, start.shown, outputs) for course in courses]
+    runs: list[Run] = [
+        prober.call(simulated, prober.fmu, course, first) for course, first in zip(courses, firsts, strict=True)
+    ]
+    if not any(run.time.size for run in runs):
+        raise SimulationError(NAME, float(courses[0].time[0]), runs[0].stop)
+    points, scales = _points(prober, courses, firsts, [run for run in runs if run.time.size], runs)
+    known, table = points.known_table
+    n = len(states)
+    found = equal_columns(known[:, :n], table[:, n:])
+    depends = points.depends
+    pairs = _pairs(names, known, table, points)
+    largest, slowest = _rates([s[:n, :n] for s in points.slopes])
+    return Structure(
+        fmu=prober.path,
+        way="model-exchange",
+        states=quantities(prober.description, states, start.states),
+        inputs=quantities(prober.description, inputs, start.inputs),
+        outputs=quantities(prober.description, outputs, start.outputs),
+        state_in_rate=depends[:n, :n],
+        input_in_rate=depends[:n, n:],
+        state_in_output=depends[n:, :n],
+        input_in_output=depends[n:, n:],
+        pairs=pairs,
+        storages=_storages(states, pairs, depends),
+        shown={states[k]: outputs[j] for k, j in found.items()},
+        largest_rate=largest,
+        slowest=slowest,
+        scales=scales,
+        step=min(course.step for course in courses),
+        events=tuple(run.events for run in runs),
+        parameters=_parameters(prober, courses[0], points, table),
+        stops=tuple(run.stop for run in runs if run.stop),
+    )
+
+
+def _measured_start(course: Course, shown: Mapping[int, int], outputs: Sequence[str]) -> dict[int, float]:
+    """Return the initial states that the first row of a log measures."""
+    measured = {k: course.outputs.get(outputs[j]) for k, j in shown.items()}
+    return {k: float(v[0]) for k, v in measured.items() if v is not None and np.isfinite(v[0])}
+
+
+def _points(
+    prober: Prober, courses: Sequence[Course], firsts: Sequence[Mapping[int, float]], good: Sequence[Run], runs: Any
+) -> tuple[Points, dict[str, float]]:
+    """Return evaluations about points of all simulations, and the spread of each signal."""
+    states, inputs, outputs = prober.fmu.names
+    known = np.concatenate([np.hstack([run.states, run.inputs]) for run in good])
+    values = np.concatenate([run.values for run in good])
+    spread, spreads = known.std(axis=0), values.std(axis=0)
+    largest = np.abs(known).max(axis=0)
+    nominal = np.array([_nominal(prober.description, name) for name in (*states, *inputs)])
+    unmoved = np.where(largest > 0.0, STEADY * largest, nominal)
+    scale = np.where(spread > SAME * largest, spread, unmoved)
+    size = np.maximum(np.abs(values).max(axis=0), SAME)
+    points = Points(scale, size, np.zeros((values.shape[1], known.shape[1]), bool))
+    reals_only = all(name in inputs for course in courses for name in course.inputs)
+    share = max(2, POINTS // max(1, len(good)))
+    for course, first, run in zip(courses, firsts, runs, strict=True):
+        if not run.time.size:
+            continue
+        rows = sorted({int(k) for k in np.linspace(0, run.time.size - 1, share)})
+        replayed = run if reals_only and not run.events.total else None
+        points = prober.call(evaluated, prober.fmu, course, first, rows, points, replayed)
+    rates = [f"der({name})" for name in states]
+    columns = (*states, *inputs, *rates, *outputs)
+    return points, dict(zip(columns, map(float, (*spread, *spreads)), strict=True))
+
+
+def _storages(states: Sequence[str], pairs: Sequence[Pair], depends: Flags) -> tuple[str, ...]:
+    """Return the states in no pair with a rate that an input or another state changes."""
+    paired = {name for pair in pairs for name in (pair.position, pair.velocity)}
+    fed = [np.delete(depends[k], k).any() for k in range(len(states))]
+    return tuple(name for name, is_fed in zip(states, fed, strict=True) if is_fed and name not in paired)
+
+
+def _nominal(description: Any, name: str) -> float:
+    """Return the nominal value of a variable, 1 without one."""
+    for variable in description.modelVariables:
+        if variable.name == name:
+            own = getattr(variable, "nominal", None) or getattr(variable.declaredType, "nominal", None)
+            return abs(float(own or 1.0))
+    return 1.0
+
+
+def _pairs(names: Sequence[Sequence[str]], known: Array, table: Array, points: Points) -> tuple[Pair, ...]:
+    """Return the states with a rate that equals another state times a constant."""
+    states, inputs, _ = names
+    n = len(states)
+    rates, x = table[:, :n], known[:, :n]
+    fits = []
+    for q, v in permutations(range(n), 2):
+        gain = float(rates[:, q] @ x[:, v] / max(float(x[:, v] @ x[:, v]), 1e-300))
+        size = np.abs(rates[:, q]).max(initial=0.0)
+        if size > 0.0 and np.abs(rates[:, q] - gain * x[:, v]).max() <= SAME * size:
+            fits.append((q, v, gain))
+    slopes = np.array(points.slopes)[:, :n, n:]
+    pairs = []
+    for q, v, gain in separate_pairs(fits):
+        acting = [j for j in range(len(inputs)) if points.depends[v, n + j] and not points.depends[q, n + j]]
+        ports = tuple(
+            Port(inputs[j], float(np.nanmedian(slopes[:, v, j])), int(points.depends[:n, n + j].sum()) == 1)
+            for j in acting
+        )
+        pairs.append(Pair(states[q], states[v], 1.0 if abs(gain - 1.0) <= SAME else gain, ports))
+    return tuple(pairs)
+
+
+def _rates(matrices: Sequence[Array]) -> tuple[float, float]:
+    """Return the largest and the smallest magnitude of eigenvalues that are not zero to rounding."""
+    finite = [m for m in matrices if m.size and np.isfinite(m).all()]
+    if not finite:
+        return 0.0, 0.0
+    sizes = np.abs(np.concatenate([np.linalg.eigvals(m) for m in finite]))
+    largest = float(sizes.max())
+    return largest, float(sizes[sizes >= RATE_SHARE * largest].min())
+
+
+def _parameters(prober: Prober, course: Course, points: Points, table: Array) -> tuple[ProbedParameter, ...]:
+    every = max(1, -(-len(points.places) // PLACES))
+    places = points.places[::every]
+    return tried_parameters(prober, lambda fmu: prober.call(reactions, fmu, course, places), points.size)

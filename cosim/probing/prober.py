@@ -1,0 +1,93 @@
+"""An FMU that is probed, from the caller's side: its worker process, its signals and its pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array, Flags
+from cosim.blocks.compiling import permission, with_permission
+from cosim.blocks.description import read_description, unit_of
+from cosim.blocks.fmi_types import element_names
+from cosim.isolation.limits import Limits
+from cosim.isolation.process import Worker
+from cosim.isolation.watch import Watch, fmi_calls
+from cosim.model.quantities import Quantity
+from cosim.probing.log_runs import NAME, Fmu
+
+Job = Callable[..., Any]
+
+
+class Prober:
+    """An unpacked FMU with a worker process that makes its simulations.
+
+    Args:
+        values: Start values of every instance.
+        limits: Limits of every job.
+    """
+
+    def __init__(self, path: Path, values: Mapping[str, Any], worker: Worker, place: Path, limits: Limits) -> None:
+        self.path, self.description = path, read_description(path)
+        self.values, self._worker, self._limits, self.place = dict(values), worker, limits, place
+
+    def with_values(self, values: Mapping[str, Any]) -> Fmu:
+        """Return the FMU with further start values."""
+        return Fmu(self.path, self.place, self.description, {**self.values, **values})
+
+    @property
+    def fmu(self) -> Fmu:
+        """Return the FMU with its start values."""
+        return self.with_values({})
+
+    def call(self, job: Job, *arguments: Any, limits: Limits | None = None) -> Any:
+        """Return the result of a job in the worker."""
+        watch = Watch([NAME], [fmi_calls(self.description)], limits=limits or self._limits)
+        return self._worker.call(with_permission, permission.get(), job, *arguments, watch=watch)
+
+
+def separate_pairs(fits: Sequence[tuple[int, int, float]]) -> list[tuple[int, int, float]]:
+    """Return position, velocity and gain of pairs without a common signal.
+
+    Of a chain of integrators these are the first two; else the gain nearest to 1 decides.
+    """
+    velocities = {v for _, v, _ in fits}
+    chosen: list[tuple[int, int, float]] = []
+    used: set[int] = set()
+    for q, v, gain in sorted(fits, key=lambda fit: (fit[0] in velocities, abs(fit[2] - 1.0), fit[0])):
+        if not used & {q, v}:
+            used |= {q, v}
+            chosen.append((q, v, gain))
+    return sorted(chosen)
+
+
+def quantities(
+    description: Any, names: Sequence[str], starts: Sequence[float] | Array | None = None
+) -> tuple[Quantity, ...]:
+    """Return names of variables or of elements of arrays as quantities.
+
+    Args:
+        starts: Start values; None for those of the description.
+    """
+    variables = {element: v for v in description.modelVariables for element in element_names(v)}
+    made = []
+    for k, name in enumerate(names):
+        variable = variables[name]
+        start = float(variable.start) if starts is None else float(starts[k])
+        bounds = _end(variable, "min", -np.inf), _end(variable, "max", np.inf)
+        text = " ".join((variable.description or "").split())
+        made.append(Quantity(name, unit_of(variable), text, start, bounds))
+    return tuple(made)
+
+
+def _end(variable: Any, name: str, without: float) -> float:
+    """Return a limit of a variable or of its type."""
+    values = getattr(variable, name, None), getattr(variable.declaredType, name, None)
+    return next((float(v) for v in values if v is not None), without)
+
+
+def no_flags(rows: int, columns: int) -> Flags:
+    """Return an array of False."""
+    return np.zeros((rows, columns), bool)
