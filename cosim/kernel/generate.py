@@ -132,6 +132,7 @@ def generate_stepped(model: FmuModel, measured: Sequence[str]) -> Generated:
         noisy=tuple(range(len(measured))),
         memory=len(body.shaping.remembered),
         delay=body.delay,
+        additions=True,
     )
     return Generated(layout, "\n".join(texts), library=(0, len(model.inputs), len(names)), stepped=True)
 

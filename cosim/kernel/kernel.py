@@ -34,6 +34,7 @@ class Layout:
         driven: Indices of noise-free states with influence on a measured output.
         carrying: Indices of stochastic states whose only random source is a constant state.
         rates: State → state equal to its derivative.
+        additions: True if each unknown input is an addition to an output of a free run.
     """
 
     parameters: tuple[str, ...]
@@ -47,6 +48,7 @@ class Layout:
     driven: tuple[int, ...] = ()
     carrying: tuple[int, ...] = ()
     rates: Mapping[str, str] = field(default_factory=dict)
+    additions: bool = False
 
     @property
     def uncertain(self) -> tuple[str, ...]:

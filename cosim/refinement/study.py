@@ -28,7 +28,6 @@ from cosim.logs.gate import gate, gate_faults
 from cosim.logs.holes import fill_holes
 from cosim.logs.log import Log, read_log, stretches
 from cosim.logs.spikes import drop_outliers, find_spikes
-from cosim.probing.probe_structure import probe_structure
 from cosim.refinement import messages
 from cosim.refinement.search.groups import Places, full_name, group_of, per_log_faults
 from cosim.residuals.drive import log_of_fmu
@@ -38,7 +37,7 @@ from cosim.storage.files import FilePath
 from cosim.storage.kinds import STUDY, check_form, refuse_other
 from cosim.storage.yaml_file import UNIT_OF_KEY, Positive, YamlFile, did_you_mean
 from cosim.subject.base_parameters import tolerances
-from cosim.subject.fmu_subject import FmuSubject
+from cosim.subject.fmu_subject import FmuSubject, probe_best
 from cosim.subject.interface import Subject
 from cosim.subject.model_subject import ModelSubject
 
@@ -273,7 +272,7 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
         except InputError as error:
             faults += error.faults
     refuse(faults)
-    subject = FmuSubject.of_fmu(probe_structure(fmu, logs), logs, terms)
+    subject = FmuSubject.of_fmu(probe_best(fmu, logs), logs, terms)
     content = _in_names_of(subject, content)
     units = {q.name: q.unit for q in subject.outputs}
     noise, unit_faults = yaml.in_units(("noise",), content.noise, units, difference=True)

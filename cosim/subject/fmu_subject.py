@@ -1,4 +1,8 @@
-"""FMUs for model exchange as subjects: the filter evaluates the library, terms of the general catalogue are added."""
+"""FMUs as subjects: terms of the general catalogue are added to what the FMU's library computes.
+
+In model exchange a filter evaluates the derivatives of the library. In co-simulation the library runs freely, and the
+filter estimates an addition to each of its outputs.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.errors import InputError
-from cosim.blocks.description import read_description
+from cosim.blocks.description import read_description, takes_any_step, ways
 from cosim.kernel.backend import kernel
 from cosim.kernel.kernel import Data, Kernel
 from cosim.kernel.messages import NO_CONSTANTS
@@ -20,6 +24,7 @@ from cosim.logs.log import Log
 from cosim.model.model import Model
 from cosim.model.quantities import Parameter, Quantity
 from cosim.probing.fmu_structure import Structure
+from cosim.probing.probe_structure import probe_structure
 from cosim.residuals.windows import Replay
 from cosim.subject.candidates import Candidate
 from cosim.subject.interface import Predict, Replayer, Start, Workplace
@@ -28,13 +33,19 @@ from cosim.terms.catalogue import bound_terms, delay_of, sensor_errors
 from cosim.terms.fmu_model import Dependencies, fmu_model
 from cosim.terms.language import Place, with_place
 
+STIFFEST = 20.0  # step times largest eigenvalue, above which explicit integration from row to row is too costly
+SUBSTEPS = 4  # steps of co-simulation between rows, for forces that follow the outputs
+WAYS = {
+    "model-exchange": "model exchange: a filter over the states of the FMU",
+    "co-simulation": "co-simulation: free runs of the FMU, with an estimated addition to each output",
+}
 HORIZON_ROWS, HORIZON_SHARE = 50, 0.1  # duration of replays: least in rows, and usual share of a log
 LATEST = 20  # longest delay of the inputs, in rows
 WIDEST = 100.0  # factor on a parameter without bounds, up and down
 
 
 class FmuSubject(ModelSubject):
-    """An FMU for model exchange with the terms that it may lack.
+    """An FMU with the terms that it may lack.
 
     Attributes:
         structure: Structure of the FMU along the logs.
@@ -43,6 +54,8 @@ class FmuSubject(ModelSubject):
     def __init__(self, loaded: LoadedModel, structure: Structure) -> None:
         super().__init__(loaded)
         self.structure = structure
+        self.is_stepped = structure.way == "co-simulation"
+        self.source = f"{structure.fmu}, {WAYS[structure.way]}"
         self._description = read_description(structure.fmu)
 
     @classmethod
@@ -65,6 +78,8 @@ class FmuSubject(ModelSubject):
     @property
     def measured_states(self) -> frozenset[str]:
         """Return the states that an output shows; the model gives them its name."""
+        if self.is_stepped:
+            return frozenset()
         return frozenset(map(with_place, self.structure.shown.values()))
 
     def kernel(self, measured: Sequence[str], *, unnamed: bool = False, constant: Sequence[str] = ()) -> Kernel:
@@ -75,13 +90,18 @@ class FmuSubject(ModelSubject):
         """
         if constant:
             raise InputError.at(self.structure.fmu, NO_CONSTANTS(names=", ".join(constant)))
-        scales = self.structure.scales
-        sizes = [scales.get(q.name, 0.0) for q in self.structure.states]
+        sizes = [self.structure.scales.get(q.name, 0.0) for q in self.structure.states]
         return kernel(self.model, measured, unnamed, fmu=(self.structure.fmu, self._description, sizes))
 
     def start(self) -> dict[str, float]:
         """Return the start value of each state."""
         return {q.name: q.start for q in self.states}
+
+    def substeps(self, step: float) -> int:
+        """Return the number of integration steps, or of steps of co-simulation, between rows."""
+        if not self.is_stepped:
+            return super().substeps(step)
+        return SUBSTEPS if self.structure.pairs and takes_any_step(self._description) else 1
 
     def settling(self, states: Sequence[str]) -> float:
         """Return 0: every state that is not exactly the integral of another one has process noise."""
@@ -133,6 +153,12 @@ class LibraryReplayer(Replayer):
         grid = np.asarray(log.grid, np.intp)
         for horizon, begins in starts.items():
             table, rows = np.full((log.rows, len(units)), np.nan), sorted(begins)
+            if self.subject.is_stepped:
+                run = kernel.simulate(data, p, np.zeros(len(layout.states)), np.zeros(layout.memory))
+                if math.isinf(horizon):
+                    table[rows[0] + 1 :] = run.outputs[grid[rows[0] + 1 :]]
+                yield Replay(log.time, horizon, dict.fromkeys(rows, {}), dict(zip(units, table.T, strict=True)), units)
+                continue
             for k, last in zip(rows, [*(row for row in rows[1:]), log.rows - 1], strict=True):
                 start = begins[k]
                 x0 = np.array([start.states.get(n, 0.0) if not n.startswith("disturbance.") else 0.0 for n in layout.states])
@@ -145,7 +171,7 @@ class LibraryReplayer(Replayer):
 
 def _model(structure: Structure, logs: Sequence[Log], terms: Sequence[type[Any]]) -> Model:
     """Return the model of a probed FMU."""
-    own = _names(structure)
+    own, stepped = _names(structure), structure.way == "co-simulation"
     states, inputs, outputs = (
         [replace(q, name=own.get(q.name, with_place(q.name)) if is_state else with_place(q.name)) for q in group]
         for group, is_state in ((structure.states, True), (structure.inputs, False), (structure.outputs, False))
@@ -156,10 +182,11 @@ def _model(structure: Structure, logs: Sequence[Log], terms: Sequence[type[Any]]
     parameters = [_parameter(p.quantity) for p in structure.acting]
     positions = {p.position: p.velocity for p in structure.pairs if p.gain == 1.0}
     index = {q.name: k for k, q in enumerate(structure.states)}
+    states = outputs if stepped else states
     places = [*_places(structure, sizes | ranges, step)]
     varied = tuple(n for n, width in ranges.items() if width > 0.0)
     catalogue = (*([delay_of(inputs, LATEST * step)] if inputs else ()), *bound_terms(places, terms))
-    horizon = max(HORIZON_ROWS * step, HORIZON_SHARE * duration)
+    horizon = math.inf if structure.way == "co-simulation" else max(HORIZON_ROWS * step, HORIZON_SHARE * duration)
     sensors = [error for q in outputs for error in sensor_errors(q, sizes.get(q.name) or 1.0, step, duration)]
     return fmu_model(
         structure.fmu.stem,
@@ -170,7 +197,7 @@ def _model(structure: Structure, logs: Sequence[Log], terms: Sequence[type[Any]]
             np.vstack([structure.state_in_rate, structure.state_in_output]),
             np.vstack([structure.input_in_rate, structure.input_in_output]),
         ),
-        rates={index[q]: index[v] for q, v in positions.items()},
+        rates={} if stepped else {index[q]: index[v] for q, v in positions.items()},
         variables={with_place(q.name): q.name for q in (*structure.states, *structure.inputs, *structure.outputs)}
         | {with_place(p.name): p.name for p in structure.acting},
         sensors=tuple(sensors),
@@ -178,10 +205,26 @@ def _model(structure: Structure, logs: Sequence[Log], terms: Sequence[type[Any]]
         calibrated=tuple(p.name for p in parameters),
         suspect={p.name: varied for p in parameters},
         horizon=float(f"{horizon:.2g}"),
+        stepped=structure.way == "co-simulation",
         rate=step,
         substep=min(step, 1.0 / structure.largest_rate) if structure.largest_rate > 0.0 else step,
         integrator="rk4",
     )
+
+
+def probe_best(fmu: Path, logs: Sequence[Log]) -> Structure:
+    """Return the structure for the better interface of an FMU.
+
+    Model exchange is better, unless events or a fast state make its derivatives unusable from row to row.
+    """
+    structure = probe_structure(fmu, logs)
+    events = sum(count.total for count in structure.events)
+    is_fast = structure.step * structure.largest_rate > STIFFEST
+    if structure.way == "co-simulation" or not (events or is_fast):
+        return structure
+    if "co-simulation" not in ways(read_description(fmu)):
+        return structure
+    return probe_structure(fmu, logs, way="co-simulation")
 
 
 def _names(structure: Structure) -> dict[str, str]:
@@ -200,8 +243,9 @@ def _parameter(q: Quantity) -> Parameter:
 
 def _places(structure: Structure, sizes: Mapping[str, float], step: float) -> Sequence[Place]:
     """Return the places of terms."""
-    names = [q.name for q in structure.states]
-    units = {q.name: q.unit for q in (*structure.states, *structure.inputs)}
+    stepped = structure.way == "co-simulation"  # with outputs in place of states
+    names = [q.name for q in (structure.outputs if stepped else structure.states)]
+    units = {q.name: q.unit for q in (*structure.states, *structure.inputs, *structure.outputs)}
     places = [
         Place(with_place(q.name), {"u": q.unit, "T": "s"}, {"u": 0.5 * sizes[with_place(q.name)] or 1.0, "T": step}, k)
         for k, q in enumerate(structure.inputs)
@@ -210,6 +254,8 @@ def _places(structure: Structure, sizes: Mapping[str, float], step: float) -> Se
     for pair in structure.pairs:
         v, q = with_place(pair.velocity), with_place(pair.position)
         alone = [port for port in pair.ports if port.is_alone] or pair.ports
+        if stepped and not alone:
+            continue
         rate = structure.scales.get(f"der({pair.velocity})") or 1.0
         kinds = {"v": units[pair.velocity], "q": units[pair.position], "d": units[pair.position]}
         moves = {"v": sizes.get(v) or 1.0, "q": sizes.get(q) or 1.0, "d": math.sqrt(12.0) * (sizes.get(q) or 1.0)}
