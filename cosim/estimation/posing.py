@@ -18,9 +18,9 @@ from cosim.kernel.kernel import CONSTANT, DISTURBANCE, MEMORY, Data, Layout
 from cosim.logs.log import Log, slowness
 from cosim.subject.candidates import Free
 from cosim.subject.interface import Subject
+from cosim.subject.start_state import first_measured, start_state
 
 SAME, ALIKE = 0.5, 1e-5  # allowed NLL change by fewer substeps, absolute and relative to the NLL of a wrong model
-STARTING = 0.2  # [s] within which a measurement counts as initial
 NO_SETTINGS = Settings()
 USUAL_MEMORY = 0.15  # [s] default correlation time of an unknown input: more than a few rows
 
@@ -78,12 +78,6 @@ def _start_values(
     return values | {f.name: values[f.parameter] for f in own}, own
 
 
-def start_state(subject: Subject, data: Data, measured: Sequence[str], states: Sequence[str]) -> Array:
-    """Return the subject's start state, with initial measurements inserted."""
-    start = {**subject.start(), **_first_measured(subject, data, measured)}
-    return np.array([start.get(name, 0.0) for name in states])
-
-
 def origins(
     subject: Subject, layout: Layout, logs: Sequence[Log], data: Sequence[Data], settings: Settings
 ) -> list[Origin]:
@@ -92,7 +86,7 @@ def origins(
         return []
     states, outputs, begins = layout.states, layout.outputs, []
     for log, d in zip(logs, data, strict=True):
-        initial = {states.index(n): outputs.index(n) for n in _first_measured(subject, d, outputs) if n in states}
+        initial = {states.index(n): outputs.index(n) for n in first_measured(subject, d, outputs) if n in states}
         begins.append(Origin(settings.groups[log.path], initial))
     return begins
 
@@ -128,7 +122,7 @@ def with_equations_trusted(subject: Subject, problem: Problem) -> Problem:
 def _measured_at_start(subject: Subject, problem: Problem) -> set[str]:
     """Return states with an initial measurement in every log."""
     outputs = problem.layout.outputs
-    return set.intersection(*(set(_first_measured(subject, data, outputs)) for data in problem.logs))
+    return set.intersection(*(set(first_measured(subject, data, outputs)) for data in problem.logs))
 
 
 def _range(problem: Problem) -> Array:
@@ -145,17 +139,6 @@ def _range(problem: Problem) -> Array:
             return np.zeros(len(problem.layout.states))
     low, high = np.percentile(np.vstack([run.states for run in runs]), (1, 99), axis=0)
     return np.asarray(high - low)
-
-
-def _first_measured(subject: Subject, data: Data, measured: Sequence[str]) -> dict[str, float]:
-    """Return state → first measurement near the start."""
-    states, first = subject.measured_states, {}
-    early = data.y[: round(STARTING * slowness(data.step) / data.step) + 1]
-    for j, name in enumerate(measured):
-        column = early[:, j][~np.isnan(early[:, j])]
-        if name in states and len(column):
-            first[name] = float(column[0])
-    return first
 
 
 def varied_inputs(subject: Subject, logs: Sequence[Log]) -> list[str]:

@@ -14,6 +14,7 @@ from cosim.kernel import messages
 from cosim.kernel.c_filter import CompiledKernel
 from cosim.kernel.generate import generate, generate_stepped
 from cosim.kernel.kernel import Kernel
+from cosim.kernel.library_kernel import LibraryOf
 from cosim.kernel.remote_kernel import RemoteLibraryKernel
 from cosim.model.model import Model
 from cosim.model.symbolic.tracing_guard import OfNumbersOnly
@@ -27,7 +28,7 @@ def kernel(
     measured: Sequence[str],
     unnamed: bool = False,
     constant: Sequence[str] = (),
-    fmu: tuple[Path, Any, Sequence[float]] | None = None,
+    fmu: LibraryOf | None = None,
 ) -> Kernel:
     """Return the kernel (Kalman filter over a log) for a model and its measured outputs, compiled or from the cache.
 
@@ -36,7 +37,7 @@ def kernel(
     Args:
         unnamed: Whether to add terms outside the catalogue, as in `generate`.
         constant: Parameters that the filter treats as constant states.
-        fmu: File, description and usual sizes of the states, for a model of an FMU's library.
+        fmu: FMU of a model whose equations are in a library.
 
     Raises:
         InputError: No working C compiler exists, or the model compares symbols with ==.
@@ -46,10 +47,12 @@ def kernel(
     if key not in _kernels:
         try:
             is_stepped = isinstance(model, FmuModel) and model.stepped
-            generated = generate_stepped(model, measured) if is_stepped else generate(model, measured, unnamed, constant)
+            generated = (
+                generate_stepped(model, measured) if is_stepped else generate(model, measured, unnamed, constant)
+            )
             if isinstance(model, FmuModel) and fmu is not None:
                 variables = {p.name: model.variables[p.name] for p in model.parameters}
-                _kernels[key] = RemoteLibraryKernel(generated, fmu[0], fmu[1], variables, fmu[2])
+                _kernels[key] = RemoteLibraryKernel(generated, fmu, variables)
             else:
                 _kernels[key] = CompiledKernel(generated)
         except OfNumbersOnly as error:

@@ -33,7 +33,7 @@ class Generated:
 
     Attributes:
         source: `deriv(t, x, u, p, dx)`, `jacobian(t, x, u, p, A)`, `measure(t, x, u, p, y)`,
-            `measure_jacobian(t, x, u, p, C)`, `shape_all(h, u, memory, p, out)`; A and C refer to the stochastic states.
+            `measure_jacobian(t, x, u, p, C)`, `shape_all(h, u, memory, p, out)`; A and C refer to stochastic states.
         stiff: True for a stiff integrator, with `state_jacobian(t, x, u, p, J)` of all states.
         library: Number of states, inputs and outputs of an FMU's library; None without one.
         stepped: True for a library of co-simulation, with the outputs in place of states.

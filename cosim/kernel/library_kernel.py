@@ -7,7 +7,7 @@ import threading
 from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,16 +36,26 @@ class _Library(ctypes.Structure):
     )
 
 
-class LibraryInstance:
-    """An instance of an FMU in continuous-time mode, initialized again whenever a parameter changes.
+class LibraryOf(NamedTuple):
+    """An FMU for a kernel.
 
-    Args:
-        sizes: Usual size of each state.
+    Attributes:
+        sizes: Usual size of each state, for differences.
+        starts: In co-simulation: index of an output, start parameter, and factor from the output to the parameter.
     """
 
-    def __init__(self, path: Path, description: Any, sizes: Sequence[float], *, stepped: bool = False) -> None:
-        self._path, self._description, self._stepped = path, description, stepped
-        self._steps = np.array([STEP * (size or 1.0) for size in sizes])
+    path: Path
+    description: Any
+    sizes: Sequence[float]
+    starts: tuple[tuple[int, str, float], ...] = ()
+
+
+class LibraryInstance:
+    """An instance of an FMU in continuous-time mode, initialized again whenever a parameter changes."""
+
+    def __init__(self, fmu: LibraryOf, *, stepped: bool = False) -> None:
+        self._path, self._description, self._stepped = fmu.path, fmu.description, stepped
+        self._steps = np.array([STEP * (size or 1.0) for size in fmu.sizes])
         self._values: dict[str, float] | None = None
         self._block: FmuBlock | None = None
 
@@ -95,12 +105,10 @@ class LibraryKernel(CompiledKernel):
         parameters: Parameter of the kernel → variable of the FMU.
     """
 
-    def __init__(
-        self, generated: Generated, path: Path, description: Any, parameters: Mapping[str, str], sizes: Sequence[float]
-    ) -> None:
+    def __init__(self, generated: Generated, fmu: LibraryOf, parameters: Mapping[str, str]) -> None:
         super().__init__(generated)
         self._library.use_library.argtypes = [ctypes.POINTER(_Library)]
-        self._fmu = path, description, tuple(sizes)
+        self._fmu = fmu
         self._places = {v: self.layout.parameters.index(n) for n, v in parameters.items()}
         self._own, self._stepped = threading.local(), generated.stepped
         self._runs: deque[tuple[Any, Simulated]] = deque(maxlen=RUNS)
@@ -108,7 +116,7 @@ class LibraryKernel(CompiledKernel):
     def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
         """Filter one log, as `Kernel.run`."""
         if not self._stepped:
-            self._use(p, data)
+            self._use(p, data, x0)
             return super().run(data, p, x0, P0, q, r, states=states)
         run = self._free_run(data, p, x0)
         arrays = [np.ascontiguousarray(a) for a in (run.outputs, run.states, run.memory)]
@@ -119,14 +127,14 @@ class LibraryKernel(CompiledKernel):
         self, data: Data, p: Array, x0: Array, memory: Array, kicks: Array | None = None, *, first: int = 0
     ) -> Simulated:
         """Simulate with the commands of a log, as `Kernel.simulate`."""
-        self._use(p, data)
+        self._use(p, data, x0)
         return super().simulate(data, p, x0, memory, kicks, first=first)
 
     def _free_run(self, data: Data, p: Array, x0: Array) -> Simulated:
         """Return the free run at parameter values; the last ones are kept, since noise levels change more often."""
         acting = p.copy()
         acting[self.layout.parameters.index(MEMORY)] = 0.0
-        key = data.u.tobytes(), data.start, data.substeps, acting.tobytes()
+        key = data.u.tobytes(), data.start, data.substeps, acting.tobytes(), x0.tobytes()
         for known, run in self._runs:
             if known == key:
                 return run
@@ -134,13 +142,12 @@ class LibraryKernel(CompiledKernel):
         self._runs.append((key, run))
         return run
 
-    def _use(self, p: Array, data: Data) -> None:
-        """Prepare this thread's instance for the parameter values."""
+    def _use(self, p: Array, data: Data, x0: Array) -> None:
+        """Prepare this thread's instance for the parameter and start values."""
         instance = getattr(self._own, "instance", None)
         if instance is None:
-            instance = self._own.instance = LibraryInstance(*self._fmu, stepped=self._stepped)
+            instance = self._own.instance = LibraryInstance(self._fmu, stepped=self._stepped)
         values = {name: float(p[k]) for name, k in self._places.items()}
+        values |= {name: factor * float(x0[k]) for k, name, factor in self._fmu.starts}
         prepared = instance.prepare(values, data.start, data.start + len(data.u) * data.step)
         self._library.use_library(ctypes.byref(prepared))
-
-

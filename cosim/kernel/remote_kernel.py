@@ -5,9 +5,8 @@ from __future__ import annotations
 import itertools
 import queue
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,7 @@ from cosim.isolation.rows import OTHER
 from cosim.isolation.watch import Watch
 from cosim.kernel.generate import Generated
 from cosim.kernel.kernel import Data, Filtered, Simulated
-from cosim.kernel.library_kernel import NAME, LibraryKernel
+from cosim.kernel.library_kernel import NAME, LibraryKernel, LibraryOf
 
 MODULES = ("cosim.kernel.remote_kernel", "fmpy.fmi2")
 LONGEST = 60.0  # default limit of a pass over a log [s]
@@ -96,16 +95,10 @@ class RemoteLibraryKernel:
     _numbers = itertools.count()
 
     def __init__(
-        self,
-        generated: Generated,
-        path: Path,
-        description: Any,
-        parameters: Mapping[str, str],
-        sizes: Sequence[float],
-        limits: Limits = NO_LIMITS,
+        self, generated: Generated, fmu: LibraryOf, parameters: Mapping[str, str], limits: Limits = NO_LIMITS
     ) -> None:
         self.layout, self.number = generated.layout, next(self._numbers)
-        self.recipe = generated, path.resolve(), description, dict(parameters), tuple(sizes)
+        self.recipe = generated, fmu._replace(path=fmu.path.resolve()), dict(parameters)
         self.limits = limits.model_copy(update={"load": limits.step or limits.load or LONGEST})
         self.failures: list[SimulationError] = []
 

@@ -7,17 +7,21 @@ filter estimates an addition to each of its outputs.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from cosim.base.arrays import Array, Rows
 from cosim.base.errors import InputError
 from cosim.blocks.description import read_description, takes_any_step, ways
+from cosim.isolation.process import Worker
 from cosim.kernel.backend import kernel
-from cosim.kernel.kernel import Data, Kernel
+from cosim.kernel.kernel import DISTURBANCE, Data, Kernel
+from cosim.kernel.library_kernel import LibraryOf
 from cosim.kernel.messages import NO_CONSTANTS
 from cosim.loading.file import LoadedModel
 from cosim.logs.log import Log
@@ -25,10 +29,12 @@ from cosim.model.model import Model
 from cosim.model.quantities import Parameter, Quantity
 from cosim.probing.fmu_structure import Structure
 from cosim.probing.probe_structure import probe_structure
+from cosim.residuals.remote_drive import MODULES, DriveApart
+from cosim.residuals.starts import StartParameter, start_parameters
 from cosim.residuals.windows import Replay
-from cosim.subject.candidates import Candidate
 from cosim.subject.interface import Predict, Replayer, Start, Workplace
 from cosim.subject.model_subject import ModelSubject
+from cosim.subject.start_state import start_state
 from cosim.terms.catalogue import bound_terms, delay_of, sensor_errors
 from cosim.terms.fmu_model import Dependencies, fmu_model
 from cosim.terms.language import Place, with_place
@@ -49,10 +55,14 @@ class FmuSubject(ModelSubject):
 
     Attributes:
         structure: Structure of the FMU along the logs.
+        starts: Output → start parameter, for free runs.
     """
 
-    def __init__(self, loaded: LoadedModel, structure: Structure) -> None:
+    def __init__(
+        self, loaded: LoadedModel, structure: Structure, starts: Mapping[str, StartParameter] = MappingProxyType({})
+    ) -> None:
         super().__init__(loaded)
+        self.starts = starts
         self.structure = structure
         self.is_stepped = structure.way == "co-simulation"
         self.source = f"{structure.fmu}, {WAYS[structure.way]}"
@@ -67,7 +77,11 @@ class FmuSubject(ModelSubject):
             terms: Terms of the user.
         """
         model = _model(structure, logs, terms)
-        return cls(LoadedModel(model, str(structure.fmu)), structure)
+        loaded = LoadedModel(model, str(structure.fmu))
+        if structure.way == "model-exchange":
+            return cls(loaded, structure)
+        with Worker(*MODULES) as worker, DriveApart(worker, logs[0], structure.fmu) as drive:
+            return cls(loaded, structure, start_parameters(drive))
 
     @property
     def names(self) -> dict[str, str]:
@@ -79,7 +93,7 @@ class FmuSubject(ModelSubject):
     def measured_states(self) -> frozenset[str]:
         """Return the states that an output shows; the model gives them its name."""
         if self.is_stepped:
-            return frozenset()
+            return frozenset(map(with_place, self.starts))
         return frozenset(map(with_place, self.structure.shown.values()))
 
     def kernel(self, measured: Sequence[str], *, unnamed: bool = False, constant: Sequence[str] = ()) -> Kernel:
@@ -91,7 +105,11 @@ class FmuSubject(ModelSubject):
         if constant:
             raise InputError.at(self.structure.fmu, NO_CONSTANTS(names=", ".join(constant)))
         sizes = [self.structure.scales.get(q.name, 0.0) for q in self.structure.states]
-        return kernel(self.model, measured, unnamed, fmu=(self.structure.fmu, self._description, sizes))
+        starts = [(k, self.starts[q.name]) for k, q in enumerate(self.structure.outputs) if q.name in self.starts]
+        of_fmu = LibraryOf(
+            self.structure.fmu, self._description, sizes, tuple((k, p.name, 1.0 / p.gain) for k, p in starts)
+        )
+        return kernel(self.model, measured, unnamed, fmu=of_fmu)
 
     def start(self) -> dict[str, float]:
         """Return the start value of each state."""
@@ -117,7 +135,7 @@ class FmuSubject(ModelSubject):
 
     def refined(self, claims: Mapping[str, float]) -> FmuSubject:
         """Return the subject with claimed values."""
-        return FmuSubject(super().refined(claims).loaded, self.structure)
+        return FmuSubject(super().refined(claims).loaded, self.structure, self.starts)
 
     def replayer(self, place: Workplace) -> LibraryReplayer:
         """Return a replayer with the kernel's integration of the FMU and its terms."""
@@ -148,25 +166,29 @@ class LibraryReplayer(Replayer):
         """Yield one replay for each horizon."""
         units = {q.name: q.unit for q in self.subject.outputs}
         kernel = self.subject.kernel(tuple(units))
-        layout = kernel.layout
+        layout, grid = kernel.layout, np.asarray(log.grid, np.intp)
         p = np.array([values.get(n, self.subject.values.get(n, 1.0)) for n in layout.parameters])
-        grid = np.asarray(log.grid, np.intp)
         for horizon, begins in starts.items():
             table, rows = np.full((log.rows, len(units)), np.nan), sorted(begins)
-            if self.subject.is_stepped:
-                run = kernel.simulate(data, p, np.zeros(len(layout.states)), np.zeros(layout.memory))
-                if math.isinf(horizon):
-                    table[rows[0] + 1 :] = run.outputs[grid[rows[0] + 1 :]]
-                yield Replay(log.time, horizon, dict.fromkeys(rows, {}), dict(zip(units, table.T, strict=True)), units)
-                continue
-            for k, last in zip(rows, [*(row for row in rows[1:]), log.rows - 1], strict=True):
-                start = begins[k]
-                x0 = np.array([start.states.get(n, 0.0) if not n.startswith("disturbance.") else 0.0 for n in layout.states])
-                end = int(grid[last])
-                run = kernel.simulate(data.rows(0, end + 1), p, x0, np.asarray(start.memory, float), first=int(grid[k]))
-                table[k + 1 : last + 1] = run.outputs[grid[k + 1 : last + 1]]
+            if not self.subject.is_stepped:
+                for k, last in zip(rows, [*rows[1:], log.rows - 1], strict=True):
+                    x0 = [0.0 if n.startswith(DISTURBANCE) else begins[k].states.get(n, 0.0) for n in layout.states]
+                    part = data.rows(0, int(grid[last]) + 1), p, np.array(x0), np.asarray(begins[k].memory, float)
+                    table[k + 1 : last + 1] = kernel.simulate(*part, first=int(grid[k])).outputs[grid[k + 1 : last + 1]]
+            elif math.isinf(horizon):  # a library begins at the start of a log only
+                x0 = start_state(self.subject, replace(data, y=_readings(log, units, grid)), [*units], layout.states)
+                run = kernel.simulate(data, p, x0, np.zeros(layout.memory))
+                table[rows[0] + 1 :] = run.outputs[grid[rows[0] + 1 :]]
             given = {k: {n: v for n, v in start.states.items() if "." not in n} for k, start in begins.items()}
             yield Replay(log.time, horizon, given, dict(zip(units, table.T, strict=True)), units)
+
+
+def _readings(log: Log, names: Iterable[str], grid: Rows) -> Array:
+    """Return the readings of outputs in equal steps, NaN without one."""
+    table = np.full((int(grid[-1]) + 1, len([*names])), np.nan)
+    for j, name in enumerate(names):
+        table[grid, j] = log.outputs.get(name, np.nan)
+    return table
 
 
 def _model(structure: Structure, logs: Sequence[Log], terms: Sequence[type[Any]]) -> Model:
@@ -263,9 +285,8 @@ def _places(structure: Structure, sizes: Mapping[str, float], step: float) -> Se
         if alone:
             port, sign = inputs.index(alone[0].input), math.copysign(1.0, alone[0].gain)
             unit, size = units[alone[0].input], 0.5 * sizes[with_place(alone[0].input)] or 1.0
-        places.append(
-            Place(v, {"u": unit, **kinds}, {"u": size, **moves}, port, names.index(pair.position), names.index(pair.velocity), sign)
-        )
+        at = names.index(pair.position), names.index(pair.velocity)
+        places.append(Place(v, {"u": unit, **kinds}, {"u": size, **moves}, port, *at, sign))
     for name in structure.storages:
         size, rate = sizes.get(with_place(name)) or 1.0, structure.scales.get(f"der({name})") or 1.0
         kinds = {"q": units[name], "r": f"{units[name]}/s"}

@@ -58,9 +58,7 @@ class FmuModel(Model):
             if self.stepped:
                 return tuple(0.0 for _ in state)
             order = len(self.base_states)
-            rates = [
-                state[self.rates[k]] if k in self.rates else value(k, state, command) for k in range(order)
-            ]
+            rates = [state[self.rates[k]] if k in self.rates else value(k, state, command) for k in range(order)]
             for term in self.awake:
                 place = getattr(term, "place", None)
                 if isinstance(term, Force) and place.input is None:
