@@ -178,10 +178,14 @@ class FmuBlock:
         self._begin(start, stop)
 
     def open_again(self, values: Mapping[str, Any], start: float, stop: float) -> None:
-        """Load the FMU anew and initialize it with other start values; it remains unpacked."""
+        """Initialize a new instance with other start values; the library stays loaded."""
         self.start_values = values
-        self.instance.free()
-        self.open(start, stop)
+        if self.instance.fmu is None:
+            self._load()
+        else:
+            self.instance.renew()
+            self._values.look_up()
+        self._begin(start, stop)
         self.start()
 
     def bind_nothing(self) -> None:

@@ -7,7 +7,7 @@ import shutil
 import tempfile
 from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -133,6 +133,17 @@ class Instance:
                 self.log.append(str(error))
             fmu.freeInstance()
         self.initialized = False
+
+    def renew(self) -> None:
+        """Replace the instance by a new one; the library stays loaded."""
+        fmu, self.fmu = self.fmu, None
+        with suppress(Exception):  # FMPy raises bare Exceptions; a refusal to terminate does not matter.
+            if self.initialized:
+                fmu.terminate()
+        self.initialized = False
+        getattr(fmu, f"{self.calls.prefix}FreeInstance")(fmu.component)
+        self.calls.instantiate(self.listen, self._logging or self.by_pythonfmu)
+        self.fmu, self.component = self.calls.fmu, self.calls.fmu.component
 
     def remove(self) -> None:
         """Delete the folder, unless it is foreign."""
