@@ -22,7 +22,7 @@ from cosim.base.linear_algebra import least_squares
 from cosim.estimation.data import count_unscored, data_of
 from cosim.estimation.fit import DIFFERENCE
 from cosim.estimation.noise_model import Noise
-from cosim.estimation.posing import coarsen, start_state
+from cosim.estimation.posing import coarsen
 from cosim.estimation.problem import Problem
 from cosim.estimation.readings import readings_of
 from cosim.logs.log import Log
@@ -30,6 +30,7 @@ from cosim.model.quantities import Parameter
 from cosim.subject.base_parameters import base_parameters
 from cosim.subject.candidates import Candidate, Free
 from cosim.subject.interface import Subject
+from cosim.subject.start_state import start_state
 
 PARAMETER_ERROR = 0.2  # relative error of a wrong base parameter; suspect parameters use the size of their fits
 Pair = tuple[str, str]

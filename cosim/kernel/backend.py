@@ -46,15 +46,12 @@ def kernel(
     key = (type(model), flags, tuple(measured), unnamed, tuple(constant), model.integrator)
     if key not in _kernels:
         try:
-            is_stepped = isinstance(model, FmuModel) and model.stepped
-            generated = (
-                generate_stepped(model, measured) if is_stepped else generate(model, measured, unnamed, constant)
-            )
             if isinstance(model, FmuModel) and fmu is not None:
                 variables = {p.name: model.variables[p.name] for p in model.parameters}
-                _kernels[key] = RemoteLibraryKernel(generated, fmu, variables)
+                stepped = generate_stepped(model, measured) if model.stepped else None
+                _kernels[key] = RemoteLibraryKernel(stepped or generate(model, measured, unnamed), fmu, variables)
             else:
-                _kernels[key] = CompiledKernel(generated)
+                _kernels[key] = CompiledKernel(generate(model, measured, unnamed, constant))
         except OfNumbersOnly as error:
             line = traceback.extract_tb(error.__traceback__)[-2]  # the model's line of the operation
             place = Path(line.filename), line.lineno or 0, (line.colno or 0) + 1

@@ -6,6 +6,7 @@ import ctypes
 import threading
 from collections import deque
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -58,6 +59,7 @@ class LibraryInstance:
         self._steps = np.array([STEP * (size or 1.0) for size in fmu.sizes])
         self._values: dict[str, float] | None = None
         self._block: FmuBlock | None = None
+        self._functions_of = _Library()
 
     def prepare(self, values: Mapping[str, float], start: float = 0.0, stop: float = 1.0) -> _Library:
         """Return the functions of an instance with these parameter values, of co-simulation at its start.
@@ -66,17 +68,16 @@ class LibraryInstance:
             SimulationError: The FMU refuses them.
         """
         if self._values == values and not self._stepped:
-            return self._struct
+            return self._functions_of
         self._values = None
         with _loading:
             if self._block is None:
-                arguments = NAME, self._path, self._description, {}, frozenset[str]()
-                stepped = self._stepped
-                self._block = FmuBlock(*arguments, way="co-simulation") if stepped else DifferentiableFmu(*arguments)
+                kind: Any = partial(FmuBlock, way="co-simulation") if self._stepped else DifferentiableFmu
+                self._block = kind(NAME, self._path, self._description, {}, frozenset())
                 self._block.bind_nothing()
             self._block.open_again(values, start, stop)
-        self._values, self._struct = dict(values), self._functions(self._block)
-        return self._struct
+        self._values, self._functions_of = dict(values), self._functions(self._block)
+        return self._functions_of
 
     def close(self) -> None:
         """Free the instance."""

@@ -172,8 +172,8 @@ class LibraryReplayer(Replayer):
             table, rows = np.full((log.rows, len(units)), np.nan), sorted(begins)
             if not self.subject.is_stepped:
                 for k, last in zip(rows, [*rows[1:], log.rows - 1], strict=True):
-                    x0 = [0.0 if n.startswith(DISTURBANCE) else begins[k].states.get(n, 0.0) for n in layout.states]
-                    part = data.rows(0, int(grid[last]) + 1), p, np.array(x0), np.asarray(begins[k].memory, float)
+                    known = [0.0 if n.startswith(DISTURBANCE) else begins[k].states.get(n, 0.0) for n in layout.states]
+                    part = data.rows(0, int(grid[last]) + 1), p, np.array(known), np.asarray(begins[k].memory, float)
                     table[k + 1 : last + 1] = kernel.simulate(*part, first=int(grid[k])).outputs[grid[k + 1 : last + 1]]
             elif math.isinf(horizon):  # a library begins at the start of a log only
                 x0 = start_state(self.subject, replace(data, y=_readings(log, units, grid)), [*units], layout.states)
@@ -281,7 +281,7 @@ def _places(structure: Structure, sizes: Mapping[str, float], step: float) -> Se
         rate = structure.scales.get(f"der({pair.velocity})") or 1.0
         kinds = {"v": units[pair.velocity], "q": units[pair.position], "d": units[pair.position]}
         moves = {"v": sizes.get(v) or 1.0, "q": sizes.get(q) or 1.0, "d": math.sqrt(12.0) * (sizes.get(q) or 1.0)}
-        port, sign, unit, size = None, 1.0, f"{units[pair.velocity]}/s", rate
+        port, sign, unit, size = -1, 1.0, f"{units[pair.velocity]}/s", rate
         if alone:
             port, sign = inputs.index(alone[0].input), math.copysign(1.0, alone[0].gain)
             unit, size = units[alone[0].input], 0.5 * sizes[with_place(alone[0].input)] or 1.0

@@ -30,7 +30,7 @@ from cosim.model.traits import Traits
 from cosim.subject.base_parameters import base_parameter
 from cosim.subject.candidates import Candidate, Kind, effect
 from cosim.subject.fmu_replayer import FmuReplayer, shaping_effects
-from cosim.subject.interface import Predict, Subject, Workplace
+from cosim.subject.interface import Predict, Replayer, Subject, Workplace
 
 FILES = {"refined": REFINED, "nearest": NEAREST}
 
@@ -145,14 +145,14 @@ class ModelSubject(Subject):
         model = loaded.model.with_values(parameters)
         return ModelSubject(LoadedModel(model, loaded.source, parameters, sensors))
 
-    def replayer(self, place: Workplace) -> FmuReplayer:
+    def replayer(self, place: Workplace) -> Replayer:
         """Return a replayer of the Python FMU."""
         if self.fmu is None or not self.fmu.is_file():
             count = len([*place.folder.glob("replayed*.fmu")])
             self.fmu = build(self.loaded.recipe(), place.folder / f"replayed{count}.fmu")
         return FmuReplayer(self.model, self.fmu, place, "python")
 
-    def quick_replayer(self, place: Workplace) -> FmuReplayer:
+    def quick_replayer(self, place: Workplace) -> Replayer | None:
         """Return a replayer of the class's native FMU, for all parameter values."""
         fmu = place.folder / "class.fmu"
         if not fmu.is_file():

@@ -317,7 +317,7 @@ def bound_terms(places: Sequence[Place], own: Sequence[type[Any]] = ()) -> Itera
 def _fits(kind: type[Any], place: Place) -> bool:
     """Return True if a term can act at a place."""
     if place.position >= 0:
-        return issubclass(kind, Force) and (kind is not Offset or place.input is None)
+        return issubclass(kind, Force) and (kind is not Offset or place.input < 0)
     return issubclass(kind, RateTerm if place.state >= 0 else InputTerm)
 
 

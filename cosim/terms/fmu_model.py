@@ -60,11 +60,10 @@ class FmuModel(Model):
             order = len(self.base_states)
             rates = [state[self.rates[k]] if k in self.rates else value(k, state, command) for k in range(order)]
             for term in self.awake:
-                place = getattr(term, "place", None)
-                if isinstance(term, Force) and place.input is None:
-                    rates[place.state] += term.force(m, state[place.position], state[place.state])
+                if isinstance(term, Force) and term.place.input < 0:
+                    rates[term.place.state] += term.force(m, state[term.place.position], state[term.place.state])
                 elif isinstance(term, RateTerm):
-                    rates[place.state] += term.rate(m, state[place.state])
+                    rates[term.place.state] += term.rate(m, state[term.place.state])
             return (*rates, *(0.0 for _ in state[order:]))
 
         def output(t: Number, state: Values, command: Values) -> Values:
@@ -83,7 +82,7 @@ class FmuModel(Model):
             values = term.transmit(m, values)
         inputs = [values[name] for name in names]
         for term in self.awake:
-            if isinstance(term, Force) and term.place.input is not None:
+            if isinstance(term, Force) and term.place.input >= 0:
                 place = term.place
                 inputs[place.input] += place.sign * term.force(m, state[place.position], state[place.state])
         return tuple(inputs)

@@ -22,7 +22,7 @@ class Place:
     Attributes:
         name: Name in the terms' names: that of the input, of the velocity, or of the state.
         units, sizes: Symbol of `scaled` → unit, and usual size along the logs.
-        input: Index of the input of an input term, or of the port of a force; None for a force on a rate.
+        input: Index of the input of an input term, or of the port of a force; −1 for a force on a rate.
         position, state: Indices of the position, and of the velocity or storage state.
         sign: Sign of the port's effect on the derivative of the velocity.
     """
@@ -30,7 +30,7 @@ class Place:
     name: str
     units: Mapping[str, str]
     sizes: Mapping[str, float]
-    input: int | None = None
+    input: int = -1
     position: int = -1
     state: int = -1
     sign: float = 1.0
@@ -77,7 +77,6 @@ class RememberingTerm(InputTerm):
     def shape(self, m: Namespace, t: Number, h: Number, command: Values, memory: Values) -> tuple[Values, Values]:
         """Return the command with this input changed, and the new memory; the last value says that it has begun."""
         place = self.place.input
-        assert place is not None
         value, (*kept, begun) = command[place], memory
         past = tuple(m.where(begun > 0.5, past, value) for past in kept)
         changed, after = self.advance(m, h, value, past)
@@ -179,7 +178,7 @@ def _size(expression: str, place: Place) -> float:
 
 def unit_of(expression: str, units: Mapping[str, str]) -> str:
     """Return the product of units as text: `N/(m/s)2`."""
-    above, below = [], []
+    above, below = list[str](), list[str]()
     for symbol, power in _factors(expression):
         unit = units.get(symbol, symbol)
         if unit in ("1", ""):

@@ -18,7 +18,7 @@ from cosim.base.arrays import Array, Rows
 from cosim.base.linear_algebra import square_roots
 from cosim.estimation.data import count_unscored, data_of
 from cosim.estimation.per_log import own, spread
-from cosim.estimation.posing import origins, start_covariance, start_state
+from cosim.estimation.posing import origins, start_covariance
 from cosim.estimation.problem import Problem
 from cosim.estimation.readings import readings_of
 from cosim.kernel.kernel import MEMORY as LASTS
@@ -31,6 +31,7 @@ from cosim.residuals.drive import StoppedReplay
 from cosim.residuals.residual_statistics import FREE_RUN, pool_errors
 from cosim.residuals.windows import Replay, window_rows
 from cosim.subject.interface import Replayer, Start, Subject
+from cosim.subject.start_state import start_state
 
 FLOOR_SEED = 20121
 
