@@ -1,0 +1,1 @@
+"""Terms that an FMU may lack."""
