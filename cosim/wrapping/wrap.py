@@ -227,7 +227,7 @@ class Wrapper:
             "terms.c": f"/* Terms added to the original. */\n#include <math.h>\n\n{self.terms.source}\n",
             **headers,
         }
-        names = ("loading.c", "wrapper.c", f"wrapper{self.fmi}.c")
+        names = ("loading.c", "history.c", "wrapper.c", f"wrapper{self.fmi}.c")
         return {n: t.encode() for n, t in texts.items()} | {n: (FOLDER / n).read_bytes() for n in names}
 
     # -- platforms ----------------------------------------------------------------------------------

@@ -6,8 +6,11 @@
 #include <math.h>
 #include <stdarg.h>
 
+#include "history.c"
+
 #define FAILED(status) ((status) > FMI(Warning))
 #define ACTS (SHAPES || PORTS || DELAY >= 0) /* the terms change inputs */
+#define DELAY_TIME(c) ((c)->p[DELAY < 0 ? 0 : DELAY])
 #define SHORT 1e-6                           /* an instant, as part of a substep */
 #define MOST_SUBSTEPS 1e6
 
@@ -19,7 +22,7 @@ typedef enum { INSTANTIATED, INITIALIZATION, RUNNING } Phase;
  * inputs run straight from `before` to their values now. */
 typedef struct {
     int phase, in_event, awake, stale, is_sent, knows_states;
-    double time, since, length;
+    double time, since, length, seen; /* seen: time of the last event, up to which jumps of delayed inputs have arrived */
     double u[NU + 1], before[NU + 1], shaped[NU + 1], sent[NU + 1];
     double x[NX + 1], m[NM + 1], p[NP], own[OWNS + 1];
 } Course;
@@ -31,6 +34,7 @@ struct Wrapper {
     Host host;
     int exchange;
     Course course;
+    History history;
     Reference *references; /* room for values that are sent on */
     double *values;
     size_t room;
@@ -96,27 +100,78 @@ static long count_substeps(double span)
     return count >= 1.0 ? (long)(count < MOST_SUBSTEPS ? count : MOST_SUBSTEPS) : 1;
 }
 
-/* The memory at a time from that at `since`; in model exchange, where time is not divided into steps. */
-static void remember(Course *c, double until, double *m)
+static int is_delayed(const Course *c)
 {
+    return DELAY >= 0 && DELAY_TIME(c) > 0.0;
+}
+
+/* Before the past is asked for: what has changed since the last step is in it. */
+static Status note_past(Wrapper *w)
+{
+    Course *c = &w->course;
+    if (!is_delayed(c)) return FMI(OK);
+    const double *u = w->exchange ? c->before : c->u;
+    return jump(&w->history, c->since, u) ? refuse(w, "there is no memory for the inputs of the past") : FMI(OK);
+}
+
+/* Inputs over a part of a step, before they are shaped. With a straight course in model exchange their mean, otherwise those
+ * that are held. share: the middle of the part between `since` and now. */
+static void input_over(Wrapper *w, double t, double h, double share, double *u)
+{
+    Course *c = &w->course;
+    if (is_delayed(c)) mean_of(&w->history, t - DELAY_TIME(c), t + h - DELAY_TIME(c), u);
+    else for (int j = 0; j < NU; j++) u[j] = w->exchange ? c->before[j] + share * (c->u[j] - c->before[j]) : c->u[j];
+}
+
+/* The memory at a time from that at `since`; in model exchange, where time is not divided into steps. */
+static void remember(Wrapper *w, double until, double *m)
+{
+    Course *c = &w->course;
     const double span = until - c->since;
     if (NM == 0 || !(span > 0.0)) return;
     const long n = count_substeps(span);
     double u[NU + 1], out[NU + NM + 1];
     for (long k = 0; k < n; k++) {
-        const double share = ((double)k + 0.5) / (double)n;
-        for (int j = 0; j < NU; j++) u[j] = c->before[j] + share * (c->u[j] - c->before[j]);
-        shape(c, c->since + (double)k * span / (double)n, span / (double)n, u, m, out);
+        const double h = span / (double)n, t = c->since + (double)k * h;
+        input_over(w, t, h, ((double)k + 0.5) / (double)n, u);
+        shape(c, t, h, u, m, out);
         memcpy(m, out + NU, sizeof(double) * NM);
     }
 }
 
-/* The memory and the inputs of now as the last ones that are settled. */
-static void commit(Course *c)
+/* The inputs that act now, and the memory of now; nothing is remembered. A delay sees the course up to now. */
+static Status shape_now(Wrapper *w, double *out)
 {
-    if (c->awake) remember(c, c->time, c->m);
+    Course *c = &w->course;
+    double m[NM + 1], u[NU + 1];
+    const int is_past = is_delayed(c);
+    const Status status = note_past(w);
+    if (FAILED(status)) return status;
+    const int has_now = is_past && w->exchange && c->time > c->since && !append(&w->history, c->time, c->u);
+    memcpy(m, c->m, sizeof m);
+    remember(w, c->time, m);
+    if (is_past) value_at(&w->history, c->time - DELAY_TIME(c), w->exchange ? EARLIER(c->seen) - DELAY_TIME(c) : HUGE_VAL, u);
+    else memcpy(u, c->u, sizeof u);
+    w->history.count -= has_now;
+    shape(c, c->time, SHORT * c->length, u, m, out);
+    return status;
+}
+
+/* The memory and the inputs of now as the last ones that are settled. */
+static Status commit(Wrapper *w)
+{
+    Course *c = &w->course;
+    Status status = FMI(OK);
+    if (c->awake) {
+        status = note_past(w);
+        if (is_delayed(c) && c->time > c->since && append(&w->history, c->time, c->u))
+            status = refuse(w, "there is no memory for the inputs of the past");
+        remember(w, c->time, c->m);
+        if (is_delayed(c)) forget(&w->history, c->time - DELAY_TIME(c));
+    }
     c->since = c->time;
     memcpy(c->before, c->u, sizeof c->u);
+    return status;
 }
 
 static Status find_states(Wrapper *w)
@@ -163,10 +218,9 @@ static Status settle(Wrapper *w)
         if (ACTS && c->is_sent) status = send(w, c->u);
         c->is_sent = 0; /* from now on the host's calls go to the original as they are */
     } else {
-        double m[NM + 1], out[NU + NM + 1], u[NU + 1];
-        memcpy(m, c->m, sizeof m);
-        remember(c, c->time, m);
-        shape(c, c->time, SHORT * c->length, c->u, m, out);
+        double out[NU + NM + 1], u[NU + 1];
+        status = shape_now(w, out);
+        if (FAILED(status)) return status;
         memcpy(c->shaped, out, sizeof(double) * NU);
         if (ACTS) {
             status = add_forces(w, out, u);
@@ -179,8 +233,10 @@ static Status settle(Wrapper *w)
 
 /* -- life ---------------------------------------------------------------------------------------------------------- */
 
-static void begin(Course *c)
+static void begin(Wrapper *w)
 {
+    Course *c = &w->course;
+    forget_all(&w->history);
     memset(c, 0, sizeof *c);
     c->length = SUBSTEP > 0.0 ? SUBSTEP : 1e-3;
     memcpy(c->u, INPUT_START, sizeof c->u);
@@ -200,6 +256,7 @@ static void dispose(Wrapper *w)
 {
     if (w->library != NULL) close_library(w->library);
     dispose_host(&w->host);
+    free(w->history.rows);
     free(w->references);
     free(w->values);
     free(w);
@@ -213,7 +270,7 @@ static Wrapper *created(Host host, int exchange, const char *resources)
     if (w == NULL) return NULL;
     w->host = host;
     w->exchange = exchange;
-    begin(&w->course);
+    begin(w);
     w->library = open_library(resources, reason, sizeof reason);
     if (w->library == NULL) {
         refuse(w, "the original does not load: %s", reason);
@@ -269,11 +326,12 @@ Status FMI(ExitInitializationMode)(FMI(Component) a0)
     if (FAILED(status)) return status;
     c->phase = RUNNING;
     c->in_event = w->exchange;
-    c->since = c->time;
+    c->since = c->seen = c->time;
     c->knows_states = 0;
     if (c->awake) c->stale = 1;
     memcpy(c->before, c->u, sizeof c->u);
-    return status;
+    forget_all(&w->history);
+    return worse(status, note_past(w));
 }
 
 Status FMI(Reset)(FMI(Component) a0)
@@ -282,7 +340,7 @@ Status FMI(Reset)(FMI(Component) a0)
     HAS(Reset);
     const Status status = w->f.Reset(w->component);
     if (FAILED(status)) return status;
-    begin(&w->course);
+    begin(w);
     return worse(status, set_own(w));
 }
 
@@ -435,7 +493,7 @@ static int note(Wrapper *w, Reference reference, const Special *s, double value)
     }
     if (s->own >= 0) c->own[s->own] = value;
     if (s->input < 0) return 1;
-    if (w->exchange && c->in_event && c->time > c->since) commit(c);
+    if (w->exchange && c->in_event && c->time > c->since && FAILED(commit(w))) return -1;
     c->u[s->input] = value;
     if (c->time <= c->since) c->before[s->input] = value;
     if (!c->awake || !ACTS || c->phase == INSTANTIATED) {
@@ -473,7 +531,7 @@ static Status set_reals(Wrapper *w, const Reference vr[], size_t count, const do
 
 static long substeps_of(const Wrapper *w, double h)
 {
-    return ANY_STEP && (PORTS || NM > 0) && may_divide(&w->host) ? count_substeps(h) : 1;
+    return ANY_STEP && (PORTS || NM > 0 || DELAY >= 0) && may_divide(&w->host) ? count_substeps(h) : 1;
 }
 
 static Status take_steps(Wrapper *w, double t, double h, FMI(Boolean) no_state_before, Ending *end)
@@ -489,10 +547,14 @@ static Status take_steps(Wrapper *w, double t, double h, FMI(Boolean) no_state_b
     const long n = substeps_of(w, h);
     const double dt = h / (double)n;
     c->length = dt > 0.0 ? dt : c->length;
+    c->time = c->since = t;
+    if (FAILED(note_past(w))) return FMI(Error);
+    if (is_delayed(c)) forget(&w->history, t - DELAY_TIME(c));
     for (long k = 0; k < n && !end->stop; k++) {
         double out[NU + NM + 1], u[NU + 1];
         c->time = t + (double)k * dt;
-        shape(c, c->time, dt, c->u, c->m, out);
+        input_over(w, c->time, c->length, 0.0, u);
+        shape(c, c->time, dt, u, c->m, out);
         memcpy(c->shaped, out, sizeof(double) * NU);
         status = worse(status, add_forces(w, out, u));
         if (!FAILED(status)) status = worse(status, send(w, u));
@@ -550,7 +612,7 @@ Status FMI(EnterEventMode)(FMI(Component) a0)
     HAS(EnterEventMode);
     const Status status = settle(w);
     if (FAILED(status)) return status;
-    if (w->exchange) commit(&w->course);
+    if (w->exchange && FAILED(commit(w))) return FMI(Error);
     w->course.in_event = w->exchange;
     return worse(status, w->f.EnterEventMode(w->component));
 }
@@ -571,15 +633,26 @@ Status FMI(CompletedIntegratorStep)(FMI(Component) a0, FMI(Boolean) no_state_bef
     HAS(CompletedIntegratorStep);
     const Status status = settle(w);
     if (FAILED(status)) return status;
-    commit(&w->course);
+    if (FAILED(commit(w))) return FMI(Error);
     return worse(status, w->f.CompletedIntegratorStep(w->component, no_state_before, event, terminate));
 }
 
-/* After discrete states are updated, which may change states. */
-static Status after_update(Wrapper *w, Status status)
+/* Before discrete states are updated: delayed inputs that are due have arrived. */
+static Status before_update(Wrapper *w)
 {
-    w->course.knows_states = 0;
+    w->course.seen = w->course.time;
     if (w->course.awake) w->course.stale = 1;
+    return settle(w);
+}
+
+/* After discrete states are updated, which may change states. next: when a delayed input arrives; infinity without one. */
+static Status after_update(Wrapper *w, Status status, double *next)
+{
+    Course *c = &w->course;
+    c->knows_states = 0;
+    if (c->awake) c->stale = 1;
+    *next = HUGE_VAL;
+    if (c->awake && is_delayed(c)) *next = next_jump(&w->history, EARLIER(c->time) - DELAY_TIME(c)) + DELAY_TIME(c);
     return status;
 }
 
@@ -588,23 +661,44 @@ static Status after_update(Wrapper *w, Status status)
 typedef struct {
     FMI(FMUstate) original;
     Course course;
+    History history;
 } Snapshot;
 
-#define HEAD (sizeof OWN_TOKEN + sizeof(Course)) /* of a serialized state, before that of the original */
+/* Of a serialized state, before that of the original: token, course, rows of the past, and those. */
+#define HEAD (sizeof OWN_TOKEN + sizeof(Course) + sizeof(double))
+#define PAST(s) (sizeof(double) * ROW * (s)->history.count)
+
+static Snapshot *snapshot_at(FMI(FMUstate) state)
+{
+    return state == NULL ? calloc(1, sizeof(Snapshot)) : state;
+}
+
+static void free_snapshot(Snapshot *s)
+{
+    free(s->history.rows);
+    free(s);
+}
+
+/* 1 without memory for it. */
+static int copy_history(const History *from, History *to)
+{
+    forget_all(to);
+    for (size_t k = 0; k < from->count; k++)
+        if (append(to, row_of(from, k)[0], row_of(from, k) + 1)) return 1;
+    return 0;
+}
 
 Status FMI(GetFMUstate)(FMI(Component) a0, FMI(FMUstate) *state)
 {
     KNOWN(a0);
     HAS(GetFMUstate);
-    Snapshot *s = *state == NULL ? calloc(1, sizeof *s) : *state;
+    Snapshot *s = snapshot_at(*state);
     if (s == NULL) return refuse(w, "there is no memory for a state");
-    const Status status = w->f.GetFMUstate(w->component, &s->original);
-    if (FAILED(status)) {
-        if (*state == NULL) free(s);
-        return status;
-    }
+    Status status = w->f.GetFMUstate(w->component, &s->original);
+    if (!FAILED(status) && copy_history(&w->history, &s->history)) status = refuse(w, "there is no memory for a state");
     s->course = w->course;
-    *state = s;
+    if (!FAILED(status)) *state = s;
+    else if (*state == NULL) free_snapshot(s);
     return status;
 }
 
@@ -615,8 +709,9 @@ Status FMI(SetFMUstate)(FMI(Component) a0, FMI(FMUstate) state)
     const Snapshot *s = state;
     if (s == NULL) return refuse(w, "there is no such state");
     const Status status = w->f.SetFMUstate(w->component, s->original);
-    if (!FAILED(status)) w->course = s->course;
-    return status;
+    if (FAILED(status)) return status;
+    w->course = s->course;
+    return copy_history(&s->history, &w->history) ? refuse(w, "there is no memory for a state") : status;
 }
 
 Status FMI(FreeFMUstate)(FMI(Component) a0, FMI(FMUstate) *state)
@@ -626,7 +721,7 @@ Status FMI(FreeFMUstate)(FMI(Component) a0, FMI(FMUstate) *state)
     HAS(FreeFMUstate);
     Snapshot *s = *state;
     const Status status = w->f.FreeFMUstate(w->component, &s->original);
-    free(s);
+    free_snapshot(s);
     *state = NULL;
     return status;
 }
@@ -638,7 +733,7 @@ Status FMI(SerializedFMUstateSize)(FMI(Component) a0, FMI(FMUstate) state, size_
     const Snapshot *s = state;
     if (s == NULL) return refuse(w, "there is no such state");
     const Status status = w->f.SerializedFMUstateSize(w->component, s->original, size);
-    *size += HEAD;
+    *size += HEAD + PAST(s);
     return status;
 }
 
@@ -647,25 +742,45 @@ Status FMI(SerializeFMUstate)(FMI(Component) a0, FMI(FMUstate) state, FMI(Byte) 
     KNOWN(a0);
     HAS(SerializeFMUstate);
     const Snapshot *s = state;
-    if (s == NULL || size < HEAD) return refuse(w, "there is no room for the state");
-    memcpy(bytes, OWN_TOKEN, sizeof OWN_TOKEN);
-    memcpy(bytes + sizeof OWN_TOKEN, &s->course, sizeof(Course));
-    return w->f.SerializeFMUstate(w->component, s->original, bytes + HEAD, size - HEAD);
+    if (s == NULL || size < HEAD + PAST(s)) return refuse(w, "there is no room for the state");
+    const double rows = (double)s->history.count;
+    FMI(Byte) *at = bytes;
+    memcpy(at, OWN_TOKEN, sizeof OWN_TOKEN), at += sizeof OWN_TOKEN;
+    memcpy(at, &s->course, sizeof(Course)), at += sizeof(Course);
+    memcpy(at, &rows, sizeof rows), at += sizeof rows;
+    if (PAST(s)) memcpy(at, row_of(&s->history, 0), PAST(s)), at += PAST(s);
+    return w->f.SerializeFMUstate(w->component, s->original, at, size - HEAD - PAST(s));
+}
+
+/* Course and past of a serialized state; 1 if it is of another FMU, damaged or too large. */
+static int read_head(Snapshot *s, const FMI(Byte) bytes[], size_t size)
+{
+    double rows, row[ROW];
+    const FMI(Byte) *at = bytes + sizeof OWN_TOKEN;
+    if (size < HEAD || memcmp(bytes, OWN_TOKEN, sizeof OWN_TOKEN) != 0) return 1;
+    memcpy(&s->course, at, sizeof(Course)), at += sizeof(Course);
+    memcpy(&rows, at, sizeof rows), at += sizeof rows;
+    if (!(rows >= 0.0 && rows * sizeof row <= (double)(size - HEAD))) return 1;
+    forget_all(&s->history);
+    for (size_t k = 0; k < (size_t)rows; k++, at += sizeof row) {
+        memcpy(row, at, sizeof row);
+        if (append(&s->history, row[0], row + 1)) return 1;
+    }
+    return 0;
 }
 
 Status FMI(DeSerializeFMUstate)(FMI(Component) a0, const FMI(Byte) bytes[], size_t size, FMI(FMUstate) *state)
 {
     KNOWN(a0);
     HAS(DeSerializeFMUstate);
-    if (size < HEAD || memcmp(bytes, OWN_TOKEN, sizeof OWN_TOKEN) != 0) return refuse(w, "this state is of another FMU");
-    Snapshot *s = *state == NULL ? calloc(1, sizeof *s) : *state;
+    Snapshot *s = snapshot_at(*state);
     if (s == NULL) return refuse(w, "there is no memory for a state");
-    memcpy(&s->course, bytes + sizeof OWN_TOKEN, sizeof(Course));
-    const Status status = w->f.DeSerializeFMUstate(w->component, bytes + HEAD, size - HEAD, &s->original);
-    if (FAILED(status)) {
-        if (*state == NULL) free(s);
-        return status;
+    Status status = read_head(s, bytes, size) ? refuse(w, "this state is damaged, or of another FMU") : FMI(OK);
+    if (!FAILED(status)) {
+        const size_t head = HEAD + PAST(s);
+        status = w->f.DeSerializeFMUstate(w->component, bytes + head, size - head, &s->original);
     }
-    *state = s;
+    if (!FAILED(status)) *state = s;
+    else if (*state == NULL) free_snapshot(s);
     return status;
 }

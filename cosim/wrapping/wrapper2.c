@@ -141,9 +141,15 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component a0, fmi2EventInfo *info)
 {
     KNOWN(a0);
     HAS(NewDiscreteStates);
-    const fmi2Status status = settle(w);
+    double next;
+    fmi2Status status = before_update(w);
     if (FAILED(status)) return status;
-    return after_update(w, worse(status, w->f.NewDiscreteStates(w->component, info)));
+    status = after_update(w, worse(status, w->f.NewDiscreteStates(w->component, info)), &next);
+    if (!FAILED(status) && isfinite(next) && !(info->nextEventTimeDefined && info->nextEventTime <= next)) {
+        info->nextEventTimeDefined = fmi2True;
+        info->nextEventTime = next;
+    }
+    return status;
 }
 
 fmi2Status fmi2GetDerivatives(fmi2Component a0, fmi2Real dx[], size_t count)

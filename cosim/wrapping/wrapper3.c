@@ -183,9 +183,13 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance a0, fmi3Boolean *again, fmi3Boo
 {
     KNOWN(a0);
     HAS(UpdateDiscreteStates);
-    const fmi3Status status = settle(w);
+    double next;
+    fmi3Status status = before_update(w);
     if (FAILED(status)) return status;
-    return after_update(w, worse(status, w->f.UpdateDiscreteStates(w->component, again, terminate, nominals, values, due, when)));
+    status = worse(status, w->f.UpdateDiscreteStates(w->component, again, terminate, nominals, values, due, when));
+    status = after_update(w, status, &next);
+    if (!FAILED(status) && isfinite(next) && !(*due && *when <= next)) *due = fmi3True, *when = next;
+    return status;
 }
 
 fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance a0, fmi3Float64 dx[], size_t count)
