@@ -1,0 +1,1 @@
+"""Wrapped FMUs: the original binary with added terms."""

@@ -1,0 +1,334 @@
+"""Refined FMUs: the original binary unchanged, and a small library that forwards every call and adds terms."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import zipfile
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import prod
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from cosim.base.drafts import draft_of
+from cosim.base.messages import Message
+from cosim.blocks.derivatives import REALS, scalars, states_of
+from cosim.blocks.description import read_description, takes_any_step
+from cosim.fmi.fmu_build import EPOCH, digest
+from cosim.fmi.native.compiler import NoCompiler, commands, fmi_headers, library_of
+from cosim.fmi.native.platforms import PLATFORMS, Platform
+from cosim.storage.archive import DESCRIPTION, description_of
+from cosim.terms.code import TermCode
+from cosim.wrapping import messages
+from cosim.wrapping.forwarding import forwarding_code, function_table
+from cosim.wrapping.wrapped_description import INPUT_SLOPES, OUTPUT_SLOPES, SLOPES, DescriptionEdit
+from cosim.wrapping.wrapper_config import WrapperConfig
+
+FOLDER = Path(__file__).resolve().parent
+ORIGINAL = "resources/original/"  # the whole original inside the wrapped FMU
+WRAPPER = "resources/wrapper/"  # the C code of the wrapper
+KEPT = ("documentation/", "terminalsAndIcons/", "extra/", "model.png")  # members that are also in their own place
+EXPORTS = {
+    2: ("fmi2Instantiate", "fmi2DoStep", "fmi2GetReal"),
+    3: ("fmi3InstantiateCoSimulation", "fmi3DoStep", "fmi3GetFloat64"),
+}
+MOST_REFERENCE = 2**31 - 1  # some hosts take value references as signed
+
+
+class CannotWrap(ValueError):
+    """Error: terms cannot be added to an FMU."""
+
+
+@dataclass(frozen=True)
+class Wrapped:
+    """A written wrapped FMU.
+
+    Attributes:
+        platforms: Platforms with a library, as named in FMI 2.0.
+        left_out: Platform folder of the original → reason why the wrapper has none.
+        withdrawn: Interfaces and capabilities of the original that the wrapper does not have.
+    """
+
+    path: Path
+    platforms: tuple[str, ...]
+    left_out: Mapping[str, Message]
+    withdrawn: tuple[str, ...]
+
+
+def wrap(
+    original: Path, terms: TermCode, values: Mapping[str, float], out: Path, *, substep: float | None = None
+) -> Wrapped:
+    """Write an FMU that holds the original and adds terms, completely or not at all.
+
+    Args:
+        values: Start values of the terms' parameters, and of real variables of the original.
+        substep: Longest step [s] in co-simulation over which forces and shaped inputs are held, if the original takes
+            steps of any length; by default the communication step. Model exchange needs one for terms with memory.
+
+    Raises:
+        FmuError: The original is invalid.
+        CannotWrap: The terms do not fit the original.
+        NoCompiler: No platform of the original can be compiled for.
+        CompilerFailed: Compilation failed.
+    """
+    return Wrapper(original, terms, values, 0.0 if substep is None else substep, substep is not None).write(out)
+
+
+@dataclass(frozen=True)
+class Wrapper:
+    """The parts of a wrapped FMU."""
+
+    original: Path
+    terms: TermCode
+    values: Mapping[str, float]
+    substep: float
+    has_substep: bool
+
+    @cached_property
+    def about(self) -> Any:
+        """Return FMPy's description of the original, of FMI 2.0 or 3.0."""
+        about = read_description(self.original)
+        if about.fmiVersion[0] not in "23":
+            raise CannotWrap(messages.OTHER_VERSION(file=self.original.name, version=about.fmiVersion))
+        return about
+
+    @property
+    def fmi(self) -> int:
+        """Return the major version of FMI."""
+        return int(self.about.fmiVersion[0])
+
+    @cached_property
+    def variables(self) -> dict[str, Any]:
+        """Return the original's variables by name."""
+        return {v.name: v for v in self.about.modelVariables}
+
+    # -- what the terms demand --------------------------------------------------------------------
+
+    @property
+    def acts_on_inputs(self) -> bool:
+        """Return whether the terms change inputs."""
+        return bool({"shape_all", "port_inputs"} & {*self.terms.hooks} or self.terms.delay)
+
+    @property
+    def needs_states(self) -> bool:
+        """Return whether the terms read states."""
+        return bool({"port_inputs", "added_rates"} & {*self.terms.hooks})
+
+    @cached_property
+    def interfaces(self) -> dict[str, str]:
+        """Return interface → modelIdentifier of all interfaces in which the terms act."""
+        exchange, steps = self.about.modelExchange, self.about.coSimulation
+        states = [*scalars(states_of(self.about))]
+        fits = not self.needs_states or [*self.terms.states] == states
+        found = {}
+        if exchange is not None and fits:
+            found["ModelExchange"] = str(exchange.modelIdentifier)
+        if steps is not None and "added_rates" not in self.terms.hooks:
+            found["CoSimulation"] = str(steps.modelIdentifier)
+        if not found and exchange is not None:
+            names = ", ".join(self.terms.states), ", ".join(states)
+            fault = messages.OTHER_STATES(file=self.original.name, expected=names[0], actual=names[1])
+            raise CannotWrap(fault)
+        if not found:
+            raise CannotWrap(messages.NO_INTERFACE(file=self.original.name))
+        return found
+
+    def reference(self, name: str) -> int:
+        """Return the value reference of a real scalar."""
+        variable = self.variables.get(name)
+        if variable is None:
+            raise CannotWrap(messages.UNKNOWN_VARIABLE(file=self.original.name, name=name))
+        if variable.type not in REALS or variable.shape:
+            raise CannotWrap(messages.NO_REAL(file=self.original.name, name=name))
+        return int(variable.valueReference)
+
+    @cached_property
+    def own(self) -> dict[str, float]:
+        """Return values of the original's own variables."""
+        ours = {p.name for p in self.terms.parameters}
+        return {name: float(value) for name, value in self.values.items() if name not in ours}
+
+    def check(self) -> None:
+        """Raise CannotWrap if the terms do not fit the original."""
+        file, names = self.original.name, [p.name for p in self.terms.parameters]
+        if taken := [name for name in names if name in self.variables]:
+            raise CannotWrap(messages.NAME_TAKEN(file=file, name=taken[0]))
+        if self.terms.delay and self.terms.delay not in names:
+            raise CannotWrap(messages.NO_PARAMETER(name=self.terms.delay))
+        if self.has_substep and not self.substep > 0:
+            raise CannotWrap(messages.SUBSTEP_NOT_POSITIVE(substep=self.substep))
+        if "ModelExchange" in self.interfaces and self.terms.memory and not self.has_substep:
+            raise CannotWrap(messages.NO_SUBSTEP())
+
+    # -- parts --------------------------------------------------------------------------------------
+
+    @cached_property
+    def config(self) -> WrapperConfig:
+        """Return the tables of the C code."""
+        rates = [u.variable for u in self.about.derivatives] if "ModelExchange" in self.interfaces else []
+        return WrapperConfig(
+            terms=self.terms,
+            values=self.values,
+            first_parameter=self._first_parameter(),
+            inputs={self.reference(n): float(self.variables[n].start or 0.0) for n in self.terms.inputs},
+            states=[self.reference(n) for n in self.terms.states] if "CoSimulation" in self.interfaces else [],
+            rates=[v.valueReference for v in rates if not v.shape] if not any(v.shape for v in rates) else [],
+            outputs=[self.reference(name) for name in self.terms.outputs],
+            own={self.reference(name): value for name, value in self.own.items()},
+            sizes={v.valueReference: prod(v.shape) for v in self.variables.values() if v.shape and v.type in REALS},
+            substep=self.substep,
+            any_step=takes_any_step(self.about) and not self._may_pend(),
+        )
+
+    def _may_pend(self) -> bool:
+        """Return whether steps may go on in the background."""
+        return bool(getattr(self.about.coSimulation, "canRunAsynchronuously", False))
+
+    def _first_parameter(self) -> int:
+        """Return the first of as many free value references as there are parameters."""
+        taken = sorted({int(v.valueReference) for v in self.variables.values()})
+        first, count = (taken[-1] if taken else -1) + 1, len(self.terms.parameters)
+        if first + count <= MOST_REFERENCE:
+            return first
+        gaps = zip([-1, *taken], taken, strict=False)
+        return next(low + 1 for low, high in gaps if high - low > count)
+
+    def description(self) -> DescriptionEdit:
+        """Return the model description, with the token of the original."""
+        edit = DescriptionEdit(description_of(self.original), self.fmi)
+        edit.keep_interfaces(self.interfaces)
+        if any(self.values.get(p.name, p.default) != p.neutral for p in self.terms.parameters if p.neutral is not None):
+            edit.withdraw(SLOPES)
+        if self.acts_on_inputs:
+            edit.withdraw(INPUT_SLOPES)
+        if "readings" in self.terms.hooks:
+            edit.withdraw(OUTPUT_SLOPES)
+        if self.terms.memory or self.terms.delay:
+            edit.require_completed_steps()
+        if self.needs_states:
+            edit.forget_dependencies(self.terms.inputs)
+        if missing := edit.set_starts(self.own):
+            raise CannotWrap(messages.NO_START(file=self.original.name, name=missing[0]))
+        edit.add_parameters(self.terms.parameters, self.config.first_parameter, self.values)
+        return edit
+
+    def sources(self) -> dict[str, bytes]:
+        """Return the C sources without config.h, which differs between platforms."""
+        headers = {p.name: p.read_text(encoding="utf-8") for p in sorted(fmi_headers().glob(f"fmi{self.fmi}*.h"))}
+        types = headers[f"fmi{self.fmi}FunctionTypes.h"]
+        order = ["config.h", f"fmi{self.fmi}Functions.h", "functions.h", "loading.c", "terms.c"]
+        order += [f"wrapper{self.fmi}.c", "forward.c"]
+        texts = {
+            "all.c": "#define _GNU_SOURCE\n" + "".join(f'#include "{name}"\n' for name in order),
+            "functions.h": function_table(types, self.fmi),
+            "forward.c": forwarding_code(types, self.fmi),
+            "terms.c": f"/* Terms added to the original. */\n#include <math.h>\n\n{self.terms.source}\n",
+            **headers,
+        }
+        names = ("loading.c", "history.c", "wrapper.c", f"wrapper{self.fmi}.c")
+        return {n: t.encode() for n, t in texts.items()} | {n: (FOLDER / n).read_bytes() for n in names}
+
+    # -- platforms ----------------------------------------------------------------------------------
+
+    def libraries(self, names: Iterable[str]) -> tuple[dict[Platform, dict[str, str]], dict[str, Message]]:
+        """Return platform → identifier → library of the original, and the folders left out with reasons."""
+        folders: dict[str, list[str]] = {}
+        for name in names:
+            parts = PurePosixPath(name).parts
+            if len(parts) == 3 and parts[0] == "binaries" and not name.endswith("/"):
+                folders.setdefault(parts[1], []).append(parts[2])
+        known = {p.folder(self.fmi): p for p in PLATFORMS.values()}
+        found: dict[Platform, dict[str, str]] = {}
+        left_out: dict[str, Message] = {}
+        for folder, files in sorted(folders.items()):
+            if folder not in known:
+                left_out[folder] = messages.UNKNOWN_PLATFORM(platform=folder)
+                continue
+            platform = known[folder]
+            each = {i: _library(i, files, platform.suffix) for i in self.interfaces.values()}
+            if missing := [i for i, file in each.items() if file is None]:
+                left_out[folder] = messages.NO_LIBRARY_ON_PLATFORM(platform=folder, identifier=missing[0])
+            else:
+                found[platform] = {i: f"binaries/{folder}/{file}" for i, file in each.items()}
+        return found, left_out
+
+    def build(
+        self, names: Sequence[str], tokens: tuple[str, str], sources: Mapping[str, bytes]
+    ) -> tuple[dict[str, bytes], tuple[str, ...], dict[str, Message]]:
+        """Return libraries by member, their platforms, and the folders left out with reasons."""
+        libraries, left_out = self.libraries(names)
+        if not libraries and not left_out:
+            identifier = ", ".join(sorted({*self.interfaces.values()}))
+            raise CannotWrap(messages.NO_LIBRARY(file=self.original.name, identifier=identifier))
+        members: dict[str, bytes] = {}
+        built = []
+        for platform, originals in libraries.items():
+            folder = platform.folder(self.fmi)
+            try:
+                (command,) = commands((platform.name,)).values()
+            except NoCompiler as error:
+                left_out[folder] = error.args[0]
+                continue
+            more = ("-lm", "-ldl") if platform.suffix == ".so" else ("-lm",)
+            for identifier, library in originals.items():
+                files = {**sources, "config.h": self.config.text(tokens, library).encode()}
+                made = library_of(files, "all.c", command, EXPORTS[self.fmi], libraries=more)
+                members[f"binaries/{folder}/{identifier}{platform.suffix}"] = made.read_bytes()
+            built.append(platform.name)
+        if not members:
+            reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out.items())
+            raise NoCompiler(messages.NO_COMPILER(file=self.original.name, reasons=reasons))
+        return members, tuple(built), left_out
+
+    def write(self, out: Path) -> Wrapped:
+        """Write the wrapped FMU."""
+        self.check()
+        edit, sources = self.description(), self.sources()
+        original_token = edit.token
+        edit.token = token = f"{{{self._digest(edit.bytes(), sources)[:32]}}}"
+        with zipfile.ZipFile(self.original) as old:
+            members, platforms, left_out = self.build(old.namelist(), (token, original_token), sources)
+            members[DESCRIPTION] = edit.bytes()
+            members |= {f"{WRAPPER}{name}": data for name, data in sources.items()}
+            with draft_of(out) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as new:
+                for name in sorted(members):
+                    new.writestr(_member(name), members[name])
+                for member in old.infolist():
+                    places = [ORIGINAL + member.filename]
+                    places += [member.filename] if member.filename.startswith(KEPT) else []
+                    for place in places:
+                        _copy(old, member, new, place)
+        return Wrapped(out, platforms, left_out, tuple(edit.withdrawn))
+
+    def _digest(self, description: bytes, sources: dict[str, bytes]) -> str:
+        with self.original.open("rb") as stream:
+            content = hashlib.file_digest(stream, "sha256").hexdigest()
+        config = replace(self.config).text(("", ""), "")
+        return digest({**sources, "config.h": config.encode()}, description + content.encode())
+
+
+def _library(identifier: str, files: Sequence[str], suffix: str) -> str | None:
+    """Return the library of an identifier in a platform's folder. A single library may have another name."""
+    libraries = [file for file in files if file.endswith(suffix)]
+    if f"{identifier}{suffix}" in libraries:
+        return f"{identifier}{suffix}"
+    return libraries[0] if len(libraries) == 1 else None
+
+
+def _member(name: str) -> zipfile.ZipInfo:
+    info = zipfile.ZipInfo(name, EPOCH)
+    info.compress_type, info.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
+    return info
+
+
+def _copy(old: zipfile.ZipFile, member: zipfile.ZipInfo, new: zipfile.ZipFile, place: str) -> None:
+    """Copy a member, of any size, with its date."""
+    info = zipfile.ZipInfo(place, member.date_time)
+    info.compress_type, info.external_attr = zipfile.ZIP_DEFLATED, member.external_attr
+    if member.is_dir():
+        new.writestr(info, b"")
+        return
+    with old.open(member) as source, new.open(info, "w", force_zip64=member.file_size > 2**31) as target:
+        shutil.copyfileobj(source, target)

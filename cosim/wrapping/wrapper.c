@@ -1,0 +1,786 @@
+/* A wrapped FMU: every call goes to an instance of the original, and the terms change what goes in and comes out.
+ *
+ * config.h, printed for each FMU, says how large it is and which variables the terms act on; terms.c holds the terms. FMI
+ * 2.0 and 3.0 have this text in common. Defined above it: FMI(name), which puts fmi2 or fmi3 before a name; the calls GET,
+ * SET, GET_ALL, SET_ALL of real variables of the original; one_step. */
+#include <math.h>
+#include <stdarg.h>
+
+#include "history.c"
+
+#define FAILED(status) ((status) > FMI(Warning))
+#define ACTS (SHAPES || PORTS || DELAY >= 0) /* the terms change inputs */
+#define DELAY_TIME(c) ((c)->p[DELAY < 0 ? 0 : DELAY])
+#define SHORT 1e-6                           /* an instant, as part of a substep */
+#define MOST_SUBSTEPS 1e6
+
+typedef FMI(Status) Status;
+typedef FMI(ValueReference) Reference;
+typedef enum { INSTANTIATED, INITIALIZATION, RUNNING } Phase;
+
+/* All that changes, without pointers: a snapshot is a copy. In model exchange the memory is that of the time `since`, and
+ * inputs run straight from `before` to their values now. */
+typedef struct {
+    int phase, in_event, awake, stale, is_sent, knows_states;
+    double time, since, length, seen; /* seen: time of the last event, up to which jumps of delayed inputs have arrived */
+    double u[NU + 1], before[NU + 1], shaped[NU + 1], sent[NU + 1];
+    double x[NX + 1], m[NM + 1], p[NP], own[OWNS + 1];
+} Course;
+
+struct Wrapper {
+    Functions f;
+    void *library;
+    FMI(Component) component;
+    Host host;
+    int exchange;
+    Course course;
+    History history;
+    Reference *references; /* room for values that are sent on */
+    double *values;
+    size_t room;
+};
+
+static Status worse(Status a, Status b)
+{
+    return a > b ? a : b;
+}
+
+static Status refuse(Wrapper *w, const char *format, ...)
+{
+    char message[512];
+    va_list arguments;
+    va_start(arguments, format);
+    vsnprintf(message, sizeof message, format, arguments);
+    va_end(arguments);
+    say(&w->host, message);
+    return FMI(Error);
+}
+
+#define KNOWN(instance) \
+    Wrapper *w = instance; \
+    if (w == NULL) return FMI(Error)
+#define HAS(name) \
+    if (w->f.name == NULL) return refuse(w, "the original has no function %s", #name)
+#define FORWARD(name, arguments) \
+    KNOWN(a0); \
+    HAS(name); \
+    return w->f.name arguments
+#define FORWARD_SETTLED(name, arguments) \
+    KNOWN(a0); \
+    HAS(name); \
+    const Status settled = settle(w); \
+    return FAILED(settled) ? settled : worse(settled, w->f.name arguments)
+
+/* -- terms --------------------------------------------------------------------------------------------------------- */
+
+static void wake(Course *c)
+{
+    c->awake = 0;
+    for (int k = 0; k < PARAMETERS; k++)
+        if (!isnan(PARAMETER_NEUTRAL[k]) && c->p[k] != PARAMETER_NEUTRAL[k]) c->awake = 1;
+    c->stale = 1;
+}
+
+/* The inputs of a substep from t on, and the memory (m: NM) after it; out: NU + NM. */
+static void shape(Course *c, double t, double h, const double *u, const double *m, double *out)
+{
+    c->p[NP - 1] = h;
+#if SHAPES
+    shape_all(t, u, m, c->p, out);
+#else
+    (void)t;
+    memcpy(out, u, sizeof(double) * NU);
+    memcpy(out + NU, m, sizeof(double) * NM);
+#endif
+}
+
+static long count_substeps(double span)
+{
+    const double count = SUBSTEP > 0.0 ? ceil(span / SUBSTEP - 1e-6) : 1.0;
+    return count >= 1.0 ? (long)(count < MOST_SUBSTEPS ? count : MOST_SUBSTEPS) : 1;
+}
+
+static int is_delayed(const Course *c)
+{
+    return DELAY >= 0 && DELAY_TIME(c) > 0.0;
+}
+
+/* Before the past is asked for: what has changed since the last step is in it. */
+static Status note_past(Wrapper *w)
+{
+    Course *c = &w->course;
+    if (!is_delayed(c)) return FMI(OK);
+    const double *u = w->exchange ? c->before : c->u;
+    return jump(&w->history, c->since, u) ? refuse(w, "there is no memory for the inputs of the past") : FMI(OK);
+}
+
+/* Inputs over a part of a step, before they are shaped. With a straight course in model exchange their mean, otherwise those
+ * that are held. share: the middle of the part between `since` and now. */
+static void input_over(Wrapper *w, double t, double h, double share, double *u)
+{
+    Course *c = &w->course;
+    if (is_delayed(c)) mean_of(&w->history, t - DELAY_TIME(c), t + h - DELAY_TIME(c), u);
+    else for (int j = 0; j < NU; j++) u[j] = w->exchange ? c->before[j] + share * (c->u[j] - c->before[j]) : c->u[j];
+}
+
+/* The memory at a time from that at `since`; in model exchange, where time is not divided into steps. */
+static void remember(Wrapper *w, double until, double *m)
+{
+    Course *c = &w->course;
+    const double span = until - c->since;
+    if (NM == 0 || !(span > 0.0)) return;
+    const long n = count_substeps(span);
+    double u[NU + 1], out[NU + NM + 1];
+    for (long k = 0; k < n; k++) {
+        const double h = span / (double)n, t = c->since + (double)k * h;
+        input_over(w, t, h, ((double)k + 0.5) / (double)n, u);
+        shape(c, t, h, u, m, out);
+        memcpy(m, out + NU, sizeof(double) * NM);
+    }
+}
+
+/* The inputs that act now, and the memory of now; nothing is remembered. A delay sees the course up to now. */
+static Status shape_now(Wrapper *w, double *out)
+{
+    Course *c = &w->course;
+    double m[NM + 1], u[NU + 1];
+    const int is_past = is_delayed(c);
+    const Status status = note_past(w);
+    if (FAILED(status)) return status;
+    const int has_now = is_past && w->exchange && c->time > c->since && !append(&w->history, c->time, c->u);
+    memcpy(m, c->m, sizeof m);
+    remember(w, c->time, m);
+    if (is_past) value_at(&w->history, c->time - DELAY_TIME(c), w->exchange ? EARLIER(c->seen) - DELAY_TIME(c) : HUGE_VAL, u);
+    else memcpy(u, c->u, sizeof u);
+    w->history.count -= has_now;
+    shape(c, c->time, SHORT * c->length, u, m, out);
+    return status;
+}
+
+/* The memory and the inputs of now as the last ones that are settled. */
+static Status commit(Wrapper *w)
+{
+    Course *c = &w->course;
+    Status status = FMI(OK);
+    if (c->awake) {
+        status = note_past(w);
+        if (is_delayed(c) && c->time > c->since && append(&w->history, c->time, c->u))
+            status = refuse(w, "there is no memory for the inputs of the past");
+        remember(w, c->time, c->m);
+        if (is_delayed(c)) forget(&w->history, c->time - DELAY_TIME(c));
+    }
+    c->since = c->time;
+    memcpy(c->before, c->u, sizeof c->u);
+    return status;
+}
+
+static Status find_states(Wrapper *w)
+{
+    Course *c = &w->course;
+    if (NX == 0) return FMI(OK);
+    if (!w->exchange) return GET(w, STATE_REFERENCE, NX, c->x);
+    if (c->knows_states && c->phase == RUNNING) return FMI(OK);
+    c->knows_states = 1;
+    return w->f.GetContinuousStates(w->component, c->x, NX);
+}
+
+/* What the original gets: shaped inputs and forces at ports. */
+static Status add_forces(Wrapper *w, const double *shaped, double *out)
+{
+    Course *c = &w->course;
+#if PORTS
+    const Status status = find_states(w);
+    if (!FAILED(status)) port_inputs(c->time, c->x, shaped, c->p, out);
+    return status;
+#else
+    (void)c;
+    memcpy(out, shaped, sizeof(double) * NU);
+    return FMI(OK);
+#endif
+}
+
+static Status send(Wrapper *w, const double *u)
+{
+    Course *c = &w->course;
+    if (NU == 0 || (c->is_sent && memcmp(c->sent, u, sizeof(double) * NU) == 0)) return FMI(OK);
+    memcpy(c->sent, u, sizeof(double) * NU);
+    c->is_sent = 1;
+    return SET(w, INPUT_REFERENCE, NU, u);
+}
+
+/* The inputs that act now, sent to the original; nothing is remembered. */
+static Status settle(Wrapper *w)
+{
+    Course *c = &w->course;
+    Status status = FMI(OK);
+    if (!c->stale || c->phase == INSTANTIATED) return status;
+    if (!c->awake) {
+        if (ACTS && c->is_sent) status = send(w, c->u);
+        c->is_sent = 0; /* from now on the host's calls go to the original as they are */
+    } else {
+        double out[NU + NM + 1], u[NU + 1];
+        status = shape_now(w, out);
+        if (FAILED(status)) return status;
+        memcpy(c->shaped, out, sizeof(double) * NU);
+        if (ACTS) {
+            status = add_forces(w, out, u);
+            if (!FAILED(status)) status = worse(status, send(w, u));
+        }
+    }
+    if (!FAILED(status)) c->stale = 0;
+    return status;
+}
+
+/* -- life ---------------------------------------------------------------------------------------------------------- */
+
+static void begin(Wrapper *w)
+{
+    Course *c = &w->course;
+    forget_all(&w->history);
+    memset(c, 0, sizeof *c);
+    c->length = SUBSTEP > 0.0 ? SUBSTEP : 1e-3;
+    memcpy(c->u, INPUT_START, sizeof c->u);
+    memcpy(c->before, INPUT_START, sizeof c->before);
+    memcpy(c->p, PARAMETER_START, sizeof(double) * PARAMETERS);
+    memcpy(c->own, OWN_START, sizeof c->own);
+    wake(c);
+}
+
+/* Values of the original that its library does not have by itself. */
+static Status set_own(Wrapper *w)
+{
+    return OWNS ? SET(w, OWN_REFERENCE, OWNS, w->course.own) : FMI(OK);
+}
+
+static void dispose(Wrapper *w)
+{
+    if (w->library != NULL) close_library(w->library);
+    dispose_host(&w->host);
+    free(w->history.rows);
+    free(w->references);
+    free(w->values);
+    free(w);
+}
+
+/* A wrapper with the library of the original; NULL with the reason said. */
+static Wrapper *created(Host host, int exchange, const char *resources)
+{
+    char reason[LONGEST_PATH] = "";
+    Wrapper *w = calloc(1, sizeof *w);
+    if (w == NULL) return NULL;
+    w->host = host;
+    w->exchange = exchange;
+    begin(w);
+    w->library = open_library(resources, reason, sizeof reason);
+    if (w->library == NULL) {
+        refuse(w, "the original does not load: %s", reason);
+        dispose(w);
+        return NULL;
+    }
+    find_functions(w->library, &w->f);
+    return w;
+}
+
+/* The wrapper if the original is instantiated and takes its own values; otherwise NULL. */
+static Wrapper *checked(Wrapper *w)
+{
+    if (w->component != NULL) {
+        if (!FAILED(set_own(w))) return w;
+        refuse(w, "the original does not take its own start values");
+        w->f.FreeInstance(w->component);
+    }
+    dispose(w);
+    return NULL;
+}
+
+static const char *token_of_original(const char *token)
+{
+    return token != NULL && strcmp(token, OWN_TOKEN) == 0 ? ORIGINAL_TOKEN : token;
+}
+
+/* Own values again, because some originals forget those set before initialization. */
+static Status after_entering_initialization(Wrapper *w, Status status)
+{
+    if (FAILED(status)) return status;
+    w->course.phase = INITIALIZATION;
+    w->course.stale = 1;
+    return worse(status, set_own(w));
+}
+
+void FMI(FreeInstance)(FMI(Component) a0)
+{
+    Wrapper *w = a0;
+    if (w == NULL) return;
+    w->f.FreeInstance(w->component);
+    dispose(w);
+}
+
+Status FMI(ExitInitializationMode)(FMI(Component) a0)
+{
+    KNOWN(a0);
+    HAS(ExitInitializationMode);
+    Course *c = &w->course;
+    Status status = settle(w);
+    if (FAILED(status)) return status;
+    status = worse(status, w->f.ExitInitializationMode(w->component));
+    if (FAILED(status)) return status;
+    c->phase = RUNNING;
+    c->in_event = w->exchange;
+    c->since = c->seen = c->time;
+    c->knows_states = 0;
+    if (c->awake) c->stale = 1;
+    memcpy(c->before, c->u, sizeof c->u);
+    forget_all(&w->history);
+    return worse(status, note_past(w));
+}
+
+Status FMI(Reset)(FMI(Component) a0)
+{
+    KNOWN(a0);
+    HAS(Reset);
+    const Status status = w->f.Reset(w->component);
+    if (FAILED(status)) return status;
+    begin(w);
+    return worse(status, set_own(w));
+}
+
+/* -- values -------------------------------------------------------------------------------------------------------- */
+
+#define IS_PARAMETER(reference) ((Reference)((reference) - FIRST_PARAMETER) < PARAMETERS)
+
+static const Special ORDINARY = {0, -1, -1, -1, -1, 1};
+
+static const Special *special_of(Reference reference)
+{
+    int low = 0, high = SPECIALS;
+    while (low < high) {
+        const int middle = (low + high) / 2;
+        if (SPECIAL[middle].reference < reference) low = middle + 1;
+        else high = middle;
+    }
+    return low < SPECIALS && SPECIAL[low].reference == reference ? &SPECIAL[low] : &ORDINARY;
+}
+
+static int names_parameters(const Reference vr[], size_t count)
+{
+    for (size_t k = 0; k < count; k++)
+        if (IS_PARAMETER(vr[k])) return 1;
+    return 0;
+}
+
+static int reserve(Wrapper *w, size_t count)
+{
+    if (count <= w->room) return 0;
+    free(w->references), free(w->values);
+    w->references = malloc(sizeof *w->references * count);
+    w->values = malloc(sizeof *w->values * count);
+    w->room = w->references == NULL || w->values == NULL ? 0 : count;
+    return w->room == 0;
+}
+
+#if READS
+/* Outputs as delivered. */
+static Status read_outputs(Wrapper *w, double *out)
+{
+    Course *c = &w->course;
+    double y[NY + 1];
+    const Status status = GET(w, OUTPUT_REFERENCE, NY, y);
+    c->p[NP - 1] = c->length;
+    if (!FAILED(status)) readings(c->time, y, c->p, out);
+    return status;
+}
+#endif
+
+#if RATES
+static Status find_added_rates(Wrapper *w, double *out)
+{
+    Course *c = &w->course;
+    const Status status = find_states(w);
+    if (!FAILED(status)) added_rates(c->time, c->x, c->shaped, c->p, out);
+    return status;
+}
+#endif
+
+/* Values of the original changed by the terms, from the first that is one; `values` are as the original has them. */
+static Status change_values(Wrapper *w, const Reference vr[], size_t count, double value[])
+{
+    Course *c = &w->course;
+    Status status = FMI(OK);
+    int has_read = 0, has_rates = 0;
+    double read[NY + 1], added[NX + 1];
+    for (size_t k = 0, at = 0; k < count; k++) {
+        const Special *s = special_of(vr[k]);
+        if (IS_PARAMETER(vr[k])) value[at] = c->p[vr[k] - FIRST_PARAMETER];
+        else if (!c->awake) {
+        } else if (ACTS && s->input >= 0 && c->phase != INSTANTIATED) value[at] = c->u[s->input];
+#if READS
+        else if (s->output >= 0) {
+            if (!has_read) status = worse(status, read_outputs(w, read));
+            has_read = 1;
+            value[at] = read[s->output];
+        }
+#endif
+#if RATES
+        else if (s->rate >= 0 && w->exchange && c->phase != INSTANTIATED) {
+            if (!has_rates) status = worse(status, find_added_rates(w, added));
+            has_rates = 1;
+            value[at] += added[s->rate];
+        }
+#endif
+        if (FAILED(status)) return status;
+        at += s->size;
+    }
+    (void)has_read, (void)has_rates, (void)read, (void)added;
+    return status;
+}
+
+/* Values without those of the terms' parameters, which the original does not know. */
+static Status get_apart(Wrapper *w, const Reference vr[], size_t count, double value[], size_t values)
+{
+    size_t kept = 0, at = 0, kept_values = 0;
+    if (reserve(w, count + values)) return refuse(w, "there is no memory for values");
+    for (size_t k = 0; k < count; k++) {
+        if (IS_PARAMETER(vr[k])) continue;
+        w->references[kept++] = vr[k];
+        kept_values += special_of(vr[k])->size;
+    }
+    if (kept_values > values) return refuse(w, "there are %zu values for variables with %zu", values, kept_values);
+    const Status status = kept ? GET_ALL(w, w->references, kept, w->values, kept_values) : FMI(OK);
+    if (FAILED(status)) return status;
+    const double *from = w->values;
+    for (size_t k = 0; k < count; k++) {
+        const size_t size = special_of(vr[k])->size;
+        if (!IS_PARAMETER(vr[k])) memcpy(value + at, from, sizeof(double) * size), from += size;
+        at += size;
+    }
+    return status;
+}
+
+static Status get_reals(Wrapper *w, const Reference vr[], size_t count, double value[], size_t values)
+{
+    Course *c = &w->course;
+    Status status = settle(w);
+    if (FAILED(status)) return status;
+    const int apart = names_parameters(vr, count);
+    if (apart) status = worse(status, get_apart(w, vr, count, value, values));
+#if READS
+    else if (c->awake && count == NY && memcmp(vr, OUTPUT_REFERENCE, sizeof *vr * count) == 0) {
+        double y[NY + 1];
+        status = worse(status, GET(w, vr, NY, y));
+        c->p[NP - 1] = c->length;
+        if (!FAILED(status)) readings(c->time, y, c->p, value);
+        return status;
+    }
+#endif
+    else status = worse(status, GET_ALL(w, vr, count, value, values));
+    if (FAILED(status) || !(apart || c->awake)) return status;
+    return worse(status, change_values(w, vr, count, value));
+}
+
+/* Note a value that the host sets; 1: it is the original's too; 0: it is not; -1: it is refused. */
+static int note(Wrapper *w, Reference reference, const Special *s, double value)
+{
+    Course *c = &w->course;
+    if (IS_PARAMETER(reference)) {
+        const int k = (int)(reference - FIRST_PARAMETER);
+        if (c->phase == RUNNING) {
+            refuse(w, "%s is a fixed parameter; set it before the end of initialization", PARAMETER_NAME[k]);
+            return -1;
+        }
+        c->p[k] = value;
+        wake(c);
+        return 0;
+    }
+    if (s->own >= 0) c->own[s->own] = value;
+    if (s->input < 0) return 1;
+    if (w->exchange && c->in_event && c->time > c->since && FAILED(commit(w))) return -1;
+    c->u[s->input] = value;
+    if (c->time <= c->since) c->before[s->input] = value;
+    if (!c->awake || !ACTS || c->phase == INSTANTIATED) {
+        c->is_sent = 0;
+        return 1;
+    }
+    c->stale = 1;
+    return 0;
+}
+
+static Status set_reals(Wrapper *w, const Reference vr[], size_t count, const double value[], size_t values)
+{
+    Course *c = &w->course;
+    size_t kept = 0, at = 0, kept_values = 0;
+    if (c->phase == RUNNING && !c->awake && !names_parameters(vr, count)) return SET_ALL(w, vr, count, value, values);
+    if (reserve(w, count + values)) return refuse(w, "there is no memory for values");
+    for (size_t k = 0; k < count; k++) {
+        const Special *s = special_of(vr[k]);
+        const size_t size = s->size;
+        if (at + size > values) return refuse(w, "there are only %zu values for %zu variables", values, count);
+        const int is_original = note(w, vr[k], s, value[at]);
+        if (is_original < 0) return FMI(Error);
+        if (is_original) {
+            w->references[kept++] = vr[k];
+            memcpy(w->values + kept_values, value + at, sizeof(double) * size);
+            kept_values += size;
+        }
+        at += size;
+    }
+    if (c->phase == INITIALIZATION && c->awake) c->stale = 1; /* states may follow from what is set */
+    return kept ? SET_ALL(w, w->references, kept, w->values, kept_values) : FMI(OK);
+}
+
+/* -- co-simulation ------------------------------------------------------------------------------------------------- */
+
+static long substeps_of(const Wrapper *w, double h)
+{
+    return ANY_STEP && (PORTS || NM > 0 || DELAY >= 0) && may_divide(&w->host) ? count_substeps(h) : 1;
+}
+
+static Status take_steps(Wrapper *w, double t, double h, FMI(Boolean) no_state_before, Ending *end)
+{
+    Course *c = &w->course;
+    Status status = FMI(OK);
+    if (!c->awake || !ACTS) {
+        status = settle(w);
+        if (FAILED(status)) return status;
+        c->time = c->since = t + h;
+        return worse(status, one_step(w, t, h, no_state_before, end));
+    }
+    const long n = substeps_of(w, h);
+    const double dt = h / (double)n;
+    c->length = dt > 0.0 ? dt : c->length;
+    c->time = c->since = t;
+    if (FAILED(note_past(w))) return FMI(Error);
+    if (is_delayed(c)) forget(&w->history, t - DELAY_TIME(c));
+    for (long k = 0; k < n && !end->stop; k++) {
+        double out[NU + NM + 1], u[NU + 1];
+        c->time = t + (double)k * dt;
+        input_over(w, c->time, c->length, 0.0, u);
+        shape(c, c->time, dt, u, c->m, out);
+        memcpy(c->shaped, out, sizeof(double) * NU);
+        status = worse(status, add_forces(w, out, u));
+        if (!FAILED(status)) status = worse(status, send(w, u));
+        if (!FAILED(status)) status = worse(status, one_step(w, c->time, dt, no_state_before, end));
+        if (FAILED(status)) return status;
+        memcpy(c->m, out + NU, sizeof(double) * NM);
+        c->time = k == n - 1 ? t + h : c->time + dt;
+    }
+    c->since = c->time;
+    c->stale = 0;
+    return status;
+}
+
+/* -- model exchange ------------------------------------------------------------------------------------------------ */
+
+Status FMI(SetTime)(FMI(Component) a0, double time)
+{
+    KNOWN(a0);
+    HAS(SetTime);
+    w->course.time = time;
+    w->course.stale = w->course.awake;
+    return w->f.SetTime(w->component, time);
+}
+
+Status FMI(SetContinuousStates)(FMI(Component) a0, const double x[], size_t count)
+{
+    KNOWN(a0);
+    HAS(SetContinuousStates);
+    Course *c = &w->course;
+    if (c->awake && count == NX) {
+        memcpy(c->x, x, sizeof(double) * NX);
+        c->knows_states = 1;
+        if (PORTS) c->stale = 1;
+    }
+    return w->f.SetContinuousStates(w->component, x, count);
+}
+
+static Status get_derivatives(Wrapper *w, FMI(Status) (*get)(FMI(Component), double[], size_t), double dx[], size_t count)
+{
+    Status status = settle(w);
+    if (FAILED(status)) return status;
+    status = worse(status, get(w->component, dx, count));
+#if RATES
+    double added[NX + 1];
+    if (FAILED(status) || !w->course.awake || count != NX) return status;
+    status = worse(status, find_added_rates(w, added));
+    for (int k = 0; k < NX; k++) dx[k] += added[k];
+#endif
+    return status;
+}
+
+Status FMI(EnterEventMode)(FMI(Component) a0)
+{
+    KNOWN(a0);
+    HAS(EnterEventMode);
+    const Status status = settle(w);
+    if (FAILED(status)) return status;
+    if (w->exchange && FAILED(commit(w))) return FMI(Error);
+    w->course.in_event = w->exchange;
+    return worse(status, w->f.EnterEventMode(w->component));
+}
+
+Status FMI(EnterContinuousTimeMode)(FMI(Component) a0)
+{
+    KNOWN(a0);
+    HAS(EnterContinuousTimeMode);
+    const Status status = settle(w);
+    if (FAILED(status)) return status;
+    w->course.in_event = 0;
+    return worse(status, w->f.EnterContinuousTimeMode(w->component));
+}
+
+Status FMI(CompletedIntegratorStep)(FMI(Component) a0, FMI(Boolean) no_state_before, FMI(Boolean) *event, FMI(Boolean) *terminate)
+{
+    KNOWN(a0);
+    HAS(CompletedIntegratorStep);
+    const Status status = settle(w);
+    if (FAILED(status)) return status;
+    if (FAILED(commit(w))) return FMI(Error);
+    return worse(status, w->f.CompletedIntegratorStep(w->component, no_state_before, event, terminate));
+}
+
+/* Before discrete states are updated: delayed inputs that are due have arrived. */
+static Status before_update(Wrapper *w)
+{
+    w->course.seen = w->course.time;
+    if (w->course.awake) w->course.stale = 1;
+    return settle(w);
+}
+
+/* After discrete states are updated, which may change states. next: when a delayed input arrives; infinity without one. */
+static Status after_update(Wrapper *w, Status status, double *next)
+{
+    Course *c = &w->course;
+    c->knows_states = 0;
+    if (c->awake) c->stale = 1;
+    *next = HUGE_VAL;
+    if (c->awake && is_delayed(c)) *next = next_jump(&w->history, EARLIER(c->time) - DELAY_TIME(c)) + DELAY_TIME(c);
+    return status;
+}
+
+/* -- state --------------------------------------------------------------------------------------------------------- */
+
+typedef struct {
+    FMI(FMUstate) original;
+    Course course;
+    History history;
+} Snapshot;
+
+/* Of a serialized state, before that of the original: token, course, rows of the past, and those. */
+#define HEAD (sizeof OWN_TOKEN + sizeof(Course) + sizeof(double))
+#define PAST(s) (sizeof(double) * ROW * (s)->history.count)
+
+static Snapshot *snapshot_at(FMI(FMUstate) state)
+{
+    return state == NULL ? calloc(1, sizeof(Snapshot)) : state;
+}
+
+static void free_snapshot(Snapshot *s)
+{
+    free(s->history.rows);
+    free(s);
+}
+
+/* 1 without memory for it. */
+static int copy_history(const History *from, History *to)
+{
+    forget_all(to);
+    for (size_t k = 0; k < from->count; k++)
+        if (append(to, row_of(from, k)[0], row_of(from, k) + 1)) return 1;
+    return 0;
+}
+
+Status FMI(GetFMUstate)(FMI(Component) a0, FMI(FMUstate) *state)
+{
+    KNOWN(a0);
+    HAS(GetFMUstate);
+    Snapshot *s = snapshot_at(*state);
+    if (s == NULL) return refuse(w, "there is no memory for a state");
+    Status status = w->f.GetFMUstate(w->component, &s->original);
+    if (!FAILED(status) && copy_history(&w->history, &s->history)) status = refuse(w, "there is no memory for a state");
+    s->course = w->course;
+    if (!FAILED(status)) *state = s;
+    else if (*state == NULL) free_snapshot(s);
+    return status;
+}
+
+Status FMI(SetFMUstate)(FMI(Component) a0, FMI(FMUstate) state)
+{
+    KNOWN(a0);
+    HAS(SetFMUstate);
+    const Snapshot *s = state;
+    if (s == NULL) return refuse(w, "there is no such state");
+    const Status status = w->f.SetFMUstate(w->component, s->original);
+    if (FAILED(status)) return status;
+    w->course = s->course;
+    return copy_history(&s->history, &w->history) ? refuse(w, "there is no memory for a state") : status;
+}
+
+Status FMI(FreeFMUstate)(FMI(Component) a0, FMI(FMUstate) *state)
+{
+    KNOWN(a0);
+    if (state == NULL || *state == NULL) return FMI(OK);
+    HAS(FreeFMUstate);
+    Snapshot *s = *state;
+    const Status status = w->f.FreeFMUstate(w->component, &s->original);
+    free_snapshot(s);
+    *state = NULL;
+    return status;
+}
+
+Status FMI(SerializedFMUstateSize)(FMI(Component) a0, FMI(FMUstate) state, size_t *size)
+{
+    KNOWN(a0);
+    HAS(SerializedFMUstateSize);
+    const Snapshot *s = state;
+    if (s == NULL) return refuse(w, "there is no such state");
+    const Status status = w->f.SerializedFMUstateSize(w->component, s->original, size);
+    *size += HEAD + PAST(s);
+    return status;
+}
+
+Status FMI(SerializeFMUstate)(FMI(Component) a0, FMI(FMUstate) state, FMI(Byte) bytes[], size_t size)
+{
+    KNOWN(a0);
+    HAS(SerializeFMUstate);
+    const Snapshot *s = state;
+    if (s == NULL || size < HEAD + PAST(s)) return refuse(w, "there is no room for the state");
+    const double rows = (double)s->history.count;
+    FMI(Byte) *at = bytes;
+    memcpy(at, OWN_TOKEN, sizeof OWN_TOKEN), at += sizeof OWN_TOKEN;
+    memcpy(at, &s->course, sizeof(Course)), at += sizeof(Course);
+    memcpy(at, &rows, sizeof rows), at += sizeof rows;
+    if (PAST(s)) memcpy(at, row_of(&s->history, 0), PAST(s)), at += PAST(s);
+    return w->f.SerializeFMUstate(w->component, s->original, at, size - HEAD - PAST(s));
+}
+
+/* Course and past of a serialized state; 1 if it is of another FMU, damaged or too large. */
+static int read_head(Snapshot *s, const FMI(Byte) bytes[], size_t size)
+{
+    double rows, row[ROW];
+    const FMI(Byte) *at = bytes + sizeof OWN_TOKEN;
+    if (size < HEAD || memcmp(bytes, OWN_TOKEN, sizeof OWN_TOKEN) != 0) return 1;
+    memcpy(&s->course, at, sizeof(Course)), at += sizeof(Course);
+    memcpy(&rows, at, sizeof rows), at += sizeof rows;
+    if (!(rows >= 0.0 && rows * sizeof row <= (double)(size - HEAD))) return 1;
+    forget_all(&s->history);
+    for (size_t k = 0; k < (size_t)rows; k++, at += sizeof row) {
+        memcpy(row, at, sizeof row);
+        if (append(&s->history, row[0], row + 1)) return 1;
+    }
+    return 0;
+}
+
+Status FMI(DeSerializeFMUstate)(FMI(Component) a0, const FMI(Byte) bytes[], size_t size, FMI(FMUstate) *state)
+{
+    KNOWN(a0);
+    HAS(DeSerializeFMUstate);
+    Snapshot *s = snapshot_at(*state);
+    if (s == NULL) return refuse(w, "there is no memory for a state");
+    Status status = read_head(s, bytes, size) ? refuse(w, "this state is damaged, or of another FMU") : FMI(OK);
+    if (!FAILED(status)) {
+        const size_t head = HEAD + PAST(s);
+        status = w->f.DeSerializeFMUstate(w->component, bytes + head, size - head, &s->original);
+    }
+    if (!FAILED(status)) *state = s;
+    else if (*state == NULL) free_snapshot(s);
+    return status;
+}
