@@ -3,6 +3,7 @@
  * NB states, NU inputs and NL outputs of the library; `library_inputs`, which stands below this text, gives the inputs that the
  * library gets. Values are kept for a point (t, x, u), since each derivative asks for its own. Slopes are forward differences. */
 #include <math.h>
+#include <stdbool.h>
 #include <stddef.h>
 #include <string.h>
 
@@ -23,7 +24,11 @@ typedef struct {
     const unsigned *inputs, *outputs;
     const double *steps; /* NB: step of each state for differences */
     int version;
+    Function complete; /* told of each substep; NULL if the FMU needs none */
 } Library;
+
+typedef int (*Complete2)(void *, int, int *, int *);
+typedef int (*Complete3)(void *, bool, bool *, bool *);
 
 static __thread const Library *library; /* a thread has an instance of its own */
 static __thread double point[1 + NB + NU], value[NB + NL + 1], slope[(NB + NL + 1) * (NB + 1)];
@@ -84,6 +89,21 @@ static void evaluate_library(int of_outputs, double t, const double *x, const do
         for (int i = of_outputs * NB; i < (of_outputs ? NB + NL : NB); i++) value[i] = NAN;
     if (of_outputs) has_outputs = 1;
     else has_rates = 1;
+}
+
+/* After a substep, at its end. */
+static void complete_library(double t, double *x, const double *u, const double *p)
+{
+    int event = 0, ends = 0, status;
+    bool event3 = false, ends3 = false;
+    if (library->complete == NULL) return;
+    status = move_library(t, x, u, p);
+    is_placed = 0;
+    if (status <= MOST_STATUS)
+        status = library->version == 2 ? ((Complete2)library->complete)(library->instance, 1, &event, &ends)
+                                       : ((Complete3)library->complete)(library->instance, true, &event3, &ends3);
+    point[0] = NAN; /* the library may have changed */
+    if (status > MOST_STATUS) x[0] = NAN;
 }
 
 static double library_value(int row, double t, const double *x, const double *u, const double *p)

@@ -34,6 +34,7 @@ class _Library(ctypes.Structure):
         *((n, ctypes.c_void_p) for n in ("instance", "set_time", "set_states", "get_rates", "set_reals", "get_reals")),
         *((n, ctypes.c_void_p) for n in ("inputs", "outputs", "steps")),
         ("version", ctypes.c_int),
+        ("complete", ctypes.c_void_p),
     )
 
 
@@ -96,7 +97,10 @@ class LibraryInstance:
         groups = [[v.valueReference for v in reals(self._description, kind)] for kind in ("input", "output")]
         self._references = [np.array(group or [0], np.uint32) for group in groups]
         addresses = [a.ctypes.data for a in (*self._references, self._steps)]
-        return _Library(fmu.component, *pointers, *addresses, version)
+        complete = None
+        if not self._stepped and self._description.modelExchange.needsCompletedIntegratorStep:
+            complete = ctypes.cast(getattr(fmu.dll, f"fmi{version}CompletedIntegratorStep"), ctypes.c_void_p)
+        return _Library(fmu.component, *pointers, *addresses, version, complete)
 
 
 class LibraryKernel(CompiledKernel):

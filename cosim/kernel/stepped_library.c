@@ -22,6 +22,7 @@ typedef struct {
     const unsigned *inputs, *outputs;
     const double *steps;
     int version;
+    Function complete;
 } Library;
 
 static __thread const Library *library; /* a thread has an instance of its own */

@@ -139,6 +139,7 @@ def refine(
         claims = replace(claims, risen=_rises(claims, played, subject), remaining=remaining, written=bool(files))
         ends = final_log_parameters(variants["after"], problem, sealed)
         hold_stops()  # From here, a result exists that must not be lost.
+        warnings += [v.subject.undelivered for v in variants.values() if v.subject.undelivered][:1]
         warnings += [*warnings_of(way), *_floor_warnings(floors, played, subject)]
         study = replace(study, warnings=(*study.warnings, *warnings))
         measured = Measurements(played, floors, way, ends, time.perf_counter() - start)

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from shutil import copyfile
 from types import MappingProxyType
 from typing import Any
 
@@ -18,6 +19,7 @@ import numpy as np
 from cosim.base.arrays import Array, Rows
 from cosim.base.errors import InputError
 from cosim.blocks.description import read_description, takes_any_step, ways
+from cosim.fmi.native.compiler import CompilerFailed, NoCompiler
 from cosim.isolation.process import Worker
 from cosim.kernel.backend import kernel
 from cosim.kernel.kernel import DISTURBANCE, Data, Kernel
@@ -33,11 +35,13 @@ from cosim.residuals.remote_drive import MODULES, DriveApart
 from cosim.residuals.starts import StartParameter, start_parameters
 from cosim.residuals.windows import Replay
 from cosim.subject.interface import Predict, Replayer, Start, Workplace
-from cosim.subject.model_subject import ModelSubject
+from cosim.subject.model_subject import FILES, ModelSubject
 from cosim.subject.start_state import start_state
 from cosim.terms.catalogue import bound_terms, delay_of, sensor_errors
-from cosim.terms.fmu_model import Dependencies, fmu_model
+from cosim.terms.fmu_model import Dependencies, FmuModel, fmu_model
 from cosim.terms.language import Place, with_place
+from cosim.terms.printed import term_code
+from cosim.wrapping.wrap import CannotWrap, wrap
 
 STIFFEST = 20.0  # step times largest eigenvalue, above which explicit integration from row to row is too costly
 SUBSTEPS = 4  # steps of co-simulation between rows, for forces that follow the outputs
@@ -104,12 +108,13 @@ class FmuSubject(ModelSubject):
         """
         if constant:
             raise InputError.at(self.structure.fmu, NO_CONSTANTS(names=", ".join(constant)))
+        return kernel(self.model, measured, unnamed, fmu=self._library_of(self.structure.fmu, self._description))
+
+    def _library_of(self, fmu: Path, description: Any) -> LibraryOf:
+        """Return an FMU for a kernel, with the usual sizes and the start parameters."""
         sizes = [self.structure.scales.get(q.name, 0.0) for q in self.structure.states]
         starts = [(k, self.starts[q.name]) for k, q in enumerate(self.structure.outputs) if q.name in self.starts]
-        of_fmu = LibraryOf(
-            self.structure.fmu, self._description, sizes, tuple((k, p.name, 1.0 / p.gain) for k, p in starts)
-        )
-        return kernel(self.model, measured, unnamed, fmu=of_fmu)
+        return LibraryOf(fmu, description, sizes, tuple((k, p.name, 1.0 / p.gain) for k, p in starts))
 
     def start(self) -> dict[str, float]:
         """Return the start value of each state."""
@@ -138,19 +143,62 @@ class FmuSubject(ModelSubject):
         return FmuSubject(super().refined(claims).loaded, self.structure, self.starts)
 
     def replayer(self, place: Workplace) -> LibraryReplayer:
-        """Return a replayer with the kernel's integration of the FMU and its terms."""
-        return LibraryReplayer(self)
+        """Return a replayer of the delivered FMU, or of the model if no FMU can stand for it."""
+        if not self._can_begin_anywhere:
+            return LibraryReplayer(self, self.kernel([q.name for q in self.outputs]), "own")
+        delivered = self._delivered(place.folder)
+        if delivered is None:
+            return LibraryReplayer(self, self.kernel([q.name for q in self.outputs]), "own")
+        return LibraryReplayer(self, self._kernel_of(delivered), "native")
 
-    def quick_replayer(self, place: Workplace) -> None:
-        """Return None: the only replayer is quick."""
+    def quick_replayer(self, place: Workplace) -> LibraryReplayer | None:
+        """Return a replayer of the model."""
+        if not self._can_begin_anywhere or self._delivered(place.folder) is None:
+            return None
+        return LibraryReplayer(self, self.kernel([q.name for q in self.outputs]), "own")
+
+    @property
+    def _can_begin_anywhere(self) -> bool:
+        """Return True if a replay through the delivered FMU begins wherever one of the model does."""
+        return self.is_stepped or not any(e.memory or e.delay for e in self.model.awake)
+
+    def _delivered(self, folder: Path) -> Path | None:
+        """Return the FMU with the terms, built once; None if it cannot be built, with the reason in `undelivered`."""
+        if self.fmu is None or not self.fmu.is_file():
+            path = folder / f"replayed{len([*folder.glob('replayed*.fmu')])}.fmu"
+            model, own = self.model, {p.name for p in self.parameters}
+            assert isinstance(model, FmuModel)
+            signals = self.structure.outputs if self.is_stepped else self.structure.states
+            code = term_code(model, [e.name for e in model.awake], [q.name for q in signals])
+            values = {model.variables[n] if n in own else n: float(v) for n, v in self.loaded.parameters.items()}
+            known = {*(p.name for p in code.parameters), *model.variables.values()}
+            substep = self.rate / self.substeps(self.rate)
+            try:
+                wrap(self.structure.fmu, code, {n: v for n, v in values.items() if n in known}, path, substep=substep)
+            except (CannotWrap, NoCompiler, CompilerFailed) as error:
+                self.undelivered = str(error)
+                return None
+            self.fmu = path
+        return self.fmu
+
+    def _kernel_of(self, fmu: Path) -> Kernel:
+        """Return the kernel of a delivered FMU, which holds terms and values itself."""
+        model = self.model
+        assert isinstance(model, FmuModel)
+        kept = {"dependencies", "rates", "variables", "stepped", "substep", "integrator"}
+        attributes = {name: getattr(type(model), name) for name in kept}
+        plain = fmu_model(model.title, (model.base_states, model.inputs, model.outputs), (), (), **attributes)
+        of_fmu = self._library_of(fmu, read_description(fmu))
+        return kernel(plain, [q.name for q in self.outputs], fmu=of_fmu)
 
     def write(self, scratch: Path, folder: Path, name: str) -> Sequence[Path]:
-        """Write nothing."""
-        return ()
+        """Write plant.fmu or nearest.fmu: the original with the terms and values."""
+        fmu = self._delivered(scratch)
+        return () if fmu is None else (Path(copyfile(fmu, scratch / FILES[name][1])),)
 
     def use(self, folder: Path) -> list[str]:
-        """Return no command, since no file is delivered."""
-        return []
+        """Return a command line that simulates the delivered FMU."""
+        return ["cosim", "simulate", str((folder / FILES["refined"][1]).resolve())]
 
 
 @dataclass
@@ -158,29 +206,33 @@ class LibraryReplayer(Replayer):
     """Replays by the kernel of a subject."""
 
     subject: FmuSubject
-    through = "own"
+    kernel: Kernel
+    through: str
 
     def replays(
         self, log: Log, data: Data, values: Mapping[str, float], starts: Mapping[float, Mapping[int, Start]]
     ) -> Generator[Replay, None, None]:
         """Yield one replay for each horizon."""
         units = {q.name: q.unit for q in self.subject.outputs}
-        kernel = self.subject.kernel(tuple(units))
+        kernel = self.kernel
         layout, grid = kernel.layout, np.asarray(log.grid, np.intp)
-        p = np.array([values.get(n, self.subject.values.get(n, 1.0)) for n in layout.parameters])
+        clean = {n: float(p.default) for n, p in self.subject.sensor_parameters.items()}
+        given = {**self.subject.values, **values, **clean}
+        p = np.array([given.get(n, 1.0) for n in layout.parameters])
         for horizon, begins in starts.items():
             table, rows = np.full((log.rows, len(units)), np.nan), sorted(begins)
             if not self.subject.is_stepped:
                 for k, last in zip(rows, [*rows[1:], log.rows - 1], strict=True):
                     known = [0.0 if n.startswith(DISTURBANCE) else begins[k].states.get(n, 0.0) for n in layout.states]
-                    part = data.rows(0, int(grid[last]) + 1), p, np.array(known), np.asarray(begins[k].memory, float)
+                    memory = np.asarray(begins[k].memory, float)[: layout.memory]
+                    part = data.rows(0, int(grid[last]) + 1), p, np.array(known), memory
                     table[k + 1 : last + 1] = kernel.simulate(*part, first=int(grid[k])).outputs[grid[k + 1 : last + 1]]
             elif math.isinf(horizon):  # a library begins at the start of a log only
                 x0 = start_state(self.subject, replace(data, y=_readings(log, units, grid)), [*units], layout.states)
                 run = kernel.simulate(data, p, x0, np.zeros(layout.memory))
                 table[rows[0] + 1 :] = run.outputs[grid[rows[0] + 1 :]]
-            given = {k: {n: v for n, v in start.states.items() if "." not in n} for k, start in begins.items()}
-            yield Replay(log.time, horizon, given, dict(zip(units, table.T, strict=True)), units)
+            begun = {k: {n: v for n, v in start.states.items() if "." not in n} for k, start in begins.items()}
+            yield Replay(log.time, horizon, begun, dict(zip(units, table.T, strict=True)), units)
 
 
 def _readings(log: Log, names: Iterable[str], grid: Rows) -> Array:

@@ -106,6 +106,7 @@ class Subject(Protocol):
         inestimable: Parameters that a filter cannot estimate, such as a delay of commands.
         static: True without states; a log is a table without time.
         source: Origin, for the provenance.
+        undelivered: Reason why `write` writes nothing although it should.
     """
 
     title: str
@@ -129,6 +130,7 @@ class Subject(Protocol):
     inestimable: frozenset[str] = frozenset()
     static: bool = False
     source: str = "an object of Python"
+    undelivered: str = ""
 
     # -- required members ------------------------------------------------------------------------
 

@@ -59,12 +59,8 @@ class FmuModel(Model):
                 return tuple(0.0 for _ in state)
             order = len(self.base_states)
             rates = [state[self.rates[k]] if k in self.rates else value(k, state, command) for k in range(order)]
-            for term in self.awake:
-                if isinstance(term, Force) and term.place.input < 0:
-                    rates[term.place.state] += term.force(m, state[term.place.position], state[term.place.state])
-                elif isinstance(term, RateTerm):
-                    rates[term.place.state] += term.rate(m, state[term.place.state])
-            return (*rates, *(0.0 for _ in state[order:]))
+            additions = self.added_rates(m, state)
+            return (*(a + b for a, b in zip(rates, additions, strict=True)), *(0.0 for _ in state[order:]))
 
         def output(t: Number, state: Values, command: Values) -> Values:
             if self.stepped:
@@ -86,6 +82,16 @@ class FmuModel(Model):
                 place = term.place
                 inputs[place.input] += place.sign * term.force(m, state[place.position], state[place.state])
         return tuple(inputs)
+
+    def added_rates(self, m: Namespace, state: Values) -> Values:
+        """Return the additions of terms to the derivatives of the library."""
+        additions: list[Number] = [0.0 for _ in self.base_states]
+        for term in self.awake:
+            if isinstance(term, Force) and term.place.input < 0:
+                additions[term.place.state] += term.force(m, state[term.place.position], state[term.place.state])
+            elif isinstance(term, RateTerm):
+                additions[term.place.state] += term.rate(m, state[term.place.state])
+        return tuple(additions)
 
     def _arguments(self, m: Namespace, row: int, state: Values, command: Values) -> list[Number]:
         """Return the symbols on which a derivative or output depends, also through forces at ports."""

@@ -87,6 +87,9 @@ static void substep(double t, double h, double *x, const double *u, const double
 static void substep(double t, double h, double *x, const double *u, const double *p)
 {
     rk4(t, h, x, u, p);
+#ifdef NB
+    complete_library(t + h, x, u + 2 * NU, p);
+#endif
 }
 #endif
 

@@ -1,0 +1,55 @@
+"""Terms of an FMU as C code for the wrapper."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from typing import Any
+
+from cosim.model.namespaces import SymbolNamespace
+from cosim.model.symbolic.functions import Body
+from cosim.model.symbolic.languages import C
+from cosim.model.symbolic.tracing_guard import number_guard
+from cosim.terms.code import Hook, TermCode
+from cosim.terms.fmu_model import FmuModel
+
+STEP = "h"  # last parameter of the functions: length of the substep
+
+
+def term_code(model: FmuModel, names: Collection[str], states: Sequence[str]) -> TermCode:
+    """Return the C code of some terms of the catalogue, for the variables of the FMU.
+
+    Args:
+        states: The FMU's variables in place of the model's states.
+    """
+    import sympy
+
+    body = Body.of(model, effects=names)
+    s, variables = body.symbols, model.variables
+    own = {n: symbol for n, symbol in body.parameters.items() if n.partition(".")[0] in names}
+    declared, m = model.declared, SymbolNamespace()
+    groups = {"x": s.state, "u": s.command, "m": body.shaping.remembered, "p": (*own.values(), sympy.Symbol(STEP))}
+    places = {symbol: f"{array}[{k}]" for array, group in groups.items() for k, symbol in enumerate(group)}
+    assert isinstance(s.model, FmuModel)
+    with number_guard(smooth=True):
+        inputs = [sympy.sympify(e) for e in s.model.library_inputs(m, s.state, s.command)]
+        rates = [sympy.sympify(e) for e in s.model.added_rates(m, s.state)]
+    functions: dict[Hook, tuple[str, list[Any], Any]] = {}
+    if body.shaping.stages:
+        functions["shape_all"] = ("t u m p", list(body.shaping.results), body.shaping.stages)
+    if any(e != u for e, u in zip(inputs, s.command, strict=True)):
+        functions["port_inputs"] = ("t x u p", inputs, ())
+    if any(e != 0 for e in rates):
+        functions["added_rates"] = ("t x u p", rates, ())
+    places[s.time] = "t"
+    texts = [C().function(name, words, e, places, stages) for name, (words, e, stages) in functions.items()]
+    delay = next((f"{e.name}.{e.delay}" for e in s.model.awake if e.delay), "")
+    return TermCode(
+        "\n".join(texts),
+        tuple(replace(declared[n], name=n) for n in own),
+        tuple(variables[q.name] for q in model.inputs),
+        tuple(states),
+        memory=len(body.shaping.remembered),
+        hooks=tuple(functions),
+        delay=delay,
+    )
