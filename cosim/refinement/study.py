@@ -287,7 +287,8 @@ def _in_names_of(subject: FmuSubject, content: StudyFile) -> StudyFile:
     """Return the study with the names of the subject in place of the FMU's variables."""
     names = subject.names
     columns = {n: names[v] for n, v in content.columns.items()}
-    columns |= {v: n for v, n in names.items() if v != n and v not in content.columns.values()}
+    signals = {q.name for q in (*subject.inputs, *subject.outputs)}
+    columns |= {v: n for v, n in names.items() if v != n and n in signals and v not in content.columns.values()}
     update: dict[str, Any] = {"columns": columns}
     for key in ("noise", "tolerance", "inputs"):
         setting = getattr(content, key)
@@ -403,7 +404,8 @@ def _entries(logs: LogLists) -> list[tuple[str, str]]:
 
 def _read(path: Path, content: StudyFile, subject: Subject) -> Log:
     """Read a log with the columns of the study."""
-    return read_log(path, subject.inputs, subject.outputs, table=subject.static, columns=content.columns)
+    alone = not isinstance(subject, FmuSubject)  # the names of an FMU are for all logs, and some lack an output
+    return read_log(path, subject.inputs, subject.outputs, table=subject.static, columns=content.columns, alone=alone)
 
 
 def _repeated_logs(places: Places, logs: LogLists, digests: Mapping[str, str]) -> Iterator[Fault]:

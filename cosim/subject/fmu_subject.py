@@ -257,7 +257,11 @@ def _model(structure: Structure, logs: Sequence[Log], terms: Sequence[type[Any]]
     positions = {p.position: p.velocity for p in structure.pairs if p.gain == 1.0}
     index = {q.name: k for k, q in enumerate(structure.states)}
     states = outputs if stepped else states
-    places = [*_places(structure, sizes | ranges, step)]
+    means = {
+        n: float(np.nanmean(np.concatenate([log.outputs[n] for log in logs if n in log.outputs])))
+        for n in {n for log in logs for n in log.outputs}
+    }
+    places = [*_places(structure, sizes | ranges, step, means)]
     varied = tuple(n for n, width in ranges.items() if width > 0.0)
     catalogue = (*([delay_of(inputs, LATEST * step)] if inputs else ()), *bound_terms(places, terms))
     horizon = math.inf if structure.way == "co-simulation" else max(HORIZON_ROWS * step, HORIZON_SHARE * duration)
@@ -315,7 +319,9 @@ def _parameter(q: Quantity) -> Parameter:
     return Parameter(with_place(q.name), q.start, q.unit, q.doc, (low, high))
 
 
-def _places(structure: Structure, sizes: Mapping[str, float], step: float) -> Sequence[Place]:
+def _places(
+    structure: Structure, sizes: Mapping[str, float], step: float, means: Mapping[str, float]
+) -> Sequence[Place]:
     """Return the places of terms."""
     stepped = structure.way == "co-simulation"  # with outputs in place of states
     names = [q.name for q in (structure.outputs if stepped else structure.states)]
@@ -341,6 +347,7 @@ def _places(structure: Structure, sizes: Mapping[str, float], step: float) -> Se
         places.append(Place(v, {"u": unit, **kinds}, {"u": size, **moves}, port, *at, sign))
     for name in structure.storages:
         size, rate = sizes.get(with_place(name)) or 1.0, structure.scales.get(f"der({name})") or 1.0
-        kinds = {"q": units[name], "r": f"{units[name]}/s"}
-        places.append(Place(with_place(name), kinds, {"q": size, "r": rate}, state=names.index(name)))
+        kinds, index = {"q": units[name], "r": f"{units[name]}/s"}, names.index(name)
+        middle = means.get(structure.shown.get(name, name), structure.states[index].start)
+        places.append(Place(with_place(name), kinds, {"q": size, "r": rate}, state=index, middle=middle))
     return places

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from cosim.model.delay import Delay
 from cosim.model.model import Number, Values
@@ -27,11 +27,11 @@ class InputBias(InputTerm):
     kind = "bias"
     equation = "u + b in place of u"
 
-    offset: float = scaled("u", neutral=0.0, typical=0.05, low=-2.0, high=2.0, doc="offset b")
+    value: float = scaled("u", neutral=0.0, typical=0.05, low=-2.0, high=2.0, doc="offset b")
 
     def change(self, m: Namespace, value: Number) -> Number:
         """Return u + b."""
-        return value + self.offset
+        return value + self.value
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,13 +39,13 @@ class InputGain(InputTerm):
     """Gain of an input."""
 
     kind = "gain"
-    equation = "(1 + e)·u in place of u"
+    equation = "k·u in place of u"
 
-    excess: float = scaled("1", neutral=0.0, typical=0.1, low=-0.95, high=10.0, doc="excess e of the gain")
+    value: float = scaled("1", default=1.0, neutral=1.0, typical=0.1, low=0.05, high=10.0, doc="gain k")
 
     def change(self, m: Namespace, value: Number) -> Number:
-        """Return (1 + e)·u."""
-        return (1.0 + self.excess) * value
+        """Return k·u."""
+        return self.value * value
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,20 +132,27 @@ class SecondOrderLag(RememberingTerm):
     """Two equal lags of an input in series."""
 
     kind = "second_order_lag"
-    equation = "two lags T in series, in place of u"
+    equation = "T²·ü₂ + 2·ζ·T·u̇₂ + u₂ = u, u₂ in place of u"
     memory = (
-        Quantity("first", "1", "input after the first lag"),
-        Quantity("second", "1", "input after the second lag"),
+        Quantity("value", "1", "input after the lag"),
+        Quantity("ahead", "1", "value plus T·rate"),
         BEGUN,
     )
+    starts = ({"time": 2.0, "damping": 0.5}, {"time": 6.0, "damping": 0.7}, {"time": 20.0, "damping": 0.7})
 
-    time: float = scaled("T", neutral=0.0, typical=2.0, low=0.0, high=500.0, doc="time constant T of each lag")
+    time: float = scaled("T", neutral=0.0, typical=2.0, low=0.0, high=500.0, doc="time constant T")
+    damping: float = scaled("1", default=0.7, typical=0.3, low=0.05, high=3.0, doc="damping ratio ζ")
 
     def advance(self, m: Namespace, h: Number, value: Number, memory: Values) -> tuple[Number, Values]:
-        """Return the mean over the substep, and both values at its end."""
-        mean, first = _lagged(m, h, value, memory[0], self.time)
-        after, second = _lagged(m, h, mean, memory[1], self.time)
-        return after, (first, second)
+        """Return the mean over the substep, and both values at its end, by the implicit midpoint rule."""
+        acts, r = self.time > SHORTEST * h, 0.5 * h / m.maximum(self.time, SHORTEST * h)
+        position, speed = memory[0] - value, memory[1] - memory[0]  # of the deviation, in units of the input
+        below = 1.0 + 2.0 * self.damping * r + r * r
+        middle = ((1.0 + 2.0 * self.damping * r) * position + r * speed) / below
+        rate = (speed - r * position) / below
+        end = value + 2.0 * middle - position
+        ahead = end + 2.0 * rate - speed
+        return m.where(acts, value + middle, value), (m.where(acts, end, value), m.where(acts, ahead, value))
 
 
 def _lagged(m: Namespace, h: Number, value: Number, before: Number, time: Number) -> tuple[Number, Number]:
@@ -180,17 +187,19 @@ class Stribeck(Force):
     """Dry friction that is larger at rest."""
 
     kind = "stribeck"
-    equation = "−(F + S·exp(−(v/w)²))·tanh(v/ε)"
+    equation = "−(F + (B − F)·exp(−(v/w)²))·tanh(v/ε)"
+    at_least: ClassVar[Mapping[str, str]] = {"breakaway": "level"}
 
     level: float = scaled("u", neutral=0.0, typical=0.1, low=0.0, high=5.0, doc="level F at speed")
-    excess: float = scaled("u", neutral=0.0, typical=0.1, low=0.0, high=5.0, doc="excess S at rest")
-    velocity: float = scaled("v", default=0.2, typical=0.1, low=0.02, high=1.5, doc="velocity w of the decay")
+    breakaway: float = scaled("u", neutral=0.0, typical=0.2, low=0.0, high=10.0, doc="level B at rest")
+    speed: float = scaled("v", default=0.3, typical=0.1, low=0.02, high=1.5, doc="speed w of the decay")
     softness: float = scaled("v", default=0.02, typical=0.02, low=0.002, high=0.2, doc="velocity ε of the transition")
 
     def force(self, m: Namespace, position: Number, velocity: Number) -> Number:
-        """Return −(F + S·exp(−(v/w)²))·tanh(v/ε)."""
-        ratio = velocity / self.velocity
-        return -(self.level + self.excess * m.exp(-ratio * ratio)) * m.tanh(velocity / self.softness)
+        """Return −(F + (B − F)·exp(−(v/w)²))·tanh(v/ε)."""
+        ratio = velocity / self.speed
+        level = self.level + (self.breakaway - self.level) * m.exp(-ratio * ratio)
+        return -level * m.tanh(velocity / self.softness)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -240,7 +249,7 @@ class Cogging(Force):
     """Force that repeats along the position, at least twice over the travel of the logs."""
 
     kind = "cogging"
-    equation = "a·sin(2π·q/P) + b·cos(2π·q/P)"
+    equation = "−a·sin(2π·q/P) − b·cos(2π·q/P)"
     starts = tuple({"sine": 0.05, "period": 1.0 / periods} for periods in (3.0, 6.0, 12.0))
 
     sine: float = scaled("u", neutral=0.0, typical=0.05, low=-2.0, high=2.0, doc="amplitude a of the sine")
@@ -248,9 +257,9 @@ class Cogging(Force):
     period: float = scaled("d", default=0.25, typical=0.02, low=0.005, high=0.5, doc="period P")
 
     def force(self, m: Namespace, position: Number, velocity: Number) -> Number:
-        """Return a·sin(2π·q/P) + b·cos(2π·q/P)."""
+        """Return −a·sin(2π·q/P) − b·cos(2π·q/P)."""
         angle = 2.0 * math.pi * position / self.period
-        return self.sine * m.sin(angle) + self.cosine * m.cos(angle)
+        return -self.sine * m.sin(angle) - self.cosine * m.cos(angle)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -292,11 +301,12 @@ class Overflow(RateTerm):
     equation = "−c·max(s − l, 0) in the rate of s"
 
     coefficient: float = scaled("r/q", neutral=0.0, typical=1.0, low=0.0, high=100.0, doc="coefficient c")
-    limit: float = scaled("q", default=0.8, typical=0.05, low=-2.0, high=2.0, doc="level l of the overflow")
+    level: float = scaled("q", default=1.0, typical=0.2, low=-4.0, high=4.0, doc="level l", absolute=True)
+    starts = tuple({"coefficient": 1.0, "level": level} for level in (0.3, 1.0, 1.6))
 
     def rate(self, m: Namespace, level: Number) -> Number:
         """Return −c·max(s − l, 0)."""
-        return -self.coefficient * m.maximum(level - self.limit, 0.0)
+        return -self.coefficient * m.maximum(level - self.level, 0.0)
 
 
 INPUT_TERMS = (InputBias, InputGain, DeadBand, Saturation, RateLimit, Play, InputLag, SecondOrderLag)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
 from cosim.model.model import Effect, Number, Values
 from cosim.model.namespaces import Namespace
 from cosim.model.quantities import Parameter, parameter, parameters_of
 
+ABSOLUTE = "absolute"  # key of a field's metadata
 FACTOR = re.compile(r"(?P<symbol>[A-Za-z]+|1)(\^(?P<power>\d+))?")
 
 
@@ -24,6 +25,7 @@ class Place:
         units, sizes: Symbol of `scaled` → unit, and usual size along the logs.
         input: Index of the input of an input term, or of the port of a force; −1 for a force on a rate.
         position, state: Indices of the position, and of the velocity or storage state.
+        middle: Mean of the storage state.
         sign: Sign of the port's effect on the derivative of the velocity.
     """
 
@@ -33,6 +35,7 @@ class Place:
     input: int = -1
     position: int = -1
     state: int = -1
+    middle: float = 0.0
     sign: float = 1.0
 
 
@@ -110,32 +113,34 @@ def scaled(
     typical: float | None = None,
     low: float = -math.inf,
     high: float = math.inf,
+    absolute: bool = False,
 ) -> Any:
     """Declare a parameter of a term in units of its place.
 
     Args:
         unit: Product of symbols, such as `u/v^2`; `1` and `s` stand for themselves.
         default, neutral, typical, low, high: Multiples of the same product of usual sizes.
+        absolute: Count from the mean of the place's state, not from zero.
     """
     declaration = Parameter("", default, unit, doc, (low, high), neutral, typical)
-    return field(default=default, metadata={"parameter": declaration})
+    return field(default=default, metadata={"parameter": declaration, ABSOLUTE: absolute})
 
 
 def bind(kind: type[Any], place: Place) -> type[Any]:
     """Return a term for a place: a class with name, units, bounds and usual sizes."""
-    fields = {p.name: _bound(p, place) for p in parameters_of(kind)}
+    own = {p.name: _bound(p, place, _middle(kind, p.name, place)) for p in parameters_of(kind)}
     starts = tuple(
-        {name: value * _size(_declared(kind, name).unit, place) for name, value in start.items()}
+        {n: _middle(kind, n, place) + v * _size(_declared(kind, n).unit, place) for n, v in start.items()}
         for start in kind.starts
     )
     namespace = {
         "name": f"{kind.kind}_at_{place.name}",
         "place": place,
         "starts": starts,
-        "__annotations__": dict.fromkeys(fields, "float"),
+        "__annotations__": dict.fromkeys(own, "float"),
         "__doc__": kind.__doc__,
         "__module__": __name__,
-        **fields,
+        **own,
     }
     return dataclass(frozen=True, kw_only=True)(type(f"{kind.__name__}At{place.name}", (kind,), namespace))
 
@@ -144,14 +149,19 @@ def _declared(kind: type[Any], name: str) -> Parameter:
     return next(p for p in parameters_of(kind) if p.name == name)
 
 
-def _bound(p: Parameter, place: Place) -> Any:
+def _middle(kind: type[Any], name: str, place: Place) -> float:
+    """Return the value from which a parameter counts."""
+    return place.middle if any(f.name == name and f.metadata.get(ABSOLUTE) for f in fields(kind)) else 0.0
+
+
+def _bound(p: Parameter, place: Place, middle: float) -> Any:
     size = _size(p.unit, place)
     low, high = p.bounds
     return parameter(
-        float(p.default) * size,
+        middle + float(p.default) * size,
         unit=unit_of(p.unit, place.units),
         doc=p.doc,
-        bounds=(low * size, high * size),
+        bounds=(middle + low * size, middle + high * size),
         neutral=None if p.neutral is None else p.neutral * size,
         typical=None if p.typical is None else p.typical * size,
     )
@@ -194,4 +204,4 @@ def with_place(text: str) -> str:
     return re.sub(r"\W", "_", text, flags=re.ASCII)
 
 
-__all__ = ["Force", "InputTerm", "Place", "RateTerm", "RememberingTerm", "Term", "bind", "replace", "scaled"]
+__all__ = ["Force", "InputTerm", "Place", "RateTerm", "RememberingTerm", "Term", "bind", "scaled"]

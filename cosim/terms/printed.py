@@ -39,7 +39,7 @@ def term_code(model: FmuModel, names: Collection[str], states: Sequence[str]) ->
         functions["shape_all"] = ("t u m p", list(body.shaping.results), body.shaping.stages)
     if any(e != u for e, u in zip(inputs, s.command, strict=True)):
         functions["port_inputs"] = ("t x u p", inputs, ())
-    if any(e != 0 for e in rates):
+    if not all(e.is_zero for e in rates):
         functions["added_rates"] = ("t x u p", rates, ())
     places[s.time] = "t"
     texts = [C().function(name, words, e, places, stages) for name, (words, e, stages) in functions.items()]

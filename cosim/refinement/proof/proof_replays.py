@@ -6,6 +6,7 @@ object replays every log, and the record states this.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -59,7 +60,9 @@ class Proof:
         if apart <= EQUAL:
             return played, Replays(through=ways[id(after.subject)].through, log=name, apart=apart)
         why = f"replays of {name} through it and through plant.fmu are {plain(apart, 2)} apart"
-        return self.replay_all(variants, build_replayer), Replays(through=own.through, why=why, log=name, apart=apart)
+        return self.replay_all(variants, build_replayer), Replays(
+            through=own.through, why=why, log=name, apart=keep_one(apart)
+        )
 
     def replay_all(self, variants: Mapping[str, Variant], way: Way) -> Replayed:
         """Replay every distinct variant on every set."""
@@ -70,6 +73,11 @@ class Proof:
                 source = variant, way(variant.subject), self.problem
                 done[id(variant)] = {part: replay_logs(*source, logs, horizons) for part, logs in self.sets.items()}
         return {name: done[id(variant)] for name, variant in variants.items()}
+
+
+def keep_one(apart: float) -> float | None:
+    """Return a finite difference, else None."""
+    return apart if math.isfinite(apart) else None
 
 
 def difference(one: Replay, other: Replay) -> float:
