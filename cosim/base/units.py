@@ -256,9 +256,19 @@ def _power(name: str, power: int) -> str:
 
 def square_unit(unit: str) -> str:
     """Return the square of a unit: `rad2/s2` for `rad/s`."""
+    return unit_product([(unit, 2)])
+
+
+def unit_product(factors: Iterable[tuple[str, int]]) -> str:
+    """Return a product of powers of units, "" without dimension or with an unknown unit: `N.s/m` for N over m/s."""
     powers: dict[str, int] = {}
-    for symbol, power in _words(unit) or ():
-        powers[symbol] = powers.get(symbol, 0) + 2 * power
+    for unit, times in factors:
+        words = [] if unit in ("", "1") else _words(unit)
+        if words is None or any(symbol not in SYMBOLS for symbol, _ in words):
+            return ""
+        for symbol, power in words:
+            powers[symbol] = powers.get(symbol, 0) + times * power
+    powers = {symbol: power for symbol, power in powers.items() if power}
     return _unit_text(powers) if powers else ""
 
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from cosim.base.arrays import Array, Rows
 from cosim.base.errors import InputError
+from cosim.base.units import unit_product
 from cosim.blocks.description import read_description, takes_any_step, ways
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler
 from cosim.isolation.process import Worker
@@ -339,7 +340,7 @@ def _places(
         rate = structure.scales.get(f"der({pair.velocity})") or 1.0
         kinds = {"v": units[pair.velocity], "q": units[pair.position], "d": units[pair.position]}
         moves = {"v": sizes.get(v) or 1.0, "q": sizes.get(q) or 1.0, "d": math.sqrt(12.0) * (sizes.get(q) or 1.0)}
-        port, sign, unit, size = -1, 1.0, f"{units[pair.velocity]}/s", rate
+        port, sign, unit, size = -1, 1.0, unit_product([(units[pair.velocity], 1), ("s", -1)]), rate
         if alone:
             port, sign = inputs.index(alone[0].input), math.copysign(1.0, alone[0].gain)
             unit, size = units[alone[0].input], 0.5 * sizes[with_place(alone[0].input)] or 1.0
@@ -347,7 +348,7 @@ def _places(
         places.append(Place(v, {"u": unit, **kinds}, {"u": size, **moves}, port, *at, sign))
     for name in structure.storages:
         size, rate = sizes.get(with_place(name)) or 1.0, structure.scales.get(f"der({name})") or 1.0
-        kinds, index = {"q": units[name], "r": f"{units[name]}/s"}, names.index(name)
+        kinds, index = {"q": units[name], "r": unit_product([(units[name], 1), ("s", -1)])}, names.index(name)
         middle = means.get(structure.shown.get(name, name), structure.states[index].start)
         places.append(Place(with_place(name), kinds, {"q": size, "r": rate}, state=index, middle=middle))
     return places

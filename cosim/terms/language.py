@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
+from cosim.base.units import unit_product
 from cosim.model.model import Effect, Number, Values
 from cosim.model.namespaces import Namespace
 from cosim.model.quantities import Parameter, parameter, parameters_of
@@ -187,16 +188,8 @@ def _size(expression: str, place: Place) -> float:
 
 
 def unit_of(expression: str, units: Mapping[str, str]) -> str:
-    """Return the product of units as text: `N/(m/s)2`."""
-    above, below = list[str](), list[str]()
-    for symbol, power in _factors(expression):
-        unit = units.get(symbol, symbol)
-        if unit in ("1", ""):
-            continue
-        text = unit if not re.search(r"[/.]", unit) or (power == 1 and len(_factors(expression)) == 1) else f"({unit})"
-        (above if power > 0 else below).append(text if abs(power) == 1 else f"{text}{abs(power)}")
-    over = ".".join(above) or "1"
-    return f"{over}/{'/'.join(below)}" if below else over
+    """Return the product of units: `N.s/m` for `u/v`."""
+    return unit_product([(units.get(symbol, symbol), power) for symbol, power in _factors(expression)])
 
 
 def with_place(text: str) -> str:
