@@ -114,6 +114,13 @@ class Log:
         return number + np.maximum(0, np.minimum.accumulate(missing[::-1])[::-1])
 
 
+def rename_signals(log: Log, names: Mapping[str, str]) -> Log:
+    """Return a log with other names of its signals; signals without an entry keep theirs."""
+    groups = ("inputs", "outputs", "units", "written", "unwrapped", "undeclared", "cells")
+    changed: dict[str, Any] = {g: {names.get(n, n): v for n, v in getattr(log, g).items()} for g in groups}
+    return replace(log, called={n: names.get(v, v) for n, v in log.called.items()}, **changed)
+
+
 def read_log(
     path: Path,
     inputs: Sequence[SignalLike],

@@ -26,7 +26,7 @@ from cosim.loading.file import LoadedModel, load_model, own_terms
 from cosim.loading.substep import with_substep
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.holes import fill_holes
-from cosim.logs.log import Log, read_log, stretches
+from cosim.logs.log import Log, read_log, rename_signals, stretches
 from cosim.logs.spikes import drop_outliers, find_spikes
 from cosim.refinement import messages
 from cosim.refinement.search.groups import Places, full_name, group_of, per_log_faults
@@ -286,10 +286,7 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
 def _in_names_of(subject: FmuSubject, content: StudyFile) -> StudyFile:
     """Return the study with the names of the subject in place of the FMU's variables."""
     names = subject.names
-    columns = {n: names[v] for n, v in content.columns.items()}
-    signals = {q.name for q in (*subject.inputs, *subject.outputs)}
-    columns |= {v: n for v, n in names.items() if v != n and n in signals and v not in content.columns.values()}
-    update: dict[str, Any] = {"columns": columns}
+    update: dict[str, Any] = {}
     for key in ("noise", "tolerance", "inputs"):
         setting = getattr(content, key)
         if isinstance(setting, dict):
@@ -404,8 +401,10 @@ def _entries(logs: LogLists) -> list[tuple[str, str]]:
 
 def _read(path: Path, content: StudyFile, subject: Subject) -> Log:
     """Read a log with the columns of the study."""
-    alone = not isinstance(subject, FmuSubject)  # the names of an FMU are for all logs, and some lack an output
-    return read_log(path, subject.inputs, subject.outputs, table=subject.static, columns=content.columns, alone=alone)
+    if isinstance(subject, FmuSubject):
+        log = log_of_fmu(path, subject.structure.fmu, content.columns, alone=False)
+        return rename_signals(log, subject.names)
+    return read_log(path, subject.inputs, subject.outputs, table=subject.static, columns=content.columns)
 
 
 def _repeated_logs(places: Places, logs: LogLists, digests: Mapping[str, str]) -> Iterator[Fault]:

@@ -104,7 +104,7 @@ class DriveApart(Drive):
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         try:
-            if kind is None and self._process == self._worker.starts:
+            if kind is None and self._process and self._process == self._worker.starts:
                 self._worker.call(unload, self._number, watch=self._watch(()))
         finally:
             if self._held is not None:

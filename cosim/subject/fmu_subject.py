@@ -45,6 +45,7 @@ from cosim.terms.printed import term_code
 from cosim.wrapping.wrap import CannotWrap, wrap
 
 STIFFEST = 20.0  # step times largest eigenvalue, above which explicit integration from row to row is too costly
+FINEST = 0.25  # substep times largest eigenvalue; a fit takes the coarsest with equal likelihood
 SUBSTEPS = 4  # steps of co-simulation between rows, for forces that follow the outputs
 WAYS = {
     "model-exchange": "model exchange: a filter over the states of the FMU",
@@ -223,7 +224,7 @@ class LibraryReplayer(Replayer):
         for horizon, begins in starts.items():
             table, rows = np.full((log.rows, len(units)), np.nan), sorted(begins)
             if not self.subject.is_stepped:
-                for k, last in zip(rows, [*rows[1:], log.rows - 1], strict=True):
+                for k, last in zip(rows, [*rows[1:], log.rows - 1], strict=False):
                     known = [0.0 if n.startswith(DISTURBANCE) else begins[k].states.get(n, 0.0) for n in layout.states]
                     memory = np.asarray(begins[k].memory, float)[: layout.memory]
                     part = data.rows(0, int(grid[last]) + 1), p, np.array(known), memory
@@ -286,7 +287,7 @@ def _model(structure: Structure, logs: Sequence[Log], terms: Sequence[type[Any]]
         horizon=float(f"{horizon:.2g}"),
         stepped=structure.way == "co-simulation",
         rate=step,
-        substep=min(step, 1.0 / structure.largest_rate) if structure.largest_rate > 0.0 else step,
+        substep=min(step, FINEST / structure.largest_rate) if structure.largest_rate > 0.0 else step,
         integrator="rk4",
     )
 
