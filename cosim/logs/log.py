@@ -12,7 +12,7 @@ from functools import cached_property
 from itertools import islice, pairwise
 from pathlib import Path
 from types import MappingProxyType
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 

@@ -19,7 +19,7 @@ from tests.blind.field_craft import CraftRig, craft, fly_craft
 from tests.blind.field_drive_train import DriveTrain
 from tests.blind.field_quarter_car import QuarterCar
 from tests.blind.field_recorder import Recorder
-from tests.blind.field_rig import Course, Entry, Rig, Run, Truth, coloured, fly
+from tests.blind.field_rig import Course, Entry, Rig, Run, Truth, coloured
 from tests.blind.field_tanks import Tanks
 from tests.blind.truth_outside import OUTSIDE
 
@@ -78,7 +78,7 @@ def stream(seed: int, *purpose: int) -> np.random.Generator:
     return np.random.default_rng([60493, seed, *purpose])
 
 
-def _card(deck: tuple[Any, ...], number: int, purpose: int) -> Any:
+def card(deck: tuple[Any, ...], number: int, purpose: int) -> Any:
     """Return card `number` of an endless pile of equal decks, each shuffled separately."""
     pile, card = divmod(number, len(deck))
     return deck[stream(pile, purpose).permutation(len(deck))[card]]
@@ -90,8 +90,8 @@ def deal(seed: int) -> Deal:
     order = [BLOCK[k] for k in stream(block, 1).permutation(len(BLOCK))]
     kind = order[place]
     number = block * BLOCK.count(kind) + order[:place].count(kind)
-    count = _card(COUNTS, number, 2) if kind == "known" else int(kind == "outside")
-    return Deal(seed, PLANTS[seed % len(PLANTS)], kind, count, _card(tuple(DISTURBANCES), seed, 3))
+    count = card(COUNTS, number, 2) if kind == "known" else int(kind == "outside")
+    return Deal(seed, PLANTS[seed % len(PLANTS)], kind, count, card(tuple(DISTURBANCES), seed, 3))
 
 
 def base_numbers(rig: Rig, rng: np.random.Generator) -> dict[str, float]:
@@ -126,7 +126,7 @@ def bare(seed: int, plant: str, rng: np.random.Generator, kind: str = "known") -
     rig = RIGS[plant]
     longest_hole = min(90, int(0.45 / rig.step)) if rig.step < 0.05 else 9
     recorder = Recorder.draw(rng, list(rig.outputs), longest_hole)
-    disturbance = _card(tuple(DISTURBANCES), seed, 3)
+    disturbance = card(tuple(DISTURBANCES), seed, 3)
     study = Study(seed, plant, kind, {}, base_numbers(rig, rng), disturbance, recorder, 0.0, {})
     if recorder.timing:
         study = replace(study, stamp_error=recorder.stamp_error(rig, course(study, 0)[1].readings))
@@ -147,7 +147,7 @@ def course(study: Study, number: int) -> tuple[Run, Course]:
         made = craft(study.base, study.kind, study.truth)
         return fly_craft(rig, made, study.truth, manoeuvre, times, pushes, noise(study, number))
     run = Run(times, rig.drive(manoeuvre), pushes, rig.begin(manoeuvre))
-    return run, fly(rig, rig.numbers(study.base, study.truth), run)
+    return run, rig.course(rig.numbers(study.base, study.truth), run)
 
 
 def noise(study: Study, number: int) -> np.ndarray:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from tests.blind.field_craft import CraftRig, craft, replay_craft
-from tests.blind.field_rig import Course, Run, fly
+from tests.blind.field_rig import Course, Run
 from tests.blind.field_study import LOGS, Study, course, draw, noise, replace_pushes, rows_to_keep, stream
 
 PLANTS = Path(__file__).with_name("plants")
@@ -38,14 +38,19 @@ def recorded(study: Study, number: int) -> tuple[Run, Course, np.ndarray]:
 
 def write(study: Study, folder: Path) -> Path:
     """Write study.yaml, the model file and the logs, without the answer; return the path of study.yaml."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for number, name in enumerate(LOGS):
-        (folder / f"{name}.csv").write_text(_csv(study, *recorded(study, number)))
+    write_logs(study, folder)
     if study.plant != "craft":
         shutil.copyfile(PLANTS / f"{study.plant}.py", folder / f"{study.plant}.py")
     path = folder / "study.yaml"
     path.write_text(study_yaml(study))
     return path
+
+
+def write_logs(study: Study, folder: Path) -> None:
+    """Write the logs of a study."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for number, name in enumerate(LOGS):
+        (folder / f"{name}.csv").write_text(_csv(study, *recorded(study, number)))
 
 
 def study_yaml(study: Study) -> str:
@@ -96,7 +101,7 @@ def _replayed(study: Study, run: Run, result: Course) -> np.ndarray:
     horizon = round(rig.horizon / rig.step)
     resets = {k: result.states[k] for k in range(0, run.times.size, horizon)}
     p = rig.numbers(study.base, study.truth)
-    return fly(rig, p, replace_pushes(run), resets).readings
+    return rig.course(p, replace_pushes(run), resets).readings
 
 
 def answer(study: Study) -> str:
