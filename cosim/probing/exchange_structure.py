@@ -23,7 +23,7 @@ from cosim.probing.exchange_points import (
     start_point,
 )
 from cosim.probing.fmu_structure import Pair, Port, ProbedParameter, Structure
-from cosim.probing.log_runs import NAME, SAME, Course, Run
+from cosim.probing.log_runs import SAME, Course, Run
 from cosim.probing.parameter_trials import tried_parameters
 from cosim.probing.prober import Prober, quantities, separate_pairs
 
@@ -44,11 +44,7 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
     names = states, inputs, outputs = prober.fmu.names
     start: StartPoint = prober.call(start_point, prober.fmu, courses[0])
     firsts = [_measured_start(course, start.shown, outputs) for course in courses]
-    runs: list[Run] = [
-        prober.call(simulated, prober.fmu, course, first) for course, first in zip(courses, firsts, strict=True)
-    ]
-    if not any(run.time.size for run in runs):
-        raise SimulationError(NAME, float(courses[0].time[0]), runs[0].stop)
+    runs = _simulations(prober, courses, firsts)
     points, scales = _points(prober, courses, firsts, [run for run in runs if run.time.size], runs)
     known, table = points.known_table
     n = len(states)
@@ -75,8 +71,18 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
         step=min(course.step for course in courses),
         events=tuple(run.events for run in runs),
         parameters=_parameters(prober, courses[0], points, table),
-        stops=tuple(run.stop for run in runs if run.stop),
+        stops=tuple(str(run.stop) for run in runs if run.stop),
     )
+
+
+def _simulations(prober: Prober, courses: Sequence[Course], firsts: Sequence[Mapping[int, float]]) -> list[Run]:
+    """Return the simulations along all courses; raise SimulationError if none has a row."""
+    runs: list[Run] = [
+        prober.call(simulated, prober.fmu, course, first) for course, first in zip(courses, firsts, strict=True)
+    ]
+    if not any(run.time.size for run in runs):
+        raise runs[0].stop or SimulationError(prober.fmu.name, float(courses[0].time[0]), messages.TOO_SHORT())
+    return runs
 
 
 def _measured_start(course: Course, shown: Mapping[int, int], outputs: Sequence[str]) -> dict[int, float]:

@@ -15,11 +15,10 @@ from cosim.base.errors import SimulationError
 from cosim.blocks.derivatives import DifferentiableFmu, reals, scalars, states_of
 from cosim.blocks.fmu import FmuBlock
 from cosim.isolation import worker as here
-from cosim.isolation.rows import ADVANCE, OTHER
+from cosim.isolation.rows import ADVANCE, GET, OTHER, PUT
 from cosim.logs.log import Log
 from cosim.probing.fmu_structure import EventCount
 
-NAME = "fmu"
 ROWS, SECONDS = 400, 10.0  # simulation without a log: rows, and duration without a default experiment [s]
 SHARE = 0.1  # amplitude of a sine relative to the input's range or start value
 SAME = 1e-9  # relative difference below which numbers are equal
@@ -51,11 +50,18 @@ class Course:
         inputs, outputs = ({n: v[:rows] for n, v in each.items()} for each in (self.inputs, self.outputs))
         return Course(self.name, self.time[:rows], inputs, outputs, self.step)
 
-    def with_step(self, name: str, row: int, size: float) -> Course:
-        """Return the course with an input that is larger by `size` from a row on."""
-        changed = self.inputs[name].copy()
-        changed[row:] += size
-        return Course(self.name, self.time, {**self.inputs, name: changed}, self.outputs, self.step)
+    def with_input(self, name: str, values: Array) -> Course:
+        """Return the course with other values of an input."""
+        return Course(self.name, self.time, {**self.inputs, name: values}, self.outputs, self.step)
+
+    def parted(self, row: int, parts: int) -> Course:
+        """Return the course with two further rows in the step after a row, each a part of the step apart."""
+        if parts == 1:
+            return self
+        part = (self.time[row + 1] - self.time[row]) / parts
+        time = np.insert(self.time, row + 1, self.time[row] + part * np.array([1.0, 2.0]))
+        inputs = {n: np.insert(v, row + 1, [v[row]] * 2) for n, v in self.inputs.items()}
+        return Course(self.name, time, inputs, {}, self.step)
 
 
 def sine_course(description: Any, values: Mapping[str, Any]) -> Course:
@@ -94,7 +100,7 @@ class Run:
     Attributes:
         time: Times of the rows [s].
         states, inputs, values: One row for each time; values are rates and outputs in model exchange, else outputs.
-        stop: Reason of an early end.
+        stop: Error that ended the simulation early.
     """
 
     time: Array
@@ -102,7 +108,7 @@ class Run:
     inputs: Array
     values: Array
     events: EventCount
-    stop: str = ""
+    stop: SimulationError | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +126,11 @@ class Fmu:
     values: Mapping[str, Any]
 
     @property
+    def name(self) -> str:
+        """Return the name of the file, for messages."""
+        return self.path.name
+
+    @property
     def names(self) -> Named:
         """Return the names of continuous states, real inputs and outputs."""
         listed = states_of(self.description), reals(self.description, "input"), reals(self.description, "output")
@@ -128,25 +139,36 @@ class Fmu:
 
     def opened(self, course: Course) -> tuple[DifferentiableFmu, Any]:
         """Return an instance for model exchange before its initialization, and the row of its signals."""
-        block = DifferentiableFmu(NAME, self.path, self.description, self.values, frozenset(course.inputs))
-        return block, self._opened_row(block, course)
+        block = DifferentiableFmu(self.name, self.path, self.description, self.values, frozenset(course.inputs))
+        return block, bound_row(block, course, self.place)
 
     def opened_for_steps(self, course: Course) -> tuple[FmuBlock, Any]:
         """Return an instance for co-simulation before its initialization, and the row of its signals."""
         connected = frozenset(course.inputs)
-        block = FmuBlock(NAME, self.path, self.description, self.values, connected, way="co-simulation")
-        return block, self._opened_row(block, course)
+        block = FmuBlock(self.name, self.path, self.description, self.values, connected, way="co-simulation")
+        return block, bound_row(block, course, self.place)
 
-    def _opened_row(self, block: FmuBlock, course: Course) -> Any:
-        here.progress.made[0], here.progress.doing[0] = 0, OTHER
-        block.instance.place = self.place
-        here.share_log(block)
-        row = (ctypes.c_double * max(1, len(block.inputs) + len(block.outputs)))()
-        exact = len(block.exact_inputs) + len(block.exact_outputs)
-        block.bind(row, 0, [None] * exact, 0)
-        block.open(float(course.time[0]), float(course.time[-1]) + course.step)
-        put_row(block, row, course, 0)
-        return row
+
+def bound_row(block: FmuBlock, course: Course, place: Path) -> Any:
+    """Load and open an FMU with the first inputs of a course; return the row of its signals.
+
+    Args:
+        place: Folder of the unpacked FMU.
+    """
+    here.progress.made[0], here.progress.doing[0] = 0, OTHER
+    block.instance.place = place
+    here.share_log(block)
+    row = (ctypes.c_double * max(1, len(block.inputs) + len(block.outputs)))()
+    exact = len(block.exact_inputs) + len(block.exact_outputs)
+    block.bind(row, 0, [None] * exact, 0)
+    block.load_and_begin(float(course.time[0]), float(course.time[-1]) + course.step, loaded=_name_reading)
+    put_row(block, row, course, 0)
+    return row
+
+
+def _name_reading() -> None:
+    """Announce the reading of outputs, which follows the calls of the initialization; loading has its own limit."""
+    here.progress.doing[0] = GET
 
 
 def put_row(block: FmuBlock, row: Any, course: Course, k: int) -> None:
@@ -154,7 +176,26 @@ def put_row(block: FmuBlock, row: Any, course: Course, k: int) -> None:
     for number, signal in enumerate(block.inputs):
         if signal.name in course.inputs:
             row[number] = float(course.inputs[signal.name][k])
+    here.progress.doing[0] = PUT
     block.put()
+
+
+def begin(block: FmuBlock) -> None:
+    """Leave initialization mode and read the outputs."""
+    here.progress.doing[0] = OTHER
+    block.start()
+    here.progress.doing[0] = GET
+    block.get()
+
+
+def step_row(block: FmuBlock, row: Any, course: Course, k: int) -> None:
+    """Step from a row of the course to the next and read the outputs."""
+    put_row(block, row, course, k)
+    here.progress.doing[0] = ADVANCE
+    block.advance(float(course.time[k]), float(course.time[k + 1] - course.time[k]))
+    here.progress.doing[0] = GET
+    block.get()
+    here.progress.made[0] += 1
 
 
 def simulate(
@@ -172,7 +213,8 @@ def simulate(
         visit: Function of time, states and inputs at each row of `rows`, which leaves the FMU as it was.
     """
     visited, last = frozenset(rows), course.time.size - 1
-    states, inputs, values, stop = list[Array](), list[Array](), list[Array](), ""
+    states, inputs, values = list[Array](), list[Array](), list[Array]()
+    stop: SimulationError | None = None
     try:
         block.start()
         _set_states(block, float(course.time[0]), first)
@@ -190,7 +232,7 @@ def simulate(
                 block.advance(t, float(course.time[k + 1]) - t)
                 here.progress.made[0] += 1
     except SimulationError as error:
-        stop = str(error)
+        stop = error
     counts, made = block.event_counts, len(inputs)
     events = EventCount(course.name, counts["state"], counts["time"], counts["step"])
     return Run(course.time[:made], _table(states), _table(inputs), _table(values[:made]), events, stop)
@@ -210,20 +252,16 @@ def _set_states(block: DifferentiableFmu, t: float, first: Mapping[int, float]) 
         block.restart_solver(t)
 
 
-def run_co_simulation(block: FmuBlock, row: Any, course: Course) -> tuple[Array, str]:
-    """Return the outputs of an opened FMU for co-simulation along a course, one row each, and the reason of an end."""
-    first, table, stop = len(block.inputs), list[list[float]](), ""
+def run_along(block: FmuBlock, row: Any, course: Course) -> tuple[Array, SimulationError | None]:
+    """Return the outputs of an opened FMU along a course, one row each, and the error that ended it early."""
+    first, table = len(block.inputs), list[list[float]]()
+    stop: SimulationError | None = None
     try:
-        block.start()
-        block.get()
+        begin(block)
         table.append(row[first : first + len(block.outputs)])
         for k in range(course.time.size - 1):
-            here.progress.doing[0] = ADVANCE
-            put_row(block, row, course, k)
-            block.advance(float(course.time[k]), float(course.time[k + 1] - course.time[k]))
-            block.get()
+            step_row(block, row, course, k)
             table.append(row[first : first + len(block.outputs)])
-            here.progress.made[0] += 1
     except SimulationError as error:
-        stop = str(error)
+        stop = error
     return np.array(table, float).reshape(len(table), len(block.outputs)), stop

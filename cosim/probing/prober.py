@@ -16,9 +16,14 @@ from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.watch import Watch, fmi_calls
 from cosim.model.quantities import Quantity
-from cosim.probing.log_runs import NAME, Fmu
+from cosim.probing.log_runs import Fmu
 
 Job = Callable[..., Any]
+JOBS = ("exchange_points", "co_simulation", "trial_runs")
+MODULES = (*(f"cosim.probing.{job}" for job in JOBS), "fmpy.fmi2", "fmpy.fmi3", "fmpy.logging")
+LIMITS = Limits(step=20.0, load=60.0)
+USUAL_STEP, USUAL_LOAD = 3.0, 10.0  # least time limits of a trial [s]
+SLOW = 30.0  # time limit of a trial as a multiple of the time of an ordinary simulation
 
 
 class Prober:
@@ -42,9 +47,20 @@ class Prober:
         """Return the FMU with its start values."""
         return self.with_values({})
 
+    def in_worker(self, worker: Worker) -> Prober:
+        """Return the same FMU in another worker process."""
+        return Prober(self.path, self.values, worker, self.place, self._limits)
+
+    def hurried(self, took: float) -> Limits:
+        """Return the limits of a trial that may hang, from the time [s] that an ordinary simulation took."""
+        step = max(USUAL_STEP, SLOW * took)
+        load = max(USUAL_LOAD, SLOW * took)
+        most = self._limits.step or step, self._limits.load or load
+        return self._limits.model_copy(update={"step": min(step, most[0]), "load": min(load, most[1])})
+
     def call(self, job: Job, *arguments: Any, limits: Limits | None = None) -> Any:
         """Return the result of a job in the worker."""
-        watch = Watch([NAME], [fmi_calls(self.description)], limits=limits or self._limits)
+        watch = Watch([self.path.name], [fmi_calls(self.description)], limits=limits or self._limits)
         return self._worker.call(with_permission, permission.get(), job, *arguments, watch=watch)
 
 
