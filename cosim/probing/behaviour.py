@@ -170,6 +170,9 @@ class Trials:
             raise stop or SimulationError(
                 self._prober.fmu.name, float(self._trial.course.time[0]), messages.TOO_SHORT()
             )
+        if stop is not None:
+            self._note(messages.ENDS_EARLY(error=str(stop)))
+            self._trial = self._trial.along(self._trial.course.first(len(table)))
         self._table = table
         self._quick = self._prober.hurried(self._prober.call(time_of, self._trial))
         for probe, sentence in (

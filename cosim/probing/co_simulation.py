@@ -60,7 +60,7 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
         fmu=prober.path,
         way="co-simulation",
         states=(),
-        inputs=quantities(prober.description, inputs, [float(_known(name, good)[0]) for name in inputs]),
+        inputs=quantities(prober.description, inputs),
         outputs=quantities(prober.description, outputs, good[0][1][0]),
         state_in_rate=no_flags(0, 0),
         input_in_rate=no_flags(0, len(inputs)),

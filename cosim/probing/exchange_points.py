@@ -98,7 +98,6 @@ class StartPoint:
     """
 
     states: Array
-    inputs: Array
     outputs: Array
     shown: dict[int, int]
 
@@ -117,7 +116,7 @@ def start_point(fmu: Fmu, course: Course) -> StartPoint:
             values.append(safe_rates(block, z, u))
     table = np.array(values)
     finite = np.isfinite(table).all(axis=1)
-    return StartPoint(x, u, start, equal_columns(np.array(known)[finite], table[finite][:, x.size :]))
+    return StartPoint(x, start, equal_columns(np.array(known)[finite], table[finite][:, x.size :]))
 
 
 def equal_columns(known: Array, values: Array) -> dict[int, int]:

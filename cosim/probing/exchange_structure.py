@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import permutations
 from typing import Any
 
@@ -56,7 +57,7 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
         fmu=prober.path,
         way="model-exchange",
         states=quantities(prober.description, states, start.states),
-        inputs=quantities(prober.description, inputs, start.inputs),
+        inputs=quantities(prober.description, inputs),
         outputs=quantities(prober.description, outputs, start.outputs),
         state_in_rate=depends[:n, :n],
         input_in_rate=depends[:n, n:],
@@ -70,7 +71,7 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
         scales=scales,
         step=min(course.step for course in courses),
         events=tuple(run.events for run in runs),
-        parameters=_parameters(prober, courses[0], points, table),
+        parameters=_parameters(prober, courses[0], firsts[0], points, any(run.events.total for run in runs)),
         stops=tuple(str(run.stop) for run in runs if run.stop),
     )
 
@@ -167,7 +168,26 @@ def _rates(matrices: Sequence[Array]) -> tuple[float, float]:
     return largest, float(sizes[sizes >= RATE_SHARE * largest].min())
 
 
-def _parameters(prober: Prober, course: Course, points: Points, table: Array) -> tuple[ProbedParameter, ...]:
+def _parameters(
+    prober: Prober, course: Course, first: Mapping[int, float], points: Points, has_events: bool
+) -> tuple[ProbedParameter, ...]:
+    """Return each settable parameter with what it changes, at points or only through events."""
     every = max(1, -(-len(points.places) // PLACES))
     places = points.places[::every]
-    return tried_parameters(prober, lambda fmu: prober.call(reactions, fmu, course, places), points.size)
+    tried = tried_parameters(prober, lambda fmu: prober.call(reactions, fmu, course, places), points.size)
+    if not has_events:
+        return tried
+    base: Run = prober.call(simulated, prober.fmu, course, first)
+    return tuple(p if p.acts or p.starts else _tried_in_events(prober, course, first, base, p) for p in tried)
+
+
+def _tried_in_events(
+    prober: Prober, course: Course, first: Mapping[int, float], base: Run, parameter: ProbedParameter
+) -> ProbedParameter:
+    """Return a parameter that changes no rate, with what it changes along a simulation with events."""
+    try:
+        run: Run = prober.call(simulated, prober.with_values({parameter.name: parameter.tried}), course, first)
+    except SimulationError as error:
+        return replace(parameter, failure=str(error))
+    same = run.values.shape == base.values.shape and np.allclose(run.values, base.values, rtol=SAME, atol=0.0)
+    return replace(parameter, acts=not same)

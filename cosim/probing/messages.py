@@ -55,5 +55,23 @@ NO_PARAMETERS = Template(
     "W-PRB-015", "has no real parameter that may be set before initialization; only terms can be added to it"
 )
 NO_UNITS = Template("W-PRB-016", "declares no unit; numbers are taken as they are")
-PROBE_FAILED = Template("W-PRB-017", "{error} (while {probe} was tried)")
-VALUE_FAILED = Template("W-PRB-018", "{error} (with {name} = {value:g}; its value in the file is {start:g})")
+ENDS_EARLY = Template("N-PRB-017", "{error}; its behaviour is tried before that time")
+PROBE_FAILED = Template("W-PRB-018", "{error} (while {probe} was tried)")
+VALUE_FAILED = Template("W-PRB-019", "{error} (with {name} = {value:g}; its value in the file is {start:g})")
+RUN_ENDS = Template("W-PRB-020", "{error}; the structure is that before it")
+
+# Reasons for the interface by which an FMU is refined
+EXCHANGE_FITS = Template(
+    "N-PRB-021",
+    "its states and derivatives are accessible, no events occur along the logs, and step times largest eigenvalue is "
+    "{stiffness:.2g}, at most {most:g}",
+)
+EVENTS_ON_LOGS = Template("N-PRB-022", "model exchange has {count} events along the logs")
+TOO_FAST = Template("N-PRB-023", "step times largest eigenvalue is {stiffness:.3g} in model exchange, above {most:g}")
+NO_STATES = Template("N-PRB-024", "model exchange has no continuous states")
+ONLY_CO_SIMULATION = Template("N-PRB-025", "it has no model exchange")
+NO_USABLE_EXCHANGE = Template("N-PRB-026", "its model exchange fails: {error}")
+ONLY_EXCHANGE = Template("N-PRB-027", "it has no co-simulation, although {objection}")
+OWN_STEP_TOO_LONG = Template(
+    "N-PRB-028", "its co-simulation has steps of its own of {own:.3g} s, above those of the logs, although {objection}"
+)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -58,13 +59,17 @@ def tried_parameters(
     parameters = settable_parameters(prober.description)
     if not parameters:
         return ()
-    (start, table), (again, repeated) = react(prober.fmu), react(prober.fmu)
+    start, table = react(prober.fmu)
+    begin = time.monotonic()
+    again, repeated = react(prober.fmu)
+    took = time.monotonic() - begin
     rows = min(len(table), len(repeated))
     noise = np.nan_to_num(np.abs(table[:rows] - repeated[:rows])).max(axis=0, initial=0.0)
     reference = Reference(
         start, table, 10.0 * np.abs(again - start) + SAME * np.maximum(np.abs(start), SAME), SAME * size + 10.0 * noise
     )
-    return tuple(_tried(prober, variable, react, reference) for variable in parameters)
+    with prober.hurry(took):
+        return tuple(_tried(prober, variable, react, reference) for variable in parameters)
 
 
 def _tried(prober: Prober, variable: Any, react: Any, reference: Reference) -> ProbedParameter:
@@ -83,7 +88,6 @@ def _tried(prober: Prober, variable: Any, react: Any, reference: Reference) -> P
         refused = np.isnan(table[:rows]) & ~np.isnan(reference.table[:rows])
         acts = acts or bool((differs | refused).any()) or len(table) != len(reference.table)
         starts = starts or bool((np.abs(start - reference.start) > reference.state_noise).any())
-        failure = ""
         if acts or starts:
             break
     return ProbedParameter(quantity, acts, starts, tried, failure)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +52,15 @@ class Prober:
         """Return the same FMU in another worker process."""
         return Prober(self.path, self.values, worker, self.place, self._limits)
 
+    @contextmanager
+    def hurry(self, took: float) -> Iterator[None]:
+        """Limit all jobs within a `with` block as trials that may hang; see `hurried`."""
+        usual, self._limits = self._limits, self.hurried(took)
+        try:
+            yield
+        finally:
+            self._limits = usual
+
     def hurried(self, took: float) -> Limits:
         """Return the limits of a trial that may hang, from the time [s] that an ordinary simulation took."""
         step = max(USUAL_STEP, SLOW * took)
@@ -91,11 +101,17 @@ def quantities(
     made = []
     for k, name in enumerate(names):
         variable = variables[name]
-        start = float(variable.start) if starts is None else float(starts[k])
+        start = _start(variable, name) if starts is None else float(starts[k])
         bounds = _end(variable, "min", -np.inf), _end(variable, "max", np.inf)
         text = " ".join((variable.description or "").split())
         made.append(Quantity(name, unit_of(variable), text, start, bounds))
     return tuple(made)
+
+
+def _start(variable: Any, name: str) -> float:
+    """Return the start value in the description of a variable or of its element, 0 without one."""
+    values = str(variable.start or "0").split() if not isinstance(variable.start, (list, tuple)) else variable.start
+    return float(values[element_names(variable).index(name) if len(values) > 1 else 0])
 
 
 def _end(variable: Any, name: str, without: float) -> float:
