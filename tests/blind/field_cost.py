@@ -149,9 +149,9 @@ class _Filter:
         width, first = 1 + cases, 1 + cases  # of the true run and the cases; first column of the Jacobians
         steps = np.concatenate([1e-5 * self.scales, 1e-3 * np.maximum(self.given.push_deviations, 1e-12)])
         x = np.zeros((n, logs, first + 2 * (n + q)))
-        own = list(rig.effect_states({key.partition(".")[0] for key in self.numbers}).values())
+        names = {key.partition(".")[0] for key in self.numbers}
         for log, run in enumerate(runs):
-            x[:, log, :] = np.concatenate([run.start, own])[:, None]
+            x[:, log, :] = rig.first_state(names, run)[:, None]
         d = np.zeros((q, logs, x.shape[2]))
         deviations = np.array(self.given.push_deviations)
         keep = math.exp(-rig.step / rig.correlation_time)

@@ -73,7 +73,7 @@ class Entry:
     def at(self, unit: Mapping[str, float], size: float) -> dict[str, float]:
         """Return the parameters of the effect at a size."""
         if self.inverse:
-            return {p: v / size for p, v in unit.items()}
+            return {p: v if p in self.shape else v / size for p, v in unit.items()}
         return {p: v if p in self.shape else self.neutral + size * v for p, v in unit.items()}
 
     def left_out(self, values: Mapping[str, float]) -> dict[str, float]:
@@ -153,6 +153,14 @@ class Rig:
         """Return the start state of a log, with probability ½ at rest."""
         raise NotImplementedError
 
+    def course(self, p: Mapping[str, float], run: Run, resets: Mapping[int, np.ndarray] | None = None) -> Course:
+        """Return the simulated log for parameters `p`; `resets`: row → new state."""
+        return fly(self, p, run, resets)
+
+    def first_state(self, names: Collection[str], run: Run) -> np.ndarray:
+        """Return the start state of a run, with the states of the effects `names`."""
+        return np.concatenate([run.start, list(self.effect_states(names).values())])
+
     # -- the same for every rig ---------------------------------------------------------------------
 
     def numbers(self, base: Mapping[str, float], truth: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
@@ -219,7 +227,7 @@ def fly(
     acting: list[Any] = [before, pushes[0]]
     solver = ode(lambda t, x: rate(t, x.tolist(), *acting))
     solver.set_integrator("dop853", rtol=tolerance, atol=1e-2 * tolerance, first_step=0.5 * rig.step, nsteps=10_000)
-    state = np.concatenate([run.start, list(rig.effect_states(names).values())])
+    state = rig.first_state(names, run)
     outputs = np.empty((cuts.size, len(rig.outputs)))
     states = np.empty((rows.size, state.size))
     for k, (at, push) in enumerate(zip(cuts.tolist(), pushes, strict=True)):

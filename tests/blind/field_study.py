@@ -19,7 +19,7 @@ from tests.blind.field_craft import CraftRig, craft, fly_craft
 from tests.blind.field_drive_train import DriveTrain
 from tests.blind.field_quarter_car import QuarterCar
 from tests.blind.field_recorder import Recorder
-from tests.blind.field_rig import Course, Entry, Rig, Run, Truth, coloured, fly
+from tests.blind.field_rig import Course, Entry, Rig, Run, Truth, coloured
 from tests.blind.field_tanks import Tanks
 from tests.blind.truth_outside import OUTSIDE
 
@@ -147,7 +147,7 @@ def course(study: Study, number: int) -> tuple[Run, Course]:
         made = craft(study.base, study.kind, study.truth)
         return fly_craft(rig, made, study.truth, manoeuvre, times, pushes, noise(study, number))
     run = Run(times, rig.drive(manoeuvre), pushes, rig.begin(manoeuvre))
-    return run, fly(rig, rig.numbers(study.base, study.truth), run)
+    return run, rig.course(rig.numbers(study.base, study.truth), run)
 
 
 def noise(study: Study, number: int) -> np.ndarray:

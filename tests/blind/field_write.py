@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from tests.blind.field_craft import CraftRig, craft, replay_craft
-from tests.blind.field_rig import Course, Run, fly
+from tests.blind.field_rig import Course, Run
 from tests.blind.field_study import LOGS, Study, course, draw, noise, replace_pushes, rows_to_keep, stream
 
 PLANTS = Path(__file__).with_name("plants")
@@ -96,7 +96,7 @@ def _replayed(study: Study, run: Run, result: Course) -> np.ndarray:
     horizon = round(rig.horizon / rig.step)
     resets = {k: result.states[k] for k in range(0, run.times.size, horizon)}
     p = rig.numbers(study.base, study.truth)
-    return fly(rig, p, replace_pushes(run), resets).readings
+    return rig.course(p, replace_pushes(run), resets).readings
 
 
 def answer(study: Study) -> str:

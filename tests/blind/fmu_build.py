@@ -95,7 +95,6 @@ PLANTS: dict[str, Plant] = {
             V("shaft.c", 40.0, "N.m/rad", "stiffness of the shaft"),
             V("shaft.d", 0.1, "N.m.s/rad", "damping of the shaft"),
             V("motor.b", 0.02, "N.m.s/rad", "bearing of the motor"),
-            V("load.b", 0.03, "N.m.s/rad", "bearing of the load"),
         ),
         1e-3,
     ),
@@ -155,7 +154,7 @@ PLANTS: dict[str, Plant] = {
             V("phi", 0.0, "rad", "angle of the pendulum, 0 when hanging"),
             V("w", 0.0, "rad/s", "rate of the pendulum"),
         ),
-        ("x", "phi"),
+        ("x", "v", "phi", "w"),
         (
             V("cart", 1.0, "kg", "mass of the cart"),
             V("bob", 0.25, "kg", "mass of the bob"),
@@ -175,7 +174,7 @@ PLANTS: dict[str, Plant] = {
             V("p_a", 1e6, "Pa", "pressure in chamber A"),
             V("p_b", 1e6, "Pa", "pressure in chamber B"),
         ),
-        ("piston.x", "p_a", "p_b"),
+        ("piston.x", "piston.v", "p_a", "p_b"),
         (
             V("mass", 50.0, "kg", "moved mass"),
             V("damping", 800.0, "N.s/m", "viscous friction"),
