@@ -39,7 +39,7 @@ from cosim.probing.trial_runs import (
 )
 from cosim.storage.archive import unpack
 
-ROWS = 60  # rows of a trial
+ROWS, FEW_ROWS = 60, 6  # rows of a trial, and of one that only may fail
 MOST_PARAMETERS = 3  # acting parameters that are set at several moments
 NOISE = 5.0  # difference relative to that of equal simulations, from which it is another result
 LEAK = 256e3  # growth per instance that is no waste of the allocator [bytes]
@@ -281,7 +281,8 @@ class Trials:
         (quantity,) = quantities(self._prober.description, [variable.name])
         for self._tried in trial_values(value, quantity.bounds)[:2]:
             values = {variable.name: self._tried}
-            both, stop = self._run(outputs_of, self._trial.with_values(values))
+            trial = self._trial if everything else self._trial.along(self._trial.course.first(FEW_ROWS))
+            both, stop = self._run(outputs_of, trial.with_values(values))
             if stop is not None:
                 raise stop
             if not everything or self._difference(both) is None:

@@ -14,14 +14,14 @@ from cosim.base.errors import SimulationError
 from cosim.blocks.derivatives import reals, scalars
 from cosim.blocks.description import takes_any_step
 from cosim.probing import messages
-from cosim.probing.fmu_structure import Pair, Port, Structure
+from cosim.probing.fmu_structure import Pair, Port, ProbedParameter, Structure
 from cosim.probing.log_runs import SAME, Course, Fmu, amplitude_of, run_along
 from cosim.probing.parameter_trials import tried_parameters
 from cosim.probing.prober import Prober, no_flags, quantities, separate_pairs
 
-ROWS = 300  # rows of a simulation for responses and parameters
+ROWS, FEW_ROWS = 300, 60  # rows of a simulation for responses, and first for parameters
 PAIR_ERROR = 1e-2  # error of an integrated velocity relative to the position's increments
-UNITY = 1e-3  # difference of a gain from 1 that counts as integration error
+UNITY = 1e-3  # difference of a gain from 1 that counts as integration error, at least
 STEPS = (0.2, 0.5, 0.8)  # places of input steps, as shares of a course
 PARTS = 32  # of a step, in the search for lags
 MOST_GAIN = 4.0  # gain over a part relative to that over a step, beyond which the FMU makes steps of its own
@@ -73,9 +73,19 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
         slowest=0.0,
         scales={**spreads, **dict(zip(outputs, map(float, values.std(axis=0)), strict=True))},
         step=min(course.step for course in courses),
-        parameters=tried_parameters(prober, partial(_react, prober, short), size),
+        parameters=_parameters(prober, short, size),
         stops=tuple(str(stop) for _, stop in runs if stop),
     )
+
+
+def _parameters(prober: Prober, course: Course, size: Array) -> tuple[ProbedParameter, ...]:
+    """Return each settable parameter with what it changes; a longer simulation for those that change nothing."""
+    quickly = tried_parameters(prober, partial(_react, prober, course.first(FEW_ROWS)), size)
+    idle = {p.name for p in quickly if not p.acts and not p.starts and not p.failure}
+    if not idle or course.time.size <= FEW_ROWS:
+        return quickly
+    longer = {p.name: p for p in tried_parameters(prober, partial(_react, prober, course), size, idle)}
+    return tuple(longer.get(p.name, p) for p in quickly)
 
 
 def _react(prober: Prober, course: Course, fmu: Fmu) -> tuple[Array, Array]:
@@ -107,9 +117,10 @@ def _fits(good: Sequence[tuple[Course, Array]]) -> list[tuple[int, int, float]]:
         if power == 0.0:
             continue
         gain = float(rises[:, q] @ areas[:, v]) / power
-        error, size = _rms(rises[:, q] - gain * areas[:, v]), _rms(rises[:, q])
-        if size > 0.0 and error <= min(PAIR_ERROR * size, abs(gain) * _rms(euler[:, v]) + SAME * size):
-            fits.append((q, v, 1.0 if abs(gain - 1.0) <= UNITY else gain))
+        error, size, first_order = _rms(rises[:, q] - gain * areas[:, v]), _rms(rises[:, q]), _rms(euler[:, v])
+        if size > 0.0 and error <= min(PAIR_ERROR * size, abs(gain) * first_order + SAME * size):
+            bias = max(UNITY, first_order**2 * areas.shape[0] / power)  # of the rule for a sine
+            fits.append((q, v, 1.0 if abs(gain - 1.0) <= bias else gain))
     return fits
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import dataclass
 from typing import Any
 
@@ -48,15 +48,16 @@ def settable_parameters(description: Any) -> list[Any]:
 
 
 def tried_parameters(
-    prober: Prober, react: Callable[[Fmu], tuple[Array, Array]], size: Array
+    prober: Prober, react: Callable[[Fmu], tuple[Array, Array]], size: Array, only: Container[str] | None = None
 ) -> tuple[ProbedParameter, ...]:
     """Return each settable parameter with what other values of it change.
 
     Args:
         react: Function of the FMU that returns its states after initialization, and a table of reactions.
         size: Magnitude of each column of the table.
+        only: Names of the parameters to try; None for all.
     """
-    parameters = settable_parameters(prober.description)
+    parameters = [v for v in settable_parameters(prober.description) if only is None or v.name in only]
     if not parameters:
         return ()
     start, table = react(prober.fmu)

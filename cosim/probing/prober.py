@@ -23,7 +23,7 @@ Job = Callable[..., Any]
 JOBS = ("exchange_points", "co_simulation", "trial_runs")
 MODULES = (*(f"cosim.probing.{job}" for job in JOBS), "fmpy.fmi2", "fmpy.fmi3", "fmpy.logging")
 LIMITS = Limits(step=20.0, load=60.0)
-USUAL_STEP, USUAL_LOAD = 3.0, 10.0  # least time limits of a trial [s]
+USUAL_STEP, USUAL_LOAD = 5.0, 10.0  # least time limits of a trial [s]
 SLOW = 30.0  # time limit of a trial as a multiple of the time of an ordinary simulation
 
 
