@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -51,15 +51,17 @@ def command(
     descriptions = summaries(fmus)
     probed = [_probe(fmu, log or [], limits, compiles=compile_) if places else None for fmu in fmus]
     if as_json:
-        contents = [
-            {**s.as_json(), **({} if p is None else {"places": p.as_json()})}
-            for s, p in zip(descriptions, probed, strict=True)
-        ]
+        contents = [_content(s, p) for s, p in zip(descriptions, probed, strict=True)]
         say_json(contents if len(contents) > 1 else contents[0])
         return
     for number, (summary, found) in enumerate(zip(descriptions, probed, strict=True)):
         say(*([""] if number else []), *_overview(summary))
         say(*(_variables(summary, every=every) if found is None else _places(found)))
+
+
+def _content(summary: Summary, places: Places | None) -> dict[str, Any]:
+    """Return the content of an FMU for JSON."""
+    return summary.as_json() | ({} if places is None else {"places": places.as_json()})
 
 
 def _probe(fmu: Path, logs: Sequence[str], limits: str, *, compiles: bool) -> Places:
