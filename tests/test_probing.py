@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cosim.base.errors import InputError
 from cosim.base.messages import Template
 from cosim.blocks.description import Way
 from cosim.fmi.native.compiler import compiler
 from cosim.logs.log import Log
 from cosim.probing import messages
 from cosim.probing.behaviour import Behaviour, probe_behaviour, roundest
+from cosim.probing.log_runs import moved_within
 from cosim.probing.places import choose_way, probe_places
 from cosim.probing.probe_structure import probe_structure
 from cosim.probing.prober import separate_pairs
@@ -279,3 +281,20 @@ def test_the_verb_reads_logs_for_the_probe(tmp_path: Path) -> None:
     refused = cosim("info", fmu, "--log", log)
     assert refused.returncode == 2
     assert "--places" in refused.stderr
+
+
+def test_a_value_of_an_unknown_variable_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match='has no variable "motor.I"; did you mean "motor.J"'):
+        probe_structure(build(tmp_path / "a.fmu", "drive"), values={"motor.I": 1.0})
+
+
+def test_values_are_those_of_the_simulations(tmp_path: Path) -> None:
+    (pair, _) = probe_structure(build(tmp_path / "a.fmu", "drive"), values={"motor.J": 0.02}).pairs
+    assert [port.gain for port in pair.ports] == [pytest.approx(50.0)]
+
+
+def test_limits_turn_a_displacement_round() -> None:
+    values = np.array([0.8, 0.9])
+    assert moved_within(values, 0.3, (0.0, 1.0)).tolist() == pytest.approx([0.5, 0.6])
+    assert moved_within(values, 0.05, (0.0, 1.0)).tolist() == pytest.approx([0.85, 0.95])
+    assert moved_within(np.array([0.1, 0.9]), 0.3, (0.0, 1.0)).tolist() == pytest.approx([0.4, 1.0])

@@ -22,7 +22,7 @@ from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.logs.log import Log
 from cosim.probing import messages
-from cosim.probing.log_runs import SAME, Course, amplitude_of, sine_course
+from cosim.probing.log_runs import SAME, Course, amplitude_of, limits_of, moved_within, sine_course
 from cosim.probing.parameter_trials import settable_parameters, trial_values
 from cosim.probing.prober import LIMITS, MODULES, Prober, quantities
 from cosim.probing.trial_runs import (
@@ -129,7 +129,7 @@ def _excited(prober: Prober, course: Course) -> Course:
         if variable.name in course.inputs:
             held = course.inputs[variable.name]
             size = float(np.std(held)) or amplitude_of(variable, float(held[0]))
-            course = course.with_input(variable.name, held + size)
+            course = course.with_input(variable.name, moved_within(held, size, limits_of(variable)))
     return course
 
 

@@ -15,7 +15,7 @@ from cosim.blocks.derivatives import reals, scalars
 from cosim.blocks.description import takes_any_step
 from cosim.probing import messages
 from cosim.probing.fmu_structure import Pair, Port, ProbedParameter, Structure
-from cosim.probing.log_runs import SAME, Course, Fmu, amplitude_of, run_along
+from cosim.probing.log_runs import SAME, Course, Fmu, amplitude_of, limits_of, moved_within, run_along
 from cosim.probing.parameter_trials import tried_parameters
 from cosim.probing.prober import Prober, no_flags, quantities, separate_pairs
 
@@ -203,8 +203,10 @@ class Responses:
         held = course.inputs.get(name)
         if held is None:
             held = np.full(course.time.size, float(self._prober.values.get(name, variable.start or 0.0)))
-        size = float(np.std(held)) or amplitude_of(variable, float(held[0]))
-        moved = course.with_input(name, np.where(np.arange(course.time.size) < row, held, held + size))
+        wanted = float(np.std(held)) or amplitude_of(variable, float(held[0]))
+        changed = moved_within(held, wanted, limits_of(variable))
+        size = float(changed[row] - held[row]) or wanted
+        moved = course.with_input(name, np.where(np.arange(course.time.size) < row, held, changed))
         table, _ = self._prober.call(outputs_along, self._prober.fmu, moved)
         rows = min(len(table), len(self._bases[key]))
         return table[:rows] - self._bases[key][:rows], size

@@ -26,7 +26,7 @@ from cosim.probing.exchange_points import (
 from cosim.probing.fmu_structure import Pair, Port, ProbedParameter, Structure
 from cosim.probing.log_runs import SAME, Course, Run
 from cosim.probing.parameter_trials import tried_parameters
-from cosim.probing.prober import Prober, quantities, separate_pairs
+from cosim.probing.prober import Prober, no_flags, quantities, separate_pairs
 
 RATE_SHARE = 1e-6  # eigenvalue relative to the largest, below which it is zero
 PLACES = 12  # points at which parameters are tried
@@ -105,7 +105,9 @@ def _points(
     unmoved = np.where(largest > 0.0, STEADY * largest, nominal)
     scale = np.where(spread > SAME * largest, spread, unmoved)
     size = np.maximum(np.abs(values).max(axis=0), SAME)
-    points = Points(scale, size, np.zeros((values.shape[1], known.shape[1]), bool))
+    signals = quantities(prober.description, (*states, *inputs), known[0])
+    low, high = (np.array([q.bounds[end] for q in signals]) for end in (0, 1))
+    points = Points(scale, size, no_flags(values.shape[1], known.shape[1]), low, high)
     reals_only = all(name in inputs for course in courses for name in course.inputs)
     share = max(2, POINTS // max(1, len(good)))
     for course, first, run in zip(courses, firsts, runs, strict=True):

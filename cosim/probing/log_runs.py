@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,18 +80,37 @@ def sine_course(description: Any, values: Mapping[str, Any]) -> Course:
     for k, variable in enumerate(v for v in reals(description, "input") if not v.shape):
         start = float(values.get(variable.name, variable.start or 0.0))
         waves = [np.sin(p * phase + 1.7 * k + p) for p in SINES]
-        size = amplitude_of(variable, start) / len(SINES)
-        inputs[variable.name] = np.asarray(start + size * np.sum(waves, axis=0), np.float64)
+        size, (low, high) = amplitude_of(variable, start), limits_of(variable)
+        centre = min(max(start, low + size), high - size)
+        inputs[variable.name] = np.asarray(centre + size / len(SINES) * np.sum(waves, axis=0), np.float64)
     return Course("sines", time, inputs, {}, step)
 
 
 def amplitude_of(variable: Any, start: float) -> float:
     """Return a small amplitude for a variable: a share of its range, start value or nominal value."""
-    ends = [getattr(variable, e, None) or getattr(variable.declaredType, e, None) for e in ("min", "max", "nominal")]
-    low, high, nominal = (None if e is None else float(e) for e in ends)
-    if low is not None and high is not None and np.isfinite(high - low) and high > low:
-        return SHARE * min(high - low, 2.0 * max(high - start, start - low))
-    return SHARE * (abs(start) or abs(nominal or 0.0) or 1.0)
+    low, high = limits_of(variable)
+    if math.isfinite(high - low) and high > low:
+        return SHARE * (high - low)
+    nominal = getattr(variable, "nominal", None) or getattr(variable.declaredType, "nominal", None)
+    return SHARE * (abs(start) or abs(float(nominal or 0.0)) or 1.0)
+
+
+def limits_of(variable: Any) -> tuple[float, float]:
+    """Return min and max of a variable or of its type, infinite without any."""
+    ends = []
+    for end, default in (("min", -math.inf), ("max", math.inf)):
+        values = getattr(variable, end, None), getattr(variable.declaredType, end, None)
+        ends.append(next((float(v) for v in values if v is not None), default))
+    return ends[0], ends[1]
+
+
+def moved_within(values: Array, size: float, limits: tuple[float, float]) -> Array:
+    """Return values plus a size, or minus it where limits forbid more, within the limits."""
+    low, high = limits
+    if values.max(initial=-math.inf) + size > high and values.min(initial=math.inf) - size >= low:
+        size = -size
+    inside = values + size
+    return np.asarray(np.clip(inside, min(low, float(values.min())), max(high, float(values.max()))), np.float64)
 
 
 @dataclass(eq=False)

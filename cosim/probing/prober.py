@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array, Flags
+from cosim.base.errors import Fault, refuse
 from cosim.blocks.compiling import permission, with_permission
 from cosim.blocks.description import read_description, unit_of
 from cosim.blocks.fmi_types import element_names
@@ -17,7 +18,9 @@ from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.watch import Watch, fmi_calls
 from cosim.model.quantities import Quantity
-from cosim.probing.log_runs import Fmu
+from cosim.probing import messages
+from cosim.probing.log_runs import Fmu, limits_of
+from cosim.storage.yaml_file import did_you_mean
 
 Job = Callable[..., Any]
 JOBS = ("exchange_points", "co_simulation", "trial_runs")
@@ -38,6 +41,11 @@ class Prober:
     def __init__(self, path: Path, values: Mapping[str, Any], worker: Worker, place: Path, limits: Limits) -> None:
         self.path, self.description = path, read_description(path)
         self.values, self._worker, self._limits, self.place = dict(values), worker, limits, place
+        variables = {v.name for v in self.description.modelVariables}
+        unknown = [
+            messages.UNKNOWN_VALUE(name=n, cure=did_you_mean(n, variables)) for n in values if n not in variables
+        ]
+        refuse(Fault(path, 0, 0, message) for message in unknown)
 
     def with_values(self, values: Mapping[str, Any]) -> Fmu:
         """Return the FMU with further start values."""
@@ -102,9 +110,8 @@ def quantities(
     for k, name in enumerate(names):
         variable = variables[name]
         start = _start(variable, name) if starts is None else float(starts[k])
-        bounds = _end(variable, "min", -np.inf), _end(variable, "max", np.inf)
         text = " ".join((variable.description or "").split())
-        made.append(Quantity(name, unit_of(variable), text, start, bounds))
+        made.append(Quantity(name, unit_of(variable), text, start, limits_of(variable)))
     return tuple(made)
 
 
@@ -112,12 +119,6 @@ def _start(variable: Any, name: str) -> float:
     """Return the start value in the description of a variable or of its element, 0 without one."""
     values = str(variable.start or "0").split() if not isinstance(variable.start, (list, tuple)) else variable.start
     return float(values[element_names(variable).index(name) if len(values) > 1 else 0])
-
-
-def _end(variable: Any, name: str, without: float) -> float:
-    """Return a limit of a variable or of its type."""
-    values = getattr(variable, name, None), getattr(variable.declaredType, name, None)
-    return next((float(v) for v in values if v is not None), without)
 
 
 def no_flags(rows: int, columns: int) -> Flags:
