@@ -278,7 +278,7 @@ def test_a_ramp_that_ends_at_the_rail_names_the_reading(
         return table
 
     checked, identified = answers(good, tmp_path, "thrust_line", changed, first_only=True)
-    assert "the ramp has too little thrust within the cell's range" in checked
+    assert "the ramp has too few readings with thrust within the range of the cell" in checked
     assert (
         f"The range ends with {volts:g} V at {good[1]['thrust_line0.csv'][first, DUTY]:.4g} %, thrust_line0.csv:"
         in checked

@@ -1,28 +1,53 @@
-"""Probing of binaries: structure, places and behaviour, from FMUs whose equations are known here."""
+"""Probing of binaries: structure, places and behaviour, of FMUs whose equations and faults are known here."""
 
 from __future__ import annotations
 
+import json
+import platform
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from cosim.base.errors import InputError
+from cosim.base.messages import Template
 from cosim.blocks.description import Way
+from cosim.fmi.native.compiler import compiler
 from cosim.logs.log import Log
+from cosim.probing import messages
+from cosim.probing.behaviour import Behaviour, probe_behaviour, roundest
+from cosim.probing.log_runs import moved_within
+from cosim.probing.places import choose_way, probe_places
 from cosim.probing.probe_structure import probe_structure
+from cosim.probing.prober import separate_pairs
 from cosim.residuals.drive import log_of_fmu
+from tests.blind.fmu_build import PLANTS, WAYS, build
 from tests.slider import slider_fmu, slider_log
+from tests.users import cosim
+
+pytestmark = pytest.mark.skipif(
+    compiler() is None or platform.system() != "Linux", reason="needs a C compiler and Linux folders"
+)
+EXCHANGE: Way = "model-exchange"
+STEPS: Way = "co-simulation"
 
 
-def log_for(fmu: Path, path: Path) -> Log:
-    return log_of_fmu(slider_log(path), fmu)
+def log_for(plant: str, step: float = 0.01, rows: int = 400) -> Log:
+    """A log of random levels; its outputs are not measured."""
+    rng, inputs = np.random.default_rng(1), {}
+    for v in PLANTS[plant].inputs:
+        inputs[v.name] = v.start + 0.1 * np.repeat(rng.standard_normal(rows // 10), 10)
+    return Log(Path("a.csv"), step * np.arange(rows), inputs, {}, {}, step, {}, {})
+
+
+# -- structure --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("version", [2, 3])
 @pytest.mark.parametrize("with_log", [False, True])
 def test_a_mass_with_a_force_is_a_pair_with_a_port(tmp_path: Path, version: int, with_log: bool) -> None:
     fmu = slider_fmu(tmp_path / "slider.fmu", version, exchange=True)
-    structure = probe_structure(fmu, [log_for(fmu, tmp_path / "a.csv")] if with_log else ())
+    structure = probe_structure(fmu, [log_of_fmu(slider_log(tmp_path / "a.csv"), fmu)] if with_log else ())
     assert structure.state_in_rate.tolist() == [[False, True], [False, True]]
     assert structure.input_in_rate.tolist() == [[False], [True]]
     assert structure.state_in_output.tolist() == [[True, False], [False, True]]
@@ -39,18 +64,237 @@ def test_a_mass_with_a_force_is_a_pair_with_a_port(tmp_path: Path, version: int,
     assert {p.name for p in structure.acting} == {"mass", "gain", "damping", "offset"}
     assert [p.name for p in structure.parameters if p.starts] == ["velocity_start"]
     assert [q.unit for q in structure.states] == ["m", "m/s"]
+    assert [q.start for q in (*structure.states, *structure.inputs)] == [0.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize("version", [2, 3])
 def test_outputs_of_co_simulation_are_a_pair_by_their_numbers(tmp_path: Path, version: int) -> None:
     fmu = slider_fmu(tmp_path / "slider.fmu", version)
-    way: Way = "co-simulation"
-    structure = probe_structure(fmu, [log_for(fmu, tmp_path / "a.csv")], way=way)
+    structure = probe_structure(fmu, [log_of_fmu(slider_log(tmp_path / "a.csv"), fmu)], way=STEPS)
     (pair,) = structure.pairs
     assert (pair.position, pair.velocity, pair.gain) == ("position", "velocity", 1.0)
     (port,) = pair.ports
     assert port.input == "force"
-    assert port.gain == pytest.approx(2.0, rel=0.05)  # a step of 0.05 s loses h·d/2m of it
+    assert port.gain == pytest.approx(2.0, rel=2e-3)  # a 32nd of a step of 0.05 s loses h·d/2m of it
     assert structure.input_in_output.all()
     assert "idle" not in {p.name for p in structure.acting}
     assert np.isfinite([*structure.scales.values()]).all()
+
+
+PLACES = {  # pairs with their ports and gains at rest, and storages, from the equations of tests/blind/fmus
+    "drive": ({("motor.phi", "motor.w"): {"torque": 100.0}, ("load.phi", "load.w"): {}}, ()),
+    "dc_motor": ({("angle", "speed"): {"load_torque": -5000.0}}, ("current",)),
+    "tanks": ({}, ("left.h", "right.h")),
+    "heated_box": ({}, ("T_heater", "T_air")),
+    "pendulum": ({("x", "v"): {"force": 1.0}, ("phi", "w"): {"force": -2.0}}, ()),
+    "cylinder": ({("piston.x", "piston.v"): {"load": -0.02}}, ("p_a", "p_b")),
+}
+
+
+@pytest.mark.parametrize("plant", PLACES)
+def test_the_places_of_a_plant_are_those_of_its_equations(tmp_path: Path, plant: str) -> None:
+    structure = probe_structure(build(tmp_path / "a.fmu", plant, 3 if plant in {"tanks", "drive"} else 2))
+    pairs, storages = PLACES[plant]
+    assert {(p.position, p.velocity): {port.input: port.gain for port in p.ports} for p in structure.pairs} == {
+        names: {name: pytest.approx(gain, rel=1e-3) for name, gain in ports.items()} for names, ports in pairs.items()
+    }
+    assert structure.storages == storages
+    assert {p.name for p in structure.acting} == {v.name for v in PLANTS[plant].parameters}
+    assert [q.unit for q in structure.states] == [v.unit for v in PLANTS[plant].states]
+    assert [q.start for q in structure.states] == pytest.approx([v.start for v in PLANTS[plant].states])
+
+
+def test_a_force_on_two_coupled_masses_is_not_alone(tmp_path: Path) -> None:
+    structure = probe_structure(build(tmp_path / "a.fmu", "pendulum"))
+    assert [port.is_alone for pair in structure.pairs for port in pair.ports] == [False, False]
+
+
+def test_a_lag_between_a_voltage_and_a_speed_hides_no_port(tmp_path: Path) -> None:
+    structure = probe_structure(build(tmp_path / "a.fmu", "dc_motor", ways=WAYS), [log_for("dc_motor")], way=STEPS)
+    (pair,) = structure.pairs
+    # the lag of the winding (5 ms) is shorter than the step of 10 ms: parts of a step show it
+    assert {port.input: port.gain for port in pair.ports} == {"load_torque": pytest.approx(-5000.0, rel=1e-2)}
+
+
+def test_levels_that_other_outputs_show_are_shown(tmp_path: Path) -> None:
+    structure = probe_structure(build(tmp_path / "a.fmu", "tanks"))
+    assert structure.shown == {"left.h": "gauge_left", "right.h": "gauge_right"}
+
+
+def test_eigenvalues_are_those_of_the_equations(tmp_path: Path) -> None:
+    structure = probe_structure(build(tmp_path / "a.fmu", "heated_box"))
+    c_heater, c_air, g_heater, g_wall = 120.0, 300.0, 3.0, 1.5
+    matrix = [[-g_heater / c_heater, g_heater / c_heater], [g_heater / c_air, -(g_heater + g_wall) / c_air]]
+    slow, fast = sorted(np.abs(np.linalg.eigvals(matrix)))
+    assert structure.largest_rate == pytest.approx(fast, rel=1e-6)
+    assert structure.slowest == pytest.approx(slow, rel=1e-6)
+
+
+def test_time_and_step_events_are_counted(tmp_path: Path) -> None:
+    logs = [log_for("drive", rows=50)]
+    ticking = probe_structure(build(tmp_path / "a.fmu", "drive", fault="time_events"), logs)
+    assert [(e.state, e.time, e.step) for e in ticking.events] == [(0, 490, 0)]  # each millisecond
+    asking = probe_structure(build(tmp_path / "b.fmu", "drive", fault="step_events"), logs)
+    assert [(e.state, e.time, e.step) for e in asking.events] == [(0, 0, 49)]
+    assert [p.velocity for p in asking.pairs] == ["motor.w", "load.w"]
+
+
+def test_a_crash_with_another_value_costs_that_value_only(tmp_path: Path) -> None:
+    structure = probe_structure(build(tmp_path / "a.fmu", "drive", fault="crashes"))
+    failing = {p.name: p.failure for p in structure.parameters if p.failure}
+    assert [*failing] == ["motor.J"]
+    assert "a.fmu at t = 0 s: fmi2Get" in failing["motor.J"]
+    assert "SIGABRT" in failing["motor.J"]
+    assert len(structure.acting) == len(PLANTS["drive"].parameters)  # smaller inertias do no harm
+
+
+def test_of_a_chain_of_integrators_the_first_two_are_a_pair() -> None:
+    assert separate_pairs([(0, 1, 1.0), (1, 2, 1.0)]) == [(0, 1, 1.0)]
+    assert separate_pairs([(1, 2, 1.0), (0, 1, 0.5)]) == [(0, 1, 0.5)]
+    # q' = v and v' = −4q: the gain of 1 decides
+    assert separate_pairs([(1, 0, -4.0), (0, 1, 1.0)]) == [(0, 1, 1.0)]
+    # two positions with one velocity
+    assert separate_pairs([(0, 2, 0.1), (1, 2, 1.0)]) == [(1, 2, 1.0)]
+
+
+# -- behaviour --------------------------------------------------------------------------------------
+
+
+def behaviour(tmp_path: Path, fault: str, version: int = 2, way: Way = STEPS) -> Behaviour:
+    return probe_behaviour(
+        build(tmp_path / "a.fmu", "drive", version, ways=WAYS, fault=fault), [log_for("drive")], way=way
+    )
+
+
+def codes(found: Behaviour) -> set[str]:
+    return {finding.code for finding in found.findings}
+
+
+@pytest.mark.parametrize(("version", "way"), [(2, STEPS), (3, STEPS), (2, EXCHANGE), (3, EXCHANGE)])
+def test_a_sound_fmu_has_no_findings(tmp_path: Path, version: int, way: Way) -> None:
+    found = behaviour(tmp_path, "", version, way)
+    assert found.findings == []
+    assert (found.resets, found.keeps_early, found.repeats, found.moves) == (True, True, True, True)
+    assert (found.own_step, found.rolls_back) == ((0.0, True) if way == STEPS else (None, None))
+    assert found.events == 0.0
+    assert found.growth is not None
+    assert found.growth < 256e3
+
+
+FAULTS: list[tuple[str, Template]] = [
+    ("forgets_parameters", messages.FORGETS_EARLY),
+    ("idle_reset", messages.IDLE_RESET),
+    ("leaks", messages.GROWS),
+    ("counts", messages.TWO_RUNS_DIFFER),
+    ("clock", messages.TWO_RUNS_DIFFER),
+    ("working_directory", messages.FOLDER_MATTERS),
+    ("step_events", messages.EVENTS_ALWAYS),
+    ("time_events", messages.EVENTS_ALWAYS),
+    ("own_step", messages.OWN_STEP),
+    ("hidden_own_step", messages.OWN_STEP),
+    ("no_parameters", messages.NO_PARAMETERS),
+    ("no_units", messages.NO_UNITS),
+    ("crashes", messages.VALUE_FAILED),
+    ("hangs", messages.VALUE_FAILED),
+]
+BESIDE = {  # what a fault entails
+    "counts": {messages.ROLLBACK_FAILS.code},
+    "clock": {messages.ROLLBACK_FAILS.code},
+    "working_directory": {messages.IDLE_RESET.code},  # its reset restores another rate
+}
+
+
+@pytest.mark.parametrize(("fault", "template"), FAULTS)
+def test_each_fault_is_found_and_nothing_else(tmp_path: Path, fault: str, template: Template) -> None:
+    found = behaviour(tmp_path, fault, 3 if fault in {"idle_reset", "hidden_own_step"} else 2)
+    assert found.has(template)
+    assert codes(found) - {template.code} <= BESIDE.get(fault, set())
+
+
+def test_findings_state_numbers(tmp_path: Path) -> None:
+    assert behaviour(tmp_path, "hidden_own_step").own_step == 0.05
+    leaks = behaviour(tmp_path, "leaks").growth
+    assert leaks == pytest.approx(4 << 20, rel=0.1)
+    crashed = behaviour(tmp_path, "crashes")
+    assert crashed.failing == ("motor.J",)
+    assert "a.fmu at t = 0 s: fmi2GetReal crashed: abort (SIGABRT) (with motor.J = 0.011;" in crashed.findings[0]
+
+
+def test_an_own_step_below_the_steps_of_the_log_is_no_finding(tmp_path: Path) -> None:
+    fmu = build(tmp_path / "a.fmu", "drive", ways=WAYS, fault="hidden_own_step")
+    found = probe_behaviour(fmu, [log_for("drive", step=0.1)])
+    assert (found.own_step, codes(found)) == (0.0, set())
+
+
+def test_the_roundest_number_near_a_value() -> None:
+    assert [roundest(v) for v in (0.0492, 0.1, 0.0231, 3.3333)] == [0.05, 0.1, 0.023, 3.3]
+
+
+# -- places -----------------------------------------------------------------------------------------
+
+
+def test_the_way_is_that_of_the_eigenvalues_and_events(tmp_path: Path) -> None:
+    fmu, log = build(tmp_path / "a.fmu", "drive", ways=WAYS), log_for("drive", rows=50)
+    slow = probe_places(fmu, [log])
+    assert (slow.way, slow.reason.code) == (EXCHANGE, messages.EXCHANGE_FITS.code)
+    assert slow.structure.states
+    coarse = probe_places(fmu, [log_for("drive", step=0.5, rows=50)])
+    assert (coarse.way, coarse.reason.code) == (STEPS, messages.TOO_FAST.code)
+    assert coarse.structure.way == STEPS
+    events = probe_places(build(tmp_path / "b.fmu", "drive", ways=WAYS, fault="time_events"), [log])
+    assert (events.way, events.reason.code) == (STEPS, messages.EVENTS_ON_LOGS.code)
+    alone = probe_places(build(tmp_path / "c.fmu", "drive", fault="time_events"), [log])
+    assert (alone.way, alone.reason.code) == (EXCHANGE, messages.ONLY_EXCHANGE.code)
+    only = probe_places(build(tmp_path / "d.fmu", "drive", ways=("co_simulation",)), [log])
+    assert (only.way, only.reason.code) == (STEPS, messages.ONLY_CO_SIMULATION.code)
+
+
+def test_steps_of_its_own_speak_against_co_simulation(tmp_path: Path) -> None:
+    fmu, log = build(tmp_path / "a.fmu", "drive", ways=WAYS, fault="time_events"), log_for("drive", rows=20)
+    exchange = probe_structure(fmu, [log])
+    for own, way in ((0.0, STEPS), (0.05, EXCHANGE)):
+        assert choose_way(exchange, Behaviour(fmu, STEPS, own_step=own), (STEPS, EXCHANGE))[0] == way
+
+
+def test_the_verb_shows_places_as_a_table_and_as_json(tmp_path: Path) -> None:
+    fmu = build(tmp_path / "motor.fmu", "dc_motor", ways=WAYS, fault="no_units")
+    told = cosim("info", fmu, "--places")
+    assert told.returncode == 0
+    lines = [" ".join(line.split()) for line in told.stdout.splitlines()]
+    assert "angle speed 1 load_torque (-5000)" in lines
+    assert next(line for line in lines if line.startswith("way: ")).startswith("way: model-exchange: its states")
+    assert "declares no unit; numbers are taken as they are" in lines
+    places = json.loads(cosim("info", fmu, "--places", "--json").stdout)["places"]
+    assert [(p["position"], p["velocity"]) for p in places["pairs"]] == [("angle", "speed")]
+    assert [s["name"] for s in places["storages"]] == ["current"]
+    assert {p["name"]: p["acts"] for p in places["parameters"]}["damping"] is True
+    assert [f["code"] for f in places["findings"]] == [messages.NO_UNITS.code]
+    assert places["behaviour"]["rolls_back"] is True
+
+
+def test_the_verb_reads_logs_for_the_probe(tmp_path: Path) -> None:
+    fmu = slider_fmu(tmp_path / "slider.fmu", exchange=True)
+    log = slider_log(tmp_path / "a.csv")
+    places = json.loads(cosim("info", fmu, "--places", "--log", log, "--json").stdout)["places"]
+    assert [e["log"] for e in places["events"]] == ["a.csv"]
+    assert places["step"] == 0.05
+    refused = cosim("info", fmu, "--log", log)
+    assert refused.returncode == 2
+    assert "--places" in refused.stderr
+
+
+def test_a_value_of_an_unknown_variable_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match='has no variable "motor.I"; did you mean "motor.J"'):
+        probe_structure(build(tmp_path / "a.fmu", "drive"), values={"motor.I": 1.0})
+
+
+def test_values_are_those_of_the_simulations(tmp_path: Path) -> None:
+    (pair, _) = probe_structure(build(tmp_path / "a.fmu", "drive"), values={"motor.J": 0.02}).pairs
+    assert [port.gain for port in pair.ports] == [pytest.approx(50.0)]
+
+
+def test_limits_turn_a_displacement_round() -> None:
+    values = np.array([0.8, 0.9])
+    assert moved_within(values, 0.3, (0.0, 1.0)).tolist() == pytest.approx([0.5, 0.6])
+    assert moved_within(values, 0.05, (0.0, 1.0)).tolist() == pytest.approx([0.85, 0.95])
+    assert moved_within(np.array([0.1, 0.9]), 0.3, (0.0, 1.0)).tolist() == pytest.approx([0.4, 1.0])

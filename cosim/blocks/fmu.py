@@ -159,6 +159,11 @@ class FmuBlock:
         return tuple(warning.after(f"{self.name}: ") for warning in warnings)
 
     @property
+    def calls(self) -> Calls:
+        """Return the calls of the FMU's version and interface."""
+        return self._calls
+
+    @property
     def log(self) -> deque[str]:
         """Return the last log messages of the FMU."""
         return self.instance.log
@@ -173,8 +178,13 @@ class FmuBlock:
         self._values.bind(row, first, beside, first_beside)
 
     def open(self, start: float, stop: float) -> None:
+        self.load_and_begin(start, stop)
+
+    def load_and_begin(self, start: float, stop: float, loaded: Callable[[], None] = lambda: None) -> None:
+        """Load the FMU, call `loaded`, and enter initialization at `start`."""
         self.instance.time = start
         self._load()
+        loaded()
         self._begin(start, stop)
 
     def open_again(self, values: Mapping[str, Any], start: float, stop: float) -> None:

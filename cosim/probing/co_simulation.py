@@ -12,23 +12,27 @@ import numpy as np
 from cosim.base.arrays import Array, Flags
 from cosim.base.errors import SimulationError
 from cosim.blocks.derivatives import reals, scalars
-from cosim.probing.fmu_structure import Pair, Port, Structure
-from cosim.probing.log_runs import NAME, SAME, Course, Fmu, amplitude_of, run_co_simulation
+from cosim.blocks.description import takes_any_step
+from cosim.probing import messages
+from cosim.probing.fmu_structure import Pair, Port, ProbedParameter, Structure
+from cosim.probing.log_runs import SAME, Course, Fmu, amplitude_of, limits_of, moved_within, run_along
 from cosim.probing.parameter_trials import tried_parameters
 from cosim.probing.prober import Prober, no_flags, quantities, separate_pairs
 
-ROWS = 300  # rows of a simulation for responses and parameters
+ROWS, FEW_ROWS = 300, 60  # rows of a simulation for responses, and first for parameters
 PAIR_ERROR = 1e-2  # error of an integrated velocity relative to the position's increments
-UNITY = 1e-3  # difference of a gain from 1 that counts as integration error
+UNITY = 1e-3  # difference of a gain from 1 that counts as integration error, at least
 STEPS = (0.2, 0.5, 0.8)  # places of input steps, as shares of a course
+PARTS = 32  # of a step, in the search for lags
+MOST_GAIN = 4.0  # gain over a part relative to that over a step, beyond which the FMU makes steps of its own
 DIRECT = 2.8  # response after two steps over that after one: about 2 through one integrator, 4 through two
 
 
-def outputs_along(fmu: Fmu, course: Course) -> tuple[Array, str]:
-    """Return the real outputs along a course, and the reason of an early end. Runs in the worker."""
+def outputs_along(fmu: Fmu, course: Course) -> tuple[Array, SimulationError | None]:
+    """Return the real outputs along a course, and the error that ended it early. Runs in the worker."""
     block, row = fmu.opened_for_steps(course)
     with closing(block):
-        table, stop = run_co_simulation(block, row, course)
+        table, stop = run_along(block, row, course)
         names = [s.name for s in block.outputs]
     return table[:, [names.index(name) for name in scalars(reals(fmu.description, "output"))]], stop
 
@@ -41,10 +45,10 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
     """
     fmu = prober.fmu
     _, inputs, outputs = fmu.names
-    runs: list[tuple[Array, str]] = [prober.call(outputs_along, fmu, course) for course in courses]
+    runs: list[tuple[Array, SimulationError | None]] = [prober.call(outputs_along, fmu, course) for course in courses]
     good = [(course, table) for course, (table, _) in zip(courses, runs, strict=True) if len(table) > 2]
     if not good:
-        raise SimulationError(NAME, float(courses[0].time[0]), runs[0][1])
+        raise runs[0][1] or SimulationError(fmu.name, float(courses[0].time[0]), messages.TOO_SHORT())
     values = np.concatenate([table for _, table in good])
     size = np.maximum(np.abs(values).max(axis=0), SAME)
     short, base = good[0][0].first(min(ROWS, len(good[0][1]))), good[0][1][:ROWS]
@@ -56,7 +60,7 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
         fmu=prober.path,
         way="co-simulation",
         states=(),
-        inputs=quantities(prober.description, inputs, [float(_known(name, good)[0]) for name in inputs]),
+        inputs=quantities(prober.description, inputs),
         outputs=quantities(prober.description, outputs, good[0][1][0]),
         state_in_rate=no_flags(0, 0),
         input_in_rate=no_flags(0, len(inputs)),
@@ -69,16 +73,26 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
         slowest=0.0,
         scales={**spreads, **dict(zip(outputs, map(float, values.std(axis=0)), strict=True))},
         step=min(course.step for course in courses),
-        parameters=tried_parameters(prober, partial(_react, prober, short), size),
-        stops=tuple(stop for _, stop in runs if stop),
+        parameters=_parameters(prober, short, size),
+        stops=tuple(str(stop) for _, stop in runs if stop),
     )
+
+
+def _parameters(prober: Prober, course: Course, size: Array) -> tuple[ProbedParameter, ...]:
+    """Return each settable parameter with what it changes; a longer simulation for those that change nothing."""
+    quickly = tried_parameters(prober, partial(_react, prober, course.first(FEW_ROWS)), size)
+    idle = {p.name for p in quickly if not p.acts and not p.starts and not p.failure}
+    if not idle or course.time.size <= FEW_ROWS:
+        return quickly
+    longer = {p.name: p for p in tried_parameters(prober, partial(_react, prober, course), size, idle)}
+    return tuple(longer.get(p.name, p) for p in quickly)
 
 
 def _react(prober: Prober, course: Course, fmu: Fmu) -> tuple[Array, Array]:
     """Return the initial and the later outputs along a course."""
     table, stop = prober.call(outputs_along, fmu, course)
     if not len(table):
-        raise SimulationError(NAME, float(course.time[0]), stop)
+        raise stop
     return table[0], table[1:]
 
 
@@ -103,9 +117,10 @@ def _fits(good: Sequence[tuple[Course, Array]]) -> list[tuple[int, int, float]]:
         if power == 0.0:
             continue
         gain = float(rises[:, q] @ areas[:, v]) / power
-        error, size = _rms(rises[:, q] - gain * areas[:, v]), _rms(rises[:, q])
-        if size > 0.0 and error <= min(PAIR_ERROR * size, abs(gain) * _rms(euler[:, v]) + SAME * size):
-            fits.append((q, v, 1.0 if abs(gain - 1.0) <= UNITY else gain))
+        error, size, first_order = _rms(rises[:, q] - gain * areas[:, v]), _rms(rises[:, q]), _rms(euler[:, v])
+        if size > 0.0 and error <= min(PAIR_ERROR * size, abs(gain) * first_order + SAME * size):
+            bias = max(UNITY, first_order**2 * areas.shape[0] / power)  # of the rule for a sine
+            fits.append((q, v, 1.0 if abs(gain - 1.0) <= bias else gain))
     return fits
 
 
@@ -122,23 +137,25 @@ class Responses:
     """
 
     def __init__(self, prober: Prober, course: Course, base: Array, size: Array) -> None:
-        self._prober, self._course, self._base, self._size = prober, course, base, size
+        self._prober, self._size, self._course = prober, size, course
         repeated, _ = prober.call(outputs_along, prober.fmu, course)
         rows = min(len(repeated), len(base))
         self._noise = 10.0 * np.abs(repeated[:rows] - base[:rows]).max(axis=0, initial=0.0) + SAME * size
-        self._known: dict[tuple[str, float], tuple[int, float, Array]] = {}
+        self._bases: dict[tuple[float, int], Array] = {}
 
     def flags(self, inputs: Sequence[str]) -> Flags:
         """Return whether an input (column) changes an output (row) at any time."""
-        return np.column_stack([self.reaches(n) for n in inputs]) if inputs else no_flags(self._size.size, 0)
-
-    def reaches(self, name: str) -> Flags:
-        """Return for each output whether the input changes it at any time."""
-        _, _, difference = self._response(name, STEPS[0])
-        return np.asarray((np.abs(difference) > self._noise).any(axis=0))
+        columns = []
+        for name in inputs:
+            row, parted = self._place(STEPS[0], 1)
+            difference, _ = self._response(name, row, STEPS[0], parted)
+            columns.append((np.abs(difference) > self._noise).any(axis=0))
+        return np.column_stack(columns) if columns else no_flags(self._size.size, 0)
 
     def ports(self, inputs: Sequence[str], velocities: Sequence[int]) -> dict[int, tuple[Port, ...]]:
         """Return the inputs that change a velocity by as much in the second step as in the first."""
+        if not velocities:
+            return {}
         gains = {(v, name): self._gain(name, v) for v in velocities for name in inputs}
         ports = {}
         for v in velocities:
@@ -147,29 +164,49 @@ class Responses:
             ports[v] = tuple(Port(name, gains[v, name], alone[name]) for name in mine)
         return ports
 
-    def _gain(self, name: str, output: int) -> float:
-        """Return the rate of a velocity per unit of an input that acts through one integrator, else 0."""
+    def _gain(self, name: str, velocity: int) -> float:
+        """Return the rate of a velocity per unit of an input that acts through one integrator, else 0.
+
+        Parts of a step show a lag that a whole step hides. An FMU that makes whole steps instead of parts has another
+        gain there, which is not used.
+        """
+        whole = self._gain_over(name, velocity, 1)
+        if not whole or not takes_any_step(self._prober.description):
+            return whole
+        fine = self._gain_over(name, velocity, PARTS)
+        return whole if abs(fine) > MOST_GAIN * abs(whole) else fine
+
+    def _gain_over(self, name: str, velocity: int, parts: int) -> float:
+        """Return the gain over a part of a step, the median over the places."""
         gains = []
         for share in STEPS:
-            row, size, difference = self._response(name, share)
-            once, twice = difference[row + 1 : row + 3, output] if len(difference) > row + 2 else (0.0, 0.0)
-            if abs(once) > self._noise[output] and abs(twice) < DIRECT * abs(once):
-                gains.append(float(once) / (size * float(self._course.time[row + 1] - self._course.time[row])))
+            row, course = self._place(share, parts)
+            difference, size = self._response(name, row, share, course)
+            if len(difference) <= row + 2:
+                continue
+            once, twice = difference[row + 1 : row + 3, velocity]
+            if abs(once) > self._noise[velocity] and abs(twice) < DIRECT * abs(once):
+                gains.append(float(once) / (size * float(course.time[row + 1] - course.time[row])))
         return float(np.median(gains)) if 2 * len(gains) > len(STEPS) else 0.0
 
-    def _response(self, name: str, share: float) -> tuple[int, float, Array]:
-        """Return the row and the size of a step of an input, and the differences of all outputs."""
-        if (name, share) not in self._known:
-            variable = next(v for v in self._prober.description.modelVariables if v.name == name)
-            course = self._course
-            held = course.inputs.get(name)
-            if held is None:
-                start = float(self._prober.values.get(name, variable.start or 0.0))
-                held = np.full(course.time.size, start)
-                course = Course(course.name, course.time, {**course.inputs, name: held}, course.outputs, course.step)
-            size = float(np.std(held)) or amplitude_of(variable, float(held[0]))
-            row = int(share * (course.time.size - 3))
-            table, _ = self._prober.call(outputs_along, self._prober.fmu, course.with_step(name, row, size))
-            rows = min(len(table), len(self._base))
-            self._known[name, share] = row, size, table[:rows] - self._base[:rows]
-        return self._known[name, share]
+    def _place(self, share: float, parts: int) -> tuple[int, Course]:
+        """Return the row of an input step, and the course with the two steps after it divided into parts."""
+        row = int(share * (self._course.time.size - 3))
+        return row, self._course.parted(row, parts)
+
+    def _response(self, name: str, row: int, share: float, course: Course) -> tuple[Array, float]:
+        """Return the differences of all outputs after a step of an input, and its size."""
+        key = share, course.time.size
+        if key not in self._bases:
+            self._bases[key], _ = self._prober.call(outputs_along, self._prober.fmu, course)
+        variable = next(v for v in self._prober.description.modelVariables if v.name == name)
+        held = course.inputs.get(name)
+        if held is None:
+            held = np.full(course.time.size, float(self._prober.values.get(name, variable.start or 0.0)))
+        wanted = float(np.std(held)) or amplitude_of(variable, float(held[0]))
+        changed = moved_within(held, wanted, limits_of(variable))
+        size = float(changed[row] - held[row]) or wanted
+        moved = course.with_input(name, np.where(np.arange(course.time.size) < row, held, changed))
+        table, _ = self._prober.call(outputs_along, self._prober.fmu, moved)
+        rows = min(len(table), len(self._bases[key]))
+        return table[:rows] - self._bases[key][:rows], size

@@ -29,6 +29,7 @@ class Points:
         scale: Displacement unit of each state and input.
         size: Magnitude of each rate and output, for comparisons.
         depends: Whether a rate or output (row) changes with a state or input (column).
+        low, high: Limits of states and inputs, which no displacement exceeds.
         slopes: Slopes at each point.
         places: Time, states and inputs of each point.
         known, values: States with inputs, and rates with outputs, of all points and of points displaced at random.
@@ -37,6 +38,8 @@ class Points:
     scale: Array
     size: Array
     depends: Flags
+    low: Array
+    high: Array
     slopes: list[Array] = field(default_factory=list)
     places: list[tuple[float, Array, Array]] = field(default_factory=list)
     known: list[Array] = field(default_factory=list)
@@ -52,17 +55,26 @@ class Points:
         value = at(z)
         slopes = np.zeros((value.size, z.size))
         for k, scale in enumerate(self.scale):
-            ahead, behind, up, down = (_moved(z, k, s * scale) for s in (SMALL, -SMALL, LARGE, -LARGE))
+            ahead, behind, up, down = (self._moved(z, k, s * scale) for s in (SMALL, -SMALL, LARGE, -LARGE))
             rates = at(ahead)
-            slopes[:, k] = (rates - at(behind)) / (ahead[k] - behind[k])
+            slopes[:, k] = (rates - at(behind)) / ((ahead[k] - behind[k]) or np.nan)
             for other in (rates, at(up), at(down)):
                 self.depends[:, k] |= np.nan_to_num(np.abs(other - value)) > SAME * self.size
         rng = np.random.default_rng(len(self.places))
-        displaced = z + LARGE * self.scale * rng.uniform(-1.0, 1.0, z.size)
+        displaced = self._inside(z + LARGE * self.scale * rng.uniform(-1.0, 1.0, z.size), z)
         self.known += [z, displaced]
         self.values += [value, at(displaced)]
         self.slopes.append(slopes)
         self.places.append((t, x, u))
+
+    def _moved(self, z: Array, k: int, by: float) -> Array:
+        moved = z.copy()
+        moved[k] += by
+        return self._inside(moved, z)
+
+    def _inside(self, moved: Array, z: Array) -> Array:
+        """Return a displaced point within the limits, or no further outside than the point itself."""
+        return np.asarray(np.clip(moved, np.minimum(self.low, z), np.maximum(self.high, z)))
 
     @property
     def known_table(self) -> tuple[Array, Array]:
@@ -70,12 +82,6 @@ class Points:
         known, values = np.array(self.known), np.array(self.values)
         finite = np.isfinite(values).all(axis=1)
         return known[finite], values[finite]
-
-
-def _moved(z: Array, k: int, by: float) -> Array:
-    moved = z.copy()
-    moved[k] += by
-    return moved
 
 
 def safe_rates(block: DifferentiableFmu, x: Array, u: Array) -> Array:
@@ -98,7 +104,6 @@ class StartPoint:
     """
 
     states: Array
-    inputs: Array
     outputs: Array
     shown: dict[int, int]
 
@@ -117,7 +122,7 @@ def start_point(fmu: Fmu, course: Course) -> StartPoint:
             values.append(safe_rates(block, z, u))
     table = np.array(values)
     finite = np.isfinite(table).all(axis=1)
-    return StartPoint(x, u, start, equal_columns(np.array(known)[finite], table[finite][:, x.size :]))
+    return StartPoint(x, start, equal_columns(np.array(known)[finite], table[finite][:, x.size :]))
 
 
 def equal_columns(known: Array, values: Array) -> dict[int, int]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import permutations
 from typing import Any
 
@@ -23,9 +24,9 @@ from cosim.probing.exchange_points import (
     start_point,
 )
 from cosim.probing.fmu_structure import Pair, Port, ProbedParameter, Structure
-from cosim.probing.log_runs import NAME, SAME, Course, Run
+from cosim.probing.log_runs import SAME, Course, Run
 from cosim.probing.parameter_trials import tried_parameters
-from cosim.probing.prober import Prober, quantities, separate_pairs
+from cosim.probing.prober import Prober, no_flags, quantities, separate_pairs
 
 RATE_SHARE = 1e-6  # eigenvalue relative to the largest, below which it is zero
 PLACES = 12  # points at which parameters are tried
@@ -44,11 +45,7 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
     names = states, inputs, outputs = prober.fmu.names
     start: StartPoint = prober.call(start_point, prober.fmu, courses[0])
     firsts = [_measured_start(course, start.shown, outputs) for course in courses]
-    runs: list[Run] = [
-        prober.call(simulated, prober.fmu, course, first) for course, first in zip(courses, firsts, strict=True)
-    ]
-    if not any(run.time.size for run in runs):
-        raise SimulationError(NAME, float(courses[0].time[0]), runs[0].stop)
+    runs = _simulations(prober, courses, firsts)
     points, scales = _points(prober, courses, firsts, [run for run in runs if run.time.size], runs)
     known, table = points.known_table
     n = len(states)
@@ -60,7 +57,7 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
         fmu=prober.path,
         way="model-exchange",
         states=quantities(prober.description, states, start.states),
-        inputs=quantities(prober.description, inputs, start.inputs),
+        inputs=quantities(prober.description, inputs),
         outputs=quantities(prober.description, outputs, start.outputs),
         state_in_rate=depends[:n, :n],
         input_in_rate=depends[:n, n:],
@@ -74,9 +71,19 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
         scales=scales,
         step=min(course.step for course in courses),
         events=tuple(run.events for run in runs),
-        parameters=_parameters(prober, courses[0], points, table),
-        stops=tuple(run.stop for run in runs if run.stop),
+        parameters=_parameters(prober, courses[0], firsts[0], points, any(run.events.total for run in runs)),
+        stops=tuple(str(run.stop) for run in runs if run.stop),
     )
+
+
+def _simulations(prober: Prober, courses: Sequence[Course], firsts: Sequence[Mapping[int, float]]) -> list[Run]:
+    """Return the simulations along all courses; raise SimulationError if none has a row."""
+    runs: list[Run] = [
+        prober.call(simulated, prober.fmu, course, first) for course, first in zip(courses, firsts, strict=True)
+    ]
+    if not any(run.time.size for run in runs):
+        raise runs[0].stop or SimulationError(prober.fmu.name, float(courses[0].time[0]), messages.TOO_SHORT())
+    return runs
 
 
 def _measured_start(course: Course, shown: Mapping[int, int], outputs: Sequence[str]) -> dict[int, float]:
@@ -98,7 +105,9 @@ def _points(
     unmoved = np.where(largest > 0.0, STEADY * largest, nominal)
     scale = np.where(spread > SAME * largest, spread, unmoved)
     size = np.maximum(np.abs(values).max(axis=0), SAME)
-    points = Points(scale, size, np.zeros((values.shape[1], known.shape[1]), bool))
+    signals = quantities(prober.description, (*states, *inputs), known[0])
+    low, high = (np.array([q.bounds[end] for q in signals]) for end in (0, 1))
+    points = Points(scale, size, no_flags(values.shape[1], known.shape[1]), low, high)
     reals_only = all(name in inputs for course in courses for name in course.inputs)
     share = max(2, POINTS // max(1, len(good)))
     for course, first, run in zip(courses, firsts, runs, strict=True):
@@ -161,7 +170,26 @@ def _rates(matrices: Sequence[Array]) -> tuple[float, float]:
     return largest, float(sizes[sizes >= RATE_SHARE * largest].min())
 
 
-def _parameters(prober: Prober, course: Course, points: Points, table: Array) -> tuple[ProbedParameter, ...]:
+def _parameters(
+    prober: Prober, course: Course, first: Mapping[int, float], points: Points, has_events: bool
+) -> tuple[ProbedParameter, ...]:
+    """Return each settable parameter with what it changes, at points or only through events."""
     every = max(1, -(-len(points.places) // PLACES))
     places = points.places[::every]
-    return tried_parameters(prober, lambda fmu: prober.call(reactions, fmu, course, places), points.size)
+    tried = tried_parameters(prober, lambda fmu: prober.call(reactions, fmu, course, places), points.size)
+    if not has_events:
+        return tried
+    base: Run = prober.call(simulated, prober.fmu, course, first)
+    return tuple(p if p.acts or p.starts else _tried_in_events(prober, course, first, base, p) for p in tried)
+
+
+def _tried_in_events(
+    prober: Prober, course: Course, first: Mapping[int, float], base: Run, parameter: ProbedParameter
+) -> ProbedParameter:
+    """Return a parameter that changes no rate, with what it changes along a simulation with events."""
+    try:
+        run: Run = prober.call(simulated, prober.with_values({parameter.name: parameter.tried}), course, first)
+    except SimulationError as error:
+        return replace(parameter, failure=str(error))
+    same = run.values.shape == base.values.shape and np.allclose(run.values, base.values, rtol=SAME, atol=0.0)
+    return replace(parameter, acts=not same)

@@ -68,7 +68,7 @@ class ProbedParameter:
         acts: True if another value changes a rate or an output.
         starts: True if another value changes a state after initialization.
         tried: Value that was tried last.
-        failure: Reason why the FMU took no other value, "" if it did.
+        failure: Failure of the FMU with a value near its own, a crash for example; "" without any.
     """
 
     quantity: Quantity

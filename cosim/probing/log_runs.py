@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,11 +16,10 @@ from cosim.base.errors import SimulationError
 from cosim.blocks.derivatives import DifferentiableFmu, reals, scalars, states_of
 from cosim.blocks.fmu import FmuBlock
 from cosim.isolation import worker as here
-from cosim.isolation.rows import ADVANCE, OTHER
+from cosim.isolation.rows import ADVANCE, GET, OTHER, PUT
 from cosim.logs.log import Log
 from cosim.probing.fmu_structure import EventCount
 
-NAME = "fmu"
 ROWS, SECONDS = 400, 10.0  # simulation without a log: rows, and duration without a default experiment [s]
 SHARE = 0.1  # amplitude of a sine relative to the input's range or start value
 SAME = 1e-9  # relative difference below which numbers are equal
@@ -51,11 +51,18 @@ class Course:
         inputs, outputs = ({n: v[:rows] for n, v in each.items()} for each in (self.inputs, self.outputs))
         return Course(self.name, self.time[:rows], inputs, outputs, self.step)
 
-    def with_step(self, name: str, row: int, size: float) -> Course:
-        """Return the course with an input that is larger by `size` from a row on."""
-        changed = self.inputs[name].copy()
-        changed[row:] += size
-        return Course(self.name, self.time, {**self.inputs, name: changed}, self.outputs, self.step)
+    def with_input(self, name: str, values: Array) -> Course:
+        """Return the course with other values of an input."""
+        return Course(self.name, self.time, {**self.inputs, name: values}, self.outputs, self.step)
+
+    def parted(self, row: int, parts: int) -> Course:
+        """Return the course with two further rows in the step after a row, each a part of the step apart."""
+        if parts == 1:
+            return self
+        part = (self.time[row + 1] - self.time[row]) / parts
+        time = np.insert(self.time, row + 1, self.time[row] + part * np.array([1.0, 2.0]))
+        inputs = {n: np.insert(v, row + 1, [v[row]] * 2) for n, v in self.inputs.items()}
+        return Course(self.name, time, inputs, {}, self.step)
 
 
 def sine_course(description: Any, values: Mapping[str, Any]) -> Course:
@@ -73,18 +80,37 @@ def sine_course(description: Any, values: Mapping[str, Any]) -> Course:
     for k, variable in enumerate(v for v in reals(description, "input") if not v.shape):
         start = float(values.get(variable.name, variable.start or 0.0))
         waves = [np.sin(p * phase + 1.7 * k + p) for p in SINES]
-        size = amplitude_of(variable, start) / len(SINES)
-        inputs[variable.name] = np.asarray(start + size * np.sum(waves, axis=0), np.float64)
+        size, (low, high) = amplitude_of(variable, start), limits_of(variable)
+        centre = min(max(start, low + size), high - size)
+        inputs[variable.name] = np.asarray(centre + size / len(SINES) * np.sum(waves, axis=0), np.float64)
     return Course("sines", time, inputs, {}, step)
 
 
 def amplitude_of(variable: Any, start: float) -> float:
     """Return a small amplitude for a variable: a share of its range, start value or nominal value."""
-    ends = [getattr(variable, e, None) or getattr(variable.declaredType, e, None) for e in ("min", "max", "nominal")]
-    low, high, nominal = (None if e is None else float(e) for e in ends)
-    if low is not None and high is not None and np.isfinite(high - low) and high > low:
-        return SHARE * min(high - low, 2.0 * max(high - start, start - low))
-    return SHARE * (abs(start) or abs(nominal or 0.0) or 1.0)
+    low, high = limits_of(variable)
+    if math.isfinite(high - low) and high > low:
+        return SHARE * (high - low)
+    nominal = getattr(variable, "nominal", None) or getattr(variable.declaredType, "nominal", None)
+    return SHARE * (abs(start) or abs(float(nominal or 0.0)) or 1.0)
+
+
+def limits_of(variable: Any) -> tuple[float, float]:
+    """Return min and max of a variable or of its type, infinite without any."""
+    ends = []
+    for end, default in (("min", -math.inf), ("max", math.inf)):
+        values = getattr(variable, end, None), getattr(variable.declaredType, end, None)
+        ends.append(next((float(v) for v in values if v is not None), default))
+    return ends[0], ends[1]
+
+
+def moved_within(values: Array, size: float, limits: tuple[float, float]) -> Array:
+    """Return values plus a size, or minus it where limits forbid more, within the limits."""
+    low, high = limits
+    if values.max(initial=-math.inf) + size > high and values.min(initial=math.inf) - size >= low:
+        size = -size
+    inside = values + size
+    return np.asarray(np.clip(inside, min(low, float(values.min())), max(high, float(values.max()))), np.float64)
 
 
 @dataclass(eq=False)
@@ -94,7 +120,7 @@ class Run:
     Attributes:
         time: Times of the rows [s].
         states, inputs, values: One row for each time; values are rates and outputs in model exchange, else outputs.
-        stop: Reason of an early end.
+        stop: Error that ended the simulation early.
     """
 
     time: Array
@@ -102,7 +128,7 @@ class Run:
     inputs: Array
     values: Array
     events: EventCount
-    stop: str = ""
+    stop: SimulationError | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +146,11 @@ class Fmu:
     values: Mapping[str, Any]
 
     @property
+    def name(self) -> str:
+        """Return the name of the file, for messages."""
+        return self.path.name
+
+    @property
     def names(self) -> Named:
         """Return the names of continuous states, real inputs and outputs."""
         listed = states_of(self.description), reals(self.description, "input"), reals(self.description, "output")
@@ -128,25 +159,36 @@ class Fmu:
 
     def opened(self, course: Course) -> tuple[DifferentiableFmu, Any]:
         """Return an instance for model exchange before its initialization, and the row of its signals."""
-        block = DifferentiableFmu(NAME, self.path, self.description, self.values, frozenset(course.inputs))
-        return block, self._opened_row(block, course)
+        block = DifferentiableFmu(self.name, self.path, self.description, self.values, frozenset(course.inputs))
+        return block, bound_row(block, course, self.place)
 
     def opened_for_steps(self, course: Course) -> tuple[FmuBlock, Any]:
         """Return an instance for co-simulation before its initialization, and the row of its signals."""
         connected = frozenset(course.inputs)
-        block = FmuBlock(NAME, self.path, self.description, self.values, connected, way="co-simulation")
-        return block, self._opened_row(block, course)
+        block = FmuBlock(self.name, self.path, self.description, self.values, connected, way="co-simulation")
+        return block, bound_row(block, course, self.place)
 
-    def _opened_row(self, block: FmuBlock, course: Course) -> Any:
-        here.progress.made[0], here.progress.doing[0] = 0, OTHER
-        block.instance.place = self.place
-        here.share_log(block)
-        row = (ctypes.c_double * max(1, len(block.inputs) + len(block.outputs)))()
-        exact = len(block.exact_inputs) + len(block.exact_outputs)
-        block.bind(row, 0, [None] * exact, 0)
-        block.open(float(course.time[0]), float(course.time[-1]) + course.step)
-        put_row(block, row, course, 0)
-        return row
+
+def bound_row(block: FmuBlock, course: Course, place: Path) -> Any:
+    """Load and open an FMU with the first inputs of a course; return the row of its signals.
+
+    Args:
+        place: Folder of the unpacked FMU.
+    """
+    here.progress.made[0], here.progress.doing[0] = 0, OTHER
+    block.instance.place = place
+    here.share_log(block)
+    row = (ctypes.c_double * max(1, len(block.inputs) + len(block.outputs)))()
+    exact = len(block.exact_inputs) + len(block.exact_outputs)
+    block.bind(row, 0, [None] * exact, 0)
+    block.load_and_begin(float(course.time[0]), float(course.time[-1]) + course.step, loaded=_name_reading)
+    put_row(block, row, course, 0)
+    return row
+
+
+def _name_reading() -> None:
+    """Announce the reading of outputs, which follows the calls of the initialization; loading has its own limit."""
+    here.progress.doing[0] = GET
 
 
 def put_row(block: FmuBlock, row: Any, course: Course, k: int) -> None:
@@ -154,7 +196,26 @@ def put_row(block: FmuBlock, row: Any, course: Course, k: int) -> None:
     for number, signal in enumerate(block.inputs):
         if signal.name in course.inputs:
             row[number] = float(course.inputs[signal.name][k])
+    here.progress.doing[0] = PUT
     block.put()
+
+
+def begin(block: FmuBlock) -> None:
+    """Leave initialization mode and read the outputs."""
+    here.progress.doing[0] = OTHER
+    block.start()
+    here.progress.doing[0] = GET
+    block.get()
+
+
+def step_row(block: FmuBlock, row: Any, course: Course, k: int) -> None:
+    """Step from a row of the course to the next and read the outputs."""
+    put_row(block, row, course, k)
+    here.progress.doing[0] = ADVANCE
+    block.advance(float(course.time[k]), float(course.time[k + 1] - course.time[k]))
+    here.progress.doing[0] = GET
+    block.get()
+    here.progress.made[0] += 1
 
 
 def simulate(
@@ -172,7 +233,8 @@ def simulate(
         visit: Function of time, states and inputs at each row of `rows`, which leaves the FMU as it was.
     """
     visited, last = frozenset(rows), course.time.size - 1
-    states, inputs, values, stop = list[Array](), list[Array](), list[Array](), ""
+    states, inputs, values = list[Array](), list[Array](), list[Array]()
+    stop: SimulationError | None = None
     try:
         block.start()
         _set_states(block, float(course.time[0]), first)
@@ -190,7 +252,7 @@ def simulate(
                 block.advance(t, float(course.time[k + 1]) - t)
                 here.progress.made[0] += 1
     except SimulationError as error:
-        stop = str(error)
+        stop = error
     counts, made = block.event_counts, len(inputs)
     events = EventCount(course.name, counts["state"], counts["time"], counts["step"])
     return Run(course.time[:made], _table(states), _table(inputs), _table(values[:made]), events, stop)
@@ -210,20 +272,16 @@ def _set_states(block: DifferentiableFmu, t: float, first: Mapping[int, float]) 
         block.restart_solver(t)
 
 
-def run_co_simulation(block: FmuBlock, row: Any, course: Course) -> tuple[Array, str]:
-    """Return the outputs of an opened FMU for co-simulation along a course, one row each, and the reason of an end."""
-    first, table, stop = len(block.inputs), list[list[float]](), ""
+def run_along(block: FmuBlock, row: Any, course: Course) -> tuple[Array, SimulationError | None]:
+    """Return the outputs of an opened FMU along a course, one row each, and the error that ended it early."""
+    first, table = len(block.inputs), list[list[float]]()
+    stop: SimulationError | None = None
     try:
-        block.start()
-        block.get()
+        begin(block)
         table.append(row[first : first + len(block.outputs)])
         for k in range(course.time.size - 1):
-            here.progress.doing[0] = ADVANCE
-            put_row(block, row, course, k)
-            block.advance(float(course.time[k]), float(course.time[k + 1] - course.time[k]))
-            block.get()
+            step_row(block, row, course, k)
             table.append(row[first : first + len(block.outputs)])
-            here.progress.made[0] += 1
     except SimulationError as error:
-        stop = str(error)
+        stop = error
     return np.array(table, float).reshape(len(table), len(block.outputs)), stop

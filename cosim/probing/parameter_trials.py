@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Container
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,24 +48,29 @@ def settable_parameters(description: Any) -> list[Any]:
 
 
 def tried_parameters(
-    prober: Prober, react: Callable[[Fmu], tuple[Array, Array]], size: Array
+    prober: Prober, react: Callable[[Fmu], tuple[Array, Array]], size: Array, only: Container[str] | None = None
 ) -> tuple[ProbedParameter, ...]:
     """Return each settable parameter with what other values of it change.
 
     Args:
         react: Function of the FMU that returns its states after initialization, and a table of reactions.
         size: Magnitude of each column of the table.
+        only: Names of the parameters to try; None for all.
     """
-    parameters = settable_parameters(prober.description)
+    parameters = [v for v in settable_parameters(prober.description) if only is None or v.name in only]
     if not parameters:
         return ()
-    (start, table), (again, repeated) = react(prober.fmu), react(prober.fmu)
+    start, table = react(prober.fmu)
+    begin = time.monotonic()
+    again, repeated = react(prober.fmu)
+    took = time.monotonic() - begin
     rows = min(len(table), len(repeated))
     noise = np.nan_to_num(np.abs(table[:rows] - repeated[:rows])).max(axis=0, initial=0.0)
     reference = Reference(
         start, table, 10.0 * np.abs(again - start) + SAME * np.maximum(np.abs(start), SAME), SAME * size + 10.0 * noise
     )
-    return tuple(_tried(prober, variable, react, reference) for variable in parameters)
+    with prober.hurry(took):
+        return tuple(_tried(prober, variable, react, reference) for variable in parameters)
 
 
 def _tried(prober: Prober, variable: Any, react: Any, reference: Reference) -> ProbedParameter:
@@ -83,7 +89,6 @@ def _tried(prober: Prober, variable: Any, react: Any, reference: Reference) -> P
         refused = np.isnan(table[:rows]) & ~np.isnan(reference.table[:rows])
         acts = acts or bool((differs | refused).any()) or len(table) != len(reference.table)
         starts = starts or bool((np.abs(start - reference.start) > reference.state_noise).any())
-        failure = ""
         if acts or starts:
             break
     return ProbedParameter(quantity, acts, starts, tried, failure)

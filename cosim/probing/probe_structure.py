@@ -18,11 +18,8 @@ from cosim.probing.co_simulation import co_simulation_structure
 from cosim.probing.exchange_structure import exchange_structure
 from cosim.probing.fmu_structure import Structure
 from cosim.probing.log_runs import Course, sine_course
-from cosim.probing.prober import Prober
+from cosim.probing.prober import LIMITS, MODULES, Prober
 from cosim.storage.archive import unpack
-
-MODULES = ("cosim.probing.exchange_points", "cosim.probing.co_simulation", "fmpy.fmi2", "fmpy.fmi3", "fmpy.logging")
-LIMITS = Limits(step=20.0, load=60.0)
 
 
 def probe_structure(
@@ -53,7 +50,7 @@ def probe_structure(
         offered = ways(prober.description)
         chosen = way or ("model-exchange" if "model-exchange" in offered else "co-simulation")
         if chosen not in offered:
-            raise InputError.at(path, messages.NO_MODEL_EXCHANGE(way=chosen, ways=", ".join(offered)))
+            raise InputError.at(path, messages.NO_INTERFACE(way=chosen, ways=", ".join(offered)))
         unpack(path, place)
         courses = [Course.of(log) for log in logs] or [sine_course(prober.description, values)]
         if chosen == "co-simulation":

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cosim.base.arrays import Array, Flags
+from cosim.base.errors import Fault, refuse
 from cosim.blocks.compiling import permission, with_permission
 from cosim.blocks.description import read_description, unit_of
 from cosim.blocks.fmi_types import element_names
@@ -16,9 +18,16 @@ from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.watch import Watch, fmi_calls
 from cosim.model.quantities import Quantity
-from cosim.probing.log_runs import NAME, Fmu
+from cosim.probing import messages
+from cosim.probing.log_runs import Fmu, limits_of
+from cosim.storage.yaml_file import did_you_mean
 
 Job = Callable[..., Any]
+JOBS = ("exchange_points", "co_simulation", "trial_runs")
+MODULES = (*(f"cosim.probing.{job}" for job in JOBS), "fmpy.fmi2", "fmpy.fmi3", "fmpy.logging")
+LIMITS = Limits(step=20.0, load=60.0)
+USUAL_STEP, USUAL_LOAD = 5.0, 10.0  # least time limits of a trial [s]
+SLOW = 30.0  # time limit of a trial as a multiple of the time of an ordinary simulation
 
 
 class Prober:
@@ -32,6 +41,11 @@ class Prober:
     def __init__(self, path: Path, values: Mapping[str, Any], worker: Worker, place: Path, limits: Limits) -> None:
         self.path, self.description = path, read_description(path)
         self.values, self._worker, self._limits, self.place = dict(values), worker, limits, place
+        variables = {v.name for v in self.description.modelVariables}
+        unknown = [
+            messages.UNKNOWN_VALUE(name=n, cure=did_you_mean(n, variables)) for n in values if n not in variables
+        ]
+        refuse(Fault(path, 0, 0, message) for message in unknown)
 
     def with_values(self, values: Mapping[str, Any]) -> Fmu:
         """Return the FMU with further start values."""
@@ -42,9 +56,29 @@ class Prober:
         """Return the FMU with its start values."""
         return self.with_values({})
 
+    def in_worker(self, worker: Worker) -> Prober:
+        """Return the same FMU in another worker process."""
+        return Prober(self.path, self.values, worker, self.place, self._limits)
+
+    @contextmanager
+    def hurry(self, took: float) -> Iterator[None]:
+        """Limit all jobs within a `with` block as trials that may hang; see `hurried`."""
+        usual, self._limits = self._limits, self.hurried(took)
+        try:
+            yield
+        finally:
+            self._limits = usual
+
+    def hurried(self, took: float) -> Limits:
+        """Return the limits of a trial that may hang, from the time [s] that an ordinary simulation took."""
+        step = max(USUAL_STEP, SLOW * took)
+        load = max(USUAL_LOAD, SLOW * took)
+        most = self._limits.step or step, self._limits.load or load
+        return self._limits.model_copy(update={"step": min(step, most[0]), "load": min(load, most[1])})
+
     def call(self, job: Job, *arguments: Any, limits: Limits | None = None) -> Any:
         """Return the result of a job in the worker."""
-        watch = Watch([NAME], [fmi_calls(self.description)], limits=limits or self._limits)
+        watch = Watch([self.path.name], [fmi_calls(self.description)], limits=limits or self._limits)
         return self._worker.call(with_permission, permission.get(), job, *arguments, watch=watch)
 
 
@@ -75,17 +109,16 @@ def quantities(
     made = []
     for k, name in enumerate(names):
         variable = variables[name]
-        start = float(variable.start) if starts is None else float(starts[k])
-        bounds = _end(variable, "min", -np.inf), _end(variable, "max", np.inf)
+        start = _start(variable, name) if starts is None else float(starts[k])
         text = " ".join((variable.description or "").split())
-        made.append(Quantity(name, unit_of(variable), text, start, bounds))
+        made.append(Quantity(name, unit_of(variable), text, start, limits_of(variable)))
     return tuple(made)
 
 
-def _end(variable: Any, name: str, without: float) -> float:
-    """Return a limit of a variable or of its type."""
-    values = getattr(variable, name, None), getattr(variable.declaredType, name, None)
-    return next((float(v) for v in values if v is not None), without)
+def _start(variable: Any, name: str) -> float:
+    """Return the start value in the description of a variable or of its element, 0 without one."""
+    values = str(variable.start or "0").split() if not isinstance(variable.start, (list, tuple)) else variable.start
+    return float(values[element_names(variable).index(name) if len(values) > 1 else 0])
 
 
 def no_flags(rows: int, columns: int) -> Flags:

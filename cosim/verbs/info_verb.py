@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from cosim.blocks.description import C_CODE
-from cosim.verbs.options import Json
+from cosim.verbs.options import Compile, Json, Texts
 from cosim.verbs.terminal import say, say_json, some, table
 
 if TYPE_CHECKING:
     from cosim.blocks.summary import Summary, Variable
+    from cosim.probing.fmu_structure import Pair, ProbedParameter
+    from cosim.probing.places import Places
 
 SECTIONS = {"inputs": ("input",), "outputs": ("output",), "parameters": ("parameter", "structuralParameter")}
 UNITS = {"start": " s", "stop": " s", "step": " s", "tolerance": ""}  # of a default experiment
@@ -22,7 +25,19 @@ MAX_PARAMETERS = 60  # parameters in the table; --all shows every one
 
 def command(
     fmus: Annotated[list[Path], typer.Argument(metavar="FMU", help="FMU to describe.")],
+    *,
     every: Annotated[bool, typer.Option("--all", help="List local variables and every parameter too.")] = False,
+    places: Annotated[
+        bool,
+        typer.Option("--places", help="Execute each FMU to find the places where terms can act, and its misbehaviour."),
+    ] = False,
+    log: Annotated[
+        Texts, typer.Option("--log", metavar="LOG", help="Measured log that drives the inputs for --places.")
+    ] = None,
+    compile_: Compile = False,
+    limits: Annotated[
+        str, typer.Option("--limits", help="Limits of each simulation for --places, for example 'step: 10 s'.")
+    ] = "",
     as_json: Json = False,
 ) -> None:
     """List variables, units, defaults and capabilities of FMUs.
@@ -31,13 +46,66 @@ def command(
     """
     from cosim.blocks.summary import summaries
 
+    if not places and (log or limits or compile_):
+        raise typer.BadParameter("--log, --limits and --compile need --places")
     descriptions = summaries(fmus)
+    probed = [_probe(fmu, log or [], limits, compiles=compile_) if places else None for fmu in fmus]
     if as_json:
-        contents = [s.as_json() for s in descriptions]
+        contents = [_content(s, p) for s, p in zip(descriptions, probed, strict=True)]
         say_json(contents if len(contents) > 1 else contents[0])
         return
-    for number, summary in enumerate(descriptions):
-        say(*([""] if number else []), *_overview(summary), *_variables(summary, every=every))
+    for number, (summary, found) in enumerate(zip(descriptions, probed, strict=True)):
+        say(*([""] if number else []), *_overview(summary))
+        say(*(_variables(summary, every=every) if found is None else _places(found)))
+
+
+def _content(summary: Summary, places: Places | None) -> dict[str, Any]:
+    """Return the content of an FMU for JSON."""
+    return summary.as_json() | ({} if places is None else {"places": places.as_json()})
+
+
+def _probe(fmu: Path, logs: Sequence[str], limits: str, *, compiles: bool) -> Places:
+    from cosim.blocks.compiling import compiling
+    from cosim.isolation.limits import read_limits
+    from cosim.probing.places import probe_places
+    from cosim.probing.prober import LIMITS
+    from cosim.residuals.drive import log_of_fmu
+
+    read = [log_of_fmu(Path(log), fmu, alone=len(logs) == 1) for log in logs]
+    with compiling(compiles):
+        return probe_places(fmu, read, limits=read_limits(limits) if limits else LIMITS)
+
+
+def _places(p: Places) -> list[str]:
+    """Return the tables of places, and the findings."""
+    s, lines = p.structure, [f"way: {p.way}: {p.reason}"]
+    pairs = [(f"  {pair.position}", pair.velocity, f"{pair.gain:.6g}", _ports(pair)) for pair in s.pairs]
+    lines += _titled("pairs", ("  position", "velocity", "gain", "forces (gain)"), pairs)
+    states = {q.name: q for q in s.states}
+    storages = [(f"  {name}", states[name].unit, f"{states[name].start:.6g}") for name in s.storages]
+    lines += _titled("storages", ("  state", "unit", "start"), storages)
+    shows = {output: state for state, output in s.shown.items()}
+    sensors = [(f"  {q.name}", q.unit, shows.get(q.name, "")) for q in s.outputs]
+    lines += _titled("sensors", ("  output", "unit", "shows the state"), sensors)
+    lines += _titled(
+        "inputs", ("  input", "unit", "start"), [(f"  {q.name}", q.unit, f"{q.start:.6g}") for q in s.inputs]
+    )
+    parameters = [(f"  {q.name}", q.quantity.unit, f"{q.quantity.start:.6g}", _acting(q)) for q in s.parameters]
+    lines += _titled("parameters", ("  parameter", "unit", "start", "acts"), parameters)
+    return [*lines, f"findings: {len(p.findings) or 'none'}", *(finding.after("  ") for finding in p.findings)]
+
+
+def _titled(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    return [f"{title}: {len(rows)}", *table(header, rows)] if rows else [f"{title}: none"]
+
+
+def _ports(pair: Pair) -> str:
+    return ", ".join(f"{port.input} ({port.gain:.4g})" for port in pair.ports) or "none"
+
+
+def _acting(parameter: ProbedParameter) -> str:
+    acts = "yes" if parameter.acts else "at the start only" if parameter.starts else "no"
+    return f"{acts}, and the FMU fails with a value near it" if parameter.failure else acts
 
 
 def _overview(s: Summary) -> list[str]:

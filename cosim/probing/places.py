@@ -1,0 +1,148 @@
+"""Places where terms can be added to an FMU, and the interface by which it is refined."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from cosim.base.errors import FmuError, InputError, SimulationError
+from cosim.base.messages import Message
+from cosim.blocks.description import Way, read_description, ways
+from cosim.isolation.limits import Limits
+from cosim.logs.log import Log
+from cosim.model.quantities import Quantity
+from cosim.probing import messages
+from cosim.probing.behaviour import Behaviour, probe_behaviour
+from cosim.probing.fmu_structure import Structure
+from cosim.probing.probe_structure import probe_structure
+from cosim.probing.prober import LIMITS
+
+FASTEST = 20.0  # largest product of step and eigenvalue of a filter over the states
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Structure and behaviour of an FMU, and the interface by which it is refined.
+
+    Attributes:
+        way, reason: Interface and the reason for it.
+        structure: Structure of that interface.
+        behaviour: Behaviour of co-simulation if the FMU has it, else of model exchange.
+    """
+
+    way: Way
+    reason: Message
+    structure: Structure
+    behaviour: Behaviour
+
+    @property
+    def findings(self) -> tuple[Message, ...]:
+        """Return everything that deviates, with codes."""
+        stops = [messages.RUN_ENDS(error=stop) for stop in self.structure.stops]
+        return (*self.behaviour.findings, *stops)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the places as plain data."""
+        s, b = self.structure, self.behaviour
+        return {
+            "way": self.way,
+            "reason": {"code": self.reason.code, "text": str(self.reason)},
+            "pairs": [asdict(pair) for pair in s.pairs],
+            "storages": [_entry(s.states, name) for name in s.storages],
+            "sensors": [{**_entry(s.outputs, q.name), "shows": _shown(s, q.name)} for q in s.outputs],
+            "inputs": [_entry(s.inputs, q.name) for q in s.inputs],
+            "parameters": [
+                {**_entry([p.quantity], p.name), "acts": p.acts, "starts": p.starts, "failure": p.failure}
+                for p in s.parameters
+            ],
+            "largest_rate": s.largest_rate,
+            "step": s.step,
+            "events": [asdict(count) for count in s.events],
+            "behaviour": {
+                "way": b.way,
+                "resets": b.resets,
+                "keeps_early": b.keeps_early,
+                "keeps_inside": b.keeps_inside,
+                "repeats": b.repeats,
+                "moves": b.moves,
+                "growth": b.growth,
+                "own_step": b.own_step,
+                "rolls_back": b.rolls_back,
+                "events": b.events,
+                "failing": list(b.failing),
+            },
+            "findings": [{"code": finding.code, "text": str(finding)} for finding in self.findings],
+        }
+
+
+def _entry(quantities: Sequence[Quantity], name: str) -> dict[str, Any]:
+    quantity = next(q for q in quantities if q.name == name)
+    return {"name": name, "unit": quantity.unit, "start": quantity.start}
+
+
+def _shown(structure: Structure, output: str) -> str:
+    """Return the state that an output equals, "" without one."""
+    return next((state for state, shown in structure.shown.items() if shown == output), "")
+
+
+def probe_places(
+    fmu: Path,
+    logs: Sequence[Log] = (),
+    values: Mapping[str, float] = MappingProxyType({}),
+    *,
+    limits: Limits = LIMITS,
+) -> Places:
+    """Return the places of an FMU.
+
+    Args:
+        logs: Logs of the FMU; without any, small sines drive the inputs.
+        values: Start values by name.
+        limits: Limits of each simulation.
+
+    Raises:
+        FmuError: The FMU is invalid or does not load.
+        SimulationError: The FMU fails, crashes or hangs at its start.
+    """
+    offered = ways(read_description(fmu))
+    behaviour = probe_behaviour(fmu, logs, values, limits=limits)
+    if "model-exchange" not in offered:
+        structure = probe_structure(fmu, logs, values, limits=limits)
+        return Places("co-simulation", messages.ONLY_CO_SIMULATION(), structure, behaviour)
+    try:
+        exchange = probe_structure(fmu, logs, values, way="model-exchange", limits=limits)
+    except (InputError, FmuError, SimulationError) as error:
+        if "co-simulation" not in offered:
+            raise
+        structure = probe_structure(fmu, logs, values, way="co-simulation", limits=limits)
+        return Places("co-simulation", messages.NO_USABLE_EXCHANGE(error=str(error)), structure, behaviour)
+    way, reason = choose_way(exchange, behaviour, offered)
+    if way == "co-simulation":
+        exchange = probe_structure(fmu, logs, values, way=way, limits=limits)
+    return Places(way, reason, exchange, behaviour)
+
+
+def choose_way(exchange: Structure, behaviour: Behaviour, offered: Sequence[Way]) -> tuple[Way, Message]:
+    """Return the interface by which an FMU is refined, and the reason.
+
+    Args:
+        exchange: Structure of model exchange.
+    """
+    stiffness = exchange.step * exchange.largest_rate
+    events = sum(count.total for count in exchange.events)
+    objection: Message | None = None
+    if events:
+        objection = messages.EVENTS_ON_LOGS(count=events)
+    elif stiffness > FASTEST:
+        objection = messages.TOO_FAST(stiffness=stiffness, most=FASTEST)
+    elif not exchange.states:
+        objection = messages.NO_STATES()
+    if objection is None:
+        return "model-exchange", messages.EXCHANGE_FITS(stiffness=stiffness, most=FASTEST)
+    if "co-simulation" not in offered:
+        return "model-exchange", messages.ONLY_EXCHANGE(objection=objection)
+    if behaviour.own_step:
+        return "model-exchange", messages.OWN_STEP_TOO_LONG(objection=objection, own=behaviour.own_step)
+    return "co-simulation", objection
