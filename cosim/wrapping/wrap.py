@@ -298,6 +298,7 @@ class Wrapper:
     def write(self, out: Path) -> Wrapped:
         """Write the wrapped FMU."""
         self.check()
+        _ = self.config  # raises CannotWrap for variables that are not there
         edit, sources = self.description(), self.sources()
         original_token = edit.token
         edit.token = token = f"{{{self._digest(edit.bytes(), sources)[:32]}}}"
