@@ -174,6 +174,7 @@ static Status commit(Wrapper *w)
     return status;
 }
 
+#if PORTS || RATES
 static Status find_states(Wrapper *w)
 {
     Course *c = &w->course;
@@ -183,6 +184,7 @@ static Status find_states(Wrapper *w)
     c->knows_states = 1;
     return w->f.GetContinuousStates(w->component, c->x, NX);
 }
+#endif
 
 /* What the original gets: shaped inputs and forces at ports. */
 static Status add_forces(Wrapper *w, const double *shaped, double *out)
@@ -753,7 +755,7 @@ Status FMI(SerializeFMUstate)(FMI(Component) a0, FMI(FMUstate) state, FMI(Byte) 
     memcpy(at, OWN_TOKEN, sizeof OWN_TOKEN), at += sizeof OWN_TOKEN;
     memcpy(at, &s->course, sizeof(Course)), at += sizeof(Course);
     memcpy(at, &rows, sizeof rows), at += sizeof rows;
-    if (PAST(s)) memcpy(at, row_of(&s->history, 0), PAST(s)), at += PAST(s);
+    if (s->history.count > 0) memcpy(at, row_of(&s->history, 0), PAST(s)), at += PAST(s);
     return w->f.SerializeFMUstate(w->component, s->original, at, size - HEAD - PAST(s));
 }
 
