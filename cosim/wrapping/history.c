@@ -85,23 +85,32 @@ static void mean_of(const History *h, double begin, double end, double *out)
     for (int j = 0; j < NU; j++) out[j] /= span;
 }
 
-/* Value at a time, before jumps later than `seen`. */
-static void value_at(const History *h, double t, double seen, double *out)
+/* Value at a time, before the jump at `hidden` and those after it. */
+static void value_at(const History *h, double t, double hidden, double *out)
 {
     size_t k = 0;
     while (k + 1 < h->count && row_of(h, k + 1)[0] <= t) {
-        if (row_of(h, k + 1)[0] == row_of(h, k)[0] && row_of(h, k)[0] > seen) break;
+        if (row_of(h, k + 1)[0] == row_of(h, k)[0] && row_of(h, k)[0] >= hidden) break;
         k++;
     }
     const double *from = row_of(h, k), *to = k + 1 < h->count ? row_of(h, k + 1) : from;
-    const double span = to[0] - from[0], share = span > 0.0 && t > from[0] ? (t - from[0]) / span : 0.0;
+    const double span = to[0] - from[0], share = span > 0.0 && t > from[0] ? (t < to[0] ? (t - from[0]) / span : 1.0) : 0.0;
     for (int j = 1; j < ROW; j++) out[j - 1] = from[j] + share * (to[j] - from[j]);
+}
+
+/* Whether two rows differ by more than the rounding of a host that interpolates. */
+static int is_jump(const double *from, const double *to)
+{
+    if (from[0] != to[0]) return 0;
+    for (int j = 1; j < ROW; j++)
+        if (fabs(to[j] - from[j]) > 1e-9 * (1.0 + fabs(from[j]))) return 1;
+    return 0;
 }
 
 /* Time of the first jump after a time; infinity without one. */
 static double next_jump(const History *h, double t)
 {
     for (size_t k = 0; k + 1 < h->count; k++)
-        if (row_of(h, k)[0] == row_of(h, k + 1)[0] && row_of(h, k)[0] > t) return row_of(h, k)[0];
+        if (row_of(h, k)[0] > t && is_jump(row_of(h, k), row_of(h, k + 1))) return row_of(h, k)[0];
     return HUGE_VAL;
 }

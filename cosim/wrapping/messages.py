@@ -24,5 +24,5 @@ NO_START = Template("E-WRP-011", "{name} of {file} has no start value; only vari
 NO_PARAMETER = Template("E-WRP-012", 'the delay "{name}" is no parameter of the terms')
 
 # Reasons why a platform is left out
-UNKNOWN_PLATFORM = Template("W-WRP-013", "no compiler builds for {platform} here")
+UNKNOWN_PLATFORM = Template("W-WRP-013", "{platform} is not among the platforms to build for")
 NO_LIBRARY_ON_PLATFORM = Template("W-WRP-014", "{platform} has no library for {identifier}")

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 import shutil
 import zipfile
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from math import prod
 from pathlib import Path, PurePosixPath
@@ -18,7 +17,7 @@ from cosim.blocks.derivatives import REALS, scalars, states_of
 from cosim.blocks.description import read_description, takes_any_step
 from cosim.fmi.fmu_build import EPOCH, digest
 from cosim.fmi.native.compiler import NoCompiler, commands, fmi_headers, library_of
-from cosim.fmi.native.platforms import PLATFORMS, Platform
+from cosim.fmi.native.platforms import PLATFORMS, Platform, glibc_floor, this_platform
 from cosim.storage.archive import DESCRIPTION, description_of
 from cosim.terms.code import TermCode
 from cosim.wrapping import messages
@@ -46,19 +45,25 @@ class Wrapped:
     """A written wrapped FMU.
 
     Attributes:
-        platforms: Platforms with a library, as named in FMI 2.0.
+        platforms: Platforms with a library, as named in FMI 2.0, and the oldest glibc of a Linux library.
         left_out: Platform folder of the original → reason why the wrapper has none.
         withdrawn: Interfaces and capabilities of the original that the wrapper does not have.
     """
 
     path: Path
-    platforms: tuple[str, ...]
+    platforms: Mapping[str, str]
     left_out: Mapping[str, Message]
     withdrawn: tuple[str, ...]
 
 
 def wrap(
-    original: Path, terms: TermCode, values: Mapping[str, float], out: Path, *, substep: float | None = None
+    original: Path,
+    terms: TermCode,
+    values: Mapping[str, float],
+    out: Path,
+    *,
+    substep: float | None = None,
+    platforms: Sequence[str] = (),
 ) -> Wrapped:
     """Write an FMU that holds the original and adds terms, completely or not at all.
 
@@ -66,6 +71,8 @@ def wrap(
         values: Start values of the terms' parameters, and of real variables of the original.
         substep: Longest step [s] in co-simulation over which forces and shaped inputs are held, if the original takes
             steps of any length; by default the communication step. Model exchange needs one for terms with memory.
+        platforms: Names in `PLATFORMS`, all for the cross compiler if there is one, which also targets old versions of
+            glibc; by default those of the original, with this machine's by its own compiler.
 
     Raises:
         FmuError: The original is invalid.
@@ -73,7 +80,7 @@ def wrap(
         NoCompiler: No platform of the original can be compiled for.
         CompilerFailed: Compilation failed.
     """
-    return Wrapper(original, terms, values, 0.0 if substep is None else substep, substep is not None).write(out)
+    return Wrapper(original, terms, values, substep, tuple(platforms)).write(out)
 
 
 @dataclass(frozen=True)
@@ -83,8 +90,8 @@ class Wrapper:
     original: Path
     terms: TermCode
     values: Mapping[str, float]
-    substep: float
-    has_substep: bool
+    substep: float | None
+    platforms: tuple[str, ...]
 
     @cached_property
     def about(self) -> Any:
@@ -157,9 +164,9 @@ class Wrapper:
             raise CannotWrap(messages.NAME_TAKEN(file=file, name=taken[0]))
         if self.terms.delay and self.terms.delay not in names:
             raise CannotWrap(messages.NO_PARAMETER(name=self.terms.delay))
-        if self.has_substep and not self.substep > 0:
+        if self.substep is not None and not self.substep > 0:
             raise CannotWrap(messages.SUBSTEP_NOT_POSITIVE(substep=self.substep))
-        if "ModelExchange" in self.interfaces and self.terms.memory and not self.has_substep:
+        if "ModelExchange" in self.interfaces and self.terms.memory and self.substep is None:
             raise CannotWrap(messages.NO_SUBSTEP())
 
     # -- parts --------------------------------------------------------------------------------------
@@ -178,7 +185,7 @@ class Wrapper:
             outputs=[self.reference(name) for name in self.terms.outputs],
             own={self.reference(name): value for name, value in self.own.items()},
             sizes={v.valueReference: prod(v.shape) for v in self.variables.values() if v.shape and v.type in REALS},
-            substep=self.substep,
+            substep=self.substep or 0.0,
             any_step=takes_any_step(self.about) and not self._may_pend(),
         )
 
@@ -243,7 +250,7 @@ class Wrapper:
         found: dict[Platform, dict[str, str]] = {}
         left_out: dict[str, Message] = {}
         for folder, files in sorted(folders.items()):
-            if folder not in known:
+            if folder not in known or (self.platforms and known[folder].name not in self.platforms):
                 left_out[folder] = messages.UNKNOWN_PLATFORM(platform=folder)
                 continue
             platform = known[folder]
@@ -256,18 +263,18 @@ class Wrapper:
 
     def build(
         self, names: Sequence[str], tokens: tuple[str, str], sources: Mapping[str, bytes]
-    ) -> tuple[dict[str, bytes], tuple[str, ...], dict[str, Message]]:
-        """Return libraries by member, their platforms, and the folders left out with reasons."""
+    ) -> tuple[dict[str, bytes], dict[str, str], dict[str, Message]]:
+        """Return libraries by member, their platforms with glibc, and the folders left out with reasons."""
         libraries, left_out = self.libraries(names)
         if not libraries and not left_out:
             identifier = ", ".join(sorted({*self.interfaces.values()}))
             raise CannotWrap(messages.NO_LIBRARY(file=self.original.name, identifier=identifier))
         members: dict[str, bytes] = {}
-        built = []
+        built = {}
         for platform, originals in libraries.items():
             folder = platform.folder(self.fmi)
             try:
-                (command,) = commands((platform.name,)).values()
+                command = self._command(platform)
             except NoCompiler as error:
                 left_out[folder] = error.args[0]
                 continue
@@ -276,15 +283,22 @@ class Wrapper:
                 files = {**sources, "config.h": self.config.text(tokens, library).encode()}
                 made = library_of(files, "all.c", command, EXPORTS[self.fmi], libraries=more)
                 members[f"binaries/{folder}/{identifier}{platform.suffix}"] = made.read_bytes()
-            built.append(platform.name)
+                built[platform.name] = glibc_floor(made.read_bytes())
         if not members:
             reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out.items())
             raise NoCompiler(messages.NO_COMPILER(file=self.original.name, reasons=reasons))
-        return members, tuple(built), left_out
+        return members, built, left_out
+
+    def _command(self, platform: Platform) -> list[str]:
+        """Return the compiler's command; raise NoCompiler if there is none."""
+        names = (platform.name,) if self.platforms or platform != this_platform() else ()
+        (command,) = commands(names).values()
+        return command
 
     def write(self, out: Path) -> Wrapped:
         """Write the wrapped FMU."""
         self.check()
+        _ = self.config  # raises CannotWrap for variables that are not there
         edit, sources = self.description(), self.sources()
         original_token = edit.token
         edit.token = token = f"{{{self._digest(edit.bytes(), sources)[:32]}}}"
@@ -303,10 +317,9 @@ class Wrapper:
         return Wrapped(out, platforms, left_out, tuple(edit.withdrawn))
 
     def _digest(self, description: bytes, sources: dict[str, bytes]) -> str:
-        with self.original.open("rb") as stream:
-            content = hashlib.file_digest(stream, "sha256").hexdigest()
-        config = replace(self.config).text(("", ""), "")
-        return digest({**sources, "config.h": config.encode()}, description + content.encode())
+        with zipfile.ZipFile(self.original) as archive:
+            content = repr(sorted((m.filename, m.CRC, m.file_size) for m in archive.infolist()))
+        return digest({**sources, "config.h": self.config.text(("", ""), "").encode()}, description + content.encode())
 
 
 def _library(identifier: str, files: Sequence[str], suffix: str) -> str | None:

@@ -22,7 +22,7 @@ typedef enum { INSTANTIATED, INITIALIZATION, RUNNING } Phase;
  * inputs run straight from `before` to their values now. */
 typedef struct {
     int phase, in_event, awake, stale, is_sent, knows_states;
-    double time, since, length, seen; /* seen: time of the last event, up to which jumps of delayed inputs have arrived */
+    double time, since, length, coming; /* coming: time of a jump of the inputs that is announced as an event, with the delay */
     double u[NU + 1], before[NU + 1], shaped[NU + 1], sent[NU + 1];
     double x[NX + 1], m[NM + 1], p[NP], own[OWNS + 1];
 } Course;
@@ -150,7 +150,7 @@ static Status shape_now(Wrapper *w, double *out)
     const int has_now = is_past && w->exchange && c->time > c->since && !append(&w->history, c->time, c->u);
     memcpy(m, c->m, sizeof m);
     remember(w, c->time, m);
-    if (is_past) value_at(&w->history, c->time - DELAY_TIME(c), w->exchange ? EARLIER(c->seen) - DELAY_TIME(c) : HUGE_VAL, u);
+    if (is_past) value_at(&w->history, EARLIER(c->time) - DELAY_TIME(c), c->coming, u);
     else memcpy(u, c->u, sizeof u);
     w->history.count -= has_now;
     shape(c, c->time, SHORT * c->length, u, m, out);
@@ -174,6 +174,7 @@ static Status commit(Wrapper *w)
     return status;
 }
 
+#if PORTS || RATES
 static Status find_states(Wrapper *w)
 {
     Course *c = &w->course;
@@ -183,6 +184,7 @@ static Status find_states(Wrapper *w)
     c->knows_states = 1;
     return w->f.GetContinuousStates(w->component, c->x, NX);
 }
+#endif
 
 /* What the original gets: shaped inputs and forces at ports. */
 static Status add_forces(Wrapper *w, const double *shaped, double *out)
@@ -239,6 +241,7 @@ static void begin(Wrapper *w)
     forget_all(&w->history);
     memset(c, 0, sizeof *c);
     c->length = SUBSTEP > 0.0 ? SUBSTEP : 1e-3;
+    c->coming = HUGE_VAL;
     memcpy(c->u, INPUT_START, sizeof c->u);
     memcpy(c->before, INPUT_START, sizeof c->before);
     memcpy(c->p, PARAMETER_START, sizeof(double) * PARAMETERS);
@@ -326,7 +329,8 @@ Status FMI(ExitInitializationMode)(FMI(Component) a0)
     if (FAILED(status)) return status;
     c->phase = RUNNING;
     c->in_event = w->exchange;
-    c->since = c->seen = c->time;
+    c->since = c->time;
+    c->coming = HUGE_VAL;
     c->knows_states = 0;
     if (c->awake) c->stale = 1;
     memcpy(c->before, c->u, sizeof c->u);
@@ -495,7 +499,7 @@ static int note(Wrapper *w, Reference reference, const Special *s, double value)
     if (s->input < 0) return 1;
     if (w->exchange && c->in_event && c->time > c->since && FAILED(commit(w))) return -1;
     c->u[s->input] = value;
-    if (c->time <= c->since) c->before[s->input] = value;
+    if (c->in_event) c->before[s->input] = value; /* a jump; between events a host may try older inputs, too */
     if (!c->awake || !ACTS || c->phase == INSTANTIATED) {
         c->is_sent = 0;
         return 1;
@@ -640,8 +644,9 @@ Status FMI(CompletedIntegratorStep)(FMI(Component) a0, FMI(Boolean) no_state_bef
 /* Before discrete states are updated: delayed inputs that are due have arrived. */
 static Status before_update(Wrapper *w)
 {
-    w->course.seen = w->course.time;
-    if (w->course.awake) w->course.stale = 1;
+    Course *c = &w->course;
+    if (EARLIER(c->time) - DELAY_TIME(c) >= c->coming) c->coming = HUGE_VAL;
+    if (c->awake) c->stale = 1;
     return settle(w);
 }
 
@@ -652,7 +657,9 @@ static Status after_update(Wrapper *w, Status status, double *next)
     c->knows_states = 0;
     if (c->awake) c->stale = 1;
     *next = HUGE_VAL;
-    if (c->awake && is_delayed(c)) *next = next_jump(&w->history, EARLIER(c->time) - DELAY_TIME(c)) + DELAY_TIME(c);
+    if (!c->awake || !is_delayed(c)) return status;
+    c->coming = next_jump(&w->history, EARLIER(c->time) - DELAY_TIME(c));
+    *next = c->coming + DELAY_TIME(c);
     return status;
 }
 
@@ -748,7 +755,7 @@ Status FMI(SerializeFMUstate)(FMI(Component) a0, FMI(FMUstate) state, FMI(Byte) 
     memcpy(at, OWN_TOKEN, sizeof OWN_TOKEN), at += sizeof OWN_TOKEN;
     memcpy(at, &s->course, sizeof(Course)), at += sizeof(Course);
     memcpy(at, &rows, sizeof rows), at += sizeof rows;
-    if (PAST(s)) memcpy(at, row_of(&s->history, 0), PAST(s)), at += PAST(s);
+    if (s->history.count > 0) memcpy(at, row_of(&s->history, 0), PAST(s)), at += PAST(s);
     return w->f.SerializeFMUstate(w->component, s->original, at, size - HEAD - PAST(s));
 }
 
