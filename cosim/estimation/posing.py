@@ -152,6 +152,8 @@ def coarsen(problem: Problem, values: Mapping[str, float] | None = None) -> Prob
     Args:
         values: Parameter values to test with, by default the base model's. An active effect may need finer steps.
     """
+    if problem.layout.additions:  # substeps matter to forces that follow the outputs, and to no model without them
+        return problem
     noise, values = problem.plain, {**problem.values, **(values or {})}
     exact = problem.score(values, noise).nll
     most = max(log.substeps for log in problem.logs)

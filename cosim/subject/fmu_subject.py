@@ -46,7 +46,7 @@ from cosim.wrapping.wrap import CannotWrap, wrap
 
 STIFFEST = 20.0  # step times largest eigenvalue, above which explicit integration from row to row is too costly
 FINEST = 0.25  # substep times largest eigenvalue; a fit takes the coarsest with equal likelihood
-SUBSTEPS = 4  # steps of co-simulation between rows, for forces that follow the outputs
+SUBSTEPS = 8  # steps of co-simulation between rows, for forces that follow the outputs
 WAYS = {
     "model-exchange": "model exchange: a filter over the states of the FMU",
     "co-simulation": "co-simulation: free runs of the FMU, with an estimated addition to each output",
@@ -346,7 +346,7 @@ def _places(
             port, sign = inputs.index(alone[0].input), math.copysign(1.0, alone[0].gain)
             unit, size = units[alone[0].input], 0.5 * sizes[with_place(alone[0].input)] or 1.0
         at = names.index(pair.position), names.index(pair.velocity)
-        places.append(Place(v, {"u": unit, **kinds}, {"u": size, **moves}, port, *at, sign))
+        places.append(Place(v, {"u": unit, **kinds}, {"u": size, **moves}, port, *at, sign=sign))
     for name in structure.storages:
         size, rate = sizes.get(with_place(name)) or 1.0, structure.scales.get(f"der({name})") or 1.0
         kinds, index = {"q": units[name], "r": unit_product([(units[name], 1), ("s", -1)])}, names.index(name)
