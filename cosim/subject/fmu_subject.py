@@ -46,12 +46,13 @@ from cosim.wrapping.wrap import CannotWrap, wrap
 
 STIFFEST = 20.0  # step times largest eigenvalue, above which explicit integration from row to row is too costly
 FINEST = 0.25  # substep times largest eigenvalue; a fit takes the coarsest with equal likelihood
-SUBSTEPS = 8  # steps of co-simulation between rows, for forces that follow the outputs
+SUBSTEPS = 32  # steps of co-simulation between rows, for forces that follow the outputs
 WAYS = {
     "model-exchange": "model exchange: a filter over the states of the FMU",
     "co-simulation": "co-simulation: free runs of the FMU, with an estimated addition to each output",
 }
 HORIZON_ROWS, HORIZON_SHARE = 50, 0.1  # duration of replays: least in rows, and usual share of a log
+SLOPE_ROWS = 5  # rows over which the rate of readings is taken
 LATEST = 20  # longest delay of the inputs, in rows
 WIDEST = 100.0  # factor on a parameter without bounds, up and down
 
@@ -259,11 +260,16 @@ def _model(structure: Structure, logs: Sequence[Log], terms: Sequence[type[Any]]
     positions = {p.position: p.velocity for p in structure.pairs if p.gain == 1.0}
     index = {q.name: k for k, q in enumerate(structure.states)}
     states = outputs if stepped else states
-    means = {
-        n: float(np.nanmean(np.concatenate([log.outputs[n] for log in logs if n in log.outputs])))
-        for n in {n for log in logs for n in log.outputs}
+    readings: dict[str, list[Array]] = {}
+    for log in logs:
+        for n, y in log.outputs.items():
+            readings.setdefault(n, []).append(y)
+    means = {n: float(np.nanmean(np.concatenate(parts))) for n, parts in readings.items()}
+    rates = {
+        n: max(float(np.nanstd(y[SLOPE_ROWS:] - y[:-SLOPE_ROWS])) for y in parts) / (SLOPE_ROWS * step)
+        for n, parts in readings.items()
     }
-    places = [*_places(structure, sizes | ranges, step, means)]
+    places = [*_places(structure, sizes | ranges, step, means, rates)]
     varied = tuple(n for n, width in ranges.items() if width > 0.0)
     catalogue = (*([delay_of(inputs, LATEST * step)] if inputs else ()), *bound_terms(places, terms))
     horizon = math.inf if structure.way == "co-simulation" else max(HORIZON_ROWS * step, HORIZON_SHARE * duration)
@@ -322,9 +328,18 @@ def _parameter(q: Quantity) -> Parameter:
 
 
 def _places(
-    structure: Structure, sizes: Mapping[str, float], step: float, means: Mapping[str, float]
+    structure: Structure,
+    sizes: Mapping[str, float],
+    step: float,
+    means: Mapping[str, float],
+    rates: Mapping[str, float],
 ) -> Sequence[Place]:
-    """Return the places of terms."""
+    """Return the places of terms.
+
+    Args:
+        sizes: Spread of each signal along the logs, for inputs their range.
+        means, rates: Output → mean, and usual rate of change, of its readings.
+    """
     stepped = structure.way == "co-simulation"  # with outputs in place of states
     names = [q.name for q in (structure.outputs if stepped else structure.states)]
     units = {q.name: q.unit for q in (*structure.states, *structure.inputs, *structure.outputs)}
@@ -338,13 +353,13 @@ def _places(
         alone = [port for port in pair.ports if port.is_alone] or pair.ports
         if stepped and not alone:
             continue
-        rate = structure.scales.get(f"der({pair.velocity})") or 1.0
+        rate = structure.scales.get(f"der({pair.velocity})") or rates.get(pair.velocity) or 1.0
         kinds = {"v": units[pair.velocity], "q": units[pair.position], "d": units[pair.position]}
         moves = {"v": sizes.get(v) or 1.0, "q": sizes.get(q) or 1.0, "d": math.sqrt(12.0) * (sizes.get(q) or 1.0)}
         port, sign, unit, size = -1, 1.0, unit_product([(units[pair.velocity], 1), ("s", -1)]), rate
         if alone:
             port, sign = inputs.index(alone[0].input), math.copysign(1.0, alone[0].gain)
-            unit, size = units[alone[0].input], 0.5 * sizes[with_place(alone[0].input)] or 1.0
+            unit, size = units[alone[0].input], rate / abs(alone[0].gain)
         at = names.index(pair.position), names.index(pair.velocity)
         places.append(Place(v, {"u": unit, **kinds}, {"u": size, **moves}, port, *at, sign=sign))
     for name in structure.storages:

@@ -175,7 +175,7 @@ class Coulomb(Force):
     equation = "−F·tanh(v/ε)"
 
     level: float = scaled("u", neutral=0.0, typical=0.1, low=0.0, high=5.0, doc="level F")
-    softness: float = scaled("v", default=0.02, typical=0.02, low=0.002, high=0.2, doc="velocity ε of the transition")
+    softness: float = scaled("v", default=0.02, typical=0.01, low=1e-4, high=0.2, doc="velocity ε of the transition")
 
     def force(self, m: Namespace, position: Number, velocity: Number) -> Number:
         """Return −F·tanh(v/ε)."""
@@ -193,7 +193,7 @@ class Stribeck(Force):
     level: float = scaled("u", neutral=0.0, typical=0.1, low=0.0, high=5.0, doc="level F at speed")
     breakaway: float = scaled("u", neutral=0.0, typical=0.2, low=0.0, high=10.0, doc="level B at rest")
     speed: float = scaled("v", default=0.3, typical=0.1, low=0.02, high=1.5, doc="speed w of the decay")
-    softness: float = scaled("v", default=0.02, typical=0.02, low=0.002, high=0.2, doc="velocity ε of the transition")
+    softness: float = scaled("v", default=0.02, typical=0.01, low=1e-4, high=0.2, doc="velocity ε of the transition")
 
     def force(self, m: Namespace, position: Number, velocity: Number) -> Number:
         """Return −(F + (B − F)·exp(−(v/w)²))·tanh(v/ε)."""
