@@ -175,6 +175,7 @@ def test_a_sound_fmu_has_no_findings(tmp_path: Path, version: int, way: Way) -> 
     found = behaviour(tmp_path, "", version, way)
     assert found.findings == []
     assert (found.resets, found.keeps_early, found.repeats, found.moves) == (True, True, True, True)
+    assert found.independent
     assert (found.own_step, found.rolls_back) == ((0.0, True) if way == STEPS else (None, None))
     assert found.events == 0.0
     assert found.growth is not None
