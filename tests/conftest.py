@@ -33,7 +33,7 @@ LONGEST = (
     "test_shared_machine", "test_blind_field", "test_install", "test_closed_loop", "test_sensors", "test_per_log",
     "test_consistency", "test_misbehaving", "test_blind_truth", "test_kernel", "test_excite", "test_replay",
     "test_apart", "test_drive", "test_held_out", "test_controllers", "test_report", "test_refine_units",
-    "test_between_rows",
+    "test_between_rows", "test_probing",
 )  # fmt: skip
 
 

@@ -175,6 +175,7 @@ def test_a_sound_fmu_has_no_findings(tmp_path: Path, version: int, way: Way) -> 
     found = behaviour(tmp_path, "", version, way)
     assert found.findings == []
     assert (found.resets, found.keeps_early, found.repeats, found.moves) == (True, True, True, True)
+    assert found.independent
     assert (found.own_step, found.rolls_back) == ((0.0, True) if way == STEPS else (None, None))
     assert found.events == 0.0
     assert found.growth is not None
@@ -284,8 +285,8 @@ def test_the_verb_reads_logs_for_the_probe(tmp_path: Path) -> None:
 
 
 def test_a_value_of_an_unknown_variable_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match='has no variable "motor.I"; did you mean "motor.J"'):
-        probe_structure(build(tmp_path / "a.fmu", "drive"), values={"motor.I": 1.0})
+    with pytest.raises(InputError, match=r'has no variable "mottor\.J"; did you mean "motor\.J"'):
+        probe_structure(build(tmp_path / "a.fmu", "drive"), values={"mottor.J": 1.0})
 
 
 def test_values_are_those_of_the_simulations(tmp_path: Path) -> None:

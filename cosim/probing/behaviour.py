@@ -31,9 +31,10 @@ from cosim.probing.trial_runs import (
     growth,
     outputs_after_reset,
     outputs_after_rollback,
+    outputs_again,
     outputs_in,
     outputs_of,
-    outputs_twice,
+    outputs_together,
     outputs_with_step,
     time_of,
 )
@@ -60,6 +61,7 @@ class Behaviour:
         resets: A reset restores the start.
         keeps_early, keeps_inside: Parameters act when set before initialization mode, or inside it only.
         repeats: Equal simulations have equal results, in the same and in another process.
+        independent: Instances in one process do not disturb each other.
         moves: Results do not depend on the working directory or on the folder of the unpacked FMU.
         growth: Memory per instance that remains after its end [bytes].
         own_step: Step of its own above the asked step [s]; 0 without one.
@@ -75,6 +77,7 @@ class Behaviour:
     keeps_early: bool | None = None
     keeps_inside: bool | None = None
     repeats: bool | None = None
+    independent: bool | None = None
     moves: bool | None = None
     growth: float | None = None
     own_step: float | None = None
@@ -177,6 +180,7 @@ class Trials:
         self._quick = self._prober.hurried(self._prober.call(time_of, self._trial))
         for probe, sentence in (
             (self._repeat, "a repeated simulation"),
+            (self._instances, "a second instance in a process"),
             (self._reset, "a reset"),
             (self._parameters, "a parameter"),
             (self._folders, "another folder"),
@@ -218,7 +222,7 @@ class Trials:
     # -- trials -------------------------------------------------------------------------------
 
     def _repeat(self) -> None:
-        first, second = self._run(outputs_twice, self._trial)
+        first, second = self._run(outputs_again, self._trial)
         with Worker(*MODULES) as other:
             elsewhere, _ = self._prober.in_worker(other).call(outputs_of, self._trial, limits=self._quick)
         differences = [self._difference(first), self._difference(second, first), self._difference(elsewhere)]
@@ -230,6 +234,14 @@ class Trials:
             rows = min(len(table), len(self._table))
             gaps = np.abs(table[:rows] - self._table[:rows]).max(axis=0, initial=0.0)
             self._noise = np.maximum(self._noise, gaps)
+
+    def _instances(self) -> None:
+        """Simulate two instances of a process; differences of equal simulations are known before."""
+        differences = map(self._difference, self._run(outputs_together, self._trial))
+        worst = max(filter(None, differences), key=lambda d: d.share, default=None)
+        self.found.independent = worst is None
+        if worst is not None:
+            self._note(messages.INSTANCES_DISTURB(**worst.fields))
 
     def _reset(self) -> None:
         prefix = "fmi3" if self._prober.description.fmiVersion.startswith("3") else "fmi2"

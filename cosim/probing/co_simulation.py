@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from contextlib import closing
 from functools import partial
@@ -16,10 +17,13 @@ from cosim.blocks.description import takes_any_step
 from cosim.probing import messages
 from cosim.probing.fmu_structure import Pair, Port, ProbedParameter, Structure
 from cosim.probing.log_runs import SAME, Course, Fmu, amplitude_of, limits_of, moved_within, run_along
-from cosim.probing.parameter_trials import tried_parameters
+from cosim.probing.parameter_trials import settable_parameters, tried_parameters
 from cosim.probing.prober import Prober, no_flags, quantities, separate_pairs
 
-ROWS, FEW_ROWS = 300, 60  # rows of a simulation for responses, and first for parameters
+ROWS = 300  # rows of a simulation for responses
+FEW_ROWS, FEWEST_ROWS = 60, 5  # rows of a first simulation for a parameter
+SECONDS, TRIALS = 20.0, 2.0  # time for all parameters [s], and usual simulations for each
+SPAN, MOST_JITTER = 32, 0.1  # rows of an increment if single ones jitter, and most error of single ones
 PAIR_ERROR = 1e-2  # error of an integrated velocity relative to the position's increments
 UNITY = 1e-3  # difference of a gain from 1 that counts as integration error, at least
 STEPS = (0.2, 0.5, 0.8)  # places of input steps, as shares of a course
@@ -79,13 +83,23 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
 
 
 def _parameters(prober: Prober, course: Course, size: Array) -> tuple[ProbedParameter, ...]:
-    """Return each settable parameter with what it changes; a longer simulation for those that change nothing."""
-    quickly = tried_parameters(prober, partial(_react, prober, course.first(FEW_ROWS)), size)
+    """Return each settable parameter with what it changes; a longer simulation for those that change nothing.
+
+    Simulations are as short as the time allowed for all of them demands.
+    """
+    few = course.first(FEW_ROWS)
+    begin = time.monotonic()
+    prober.call(outputs_along, prober.fmu, few)
+    per_row = (time.monotonic() - begin) / few.time.size
+    count = max(1, len(settable_parameters(prober.description)))
+    rows = int(min(FEW_ROWS, max(FEWEST_ROWS, SECONDS / (TRIALS * count * per_row))))
+    quickly = tried_parameters(prober, partial(_react, prober, course.first(rows)), size)
     idle = {p.name for p in quickly if not p.acts and not p.starts and not p.failure}
-    if not idle or course.time.size <= FEW_ROWS:
+    longer = min(course.time.size, int(SECONDS / (TRIALS * max(1, len(idle)) * per_row)))
+    if not idle or longer <= rows:
         return quickly
-    longer = {p.name: p for p in tried_parameters(prober, partial(_react, prober, course), size, idle)}
-    return tuple(longer.get(p.name, p) for p in quickly)
+    again = {p.name: p for p in tried_parameters(prober, partial(_react, prober, course.first(longer)), size, idle)}
+    return tuple(again.get(p.name, p) for p in quickly)
 
 
 def _react(prober: Prober, course: Course, fmu: Fmu) -> tuple[Array, Array]:
@@ -105,23 +119,38 @@ def _known(name: str, good: Sequence[tuple[Course, Array]]) -> Array:
 def _fits(good: Sequence[tuple[Course, Array]]) -> list[tuple[int, int, float]]:
     """Return position, velocity and gain for outputs of which one is the integral of the other times the gain.
 
-    The integral is of the trapezoidal rule. Its error may reach that of Euler's method with the step of the log.
+    The integral is of the trapezoidal rule. Its error may reach that of Euler's method with the step of the log. Single
+    increments of an FMU that rounds communication points to steps of its own jitter; then longer ones decide.
     """
-    rises = np.concatenate([np.diff(table, axis=0) for _, table in good])
-    steps = [np.diff(course.time[: len(table)])[:, None] for course, table in good]
-    areas = np.concatenate([0.5 * h * (t[1:] + t[:-1]) for h, (_, t) in zip(steps, good, strict=True)])
-    euler = np.concatenate([0.5 * h * np.diff(t, axis=0) for h, (_, t) in zip(steps, good, strict=True)])
+    width = good[0][1].shape[1]
+    known = [_areas(course, table) for course, table in good]
+    rises, areas, euler = (np.concatenate([each[k] for each in known]) for k in range(3))
+    long_rises, long_areas = (np.concatenate([_summed(each[k]) for each in known]) for k in range(2))
     fits = []
-    for q, v in permutations(range(rises.shape[1]), 2):
+    for q, v in permutations(range(width), 2):
         power = float(areas[:, v] @ areas[:, v])
         if power == 0.0:
             continue
         gain = float(rises[:, q] @ areas[:, v]) / power
         error, size, first_order = _rms(rises[:, q] - gain * areas[:, v]), _rms(rises[:, q]), _rms(euler[:, v])
-        if size > 0.0 and error <= min(PAIR_ERROR * size, abs(gain) * first_order + SAME * size):
-            bias = max(UNITY, first_order**2 * areas.shape[0] / power)  # of the rule for a sine
+        is_exact = error <= min(PAIR_ERROR * size, abs(gain) * first_order + SAME * size)
+        over_spans = _rms(long_rises[:, q] - gain * long_areas[:, v]) <= PAIR_ERROR * _rms(long_rises[:, q])
+        if size > 0.0 and (is_exact or (error <= MOST_JITTER * size and over_spans)):
+            bias = max(UNITY, error / size if not is_exact else first_order**2 * areas.shape[0] / power)
             fits.append((q, v, 1.0 if abs(gain - 1.0) <= bias else gain))
     return fits
+
+
+def _areas(course: Course, table: Array) -> tuple[Array, Array, Array]:
+    """Return increments of all outputs, their trapezoidal integrals, and the error of Euler's method for each step."""
+    h = np.diff(course.time[: len(table)])[:, None]
+    return np.diff(table, axis=0), 0.5 * h * (table[1:] + table[:-1]), 0.5 * h * np.diff(table, axis=0)
+
+
+def _summed(values: Array) -> Array:
+    """Return sums over spans of rows."""
+    spans = len(values) // SPAN
+    return np.asarray(values[: spans * SPAN].reshape(spans, SPAN, -1).sum(axis=1))
 
 
 def _rms(values: Array) -> float:

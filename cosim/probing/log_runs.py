@@ -71,9 +71,9 @@ def sine_course(description: Any, values: Mapping[str, Any]) -> Course:
     begin = float(getattr(experiment, "startTime", None) or 0.0)
     end = float(getattr(experiment, "stopTime", None) or 0.0)
     duration = end - begin if end > begin else SECONDS
-    step = float(getattr(experiment, "stepSize", None) or 0.0)
-    rows = ROWS if not step else int(min(ROWS, max(2, round(duration / step))))
-    step = step or duration / rows
+    step = float(getattr(experiment, "stepSize", None) or duration / ROWS)
+    step *= max(1, round(duration / ROWS / step))  # whole steps of the FMU
+    rows = int(min(ROWS, max(2, round(duration / step))))
     time = np.asarray(begin + step * np.arange(rows + 1), np.float64)
     phase = 2.0 * np.pi * np.arange(rows + 1) / rows
     inputs = {}

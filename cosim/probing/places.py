@@ -67,6 +67,7 @@ class Places:
                 "keeps_early": b.keeps_early,
                 "keeps_inside": b.keeps_inside,
                 "repeats": b.repeats,
+                "independent": b.independent,
                 "moves": b.moves,
                 "growth": b.growth,
                 "own_step": b.own_step,

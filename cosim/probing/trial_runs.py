@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import time
 from collections.abc import Iterator, Mapping
@@ -15,7 +16,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
 from cosim.blocks.component import Signal
-from cosim.blocks.description import Way
+from cosim.blocks.description import Way, library_of
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.model_exchange import ModelExchange2
 from cosim.isolation.memory import resident
@@ -117,8 +118,21 @@ def time_of(trial: Trial) -> float:
     return time.monotonic() - begin
 
 
-def outputs_twice(trial: Trial) -> tuple[Array, Array]:
-    """Return the outputs of two instances, of which the first stays loaded."""
+def outputs_again(trial: Trial) -> tuple[Array, Array]:
+    """Return the outputs of two simulations one after the other, between which the library stays loaded."""
+    import fmpy
+
+    with trial.opened() as (block, row):
+        library, _ = library_of(trial.fmu.place, block.description, block.calls.identifier) or (None, "")
+        kept = ctypes.CDLL(str(library))
+        first, _ = run_along(block, row, trial.course)
+    second, _ = outputs_of(trial)
+    fmpy.freeLibrary(kept._handle)
+    return first, second
+
+
+def outputs_together(trial: Trial) -> tuple[Array, Array]:
+    """Return the outputs of two instances that exist at the same time."""
     with trial.opened() as (first, row), trial.opened() as (second, other):
         return run_along(first, row, trial.course)[0], run_along(second, other, trial.course)[0]
 
