@@ -134,6 +134,21 @@ def test_values_are_read_as_they_were_set(tmp_path: Path) -> None:
         assert "bias_at_force.offset is a fixed parameter" in plant.log[-1]
 
 
+def test_terms_may_fall_asleep_after_inputs_are_set(tmp_path: Path) -> None:
+    path, speeds = wrapped_drive(tmp_path, "coulomb", {"coulomb_at_velocity.level": 5.0}), []
+    for values in (
+        ({"force": 20.0}, {"coulomb_at_velocity.level": 0.0}),
+        ({"coulomb_at_velocity.level": 0.0}, {"force": 20.0}),
+    ):
+        with Instance(path) as plant:
+            plant.begin(values[0])
+            assert plant.get(["force"]) == [values[0].get("force", 0.0)]
+            plant.set(values[1])
+            plant.call("exitInitializationMode")
+            speeds.append(plant.step(0.0, 1.0)["velocity"])
+    assert speeds[0] == speeds[1] > 0.08
+
+
 def test_refusals_and_messages_of_the_original_arrive(tmp_path: Path) -> None:
     path = wrapped_drive(tmp_path, "coulomb", {"coulomb_at_velocity.level": 5.0})
     with Instance(path) as plant:

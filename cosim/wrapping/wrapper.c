@@ -21,7 +21,7 @@ typedef enum { INSTANTIATED, INITIALIZATION, RUNNING } Phase;
 /* All that changes, without pointers: a snapshot is a copy. In model exchange the memory is that of the time `since`, and
  * inputs run straight from `before` to their values now. */
 typedef struct {
-    int phase, in_event, awake, stale, is_sent, knows_states;
+    int phase, in_event, awake, stale, is_sent, is_held, knows_states; /* is_held: inputs of the host that were not sent on */
     double time, since, length, coming; /* coming: time of a jump of the inputs that is announced as an event, with the delay */
     double u[NU + 1], before[NU + 1], shaped[NU + 1], sent[NU + 1];
     double x[NX + 1], m[NM + 1], p[NP], own[OWNS + 1];
@@ -217,7 +217,9 @@ static Status settle(Wrapper *w)
     Status status = FMI(OK);
     if (!c->stale || c->phase == INSTANTIATED) return status;
     if (!c->awake) {
-        if (ACTS && c->is_sent) status = send_inputs(w, c->u);
+        const int is_behind = c->is_sent || c->is_held;
+        c->is_sent = c->is_held = 0;
+        if (is_behind) status = send_inputs(w, c->u);
         c->is_sent = 0; /* from now on the host's calls go to the original as they are */
     } else {
         double out[NU + NM + 1], u[NU + 1];
@@ -504,7 +506,7 @@ static int note(Wrapper *w, Reference reference, const Special *s, double value)
         c->is_sent = 0;
         return 1;
     }
-    c->stale = 1;
+    c->stale = c->is_held = 1;
     return 0;
 }
 
