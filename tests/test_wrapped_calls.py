@@ -21,7 +21,8 @@ from cosim.wrapping.wrap import CannotWrap, wrap
 from tests.hosts_fmpy import Instance
 from tests.native import NEEDS_COMPILER, Exchange
 from tests.slider import slider_fmu
-from tests.wrapped import EXCHANGE, STEP, STEPS, WAYS, drive_fmu, off, push, simulated, states_of, terms_of
+from tests.typed import typed_fmu
+from tests.wrapped import EXCHANGE, STEP, STEPS, WAYS, drive_fmu, function, off, push, simulated, states_of, terms_of
 
 pytestmark = NEEDS_COMPILER
 VERSIONS = pytest.mark.parametrize("fmi", [2, 3])
@@ -314,3 +315,43 @@ def test_the_cost_of_a_step_is_near_that_of_the_original(tmp_path: Path) -> None
                     step(component, n * STEP, STEP, 1)
                 seconds[k].append(time.perf_counter() - begin)
     print("wrapper over original:", [min(s) / min(seconds[0]) for s in seconds[1:]])
+
+
+def test_every_type_and_an_early_end_pass_through(tmp_path: Path) -> None:
+    original = typed_fmu(tmp_path)
+    lines = {"port_inputs": "out[0] = u[0] + p[0];", "readings": "out[0] = y[0] + p[0] - p[0];"}
+    terms = replace(
+        terms_of("bias"), source="\n".join(function(hook, text) for hook, text in lines.items()), inputs=("r_in",),
+        states=("h", "v"), outputs=("h",), hooks=("port_inputs", "readings"),
+    )  # fmt: skip
+    wrap(original, terms, {"bias_at_force.offset": 0.5}, tmp_path / "w.fmu", substep=0.002)
+    options = {"validate": False, "stop_time": 2.0, "output_interval": STEP, "record_events": True}
+    start = {"i_in": 7, "e_in": 2, "b_in": True, "s_in": "text"}
+    shown = ["r_out", "i_out", "e_out", "b_out"]
+    rows = [
+        fmpy.simulate_fmu(str(p), fmi_type=STEPS, output=shown, start_values={**start, "r_in": r}, **options)[-1]
+        for p, r in ((original, 3.5), (tmp_path / "w.fmu", 3.0))
+    ]
+    assert rows[0] == rows[1]
+    early = [
+        fmpy.simulate_fmu(str(p), fmi_type=STEPS, start_values={"end_at": 0.055}, **options)["time"][-1]
+        for p in (original, tmp_path / "w.fmu")
+    ]
+    assert early[0] == early[1] < 0.1
+
+
+def test_arrays_pass_through_beside_parameters(tmp_path: Path) -> None:
+    terms = replace(terms_of("bias"), source="", inputs=(), states=(), outputs=(), hooks=())
+    wrap(typed_fmu(tmp_path, 3), terms, {"bias_at_force.offset": 0.5}, tmp_path / "w.fmu")
+    description = fmpy.read_model_description(str(tmp_path / "w.fmu"), validate=False)
+    (parameter,) = (v.valueReference for v in description.modelVariables if v.name == "bias_at_force.offset")
+    fmu = fmpy.instantiate_fmu(fmpy.extract(str(tmp_path / "w.fmu")), description, STEPS)
+    fmu.enterInitializationMode()
+    fmu.setFloat64([1, parameter], [1.0, 2.0, 3.0, 4.0, 5.0])
+    fmu.exitInitializationMode()
+    fmu.setFloat64([1], [5.0, 6.0, 7.0, 8.0])
+    fmu.doStep(0.0, STEP)
+    assert fmu.getFloat64([parameter, 2], nValues=5) == [5.0, 10.0, 12.0, 14.0, 16.0]
+    assert fmu.getFloat64([2], nValues=4) == [10.0, 12.0, 14.0, 16.0]
+    fmu.terminate()
+    fmu.freeInstance()
