@@ -17,6 +17,7 @@ from fmpy.fmi1 import FMICallException
 
 from cosim.fmi.native import compiler
 from cosim.fmi.native.compiler import NoCompiler
+from cosim.fmi.native.platforms import PLATFORMS
 from cosim.wrapping.wrap import CannotWrap, wrap
 from tests.hosts_fmpy import Instance
 from tests.native import NEEDS_COMPILER, Exchange
@@ -102,6 +103,53 @@ def test_a_saved_state_holds_the_memory(kind: str, tmp_path: Path) -> None:
         with pytest.raises(FMICallException):
             other.fmu.deSerializeFMUstate(b"x" * len(data))
         assert "of another FMU" in other.log[-1]
+
+
+def test_a_saved_state_of_fmi_3(tmp_path: Path) -> None:
+    path = wrapped_drive(tmp_path, "lag", LAG, 3, substep=STEP)
+    description = fmpy.read_model_description(str(path))
+    fmu = fmpy.instantiate_fmu(fmpy.extract(str(path)), description, STEPS)
+    force, velocity = (
+        next(v.valueReference for v in description.modelVariables if v.name == n) for n in ("force", "velocity")
+    )
+    fmu.enterInitializationMode()
+    fmu.exitInitializationMode()
+
+    def go(first: int) -> list[float]:
+        found = []
+        for k in range(first, first + 10):
+            fmu.setFloat64([force], [10.0 * k % 7])
+            fmu.doStep(k * STEP, STEP)
+            found += fmu.getFloat64([velocity])
+        return found
+
+    go(0)
+    state = fmu.getFMUState()
+    data = fmu.serializeFMUState(state)
+    expected = go(10)
+    fmu.setFMUState(state)
+    assert go(10) == expected
+    fmu.freeFMUState(state)
+    state = fmu.deserializeFMUState(data)
+    fmu.setFMUState(state)
+    fmu.freeFMUState(state)
+    assert go(10) == expected
+    fmu.terminate()
+    fmu.freeInstance()
+
+
+def test_a_step_of_fixed_length_is_not_divided(tmp_path: Path) -> None:
+    slider, fixed = slider_fmu(tmp_path / "slider.fmu"), tmp_path / "fixed.fmu"
+    with zipfile.ZipFile(slider) as old, zipfile.ZipFile(fixed, "w") as new:
+        for member in old.namelist():
+            flag = b'canHandleVariableCommunicationStepSize="true"'
+            new.writestr(member, old.read(member).replace(flag, b""))
+    found = []
+    for original, substep in ((fixed, 1e-3), (slider, None), (slider, 1e-3)):
+        wrap(original, terms_of("coulomb"), {"coulomb_at_velocity.level": 0.2}, tmp_path / "w.fmu", substep=substep)
+        found.append(simulated(tmp_path / "w.fmu", STEPS, push(2.0, 1.0)))
+    assert off(found[0], found[1]) == 0.0
+    assert off(found[0], found[2]) > 1e-4
 
 
 def test_instances_have_parameters_and_memory_of_their_own_and_reset_forgets_both(tmp_path: Path) -> None:
@@ -280,6 +328,19 @@ def test_platforms_without_a_compiler_are_left_out_by_name(tmp_path: Path, monke
         wrap(original, terms_of("bias"), {}, tmp_path / "never.fmu")
     assert caught.value.args[0].code == "E-WRP-008"
     assert not (tmp_path / "never.fmu").exists()
+
+
+@pytest.mark.thorough
+@pytest.mark.skipif(not compiler.can_cross(), reason="no cross compiler")
+@VERSIONS
+def test_another_platform_is_compiled_for(fmi: int, tmp_path: Path) -> None:
+    original, windows = slider_fmu(tmp_path / "slider.fmu", fmi), PLATFORMS["win64"]
+    with zipfile.ZipFile(original, "a") as archive:
+        archive.writestr(f"binaries/{windows.folder(fmi)}/slider.dll", "library")
+    wrapped = wrap(original, terms_of("coulomb"), {}, tmp_path / "w.fmu", substep=1e-3)
+    assert {*wrapped.platforms} == {"linux64", "win64"}
+    with zipfile.ZipFile(tmp_path / "w.fmu") as archive:
+        assert archive.read(f"binaries/{windows.folder(fmi)}/slider.dll").startswith(b"MZ")
 
 
 @pytest.mark.parametrize(

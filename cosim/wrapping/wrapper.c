@@ -659,7 +659,7 @@ static Status after_update(Wrapper *w, Status status, double *next)
     c->knows_states = 0;
     if (c->awake) c->stale = 1;
     *next = HUGE_VAL;
-    if (!c->awake || !is_delayed(c)) return status;
+    if (!c->awake || !w->exchange || !is_delayed(c)) return status;
     c->coming = next_jump(&w->history, EARLIER(c->time) - DELAY_TIME(c));
     *next = c->coming + DELAY_TIME(c);
     return status;
