@@ -17,11 +17,13 @@ from fmpy.fmi1 import FMICallException
 
 from cosim.fmi.native import compiler
 from cosim.fmi.native.compiler import NoCompiler
+from cosim.fmi.native.platforms import PLATFORMS
 from cosim.wrapping.wrap import CannotWrap, wrap
 from tests.hosts_fmpy import Instance
 from tests.native import NEEDS_COMPILER, Exchange
 from tests.slider import slider_fmu
-from tests.wrapped import EXCHANGE, STEP, STEPS, WAYS, drive_fmu, off, push, simulated, states_of, terms_of
+from tests.typed import typed_fmu
+from tests.wrapped import EXCHANGE, STEP, STEPS, WAYS, drive_fmu, function, off, push, simulated, states_of, terms_of
 
 pytestmark = NEEDS_COMPILER
 VERSIONS = pytest.mark.parametrize("fmi", [2, 3])
@@ -103,6 +105,53 @@ def test_a_saved_state_holds_the_memory(kind: str, tmp_path: Path) -> None:
         assert "of another FMU" in other.log[-1]
 
 
+def test_a_saved_state_of_fmi_3(tmp_path: Path) -> None:
+    path = wrapped_drive(tmp_path, "lag", LAG, 3, substep=STEP)
+    description = fmpy.read_model_description(str(path))
+    fmu = fmpy.instantiate_fmu(fmpy.extract(str(path)), description, STEPS)
+    force, velocity = (
+        next(v.valueReference for v in description.modelVariables if v.name == n) for n in ("force", "velocity")
+    )
+    fmu.enterInitializationMode()
+    fmu.exitInitializationMode()
+
+    def go(first: int) -> list[float]:
+        found = []
+        for k in range(first, first + 10):
+            fmu.setFloat64([force], [10.0 * k % 7])
+            fmu.doStep(k * STEP, STEP)
+            found += fmu.getFloat64([velocity])
+        return found
+
+    go(0)
+    state = fmu.getFMUState()
+    data = fmu.serializeFMUState(state)
+    expected = go(10)
+    fmu.setFMUState(state)
+    assert go(10) == expected
+    fmu.freeFMUState(state)
+    state = fmu.deserializeFMUState(data)
+    fmu.setFMUState(state)
+    fmu.freeFMUState(state)
+    assert go(10) == expected
+    fmu.terminate()
+    fmu.freeInstance()
+
+
+def test_a_step_of_fixed_length_is_not_divided(tmp_path: Path) -> None:
+    slider, fixed = slider_fmu(tmp_path / "slider.fmu"), tmp_path / "fixed.fmu"
+    with zipfile.ZipFile(slider) as old, zipfile.ZipFile(fixed, "w") as new:
+        for member in old.namelist():
+            flag = b'canHandleVariableCommunicationStepSize="true"'
+            new.writestr(member, old.read(member).replace(flag, b""))
+    found = []
+    for original, substep in ((fixed, 1e-3), (slider, None), (slider, 1e-3)):
+        wrap(original, terms_of("coulomb"), {"coulomb_at_velocity.level": 0.2}, tmp_path / "w.fmu", substep=substep)
+        found.append(simulated(tmp_path / "w.fmu", STEPS, push(2.0, 1.0)))
+    assert off(found[0], found[1]) == 0.0
+    assert off(found[0], found[2]) > 1e-4
+
+
 def test_instances_have_parameters_and_memory_of_their_own_and_reset_forgets_both(tmp_path: Path) -> None:
     path = wrapped_drive(tmp_path, "lag", LAG, substep=STEP)
     alone = []
@@ -132,6 +181,21 @@ def test_values_are_read_as_they_were_set(tmp_path: Path) -> None:
         with pytest.raises(FMICallException):
             plant.set({"bias_at_force.offset": 1.0})
         assert "bias_at_force.offset is a fixed parameter" in plant.log[-1]
+
+
+def test_terms_may_fall_asleep_after_inputs_are_set(tmp_path: Path) -> None:
+    path, speeds = wrapped_drive(tmp_path, "coulomb", {"coulomb_at_velocity.level": 5.0}), []
+    for values in (
+        ({"force": 20.0}, {"coulomb_at_velocity.level": 0.0}),
+        ({"coulomb_at_velocity.level": 0.0}, {"force": 20.0}),
+    ):
+        with Instance(path) as plant:
+            plant.begin(values[0])
+            assert plant.get(["force"]) == [values[0].get("force", 0.0)]
+            plant.set(values[1])
+            plant.call("exitInitializationMode")
+            speeds.append(plant.step(0.0, 1.0)["velocity"])
+    assert speeds[0] == speeds[1] > 0.08
 
 
 def test_refusals_and_messages_of_the_original_arrive(tmp_path: Path) -> None:
@@ -266,6 +330,19 @@ def test_platforms_without_a_compiler_are_left_out_by_name(tmp_path: Path, monke
     assert not (tmp_path / "never.fmu").exists()
 
 
+@pytest.mark.thorough
+@pytest.mark.skipif(not compiler.can_cross(), reason="no cross compiler")
+@VERSIONS
+def test_another_platform_is_compiled_for(fmi: int, tmp_path: Path) -> None:
+    original, windows = slider_fmu(tmp_path / "slider.fmu", fmi), PLATFORMS["win64"]
+    with zipfile.ZipFile(original, "a") as archive:
+        archive.writestr(f"binaries/{windows.folder(fmi)}/slider.dll", "library")
+    wrapped = wrap(original, terms_of("coulomb"), {}, tmp_path / "w.fmu", substep=1e-3)
+    assert {*wrapped.platforms} == {"linux64", "win64"}
+    with zipfile.ZipFile(tmp_path / "w.fmu") as archive:
+        assert archive.read(f"binaries/{windows.folder(fmi)}/slider.dll").startswith(b"MZ")
+
+
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
@@ -299,3 +376,43 @@ def test_the_cost_of_a_step_is_near_that_of_the_original(tmp_path: Path) -> None
                     step(component, n * STEP, STEP, 1)
                 seconds[k].append(time.perf_counter() - begin)
     print("wrapper over original:", [min(s) / min(seconds[0]) for s in seconds[1:]])
+
+
+def test_every_type_and_an_early_end_pass_through(tmp_path: Path) -> None:
+    original = typed_fmu(tmp_path)
+    lines = {"port_inputs": "out[0] = u[0] + p[0];", "readings": "out[0] = y[0] + p[0] - p[0];"}
+    terms = replace(
+        terms_of("bias"), source="\n".join(function(hook, text) for hook, text in lines.items()), inputs=("r_in",),
+        states=("h", "v"), outputs=("h",), hooks=("port_inputs", "readings"),
+    )  # fmt: skip
+    wrap(original, terms, {"bias_at_force.offset": 0.5}, tmp_path / "w.fmu", substep=0.002)
+    options = {"validate": False, "stop_time": 2.0, "output_interval": STEP, "record_events": True}
+    start = {"i_in": 7, "e_in": 2, "b_in": True, "s_in": "text"}
+    shown = ["r_out", "i_out", "e_out", "b_out"]
+    rows = [
+        fmpy.simulate_fmu(str(p), fmi_type=STEPS, output=shown, start_values={**start, "r_in": r}, **options)[-1]
+        for p, r in ((original, 3.5), (tmp_path / "w.fmu", 3.0))
+    ]
+    assert rows[0] == rows[1]
+    early = [
+        fmpy.simulate_fmu(str(p), fmi_type=STEPS, start_values={"end_at": 0.055}, **options)["time"][-1]
+        for p in (original, tmp_path / "w.fmu")
+    ]
+    assert early[0] == early[1] < 0.1
+
+
+def test_arrays_pass_through_beside_parameters(tmp_path: Path) -> None:
+    terms = replace(terms_of("bias"), source="", inputs=(), states=(), outputs=(), hooks=())
+    wrap(typed_fmu(tmp_path, 3), terms, {"bias_at_force.offset": 0.5}, tmp_path / "w.fmu")
+    description = fmpy.read_model_description(str(tmp_path / "w.fmu"), validate=False)
+    (parameter,) = (v.valueReference for v in description.modelVariables if v.name == "bias_at_force.offset")
+    fmu = fmpy.instantiate_fmu(fmpy.extract(str(tmp_path / "w.fmu")), description, STEPS)
+    fmu.enterInitializationMode()
+    fmu.setFloat64([1, parameter], [1.0, 2.0, 3.0, 4.0, 5.0])
+    fmu.exitInitializationMode()
+    fmu.setFloat64([1], [5.0, 6.0, 7.0, 8.0])
+    fmu.doStep(0.0, STEP)
+    assert fmu.getFloat64([parameter, 2], nValues=5) == [5.0, 10.0, 12.0, 14.0, 16.0]
+    assert fmu.getFloat64([2], nValues=4) == [10.0, 12.0, 14.0, 16.0]
+    fmu.terminate()
+    fmu.freeInstance()

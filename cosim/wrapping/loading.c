@@ -7,6 +7,7 @@
 #define LONGEST_PATH 4096
 
 #ifdef _WIN32
+#define WIN32_LEAN_AND_MEAN
 #include <windows.h>
 
 static void *open_library(const char *reserve, char *reason, size_t size)

@@ -12,11 +12,11 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from cosim.base.drafts import draft_of
-from cosim.base.messages import Message
+from cosim.base.messages import Message, code_of
 from cosim.blocks.derivatives import REALS, scalars, states_of
 from cosim.blocks.description import read_description, takes_any_step
 from cosim.fmi.fmu_build import EPOCH, digest
-from cosim.fmi.native.compiler import NoCompiler, commands, fmi_headers, library_of
+from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, commands, fmi_headers, library_of
 from cosim.fmi.native.platforms import PLATFORMS, Platform, glibc_floor, this_platform
 from cosim.storage.archive import DESCRIPTION, description_of
 from cosim.terms.code import TermCode
@@ -174,20 +174,32 @@ class Wrapper:
     @cached_property
     def config(self) -> WrapperConfig:
         """Return the tables of the C code."""
-        rates = [u.variable for u in self.about.derivatives] if "ModelExchange" in self.interfaces else []
         return WrapperConfig(
             terms=self.terms,
             values=self.values,
             first_parameter=self._first_parameter(),
             inputs={self.reference(n): float(self.variables[n].start or 0.0) for n in self.terms.inputs},
-            states=[self.reference(n) for n in self.terms.states] if "CoSimulation" in self.interfaces else [],
-            rates=[v.valueReference for v in rates if not v.shape] if not any(v.shape for v in rates) else [],
-            outputs=[self.reference(name) for name in self.terms.outputs],
+            states=self._references(self.terms.states) if "CoSimulation" in self.interfaces else [],
+            rates=self._rates() if "ModelExchange" in self.interfaces else [],
+            outputs=self._references(self.terms.outputs),
             own={self.reference(name): value for name, value in self.own.items()},
-            sizes={v.valueReference: prod(v.shape) for v in self.variables.values() if v.shape and v.type in REALS},
+            sizes=self._sizes(),
             substep=self.substep or 0.0,
             any_step=takes_any_step(self.about) and not self._may_pend(),
         )
+
+    def _references(self, names: Iterable[str]) -> list[int]:
+        return [self.reference(name) for name in names]
+
+    def _rates(self) -> list[int]:
+        """Return the value references of the derivatives, if all of them are scalars."""
+        rates = [unknown.variable for unknown in self.about.derivatives]
+        return [] if any(v.shape for v in rates) else [int(v.valueReference) for v in rates]
+
+    def _sizes(self) -> dict[int, int]:
+        """Return value reference → number of elements of each real array."""
+        arrays = (v for v in self.variables.values() if v.shape and v.type in REALS)
+        return {int(v.valueReference): prod(v.shape) for v in arrays}
 
     def _may_pend(self) -> bool:
         """Return whether steps may go on in the background."""
@@ -241,11 +253,7 @@ class Wrapper:
 
     def libraries(self, names: Iterable[str]) -> tuple[dict[Platform, dict[str, str]], dict[str, Message]]:
         """Return platform → identifier → library of the original, and the folders left out with reasons."""
-        folders: dict[str, list[str]] = {}
-        for name in names:
-            parts = PurePosixPath(name).parts
-            if len(parts) == 3 and parts[0] == "binaries" and not name.endswith("/"):
-                folders.setdefault(parts[1], []).append(parts[2])
+        folders = _folders_of_libraries(names)
         known = {p.folder(self.fmi): p for p in PLATFORMS.values()}
         found: dict[Platform, dict[str, str]] = {}
         left_out: dict[str, Message] = {}
@@ -270,24 +278,35 @@ class Wrapper:
             identifier = ", ".join(sorted({*self.interfaces.values()}))
             raise CannotWrap(messages.NO_LIBRARY(file=self.original.name, identifier=identifier))
         members: dict[str, bytes] = {}
-        built = {}
+        built: dict[str, str] = {}
         for platform, originals in libraries.items():
-            folder = platform.folder(self.fmi)
             try:
-                command = self._command(platform)
+                made = self._compile(platform, originals, tokens, sources)
             except NoCompiler as error:
-                left_out[folder] = error.args[0]
-                continue
-            more = ("-lm", "-ldl") if platform.suffix == ".so" else ("-lm",)
-            for identifier, library in originals.items():
-                files = {**sources, "config.h": self.config.text(tokens, library).encode()}
-                made = library_of(files, "all.c", command, EXPORTS[self.fmi], libraries=more)
-                members[f"binaries/{folder}/{identifier}{platform.suffix}"] = made.read_bytes()
-                built[platform.name] = glibc_floor(made.read_bytes())
+                left_out[platform.folder(self.fmi)] = error.args[0]
+            except CompilerFailed as error:
+                if platform == this_platform():
+                    raise
+                left_out[platform.folder(self.fmi)] = Message(str(error), code_of(error))
+            else:
+                members |= made
+                built[platform.name] = glibc_floor(b"".join(made.values()))
         if not members:
             reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out.items())
             raise NoCompiler(messages.NO_COMPILER(file=self.original.name, reasons=reasons))
         return members, built, left_out
+
+    def _compile(
+        self, platform: Platform, originals: Mapping[str, str], tokens: tuple[str, str], sources: Mapping[str, bytes]
+    ) -> dict[str, bytes]:
+        """Return the libraries of a platform by member."""
+        command, made = self._command(platform), {}
+        more = ("-lm", "-ldl") if platform.suffix == ".so" else ("-lm",)
+        for identifier, library in originals.items():
+            files = {**sources, "config.h": self.config.text(tokens, library).encode()}
+            path = library_of(files, "all.c", command, EXPORTS[self.fmi], libraries=more)
+            made[f"binaries/{platform.folder(self.fmi)}/{identifier}{platform.suffix}"] = path.read_bytes()
+        return made
 
     def _command(self, platform: Platform) -> list[str]:
         """Return the compiler's command; raise NoCompiler if there is none."""
@@ -320,6 +339,16 @@ class Wrapper:
         with zipfile.ZipFile(self.original) as archive:
             content = repr(sorted((m.filename, m.CRC, m.file_size) for m in archive.infolist()))
         return digest({**sources, "config.h": self.config.text(("", ""), "").encode()}, description + content.encode())
+
+
+def _folders_of_libraries(names: Iterable[str]) -> dict[str, list[str]]:
+    """Return the files of each folder below `binaries`."""
+    folders: dict[str, list[str]] = {}
+    for name in names:
+        parts = PurePosixPath(name).parts
+        if len(parts) == 3 and parts[0] == "binaries" and not name.endswith("/"):
+            folders.setdefault(parts[1], []).append(parts[2])
+    return folders
 
 
 def _library(identifier: str, files: Sequence[str], suffix: str) -> str | None:

@@ -8,7 +8,7 @@
 
 #include "history.c"
 
-#define FAILED(status) ((status) > FMI(Warning))
+#define REFUSED(status) ((status) > FMI(Warning))
 #define ACTS (SHAPES || PORTS || DELAY >= 0) /* the terms change inputs */
 #define DELAY_TIME(c) ((c)->p[DELAY < 0 ? 0 : DELAY])
 #define SHORT 1e-6                           /* an instant, as part of a substep */
@@ -21,7 +21,7 @@ typedef enum { INSTANTIATED, INITIALIZATION, RUNNING } Phase;
 /* All that changes, without pointers: a snapshot is a copy. In model exchange the memory is that of the time `since`, and
  * inputs run straight from `before` to their values now. */
 typedef struct {
-    int phase, in_event, awake, stale, is_sent, knows_states;
+    int phase, in_event, awake, stale, is_sent, is_held, knows_states; /* is_held: inputs of the host that were not sent on */
     double time, since, length, coming; /* coming: time of a jump of the inputs that is announced as an event, with the delay */
     double u[NU + 1], before[NU + 1], shaped[NU + 1], sent[NU + 1];
     double x[NX + 1], m[NM + 1], p[NP], own[OWNS + 1];
@@ -69,7 +69,7 @@ static Status refuse(Wrapper *w, const char *format, ...)
     KNOWN(a0); \
     HAS(name); \
     const Status settled = settle(w); \
-    return FAILED(settled) ? settled : worse(settled, w->f.name arguments)
+    return REFUSED(settled) ? settled : worse(settled, w->f.name arguments)
 
 /* -- terms --------------------------------------------------------------------------------------------------------- */
 
@@ -146,7 +146,7 @@ static Status shape_now(Wrapper *w, double *out)
     double m[NM + 1], u[NU + 1];
     const int is_past = is_delayed(c);
     const Status status = note_past(w);
-    if (FAILED(status)) return status;
+    if (REFUSED(status)) return status;
     const int has_now = is_past && w->exchange && c->time > c->since && !append(&w->history, c->time, c->u);
     memcpy(m, c->m, sizeof m);
     remember(w, c->time, m);
@@ -192,7 +192,7 @@ static Status add_forces(Wrapper *w, const double *shaped, double *out)
     Course *c = &w->course;
 #if PORTS
     const Status status = find_states(w);
-    if (!FAILED(status)) port_inputs(c->time, c->x, shaped, c->p, out);
+    if (!REFUSED(status)) port_inputs(c->time, c->x, shaped, c->p, out);
     return status;
 #else
     (void)c;
@@ -201,7 +201,7 @@ static Status add_forces(Wrapper *w, const double *shaped, double *out)
 #endif
 }
 
-static Status send(Wrapper *w, const double *u)
+static Status send_inputs(Wrapper *w, const double *u)
 {
     Course *c = &w->course;
     if (NU == 0 || (c->is_sent && memcmp(c->sent, u, sizeof(double) * NU) == 0)) return FMI(OK);
@@ -217,19 +217,21 @@ static Status settle(Wrapper *w)
     Status status = FMI(OK);
     if (!c->stale || c->phase == INSTANTIATED) return status;
     if (!c->awake) {
-        if (ACTS && c->is_sent) status = send(w, c->u);
+        const int is_behind = c->is_sent || c->is_held;
+        c->is_sent = c->is_held = 0;
+        if (is_behind) status = send_inputs(w, c->u);
         c->is_sent = 0; /* from now on the host's calls go to the original as they are */
     } else {
         double out[NU + NM + 1], u[NU + 1];
         status = shape_now(w, out);
-        if (FAILED(status)) return status;
+        if (REFUSED(status)) return status;
         memcpy(c->shaped, out, sizeof(double) * NU);
         if (ACTS) {
             status = add_forces(w, out, u);
-            if (!FAILED(status)) status = worse(status, send(w, u));
+            if (!REFUSED(status)) status = worse(status, send_inputs(w, u));
         }
     }
-    if (!FAILED(status)) c->stale = 0;
+    if (!REFUSED(status)) c->stale = 0;
     return status;
 }
 
@@ -288,7 +290,7 @@ static Wrapper *created(Host host, int exchange, const char *resources)
 static Wrapper *checked(Wrapper *w)
 {
     if (w->component != NULL) {
-        if (!FAILED(set_own(w))) return w;
+        if (!REFUSED(set_own(w))) return w;
         refuse(w, "the original does not take its own start values");
         w->f.FreeInstance(w->component);
     }
@@ -304,7 +306,7 @@ static const char *token_of_original(const char *token)
 /* Own values again, because some originals forget those set before initialization. */
 static Status after_entering_initialization(Wrapper *w, Status status)
 {
-    if (FAILED(status)) return status;
+    if (REFUSED(status)) return status;
     w->course.phase = INITIALIZATION;
     w->course.stale = 1;
     return worse(status, set_own(w));
@@ -324,9 +326,9 @@ Status FMI(ExitInitializationMode)(FMI(Component) a0)
     HAS(ExitInitializationMode);
     Course *c = &w->course;
     Status status = settle(w);
-    if (FAILED(status)) return status;
+    if (REFUSED(status)) return status;
     status = worse(status, w->f.ExitInitializationMode(w->component));
-    if (FAILED(status)) return status;
+    if (REFUSED(status)) return status;
     c->phase = RUNNING;
     c->in_event = w->exchange;
     c->since = c->time;
@@ -343,7 +345,7 @@ Status FMI(Reset)(FMI(Component) a0)
     KNOWN(a0);
     HAS(Reset);
     const Status status = w->f.Reset(w->component);
-    if (FAILED(status)) return status;
+    if (REFUSED(status)) return status;
     begin(w);
     return worse(status, set_own(w));
 }
@@ -390,7 +392,7 @@ static Status read_outputs(Wrapper *w, double *out)
     double y[NY + 1];
     const Status status = GET(w, OUTPUT_REFERENCE, NY, y);
     c->p[NP - 1] = c->length;
-    if (!FAILED(status)) readings(c->time, y, c->p, out);
+    if (!REFUSED(status)) readings(c->time, y, c->p, out);
     return status;
 }
 #endif
@@ -400,7 +402,7 @@ static Status find_added_rates(Wrapper *w, double *out)
 {
     Course *c = &w->course;
     const Status status = find_states(w);
-    if (!FAILED(status)) added_rates(c->time, c->x, c->shaped, c->p, out);
+    if (!REFUSED(status)) added_rates(c->time, c->x, c->shaped, c->p, out);
     return status;
 }
 #endif
@@ -431,7 +433,7 @@ static Status change_values(Wrapper *w, const Reference vr[], size_t count, doub
             value[at] += added[s->rate];
         }
 #endif
-        if (FAILED(status)) return status;
+        if (REFUSED(status)) return status;
         at += s->size;
     }
     (void)has_read, (void)has_rates, (void)read, (void)added;
@@ -450,7 +452,7 @@ static Status get_apart(Wrapper *w, const Reference vr[], size_t count, double v
     }
     if (kept_values > values) return refuse(w, "there are %zu values for variables with %zu", values, kept_values);
     const Status status = kept ? GET_ALL(w, w->references, kept, w->values, kept_values) : FMI(OK);
-    if (FAILED(status)) return status;
+    if (REFUSED(status)) return status;
     const double *from = w->values;
     for (size_t k = 0; k < count; k++) {
         const size_t size = special_of(vr[k])->size;
@@ -464,7 +466,7 @@ static Status get_reals(Wrapper *w, const Reference vr[], size_t count, double v
 {
     Course *c = &w->course;
     Status status = settle(w);
-    if (FAILED(status)) return status;
+    if (REFUSED(status)) return status;
     const int apart = names_parameters(vr, count);
     if (apart) status = worse(status, get_apart(w, vr, count, value, values));
 #if READS
@@ -472,12 +474,12 @@ static Status get_reals(Wrapper *w, const Reference vr[], size_t count, double v
         double y[NY + 1];
         status = worse(status, GET(w, vr, NY, y));
         c->p[NP - 1] = c->length;
-        if (!FAILED(status)) readings(c->time, y, c->p, value);
+        if (!REFUSED(status)) readings(c->time, y, c->p, value);
         return status;
     }
 #endif
     else status = worse(status, GET_ALL(w, vr, count, value, values));
-    if (FAILED(status) || !(apart || c->awake)) return status;
+    if (REFUSED(status) || !(apart || c->awake)) return status;
     return worse(status, change_values(w, vr, count, value));
 }
 
@@ -497,14 +499,14 @@ static int note(Wrapper *w, Reference reference, const Special *s, double value)
     }
     if (s->own >= 0) c->own[s->own] = value;
     if (s->input < 0) return 1;
-    if (w->exchange && c->in_event && c->time > c->since && FAILED(commit(w))) return -1;
+    if (w->exchange && c->in_event && c->time > c->since && REFUSED(commit(w))) return -1;
     c->u[s->input] = value;
     if (c->in_event) c->before[s->input] = value; /* a jump; between events a host may try older inputs, too */
     if (!c->awake || !ACTS || c->phase == INSTANTIATED) {
         c->is_sent = 0;
         return 1;
     }
-    c->stale = 1;
+    c->stale = c->is_held = 1;
     return 0;
 }
 
@@ -544,7 +546,7 @@ static Status take_steps(Wrapper *w, double t, double h, FMI(Boolean) no_state_b
     Status status = FMI(OK);
     if (!c->awake || !ACTS) {
         status = settle(w);
-        if (FAILED(status)) return status;
+        if (REFUSED(status)) return status;
         c->time = c->since = t + h;
         return worse(status, one_step(w, t, h, no_state_before, end));
     }
@@ -552,7 +554,7 @@ static Status take_steps(Wrapper *w, double t, double h, FMI(Boolean) no_state_b
     const double dt = h / (double)n;
     c->length = dt > 0.0 ? dt : c->length;
     c->time = c->since = t;
-    if (FAILED(note_past(w))) return FMI(Error);
+    if (REFUSED(note_past(w))) return FMI(Error);
     if (is_delayed(c)) forget(&w->history, t - DELAY_TIME(c));
     for (long k = 0; k < n && !end->stop; k++) {
         double out[NU + NM + 1], u[NU + 1];
@@ -561,9 +563,9 @@ static Status take_steps(Wrapper *w, double t, double h, FMI(Boolean) no_state_b
         shape(c, c->time, dt, u, c->m, out);
         memcpy(c->shaped, out, sizeof(double) * NU);
         status = worse(status, add_forces(w, out, u));
-        if (!FAILED(status)) status = worse(status, send(w, u));
-        if (!FAILED(status)) status = worse(status, one_step(w, c->time, dt, no_state_before, end));
-        if (FAILED(status)) return status;
+        if (!REFUSED(status)) status = worse(status, send_inputs(w, u));
+        if (!REFUSED(status)) status = worse(status, one_step(w, c->time, dt, no_state_before, end));
+        if (REFUSED(status)) return status;
         memcpy(c->m, out + NU, sizeof(double) * NM);
         c->time = k == n - 1 ? t + h : c->time + dt;
     }
@@ -599,11 +601,11 @@ Status FMI(SetContinuousStates)(FMI(Component) a0, const double x[], size_t coun
 static Status get_derivatives(Wrapper *w, FMI(Status) (*get)(FMI(Component), double[], size_t), double dx[], size_t count)
 {
     Status status = settle(w);
-    if (FAILED(status)) return status;
+    if (REFUSED(status)) return status;
     status = worse(status, get(w->component, dx, count));
 #if RATES
     double added[NX + 1];
-    if (FAILED(status) || !w->course.awake || count != NX) return status;
+    if (REFUSED(status) || !w->course.awake || count != NX) return status;
     status = worse(status, find_added_rates(w, added));
     for (int k = 0; k < NX; k++) dx[k] += added[k];
 #endif
@@ -615,8 +617,8 @@ Status FMI(EnterEventMode)(FMI(Component) a0)
     KNOWN(a0);
     HAS(EnterEventMode);
     const Status status = settle(w);
-    if (FAILED(status)) return status;
-    if (w->exchange && FAILED(commit(w))) return FMI(Error);
+    if (REFUSED(status)) return status;
+    if (w->exchange && REFUSED(commit(w))) return FMI(Error);
     w->course.in_event = w->exchange;
     return worse(status, w->f.EnterEventMode(w->component));
 }
@@ -626,7 +628,7 @@ Status FMI(EnterContinuousTimeMode)(FMI(Component) a0)
     KNOWN(a0);
     HAS(EnterContinuousTimeMode);
     const Status status = settle(w);
-    if (FAILED(status)) return status;
+    if (REFUSED(status)) return status;
     w->course.in_event = 0;
     return worse(status, w->f.EnterContinuousTimeMode(w->component));
 }
@@ -636,8 +638,8 @@ Status FMI(CompletedIntegratorStep)(FMI(Component) a0, FMI(Boolean) no_state_bef
     KNOWN(a0);
     HAS(CompletedIntegratorStep);
     const Status status = settle(w);
-    if (FAILED(status)) return status;
-    if (FAILED(commit(w))) return FMI(Error);
+    if (REFUSED(status)) return status;
+    if (REFUSED(commit(w))) return FMI(Error);
     return worse(status, w->f.CompletedIntegratorStep(w->component, no_state_before, event, terminate));
 }
 
@@ -657,7 +659,7 @@ static Status after_update(Wrapper *w, Status status, double *next)
     c->knows_states = 0;
     if (c->awake) c->stale = 1;
     *next = HUGE_VAL;
-    if (!c->awake || !is_delayed(c)) return status;
+    if (!c->awake || !w->exchange || !is_delayed(c)) return status;
     c->coming = next_jump(&w->history, EARLIER(c->time) - DELAY_TIME(c));
     *next = c->coming + DELAY_TIME(c);
     return status;
@@ -702,9 +704,9 @@ Status FMI(GetFMUstate)(FMI(Component) a0, FMI(FMUstate) *state)
     Snapshot *s = snapshot_at(*state);
     if (s == NULL) return refuse(w, "there is no memory for a state");
     Status status = w->f.GetFMUstate(w->component, &s->original);
-    if (!FAILED(status) && copy_history(&w->history, &s->history)) status = refuse(w, "there is no memory for a state");
+    if (!REFUSED(status) && copy_history(&w->history, &s->history)) status = refuse(w, "there is no memory for a state");
     s->course = w->course;
-    if (!FAILED(status)) *state = s;
+    if (!REFUSED(status)) *state = s;
     else if (*state == NULL) free_snapshot(s);
     return status;
 }
@@ -716,7 +718,7 @@ Status FMI(SetFMUstate)(FMI(Component) a0, FMI(FMUstate) state)
     const Snapshot *s = state;
     if (s == NULL) return refuse(w, "there is no such state");
     const Status status = w->f.SetFMUstate(w->component, s->original);
-    if (FAILED(status)) return status;
+    if (REFUSED(status)) return status;
     w->course = s->course;
     return copy_history(&s->history, &w->history) ? refuse(w, "there is no memory for a state") : status;
 }
@@ -783,11 +785,11 @@ Status FMI(DeSerializeFMUstate)(FMI(Component) a0, const FMI(Byte) bytes[], size
     Snapshot *s = snapshot_at(*state);
     if (s == NULL) return refuse(w, "there is no memory for a state");
     Status status = read_head(s, bytes, size) ? refuse(w, "this state is damaged, or of another FMU") : FMI(OK);
-    if (!FAILED(status)) {
+    if (!REFUSED(status)) {
         const size_t head = HEAD + PAST(s);
         status = w->f.DeSerializeFMUstate(w->component, bytes + head, size - head, &s->original);
     }
-    if (!FAILED(status)) *state = s;
+    if (!REFUSED(status)) *state = s;
     else if (*state == NULL) free_snapshot(s);
     return status;
 }

@@ -143,9 +143,9 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component a0, fmi2EventInfo *info)
     HAS(NewDiscreteStates);
     double next;
     fmi2Status status = before_update(w);
-    if (FAILED(status)) return status;
+    if (REFUSED(status)) return status;
     status = after_update(w, worse(status, w->f.NewDiscreteStates(w->component, info)), &next);
-    if (!FAILED(status) && isfinite(next) && !(info->nextEventTimeDefined && info->nextEventTime <= next)) {
+    if (!REFUSED(status) && isfinite(next) && !(info->nextEventTimeDefined && info->nextEventTime <= next)) {
         info->nextEventTimeDefined = fmi2True;
         info->nextEventTime = next;
     }

@@ -185,10 +185,10 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance a0, fmi3Boolean *again, fmi3Boo
     HAS(UpdateDiscreteStates);
     double next;
     fmi3Status status = before_update(w);
-    if (FAILED(status)) return status;
+    if (REFUSED(status)) return status;
     status = worse(status, w->f.UpdateDiscreteStates(w->component, again, terminate, nominals, values, due, when));
     status = after_update(w, status, &next);
-    if (!FAILED(status) && isfinite(next) && !(*due && *when <= next)) *due = fmi3True, *when = next;
+    if (!REFUSED(status) && isfinite(next) && !(*due && *when <= next)) *due = fmi3True, *when = next;
     return status;
 }
 
