@@ -126,13 +126,13 @@ def summary(lines: Sequence[Line]) -> dict[str, Any]:
     known = [line for line in lines if line["kind"] == "known"]
     ratios, seconds = sorted(map(sealed_ratio, known)), sorted(line["seconds"] for line in lines)
     by_number = {
-        str(number): {"studies": len(chosen)} | _shares(counts(chosen), ("right", "in_set", "wrong"))
+        str(number): {"studies": len(chosen)} | shares(counts(chosen), ("right", "in_set", "wrong"))
         for number in sorted({len(line["truth"]) for line in known})
         if (chosen := [line for line in known if len(line["truth"]) == number])
     }
     return {
         "studies": len(lines),
-        **_shares(counts(lines)),
+        **shares(counts(lines)),
         "sealed_ratio_median": _ranked(ratios, 0.5),
         "sealed_ratio_90": _ranked(ratios, 0.9),
         "by_effects": by_number,
@@ -141,7 +141,8 @@ def summary(lines: Sequence[Line]) -> dict[str, Any]:
     }
 
 
-def _shares(counted: dict[str, tuple[int, int]], names: Sequence[str] = ()) -> dict[str, float | None]:
+def shares(counted: dict[str, tuple[int, int]], names: Sequence[str] = ()) -> dict[str, float | None]:
+    """Return figure → share of its cases, of all figures or of those named."""
     return {name: share(*counted[name]) for name in names or counted}
 
 

@@ -78,7 +78,7 @@ def stream(seed: int, *purpose: int) -> np.random.Generator:
     return np.random.default_rng([60493, seed, *purpose])
 
 
-def _card(deck: tuple[Any, ...], number: int, purpose: int) -> Any:
+def card(deck: tuple[Any, ...], number: int, purpose: int) -> Any:
     """Return card `number` of an endless pile of equal decks, each shuffled separately."""
     pile, card = divmod(number, len(deck))
     return deck[stream(pile, purpose).permutation(len(deck))[card]]
@@ -90,8 +90,8 @@ def deal(seed: int) -> Deal:
     order = [BLOCK[k] for k in stream(block, 1).permutation(len(BLOCK))]
     kind = order[place]
     number = block * BLOCK.count(kind) + order[:place].count(kind)
-    count = _card(COUNTS, number, 2) if kind == "known" else int(kind == "outside")
-    return Deal(seed, PLANTS[seed % len(PLANTS)], kind, count, _card(tuple(DISTURBANCES), seed, 3))
+    count = card(COUNTS, number, 2) if kind == "known" else int(kind == "outside")
+    return Deal(seed, PLANTS[seed % len(PLANTS)], kind, count, card(tuple(DISTURBANCES), seed, 3))
 
 
 def base_numbers(rig: Rig, rng: np.random.Generator) -> dict[str, float]:
@@ -126,7 +126,7 @@ def bare(seed: int, plant: str, rng: np.random.Generator, kind: str = "known") -
     rig = RIGS[plant]
     longest_hole = min(90, int(0.45 / rig.step)) if rig.step < 0.05 else 9
     recorder = Recorder.draw(rng, list(rig.outputs), longest_hole)
-    disturbance = _card(tuple(DISTURBANCES), seed, 3)
+    disturbance = card(tuple(DISTURBANCES), seed, 3)
     study = Study(seed, plant, kind, {}, base_numbers(rig, rng), disturbance, recorder, 0.0, {})
     if recorder.timing:
         study = replace(study, stamp_error=recorder.stamp_error(rig, course(study, 0)[1].readings))

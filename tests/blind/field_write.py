@@ -38,14 +38,19 @@ def recorded(study: Study, number: int) -> tuple[Run, Course, np.ndarray]:
 
 def write(study: Study, folder: Path) -> Path:
     """Write study.yaml, the model file and the logs, without the answer; return the path of study.yaml."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for number, name in enumerate(LOGS):
-        (folder / f"{name}.csv").write_text(_csv(study, *recorded(study, number)))
+    write_logs(study, folder)
     if study.plant != "craft":
         shutil.copyfile(PLANTS / f"{study.plant}.py", folder / f"{study.plant}.py")
     path = folder / "study.yaml"
     path.write_text(study_yaml(study))
     return path
+
+
+def write_logs(study: Study, folder: Path) -> None:
+    """Write the logs of a study."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for number, name in enumerate(LOGS):
+        (folder / f"{name}.csv").write_text(_csv(study, *recorded(study, number)))
 
 
 def study_yaml(study: Study) -> str:

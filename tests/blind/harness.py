@@ -3,9 +3,9 @@
     python -m tests.blind.harness 200 [--half laboratory] [--jobs 2] [--only coulomb_friction outside] [--first 0]
 
 There are two halves, the laboratory (`truth*.py`) and the field (`field_*.py`), with the given number of studies each,
-and on request mixed studies (`parts.py`) and studies of an arm (`arm.py`). Results are lines of JSON, one per study,
-appended at once. A restarted run skips studies with a verdict of the same git revision. The last line of the output is
-JSON: the figures of `score.summary`, with the figures of further halves under their names.
+and on request mixed studies (`parts.py`), studies of an arm (`arm.py`) and of FMUs (`fmu_*.py`). Results are lines of
+JSON, one per study, appended at once. A restarted run skips studies with a verdict of the same git revision. The last
+line of the output is JSON: the figures of `score.summary`, with the figures of further halves under their names.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
-from tests.blind import arm, field_score, field_study, field_write, parts, score
+from tests.blind import arm, field_score, field_study, field_write, fmu_score, fmu_study, parts, score
 from tests.blind.truth import answer, draw, write
 from tests.blind.truth_outside import OUTSIDE
 from tests.blind.truth_study import BASE, EFFECTS, SENSORS
@@ -33,9 +33,9 @@ HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "results.jsonl"
 KINDS = ("known", "nothing", "outside")
 
-LABORATORY, FIELD, MIXED, ARM = "laboratory", "field", "mixed", "arm"
-HALVES = {half: (half,) for half in (LABORATORY, FIELD, MIXED, ARM)} | {"both": (LABORATORY, FIELD)}
-SCORES: dict[str, Any] = {LABORATORY: score, FIELD: field_score, MIXED: parts, ARM: parts}
+LABORATORY, FIELD, MIXED, ARM, FMU = "laboratory", "field", "mixed", "arm", "fmu"
+HALVES = {half: (half,) for half in (LABORATORY, FIELD, MIXED, ARM, FMU)} | {"both": (LABORATORY, FIELD)}
+SCORES: dict[str, Any] = {LABORATORY: score, FIELD: field_score, MIXED: parts, ARM: parts, FMU: fmu_score}
 
 Refiner = Callable[[Path, Path], None]  # (study.yaml, folder to leave refine.json in)
 
@@ -112,6 +112,8 @@ def invent(half: str, seed: int, folder: Path) -> tuple[Path, str]:
         return field_write.write(drawn, folder), told
     if half == ARM:
         return arm.write(arm.draw(seed), folder), arm.answer(arm.draw(seed))
+    if half == FMU:
+        return fmu_study.write(fmu_study.draw(seed), folder), fmu_study.answer(fmu_study.draw(seed))
     return write(draw(seed), folder), answer(draw(seed))
 
 
@@ -144,6 +146,8 @@ def seeds(count: int, first: int, only: Sequence[str], half: str = LABORATORY) -
     def wanted(seed: int) -> bool:
         if not only:
             return True
+        if half == FMU:
+            return fmu_study.is_any_of(seed, chosen)
         if half == FIELD:
             dealt = field_study.deal(seed)
             if chosen <= {*KINDS, *field_study.PLANTS}:
@@ -160,6 +164,8 @@ def known_names(half: str) -> set[str]:
     """Return the possible values of `--only`: kinds, plants, effects, base parameters."""
     if half in (MIXED, ARM):
         return set()
+    if half == FMU:
+        return {*KINDS, *fmu_study.known_names()}
     if half == FIELD:
         rigs = field_study.RIGS.values()
         return {*KINDS, *field_study.PLANTS, *(name for rig in rigs for name in (*rig.entries, *rig.outside))}
