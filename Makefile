@@ -7,7 +7,7 @@ CHECKING := .venv/.checking
 DOCUMENTING := .venv/.documenting
 MUTATING := .venv/.mutating
 
-.PHONY: run test thorough refine bench blind crash fuzz mutants seed check docs english clean fmus
+.PHONY: run test thorough refine bench blind blind-fmu crash fuzz mutants seed check docs english clean fmus
 N ?= 24
 CRASHES ?= 200
 EXAMPLES ?= 10000
@@ -55,6 +55,9 @@ refine: $(RUNTIME)
 
 blind: $(TESTING)
 	$(BIN)/python -m tests.blind.harness $(N)
+
+blind-fmu: $(TESTING)
+	$(BIN)/python -m tests.blind.harness $(N) --half fmu
 
 crash: $(TESTING)
 	$(BIN)/python -m tests.crash $(CRASHES)

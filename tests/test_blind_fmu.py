@@ -13,9 +13,14 @@ from typing import Any
 import fmpy
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from cosim.fmi.native.compiler import compiler
+from tests.blind import fmu_score, fmu_study, harness
+from tests.blind.field_rig import Floats, Run
 from tests.blind.fmu_build import FAULTS, PLANTS, WAYS, build
+from tests.blind.fmu_rig import FmuRig, place
+from tests.blind.fmu_truths import RIGS
 
 pytestmark = pytest.mark.skipif(
     compiler() is None or platform.system() != "Linux", reason="needs a C compiler and Linux folders"
@@ -152,3 +157,151 @@ def test_a_parameter_above_its_limit_ends_the_process(tmp_path: Path, fault: str
     else:
         with pytest.raises(subprocess.TimeoutExpired):
             subprocess.run([*command, "0.0106"], check=False, capture_output=True, cwd=ROOT, timeout=3)
+
+
+# -- truths -------------------------------------------------------------------------------------------------
+
+
+def short_run(rig: FmuRig, rows: int) -> Run:
+    """Return the first rows of a log without disturbance that begins in motion."""
+    rng = np.random.default_rng(3)
+    commands = rig.drive(rng)[rng.integers(200, 400) :][:rows]
+    starts = [rig.begin(rng) for _ in range(8)]
+    return Run(rig.step * np.arange(rows), commands, np.zeros((rows, len(rig.pushes))), max(starts, key=np.ptp))
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("plant", PLANTS)
+def test_an_fmu_agrees_with_its_truth_within_a_tenth_of_the_noise(tmp_path: Path, plant: str, way: str) -> None:
+    rig, declared = RIGS[plant, way], PLANTS[plant]
+    run = short_run(rig, 60)
+    base = {name: value * 1.03 for name, (value, _) in rig.sheet.items()}
+    truth = rig.course(rig.numbers(base, {}), run)
+    starts = dict(zip((v.name for v in declared.states), truth.states[0].tolist(), strict=True))
+    starts |= {v.name: base[place(v.name)] for v in declared.parameters}
+    held = np.zeros(2 * len(run.times) - 1, dtype=[("time", float), *((u, float) for u in rig.inputs)])
+    held["time"] = np.repeat(run.times, 2)[1:]
+    for number, name in enumerate(rig.inputs):
+        held[name] = np.repeat(run.commands[:, number], 2)[:-1]  # from row to row
+    version = 2 + list(PLANTS).index(plant) % 2 if way == WAYS[0] else 3 - list(PLANTS).index(plant) % 2
+    more = {"solver": "CVode", "relative_tolerance": 1e-7} if way == "model_exchange" else {}
+    path = build(tmp_path / "plant.fmu", plant, version, ways=(way,))
+    result = fmpy.simulate_fmu(
+        str(path), fmi_type=KINDS[way], stop_time=run.times[-1], output_interval=rig.step, step_size=rig.step,
+        input=held, start_values=starts, record_events=False, output=list(rig.outputs), **more,
+    )  # fmt: skip
+    at = np.rint(result["time"] / rig.step).astype(int)
+    exact = np.abs(result["time"] - at * rig.step) < 1e-9 * rig.step + 1e-12
+    assert set(range(60)) <= set(at[exact].tolist())
+    for number, (output, sigma) in enumerate(rig.outputs.items()):
+        gap = result[output][exact] - truth.readings[at[exact], number]
+        assert np.max(np.abs(gap)) < 0.1 * sigma, output
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_the_sheet_of_a_truth_is_that_of_the_fmu(plant: str) -> None:
+    rig, declared = RIGS[plant, WAYS[0]], PLANTS[plant]
+    assert {place(v.name): v.start for v in declared.parameters} == {n: v for n, (v, _) in rig.sheet.items()}
+    assert [v.name for v in declared.inputs] == list(rig.inputs)
+    assert [v.name for v in declared.states] == list(rig.states)
+    assert set(rig.outputs) <= set(declared.output_names)
+
+
+@pytest.mark.parametrize(
+    ("plant", "truth"),
+    [
+        ("drive", {"coulomb_at_load_w": {"level": 0.2}, "lag_at_motor_w": {"time": 0.01}}),
+        ("pendulum", {"cogging_at_v": {"sine": 0.2, "cosine": 0.1, "period": 0.4}}),
+        ("cylinder", {"leak_at_p_a": {"coefficient": 0.5}}),
+    ],
+)
+def test_a_truth_agrees_with_dop853(plant: str, truth: dict[str, dict[str, float]]) -> None:
+    rig = RIGS[plant, WAYS[0]]
+    run, p = short_run(rig, 40), rig.numbers({}, truth)
+    course = rig.course(p, run)
+    rate, look = rig.bind(Floats, p)
+    state, quiet = course.states[0], [0.0] * len(rig.pushes)
+    for row in range(39):
+        u, begin = run.commands[row].tolist(), run.times[row]
+        done = solve_ivp(
+            lambda t, x, u=u: rate(t, x.tolist(), u, quiet),
+            (begin, begin + rig.step),
+            state,
+            "DOP853",
+            rtol=1e-9,
+            atol=1e-9,
+        )
+        state = done.y[:, -1]
+        reading = np.array(look(run.times[row + 1], state.tolist(), quiet))
+        assert np.all(np.abs(reading - course.readings[row + 1]) < 0.02 * np.array(list(rig.outputs.values())))
+
+
+def test_inputs_pass_their_effects() -> None:
+    rig = RIGS["drive", WAYS[0]]
+    step = np.where(np.arange(40) < 10, 0.0, 1.0)[:, None]
+    run = Run(rig.step * np.arange(40), step, np.zeros((40, 2)), np.zeros(4))
+
+    def acts(**parameters: float) -> np.ndarray:
+        return rig.acting({k.replace("__", "."): v for k, v in parameters.items()}, run, 4)[:, :, 0]
+
+    assert np.array_equal(acts(), np.repeat(step, 4, axis=1))
+    assert acts(delay__time=2.5 * rig.step)[12].tolist() == pytest.approx([0.0, 0.0, 1.0, 1.0])
+    assert acts(dead_band_at_torque__width=0.3)[-1, 0] == pytest.approx(0.7)
+    assert acts(saturation_at_torque__limit=0.4)[-1, 0] == pytest.approx(0.4)
+    assert acts(play_at_torque__width=0.1)[-1, 0] == pytest.approx(0.9)
+    assert acts(bias_at_torque__value=0.1)[0, 0] == pytest.approx(0.1)
+    ramp = acts(rate_limit_at_torque__rate=1.0 / (2.0 * rig.step))
+    assert ramp[10].tolist() == pytest.approx([1 / 16, 3 / 16, 5 / 16, 7 / 16])
+    lag = acts(lag_at_torque__time=rig.step)
+    assert 1.0 - lag[10].mean() == pytest.approx(1.0 - np.exp(-1.0), rel=1e-6)
+    swings = acts(second_order_lag_at_torque__frequency=100.0, second_order_lag_at_torque__damping=0.3)
+    assert swings.max() == pytest.approx(1.0 + np.exp(-np.pi * 0.3 / np.sqrt(1.0 - 0.09)), abs=0.02)
+
+
+# -- studies ------------------------------------------------------------------------------------------------
+
+
+def test_plants_ways_and_versions_come_in_turn() -> None:
+    dealt = [fmu_study.deal(seed) for seed in range(24)]
+    assert len({(d.plant, d.way, d.version) for d in dealt}) == 24
+    kinds = [fmu_study.deal(seed).kind for seed in range(40, 60)]
+    assert [kinds.count(kind) for kind in ("known", "nothing", "outside")] == [12, 5, 3]
+
+
+@pytest.mark.parametrize("kind", ["nothing", pytest.param("known", marks=pytest.mark.thorough)])
+def test_a_study_depends_on_its_seed_only(tmp_path: Path, kind: str) -> None:
+    seed = next(s for s in range(200) if (d := fmu_study.deal(s)).kind == kind and d.plant == "heated_box")
+    told = []
+    for name in ("a", "b"):
+        fmu_study.draw.cache_clear()
+        path, answer = harness.invent(harness.FMU, seed, tmp_path / name)
+        told.append((answer, {f.name: f.read_bytes() for f in path.parent.iterdir() if f.suffix != ".fmu"}))
+    assert told[0] == told[1]
+    study = fmu_study.draw(seed)
+    assert set(study.truth) <= set(study.rig.entries)
+    assert bool(study.truth) == (kind == "known")
+    assert all(cost >= 20.0 for cost in study.costs.values())
+    assert (tmp_path / "a" / "plant.fmu").exists()
+
+
+def test_a_fifth_is_a_fifth_of_the_distance_from_neutral() -> None:
+    entries = RIGS["drive", WAYS[0]].entries
+    shrunk = fmu_study.shrunk
+    assert shrunk(entries["scale_at_motor_w"], {"value": 1.05})["value"] == pytest.approx(1.01)
+    assert shrunk(entries["saturation_at_torque"], {"limit": 1.5})["limit"] == pytest.approx(1.9)
+    lag = shrunk(entries["second_order_lag_at_torque"], {"frequency": 100.0, "damping": 0.5})
+    assert lag == {"frequency": 500.0, "damping": 0.5}
+
+
+def test_scores_are_by_size_and_way() -> None:
+    found = {"verdict": "effect_found", "effects": [{"name": "delay", "parameters": {}}], "rivals": [], "seconds": 5.0}
+    found |= {"sensors": [], "error": {"after": {"y": 1.0}}, "error_true": {"y": 1.0}, "disturbance": "small"}
+    lines = [
+        found | {"kind": "known", "truth": {name: {}}, "size": size, "way": way, "plant": "drive", "version": 2}
+        for name, size, way in (("delay", "usual", WAYS[0]), ("lag_at_torque", "fifth", WAYS[1]))
+    ]
+    figures = fmu_score.summary(lines)
+    assert (figures["right"], figures["wrong"], figures["seconds_95"]) == (0.5, 0.5, 5.0)
+    assert figures["by"]["usual"]["right"] == figures["by"][WAYS[0]]["right"] == 1.0
+    assert figures["by"]["fifth, co_simulation"]["wrong"] == 1.0
+    assert "fifth, co_simulation" in fmu_score.table(lines)

@@ -1,0 +1,475 @@
+"""Truth of the FMUs' blind suite: the general catalogue of effects at places, and integration in small steps.
+
+Nothing of the project is used, nor the C sources of the FMUs. A plant (`fmu_truths.py`) declares its places: inputs,
+position-velocity pairs, storages, outputs. From these follow its effects, named `{kind}_at_{place}`. Runs are
+integrated by Runge-Kutta with a few steps a row; a test compares with DOP853.
+
+| effect | parameters | acts |
+|---|---|---|
+| `bias`, `gain` at u | value | u + value, u · value |
+| `dead_band`, `saturation` at u | width, limit | nothing within ±width, the rest less width; ±limit |
+| `rate_limit`, `play` at u | rate, width | per second; ±width |
+| `lag`, `second_order_lag` at u | time; frequency [rad/s], damping | |
+| `delay` | time | all inputs |
+| `coulomb` at v | level | −level·tanh(v/ε), ε a fiftieth of a usual speed |
+| `stribeck` at v | level, breakaway, speed | −(level + (breakaway − level)·exp(−(v/speed)²))·tanh(v/ε) |
+| `viscous`, `quadratic_drag` at v | coefficient | −coefficient·v, −coefficient·v·|v| |
+| `cogging` at v | sine, cosine, period | −sine·sin(2πq/period) − cosine·cos(2πq/period) |
+| `cubic_spring` at v | stiffness | −stiffness·q³ |
+| `leak` at s | coefficient | s' less coefficient·s |
+| `overflow` at s | level, coefficient | s' less coefficient·max(s − level, 0) |
+| `bias`, `scale`, `latency` at y | value | y + value, y · value, y(t − value) |
+| `lag`, `drift` at y | time; rate | y + rate·t |
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from scipy.linalg import expm
+
+from tests.blind.field_rig import Course, Entry, Flat, Floats, Look, Rate, Rig, Run, Sensor, manoeuvre, rounded
+
+ModelExchange, CoSimulation = "model_exchange", "co_simulation"
+PARTS = 4  # Runge-Kutta steps of a row
+QUICK = 50.0  # a lag so many times faster than a part of a row is none
+
+
+def place(name: str) -> str:
+    """Return the name of a place: every character except letters, digits and _ becomes _."""
+    return re.sub(r"\W", "_", name)
+
+
+@dataclass(frozen=True)
+class Input:
+    """Input of a plant: value at rest, range of the commands, shortest and longest hold [s], kinds of effects."""
+
+    rest: float
+    low: float
+    high: float
+    holds: tuple[float, float]
+    kinds: tuple[str, ...] = ()
+
+    @property
+    def reach(self) -> float:
+        """Return the largest distance of a command from 0."""
+        return max(abs(self.low), abs(self.high))
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Velocity with its position: usual force, speed and distance, and kinds of effects.
+
+    port:    an input is a force at this velocity, hence effects act in co-simulation too
+    inertia: parameter by which a force is divided where the claim is a rate; without it the claim has no counterpart
+    period:  range of the cogging's period
+    """
+
+    force: float
+    speed: float
+    distance: float
+    kinds: tuple[str, ...]
+    port: bool = False
+    inertia: str = ""
+    period: tuple[float, float] = (1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Storage:
+    """Stored quantity: usual value, level of overflow, usual rate, and kinds of effects."""
+
+    value: float
+    level: float
+    rate: float
+    kinds: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Output:
+    """Output: number of the state that it shows, noise, usual spread, and kinds of errors."""
+
+    state: int
+    noise: float
+    spread: float
+    kinds: tuple[str, ...]
+
+
+class FmuRig(Rig):
+    """Plant of the FMUs' suite: places, equations, and what can be hidden in it for a way of simulation."""
+
+    plants_inputs: ClassVar[dict[str, Input]]
+    pairs: ClassVar[dict[str, Pair]] = {}
+    storages: ClassVar[dict[str, Storage]] = {}
+    plants_outputs: ClassVar[dict[str, Output]]
+    strangers: ClassVar[dict[str, Entry]]
+    preroll_rows: ClassVar[int] = 60
+    shaped_kinds = ("bias", "gain", "dead_band", "saturation", "rate_limit", "play", "lag", "second_order_lag")
+
+    def __init__(self, way: str) -> None:
+        self.way = way
+        self.inputs = {name: u.rest for name, u in self.plants_inputs.items()}
+        self.outputs = {name: y.noise for name, y in self.plants_outputs.items()}
+        self.preroll = self.preroll_rows * self.step
+        at_inputs, at_outputs = self._at_inputs(), self._at_outputs()
+        ported, internal = self._at_pairs(port=True), self._at_pairs(port=False) | self._at_storages()
+        first = next(iter(self.plants_inputs))
+        self.outside = self.strangers | _of_time(place(first), self.plants_inputs[first], self.step * self.rows)
+        self.entries = at_inputs | ported | at_outputs
+        self.entries |= internal if way == ModelExchange else {}
+        self.outside |= internal if way == CoSimulation else {}
+        self.sensors = {
+            f"{kind}_at_{place(name)}": Sensor(name, {"latency": "late"}.get(kind, kind))
+            for name, y in self.plants_outputs.items()
+            for kind in y.kinds
+        }
+        self.own_states = {
+            f"lag_at_{place(name)}": {f"lag_at_{place(name)}.state": self.rest[y.state]}
+            for name, y in self.plants_outputs.items()
+            if "lag" in y.kinds
+        }
+        parameters = ("value", "width", "limit", "rate", "time", "frequency", "damping")
+        self.shaping = (
+            "delay.time",
+            *(f"{kind}_at_{place(u)}.{n}" for u in self.inputs for kind in self.shaped_kinds for n in parameters),
+        )
+        places = [*map(place, self.inputs), *self.pairs, *self.storages, *map(place, self.outputs)]
+        alike = [{name for name in self.entries if name.endswith(f"_at_{p}")} for p in places]
+        slow = {n for n in at_inputs if n == "delay" or n.startswith(("lag_", "second_order", "rate_limit", "play"))}
+        self.families = tuple(map(frozenset, (*alike, slow)))
+
+    @property
+    def rest(self) -> list[float]:
+        """Return the states at rest."""
+        raise NotImplementedError
+
+    # -- what may be hidden --------------------------------------------------------------------------
+
+    def _at_inputs(self) -> dict[str, Entry]:
+        found = {"delay": Entry(("time",), 0.5 * self.step, (0.02 * self.step, 20.0 * self.step))}
+        for name, u in self.plants_inputs.items():
+            reach, h = u.reach, self.step
+            every = {
+                "bias": Entry(("value",), 0.02 * reach, (5e-4 * reach, 0.3 * reach), signed=True),
+                "gain": Entry(("value",), 0.03, (1e-3, 0.4), signed=True, neutral=1.0),
+                "dead_band": Entry(("width",), 0.03 * reach, (1e-3 * reach, 0.3 * reach)),
+                "saturation": Entry(("limit",), 0.1, (0.01, 0.6), neutral=reach, ratio={"limit": (-reach, -reach)}),
+                "rate_limit": Entry(("rate",), 4.0 * h / reach, (h / reach, 100.0 * h / reach), inverse=True),
+                "play": Entry(("width",), 0.03 * reach, (1e-3 * reach, 0.3 * reach)),
+                "lag": Entry(("time",), h, (0.05 * h, 30.0 * h)),
+                "second_order_lag": Entry(
+                    ("frequency",), h, (0.1 * h, 20.0 * h), shape={"damping": (0.4, 0.8)}, inverse=True
+                ),
+            }
+            found |= {f"{kind}_at_{place(name)}": every[kind] for kind in u.kinds}
+        return found
+
+    def _at_pairs(self, port: bool) -> dict[str, Entry]:
+        found = {}
+        for name, v in self.pairs.items():
+            if v.port != port:
+                continue
+            some, force = 0.02 * v.force, (2e-4, 0.5)
+            every = {
+                "coulomb": Entry(("level",), some, (force[0] * v.force, force[1] * v.force)),
+                "stribeck": Entry(
+                    ("breakaway",), some, (force[0] * v.force, force[1] * v.force),
+                    ratio={"level": (0.2, 0.4)}, shape={"speed": (0.2 * v.speed, 0.5 * v.speed)},
+                ),
+                "viscous": Entry(("coefficient",), some / v.speed, tuple(f * v.force / v.speed for f in force)),
+                "quadratic_drag": Entry(
+                    ("coefficient",), some / v.speed**2, tuple(f * v.force / v.speed**2 for f in force)
+                ),
+                "cogging": Entry(
+                    ("sine", "cosine"), some, (force[0] * v.force, force[1] * v.force), shape={"period": v.period}
+                ),
+                "cubic_spring": Entry(
+                    ("stiffness",), some / v.distance**3, tuple(f * v.force / v.distance**3 for f in force)
+                ),
+            }  # fmt: skip
+            found |= {f"{kind}_at_{name}": every[kind] for kind in v.kinds}
+        return found
+
+    def _at_storages(self) -> dict[str, Entry]:
+        found = {}
+        for name, s in self.storages.items():
+            usual, high = s.rate / s.value, s.rate / (0.1 * s.value)
+            every = {
+                "leak": Entry(("coefficient",), 0.05 * usual, (1e-4 * usual, usual)),
+                "overflow": Entry(("coefficient",), high, (0.01 * high, 100.0 * high), shape={"level": (s.level,) * 2}),
+            }
+            found |= {f"{kind}_at_{name}": every[kind] for kind in s.kinds}
+        return found
+
+    def _at_outputs(self) -> dict[str, Entry]:
+        found, h = {}, self.step
+        for name, y in self.plants_outputs.items():
+            slow = y.spread / (self.rows * h)
+            every = {
+                "bias": Entry(("value",), y.noise, (0.02 * y.noise, 0.3 * y.spread), signed=True),
+                "scale": Entry(("value",), 0.02, (5e-4, 0.3), signed=True, neutral=1.0),
+                "lag": Entry(("time",), h, (0.05 * h, 15.0 * h)),
+                "drift": Entry(("rate",), 0.02 * slow, (5e-4 * slow, 0.5 * slow), signed=True),
+                "latency": Entry(("value",), 2.0 * h, (1.5 * h, 4.0 * h), fixed=True),
+            }
+            found |= {f"{kind}_at_{place(name)}": every[kind] for kind in y.kinds}
+        return found
+
+    # -- equations ------------------------------------------------------------------------------------
+
+    def equations(self, f: Any, p: Flat, drag: Callable[..., Any], loss: Callable[..., Any]) -> Rate:
+        """Return the derivatives of the plant's own states.
+
+        Args:
+            f: math functions, `Floats` or `Arrays`.
+            p: parameters.
+            drag: (place, position, velocity) → force against the motion.
+            loss: (place, value) → loss of a storage per second.
+        """
+        raise NotImplementedError
+
+    def bind(self, f: Any, p: Flat) -> tuple[Rate, Look]:
+        """Return derivatives and outputs, with the hidden effects of `p`."""
+        n, first = len(self.states), place(next(iter(self.plants_inputs)))
+        own = self.equations(f, p, self._drags(f, p), self._losses(f, p))
+        clock = _clock(f, p, first)
+        names = {key.partition(".")[0] for key in p}
+        lags = [(name, place(name)) for name in self.plants_outputs if f"lag_at_{place(name)}" in names]
+        lagged = {name: (n + k, p[f"lag_at_{at}.time"]) for k, (name, at) in enumerate(lags)}
+        drifts = {name: p.get(f"drift_at_{place(name)}.rate") for name in self.plants_outputs}
+        shown = {name: y.state for name, y in self.plants_outputs.items()}
+        least = 0.5 * self.step  # so that a lag of 0 does no harm where others have one
+
+        def rate(t: float, x: Any, u: Any, push: Any) -> list[Any]:
+            slopes = own(t, x, u if clock is None else [clock(t, u[0]), *u[1:]], push)
+            return [*slopes, *((x[shown[o]] - x[k]) / f.maximum(time, least) for o, (k, time) in lagged.items())]
+
+        def look(t: float, x: Any, push: Any) -> list[Any]:
+            values = []
+            for name, state in shown.items():
+                value = x[state]
+                if name in lagged:
+                    k, time = lagged[name]
+                    value = f.where(time > 0.0, x[k], value)
+                rate = drifts[name]
+                values.append(value if rate is None else value + rate * t)
+            return values
+
+        return rate, look
+
+    def _drags(self, f: Any, p: Flat) -> Callable[..., Any]:
+        terms = {name: _drag(f, p, name, v.speed / 50.0) for name, v in self.pairs.items()}
+        return lambda name, q, v: sum(term(q, v) for term in terms[name])
+
+    def _losses(self, f: Any, p: Flat) -> Callable[..., Any]:
+        get = p.get
+
+        def loss(name: str, value: Any) -> Any:
+            leak, level, spill = (get(f"{k}_at_{name}.{n}") for k, n in _LOSSES)
+            lost = 0.0 if leak is None else leak * value
+            return lost if spill is None else lost + spill * f.maximum(value - level, 0.0)
+
+        return loss
+
+    def first_state(self, names: Collection[str], run: Run) -> np.ndarray:
+        """Return the start state; a lagging sensor begins at what it shows."""
+        lags = [y.state for name, y in self.plants_outputs.items() if f"lag_at_{place(name)}" in names]
+        return np.concatenate([run.start, run.start[lags]])
+
+    # -- inputs ---------------------------------------------------------------------------------------
+
+    def acting(self, p: Flat, run: Run, parts: int) -> np.ndarray:
+        """Return the mean acting inputs of each of `parts` parts of a row, shape (rows, parts, inputs)."""
+        columns = []
+        for number, (name, u) in enumerate(self.plants_inputs.items()):
+            at = _parameters(p, place(name))
+            still = _static(np.append(u.rest, run.commands[:, number]), at)
+            delayed = _delayed(still, float(p.get("delay.time", 0.0)) / self.step, parts)
+            columns.append(_slow(delayed, still[0], at, self.step / parts))
+        return np.stack(columns, axis=-1).reshape(len(run.times), parts, -1)
+
+    def course(
+        self, p: Mapping[str, float], run: Run, resets: Mapping[int, np.ndarray] | None = None, parts: int = PARTS
+    ) -> Course:
+        """Return the simulated log: `parts` Runge-Kutta steps a row, after a preroll at rest commands.
+
+        Args:
+            p: parameters.
+            run: inputs, and the state at the begin of the preroll.
+            resets: row → new state.
+            parts: steps of a row.
+        """
+        rate, look = self.bind(Floats, p)
+        h, lead = self.step / parts, self.preroll_rows
+        acting = self.acting(p, run, parts).reshape(-1, len(self.inputs))
+        before = [
+            float(_static(np.array([u.rest]), _parameters(p, place(n)))[0]) for n, u in self.plants_inputs.items()
+        ]
+        acting = np.vstack([np.tile(before, (lead * parts, 1)), acting]).tolist()
+        rows, begin = len(run.times), float(run.times[0])
+        state = self.first_state({name.partition(".")[0] for name in p}, run).tolist()
+        states, fine = np.empty((rows, len(state))), np.empty(((lead + rows) * parts, len(self.outputs)))
+        for k in range((lead + rows) * parts):
+            row, part = divmod(k, parts)
+            push = run.pushes[max(row - lead, 0)]
+            if part == 0 and row >= lead:
+                if resets and row - lead in resets:
+                    state = list(resets[row - lead])
+                states[row - lead] = state
+            t = begin + (k - lead * parts) * h
+            fine[k] = look(t, state, push)
+            state = _runge_kutta(rate, t, state, acting[k], push, h)
+        if not np.all(np.isfinite(states)):
+            raise ArithmeticError(f"{self.name}: states are not finite")
+        late, late_output = self.late()
+        moments = begin + h * (np.arange(len(fine)) - lead * parts)
+        columns = []
+        for number, output in enumerate(self.outputs):
+            column = fine[lead * parts :: parts, number]
+            if output == late_output and f"{late}.value" in p:
+                column = np.interp(run.times - p[f"{late}.value"], moments, fine[:, number])
+            columns.append(self.sensed(p, output, column))
+        return Course(np.column_stack(columns), states)
+
+    def drive(self, rng: np.random.Generator) -> np.ndarray:
+        """Return the commands of a log, for each input steps, levels, ramps, multisines, noise; at first at rest."""
+        columns = [manoeuvre(rng, self.rows, self.step, (u.low, u.high), u.holds) for u in self.plants_inputs.values()]
+        commands = np.column_stack(columns)
+        commands[:10] = list(self.inputs.values())
+        return rounded(commands)
+
+
+_LOSSES = (("leak", "coefficient"), ("overflow", "level"), ("overflow", "coefficient"))
+
+
+def _parameters(p: Flat, at: str) -> dict[str, float]:
+    """Return the parameters of the effects at an input, without the place in their names."""
+    return {
+        key.replace(f"_at_{at}.", "."): float(value)
+        for key, value in p.items()
+        if key.partition(".")[0].endswith(f"_at_{at}")
+    }
+
+
+def _static(u: np.ndarray, at: Mapping[str, float]) -> np.ndarray:
+    """Return commands after gain, bias, dead band, saturation and play."""
+    v = at.get("gain.value", 1.0) * u + at.get("bias.value", 0.0)
+    v = np.sign(v) * np.maximum(np.abs(v) - at.get("dead_band.width", 0.0), 0.0)
+    limit, width = at.get("saturation.limit", math.inf), at.get("play.width", 0.0)
+    v = np.clip(v, -limit, limit)
+    if width > 0.0:
+        held, last = np.empty_like(v), v[0]
+        for k, value in enumerate(v):
+            held[k] = last = min(max(last, value - width), value + width)
+        return held
+    return v
+
+
+def _delayed(u: np.ndarray, rows: float, parts: int) -> np.ndarray:
+    """Return the means over parts of rows of a held signal; its first value has been there for ever."""
+    edges = np.arange((u.size - 1) * parts + 1) / parts - rows
+    total = np.concatenate([[0.0], np.cumsum(u[1:])])
+    area = np.where(edges < 0.0, edges * u[0], np.interp(edges, np.arange(u.size), total))
+    return np.diff(area) * parts
+
+
+def _slow(u: np.ndarray, rest: float, at: Mapping[str, float], h: float) -> np.ndarray:
+    """Return the means over parts of `h` seconds after rate limit and lags."""
+    if (rate := at.get("rate_limit.rate", math.inf)) * h < 10.0 * np.ptp(np.append(u, rest)):
+        means, last = np.empty_like(u), rest
+        for k, value in enumerate(u):
+            gap = value - last
+            if abs(gap) <= rate * h:
+                means[k], last = value - gap * abs(gap) / (2.0 * rate * h), value
+            else:
+                moved = math.copysign(rate * h, gap)
+                means[k], last = last + 0.5 * moved, last + moved
+        u = means
+    if (time := at.get("lag.time", 0.0)) * QUICK > h:
+        u = _filtered(u, rest, np.array([[-1.0 / time]]), np.array([1.0 / time]), h)
+    if (w := at.get("second_order_lag.frequency", math.inf)) * h < QUICK:
+        damping = at["second_order_lag.damping"]
+        u = _filtered(u, rest, np.array([[0.0, 1.0], [-w * w, -2.0 * damping * w]]), np.array([0.0, w * w]), h)
+    return u
+
+
+def _filtered(u: np.ndarray, rest: float, a: np.ndarray, b: np.ndarray, h: float) -> np.ndarray:
+    """Return the means over parts of the first state of x' = a·x + b·u, from rest."""
+    n = len(b)
+    whole = np.zeros((n + 2, n + 2))  # states, input, integral of the first state
+    whole[:n, :n], whole[:n, n], whole[n + 1, 0] = a, b, 1.0
+    step = expm(whole * h)
+    x, means = np.array([rest, *[0.0] * (n - 1)]), np.empty_like(u)
+    for k, value in enumerate(u):
+        means[k] = (step[n + 1, :n] @ x + step[n + 1, n] * value) / h
+        x = step[:n, :n] @ x + step[:n, n] * value
+    return means
+
+
+def _drag(f: Any, p: Flat, name: str, creep: float) -> list[Callable[[Any, Any], Any]]:
+    """Return the forces (position, velocity) → force against the motion of the effects at a velocity."""
+    level, viscous, drag, cubic = (
+        p.get(f"{kind}_at_{name}.{n}")
+        for kind, n in (
+            ("coulomb", "level"), ("viscous", "coefficient"),
+            ("quadratic_drag", "coefficient"), ("cubic_spring", "stiffness"),
+        )
+    )  # fmt: skip
+    low, peak, speed = (p.get(f"stribeck_at_{name}.{n}") for n in ("level", "breakaway", "speed"))
+    sine, cosine, period = (p.get(f"cogging_at_{name}.{n}") for n in ("sine", "cosine", "period"))
+    terms: list[Callable[[Any, Any], Any]] = []
+    if level is not None:
+        terms.append(lambda q, v: level * f.tanh(v / creep))
+    if peak is not None:
+        terms.append(lambda q, v: (low + (peak - low) * f.exp(-((v / speed) ** 2))) * f.tanh(v / creep))
+    if viscous is not None:
+        terms.append(lambda q, v: viscous * v)
+    if drag is not None:
+        terms.append(lambda q, v: drag * v * f.absolute(v))
+    if sine is not None:
+        turn = 2.0 * math.pi / period
+        terms.append(lambda q, v: sine * f.sin(turn * q) + cosine * f.cos(turn * q))
+    if cubic is not None:
+        terms.append(lambda q, v: cubic * q**3)
+    return terms
+
+
+def _of_time(at: str, u: Input, duration: float) -> dict[str, Entry]:
+    """Return effects at an input that depend on time, which no catalogue has."""
+    some = 0.5 * (u.holds[0] + u.holds[1])
+    return {
+        f"hunting_at_{at}": Entry(
+            ("depth",), 0.05, (2e-3, 0.6), shape={"frequency": (0.3 / some, 1.0 / some)}
+        ),
+        f"tiring_at_{at}": Entry(("share",), 0.1, (5e-3, 0.8), shape={"time": (0.2 * duration, 0.5 * duration)}),
+        f"gusts_at_{at}": Entry(
+            ("size",), 0.03 * u.reach, (1e-3 * u.reach, 0.4 * u.reach),
+            shape={"period": (0.15 * duration, 0.25 * duration), "share": (0.2, 0.4)},
+        ),
+    }  # fmt: skip
+
+
+def _clock(f: Any, p: Flat, at: str) -> Callable[[Any, Any], Any] | None:
+    """Return (t, u) → u with the effects of `_of_time`; None without."""
+    depth, hertz = (p.get(f"hunting_at_{at}.{n}") for n in ("depth", "frequency"))
+    share, time = (p.get(f"tiring_at_{at}.{n}") for n in ("share", "time"))
+    size, period, part = (p.get(f"gusts_at_{at}.{n}") for n in ("size", "period", "share"))
+    if depth is not None:
+        return lambda t, u: u * (1.0 + depth * f.sin(2.0 * math.pi * hertz * t))
+    if share is not None:
+        return lambda t, u: u * (1.0 - share * (1.0 - f.exp(-t / time)))
+    if size is not None:
+        return lambda t, u: u + f.where(t % period < part * period, 1.0, 0.0) * size
+    return None
+
+
+def _runge_kutta(rate: Rate, t: float, x: list[float], u: Any, push: Any, h: float) -> list[float]:
+    k1 = rate(t, x, u, push)
+    k2 = rate(t + 0.5 * h, [a + 0.5 * h * b for a, b in zip(x, k1, strict=True)], u, push)
+    k3 = rate(t + 0.5 * h, [a + 0.5 * h * b for a, b in zip(x, k2, strict=True)], u, push)
+    k4 = rate(t + h, [a + h * b for a, b in zip(x, k3, strict=True)], u, push)
+    return [a + h / 6.0 * (b + 2.0 * (c + d) + e) for a, b, c, d, e in zip(x, k1, k2, k3, k4, strict=True)]
