@@ -38,7 +38,7 @@ from cosim.residuals.windows import Replay
 from cosim.subject.interface import Predict, Replayer, Start, Workplace
 from cosim.subject.model_subject import FILES, ModelSubject
 from cosim.subject.start_state import start_state
-from cosim.terms.catalogue import bound_terms, delay_of, sensor_errors
+from cosim.terms.catalogue import Stribeck, bound_terms, delay_of, sensor_errors
 from cosim.terms.fmu_model import Dependencies, FmuModel, fmu_model
 from cosim.terms.language import Place, with_place
 from cosim.terms.printed import term_code
@@ -271,7 +271,10 @@ def _model(structure: Structure, logs: Sequence[Log], terms: Sequence[type[Any]]
     }
     places = [*_places(structure, sizes | ranges, step, means, rates)]
     varied = tuple(n for n, width in ranges.items() if width > 0.0)
-    catalogue = (*([delay_of(inputs, LATEST * step)] if inputs else ()), *bound_terms(places, terms))
+    bound = [
+        t for t in bound_terms(places, terms) if not (stepped and issubclass(t, Stribeck))
+    ]  # see docs/refine_fmu.md
+    catalogue = (*([delay_of(inputs, LATEST * step)] if inputs else ()), *bound)
     horizon = math.inf if structure.way == "co-simulation" else max(HORIZON_ROWS * step, HORIZON_SHARE * duration)
     sensors = [error for q in outputs for error in sensor_errors(q, sizes.get(q.name) or 1.0, step, duration)]
     return fmu_model(
