@@ -35,20 +35,23 @@ from cosim.refinement.proof.nearest import SIMPLER, is_as_good, nearest
 from cosim.refinement.proof.prediction_fit import EVALUATIONS
 from cosim.refinement.proof.refined_models import refined_subject, variant_of
 from cosim.refinement.proof.replay_check import errors_per_floor, moved_beyond_tolerance
+from cosim.refinement.search.attribution import HOPE
 from cosim.refinement.search.fits import Search, key_of
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis
 from cosim.refinement.study import Study
 from cosim.subject.candidates import Candidate, Free
 
-OVERLAP = 4  # predictions that cover each row
+OVERLAP = 2  # predictions that cover each row
 PARTS = 6  # least number of parts of the logs, each left out once
 LEAST_PARTS = 3  # number of parts below which there is no standard error
 CAUCHY = 2.385  # constant of Cauchy's loss, in units of the median error
 DIVERGED = 1e6  # error, in units of the median error, of a prediction that diverges
 TRIED = 3  # most promising candidates fitted in each round
+QUICK = 3  # largest number of Jacobians of a fit that only ranks
+AIC = 2.0  # least decrease of −2·ln L per parameter of an added candidate
 ROUNDS = 6  # largest number of added candidates
 IDLE = 2  # candidates added without a better prediction of left-out parts, after which the search ends
-TOLERANCE = 1e-4  # relative change of a fit's objective or step at which the fit ends
+TOLERANCE = 1e-3  # relative change of a fit's objective or step at which the fit ends
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,6 +199,15 @@ class Prediction:
         """Return the minimised sum."""
         return float(self.residuals @ self.residuals)
 
+    def required(self, count: int) -> float:
+        """Return the objective below which so many further parameters are worth their cost.
+
+        For n independent errors of estimated size, −2·ln L is n·ln(objective). Errors within a prediction depend on
+        each other, so that n is the number of consecutive predictions and outputs.
+        """
+        number = len(self.windows.parts) / OVERLAP * len(self.scale)
+        return self.objective * math.exp(-max(AIC * count / number, 2.0 * SIMPLER))
+
     def derivatives(self, theta: Array) -> Array:
         """Return derivatives of the weighted errors by differences, inwards at an upper limit."""
         around, high = self.evaluate(theta), self.bounds[1]
@@ -270,7 +282,7 @@ def search_nearest(
     if windows is None or len(windows.groups) < LEAST_PARTS or not _is_far_from_noise(study, claims, a, problem):
         return claims
     rungs = ladder_by_predictions(search, windows, a, candidates)
-    h = nearest(rungs)
+    h = nearest(rungs) if rungs else None
     if h is None or not set(h.names) - set(claims.nearest.names if claims.nearest else ()):
         return claims
     before = windows.errors(_nearest_fit(claims, a))
@@ -308,11 +320,13 @@ def _is_far_from_noise(study: Study, claims: Claims, a: Attribution, problem: Pr
 def ladder_by_predictions(
     search: Search, windows: Windows, a: Attribution, candidates: Sequence[Candidate]
 ) -> list[Rung]:
-    """Return the errors of predictions of held-out parts, from the given model to more and more candidates."""
+    """Return the errors of predictions of held-out parts, from the given model to more and more candidates.
+
+    Without a candidate that decreases the objective, there is no ladder.
+    """
     effects = [c for c in candidates if c.kind != "parameter"]  # base parameters are free in every fit
     scale = median_errors(windows.errors(a.base.fit))
-    given = _prediction(search, windows, a.unfitted, (), scale, fixed=True).fitted()
-    path = [_prediction(search, windows, a.base.fit, (), scale).fitted().rescaled().fitted()]
+    path = [_prediction(search, windows, a.base.fit, (), scale).fitted()]
     errors = [path[0].held_out_errors()]
     while len(path) <= ROUNDS and len(path) - 1 - int(np.argmin([np.mean(e) for e in errors])) < IDLE:
         larger = _extended(search, path[-1], effects)
@@ -320,6 +334,9 @@ def ladder_by_predictions(
             break
         path.append(larger)
         errors.append(larger.held_out_errors())
+    if len(path) == 1:
+        return []
+    given = _prediction(search, windows, a.unfitted, (), scale, fixed=True).fitted()
     rungs = [Rung(None, given.held_out_errors())]
     rungs += [Rung(_hypothesis(search, p), e) for p, e in zip(path, errors, strict=True)]
     return _without_idle_parts(search, path, rungs)
@@ -348,22 +365,20 @@ def _hypothesis(search: Search, p: Prediction) -> Hypothesis:
 
 
 def _extended(search: Search, p: Prediction, candidates: Sequence[Candidate]) -> Prediction | None:
-    """Return the prediction with the candidate that decreases the objective most; None if none decreases it."""
-    promises = _promises(p, [c for c in candidates if c not in p.candidates])
+    """Return the prediction with the candidate that decreases the objective most; None if the decrease is too small."""
     tried = []
-    for c, values in promises[:TRIED]:
+    for c, values in _promises(p, [c for c in candidates if c not in p.candidates])[:TRIED]:
         start = replace(p.fit, values={**p.fit.values, **values})
-        tried.append(_prediction(search, p.windows, start, (*p.candidates, c), p.scale).fitted())
-    best = min(tried, key=lambda other: other.objective, default=None)
-    if best is None or best.objective > p.objective * np.exp(-2.0 * SIMPLER):
-        return None
-    return best.rescaled().fitted()
+        larger = _prediction(search, p.windows, start, (*p.candidates, c), p.scale).fitted(QUICK)
+        if larger.objective < p.required(len(c.free)):
+            tried.append(larger)
+    return min(tried, key=lambda larger: larger.objective).rescaled().fitted() if tried else None
 
 
 def _promises(p: Prediction, candidates: Sequence[Candidate]) -> list[tuple[Candidate, Mapping[str, float]]]:
     """Return candidates with linear estimates of their parameters, most promising first.
 
-    Candidates whose estimates exceed their limits are omitted.
+    Candidates that promise too little, or whose estimates exceed their limits, are omitted.
     """
     values, theta, basis = p.fit.values, p.theta, orthonormal(p.jacobian * p.sizes)
     trials = [(c, move) for c in candidates for move in _moves(c, values)]
@@ -383,7 +398,7 @@ def _promises(p: Prediction, candidates: Sequence[Candidate]) -> list[tuple[Cand
         estimates = {n: values[n] for n in c.parameters}
         for times, (move, _) in zip(multiples.tolist(), own, strict=True):
             estimates |= {n: estimates[n] + times * step for n, step in move.items()}
-        if gain > 0.0 and all(_is_within(f, estimates) for f in c.free):
+        if p.objective - HOPE * gain < p.required(len(c.free)) and all(_is_within(f, estimates) for f in c.free):
             promises.append((gain, c, estimates))
     return [(c, estimates) for _, c, estimates in sorted(promises, key=lambda entry: -entry[0])]
 
