@@ -9,8 +9,9 @@ Sealed logs are not used, and the search changes no claim.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
@@ -52,10 +53,10 @@ def search_nearest(
         problem: Problem for replays of the logs.
         search: Search of the filter, with its problem.
     """
-    windows = (
-        Windows.of(search.problem, study.subject.horizon) if _is_applicable(study, claims, search.problem) else None
-    )
-    if windows is None or len(windows.groups) < LEAST_PARTS or not _is_far_from_noise(study, claims, a, problem):
+    if not _is_applicable(study, claims, search.problem):
+        return claims
+    windows = Windows.of(search.problem, study.subject.horizon)
+    if len(windows.groups) < LEAST_PARTS or not _is_far_from_noise(study, claims, a, problem):
         return claims
     rungs = ladder_by_predictions(search, windows, a, candidates)
     h = nearest(rungs) if rungs else None
@@ -70,7 +71,7 @@ def search_nearest(
 
 
 def _is_applicable(study: Study, claims: Claims, problem: Problem) -> bool:
-    """Return True if nothing is claimed or excluded, and all logs have a horizon and one set of values."""
+    """Return True for `unexplained` without a claim, if all logs have a horizon and one set of values."""
     has_predictions = math.isfinite(study.subject.horizon) and not (problem.table or problem.own)
     return has_predictions and claims.name == "unexplained" and claims.claimed is None
 
@@ -201,23 +202,24 @@ def _moves(c: Candidate, values: Mapping[str, float]) -> list[dict[str, float]]:
 
 def _without_idle_parts(search: Search, path: Sequence[Prediction], rungs: list[Rung]) -> list[Rung]:
     """Return the rungs with smaller sets: the nearest model without candidates that do not help on every log."""
-    by_names = {key_of(p.candidates): p for p in path}
+    fitted = {key_of(p.candidates): p for p in path}
     h = nearest(rungs)
     while h is not None and len(h.names) > 1:
-        p, own = by_names[h.names], next(rung.errors for rung in rungs if rung.hypothesis is h)
-        smaller: list[tuple[Prediction, Rung]] = []
-        for c in p.candidates:
-            rest = tuple(other for other in p.candidates if other is not c)
-            if key_of(rest) in by_names:
-                continue
-            without = _prediction(search, p.windows, p.fit, rest, p.scale).fitted().rescaled().fitted()
-            smaller.append((without, Rung(_hypothesis(search, without), without.held_out_errors())))
-        as_good = [entry for entry in smaller if is_as_good(entry[1].errors - own)]
+        own = next(rung.errors for rung in rungs if rung.hypothesis is h)
+        smaller = list(_smaller(search, fitted[h.names], set(fitted)))
+        errors = {key_of(p.candidates): p.held_out_errors() for p in smaller}
+        as_good = [p for p in smaller if is_as_good(errors[key_of(p.candidates)] - own)]
         if not as_good:
             break
-        without, rung = min(as_good, key=lambda entry: float(np.mean(entry[1].errors)))
-        rungs.append(rung)
-        assert rung.hypothesis is not None
-        h = rung.hypothesis
-        by_names[h.names] = without
+        p = min(as_good, key=lambda p: float(np.mean(errors[key_of(p.candidates)])))
+        h = _hypothesis(search, p)
+        fitted[h.names] = p
+        rungs.append(Rung(h, errors[h.names]))
     return sorted(rungs, key=lambda rung: len(rung.hypothesis.names) if rung.hypothesis else -1)
+
+
+def _smaller(search: Search, p: Prediction, known: Collection[tuple[str, ...]]) -> Iterator[Prediction]:
+    """Yield the prediction without each of its candidates, fitted, except for known sets."""
+    for rest in combinations(p.candidates, len(p.candidates) - 1):
+        if key_of(rest) not in known:
+            yield _prediction(search, p.windows, p.fit, rest, p.scale).fitted().rescaled().fitted()
