@@ -18,7 +18,7 @@ from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.decision.claims import Claims, Grade, MovedParameter, Rung, judge, name_of
 from cosim.refinement.decision.sentences import _moved_text, improvement_text, nearest_text, remainder_text
 from cosim.refinement.proof import prediction_fit
-from cosim.refinement.proof.nearest import _is_as_good, nearest
+from cosim.refinement.proof.nearest import is_as_good, nearest
 from cosim.refinement.proof.prediction_fit import compare_with_predictions
 from cosim.refinement.proof.replay_check import check_claim
 from cosim.refinement.record import effects
@@ -131,7 +131,7 @@ def test_the_error_ratio_is_the_mean_over_the_logs_and_each_log_has_to_improve()
 
 def test_of_two_models_within_one_standard_error_the_simpler_is_taken() -> None:
     worse, alike, on_one_log = np.array([0.3, 0.5]), np.array([0.0, 0.04]), np.array([0.3, -0.2])
-    assert [_is_as_good(e) for e in (worse, alike, on_one_log, np.array([0.3]))] == [False, True, True, False]
+    assert [is_as_good(e) for e in (worse, alike, on_one_log, np.array([0.3]))] == [False, True, True, False]
 
 
 @pytest.mark.parametrize(

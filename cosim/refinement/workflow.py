@@ -40,6 +40,7 @@ from cosim.refinement.decision.trust import attribute
 from cosim.refinement.proof.measure import FLOOR_SEED, final_log_parameters, noise_floor, rmse
 from cosim.refinement.proof.nearest import ladder, nearest
 from cosim.refinement.proof.prediction_fit import compare_with_predictions
+from cosim.refinement.proof.prediction_search import search_nearest
 from cosim.refinement.proof.proof_replays import LogSets, Proof, warnings_of
 from cosim.refinement.proof.refined_models import Variant, refined_subject, variant_of, variants_of, with_log_noise
 from cosim.refinement.proof.replay_check import check_with_replays, moved_beyond_tolerance
@@ -116,7 +117,7 @@ def refine(
     progress("weighing what was found", 0.0)
     attribution = decide(result)
     claims = _judge(study, attribution, result, progress)
-    claims = _add_nearest(study, claims, result, attribution)
+    claims = _add_nearest(study, claims, result, attribution, problem, progress)
     between = between_rows(result.search.problem, attribution.base)
     warnings = [*noise_warnings(problem, attribution.best.fit.noise, subject), *between.warnings]
     limits = study.content.limits
@@ -240,13 +241,17 @@ def _is_steady(problem: Problem, leftover: Leftover, with_terms: Fit, alone: Fit
     return steadiness(problem, with_terms, alone) >= chance_limit(problem, with_terms, leftover.among)
 
 
-def _add_nearest(study: Study, claims: Claims, result: SearchResult, a: Attribution) -> Claims:
+def _add_nearest(
+    study: Study, claims: Claims, result: SearchResult, a: Attribution, problem: Problem, progress: Progress
+) -> Claims:
     """Return the claims with held-out errors by number of candidates, and the nearest model if incomplete."""
     close = {h.names: h for h in (a.best, result.best) if h.candidates}
     claims = replace(claims, ladder=ladder(result.search, a, list(close.values())))
     if claims.grade != "claimed":
         h = nearest(claims.ladder)
         claims = replace(claims, nearest=Nearest(h, moved_beyond_tolerance(h.fit) if h else ()))
+        progress("fitting predictions over the horizon", 0.0)
+        claims = search_nearest(study, claims, a, problem, result.search, result.candidates)
     left_out = errors_on_held_out_rows(result.search, a, claims) if result.search.problem.table else None
     return replace(claims, restricted=study.content.candidates is not None, left_out=left_out)
 

@@ -271,9 +271,8 @@ def _model(structure: Structure, logs: Sequence[Log], terms: Sequence[type[Any]]
     }
     places = [*_places(structure, sizes | ranges, step, means, rates)]
     varied = tuple(n for n, width in ranges.items() if width > 0.0)
-    bound = [
-        t for t in bound_terms(places, terms) if not (stepped and issubclass(t, Stribeck))
-    ]  # see docs/refine_fmu.md
+    # a force held over a substep is too coarse for the shape of friction near rest
+    bound = [t for t in bound_terms(places, terms) if not (stepped and issubclass(t, Stribeck))]
     catalogue = (*([delay_of(inputs, LATEST * step)] if inputs else ()), *bound)
     horizon = math.inf if structure.way == "co-simulation" else max(HORIZON_ROWS * step, HORIZON_SHARE * duration)
     sensors = [error for q in outputs for error in sensor_errors(q, sizes.get(q.name) or 1.0, step, duration)]

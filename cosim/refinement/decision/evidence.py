@@ -226,19 +226,30 @@ def open_loop(problem: Problem, horizon: float, f: Fit, index: int) -> Array:
     return Replays(problem, horizon, f, index).residuals(f.values)
 
 
+def rows_of_replay(problem: Problem, horizon: float, index: int) -> int:
+    """Return the number of rows that a prediction of a log lasts."""
+    data = problem.logs[index]
+    rows = len(data.u)
+    length = rows // PREDICTED if math.isinf(horizon) else round(horizon / data.step)
+    return max(2, min(length, (rows - count_unscored(data)) // 2))
+
+
 class Replays:
     """Consecutive open-loop predictions of a log, each from the state that a fit's filter estimates.
 
     Each lasts one horizon of the model, or an eighth of the log for a free run.
     """
 
-    def __init__(self, problem: Problem, horizon: float, f: Fit, index: int) -> None:
+    def __init__(self, problem: Problem, horizon: float, f: Fit, index: int, rows: Sequence[int] | None = None) -> None:
+        """Filter the log.
+
+        Args:
+            rows: Rows at which the predictions start; None for one after the other.
+        """
         self.problem, self.index = problem, index
         self.data, first = problem.data(f.values, index), count_unscored(problem.logs[index])
-        rows = len(self.data.u)
-        length = rows // PREDICTED if math.isinf(horizon) else round(horizon / self.data.step)
-        self.length = max(2, min(length, (rows - first) // 2))
-        self.rows = range(first, rows - self.length, self.length)
+        self.length = rows_of_replay(problem, horizon, index)
+        self.rows = range(first, len(self.data.u) - self.length, self.length) if rows is None else rows
         run = problem.run(f.values, f.noise, index, states=True)
         self.starts = [(problem.drop_unknown_inputs(run.states[k]), run.memory[k]) for k in self.rows]
 

@@ -42,10 +42,10 @@ def ladder(search: Search, a: Attribution, best: Sequence[Hypothesis]) -> tuple[
 def nearest(rungs: Sequence[Rung]) -> Hypothesis | None:
     """Return the simplest of the best predictors of held-out logs, None for the given model."""
     least = min(rungs, key=lambda rung: float(np.mean(rung.errors))).errors
-    return next(rung.hypothesis for rung in rungs if _is_as_good(rung.errors - least))
+    return next(rung.hypothesis for rung in rungs if is_as_good(rung.errors - least))
 
 
-def _is_as_good(excess: Array) -> bool:
+def is_as_good(excess: Array) -> bool:
     """Return True if a simpler model predicts the logs as well as a richer model.
 
     Args:

@@ -36,8 +36,8 @@ def check_with_replays(study: Study, a: Attribution, claims: Claims, result: Sea
     is_within, is_single = not beyond_tolerance(a.base.fit), False
     if claims.name == "no_effect":
         error, floor = _replay_errors(study, a, claims, problem, result.sensors)
-        if ratios := _errors_per_floor(error["before"], floor):
-            if not is_within or _errors_per_floor(error["recalibrated"], floor):
+        if ratios := errors_per_floor(error["before"], floor):
+            if not is_within or errors_per_floor(error["recalibrated"], floor):
                 claims = claim_single_number(claims, a, study.subject, result, ratios)
             is_single = True
     elif claims.name == "parameter_error":
@@ -119,7 +119,7 @@ def _weak_parts(claimed: Hypothesis, support: Mapping[str, Support]) -> tuple[st
 
 def _error_doubt(error: ErrorOf, floor: Channels) -> Doubt | None:
     """Return a doubt about a claim without effects if replays miss a channel by far; else None."""
-    worst, times = max(_errors_per_floor(error["after"], floor).items(), key=itemgetter(1), default=("", 0.0))
+    worst, times = max(errors_per_floor(error["after"], floor).items(), key=itemgetter(1), default=("", 0.0))
     return Doubt("missed", worst, times) if worst else None
 
 
@@ -200,6 +200,6 @@ def beyond_tolerance(f: Fit) -> tuple[MovedParameter, ...]:
     return _moved_parameters(f, names)
 
 
-def _errors_per_floor(error: Channels, floor: Channels) -> dict[str, float]:
+def errors_per_floor(error: Channels, floor: Channels) -> dict[str, float]:
     """Return channel → error as a multiple of its floor."""
     return {n: error[n] / f for n, f in floor.items() if f > 0.0 and error.get(n, 0.0) > COUNTS_FROM * f}

@@ -104,9 +104,9 @@ def context(r: Refinement) -> Mapping[str, Any]:
 
 
 LADDER_NOTE = (
-    "Each log is predicted by a fit to the other logs; the error (root mean square) is relative to the model of the "
-    "study. The standard "
-    "error is that of the difference from the best. Within it, a model with fewer candidates is as good."
+    "Each log, or each part of a log, is predicted by a fit to the rest; the error (root mean square) is relative to "
+    "the model of the study. The standard error is that of the difference from the best. Within it, a model with fewer "
+    "candidates is as good."
 )
 _NO_TIME: Mapping[str, Any] = {"horizons": None, "terms": [], "runs": [], "lead": None, "whiteness": []}  # for tables
 
