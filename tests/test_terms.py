@@ -29,7 +29,7 @@ from cosim.terms.catalogue import (
 )
 from cosim.terms.fmu_model import Dependencies, FmuModel, fmu_model
 from cosim.terms.language import Force, Place, bind, unit_of, with_place
-from cosim.terms.printed import term_code
+from cosim.terms.term_printing import term_code
 
 INPUT = Place("voltage", {"u": "V", "T": "s"}, {"u": 4.0, "T": 0.1}, input=0)
 PAIR = Place(

@@ -28,6 +28,7 @@ from cosim.logs.gate import gate, gate_faults
 from cosim.logs.holes import fill_holes
 from cosim.logs.log import Log, read_log, rename_signals, stretches
 from cosim.logs.spikes import drop_outliers, find_spikes
+from cosim.probing.places import probe_places
 from cosim.refinement import messages
 from cosim.refinement.search.groups import Places, full_name, group_of, per_log_faults
 from cosim.residuals.drive import log_of_fmu
@@ -37,7 +38,7 @@ from cosim.storage.files import FilePath
 from cosim.storage.kinds import STUDY, check_form, refuse_other
 from cosim.storage.yaml_file import UNIT_OF_KEY, Positive, YamlFile, did_you_mean
 from cosim.subject.base_parameters import tolerances
-from cosim.subject.fmu_subject import FmuSubject, probe_best
+from cosim.subject.fmu_subject import FmuSubject
 from cosim.subject.interface import Subject
 from cosim.subject.model_subject import ModelSubject
 
@@ -272,7 +273,9 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
         except InputError as error:
             faults += error.faults
     refuse(faults)
-    subject = FmuSubject.of_fmu(probe_best(fmu, logs), logs, terms)
+    probed = probe_places(fmu, logs)
+    subject = FmuSubject.of_fmu(probed.structure, logs, terms)
+    subject.source += f", because {probed.reason}"
     content = _in_names_of(subject, content)
     units = {q.name: q.unit for q in subject.outputs}
     noise, unit_faults = yaml.in_units(("noise",), content.noise, units, difference=True)
@@ -280,7 +283,8 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
     faults += [*unit_faults, *_key_faults(yaml, content, subject, unlisted=False)]
     read, warnings, log_faults = _read_logs(yaml, content, subject)
     refuse([*faults, *log_faults])
-    return Study(yaml.path, content, subject, tuple(read["estimation"]), tuple(warnings))
+    found = [with_prefix(f"{content.model}: ", finding) for finding in probed.behaviour.findings]
+    return Study(yaml.path, content, subject, tuple(read["estimation"]), (*found, *warnings))
 
 
 def _in_names_of(subject: FmuSubject, content: StudyFile) -> StudyFile:

@@ -150,7 +150,7 @@ def fmu_model(
     parameters: Sequence[Parameter],
     terms: Sequence[type[Any]],
     **attributes: Any,
-) -> Model:
+) -> FmuModel:
     """Return the model of an FMU with its own parameter values.
 
     Args:
@@ -171,5 +171,5 @@ def fmu_model(
         **attributes,
     }
     made: type[Any] = make_dataclass("OfFmu", fields, bases=(FmuModel,), namespace=namespace, frozen=True, kw_only=True)
-    model: Model = made()
+    model: FmuModel = made()
     return model

@@ -1,0 +1,187 @@
+"""The model of a probed FMU: its signals, places with usual sizes along the logs, terms and parameters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from cosim.base.units import unit_product
+from cosim.logs.log import Log
+from cosim.model.quantities import Parameter, Quantity
+from cosim.probing.fmu_structure import Pair, Structure
+from cosim.terms.catalogue import Stribeck, bound_terms, delay_of, sensor_errors
+from cosim.terms.fmu_model import Dependencies, FmuModel, fmu_model
+from cosim.terms.language import Place, with_place
+
+HORIZON_ROWS, HORIZON_SHARE = 50, 0.1  # duration of replays: least in rows, and usual share of a log
+LATEST = 20  # longest delay of the inputs, in rows
+SLOPE_ROWS = 5  # rows over which the rate of readings is taken
+WIDEST = 100.0  # factor on a parameter without bounds, up and down
+FINEST = 0.25  # substep times largest eigenvalue; a fit takes the coarsest with equal likelihood
+
+
+@dataclass(frozen=True)
+class ProbedModel:
+    """A probed FMU with its estimation logs, in names of the FMU, and terms of the user."""
+
+    structure: Structure
+    logs: Sequence[Log]
+    terms: Sequence[type[Any]] = ()
+
+    @property
+    def is_stepped(self) -> bool:
+        """Return True for co-simulation, with outputs in place of states."""
+        return self.structure.way == "co-simulation"
+
+    @property
+    def step(self) -> float:
+        """Return the time between rows [s]."""
+        return self.logs[0].step
+
+    @property
+    def duration(self) -> float:
+        """Return the duration of the longest log [s]."""
+        return max(float(log.time[-1] - log.time[0]) for log in self.logs)
+
+    @property
+    def states(self) -> tuple[Quantity, ...]:
+        """Return the states, or the outputs in their place."""
+        return self.structure.outputs if self.is_stepped else self.structure.states
+
+    @cached_property
+    def ranges(self) -> dict[str, float]:
+        """Return input → range of the commands."""
+        names = [q.name for q in self.structure.inputs]
+        return {n: max(float(np.ptp(log.inputs[n])) for log in self.logs if n in log.inputs) for n in names}
+
+    @cached_property
+    def units(self) -> dict[str, str]:
+        """Return the unit of every signal."""
+        signals = self.structure.states, self.structure.inputs, self.structure.outputs
+        return {q.name: q.unit for group in signals for q in group}
+
+    def size(self, name: str) -> float:
+        """Return the usual size of a signal: its spread, of an input half of its range; 1 for a constant."""
+        if name in self.ranges:
+            return 0.5 * self.ranges[name] or 1.0
+        return self.structure.scales.get(name) or 1.0
+
+    def rate(self, name: str) -> float:
+        """Return the usual rate of change of a signal."""
+        columns = [log.outputs[name] for log in self.logs if name in log.outputs]
+        read = max((float(np.nanstd(y[SLOPE_ROWS:] - y[:-SLOPE_ROWS])) for y in columns), default=0.0)
+        return self.structure.scales.get(f"der({name})") or read / (SLOPE_ROWS * self.step) or 1.0
+
+    def middle(self, state: Quantity) -> float:
+        """Return the mean of a state's readings, or its start value without any."""
+        shown = self.structure.shown.get(state.name, state.name)
+        columns = [log.outputs[shown] for log in self.logs if shown in log.outputs]
+        return float(np.nanmean(np.concatenate(columns))) if columns else state.start
+
+    # -- places -------------------------------------------------------------------------------------
+
+    def places(self) -> Iterator[Place]:
+        """Yield every place of terms."""
+        for k, q in enumerate(self.structure.inputs):
+            sizes = {"u": self.size(q.name), "T": self.step}
+            yield Place(with_place(q.name), {"u": q.unit, "T": "s"}, sizes, k)
+        yield from filter(None, map(self._place_of_pair, self.structure.pairs))
+        names = [q.name for q in self.states]
+        for name in self.structure.storages:
+            index = names.index(name)
+            units = {"q": self.units[name], "r": self._rate_unit(name)}
+            sizes = {"q": self.size(name), "r": self.rate(name)}
+            yield Place(with_place(name), units, sizes, state=index, middle=self.middle(self.states[index]))
+
+    def _place_of_pair(self, pair: Pair) -> Place | None:
+        """Return the place of forces at a pair; None in co-simulation without a port."""
+        port = next((p for p in (*(p for p in pair.ports if p.is_alone), *pair.ports)), None)
+        if self.is_stepped and port is None:
+            return None
+        names, v, q = [s.name for s in self.states], pair.velocity, pair.position
+        units = {"u": self._rate_unit(v), "v": self.units[v], "q": self.units[q], "d": self.units[q]}
+        travel = math.sqrt(12.0) * self.size(q)  # of a position that takes every value equally often
+        sizes = {"u": self.rate(v), "v": self.size(v), "q": self.size(q), "d": travel}
+        place = Place(with_place(v), units, sizes, -1, names.index(q), names.index(v))
+        if port is None:
+            return place
+        units["u"], sizes["u"] = self.units[port.input], self.rate(v) / abs(port.gain)
+        inputs = [s.name for s in self.structure.inputs]
+        return replace(place, input=inputs.index(port.input), sign=math.copysign(1.0, port.gain))
+
+    def _rate_unit(self, name: str) -> str:
+        return unit_product([(self.units[name], 1), ("s", -1)])
+
+    # -- model --------------------------------------------------------------------------------------
+
+    def model(self) -> FmuModel:
+        """Return the model with every term at every place."""
+        s = self.structure
+        signals = self._named_states(), _named(s.inputs), _named(s.outputs)
+        parameters = [_parameter(p.quantity) for p in s.acting]
+        listed = (*s.states, *s.inputs, *s.outputs, *(p.quantity for p in s.acting))
+        fastest = FINEST / s.largest_rate if s.largest_rate > 0.0 else math.inf
+        return fmu_model(
+            s.fmu.stem,
+            signals,
+            parameters,
+            self._catalogue(),
+            dependencies=Dependencies(
+                np.vstack([s.state_in_rate, s.state_in_output]), np.vstack([s.input_in_rate, s.input_in_output])
+            ),
+            rates=self._rates(),
+            variables={with_place(q.name): q.name for q in listed},
+            sensors=tuple(e for q in signals[2] for e in self._sensors(q)),
+            forced=tuple(q.name for k, q in enumerate(signals[0]) if k not in self._rates()),
+            calibrated=tuple(p.name for p in parameters),
+            suspect={p.name: tuple(with_place(n) for n, width in self.ranges.items() if width) for p in parameters},
+            horizon=math.inf if self.is_stepped else self._horizon(),
+            stepped=self.is_stepped,
+            rate=self.step,
+            substep=min(self.step, fastest),
+            integrator="rk4",
+        )
+
+    def _named_states(self) -> list[Quantity]:
+        """Return the states with names of the model: that of an output that shows the state, else the FMU's."""
+        return [replace(q, name=with_place(self.structure.shown.get(q.name, q.name))) for q in self.states]
+
+    def _rates(self) -> dict[int, int]:
+        """Return position → velocity that equals its derivative, by index."""
+        names = [q.name for q in self.structure.states]
+        pairs = [pair for pair in self.structure.pairs if pair.gain == 1.0 and not self.is_stepped]
+        return {names.index(pair.position): names.index(pair.velocity) for pair in pairs}
+
+    def _catalogue(self) -> list[type[Any]]:
+        inputs = _named(self.structure.inputs)
+        # a force held over a substep is too coarse for the shape of friction near rest
+        bound = [
+            t for t in bound_terms([*self.places()], self.terms) if not (self.is_stepped and issubclass(t, Stribeck))
+        ]
+        return [*([delay_of(inputs, LATEST * self.step)] if inputs else []), *bound]
+
+    def _sensors(self, output: Quantity) -> Iterator[type[Any]]:
+        name = next(q.name for q in self.structure.outputs if with_place(q.name) == output.name)
+        return sensor_errors(output, self.size(name), self.step, self.duration)
+
+    def _horizon(self) -> float:
+        return float(f"{max(HORIZON_ROWS * self.step, HORIZON_SHARE * self.duration):.2g}")
+
+
+def _named(quantities: Sequence[Quantity]) -> list[Quantity]:
+    """Return signals with names of the model."""
+    return [replace(q, name=with_place(q.name)) for q in quantities]
+
+
+def _parameter(q: Quantity) -> Parameter:
+    """Return the declaration of an FMU's parameter; without bounds, it keeps its sign."""
+    low, high = q.bounds
+    if q.start != 0.0:
+        ends = sorted((q.start / WIDEST, q.start * WIDEST))
+        low, high = max(low, ends[0]), min(high, ends[1])
+    return Parameter(with_place(q.name), q.start, q.unit, q.doc, (low, high))
