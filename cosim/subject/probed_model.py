@@ -160,9 +160,8 @@ class ProbedModel:
     def _catalogue(self) -> list[type[Any]]:
         inputs = _named(self.structure.inputs)
         # a force held over a substep is too coarse for the shape of friction near rest
-        bound = [
-            t for t in bound_terms([*self.places()], self.terms) if not (self.is_stepped and issubclass(t, Stribeck))
-        ]
+        left_out = Stribeck if self.is_stepped else ()
+        bound = [term for term in bound_terms([*self.places()], self.terms) if not issubclass(term, left_out)]
         return [*([delay_of(inputs, LATEST * self.step)] if inputs else []), *bound]
 
     def _sensors(self, output: Quantity) -> Iterator[type[Any]]:

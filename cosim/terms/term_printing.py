@@ -22,14 +22,37 @@ def term_code(model: FmuModel, names: Collection[str], states: Sequence[str]) ->
     Args:
         states: The FMU's variables in place of the model's states.
     """
+    body = Body.of(model, effects=names)
+    own = {n: symbol for n, symbol in body.parameters.items() if n.partition(".")[0] in names}
+    places, functions = _places(body, [*own.values()]), _functions(body)
+    texts = [C().function(name, words, e, places, stages) for name, (words, e, stages) in functions.items()]
+    delay = next((f"{e.name}.{e.delay}" for e in body.symbols.model.awake if e.delay), "")
+    return TermCode(
+        "\n".join(texts),
+        tuple(replace(model.declared[n], name=n) for n in own),
+        tuple(model.variables[q.name] for q in model.inputs),
+        tuple(states),
+        memory=len(body.shaping.remembered),
+        hooks=tuple(functions),
+        delay=delay,
+    )
+
+
+def _places(body: Body, parameters: Sequence[Any]) -> dict[Any, str]:
+    """Return the place of each symbol in the arguments of the functions."""
     import sympy
 
-    body = Body.of(model, effects=names)
-    s, variables = body.symbols, model.variables
-    own = {n: symbol for n, symbol in body.parameters.items() if n.partition(".")[0] in names}
-    declared, m = model.declared, SymbolNamespace()
-    groups = {"x": s.state, "u": s.command, "m": body.shaping.remembered, "p": (*own.values(), sympy.Symbol(STEP))}
+    s = body.symbols
+    groups = {"x": s.state, "u": s.command, "m": body.shaping.remembered, "p": (*parameters, sympy.Symbol(STEP))}
     places = {symbol: f"{array}[{k}]" for array, group in groups.items() for k, symbol in enumerate(group)}
+    return {s.time: "t", **places}
+
+
+def _functions(body: Body) -> dict[Hook, tuple[str, list[Any], Any]]:
+    """Return arguments, results and stages of each function that changes something."""
+    import sympy
+
+    s, m = body.symbols, SymbolNamespace()
     assert isinstance(s.model, FmuModel)
     with number_guard(smooth=True):
         inputs = [sympy.sympify(e) for e in s.model.library_inputs(m, s.state, s.command)]
@@ -41,15 +64,4 @@ def term_code(model: FmuModel, names: Collection[str], states: Sequence[str]) ->
         functions["port_inputs"] = ("t x u p", inputs, ())
     if not all(e.is_zero for e in rates):
         functions["added_rates"] = ("t x u p", rates, ())
-    places[s.time] = "t"
-    texts = [C().function(name, words, e, places, stages) for name, (words, e, stages) in functions.items()]
-    delay = next((f"{e.name}.{e.delay}" for e in s.model.awake if e.delay), "")
-    return TermCode(
-        "\n".join(texts),
-        tuple(replace(declared[n], name=n) for n in own),
-        tuple(variables[q.name] for q in model.inputs),
-        tuple(states),
-        memory=len(body.shaping.remembered),
-        hooks=tuple(functions),
-        delay=delay,
-    )
+    return functions
