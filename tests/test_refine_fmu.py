@@ -122,7 +122,7 @@ def problem_of(study: Study) -> Problem:
     return build_problem(study.subject, study.logs, noise=NOISE, settings=study.settings)
 
 
-@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("version", [2, pytest.param(3, marks=pytest.mark.thorough)])
 def test_the_filter_over_a_library_is_that_of_its_equations(folder: Path, version: int) -> None:
     study = study_of_way(folder, "model_exchange", version)
     own, library = (
@@ -169,7 +169,7 @@ def test_terms_stand_at_inputs_pairs_storages_and_outputs(study: Study, way: str
     assert ("leak_at_current" in names) is (way == "model_exchange")
 
 
-@pytest.mark.parametrize("fault", ["crashes", "hangs"])
+@pytest.mark.parametrize("fault", ["crashes", pytest.param("hangs", marks=pytest.mark.thorough)])
 def test_a_crash_or_a_hang_costs_one_evaluation(folder: Path, fault: str) -> None:
     fmu = build(folder / f"{fault}.fmu", "dc_motor", ways=("model_exchange",), fault=fault)
     subject = read_study(write_study(folder, fmu, [folder / "e1.csv"], noise=NOISE)).subject

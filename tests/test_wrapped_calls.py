@@ -105,6 +105,7 @@ def test_a_saved_state_holds_the_memory(kind: str, tmp_path: Path) -> None:
         assert "of another FMU" in other.log[-1]
 
 
+@pytest.mark.thorough
 def test_a_saved_state_of_fmi_3(tmp_path: Path) -> None:
     path = wrapped_drive(tmp_path, "lag", LAG, 3, substep=STEP)
     description = fmpy.read_model_description(str(path))
@@ -138,6 +139,7 @@ def test_a_saved_state_of_fmi_3(tmp_path: Path) -> None:
     fmu.freeInstance()
 
 
+@pytest.mark.thorough
 def test_a_step_of_fixed_length_is_not_divided(tmp_path: Path) -> None:
     slider, fixed = slider_fmu(tmp_path / "slider.fmu"), tmp_path / "fixed.fmu"
     with zipfile.ZipFile(slider) as old, zipfile.ZipFile(fixed, "w") as new:
@@ -152,6 +154,7 @@ def test_a_step_of_fixed_length_is_not_divided(tmp_path: Path) -> None:
     assert off(found[0], found[2]) > 1e-4
 
 
+@pytest.mark.thorough
 def test_instances_have_parameters_and_memory_of_their_own_and_reset_forgets_both(tmp_path: Path) -> None:
     path = wrapped_drive(tmp_path, "lag", LAG, substep=STEP)
     alone = []
@@ -183,6 +186,7 @@ def test_values_are_read_as_they_were_set(tmp_path: Path) -> None:
         assert "bias_at_force.offset is a fixed parameter" in plant.log[-1]
 
 
+@pytest.mark.thorough
 def test_terms_may_fall_asleep_after_inputs_are_set(tmp_path: Path) -> None:
     path, speeds = wrapped_drive(tmp_path, "coulomb", {"coulomb_at_velocity.level": 5.0}), []
     for values in (
@@ -215,6 +219,7 @@ def test_refusals_and_messages_of_the_original_arrive(tmp_path: Path) -> None:
 
 
 @VERSIONS
+@pytest.mark.thorough
 def test_functions_that_the_original_lacks_are_errors(fmi: int, tmp_path: Path) -> None:
     original = slider_fmu(tmp_path / "slider.fmu", fmi)
     name = b"fmi2SetString" if fmi == 2 else b"fmi3SetString"
@@ -235,6 +240,7 @@ def test_functions_that_the_original_lacks_are_errors(fmi: int, tmp_path: Path) 
 
 @VERSIONS
 @pytest.mark.parametrize("way", WAYS)
+@pytest.mark.thorough
 def test_an_original_with_its_own_resources_and_another_library_name(fmi: int, way: str, tmp_path: Path) -> None:
     slider = slider_fmu(tmp_path / "slider.fmu", fmi, exchange=way == EXCHANGE, follow=True)
     original = tmp_path / "other.fmu"
@@ -255,6 +261,7 @@ def test_an_original_with_its_own_resources_and_another_library_name(fmi: int, w
     assert variables["mass"].start == "2.0"
 
 
+@pytest.mark.thorough
 def test_directional_derivatives_are_withdrawn_only_where_terms_act(tmp_path: Path) -> None:
     quiet, acting = (
         wrapped_drive(tmp_path / "0", "coulomb", {}),
@@ -358,6 +365,7 @@ def test_terms_of_another_fmu_are_refused(change: dict[str, Any], reason: str, t
         wrap(slider_fmu(tmp_path / "slider.fmu", exchange=True), terms, {}, tmp_path / "w.fmu")
 
 
+@pytest.mark.thorough
 def test_the_cost_of_a_step_is_near_that_of_the_original(tmp_path: Path) -> None:
     paths = [
         drive_fmu(2),
@@ -378,6 +386,7 @@ def test_the_cost_of_a_step_is_near_that_of_the_original(tmp_path: Path) -> None
     print("wrapper over original:", [min(s) / min(seconds[0]) for s in seconds[1:]])
 
 
+@pytest.mark.thorough
 def test_every_type_and_an_early_end_pass_through(tmp_path: Path) -> None:
     original = typed_fmu(tmp_path)
     lines = {"port_inputs": "out[0] = u[0] + p[0];", "readings": "out[0] = y[0] + p[0] - p[0];"}
@@ -401,6 +410,7 @@ def test_every_type_and_an_early_end_pass_through(tmp_path: Path) -> None:
     assert early[0] == early[1] < 0.1
 
 
+@pytest.mark.thorough
 def test_arrays_pass_through_beside_parameters(tmp_path: Path) -> None:
     terms = replace(terms_of("bias"), source="", inputs=(), states=(), outputs=(), hooks=())
     wrap(typed_fmu(tmp_path, 3), terms, {"bias_at_force.offset": 0.5}, tmp_path / "w.fmu")

@@ -26,9 +26,13 @@ from tests.wrapped import (
 
 pytestmark = NEEDS_COMPILER
 EACH = pytest.mark.parametrize(
-    ("name", "fmi", "way"), [(n, v, w) for n in ("slider", "drive") for v in (2, 3) for w in WAYS]
+    ("name", "fmi", "way"),
+    [
+        *(("slider", v, w) for v in (2, 3) for w in WAYS),
+        *(pytest.param("drive", v, w, marks=pytest.mark.thorough) for v in (2, 3) for w in WAYS),
+    ],
 )
-VERSIONS = pytest.mark.parametrize("fmi", [2, 3])
+VERSIONS = pytest.mark.parametrize("fmi", [pytest.param(2, marks=pytest.mark.thorough), 3])
 BOTH = pytest.mark.parametrize("way", WAYS)
 
 
