@@ -8,7 +8,6 @@ deficient equation and decreases when the correct term is added.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -19,6 +18,7 @@ from cosim.base.linear_algebra import least_squares, pseudo_inverse
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem, Scored
+from cosim.kernel.remote_kernel import processor_time
 from cosim.subject.candidates import Free
 
 ITERATIONS = 30
@@ -188,7 +188,7 @@ class _Scoring:
         """Iterate until the objective converges."""
         self.scored = self._evaluate(self.theta)
         done, converged, is_cut, pace, limit = 0, False, False, 0.0, iterations
-        end = time.process_time() + MAX_SECONDS  # unlike the clock, no matter of what else the machine does
+        end = processor_time() + MAX_SECONDS  # unlike the clock, no matter of what else the machine does
         information = np.zeros((len(self.theta),) * 2)
         if not np.isfinite(self.scored.nll):
             limit = 0  # The filter diverges at the start values.
@@ -207,7 +207,7 @@ class _Scoring:
                 break
             pace = self._move(gradient, information)
             converged = pace < self.enough
-            is_cut = not converged and time.process_time() > end
+            is_cut = not converged and processor_time() > end
             done += 1
         unscaled, penalty = information / np.outer(self.size, self.size), self._penalty(self.theta)
         reached = *self._unpack(self.theta), self.free, self.scored.by_log

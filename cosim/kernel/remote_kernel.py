@@ -85,6 +85,11 @@ class _Workers:
 workers = _Workers()
 
 
+def processor_time() -> float:
+    """Return the processor time of this process and of its filters in worker processes [s]."""
+    return time.process_time() + workers.spent
+
+
 class RemoteLibraryKernel:
     """Kernel of an FMU with terms, in worker processes. A pass in which the FMU fails counts as diverged.
 

@@ -40,7 +40,7 @@ from cosim.terms.language import with_place
 from cosim.terms.term_printing import term_code
 from cosim.wrapping.wrap import CannotWrap, wrap
 
-SUBSTEPS = 32  # steps of co-simulation between rows, for forces that follow the outputs
+SUBSTEPS = 8  # steps of co-simulation between rows, for forces that follow the outputs
 WAYS = {
     "model-exchange": "model exchange: a filter over the states of the FMU",
     "co-simulation": "co-simulation: free runs of the FMU, with an estimated addition to each output",
