@@ -115,3 +115,7 @@ NO_SUCH_FMU = Template("E-REF-041", "{name}: no such file; model names the FMU, 
 TERMS_WITHOUT_FMU = Template(
     "E-REF-042", "terms are for an FMU, and {model} is none; a model lists its effects in its catalogue"
 )
+FAILED_EVALUATIONS = Template(
+    "W-REF-043",
+    "the FMU failed in {evaluations}, which count as diverged; the first time: {reason}",
+)

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from cosim.base.errors import Fault, refuse
-from cosim.base.text import plain
+from cosim.base.text import counted, plain
 from cosim.estimation.fit import Fit, initial_fit
 from cosim.estimation.per_log import drop_own_parameters
 from cosim.estimation.posing import build_problem, coarsen, varied_inputs
@@ -140,6 +140,7 @@ def refine(
         claims = replace(claims, risen=_rises(claims, played, subject), remaining=remaining, written=bool(files))
         ends = final_log_parameters(variants["after"], problem, sealed)
         hold_stops()  # From here, a result exists that must not be lost.
+        warnings += _failures(problem)
         warnings += [v.subject.undelivered for v in variants.values() if v.subject.undelivered][:1]
         warnings += [*warnings_of(way), *_floor_warnings(floors, played, subject)]
         study = replace(study, warnings=(*study.warnings, *warnings))
@@ -266,6 +267,14 @@ def _variants(study: Study, a: Attribution, claims: Claims) -> dict[str, Variant
         of_other = variant_of(other, settings, nearest_fit.fit if nearest_fit else a.unfitted)
         variants["nearest"] = variants["after"] if nearest_fit is claimed else of_other
     return variants
+
+
+def _failures(problem: Problem) -> Iterator[str]:
+    """Yield a warning if the FMU crashed, hung or refused values during the search."""
+    failures: Sequence[Exception] = getattr(problem.kernel, "failures", ())
+    if failures:
+        evaluations = counted(len(failures), "evaluation")
+        yield messages.FAILED_EVALUATIONS(evaluations=evaluations, reason=failures[0])
 
 
 def _rises(claims: Claims, played: Replayed, subject: Subject) -> Mapping[str, tuple[float, float]]:
