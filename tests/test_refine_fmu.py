@@ -21,7 +21,7 @@ from cosim.kernel.remote_kernel import RemoteLibraryKernel
 from cosim.model import Equations, Model, Namespace, Quantity, Values, parameter
 from cosim.model.model import Number
 from cosim.refinement.study import Study, read_study
-from cosim.refinement.workflow import _failures
+from cosim.refinement.workflow import failure_warnings
 from cosim.residuals.drive import Drive, log_of_fmu
 from cosim.subject.fmu_subject import FmuSubject
 from cosim.subject.model_subject import ModelSubject
@@ -182,7 +182,7 @@ def test_a_crash_or_a_hang_costs_one_evaluation(folder: Path, fault: str) -> Non
     assert problem.score({**problem.values, "resistance": 2.0 * RESISTANCE}, noise).nll == np.inf
     assert problem.score(problem.values, noise).nll == good
     assert len(problem.kernel.failures) == 1
-    (warning,) = _failures(problem)
+    (warning,) = failure_warnings(problem)
     assert warning.startswith("the FMU failed in 1 evaluation, which count as diverged; the first time: ")
 
 

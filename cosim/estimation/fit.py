@@ -258,7 +258,7 @@ class _Scoring:
             h = h if self.theta[i] + h <= self.high[i] else -h
             back = h if both and self.low[i] <= self.theta[i] - h <= self.high[i] else 0.0
             ahead, behind = self._evaluate_step(i, h), self._evaluate_step(i, -back) if back else self.scored
-            with np.errstate(invalid="ignore", divide="ignore"):  # A diverged filter gives NaN.
+            with np.errstate(invalid="ignore", divide="ignore", over="ignore"):  # A diverged filter gives NaN.
                 de[i] = (ahead.errors - behind.errors) / (h + back) * self.size[i]
                 dls[i] = np.log(ahead.variances / behind.variances) / (h + back) * self.size[i]
 

@@ -96,7 +96,8 @@ def _source(generated: Generated) -> str:
     if library is not None:
         states, _, outputs = library
         sizes |= {"NB": f"({outputs if stepped else states})", "NL": f"({outputs})"}
-        before = [_text(FOLDER / ("stepped_library.c" if stepped else "library.c"))]
+        names = "library_calls.c", "stepped_library.c" if stepped else "library.c"
+        before = [_text(FOLDER / name) for name in names]
     if stepped:
         sizes["LASTING"] = f"({generated.layout.parameters.index(MEMORY)})"
     head = "".join(f"#define {name} {value}\n" for name, value in sizes.items())

@@ -1,40 +1,8 @@
 /* Derivatives, outputs and their slopes from the library of an FMU for model exchange, in continuous-time mode.
  *
- * NB states, NU inputs and NL outputs of the library; `library_inputs`, which stands below this text, gives the inputs that the
- * library gets. Values are kept for a point (t, x, u), since each derivative asks for its own. Slopes are forward differences. */
-#include <math.h>
-#include <stdbool.h>
-#include <stddef.h>
-#include <string.h>
-
-#define MOST_STATUS 1 /* OK and Warning */
-
-typedef int (*SetTime)(void *, double);
-typedef int (*SetStates)(void *, const double *, size_t);
-typedef int (*GetRates)(void *, double *, size_t);
-typedef int (*SetReals2)(void *, const unsigned *, size_t, const double *);
-typedef int (*GetReals2)(void *, const unsigned *, size_t, double *);
-typedef int (*SetReals3)(void *, const unsigned *, size_t, const double *, size_t);
-typedef int (*GetReals3)(void *, const unsigned *, size_t, double *, size_t);
-typedef void (*Function)(void);
-
-typedef struct {
-    void *instance;
-    Function set_time, set_states, get_rates, set_reals, get_reals;
-    const unsigned *inputs, *outputs;
-    const double *steps; /* NB: step of each state for differences */
-    int version;
-    Function complete; /* told of each substep; NULL if the FMU needs none */
-} Library;
-
-typedef int (*Complete2)(void *, int, int *, int *);
-typedef int (*Complete3)(void *, bool, bool *, bool *);
-
-static __thread const Library *library; /* a thread has an instance of its own */
+ * Values are kept for a point (t, x, u), since each derivative asks for its own. Slopes are forward differences. */
 static __thread double point[1 + NB + NU], value[NB + NL + 1], slope[(NB + NL + 1) * (NB + 1)];
 static __thread int is_placed, has_rates, has_outputs, has_slopes[2][NB + 1];
-
-static void library_inputs(double t, const double *x, const double *u, const double *p, double *out);
 
 /* Called before each run, with the instance of this thread. */
 void use_library(const Library *used)
@@ -45,25 +13,15 @@ void use_library(const Library *used)
 
 static int move_library(double t, const double *x, const double *u, const double *p)
 {
-    double acting[NU + 1];
-    void *instance = library->instance;
-    int status = ((SetTime)library->set_time)(instance, t);
-    if (NB && status <= MOST_STATUS) status = ((SetStates)library->set_states)(instance, x, NB);
-    if (NU && status <= MOST_STATUS) {
-        library_inputs(t, x, u, p, acting);
-        status = library->version == 2 ? ((SetReals2)library->set_reals)(instance, library->inputs, NU, acting)
-                                       : ((SetReals3)library->set_reals)(instance, library->inputs, NU, acting, NU);
-    }
-    return status;
+    int status = ((SetTime)library->set_time)(library->instance, t);
+    if (NB && status <= MOST_STATUS) status = ((SetStates)library->set_states)(library->instance, x, NB);
+    return status <= MOST_STATUS ? put_inputs(t, x, u, p) : status;
 }
 
-/* Rates (row 0) or outputs (row 1) of the present point of the library. */
+/* Rates or outputs of the present point of the library. */
 static int read_library(int of_outputs, double *out)
 {
-    void *instance = library->instance;
-    if (!of_outputs) return ((GetRates)library->get_rates)(instance, out, NB);
-    if (library->version == 2) return ((GetReals2)library->get_reals)(instance, library->outputs, NL, out);
-    return ((GetReals3)library->get_reals)(instance, library->outputs, NL, out, NL);
+    return of_outputs ? get_outputs(out) : ((GetRates)library->get_rates)(library->instance, out, NB);
 }
 
 static int is_at(double t, const double *x, const double *u)

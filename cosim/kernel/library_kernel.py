@@ -15,6 +15,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.blocks.derivatives import DifferentiableFmu, reals
 from cosim.blocks.fmu import FmuBlock
+from cosim.isolation.limits import Limits
 from cosim.kernel.c_filter import CompiledKernel
 from cosim.kernel.generate import Generated
 from cosim.kernel.kernel import MEMORY, Data, Filtered, Simulated
@@ -23,19 +24,22 @@ NAME = "model"  # component name in messages
 RUNS = 16  # kept free runs
 STEP = 1e-6  # step of differences, as a share of a state's usual size
 
-
 _loading = threading.Lock()  # the working folder changes while a library is loaded
 
 
+FUNCTIONS = ("set_time", "set_states", "get_rates", "complete", "step", "set_reals", "get_reals")
+
+
 class _Library(ctypes.Structure):
-    """Functions and variables of an instance, as in `library.c`."""
+    """Functions and variables of an instance, as in `library_calls.c`."""
 
     _fields_ = (
-        *((n, ctypes.c_void_p) for n in ("instance", "set_time", "set_states", "get_rates", "set_reals", "get_reals")),
-        *((n, ctypes.c_void_p) for n in ("inputs", "outputs", "steps")),
+        *((name, ctypes.c_void_p) for name in ("instance", *FUNCTIONS, "inputs", "outputs", "steps")),
         ("version", ctypes.c_int),
-        ("complete", ctypes.c_void_p),
     )
+
+
+NO_LIMITS = Limits()
 
 
 class LibraryOf(NamedTuple):
@@ -44,12 +48,14 @@ class LibraryOf(NamedTuple):
     Attributes:
         sizes: Usual size of each state, for differences.
         starts: In co-simulation: index of an output, start parameter, and factor from the output to the parameter.
+        limits: Limits of a pass over a log; `step` limits its duration.
     """
 
     path: Path
     description: Any
     sizes: Sequence[float]
     starts: tuple[tuple[int, str, float], ...] = ()
+    limits: Limits = NO_LIMITS
 
 
 class LibraryInstance:
@@ -80,27 +86,24 @@ class LibraryInstance:
         self._values, self._functions_of = dict(values), self._functions(self._block)
         return self._functions_of
 
-    def close(self) -> None:
-        """Free the instance."""
-        if self._block is not None:
-            self._block.close()
-        self._block = self._values = None
-
     def _functions(self, block: FmuBlock) -> _Library:
         """Return the functions of the library."""
         fmu, version = block.instance.fmu, int(self._description.fmiVersion[0])
-        reals_name = "Real" if version == 2 else "Float64"
-        derivatives = "GetDerivatives" if version == 2 else "GetContinuousStateDerivatives"
-        names = ("DoStep",) * 3 if self._stepped else ("SetTime", "SetContinuousStates", derivatives)
-        symbols = [f"fmi{version}{name}" for name in (*names, f"Set{reals_name}", f"Get{reals_name}")]
-        pointers = [ctypes.cast(getattr(fmu.dll, symbol), ctypes.c_void_p) for symbol in symbols]
+        kind = "Real" if version == 2 else "Float64"
+        names = {"set_reals": f"Set{kind}", "get_reals": f"Get{kind}"}
+        if self._stepped:
+            names["step"] = "DoStep"
+        else:
+            derivatives = "GetDerivatives" if version == 2 else "GetContinuousStateDerivatives"
+            names |= {"set_time": "SetTime", "set_states": "SetContinuousStates", "get_rates": derivatives}
+            if self._description.modelExchange.needsCompletedIntegratorStep:
+                names["complete"] = "CompletedIntegratorStep"
+        functions = {n: ctypes.cast(getattr(fmu.dll, f"fmi{version}{s}"), ctypes.c_void_p) for n, s in names.items()}
         groups = [[v.valueReference for v in reals(self._description, kind)] for kind in ("input", "output")]
         self._references = [np.array(group or [0], np.uint32) for group in groups]
         addresses = [a.ctypes.data for a in (*self._references, self._steps)]
-        complete = None
-        if not self._stepped and self._description.modelExchange.needsCompletedIntegratorStep:
-            complete = ctypes.cast(getattr(fmu.dll, f"fmi{version}CompletedIntegratorStep"), ctypes.c_void_p)
-        return _Library(fmu.component, *pointers, *addresses, version, complete)
+        variables = dict(zip(("inputs", "outputs", "steps"), addresses, strict=True))
+        return _Library(instance=fmu.component, version=version, **functions, **variables)
 
 
 class LibraryKernel(CompiledKernel):

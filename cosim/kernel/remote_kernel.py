@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import itertools
 import queue
 import time
@@ -13,7 +14,6 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
-from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import OTHER
 from cosim.isolation.watch import Watch
@@ -23,7 +23,6 @@ from cosim.kernel.library_kernel import NAME, LibraryKernel, LibraryOf
 
 MODULES = ("cosim.kernel.remote_kernel", "fmpy.fmi2")
 LONGEST = 60.0  # default limit of a pass over a log [s]
-NO_LIMITS = Limits()
 
 # -- in the worker ----------------------------------------------------------------------------
 
@@ -83,6 +82,7 @@ class _Workers:
 
 
 workers = _Workers()
+atexit.register(workers.end)
 
 
 def processor_time() -> float:
@@ -99,12 +99,10 @@ class RemoteLibraryKernel:
 
     _numbers = itertools.count()
 
-    def __init__(
-        self, generated: Generated, fmu: LibraryOf, parameters: Mapping[str, str], limits: Limits = NO_LIMITS
-    ) -> None:
+    def __init__(self, generated: Generated, fmu: LibraryOf, parameters: Mapping[str, str]) -> None:
         self.layout, self.number = generated.layout, next(self._numbers)
         self.recipe = generated, fmu._replace(path=fmu.path.resolve()), dict(parameters)
-        self.limits = limits.model_copy(update={"load": limits.step or limits.load or LONGEST})
+        self.limits = fmu.limits.model_copy(update={"load": fmu.limits.step or fmu.limits.load or LONGEST})
         self.failures: list[SimulationError] = []
 
     def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:

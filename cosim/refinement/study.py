@@ -274,7 +274,7 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
             faults += error.faults
     refuse(faults)
     probed = probe_places(fmu, logs)
-    subject = FmuSubject.of_fmu(probed.structure, logs, terms)
+    subject = FmuSubject.of_fmu(probed.structure, logs, terms, content.limits or Limits())
     subject.source += f", because {probed.reason}"
     content = _in_names_of(subject, content)
     units = {q.name: q.unit for q in subject.outputs}

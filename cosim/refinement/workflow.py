@@ -140,7 +140,7 @@ def refine(
         claims = replace(claims, risen=_rises(claims, played, subject), remaining=remaining, written=bool(files))
         ends = final_log_parameters(variants["after"], problem, sealed)
         hold_stops()  # From here, a result exists that must not be lost.
-        warnings += _failures(problem)
+        warnings += failure_warnings(problem)
         warnings += [v.subject.undelivered for v in variants.values() if v.subject.undelivered][:1]
         warnings += [*warnings_of(way), *_floor_warnings(floors, played, subject)]
         study = replace(study, warnings=(*study.warnings, *warnings))
@@ -269,7 +269,7 @@ def _variants(study: Study, a: Attribution, claims: Claims) -> dict[str, Variant
     return variants
 
 
-def _failures(problem: Problem) -> Iterator[str]:
+def failure_warnings(problem: Problem) -> Iterator[str]:
     """Yield a warning if the FMU crashed, hung or refused values during the search."""
     failures: Sequence[Exception] = getattr(problem.kernel, "failures", ())
     if failures:

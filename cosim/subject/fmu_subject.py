@@ -7,7 +7,7 @@ filter estimates an addition to each of its outputs.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from shutil import copyfile
@@ -20,10 +20,11 @@ from cosim.base.arrays import Array, Rows
 from cosim.base.errors import InputError
 from cosim.blocks.description import read_description, takes_any_step
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler
+from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.kernel.backend import kernel
 from cosim.kernel.kernel import DISTURBANCE, Data, Kernel
-from cosim.kernel.library_kernel import LibraryOf
+from cosim.kernel.library_kernel import NO_LIMITS, LibraryOf
 from cosim.kernel.messages import NO_CONSTANTS
 from cosim.loading.file import LoadedModel
 from cosim.logs.log import Log
@@ -53,20 +54,31 @@ class FmuSubject(ModelSubject):
     Attributes:
         structure: Structure of the FMU along the logs.
         starts: Output → start parameter, for free runs.
+        limits: Limits of a pass of the filter over a log.
     """
 
     def __init__(
-        self, loaded: LoadedModel, structure: Structure, starts: Mapping[str, StartParameter] = MappingProxyType({})
+        self,
+        loaded: LoadedModel,
+        structure: Structure,
+        starts: Mapping[str, StartParameter] = MappingProxyType({}),
+        limits: Limits = NO_LIMITS,
     ) -> None:
         super().__init__(loaded)
-        self.starts = starts
+        self.starts, self.limits = starts, limits
         self.structure = structure
         self.is_stepped = structure.way == "co-simulation"
         self.source = f"{structure.fmu}, {WAYS[structure.way]}"
         self._description = read_description(structure.fmu)
 
     @classmethod
-    def of_fmu(cls, structure: Structure, logs: Sequence[Log], terms: Sequence[type[Any]] = ()) -> FmuSubject:
+    def of_fmu(
+        cls,
+        structure: Structure,
+        logs: Sequence[Log],
+        terms: Sequence[type[Any]] = (),
+        limits: Limits = NO_LIMITS,
+    ) -> FmuSubject:
         """Return the subject of a probed FMU.
 
         Args:
@@ -75,9 +87,9 @@ class FmuSubject(ModelSubject):
         """
         loaded = LoadedModel(ProbedModel(structure, logs, terms).model(), str(structure.fmu))
         if structure.way == "model-exchange":
-            return cls(loaded, structure)
+            return cls(loaded, structure, limits=limits)
         with Worker(*MODULES) as worker, DriveApart(worker, logs[0], structure.fmu) as drive:
-            return cls(loaded, structure, start_parameters(drive))
+            return cls(loaded, structure, start_parameters(drive), limits)
 
     @property
     def names(self) -> dict[str, str]:
@@ -106,7 +118,7 @@ class FmuSubject(ModelSubject):
         """Return an FMU for a kernel, with the usual sizes and the start parameters."""
         sizes = [self.structure.scales.get(q.name, 0.0) for q in self.structure.states]
         starts = [(k, self.starts[q.name]) for k, q in enumerate(self.structure.outputs) if q.name in self.starts]
-        return LibraryOf(fmu, description, sizes, tuple((k, p.name, 1.0 / p.gain) for k, p in starts))
+        return LibraryOf(fmu, description, sizes, tuple((k, p.name, 1.0 / p.gain) for k, p in starts), self.limits)
 
     def start(self) -> dict[str, float]:
         """Return the start value of each state."""
@@ -126,13 +138,9 @@ class FmuSubject(ModelSubject):
         """Return None: outliers are found by their neighbours."""
         return None
 
-    def nameless(self, signal: str) -> tuple[Callable[..., Any], Sequence[str]] | None:
-        """Return a basis function of the kernel's unnamed terms."""
-        return super().nameless(signal)
-
     def refined(self, claims: Mapping[str, float]) -> FmuSubject:
         """Return the subject with claimed values."""
-        return FmuSubject(super().refined(claims).loaded, self.structure, self.starts)
+        return FmuSubject(super().refined(claims).loaded, self.structure, self.starts, self.limits)
 
     def replayer(self, place: Workplace) -> LibraryReplayer:
         """Return a replayer of the delivered FMU, or of the model if no FMU can stand for it."""

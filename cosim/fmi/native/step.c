@@ -139,8 +139,7 @@ int simulate(const Log *log, int first, const double *p, const double *x0, const
 #if STEPPED
         if (k == first) {
             row_command(log, k, command);
-            set_library(t, x, command, p);
-            read_library(x);
+            if (begin_library(t, x, command, p) > MOST_STATUS) x[0] = NAN;
         }
 #endif
         if (k > first) {
