@@ -125,6 +125,7 @@ def test_the_sensors_of_an_output_have_errors_of_its_unit() -> None:
         "scale_at_speed": "1",
         "drift_at_speed": "rad/s/s",
         "latency_at_speed": "s",
+        "lag_at_speed": "s",
     }
 
 

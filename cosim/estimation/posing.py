@@ -54,17 +54,31 @@ def build_problem(
     x0, P0 = [start_state(subject, d, measured, layout.states) for d in data], np.empty((0, 0))
     stated_noise = {n: s * s for n, s in noise.items()}
     r = np.array([{**subject.sensor_variance, **stated_noise}.get(name, 1.0) for name in measured])
-    late = _places_of_late(subject, measured)
+    late, lagging = (_places(of, measured) for of in (subject.late, subject.lagging))
     stated, adjusted = np.isin(measured, [*subject.sensor_variance, *noise]), np.ones(len(measured), bool)
     problem = Problem(
-        kernel, data, readings, x0, P0, r, values, settle, settings, late, stated, adjusted, own=own, origins=begins
+        kernel,
+        data,
+        readings,
+        x0,
+        P0,
+        r,
+        values,
+        settle,
+        settings,
+        late,
+        lagging,
+        stated,
+        adjusted,
+        own=own,
+        origins=begins,
     )
     return replace(problem, P0=start_covariance(subject, problem))
 
 
-def _places_of_late(subject: Subject, measured: Sequence[str]) -> dict[str, list[int]]:
-    """Return latency parameter → indices of its measured outputs."""
-    return {name: [measured.index(n) for n in of if n in measured] for name, of in subject.late.items()}
+def _places(outputs_of: Mapping[str, Sequence[str]], measured: Sequence[str]) -> dict[str, list[int]]:
+    """Return sensor parameter → indices of its measured outputs."""
+    return {name: [measured.index(n) for n in of if n in measured] for name, of in outputs_of.items()}
 
 
 def _start_values(

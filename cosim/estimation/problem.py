@@ -89,7 +89,7 @@ class Problem:
         stated: True for each output with a stated variance.
         adjusted: True for each output whose variance is free in a fit.
         settle: Time [s] after which an unknown start state of the given model is negligible.
-        late: Latency parameter → indices of its outputs.
+        late, lagging: Latency parameter, and time constant of a sensor → indices of its outputs.
         own: Free parameters of each group.
         origins: Group and start of each log.
     """
@@ -104,6 +104,7 @@ class Problem:
     settle: float
     settings: Settings
     late: Mapping[str, Sequence[int]]
+    lagging: Mapping[str, Sequence[int]]
     stated: Flags
     adjusted: Flags
     sensing: Noise | None = None  # fitted sensor noise; None for stated noise
@@ -276,18 +277,20 @@ class Problem:
         q[list(self.layout.noisy)] = 2.0 * power / np.exp(noise.memory) if self.layout.is_coloured else power
         return q
 
-    def lateness(self, values: Mapping[str, float], index: int) -> dict[int, float]:
-        """Return latencies in rows by output index."""
-        step, values = self.logs[index].step, self.of_log(values, index) if self.late else values
-        late = {k: values.get(name, self.values[name]) / step for name, places in self.late.items() for k in places}
-        return late if any(late.values()) else {}
+    def in_rows(self, of: Mapping[str, Sequence[int]], values: Mapping[str, float], index: int) -> dict[int, float]:
+        """Return output index → time of its sensor (`late` or `lagging`) in rows; empty if all are zero."""
+        step, values = self.logs[index].step, self.of_log(values, index) if of else values
+        rows = {k: values.get(name, self.values[name]) / step for name, places in of.items() for k in places}
+        return rows if any(rows.values()) else {}
 
     def data(self, values: Mapping[str, float], index: int) -> Data:
-        """Return a log with late readings moved to the rows of their measurement.
+        """Return a log with late readings moved to the rows of their measurement, and with the lags of its sensors.
 
         Readings move by whole rows; the filter accounts for the remaining fraction.
         """
-        data, late = self.logs[index], self.lateness(values, index)
+        data, late = self.logs[index], self.in_rows(self.late, values, index)
+        if lags := self.in_rows(self.lagging, values, index):
+            data = replace(data, lags=np.array([lags.get(k, 0.0) for k in range(data.y.shape[1])]))
         if not late:
             return data
         whole = {k: round(rows) for k, rows in late.items()}
@@ -334,7 +337,7 @@ class Problem:
         then. Several rows share a filter run. Readings that arrive between them are ignored; these are few and old.
         """
         filtered = self.run(values, noise, index, states=True, data=data)
-        late = {k: n for k, by in self.lateness(values, index).items() if (n := round(by)) > 0}
+        late = {k: n for k, by in self.in_rows(self.late, values, index).items() if (n := round(by)) > 0}
         if not late or not rows:
             return filtered
         spacing, states = min(np.diff(rows), default=len(data.u)), filtered.states.copy()
@@ -352,7 +355,7 @@ class Problem:
         """Return innovations and variances of a log (rows, outputs)."""
         filtered = self.run(values, noise, index)
         e, s = filtered.errors, filtered.variances
-        for k, late in self.lateness(values, index).items():
+        for k, late in self.in_rows(self.late, values, index).items():
             e[:, k], s[:, k] = np.roll(e[:, k], round(late)), np.roll(s[:, k], round(late))
         return e, s
 

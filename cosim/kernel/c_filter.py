@@ -21,7 +21,7 @@ class _Log(ctypes.Structure):
     _fields_ = (
         *((name, ctypes.c_int) for name in ("rows", "substeps", "settle")),
         *((name, ctypes.c_double) for name in ("step", "start")),
-        *((name, ctypes.c_void_p) for name in ("u", "y", "ramps", "late")),
+        *((name, ctypes.c_void_p) for name in ("u", "y", "ramps", "late", "lags")),
     )
 
 
@@ -47,11 +47,11 @@ class CompiledKernel:
         filtered = np.full((state_rows, len(self.layout.states)), np.nan)
         memory = np.full((state_rows, self.layout.memory), np.nan)
         covariances = np.full((state_rows, *[len(self.layout.stochastic)] * 2), np.nan)
-        late = np.empty((0, ny)) if data.late is None else data.late
-        u, y, older, ramps = _contiguous(data.u), _contiguous(data.y), _contiguous(late), self._ramps(data)
+        past = [_contiguous(np.empty(0) if a is None else a) for a in (data.late, data.lags)]
+        u, y, ramps = _contiguous(data.u), _contiguous(data.y), self._ramps(data)
         inputs = [_contiguous(v) for v in (p, x0, P0, q, np.broadcast_to(r, data.y.shape))]
         arrays = [_address(a) for a in (*inputs, errors, variances, filtered, memory, covariances)]
-        done = self._library.filter(ctypes.byref(_log(data, u, y, ramps, older)), *arrays)
+        done = self._library.filter(ctypes.byref(_log(data, u, y, ramps, *past)), *arrays)
         if done < rows:
             errors[done:], variances[done:] = np.inf, 1.0
         return Filtered(errors, variances, filtered, memory, covariances)
@@ -66,7 +66,7 @@ class CompiledKernel:
         u, ramps, nothing = _contiguous(data.u), self._ramps(data), np.empty(0)
         inputs = [_contiguous(v) for v in (p, x0, memory, np.empty((0, nx)) if kicks is None else kicks)]
         arrays = [_address(a) for a in (*inputs, outputs, states, memories)]
-        self._library.simulate(ctypes.byref(_log(data, u, nothing, ramps, nothing)), first, *arrays)
+        self._library.simulate(ctypes.byref(_log(data, u, nothing, ramps, nothing, nothing)), first, *arrays)
         return Simulated(outputs, states, memories)
 
     def _ramps(self, data: Data) -> Array:
@@ -74,9 +74,9 @@ class CompiledKernel:
         return np.array([name in data.interpolated for name in self.layout.inputs], np.int32)
 
 
-def _log(data: Data, u: Array, y: Array, ramps: Array, late: Array) -> _Log:
+def _log(data: Data, *arrays: Array) -> _Log:
     times = (len(data.u), data.substeps, data.settle, data.step, data.start)
-    return _Log(*times, *map(_address, (u, y, ramps, late)))
+    return _Log(*times, *map(_address, arrays))
 
 
 def _contiguous(a: Array) -> Array:
@@ -101,7 +101,8 @@ def _source(generated: Generated) -> str:
     if stepped:
         sizes["LASTING"] = f"({generated.layout.parameters.index(MEMORY)})"
     head = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
-    bodies = _text(NATIVE / "step.c"), _text(FOLDER / ("free_run.c" if stepped else "filter.c"))
+    own = "lags.c", "free_run.c" if stepped else "filter.c"
+    bodies = [_text(NATIVE / "step.c"), *(_text(FOLDER / name) for name in own)]
     return "\n".join(("#include <math.h>", head, *before, generated.source, *bodies))
 
 

@@ -90,7 +90,9 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
     static const int S[NS + 1] = STOCHASTIC;
     double x[NX + 1], P[NS * NS + 1], A[NS * NS + 1], Phi[NS * NS + 1], M[NS * NS + 1], C[NY * NS + 1], y[NY];
     double u[3 * NU], command[NU], memory[NM + 1] = {0.0}, moved[NS + 1], PC[NS + 1], before_step[NY];
+    double slopes[NY * NS + 1]; /* of the outputs, where C holds those of the readings */
     const double *late = log->late;
+    Lags lags = lags_of(log);
     const double h = log->step / log->substeps;
     const double delay = DELAY < 0 ? 0.0 : p[DELAY < 0 ? 0 : DELAY] / log->step;
     memcpy(x, x0, sizeof(double) * NX);
@@ -109,6 +111,7 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
                 else if (s == 0) {
                     jacobian(before, x, u, p, A);
                     transition_over(log->substeps, h, A, Phi);
+                    if (lags.any) lags_over_step(&lags, Phi);
                     multiply(Phi, P, M);
                     transpose(Phi, A);
                     multiply(M, A, P);
@@ -123,6 +126,11 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
         if (late && k > 0)
             for (int j = 0; j < NY; j++) y[j] -= late[NY * k + j] * (y[j] - before_step[j]);
         measure_jacobian(t, x, command, p, C);
+        if (lags.any) {
+            if (k <= log->settle) lags_begin(&lags, log, k == 0, y, C, P);
+            memcpy(slopes, C, sizeof C);
+            lags_at_row(&lags, y, C);
+        }
         for (int i = 0; i < NS; i++) moved[i] = 0.0; /* what the measurements of this row have moved the state by */
         for (int j = 0; j < NY; j++) {
             double measured = log->y[NY * k + j];
@@ -132,12 +140,15 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
             for (int i = 0; i < NS; i++) PC[i] = 0.0;
             for (int l = 0; l < NS; l++)
                 if (C[NS * j + l] != 0.0) for (int i = 0; i < NS; i++) PC[i] += P[NS * i + l] * C[NS * j + l];
+            if (lags.any) s += lags_join(&lags, j, C, PC);
+            if (lags.on[j]) e -= lags.moved[j];
             for (int i = 0; i < NS; i++) {
                 s += C[NS * j + i] * PC[i];
                 e -= C[NS * j + i] * moved[i];
             }
             errors[NY * k + j] = e;
             variances[NY * k + j] = s;
+            if (lags.any) lags_update(&lags, PC, e, s);
             for (int i = 0; i < NS; i++) {
                 double less[NS + 1]; /* the same on both sides of the diagonal, and a division is dear */
                 moved[i] += PC[i] * e / s;
@@ -147,6 +158,10 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
             }
         }
         for (int i = 0; i < NS; i++) x[S[i]] += moved[i];
+        if (lags.any) {
+            measure(t, x, command, p, y);
+            lags_after(&lags, y, slopes, P);
+        }
         if (states) memcpy(states + NX * k, x, sizeof(double) * NX);
         if (memories) memcpy(memories + NM * k, memory, sizeof(double) * NM);
         if (covariances) memcpy(covariances + NS * NS * k, P, sizeof(double) * NS * NS);

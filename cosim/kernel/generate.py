@@ -216,8 +216,8 @@ def _add_sensor_errors(body: Body, model: Model) -> None:
     true = dict(body.outputs)
     for kind in model.sensors:
         symbol = body.parameter(f"{kind.name}.value")
-        if kind.late:
-            continue  # a latency changes the time of readings, not their values
+        if kind.depends_on_past():
+            continue  # the filter accounts for it
         outputs = true | {name: body.outputs[name] for name in kind.affected()}
         with number_guard(smooth=True):
             readings = kind(value=symbol).readings(SymbolNamespace(), body.symbols.time, outputs)

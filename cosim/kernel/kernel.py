@@ -91,6 +91,7 @@ class Data:
         substeps: Number of RK4 steps from row to row.
         interpolated: Inputs to interpolate between rows; the rest is held.
         late: Age of each reading in rows, −½ … ½, shape (rows, outputs); None if all are on time.
+        lags: Time constant of each output's sensor in rows, shape (outputs,); None without lags.
         settle: Number of rows after the first in which the covariance stays P0, while states settle.
         table: True if rows are independent.
     """
@@ -103,6 +104,7 @@ class Data:
     settle: int = 0
     interpolated: frozenset[str] = frozenset()
     late: Array | None = None
+    lags: Array | None = None
     table: bool = False
 
     def rows(self, first: int, end: int) -> Data:

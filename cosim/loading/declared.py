@@ -267,7 +267,7 @@ def _static_faults(kind: type[Model]) -> Faults:
         elif owner.shape is not Effect.shape:
             yield owner, "", messages.SHAPE_WITHOUT_STATES(**fields)
     for sensor in kind.sensors:
-        if sensor.late or issubclass(sensor, Drift):
+        if sensor.depends_on_past() or issubclass(sensor, Drift):
             yield sensor, "", messages.DRIFT_WITHOUT_STATES(model=kind.__name__, owner=sensor.name)
 
 

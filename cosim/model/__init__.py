@@ -12,7 +12,7 @@ from cosim.model.model import Effect, Equations, Model, Number, Validity, Values
 from cosim.model.namespaces import SCALAR, Namespace
 from cosim.model.planar import PlanarFrame, world_velocity
 from cosim.model.quantities import Parameter, Quantity, parameter, parameters_of
-from cosim.model.sensors import Bias, Drift, Latency, LeverArm, Scale, SensorError
+from cosim.model.sensors import Bias, Drift, Lag, Latency, LeverArm, Scale, SensorError
 
 __all__ = [
     "SCALAR",
@@ -22,6 +22,7 @@ __all__ = [
     "Effect",
     "Equations",
     "Gain",
+    "Lag",
     "Latency",
     "LeverArm",
     "Model",

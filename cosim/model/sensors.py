@@ -27,6 +27,7 @@ class SensorError(Effect):
     output: ClassVar[str]
     outputs: ClassVar[tuple[str, ...]] = ()
     late: ClassVar[bool] = False  # True if `value` is a latency of readings
+    lagging: ClassVar[bool] = False  # True if `value` is a time constant of the sensor
 
     def measure(self, value: Number) -> Number:
         """Return the reading for a true value."""
@@ -49,7 +50,13 @@ class SensorError(Effect):
     @classmethod
     def is_straight(cls) -> bool:
         """Return True for a linear reading."""
-        return cls.read is SensorError.read and cls.readings is SensorError.readings and not cls.late
+        changed = cls.read is not SensorError.read or cls.readings is not SensorError.readings
+        return not (changed or cls.depends_on_past())
+
+    @classmethod
+    def depends_on_past(cls) -> bool:
+        """Return True for a reading that depends on past values of its output."""
+        return cls.late or cls.lagging
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,3 +138,13 @@ class Latency(SensorError):
     late = True
 
     value: float = parameter(0.0, unit="s", bounds=(0, 0.5), neutral=0.0, typical=0.03, doc="latency T of the readings")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lag(SensorError):
+    """First-order lag of a sensor: T·ṙ = y − r with the reading r, for every output in `outputs`."""
+
+    equation = "reading r, T·ṙ = y − r"
+    lagging = True
+
+    value: float = parameter(0.0, unit="s", bounds=(0, 10), neutral=0.0, typical=0.1, doc="time constant T")

@@ -186,7 +186,7 @@ class LeftOut(_Entry):
     before: Channels = Field(description="the model named in the study: nothing is fitted")
     recalibrated: Channels = Field(description="its base parameters fitted to the other rows")
     after: Channels = Field(description="what is claimed, fitted to the other rows")
-    nearest: Channels | None = Field(default=None, description="what nearest.yaml has, likewise, where there is one")
+    nearest: Channels | None = Field(default=None, description="the nearest model, likewise, where there is one")
 
 
 class RungEntry(_Entry):
@@ -212,7 +212,7 @@ class Errors(_Entry):
     before: Parts = Field(description="the model named in the study")
     recalibrated: Parts = Field(description="that model with its base parameters adjusted")
     after: Parts = Field(description="model.yaml")
-    nearest: Parts | None = Field(default=None, description="nearest.yaml, where there is one")
+    nearest: Parts | None = Field(default=None, description="nearest.yaml (for an FMU nearest.fmu), where there is one")
     left_out: LeftOut | None = Field(default=None, description="of a model without states, on rows left out")
 
 
@@ -247,8 +247,8 @@ class Record(_Entry):
     sentence: str = Field(description="the verdict in plain words")
     grade: Grade = Field(
         description="`claimed`; `part`: a claim that leaves more than 10 % of the excess error, or an unknown input "
-        "of more than 2 % of the derivative of its state; `nearest`: nothing is claimed for sure, and nearest.yaml is "
-        "the model that predicts best"
+        "of more than 2 % of the derivative of its state; `nearest`: nothing is claimed for sure; the nearest model "
+        "predicts best"
     )
     effects: list[EffectEntry] = Field(
         description="what is claimed, most important first; where the verdict is `ambiguous`, what all rivals contain, "
@@ -259,7 +259,7 @@ class Record(_Entry):
     )
     experiment: str = Field(description="the input that would separate rivals, else empty")
     nearest: list[str] = Field(
-        description="what nearest.yaml has more than the model that was given, where not all is claimed; none where "
+        description="what the nearest model has more than the given one, where not all is claimed; none where "
         "it is that model, recalibrated or as it was"
     )
     ladder: list[RungEntry] = Field(

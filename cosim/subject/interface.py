@@ -184,6 +184,11 @@ class Subject(Protocol):
         return {f"{kind.name}.value": kind.affected() for kind in self.sensors if kind.late}
 
     @property
+    def lagging(self) -> Mapping[str, tuple[str, ...]]:
+        """Return time constant of a sensor → outputs with this lag."""
+        return {f"{kind.name}.value": kind.affected() for kind in self.sensors if kind.lagging}
+
+    @property
     def traits(self) -> Traits:
         """Return further signal properties for the checks of logs."""
         return Traits(static=self.static)

@@ -11,7 +11,7 @@ from cosim.model.delay import Delay
 from cosim.model.model import Number, Values
 from cosim.model.namespaces import Namespace
 from cosim.model.quantities import Quantity, parameter
-from cosim.model.sensors import Bias, Drift, Latency, Scale
+from cosim.model.sensors import Bias, Drift, Lag, Latency, Scale
 from cosim.terms.language import Force, InputTerm, Place, RateTerm, RememberingTerm, bind, scaled
 
 BEGUN = Quantity("begun", "1", "whether the memory holds values")
@@ -359,10 +359,11 @@ def sensor_errors(output: Quantity, size: float, step: float, duration: float) -
         (Scale, "scale", "1", 1.0, 0.02, (0.2, 5.0), "scale s"),
         (Drift, "drift", f"{output.unit}/s", 0.0, 0.05 * size / duration, (-size, size), "drift d"),
         (Latency, "latency", "s", 0.0, 1.0 * step, (0.0, 20.0 * step), "latency T"),
+        (Lag, "lag", "s", 0.0, 3.0 * step, (0.0, 1000.0 * step), "time constant T"),
     )
     for base, kind, unit, neutral, typical, bounds, doc in errors:
         value = parameter(neutral, unit=unit, bounds=bounds, neutral=neutral, typical=typical, doc=doc)
-        of = {"output": output.name} if base is not Latency else {"output": output.name, "outputs": (output.name,)}
+        of = {"output": output.name, "outputs": (output.name,)}
         name = f"{kind}_at_{output.name}"
         namespace = {"name": name, **of, "value": value, "__annotations__": {"value": "float"}, "__module__": __name__}
         yield dataclass(frozen=True, kw_only=True)(type(name, (base,), namespace))

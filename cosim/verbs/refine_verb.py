@@ -127,7 +127,12 @@ def _say_verdict(result: Refinement, place: Path, *, report: bool) -> None:
             after, nearest = r.after if has_claim else "", r.nearest if errors.nearest else ""
             rows.append((r.channel, r.before, r.recalibrated, after, nearest, r.floor))
         say(f"\n{errors.title}, root mean square error:", *table(header, rows), "")
-    files = {"model": "model.yaml", "FMU": "plant.fmu", "nearest": "nearest.yaml", "report": "report.html"}
-    for name, file in files.items():
-        if (place / file).is_file() and (report or name != "report"):
-            say(f"{name + ':':9}{place / file}")
+    files = {
+        "model": ["model.yaml"],
+        "FMU": ["plant.fmu"],
+        "nearest": ["nearest.yaml", "nearest.fmu"],  # the second alone for a study of an FMU
+        "report": ["report.html"] if report else [],
+    }
+    for name, choices in files.items():
+        if file := next((place / choice for choice in choices if (place / choice).is_file()), None):
+            say(f"{name + ':':9}{file}")

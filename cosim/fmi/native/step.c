@@ -11,6 +11,7 @@ typedef struct {
     const double *y;      /* rows x NY, NaN where missing */
     const int *ramps;     /* NU: whether an input runs straight from row to row, or is held */
     const double *late;   /* rows x NY: part of a row by which readings are older than theirs; NULL: by none */
+    const double *lags;   /* NY: time constants of the sensors in rows; NULL: no lags */
 } Log;
 
 static const double *row_of(const Log *log, int row)

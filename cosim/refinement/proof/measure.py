@@ -17,6 +17,7 @@ import numpy as np
 from cosim.base.arrays import Array, Rows
 from cosim.base.linear_algebra import square_roots
 from cosim.estimation.data import count_unscored, data_of
+from cosim.estimation.past_readings import lagged, past_reading
 from cosim.estimation.per_log import own, spread
 from cosim.estimation.posing import origins, start_covariance
 from cosim.estimation.problem import Problem
@@ -122,7 +123,7 @@ def remove_sensor_errors(
 
     Args:
         per_log: Parameters per log, one value for each row.
-        simulated: Output → simulated value, for sensors with latency or dependence on other outputs.
+        simulated: Output → simulated value, for sensors that depend on the past or on other outputs.
     """
     outputs = dict(log.outputs)
     for sensor in _sensors(variant, per_log):
@@ -152,8 +153,8 @@ def _line(sensor: SensorError) -> tuple[Any, Any]:
 def _sensor_errors(sensor: Any, time: Array, outputs: Mapping[str, Array]) -> dict[str, Array]:
     """Return output → error of a nonlinear sensor."""
     inputs = {n: outputs[n] for n in sensor.affected()}
-    if sensor.late:
-        return {n: np.interp(time - sensor.value, time, values, left=np.nan) - values for n, values in inputs.items()}
+    if sensor.depends_on_past():
+        return {n: past_reading(sensor, time, values) - values for n, values in inputs.items()}
     inputs = {n: np.nan_to_num(values) for n, values in inputs.items()}
     readings = sensor.readings(arrays(), time, {**outputs, **inputs})
     return {n: np.asarray(readings[n] - values) for n, values in inputs.items()}
@@ -252,6 +253,18 @@ def _shift(outputs: Array, late: Array | None) -> Array:
     return outputs if late is None else outputs - np.nan_to_num(late) * np.diff(outputs, axis=0, prepend=outputs[:1])
 
 
+def _lag(outputs: Array, lags: Array | None) -> Array:
+    """Return the readings of lagging sensors.
+
+    Args:
+        lags: Time constant of each output's sensor in rows.
+    """
+    if lags is None:
+        return outputs
+    rows = np.arange(len(outputs), dtype=np.float64)
+    return np.column_stack([lagged(rows, y, constant) for y, constant in zip(outputs.T, lags, strict=True)])
+
+
 @dataclass(frozen=True, eq=False)
 class _KernelReplays:
     """Kernel replays of a log over the model's horizon, each from the state filtered from past data.
@@ -327,7 +340,7 @@ class _KernelReplays:
             part = data.rows(0, end + 1)
             run = problem.kernel.simulate(part, p, starts[k], self.filtered.memory[k], kicks, first=k)
             outputs[k + 1 : end + 1] = _shift(run.outputs[k:], None if part.late is None else part.late[k:])[1:]
-        return outputs
+        return _lag(outputs, data.lags)
 
 
 def _root_mean_squares(problem: Problem, errors: Sequence[Array]) -> dict[str, float]:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.estimation.data import count_unscored
 from cosim.estimation.fit import Fit
+from cosim.estimation.past_readings import past_reading
 from cosim.estimation.problem import Problem
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.dependence import BINS, Regressor, bins, choose, regressors, unnamed_term
@@ -161,10 +163,10 @@ def _reading(subject: Subject, problem: Problem, c: Candidate, without: Fit, wit
     """Compare estimated and claimed error of a sensor.
 
     The comparison is for the output with the largest error. The horizontal axis is the output itself for a linear
-    error, the rate of the output for late readings, otherwise the signal with the largest explained share.
+    error, the rate of the output for late and lagging readings, otherwise the signal with the largest explained share.
     """
     kind = next(k for k in subject.sensors if k.name == c.name)
-    parts = [_readings(problem, c, with_it, index, late=kind.late) for index in smoothed_logs(problem)]
+    parts = [_readings(problem, c, with_it, index, kind) for index in smoothed_logs(problem)]
     first = len(parts[0][0])
     time, clean, wrong, y, rate = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     names = problem.layout.outputs
@@ -176,7 +178,7 @@ def _reading(subject: Subject, problem: Problem, c: Candidate, without: Fit, wit
         n: Regressor(f"{n} as the refined model says it is", unit[n], clean[rows, k]) for k, n in enumerate(names)
     }
     name, missing, term = names[channel], (y - clean)[rows, channel], (wrong - clean)[rows, channel]
-    if kind.late:
+    if kind.depends_on_past():
         against = Regressor(f"rate of {name}, by the refined model", _rate_unit(unit[name]), rate[rows, channel])
     elif kind.is_straight():
         against = outputs[name]
@@ -188,7 +190,7 @@ def _reading(subject: Subject, problem: Problem, c: Candidate, without: Fit, wit
     return EffectComparison(c.name, "sensor", name, unit[name], against, time[rows], missing, sigma, term, count, step)
 
 
-def _readings(problem: Problem, c: Candidate, with_it: Fit, index: int, *, late: bool) -> tuple[Array, ...]:
+def _readings(problem: Problem, c: Candidate, with_it: Fit, index: int, kind: type[Any]) -> tuple[Array, ...]:
     """Return all measured outputs of a log, along the filtered states of the refined model.
 
     Returns:
@@ -203,9 +205,9 @@ def _readings(problem: Problem, c: Candidate, with_it: Fit, index: int, *, late:
         np.array([s.step(k, run.states[k], run.memory[k])[1] for k in range(count)]) for s in (without, with_error)
     )
     k = np.arange(count, dtype=np.float64)
-    if late:  # the sensor's delay: outputs of an earlier time
-        rows = with_it.values[c.parameters[0]] / data.step
-        wrong = np.column_stack([np.interp(k - rows, k, column, left=np.nan) for column in clean.T])
+    if kind.depends_on_past():
+        sensor = kind(value=with_it.values[c.parameters[0]])
+        wrong = np.column_stack([past_reading(sensor, data.step * k, column) for column in clean.T])
     rate = np.gradient(clean, data.step, axis=0)
     scored = slice(min(count_unscored(data), count - 1), count)
     return tuple(rows[scored] for rows in (data.start + data.step * k, clean, wrong, data.y[:count], rate))

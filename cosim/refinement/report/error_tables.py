@@ -23,7 +23,7 @@ FREE_RUN_NAME = "free run"  # among the horizons of refine.json
 NOTHING_TO_EXPLAIN, TOO_LITTLE = "nothing to explain", "too little to judge"  # in place of a remaining share
 VARIANT_WORDS = {
     ("before", "after"): "before → refined",
-    ("before", "nearest"): "the model → nearest.yaml",
+    ("before", "nearest"): "the model → the nearest one",
     ("after",): "",
 }
 
@@ -270,7 +270,7 @@ def _unchanged_text(r: Refinement, part: str, where: str) -> str:
         return ""
     *_, after, floor, nearest = _numbers(r, part, worst)
     sizes = [error_size(v, units(r).get(worst, ""), after) for v in (after, floor, nearest)]
-    comparison = f", nearest.yaml by {sizes[2]}" if nearest < after else ""
+    comparison = f", the nearest model by {sizes[2]}" if nearest < after else ""
     over = "" if r.problem.table else f" over {horizon(r)}"
     lead = f"{where} the unchanged model misses {worst} by {sizes[0]}{over}{comparison}"
     return f"{lead}{_floor_text(sizes[0], sizes[1], above=floor > after)}"

@@ -276,7 +276,7 @@ def _error_words(r: Refinement, tables: Sequence[ErrorTable]) -> list[Row]:
     cause = "sensor noise" if r.problem.table else "sensor noise and the estimated disturbance"
     rows = [
         Row("Recalibrated", "The model with its own parameters fitted anew, nothing added."),
-        Row("Nearest", "The model in nearest.yaml, which predicts held-out logs best.") if tables[-1].nearest else None,
+        Row("Nearest", "The model that predicts held-out logs best.") if tables[-1].nearest else None,
         Row("Sensor noise", "Standard deviation of the noise of one reading, estimated from the logs."),
         Row("Noise floor", f"The error that {cause} alone would cause.{_floor_text(r)}"),
         Row("Left of …", _share_words(tables)) if claimed else None,
