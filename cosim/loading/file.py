@@ -28,7 +28,7 @@ from cosim.loading.source import ModelText
 from cosim.model.model import Model
 from cosim.storage.artefact import kind_by_keys
 from cosim.storage.files import write_text
-from cosim.storage.kinds import CODE, MODEL, check_form, refuse_other
+from cosim.storage.kinds import CODE, MODEL, STUDY, check_form, refuse_other
 from cosim.storage.yaml_file import UNIT_OF_KEY, YamlFile, did_you_mean
 from cosim.terms.language import Term
 
@@ -165,8 +165,10 @@ def read_model(path: Path, readers: tuple[Path, ...] = ()) -> LoadedModel:
     """
     check_form(path, MODEL, CODE)
     yaml = YamlFile(path)
-    _refuse_study(yaml)
-    refuse_other(path, kind_by_keys(yaml.root), MODEL)
+    kind = kind_by_keys(yaml.root)
+    if kind in (None, STUDY):
+        _refuse_study(yaml)
+    refuse_other(path, kind, MODEL)
     content, faults = yaml.partly(ModelFile, "model")
     if content is None:
         raise InputError(faults)
