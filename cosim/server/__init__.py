@@ -1,0 +1,1 @@
+"""Local server for pages in the user's browser, which other users and other sites can neither read nor steer."""
