@@ -335,3 +335,68 @@ def test_intervals_hold_the_truth_under_white_noise(tmp_path: Path) -> None:
 @pytest.mark.thorough
 def test_intervals_hold_the_truth_under_a_coloured_disturbance(tmp_path: Path) -> None:
     assert min(coverage(tmp_path, 60, 301, 0.8).values()) >= 50  # of 60
+
+
+# -- study files --------------------------------------------------------------------------------------
+
+FIT_STUDY = """model: slider.fmu
+logs:
+  estimation: [a.csv, b.csv]
+  validation: [c.csv]
+vary: {mass: 0.3..5 kg, damping: }
+start: {gain: 2.0}
+columns: {pos: position}
+"""
+
+
+def test_a_study_is_the_same_fit_as_its_options(bench: Path, tmp_path: Path) -> None:
+    study = bench / "fit.yaml"
+    study.write_text(FIT_STUDY)
+    by_study = cosim.fit(study, **QUICK)
+    by_options = cosim.fit(
+        [bench / "a.csv", bench / "b.csv"],
+        bench / "slider.fmu",
+        vary=["mass=0.3..5 kg", "damping"],
+        start={"gain": 2.0},
+        sealed=[bench / "c.csv"],
+        **QUICK,
+    )
+    for name in ("parameters", "starts", "errors", "sealed", "given"):
+        assert by_study.record[name] == by_options.record[name]
+    assert cosim.check(study) == [f"{study}: `cosim fit` will estimate mass and damping"]
+    done = command("fit", study, "--vary", "mass", "--no-report", "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assert set(json.loads((tmp_path / "out" / "fit.json").read_text())["parameters"]) == {"mass"}
+
+
+def test_a_study_of_refine_with_an_fmu_is_a_study_of_a_fit(bench: Path, tmp_path: Path) -> None:
+    study = bench / "refine.yaml"
+    study.write_text("model: slider.fmu\nlogs: {estimation: [a.csv]}\ntolerance: {mass: 50%}\n")
+    fitted = cosim.fit(study, vary=["mass"], start={"damping": 0.8}, **QUICK)
+    assert holds(fitted, mass=1.6)
+    assert "`cosim fit` does not use tolerance" in fitted.record["warnings"][0]
+
+
+def test_faults_of_a_study_stand_at_their_places(bench: Path, tmp_path: Path) -> None:
+    study = bench / "wrong.yaml"
+    study.write_text(
+        "model: slider.fmu\nlogs: {estimation: [a.csv, a.csv, no.csv]}\n"
+        "vary:\n  mas: \n  mass: 3..1\nstart: {x: 1}\n"
+    )  # fmt: skip
+    with pytest.raises(InputError) as refused:
+        cosim.fit(study, **QUICK)
+    told = {(f.line, f.message) for f in refused.value.faults}
+    for line, words in (
+        (2, "is named twice"), (2, "no.csv does not exist"), (4, 'did you mean "mass"?'), (5, "3 is not below 1"),
+        (6, "no such variable"),
+    ):  # fmt: skip
+        assert any(at == line and words in message for at, message in told), (words, told)
+    study.write_text("model: tank.py:Tank\nlogs: {estimation: [a.csv]}\nvary: [mass]\n")
+    with pytest.raises(InputError, match=r"tank\.py:Tank is no FMU"):
+        cosim.fit(study, **QUICK)
+    with pytest.raises(InputError, match=r"wrong\.yaml.*without --fmu"):
+        cosim.fit(study, bench / "slider.fmu", **QUICK)
+    with pytest.raises(InputError, match="no FMU is named"):
+        cosim.fit([bench / "a.csv"], **QUICK)
+    refused_by_refine = command("refine", study)
+    assert "`cosim fit" in refused_by_refine.stderr

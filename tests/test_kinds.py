@@ -37,6 +37,7 @@ WORDS = {  # file → what it is called
     "scenario.yaml": "is a scenario",
     "ran/manifest.json": "is a manifest",
     "study.yaml": "is a study",
+    "fit.yaml": "is a study of a fit",
     "sweep.yaml": "is a sweep",
     "protocol.yaml": "is a protocol of a testing bench",
     "model.yaml": "is a model file",
@@ -71,10 +72,12 @@ WORDS = {  # file → what it is called
 DESCRIBED = """<fmiModelDescription fmiVersion="2.0" modelName="x" guid="1"><CoSimulation modelIdentifier="x"/>
 <ModelVariables/><ModelStructure/></fmiModelDescription>"""
 SCENARIOS = {"scenario.yaml", "ran/manifest.json", "x.ssp"}
-MODELS = {"model.yaml", "model.py", "refined", "refined/refine.json", "study.yaml"}  # a study says which model it names
+MODELS = {"model.yaml", "model.py", "refined", "refined/refine.json", "study.yaml", "fit.yaml"}  # a study says which model it names
 LOGS = {"log.csv", "ran/results.csv"}
 FMUS = {"x.fmu", "as.zip"}
-CHECKED = SCENARIOS | FMUS | {"study.yaml", "sweep.yaml", "protocol.yaml", "model.yaml", "model.py", "log.csv"}
+CHECKED = (
+    SCENARIOS | FMUS | {"study.yaml", "fit.yaml", "sweep.yaml", "protocol.yaml", "model.yaml", "model.py", "log.csv"}
+)
 READ = {  # command → what it reads
     "run": SCENARIOS,
     "graph": SCENARIOS,
@@ -84,9 +87,10 @@ READ = {  # command → what it reads
     "replay log.csv --plant": FMUS,
     "fit --fmu x.fmu": LOGS,
     "fit log.csv --fmu": FMUS,
+    "fit": LOGS | {"study.yaml", "fit.yaml"},
     "refine": {"study.yaml"},
     "excite": MODELS,
-    "linearize": (MODELS | FMUS) - {"study.yaml"},
+    "linearize": (MODELS | FMUS) - {"study.yaml", "fit.yaml"},
     "build --model": MODELS,
     "identify": {"protocol.yaml"},
     "sweep": {"sweep.yaml"},
@@ -118,7 +122,9 @@ def shelf(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "replayed/residual.csv": "time,x\n0,0\n",
         "scenario.yaml": "name: s\nduration: 1\nstep: 0.1\ncomponents: {a: {fmu: x.fmu}}\n",
         "ran/manifest.json": json.dumps({**answer, "scenario": {"name": "s", "components": {}}}),
-        "study.yaml": "logs: {estimation: [log.csv]}\n", "sweep.yaml": "scenario: scenario.yaml\nvary: {step: {}}\n",
+        "study.yaml": "logs: {estimation: [log.csv]}\n",
+        "fit.yaml": "model: x.fmu\nlogs: {estimation: [log.csv]}\nvary: [a]\n",
+        "sweep.yaml": "scenario: scenario.yaml\nvary: {step: {}}\n",
         "protocol.yaml": "cells: {}\ntests: {}\n", "model.yaml": "parameters: {}\n", "model.py": "x = 1\n",
         "refined/refine.json": '{"verdict": "no_effect", "candidates": []}',
         "linear.json": json.dumps({**answer, "model": "m", "states": [], "models": []}),

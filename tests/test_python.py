@@ -28,7 +28,8 @@ from tests.typed import typed_fmu
 SNIPPETS = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "python.md").read_text(encoding="utf-8"), re.DOTALL)
 SHIPPED = {
     "scenario": sorted((ROOT / "scenarios").glob("*.yaml")),
-    "study": sorted(p for p in (ROOT / "examples").glob("*/*.yaml") if p.stem not in {"protocol", "sweep"}),
+    "study": sorted(p for p in (ROOT / "examples").glob("*/*.yaml") if p.stem not in {"protocol", "sweep", "fit"}),
+    "fit": sorted((ROOT / "examples").glob("*/fit.yaml")),
     "protocol": sorted((ROOT / "examples").glob("*/protocol.yaml")),
     "model": sorted(p for p in (ROOT / "examples/bench/overshoot").glob("*.yaml") if p.stem != "study"),
     "sweep": sorted((ROOT / "examples").glob("*/sweep.yaml")),
@@ -173,13 +174,13 @@ def test_a_data_frame_has_the_time_as_index_or_says_what_is_missing(tmp_path: Pa
 # -- schemas --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["scenario", "study", "model", "sweep", "protocol"])
+@pytest.mark.parametrize("kind", ["scenario", "study", "fit", "model", "sweep", "protocol"])
 def test_the_schema_that_is_shipped_is_the_one_that_is_printed(kind: str) -> None:
     shipped = (ROOT / "docs" / "schemas" / f"{kind}.schema.json").read_text(encoding="utf-8")
     assert told("schema", kind) == shipped, f"cosim schema {kind} > docs/schemas/{kind}.schema.json"
 
 
-@pytest.mark.parametrize("kind", ["scenario", "study", "model", "sweep", "protocol"])
+@pytest.mark.parametrize("kind", ["scenario", "study", "fit", "model", "sweep", "protocol"])
 def test_every_key_of_a_schema_says_what_it_means(kind: str) -> None:
     schema = schema_of(kind)
     parts = {"": schema, **schema.get("$defs", {})}

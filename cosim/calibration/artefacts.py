@@ -3,8 +3,19 @@
 from __future__ import annotations
 
 from cosim.storage.artefact import Artefact
+from cosim.storage.kinds import FIT_STUDY
 
 ARTEFACTS = (
+    Artefact(
+        FIT_STUDY,
+        "`cosim fit {file}` estimates the parameters of its FMU",
+        keys=(frozenset({"logs", "vary"}), frozenset({"logs", "start"})),
+        without=frozenset({"components", "connections"}),
+        schema="cosim.calibration.fit_study:FitStudyFile",
+        schema_name="fit",
+        title="cosim study of a fit",
+        check="cosim.calibration.workflow:check_fit_study",
+    ),
     Artefact(
         "an answer of `cosim fit`",
         "`cosim.read` reads its folder; `cosim fit LOG.csv --fmu X.fmu` makes one",

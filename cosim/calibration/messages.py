@@ -75,3 +75,18 @@ IGNORES_XML = Template(
 UNREADABLE_XML = Template("N-CAL-027", "the start value of {name} was not found in modelDescription.xml")
 NO_PANDAS = Template("E-CAL-028", "to_pandas() needs pandas: pip install pandas")
 IDLE = Template("W-CAL-029", "no effect on any measured output of these logs, so the value is kept: {names}")
+
+# -- studies --------------------------------------------------------------------------------------
+
+NO_FMU_IN_STUDY = Template(
+    "E-CAL-030", "{model} is no FMU, and `cosim fit` needs one; `cosim refine` estimates the parameters of a model file"
+)
+MISSING_FILE = Template("E-CAL-031", "{file} does not exist; file names are relative to the study")
+UNUSED_KEYS = Template("W-CAL-032", "`cosim fit` does not use {keys}: `cosim refine` does")
+BESIDE_STUDY = Template(
+    "E-CAL-033",
+    "is {kind}, which names its FMU, logs and columns; `cosim fit` takes it without --fmu, --sealed and --column",
+)
+NO_FMU = Template("E-CAL-034", "no FMU is named; add --fmu X.fmu, or give a study file alone")
+WILL_ESTIMATE = Template("N-CAL-035", "`cosim fit` will estimate {names}")
+WILL_SCREEN = Template("N-CAL-036", "`cosim fit` will estimate what the logs determine of {names}")

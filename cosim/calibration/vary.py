@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -93,15 +93,27 @@ def _limits(variable: Any) -> tuple[float, float]:
     return ends[0], ends[1]
 
 
-def read_vary(description: Any, offered: Mapping[str, Parameter], texts: Sequence[str]) -> list[Parameter]:
+def _option_fault(name: str, message: str) -> Fault:
+    return Fault(OPTION, 0, 0, message)
+
+
+def read_vary(
+    description: Any,
+    offered: Mapping[str, Parameter],
+    texts: Sequence[str],
+    fault: Callable[[str, str], Fault] = _option_fault,
+) -> list[Parameter]:
     """Return the parameters named by texts such as `mass`, `mass=20%`, `mass=0.3..2 kg`.
+
+    Args:
+        fault: Function of (name, message) that adds the place.
 
     Raises:
         InputError: Every fault.
     """
     variables = {v.name: v for v in description.modelVariables}
     chosen: dict[str, Parameter] = {}
-    faults: list[str] = []
+    faults: list[Fault] = []
     for text in texts:
         name, _, value = (part.strip() for part in text.partition("="))
         with suppress(ValueError):
@@ -115,8 +127,8 @@ def read_vary(description: Any, offered: Mapping[str, Parameter], texts: Sequenc
                 raise ValueError(messages.REPEATED_NAME(name=name))
             chosen[name] = _checked(_bounded(description, variables[name], offered[name], str(value)))
         except ValueError as error:
-            faults.append(str(error))
-    refuse(Fault(OPTION, 0, 0, fault) for fault in faults)
+            faults.append(fault(name, error.args[0]))
+    refuse(faults)
     return list(chosen.values())
 
 

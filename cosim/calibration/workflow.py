@@ -12,17 +12,19 @@ from typing import Any
 import numpy as np
 
 from cosim.base.errors import Fault, InputError, SimulationError, Terminated, TimedOut, refuse, stop_error
+from cosim.base.text import join_names
 from cosim.blocks.compiling import permission
 from cosim.blocks.description import read_description, unit_definition, unit_of
 from cosim.calibration import messages
 from cosim.calibration.estimate import Estimate, Report
 from cosim.calibration.fit_record import Outcome, Record, parameter_entries, record
 from cosim.calibration.fit_sentences import notes, verdict, warnings
+from cosim.calibration.fit_study import Request, check_missing, read_fit_study
 from cosim.calibration.fitted_fmu import why_no_copy
 from cosim.calibration.replay_proof import Part, prove
 from cosim.calibration.simulations import Logs, OutOfTime
 from cosim.calibration.vary import Parameter, candidates, read_vary
-from cosim.isolation.limits import Limits, read_limits
+from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.log import Log, read_column_names
@@ -33,26 +35,20 @@ from cosim.residuals.remote_drive import MODULES, DriveApart
 from cosim.residuals.replay_settings import start_values
 from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.ssp.write import write_parameter_set
+from cosim.storage.artefact import Checking
 from cosim.storage.files import FilePath, check_writable, hold_stops, named_path, one_stop, write_json, write_text
 from cosim.storage.folder_lock import folder_locks
 from cosim.storage.folders import check_overwritable, keep_earlier
 
 FILES = ("fit.json", "fitted.ssv", "fitted.fmu", "report.html")
-SEALED = Path("--sealed")
 
 
 @one_stop()
 @folder_locks()
 def fit(
-    logs: Sequence[FilePath],
-    fmu: FilePath,
+    request: Request,
     folder: FilePath,
     *,
-    vary: Sequence[str] = (),
-    start: Sequence[str] = (),
-    sealed: Sequence[FilePath] = (),
-    columns: Sequence[str] = (),
-    limits: str = "",
     in_process: bool = False,
     report: bool = True,
     force: bool = True,
@@ -64,27 +60,23 @@ def fit(
     Writes fit.json, fitted.ssv, fitted.fmu (if its library follows the start values of the file) and report.html.
 
     Args:
-        vary: Parameters as NAME, NAME=20% or NAME=LOW..HIGH; none: those that the logs determine.
-        start: Further values as NAME=VALUE; of a varied parameter: its first value.
-        sealed: Logs for the proof.
-        columns: Log columns with other names than in the FMU, `measured_speed=motor.w`.
-        limits: Limits of the FMU; `total` limits the estimate.
         keep: Move the files of an earlier fit to `runs` in the folder.
 
     Returns:
         The content of fit.json, and warnings and notes with their codes.
 
     Raises:
-        InputError: Logs or arguments have faults.
+        InputError: The study, logs or options have faults.
         FmuError: The FMU cannot be used.
         SimulationError: The FMU fails with the values before the fit, or the fit was stopped.
     """
     begin = time.monotonic()
-    most, path, place = read_limits(limits), Path(fmu), named_path(folder)
-    estimation, test = [*map(Path, logs)], [*map(Path, sealed)]
+    most, path, place = request.limits, request.fmu, named_path(folder)
+    estimation, test = request.estimation, request.sealed
     check_overwritable(place, "cosim fit", str(path), force=force, keep=keep)
-    read, chosen, given = _read(path, estimation, test, (vary, start, columns))
-    check_writable(place, FILES, (*estimation, *test, path))
+    read, chosen, given = _read(request)
+    files = [*request.logs, path, *([request.yaml.path] if request.yaml else [])]
+    check_writable(place, FILES, files)
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         inner = most.model_copy(update={"total": None, "step": most.step or most.total})
@@ -97,7 +89,7 @@ def fit(
         _refuse_bad(drives)
         opened, closed = drives[: len(estimation)], drives[len(estimation) :]
         estimate = Estimate(Logs(opened, begin + (most.total or np.inf)), {}, progress)
-        stop = _run(estimate, chosen, screening=not vary, limits=most)
+        stop = _run(estimate, chosen, screening=not request.vary, limits=most)
         parts, stop = ((), stop) if stop else _prove_or_stop(estimate, chosen, opened, closed)
         hold_stops()
         entries = parameter_entries(estimate)
@@ -105,7 +97,8 @@ def fit(
         if keep:
             keep_earlier(place, "cosim fit")
         _remove(place)
-        written, told = _write(place, outcome, begin, stop, lambda file: load(read[0], file))
+        unused = [messages.UNUSED_KEYS(keys=join_names(request.unused))] if request.unused else []
+        written, told = _write(place, outcome, begin, stop, lambda file: load(read[0], file), unused)
         if report:
             from cosim.calibration.report import page
 
@@ -119,17 +112,34 @@ def fit(
 # -- input ------------------------------------------------------------------------------------------
 
 
-def _read(
-    fmu: Path, estimation: Sequence[Path], sealed: Sequence[Path], texts: tuple[Sequence[str], ...]
-) -> tuple[list[Log], list[Parameter], dict[str, Any]]:
+def check_fit_study(path: Path, checking: Checking) -> list[str]:
+    """Return what a fit of a study will estimate.
+
+    Raises:
+        InputError: The study has faults.
+        FmuError: Only the FMU has faults.
+    """
+    request = read_fit_study(path)
+    logs, chosen, given = _read(request)
+    if checking.worker is not None:
+        with ExitStack() as stack:
+            fixed = _without(given, chosen)
+            apart = [DriveApart(checking.worker, g, request.fmu, limits=request.limits, given=fixed) for g in logs]
+            _refuse_bad([stack.enter_context(drive) for drive in apart])
+    will = messages.WILL_ESTIMATE if request.vary else messages.WILL_SCREEN
+    return [will(names=join_names([p.name for p in chosen]))]
+
+
+def _read(request: Request) -> tuple[list[Log], list[Parameter], dict[str, Any]]:
     """Return logs, parameters to estimate and given values.
 
     Raises:
         InputError: Every fault of logs and arguments.
         FmuError: Only the FMU has faults.
     """
-    vary, start, columns = texts
-    faults: list[Fault] = []
+    fmu, paths = request.fmu, request.logs
+    faults: list[Fault] = check_missing(request)
+    missing = [p for p in (fmu, *paths) if faults and not p.exists()]
 
     def attempt(function: Callable[..., Any], default: Any, *arguments: Any) -> Any:
         try:
@@ -138,34 +148,37 @@ def _read(
             faults.extend(error.faults)
             return default
 
-    paths = [*estimation, *sealed]
-    if not estimation:
-        faults.append(Fault(Path("LOG"), 0, 0, messages.NO_LOGS()))
-    faults += [Fault(p, 0, 0, messages.USED_TWICE()) for k, p in enumerate(paths) if p in paths[:k]]
+    if not request.estimation:
+        faults.append(request.no_logs_fault(messages.NO_LOGS()))
+    faults += [request.log_fault(k, messages.USED_TWICE()) for k, p in enumerate(paths) if p in paths[:k]]
+    paths = [p for p in paths if p not in missing]
+    refuse(faults if fmu in missing else ())
     for path in paths or [fmu]:
         attempt(check_files, None, path, fmu)
-    refuse(faults if any(f.file == fmu for f in faults) else ())
+    refuse(faults if any(f.file == fmu for f in faults) or {f.file for f in faults} >= {*paths} else ())
     description = read_description(fmu)
-    given = attempt(start_values, {}, fmu, start)
-    chosen = attempt(_chosen, [], fmu, description, vary, given)
+    given = attempt(start_values, {}, fmu, request.start, request.start_fault)
+    chosen = attempt(_chosen, [], request, description, given)
 
     def read(path: Path) -> Log:
-        return log_of_fmu(path, fmu, read_column_names(columns, path), alone=len(paths) == 1)
+        columns = request.columns
+        columns = columns if isinstance(columns, Mapping) else read_column_names(columns, path)
+        return log_of_fmu(path, fmu, columns, alone=len(paths) == 1)
 
     logs = [attempt(read, None, path) for path in paths]
     refuse(faults)
     return logs, chosen, given
 
 
-def _chosen(fmu: Path, description: Any, vary: Sequence[str], given: Mapping[str, Any]) -> list[Parameter]:
-    """Return the parameters named by `vary`, or all that the FMU offers."""
+def _chosen(request: Request, description: Any, given: Mapping[str, Any]) -> list[Parameter]:
+    """Return the parameters to vary, or all that the FMU offers."""
     numbers = {n: v for n, v in given.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
     offered = candidates(description, numbers)
-    if vary:
-        return read_vary(description, offered, vary)
+    if request.vary:
+        return read_vary(description, offered, request.vary, request.vary_fault)
     chosen = [p for p in offered.values() if not p.per_log and p.low <= p.start <= p.high and p.name not in given]
     if not chosen:
-        raise InputError.at(fmu, messages.NO_PARAMETERS())
+        raise InputError.at(request.fmu, messages.NO_PARAMETERS())
     return chosen
 
 
@@ -259,9 +272,10 @@ def _write(
     begin: float,
     stop: SimulationError | None,
     load: Callable[[Path], AbstractContextManager[Drive]],
+    told: Sequence[str] = (),
 ) -> tuple[Record, list[str]]:
     """Write fitted.ssv, fitted.fmu and fit.json; return the content of the last, and all warnings and notes."""
-    values, told = dict(_values(outcome)), list(warnings(outcome))
+    values, told = dict(_values(outcome)), [*told, *warnings(outcome)]
     _write_set(place / "fitted.ssv", outcome, values)
     estimate = outcome.estimate
     if stop is None and values and estimate.likelihood is not None and estimate.point is not None:

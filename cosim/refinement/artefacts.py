@@ -8,9 +8,9 @@ from cosim.storage.kinds import ANSWER, STUDY
 ARTEFACTS = (
     Artefact(
         STUDY,
-        "`cosim refine {file}` refines its model",
+        "`cosim refine {file}` refines its model; for an FMU, `cosim fit {file}` estimates its parameters",
         keys=(frozenset({"logs"}),),
-        without=frozenset({"components", "connections", "vary"}),
+        without=frozenset({"components", "connections"}),
         schema="cosim.refinement.study:StudyFile",
         schema_name="study",
         title="cosim study",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -17,8 +17,13 @@ Given = Mapping[str, float | int | bool | str]
 SWITCHES = {"true": True, "on": True, "1": True, "false": False, "off": False, "0": False}
 
 
-def start_values(fmu: Path, texts: Sequence[str]) -> dict[str, float | int | bool | str]:
+def start_values(
+    fmu: Path, texts: Sequence[str], fault: Callable[[str, str], Fault] | None = None
+) -> dict[str, float | int | bool | str]:
     """Return values for texts such as `angle=12 deg`.
+
+    Args:
+        fault: Function of (name, message) that adds the place; by default the FMU.
 
     Raises:
         InputError: Every invalid text.
@@ -41,7 +46,8 @@ def start_values(fmu: Path, texts: Sequence[str]) -> dict[str, float | int | boo
         else:
             value = convert_value(description, variable, _read(written, variable.type))
         if isinstance(value, Misfit):
-            faults.append(Fault(fmu, 0, 0, messages.START_OPTION(text=short(text), reason=value.reason)))
+            message = messages.START_OPTION(text=short(text), reason=value.reason)
+            faults.append(Fault(fmu, 0, 0, message) if fault is None else fault(name, message))
         else:
             values[name] = value
     refuse(faults)

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 
 def fit(
-    logs: Files,
-    fmu: FilePath,
+    logs: FilePath | Files,
+    fmu: FilePath | None = None,
     out: FilePath | None = None,
     *,
     vary: Given | None = None,
@@ -40,11 +40,11 @@ def fit(
     """Estimate parameters and start values of an FMU from measured logs.
 
     Args:
-        logs: Logs of the estimate.
+        logs: Logs of the estimate, or a study file, which names them and the FMU.
         fmu: FMU whose parameters are estimated.
         out: Folder for fit.json, fitted.ssv, fitted.fmu and report.html; None writes nothing.
         vary: Parameter → None, "20%", "LOW..HIGH" or (low, high), or texts as on the command line. By default those
-            that the logs determine.
+            of the study, or those that the logs determine.
         start: Further value of the FMU, or first value of a parameter → value.
         sealed: Logs for the proof, which the estimate does not use.
         columns: Column of the logs → variable, or "time".
@@ -65,21 +65,25 @@ def fit(
             are in `out`.
     """
     from cosim.blocks.compiling import compiling
+    from cosim.calibration.fit_study import request_of
     from cosim.calibration.fitted import Fitted
     from cosim.calibration.workflow import fit as fit_logs
 
     settings = normalize_settings(columns, "columns")
     pairs = [f"{c}={v}" for c, v in settings.items()] if isinstance(settings, dict) else list(settings)
+    request = request_of(
+        [logs] if isinstance(logs, (str, os.PathLike)) else list(logs),
+        fmu,
+        vary=texts(vary, "vary"),
+        start=texts(start, "start"),
+        sealed=list(sealed),
+        columns=pairs,
+        limits=limits,
+    )
     with compiling(compile), results_in(out) as folder:
         record, _ = fit_logs(
-            list(logs),
-            fmu,
+            request,
             folder,
-            vary=texts(vary, "vary"),
-            start=texts(start, "start"),
-            sealed=list(sealed),
-            columns=pairs,
-            limits=limits,
             in_process=in_process,
             report=report and out is not None,
             force=force,
@@ -94,11 +98,15 @@ def _silent(stage: str, share: float) -> None:
 
 def command(
     logs: Annotated[
-        list[Path], typer.Argument(help="Measured logs: CSV files with time, inputs and measured outputs.")
+        list[Path],
+        typer.Argument(help="Measured logs: CSV files with time, inputs and measured outputs; or a study."),
     ],
     *,
-    fmu: Annotated[Path, typer.Option("--fmu", metavar="FMU", help="FMU whose parameters are estimated.")],
-    out: Annotated[Path | None, out_option("results/NAME-fit of the FMU")] = None,
+    fmu: Annotated[
+        Path | None,
+        typer.Option("--fmu", metavar="FMU", help="FMU whose parameters are estimated, if no study names it."),
+    ] = None,
+    out: Annotated[Path | None, out_option("results/NAME-fit of the FMU or study")] = None,
     vary: Annotated[
         Texts,
         typer.Option(
@@ -136,23 +144,27 @@ def command(
     Writes fit.json, fitted.ssv, fitted.fmu (if the library of the FMU follows the start values of its file) and
     report.html.
 
-    Example: cosim fit a.csv b.csv --fmu motor.fmu --vary mass=20% --sealed c.csv
+    Example: cosim fit a.csv b.csv --fmu motor.fmu --vary mass=20% --sealed c.csv; or: cosim fit study.yaml
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the simulations take the time
     from cosim.blocks.compiling import compiling
+    from cosim.calibration.fit_study import request_of
     from cosim.calibration.workflow import fit as fit_logs
 
-    place = folder_of_file(fmu, "fit") if out is None else out
+    request = request_of(
+        logs,
+        fmu,
+        vary=vary or (),
+        start=start or (),
+        sealed=sealed or (),
+        columns=column or (),
+        limits=limits,
+    )
+    place = folder_of_file(request.fmu if request.yaml is None else logs[0], "fit") if out is None else out
     with compiling(compile_), stages() as progress:
         record, told = fit_logs(
-            logs,
-            fmu,
+            request,
             place,
-            vary=vary or (),
-            start=start or (),
-            sealed=sealed or (),
-            columns=column or (),
-            limits=limits,
             in_process=in_process,
             report=report,
             force=force,

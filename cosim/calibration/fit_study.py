@@ -1,0 +1,188 @@
+"""A request to fit an FMU: from options, or from a study file, with the place of each of its parts."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict
+
+from cosim.base.errors import Fault, InputError, refuse
+from cosim.calibration import messages
+from cosim.isolation.limits import Limits, read_limits
+from cosim.refinement.study import FileName, LogLists
+from cosim.storage.artefact import kind_by_keys
+from cosim.storage.files import FilePath
+from cosim.storage.kinds import FIT_STUDY, LOG, STUDY, check_form, check_given, kind_of, refuse_other
+from cosim.storage.yaml_file import YamlFile
+
+FMU_SUFFIX = ".fmu"
+
+
+class FitStudyFile(BaseModel):
+    """A study of `cosim fit`: an FMU, its logs, and what to estimate.
+
+    model:   FMU whose parameters are estimated.
+    logs:    Files, relative to the study; those of `validation` are sealed until all decisions are made.
+    vary:    Names, or name → bounds `0.3..2 kg`, prior `20%`, or nothing; default: what the logs determine.
+    start:   Name → further value of the FMU, or first value of an estimated parameter.
+    columns: Name in the logs → name in the FMU, if different.
+    limits:  Limits of the FMU; `total` limits the estimate.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    model: FileName
+    logs: LogLists
+    vary: list[str] | dict[str, str | float | tuple[float, float] | None] = []
+    start: dict[str, float | int | bool | str] = {}
+    columns: dict[str, str] = {}
+    limits: Limits | None = None
+
+
+@dataclass(frozen=True)
+class Request:
+    """A request to fit an FMU.
+
+    Attributes:
+        vary: Parameters as NAME, NAME=20% or NAME=LOW..HIGH; none: those that the logs determine.
+        start: Further values as NAME=VALUE; of a varied parameter: its first value.
+        columns: Log column → variable, or COLUMN=VARIABLE texts.
+        yaml: Study file of the request; None for options.
+        unused: Keys of a study of `cosim refine` that a fit does not use.
+    """
+
+    fmu: Path
+    estimation: Sequence[Path]
+    sealed: Sequence[Path] = ()
+    vary: Sequence[str] = ()
+    start: Sequence[str] = ()
+    columns: Sequence[str] | Mapping[str, str] = ()
+    limits: Limits = field(default_factory=Limits)
+    yaml: YamlFile | None = None
+    unused: Sequence[str] = ()
+
+    @property
+    def logs(self) -> list[Path]:
+        """Return all logs, sealed ones last."""
+        return [*self.estimation, *self.sealed]
+
+    def vary_fault(self, name: str, message: str) -> Fault:
+        """Return a fault of a parameter to estimate."""
+        return (
+            Fault(Path("--vary"), 0, 0, message)
+            if self.yaml is None
+            else self.yaml.fault(("vary", name), message, key=True)
+        )
+
+    def start_fault(self, name: str, message: str) -> Fault:
+        """Return a fault of a further value."""
+        return Fault(self.fmu, 0, 0, message) if self.yaml is None else self.yaml.fault(("start", name), message)
+
+    def no_logs_fault(self, message: str) -> Fault:
+        """Return a fault of a request without logs."""
+        return Fault(Path("LOG"), 0, 0, message) if self.yaml is None else self.yaml.fault(("logs",), message)
+
+    def log_fault(self, index: int, message: str) -> Fault:
+        """Return a fault of the file name of a log, by its index."""
+        if self.yaml is None:
+            return Fault(self.logs[index], 0, 0, message)
+        count = len(self.estimation)
+        part = ("estimation", index) if index < count else ("validation", index - count)
+        return self.yaml.fault(("logs", *part), message)
+
+
+def read_fit_study(path: FilePath, *, vary: Sequence[str] = (), start: Sequence[str] = ()) -> Request:
+    """Return the request of a study file.
+
+    Args:
+        vary: Parameters to estimate instead of those of the study.
+        start: Values beside those of the study.
+
+    Raises:
+        InputError: Every fault of the keys.
+    """
+    path = Path(path)
+    check_form(path, STUDY, FIT_STUDY)
+    yaml = YamlFile(path)
+    refuse_other(path, kind_by_keys(yaml.root), STUDY, FIT_STUDY)
+    unused = ()
+    data = dict(yaml.root)
+    if kind_by_keys(yaml.root) == STUDY:
+        unused = tuple(k for k in data if k not in FitStudyFile.model_fields)
+        data = {k: v for k, v in data.items() if k not in unused}
+    content = yaml.validate(FitStudyFile, data)
+    if not content.model.lower().endswith(FMU_SUFFIX):
+        refuse([yaml.fault(("model",), messages.NO_FMU_IN_STUDY(model=content.model))])
+    return Request(
+        path.parent / content.model,
+        [path.parent / name for name in content.logs.estimation],
+        [path.parent / name for name in content.logs.validation],
+        vary or _vary_texts(content.vary),
+        [*(f"{n}={_text(v)}" for n, v in content.start.items()), *start],
+        content.columns,
+        content.limits or Limits(),
+        yaml,
+        unused,
+    )
+
+
+def _vary_texts(vary: Sequence[str] | Mapping[str, Any]) -> list[str]:
+    """Return the parameters as on the command line."""
+    return [f"{n}={json.dumps(v)}" for n, v in vary.items()] if isinstance(vary, Mapping) else list(vary)
+
+
+def _text(value: Any) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def request_of(
+    logs: Sequence[FilePath],
+    fmu: FilePath | None,
+    *,
+    vary: Sequence[str] = (),
+    start: Sequence[str] = (),
+    sealed: Sequence[FilePath] = (),
+    columns: Sequence[str] = (),
+    limits: str = "",
+) -> Request:
+    """Return the request of options or of the study that is named in place of logs.
+
+    Args:
+        vary: Parameters as NAME, NAME=20% or NAME=LOW..HIGH; none: those of the study, or those that logs determine.
+        start: Further values as NAME=VALUE; of a varied parameter: its first value.
+        sealed: Logs for the proof.
+        columns: Log columns with other names than in the FMU, `measured_speed=motor.w`.
+        limits: Limits of the FMU; `total` limits the estimate.
+
+    Raises:
+        InputError: Options do not fit together, or the study has faults.
+    """
+    most = read_limits(limits)
+    kind = kind_of(Path(logs[0])) if len(logs) == 1 else None
+    if kind in {STUDY, FIT_STUDY}:
+        if fmu is not None or sealed or columns:
+            raise InputError.at(Path(logs[0]), messages.BESIDE_STUDY(kind=kind))
+        request = read_fit_study(logs[0], vary=vary, start=start)
+        return replace(request, limits=most) if limits else request
+    if fmu is None:
+        for log in logs:
+            check_given(Path(log), LOG, STUDY, FIT_STUDY)
+        raise InputError.at(Path("--fmu"), messages.NO_FMU())
+    return Request(Path(fmu), [*map(Path, logs)], [*map(Path, sealed)], vary, start, columns, most)
+
+
+def check_missing(request: Request) -> list[Fault]:
+    """Return faults of a study whose FMU or logs do not exist."""
+    if request.yaml is None:
+        return []
+    faults = []
+    if not request.fmu.is_file():
+        faults.append(request.yaml.fault(("model",), messages.MISSING_FILE(file=request.yaml.root["model"])))
+    for index, path in enumerate(request.logs):
+        if not path.exists():
+            faults.append(request.log_fault(index, messages.MISSING_FILE(file=path.name)))
+    return faults
