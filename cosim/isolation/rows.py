@@ -120,6 +120,8 @@ class Progress(ctypes.Structure):
         made: As in `Rows`, like `doing`.
         named: Whether `call` is the current FMI function.
         stop: Whether the observer requests an early end.
+        hold: Whether the observer requests a pause.
+        sent: Number of changes that the observer has sent.
         words: Last message of an FMU.
         loop: Kind of stepping loop.
     """
@@ -129,6 +131,8 @@ class Progress(ctypes.Structure):
         ("doing", ctypes.c_int64 * 1),
         ("named", ctypes.c_int64 * 1),
         ("stop", ctypes.c_int64 * 1),
+        ("hold", ctypes.c_int64 * 1),
+        ("sent", ctypes.c_int64 * 1),
         ("call", ctypes.c_char * 128),
         ("words", ctypes.c_char * 512),
         ("loop", ctypes.c_char * 256),

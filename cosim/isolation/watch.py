@@ -94,9 +94,10 @@ class Clock:
             self.rows = rows
             self.watch.progress(rows)
         loading, key = self._is_loading(), self._key()
-        if key != self.key or self.progress.doing[0] == NOTHING:
+        waiting = self.progress.doing[0] == NOTHING  # also a pause between rows
+        if key != self.key or waiting:
             self.key, self.since = key, now
-        self.watch.spent[0] += 0.0 if loading else now - self.last
+        self.watch.spent[0] += 0.0 if loading or (waiting and rows) else now - self.last
         self.last = now
         self._check(loading, now - self.since, pid)
 

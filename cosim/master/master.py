@@ -24,6 +24,7 @@ from cosim.isolation.rows import CALLS, OTHER, Rows
 from cosim.master import messages
 from cosim.master.c_loop import CompiledSteps, LoopData, prepare_steps
 from cosim.master.copying import Copying, Noisy, Plain, Through, doubles
+from cosim.master.inbox import Inbox
 from cosim.master.initialization import Initialization
 from cosim.storage.files import hold_stops
 from cosim.storage.results import Results
@@ -55,6 +56,7 @@ def simulate(
     rows: Rows | None = None,
     *,
     in_c: bool = True,
+    inbox: Inbox | None = None,
 ) -> Results:
     """Run `steps` communication steps of `h` [s].
 
@@ -63,12 +65,13 @@ def simulate(
     Args:
         rows: Storage of the rows, shape (steps + 1, columns); by default in memory.
         in_c: Whether to use the C loop if possible; see `Results.loop`.
+        inbox: Changes that arrive during the run.
 
     Raises:
         StoppedRun: A component failed.
     """
     room = rows or Rows.in_memory(steps + 1, len(system.columns))
-    return Master(system, steps, h, progress, room, in_c=in_c).results()
+    return Master(system, steps, h, progress, room, in_c=in_c, inbox=inbox).results()
 
 
 class Master:
@@ -78,7 +81,15 @@ class Master:
     """
 
     def __init__(
-        self, system: System, steps: int, h: float, progress: Progress | None, rows: Rows, *, in_c: bool = True
+        self,
+        system: System,
+        steps: int,
+        h: float,
+        progress: Progress | None,
+        rows: Rows,
+        *,
+        in_c: bool = True,
+        inbox: Inbox | None = None,
     ) -> None:
         self.system, self.steps, self.h = system, steps, h
         self.components = [stage.component for stage in system.stages]
@@ -91,7 +102,7 @@ class Master:
         self.time = system.start + h * np.arange(steps + 1, dtype=np.float64)  # counted, not summed
         self.done = 0
         self.notes: list[str] = []
-        self.events = sorted(system.events)
+        self.events, self.inbox = sorted(system.events), inbox
         self.calls = self._calls(progress)
         self.copying = Copying(system, self.row, self.beside, steps, h)
         self.pulls = self.copying.by_component()
@@ -228,12 +239,14 @@ class Master:
         points = self.events[place : place + 1]
         if self.progress is not None:
             points.append(-(-k // PROGRESS_EVERY) * PROGRESS_EVERY)
+        if self.inbox is not None:
+            points.append(self.inbox.next_look(k))
         return min(points, default=NEVER)
 
     def _calls(self, progress: Progress | None) -> tuple[Progress, ...]:
         """Return the functions to call at requested points before rows are stored: events, exact values, progress."""
         calls: list[Progress] = []
-        if self.system.events:
+        if self.system.events or self.inbox is not None:
             calls.append(self._apply_events)
         if self.beside:
             calls.append(lambda k: self.beside_rows.append(tuple(self.beside)))
@@ -243,6 +256,8 @@ class Master:
 
     def _apply_events(self, k: int) -> None:
         changes: Mapping[str, Mapping[str, Any]] = self.system.events.get(k, {})
+        if self.inbox is not None:
+            changes = self.inbox.take(k, changes)
         for component in self.components:
             if component.name in changes:
                 component.change(changes[component.name])  # type: ignore[attr-defined]

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
 from cosim.master import messages
+from cosim.master.inbox import Control
 
 MAX_CHARACTERS = 500  # of an error message
 
@@ -21,12 +22,16 @@ class ObservedRun:
         rows: Number of rows, unless the run ends early.
         start: Time of the first row [s].
         step: Communication step [s].
+        units: Column → unit, "" without unit.
+        control: Control of the run: changes of parameters and inputs, and pauses.
     """
 
     columns: Sequence[str]
     rows: int
     start: float
     step: float
+    units: Mapping[str, str] = field(default_factory=dict)
+    control: Control | None = None
 
 
 class Observer:

@@ -22,6 +22,7 @@ from cosim.isolation.watch import Clock, Watch, fmi_calls
 from cosim.master import messages
 from cosim.master.c_loop import compile_beforehand
 from cosim.master.halving import Halved
+from cosim.master.inbox import Change, Channel, Control, FileChannel, Inbox, MemoryChannel
 from cosim.master.master import StoppedRun, results_of, simulate
 from cosim.master.observer import MAX_CHARACTERS, Feed, ObservedRun, Observer
 from cosim.master.own_process import in_own_processes
@@ -36,11 +37,12 @@ DISK_RETRY_SHARE = 0.9  # share of rows to try next on a full disk
 
 @dataclass(frozen=True)
 class SteppedRun:
-    """Outcome of a stepped run: results, messages of the FMUs, and the failure, if any."""
+    """Outcome of a stepped run: results, messages of the FMUs, the failure, if any, and changes by observers."""
 
     results: Results
     log: Sequence[str]
     failure: SimulationError | None = None
+    changes: Sequence[Change] = ()
 
 
 def _log_lines(system: System) -> list[str]:
@@ -50,7 +52,8 @@ def _log_lines(system: System) -> list[str]:
 
 def simulate_here(system: System, steps: int, h: float, observers: Sequence[Observer] = ()) -> SteppedRun:
     """Step a system in this process; raise FmuError if an FMU does not load."""
-    feed = _feed(observers, system, steps, h)
+    channel = MemoryChannel()
+    feed = _feed(observers, system, steps, h, channel)
     rows = Rows.in_memory(steps + 1, len(system.columns))
     feed.table = rows.table
 
@@ -62,17 +65,21 @@ def simulate_here(system: System, steps: int, h: float, observers: Sequence[Obse
             raise _early_end(system, h, done)
 
     try:
-        results, failure = _run(system, steps, h, give if observers else None, rows), None
+        if observers:
+            results, failure = _run(system, steps, h, give, rows, Inbox(channel)), None
+        else:
+            results, failure = _run(system, steps, h, None, rows), None
     except StoppedRun as run:
         results, failure = run.results, run.error
     feed.end(results.values)
-    return SteppedRun(results, _log_lines(system), failure or feed.failure)
+    return SteppedRun(results, _log_lines(system), failure or feed.failure, channel.noted())
 
 
-def _feed(observers: Sequence[Observer], system: System, steps: int, h: float) -> Feed:
-    """Return the feed of rows to a run's observers."""
+def _feed(observers: Sequence[Observer], system: System, steps: int, h: float, channel: Channel) -> Feed:
+    """Return the feed of rows to a run's observers, which may send changes through a channel."""
     time = system.start + h * np.arange(steps + 1, dtype=np.float64)
-    return Feed(observers, ObservedRun(system.columns, steps + 1, system.start, h), time)
+    control = Control(system, channel) if observers else None
+    return Feed(observers, ObservedRun(system.columns, steps + 1, system.start, h, system.units, control), time)
 
 
 def _early_end(system: System, h: float, done: int) -> EarlyEnd:
@@ -86,11 +93,16 @@ def _last_time(system: System, h: float, rows: int) -> float:
 
 
 def _run(
-    system: System, steps: int, h: float, progress: Callable[[int], None] | None = None, rows: Rows | None = None
+    system: System,
+    steps: int,
+    h: float,
+    progress: Callable[[int], None] | None = None,
+    rows: Rows | None = None,
+    inbox: Inbox | None = None,
 ) -> Results:
     """Return the signals of a run; for a halved system, their differences between whole and halved steps."""
     if not system.halved:
-        return simulate(system, steps, h, progress, rows)
+        return simulate(system, steps, h, progress, rows, inbox=inbox)
     return Halved(system, steps, h, progress, rows or Rows.in_memory(steps + 1, len(system.columns))).results()
 
 
@@ -130,7 +142,8 @@ def simulate_rows(system: System, steps: int, h: float, table: Path, limits: Lim
     failure: SimulationError | None = None
     try:
         rows = Rows(mapped, beside, progress.made, progress.doing, _store_loop)
-        results = _run(system, steps, h, obey if observed else None, rows)
+        inbox = Inbox(FileChannel(table.parent, progress)) if observed else None
+        results = _run(system, steps, h, obey if observed else None, rows, inbox)
     except StoppedRun as run:
         results, failure = run.results, run.error
     except OSError as error:
@@ -170,7 +183,6 @@ def simulate_apart(
         FmuError: An FMU does not load.
     """
     columns, limits = len(system.columns), limits or Limits()
-    feed = _feed(observers, system, steps, h)
 
     def give(rows: int) -> None:
         feed(rows)
@@ -189,11 +201,12 @@ def simulate_apart(
     with ExitStack() as stack:
         worker.start()
         counters = worker.progress
-        counters.loop, counters.stop[0] = b"", 0
+        counters.loop, counters.stop[0], counters.hold[0], counters.sent[0] = b"", 0, 0, 0
         rows_folder, count = _allocate_rows((folder, Path(tempfile.gettempdir())), steps + 1, 8 * columns)
         stack.callback(rows_folder.remove)
         worker.take_along(rows_folder.path)
-        table = rows_folder.path / ROWS
+        table, channel = rows_folder.path / ROWS, FileChannel(rows_folder.path, counters)
+        feed = _feed(observers, system, steps, h, channel)
         if observers and columns:
             feed.table = np.memmap(table, np.float64, "r", shape=(count, columns))
         try:
@@ -207,6 +220,7 @@ def simulate_apart(
             end = WorkerEnd(failure=_convert_unexpected(error, watch, counters))
         done = counters.made[0]
         values, beside = read_table(table, done, columns), read_exact(table.with_name(BESIDE), done)
+        changes = channel.noted()
     feed.end(values)
     failure = end.failure or feed.failure
     time = system.start + h * np.arange(steps + 1, dtype=np.float64)
@@ -215,7 +229,7 @@ def simulate_apart(
     if failure is None and done == count <= steps:
         failure = _disk_full(time[count - 1].item(), count, steps + 1)
     loop = counters.loop.decode("utf-8", "ignore")
-    return SteppedRun(results_of(system, time[:done], values, beside, end.notes, loop), end.log, failure)
+    return SteppedRun(results_of(system, time[:done], values, beside, end.notes, loop), end.log, failure, changes)
 
 
 def _convert_unexpected(error: Exception, watch: Watch, counters: Progress) -> SimulationError:

@@ -135,6 +135,12 @@ def _why_no_number(variable: Any, kind: FmiType, value: Any) -> str:
     return ""
 
 
+def bounds_of(description: Any, variable: Any) -> tuple[float, float]:
+    """Return the bounds of a variable; infinite for text."""
+    kind = kinds_of(description.fmiVersion).get(variable.type)
+    return (-math.inf, math.inf) if kind is None or variable.type in NOT_NUMBERS else _bounds(variable, kind)
+
+
 def _bounds(variable: Any, kind: FmiType) -> tuple[float, float]:
     """Return the bounds of a variable.
 

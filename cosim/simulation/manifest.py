@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import platform
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import refuse
+from cosim.base.text import counted
 from cosim.base.version import __version__
+from cosim.master.inbox import Change
 from cosim.scenario.pinned import key_of, sha256
 from cosim.scenario.scenario import FmuComponent, Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation import messages
+from cosim.system.events import point_of, time_of
 from cosim.system.system import System
 
 SCHEMA_VERSION = 1
@@ -99,6 +102,28 @@ def manifest(
         "warnings": list(system.warnings),
         "criteria": [],
     }
+
+
+def add_changes(record: dict[str, Any], scenario: Scenario, changes: Sequence[Change]) -> None:
+    """Add the changes that were made while a run went on to its manifest, as events at the same points.
+
+    A repeated run sets the same values in the same order, so that it gives the same bytes.
+    """
+    if not changes:
+        return
+    events: list[dict[str, Any]] = record["scenario"].setdefault("events", [])
+    made = []
+    for change in changes:
+        times = [e["at"] for e in events if point_of(e["at"], scenario.start_time, scenario.step) == change.point]
+        at = max([time_of(change.point, scenario.start_time, scenario.step), *times])
+        values = {f"{name}.{variable}": v for name, values in change.values.items() for variable, v in values.items()}
+        made.append({"at": at, "set": values})
+        for event in events:  # Two events at one time cannot set a variable twice; the change came last.
+            if event["at"] == at:
+                event["set"] = {name: values.get(name, value) for name, value in event["set"].items()}
+        events.append({"at": at, "set": dict(values)})
+    record["changes"] = made
+    record["warnings"].append(messages.CHANGED_WHILE_RUNNING(count=counted(len(made), "change")))
 
 
 def software_versions() -> dict[str, Any]:

@@ -25,3 +25,6 @@ LONGER_DURATION = Template(
 LIMITS_NOT_WATCHED = Template("W-SIM-016", "limits are not watched where FMUs run in this process")
 COUPLING_ERROR_UNKNOWN = Template("W-SIM-017", "coupling error not known: with half the step {reason}")
 COUPLING_ERROR = Template("N-SIM-018", "half the step changes at most {changes}{steps}")
+CHANGED_WHILE_RUNNING = Template(
+    "N-SIM-019", "{count} made while it ran; the manifest holds them as events, so that it repeats the run"
+)

@@ -24,7 +24,7 @@ from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation import messages
 from cosim.simulation.criteria import evaluate
-from cosim.simulation.manifest import check_pinned, manifest, software_versions
+from cosim.simulation.manifest import add_changes, check_pinned, manifest, software_versions
 from cosim.simulation.packaged import is_ssp, lay_out
 from cosim.storage import kinds
 from cosim.storage.files import (
@@ -134,6 +134,7 @@ def run(
         if is_package:
             record["ssp"] = {"path": str(path.resolve()), "sha256": sha256(path)}
         record["warnings"] += warnings
+        add_changes(record, file.scenario, stepped.changes)
         _add_outcome(record, file.scenario, stepped, watched=worker is not None)
         files = _Files(place / rows_file, file.scenario, stepped, record)
         failure = files.write(report=report, figures=figures, keep=keep)

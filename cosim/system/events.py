@@ -3,18 +3,31 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
+from cosim.blocks.description import enumeration_items, unit_of
 from cosim.blocks.faults import steps_in
 from cosim.blocks.fmu import FmuBlock
 from cosim.scenario.diagnosis import Diagnosis
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.scenario.start_values import Misfit, convert_value
+from cosim.scenario.start_values import Misfit, bounds_of, convert_value
 from cosim.storage.yaml_file import did_you_mean
 from cosim.system import messages
 
 Events = Mapping[int, Mapping[str, Mapping[str, Any]]]  # communication point → component → variable → value
+
+
+def point_of(at: float, start: float, step: float) -> int:
+    """Return the first communication point at or after a time [s]."""
+    return math.ceil(steps_in(at - start, step) - 1e-9)
+
+
+def time_of(point: int, start: float, step: float) -> float:
+    """Return a time [s] of an event that acts at a communication point."""
+    at = start + point * step
+    return at if point_of(at, start, step) == point else start + (point - 0.5) * step  # rounding of a late start
 
 
 def changes_of(file: ScenarioFile, blocks: Mapping[str, FmuBlock], diagnosis: Diagnosis) -> Events:
@@ -24,12 +37,12 @@ def changes_of(file: ScenarioFile, blocks: Mapping[str, FmuBlock], diagnosis: Di
     """
     scenario = file.scenario
     changes: dict[int, dict[str, dict[str, Any]]] = {}
-    connected = {c.target for c in scenario.connections}
-    variables = {name: {v.name: v for v in block.description.modelVariables} for name, block in blocks.items()}
+    descriptions = {name: block.description for name, block in blocks.items()}
+    targets = Targets(descriptions, {c.target for c in scenario.connections})
     values: dict[tuple[float, str], Any] = {}
     events = zip(file.places["events"], scenario.events, strict=True)
     for k, event in sorted(events, key=lambda placed: placed[1].at):
-        point = math.ceil(steps_in(event.at - scenario.start_time, scenario.step) - 1e-9)
+        point = point_of(event.at, scenario.start_time, scenario.step)
         if not 0 <= point <= scenario.steps:
             end = scenario.start_time + scenario.duration
             message = messages.EVENT_OUTSIDE_RUN(time=event.at, start=scenario.start_time, end=end)
@@ -37,7 +50,7 @@ def changes_of(file: ScenarioFile, blocks: Mapping[str, FmuBlock], diagnosis: Di
             continue
         for target, written in event.set.items():
             name, _, variable = target.partition(".")
-            value = _value(blocks, variables, connected, target, written)
+            value = targets.value(target, written)
             if isinstance(value, Misfit):
                 diagnosis.note(("events", k, "set", target), value.reason)
             elif (first := values.setdefault((event.at, target), value)) != value:
@@ -48,32 +61,85 @@ def changes_of(file: ScenarioFile, blocks: Mapping[str, FmuBlock], diagnosis: Di
     return changes
 
 
-def _value(
-    blocks: Mapping[str, FmuBlock],
-    variables_of: Mapping[str, Mapping[str, Any]],
-    connected: Collection[str],
-    target: str,
-    written: Any,
-) -> Any:
-    """Return the value of an event in the variable's FMI type, or the reason for a refusal."""
-    name, _, variable_name = target.partition(".")
-    block = blocks.get(name)
-    if block is None:
-        return Misfit(messages.NO_FMU_OF_NAME(name=name, hint=did_you_mean(name, blocks)))
-    variables = variables_of[name]
-    variable = variables.get(variable_name)
-    if variable is None:
-        hint = did_you_mean(variable_name, [n for n, v in variables.items() if _is_changeable(v)])
-        return Misfit(messages.NO_VARIABLE(component=name, name=variable_name, hint=hint))
-    if not _is_changeable(variable):
-        kind = {"variability": variable.variability, "causality": variable.causality}
-        return Misfit(messages.NOT_CHANGEABLE(name=target, **kind))
-    if target in connected or target.partition("[")[0] in connected:
-        return Misfit(messages.SET_AND_CONNECTED(name=target))
-    value = convert_value(block.description, variable, written)
-    if isinstance(value, Misfit):
-        return Misfit(messages.VALUE_MISFIT(name=target, value=written, reason=value.reason))
-    return value
+@dataclass(frozen=True)
+class Variable:
+    """A variable that can be changed during a run.
+
+    Attributes:
+        name: Name `component.variable`.
+        is_input: Whether it is an input, recorded in the rows, and not a parameter.
+        kind: FMI type.
+        start: Value at the start of the run, None if the FMU does not declare it.
+        bounds: Least and largest value.
+        items: Name → number of an enumeration.
+        shape: Lengths of an array, empty for a scalar.
+    """
+
+    name: str
+    is_input: bool
+    kind: str
+    unit: str
+    start: Any
+    bounds: tuple[float, float]
+    items: Mapping[str, int]
+    shape: Sequence[int]
+    description: str
+
+
+class Targets:
+    """Variables that may be set during a run: tunable parameters and unconnected inputs of FMUs.
+
+    Args:
+        descriptions: FMU → model description.
+        connected: Names of connected inputs, or of their arrays.
+    """
+
+    def __init__(self, descriptions: Mapping[str, Any], connected: Collection[str]) -> None:
+        self._descriptions, self._connected = descriptions, connected
+        self._variables = {name: {v.name: v for v in d.modelVariables} for name, d in descriptions.items()}
+
+    def value(self, target: str, written: Any) -> Any:
+        """Return a value in the FMI type of the variable `component.variable`, or a `Misfit` with the reason."""
+        name, _, variable_name = target.partition(".")
+        description = self._descriptions.get(name)
+        if description is None:
+            return Misfit(messages.NO_FMU_OF_NAME(name=name, hint=did_you_mean(name, self._descriptions)))
+        variables = self._variables[name]
+        variable = variables.get(variable_name)
+        if variable is None:
+            hint = did_you_mean(variable_name, [n for n, v in variables.items() if _is_changeable(v)])
+            return Misfit(messages.NO_VARIABLE(component=name, name=variable_name, hint=hint))
+        if not _is_changeable(variable):
+            kind = {"variability": variable.variability, "causality": variable.causality}
+            return Misfit(messages.NOT_CHANGEABLE(name=target, **kind))
+        if self._is_connected(target):
+            return Misfit(messages.SET_AND_CONNECTED(name=target))
+        value = convert_value(description, variable, written)
+        if isinstance(value, Misfit):
+            return Misfit(messages.VALUE_MISFIT(name=target, value=written, reason=value.reason))
+        return value
+
+    def variables(self, starts: Mapping[str, Mapping[str, Any]]) -> list[Variable]:
+        """Return all variables that may be set, with their start values in `starts` by component."""
+        return [
+            Variable(
+                f"{name}.{v.name}",
+                v.causality == "input",
+                v.type,
+                unit_of(v),
+                starts.get(name, {}).get(v.name, v.start),
+                bounds_of(self._descriptions[name], v),
+                enumeration_items(v),
+                tuple(v.shape or ()),
+                v.description or "",
+            )
+            for name, variables in self._variables.items()
+            for v in variables.values()
+            if _is_changeable(v) and not self._is_connected(f"{name}.{v.name}")
+        ]
+
+    def _is_connected(self, target: str) -> bool:
+        return target in self._connected or target.partition("[")[0] in self._connected
 
 
 def _is_changeable(variable: Any) -> bool:

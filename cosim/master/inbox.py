@@ -1,0 +1,238 @@
+"""Changes of parameters and inputs that arrive while a run is stepped, and pauses.
+
+The caller sends changes through a `Control`; the master takes them through an `Inbox` at its next look, at most
+`LOOK` [s] or `MOST_STEPS` steps later, and notes the communication point. An event at that point repeats the change.
+"""
+
+from __future__ import annotations
+
+import pickle
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+from cosim.base.errors import Fault, refuse
+from cosim.isolation.rows import NOTHING, Progress
+from cosim.scenario.start_values import Misfit
+from cosim.system.events import Targets, Variable
+from cosim.system.system import System
+
+Values = Mapping[str, Mapping[str, Any]]  # component → variable → value
+LOOK, MOST_STEPS = 0.01, 50  # [s] between looks, and steps
+PAUSE = 0.01  # [s] between looks during a pause
+
+
+@dataclass(frozen=True)
+class Change:
+    """Values set at a communication point."""
+
+    point: int
+    values: Values
+
+
+class Channel(Protocol):
+    """Way of changes from a caller to the master."""
+
+    paused: bool
+
+    def send(self, values: Values) -> None:
+        """Send values of the right types, from the caller."""
+
+    def receive(self) -> Sequence[Values]:
+        """Return the values sent since the last call, in the master."""
+
+    def note(self, change: Change) -> None:
+        """Note values that are set next, in the master."""
+
+    def noted(self) -> Sequence[Change]:
+        """Return all changes so far."""
+
+    def wait(self) -> None:
+        """Wait for the end of a pause, in the master."""
+
+
+@dataclass
+class MemoryChannel:
+    """A channel within a process."""
+
+    paused: bool = False
+    _sent: list[Values] = field(default_factory=list)
+    _noted: list[Change] = field(default_factory=list)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def send(self, values: Values) -> None:
+        """Send values."""
+        with self._lock:
+            self._sent.append(values)
+
+    def receive(self) -> Sequence[Values]:
+        """Return the values sent since the last call."""
+        with self._lock:
+            sent, self._sent = self._sent, []
+        return sent
+
+    def note(self, change: Change) -> None:
+        """Note values that are set next."""
+        self._noted.append(change)
+
+    def noted(self) -> Sequence[Change]:
+        """Return all changes so far."""
+        return tuple(self._noted)
+
+    def wait(self) -> None:
+        """Wait for the end of a pause."""
+        while self.paused:
+            time.sleep(PAUSE)
+
+
+class FileChannel:
+    """A channel between two processes, through files in a folder and shared counters.
+
+    A record is complete before a counter counts it. The noted changes survive a crash of the master.
+    """
+
+    def __init__(self, folder: Path, counters: Progress) -> None:
+        self._sent, self._noted, self._counters = folder / "sent", folder / "noted", counters
+        self._received = 0
+        self._lock = threading.Lock()
+
+    @property
+    def paused(self) -> bool:
+        """Return whether the run is to wait."""
+        return bool(self._counters.hold[0])
+
+    @paused.setter
+    def paused(self, on: bool) -> None:
+        self._counters.hold[0] = on
+
+    def send(self, values: Values) -> None:
+        """Send values."""
+        with self._lock:
+            _append(self._sent, values)
+            self._counters.sent[0] += 1
+
+    def receive(self) -> Sequence[Values]:
+        """Return the values sent since the last call."""
+        count = self._counters.sent[0]
+        if count == self._received:
+            return ()
+        every, self._received = [*_records(self._sent)][self._received : count], count
+        return every
+
+    def note(self, change: Change) -> None:
+        """Note values that are set next."""
+        _append(self._noted, change)
+
+    def noted(self) -> Sequence[Change]:
+        """Return all changes so far."""
+        return tuple(_records(self._noted))
+
+    def wait(self) -> None:
+        """Wait for the end of a pause, or for a requested end; meanwhile no call is running."""
+        counters = self._counters
+        if not counters.hold[0]:
+            return
+        doing, counters.doing[0] = counters.doing[0], NOTHING
+        while counters.hold[0] and not counters.stop[0]:
+            time.sleep(PAUSE)
+        counters.doing[0] = doing
+
+
+def _append(path: Path, record: Any) -> None:
+    with path.open("ab", buffering=0) as stream:
+        stream.write(pickle.dumps(record))
+
+
+def _records(path: Path) -> Iterator[Any]:
+    """Yield the complete records of a file."""
+    with suppress(FileNotFoundError, EOFError, pickle.UnpicklingError), path.open("rb") as stream:
+        while True:
+            yield pickle.load(stream)
+
+
+class Inbox:
+    """Received changes for the master."""
+
+    def __init__(self, channel: Channel) -> None:
+        self._channel = channel
+        self._point, self._due, self._time = 0, 0, -1.0
+
+    def next_look(self, k: int) -> int:
+        """Return the next point, from k on, at which to look; sooner if steps take long."""
+        if self._due < k:
+            now = time.perf_counter()
+            rate = (k - self._point) / max(now - self._time, 1e-9) if self._time >= 0.0 else 0.0  # [steps/s]
+            self._point, self._time = k, now
+            self._due = k - 1 + max(1, min(MOST_STEPS, int(LOOK * rate)))
+        return self._due
+
+    def take(self, k: int, events: Values) -> Values:
+        """Return the values to set at point k: those of events, and over them those received."""
+        self._channel.wait()
+        received = self._channel.receive()
+        if not received:
+            return events
+        changes = _merge(*received)
+        self._channel.note(Change(k, changes))
+        return _merge(events, changes)
+
+
+def _merge(*every: Values) -> Values:
+    """Return the values of all mappings; later ones take precedence."""
+    merged: dict[str, dict[str, Any]] = {}
+    for values in every:
+        for component, changes in values.items():
+            merged.setdefault(component, {}).update(changes)
+    return merged
+
+
+class Control:
+    """Control of a running simulation, for any thread.
+
+    Attributes:
+        variables: Tunable parameters and unconnected inputs, which `set` may change.
+    """
+
+    def __init__(self, system: System, channel: Channel) -> None:
+        self._channel = channel
+        names = {t.name for t in (*system.held, *(t for stage in system.stages for t in stage.pulls))}
+        self._targets = Targets({name: description for name, (_, description) in system.fmus.items()}, names)
+        starts = {s.component.name: getattr(s.component, "start_values", {}) for s in system.stages}
+        self.variables: Sequence[Variable] = self._targets.variables(starts)
+
+    def set(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Set variables at the next communication point; a value may be text with a unit, such as `12 deg`.
+
+        Returns:
+            The values in the variables' own units and types.
+
+        Raises:
+            InputError: Every fault of the values; none is set then.
+        """
+        converted = {target: self._targets.value(target, value) for target, value in values.items()}
+        faults = [Fault(Path(n), 0, 0, v.reason) for n, v in converted.items() if isinstance(v, Misfit)]
+        refuse(faults)
+        changes: dict[str, dict[str, Any]] = {}
+        for target, value in converted.items():
+            component, _, variable = target.partition(".")
+            changes.setdefault(component, {})[variable] = value
+        self._channel.send(changes)
+        return converted
+
+    @property
+    def paused(self) -> bool:
+        """Whether the run waits, or is to wait, at a communication point."""
+        return self._channel.paused
+
+    @paused.setter
+    def paused(self, on: bool) -> None:
+        self._channel.paused = on
+
+    @property
+    def changes(self) -> Sequence[Change]:
+        """Changes that the run has made so far."""
+        return self._channel.noted()

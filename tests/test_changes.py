@@ -1,0 +1,219 @@
+"""Changes made while a run goes on act at a communication point, and the manifest repeats them to the byte."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.base.arrays import Array
+from cosim.base.errors import InputError, SimulationError
+from cosim.isolation.rows import Progress
+from cosim.master.inbox import MOST_STEPS, Change, Control, FileChannel, Inbox, MemoryChannel
+from cosim.master.observer import ObservedRun, Observer
+from cosim.system.events import point_of, time_of
+from tests.deeds import deeds_fmu, deeds_scenario
+from tests.typed import typed_fmu
+
+STEPS = 60
+
+
+class Changer(Observer):
+    """Sends changes, each when the rows have reached a number; ends the run at a number of rows."""
+
+    def __init__(self, changes: Mapping[int, Mapping[str, Any]], end: int = 1 << 60) -> None:
+        self._changes, self._end, self._count = dict(changes), end, 0
+        self.control: Control | None = None
+        self.set: dict[str, Any] = {}
+
+    def begin(self, run: ObservedRun) -> None:
+        assert run.control is not None
+        self.control = run.control
+        self._send()
+
+    def _send(self) -> None:
+        assert self.control is not None
+        for point in [point for point in self._changes if point <= self._count]:
+            self.set |= self.control.set(self._changes.pop(point))
+
+    def rows(self, time: Array, values: Array) -> bool:
+        self._count += len(time)
+        self._send()
+        return self._count >= self._end
+
+
+def scenario(folder: Path, **more: Any) -> dict[str, Any]:
+    """Two typed FMUs in a row, inputs of the first free, and an FMU that takes 20 ms a step."""
+    typed_fmu(folder, units=("rpm", "rad/s"))
+    deeds_fmu(folder / "slow.fmu", "DoStep", "slow", 0)
+    parts = {name: {"fmu": str(folder / "typed.fmu")} for name in "ab"} | {"slow": {"fmu": str(folder / "slow.fmu")}}
+    links = [{"from": "a.r_out", "to": "b.r_in"}]
+    return {"name": "typed", "duration": STEPS * 0.01, "step": 0.01, "components": parts, "connections": links, **more}
+
+
+def repeated(folder: Path) -> dict[str, Any]:
+    """Repeat the run in `o`; its rows are the same bytes."""
+    again = cosim.run(folder / "o" / "manifest.json", folder / "again", report=False)
+    assert (folder / "again" / "results.csv").read_bytes() == (folder / "o" / "results.csv").read_bytes()
+    return dict(again.manifest)
+
+
+@pytest.mark.parametrize("in_process", [False, True])
+def test_a_change_shows_in_the_rows_and_the_manifest_repeats_the_run(tmp_path: Path, in_process: bool) -> None:
+    given = scenario(tmp_path, events=[{"at": 0.005, "set": {"a.gain": 2}}])
+    changer = Changer({0: {"a.r_in": "10 rad/s", "b.gain": 3.0}, 20: {"a.r_in": 5, "a.s_in": "x"}})
+    ran = cosim.run(given, tmp_path / "o", in_process=in_process, observers=[changer], report=False)
+    assert changer.set == {"a.r_in": 5.0, "b.gain": 3.0, "a.s_in": "x"}
+    changes = ran.manifest["changes"]
+    speed, (first, second) = ran["a.r_in"], (point_of(change["at"], 0.0, 0.01) for change in changes)
+    assert first == 0 < 20 <= second <= STEPS
+    assert changes[0]["set"] == {"a.r_in": pytest.approx(10 * 60 / (2 * np.pi)), "b.gain": 3.0}
+    assert changes[1]["set"] == {"a.r_in": 5.0, "a.s_in": "x"}
+    assert {*speed[:second]} == {changes[0]["set"]["a.r_in"]}
+    assert {*speed[second:]} == {5.0}
+    assert ran.results.exact["a.s_in"][second - 1 : second + 1] == ["", "x"]
+    assert [event["at"] for event in ran.manifest["scenario"]["events"]] == [0.005, *(c["at"] for c in changes)]
+    assert any("2 changes made while it ran" in warning for warning in ran.warnings)
+    again = repeated(tmp_path)
+    assert again["scenario"]["events"] == ran.manifest["scenario"]["events"]
+    assert "changes" not in again
+
+
+def test_a_change_in_the_loop_in_c_repeats_to_the_byte(tmp_path: Path) -> None:
+    path = deeds_scenario(tmp_path, "DoStep", "slow", 0, duration=STEPS * 0.1)
+    ran = cosim.run(path, tmp_path / "o", observers=[Changer({20: {"good.u0": 2.5}})], report=False)
+    assert ran.manifest["loop"] == "C"
+    (change,) = ran.manifest["changes"]
+    point = point_of(change["at"], 0.0, 0.1)
+    assert (*ran["good.u0"][point - 1 : point + 1],) == (0.0, 2.5)
+    repeated(tmp_path)
+
+
+def test_a_change_takes_precedence_over_an_event_at_the_same_point(tmp_path: Path) -> None:
+    given = scenario(tmp_path, events=[{"at": 0.01 * k, "set": {"a.r_in": k, "a.gain": 2}} for k in range(STEPS)])
+    ran = cosim.run(given, tmp_path / "o", observers=[Changer({9: {"a.r_in": -1}})], report=False)
+    (change,) = ran.manifest["changes"]
+    point = point_of(change["at"], 0.0, 0.01)
+    assert (*ran["a.r_in"][point : point + 2],) == (-1, point + 1)
+    repeated(tmp_path)
+
+
+def test_wrong_changes_are_refused_with_every_reason_and_nothing_is_set(tmp_path: Path) -> None:
+    faults: list[InputError] = []
+
+    class Wrong(Changer):
+        def rows(self, time: Array, values: Array) -> bool:
+            assert self.control is not None
+            wrong = {
+                "a.r_in": "5 kg", "a.e_in": 3, "a.b_in": 1, "b.r_in": 1, "a.warn_at": 1, "a.none": 1, "c.x": 1,
+                "a.gain": float("nan"), "a.i_in": 1.5,
+            }  # fmt: skip
+            try:
+                self.control.set({"a.s_in": "right", **wrong})
+            except InputError as error:
+                faults.append(error)
+            return True
+
+    ran = cosim.run(scenario(tmp_path), observers=[Wrong({})])
+    assert {str(f.file) for f in faults[0].faults} == {
+        "a.r_in", "a.e_in", "a.b_in", "b.r_in", "a.warn_at", "a.none", "c.x", "a.gain", "a.i_in",
+    }  # fmt: skip
+    assert set(ran.results.exact["a.s_in"]) == {""}
+    assert "changes" not in ran.manifest
+
+
+def test_what_can_be_changed_is_listed_with_unit_bounds_items_and_start(tmp_path: Path) -> None:
+    changer = Changer({}, end=1)
+    given = scenario(tmp_path)
+    given["components"]["a"]["start"] = {"gain": 4.0}
+    cosim.run(given, observers=[changer])
+    assert changer.control is not None
+    listed = {v.name: v for v in changer.control.variables if not v.name.startswith("slow.")}
+    assert {*listed} == {f"a.{n}" for n in ("r_in", "gain", "i_in", "e_in", "b_in", "s_in")} | {
+        f"b.{n}" for n in ("gain", "i_in", "e_in", "b_in", "s_in")
+    }
+    assert (listed["a.r_in"].unit, listed["a.r_in"].is_input) == ("rpm", True)
+    assert (listed["a.gain"].start, listed["a.gain"].is_input) == (4.0, False)
+    assert listed["a.e_in"].items == {"first": 1, "second": 2}
+    assert listed["a.i_in"].bounds == (-(2**31), 2**31 - 1)
+
+
+def test_a_pause_holds_the_run_and_no_time_limit_counts_it(tmp_path: Path) -> None:
+    seen: list[int] = []
+
+    class Pauser(Changer):
+        def begin(self, run: ObservedRun) -> None:
+            super().begin(run)
+            assert self.control is not None
+            self.control.paused = True
+            threading.Timer(1.0, self.go_on).start()
+
+        def go_on(self) -> None:
+            assert self.control is not None
+            seen.append(self._count)
+            self.control.paused = False
+
+    limits = "{step: 0.5 s, total: 0.9 s}"
+    path = deeds_scenario(tmp_path, "none", "none", limits=limits)
+    ran = cosim.run(path, observers=[Pauser({})])
+    assert seen == [0]  # nothing before the end of the pause
+    assert len(ran.time) == 11
+
+
+def test_an_observer_ends_a_paused_run(tmp_path: Path) -> None:
+    class Ender(Changer):
+        def rows(self, time: Array, values: Array) -> bool:
+            assert self.control is not None
+            self.control.paused = True
+            return True
+
+    path = deeds_scenario(tmp_path, "DoStep", "slow", 0, duration=100.0)
+    ran = cosim.run(path, observers=[Ender({})])
+    assert 1 <= len(ran.time) < 1000
+
+
+def test_changes_before_a_crash_are_in_the_manifest(tmp_path: Path) -> None:
+    path = deeds_scenario(tmp_path, "DoStep", "segfault", 20, duration=4.0)
+    with pytest.raises(SimulationError, match="segmentation"):
+        cosim.run(path, tmp_path / "o", observers=[Changer({0: {"good.u0": 2.0}})], report=False)
+    manifest = json.loads((tmp_path / "o" / "manifest.json").read_text())
+    assert manifest["changes"] == [{"at": 0.0, "set": {"good.u0": 2.0}}]
+
+
+def test_slow_steps_are_looked_at_one_by_one_and_fast_ones_seldom() -> None:
+    inbox = Inbox(MemoryChannel())
+    assert inbox.next_look(1) == 1
+    time.sleep(0.03)
+    assert inbox.next_look(2) == 2  # a step takes longer than the time between looks
+    assert inbox.next_look(2) == 2
+    point = 1000
+    assert point <= (due := inbox.next_look(point)) <= point + MOST_STEPS - 1
+    assert inbox.next_look(due) == due
+
+
+@pytest.mark.parametrize("kind", ["memory", "file"])
+def test_a_channel_hands_on_each_value_once_in_order(tmp_path: Path, kind: str) -> None:
+    counters = Progress()
+    here = MemoryChannel() if kind == "memory" else FileChannel(tmp_path, counters)
+    there = here if kind == "memory" else FileChannel(tmp_path, counters)
+    inbox = Inbox(there)
+    events = {"a": {"x": 1, "y": 2}}
+    assert inbox.take(3, events) is events
+    here.send({"a": {"x": 5}})
+    here.send({"b": {"z": 6}, "a": {"x": 7}})
+    assert inbox.take(4, events) == {"a": {"x": 7, "y": 2}, "b": {"z": 6}}
+    assert inbox.take(5, {}) == {}
+    assert [*here.noted()] == [Change(4, {"a": {"x": 7}, "b": {"z": 6}})]
+
+
+@pytest.mark.parametrize(("start", "step"), [(0.0, 0.1), (0.3, 0.1), (1e6, 1e-3), (-7.7, 1 / 3), (1e9, 1e-3)])
+def test_the_time_of_a_point_leads_back_to_the_point(start: float, step: float) -> None:
+    for point in (0, 1, 3, 7, 12_345, 999_999):
+        assert point_of(time_of(point, start, step), start, step) == point
