@@ -252,14 +252,14 @@ def sentence(c: Compared) -> str:
     count, different = len(c.differences), sum(d.largest > 0 for d in c.differences)
     of_both = " that both have" if c.only_a else ""
     every = f"All {counted(count, 'signal')}{of_both} are" if count > 1 else ""
-    most = _describe_largest(max(c.differences, key=lambda d: d.share))
+    most = describe_largest(max(c.differences, key=lambda d: d.share))
     if not different:
         where = "in every row" if c.aligned else "at the times of a, and between them nowhere outside of it"
         text = f"{every or f'The signal{of_both} is'} equal {where}."
     elif not c.judged:
         text = f"{different} of {counted(count, 'signal')} {_differ(different)}; {most}."
     elif c.beyond:
-        beyond, largest = len(c.beyond), _describe_largest(c.beyond[0])
+        beyond, largest = len(c.beyond), describe_largest(c.beyond[0])
         text = f"{beyond} of {counted(count, 'signal')} {_are(beyond)} beyond the tolerance; {largest}."
     else:
         text = f"{every} within the tolerance; {most}." if every else f"Within the tolerance: {most}."
@@ -268,7 +268,8 @@ def sentence(c: Compared) -> str:
     return text + (f" {c.shorter}." if c.shorter else "")
 
 
-def _describe_largest(d: Difference) -> str:
+def describe_largest(d: Difference) -> str:
+    """Return a phrase on the largest difference of a signal."""
     if not d.alike:
         return f"{d.name} is {d.note}"
     if not math.isfinite(d.share):

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from shutil import copyfile
 
+from cosim.base.drafts import draft_of
 from cosim.base.registry import is_model, model_entry, resolve
+from cosim.base.scratch import temporary_folder
 from cosim.base.settings import ModelName
 from cosim.loading.file import meant_model
+from cosim.loading.own_experiment import carry_experiment
 from cosim.loading.substep import with_substep
 from cosim.storage.files import FilePath, check_folder, named_path
 from cosim.storage.folder_lock import folder_locks
+
+PLANT = "plant.fmu"
 
 
 @folder_locks()
@@ -49,11 +55,18 @@ def build(
 
         return [fmu.path for fmu in build_native(folder, model, nearest=nearest, fmi=fmi, platforms=platforms)]
 
+    loaded, _ = with_substep(meant_model(model, nearest=nearest))
     if model is None and not nearest:
         recipes = {name: resolve(recipe)() for name, recipe in model_entry().built.items()}
     else:
-        loaded, _ = with_substep(meant_model(model, nearest=nearest))
-        recipes = {"plant.fmu": loaded.recipe()}
+        recipes = {PLANT: loaded.recipe()}
         if is_model(loaded.source):
             recipes |= {name: resolve(recipe)() for name, recipe in model_entry(loaded.source).beside.items()}
-    return [build_fmu(recipe, folder / name) for name, recipe in recipes.items()]
+    with temporary_folder("build") as drafts:
+        for name, recipe in recipes.items():
+            draft = build_fmu(recipe, drafts / name)
+            if name == PLANT:
+                carry_experiment(draft, loaded.model)
+            with draft_of(folder / name) as target:
+                copyfile(draft, target)
+    return [folder / name for name in recipes]

@@ -104,6 +104,7 @@ class StudyFile(BaseModel):
     groups:     Name → logs with common values of per_log.
     limits:     Limits of each FMU call in replays.
     terms:      File with further terms for an FMU, subclasses of `cosim.terms.Force`, `InputTerm` or `RateTerm`.
+    carry_logs: Whether the refined FMU carries the validation logs, with the errors before and after.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -124,6 +125,7 @@ class StudyFile(BaseModel):
     groups: dict[str, list[FileName]] = {}
     limits: Limits | None = None
     terms: FileName = ""
+    carry_logs: bool = False
 
     def find_interpolated(self, subject: Subject) -> frozenset[str]:
         """Return the interpolated inputs."""

@@ -37,6 +37,7 @@ from cosim.refinement.decision.evidence import (
 from cosim.refinement.decision.judgement import BETTER, decide
 from cosim.refinement.decision.sentences import floor_warning
 from cosim.refinement.decision.trust import attribute
+from cosim.refinement.proof.carried import carry_sealed_logs
 from cosim.refinement.proof.measure import FLOOR_SEED, final_log_parameters, noise_floor, rmse
 from cosim.refinement.proof.nearest import ladder, nearest
 from cosim.refinement.proof.prediction_fit import compare_with_predictions
@@ -149,6 +150,9 @@ def refine(
         with atomic_write(scratch / ANSWER) as stream:
             json.dump(written.model_dump(mode="json"), stream, indent=2, ensure_ascii=False, allow_nan=False)
             stream.write("\n")
+        if study.content.carry_logs and sealed:
+            fmus = [path for path in files if path.suffix == ".fmu"]
+            carry_sealed_logs(fmus, sealed, written.model_dump(mode="json"))
         with delay_stops():
             if keep:
                 keep_earlier(folder, "cosim refine")

@@ -31,7 +31,7 @@ MAX_CALL_TIME = 60.0  # allowed time [s] of a call during the trial of an FMU
 STEP, STEPS = 0.01, 500  # step [s] without a default experiment, and steps in an experiment without step size
 
 
-def check_fmu_file(path: Path, checking: Checking) -> list[str]:
+def check_loaded_fmu(path: Path, checking: Checking) -> list[str]:
     """Return violations of FMI rules; raise InputError if the FMU cannot be run."""
     refuse(check_fmu(path, checking.worker))
     # FMPy's findings are about a readable FMU, as accepted by importing tools.

@@ -18,6 +18,7 @@ from cosim.kernel.nameless import bases
 from cosim.kernel.settling import settling
 from cosim.loading.build_native import class_fmu
 from cosim.loading.file import LoadedModel, write_model
+from cosim.loading.own_experiment import carry_experiment
 from cosim.loading.own_run import predicted_outputs, shown_states
 from cosim.loading.refined import NEAREST, REFINED
 from cosim.logs.log import Log
@@ -167,7 +168,7 @@ class ModelSubject(Subject):
             copyfile(self.fmu, fmu)
         else:
             self.fmu = build(self.loaded.recipe(), fmu)
-        return yaml, fmu
+        return yaml, carry_experiment(fmu, self.model)
 
     def use(self, folder: Path) -> list[str]:
         """Return a command line for the FMU, with design of a controller if the model has a designer.

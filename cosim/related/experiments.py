@@ -1,0 +1,129 @@
+"""Experiments that an FMU carries, run and compared with their expected results."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from cosim.authoring.draft import write_single
+from cosim.authoring.parts import parts_of
+from cosim.base.errors import CosimError, Fault
+from cosim.base.text import amount, counted
+from cosim.comparison.differences import Compared, compare_runs, describe_largest
+from cosim.fmi.related_files import FOLDER, Experiment, member_of
+from cosim.related import messages
+from cosim.related.expected import in_form_of
+from cosim.simulation.run_files import RecordedRun, read_ran
+from cosim.simulation.workflow import run
+from cosim.ssp.parameter_sets import read_parameter_file
+from cosim.ssp.ssp_package import Package
+
+MAX_LISTED = 5  # names of signals in a message
+LIMITS = {"limits.step": 60.0, "limits.total": 600.0}  # [s] of an experiment, which may be too long for its FMU
+TOLERANCE = 0.01  # share of a signal's range; FMI-LS-REF defines none
+VALIDATION = "experiment/validation"  # role of measured results, which no FMU reproduces within TOLERANCE
+NOT_MET = 5  # exit code
+
+
+@dataclass(frozen=True)
+class Carried:
+    """An experiment of an FMU.
+
+    Attributes:
+        fmu: The FMU.
+        folder: Folder into which the FMU is unpacked.
+        base: Folder within the archive that its URIs are relative to.
+        role: Role of the file that describes it.
+    """
+
+    fmu: Path
+    folder: Path
+    experiment: Experiment
+    base: str = FOLDER
+    role: str = "experiment"
+
+    @property
+    def title(self) -> str:
+        """Return the name for messages."""
+        return f'experiment "{self.experiment.name}"'
+
+    def path(self, uri: str) -> Path | None:
+        """Return the unpacked file of a URI; None for "" or a URI outside the archive."""
+        member = member_of(self.base, uri)
+        return None if member is None else self.folder / member
+
+
+def run_experiment(carried: Carried, out: Path) -> tuple[list[str], list[Fault]]:
+    """Run an experiment in a folder and compare it with its expected results.
+
+    Returns:
+        Notes, and the faults: a failure, or deviations beyond the tolerance.
+    """
+    try:
+        results = _simulate(carried, out)
+        references = carried.path(carried.experiment.references)
+        if references is None:
+            return [messages.NOTHING_EXPECTED(experiment=carried.title)], []
+        expected = read_ran(references)
+        rows, missing = in_form_of(results.results, expected.results)
+        notes, faults = _judge(carried, compare_runs(replace(expected, results=rows), results, TOLERANCE))
+        if missing:
+            names = ", ".join(missing[:MAX_LISTED]) + (", …" if len(missing) > MAX_LISTED else "")
+            left_out = messages.NOT_IN_FMU(experiment=carried.title, count=counted(len(missing), "signal"), names=names)
+            notes = [left_out.after("warning: "), *notes]
+        return notes, faults
+    except CosimError as error:
+        message = messages.FAILED.around(_within(carried, str(error)), experiment=carried.title)
+        return [], [Fault(carried.fmu, 0, 0, message, error.exit_code)]
+
+
+def _simulate(carried: Carried, out: Path) -> RecordedRun:
+    """Return the run of an experiment, with the FMU's own names of signals."""
+    asked = carried.experiment
+    parameters, stimuli = carried.path(asked.parameters), carried.path(asked.stimuli)
+    package = Package(carried.fmu, carried.folder, carried.folder, packed=True)
+    start = {} if parameters is None else read_parameter_file(package, str(parameters.relative_to(carried.folder)))
+    path, _ = write_single(out, carried.fmu, start, stimuli, stop=asked.stop, step=asked.step)
+    (part,) = parts_of([carried.fmu])
+    settings = LIMITS | {"start_time": asked.start, f"components.{part.name}.tolerance": asked.tolerance}
+    changes = [f"{key}={value!r}" for key, value in settings.items() if value is not None]
+    results = run(path, out, changes, report=False).results
+    prefix = f"{part.name}."
+    columns = tuple(name.removeprefix(prefix) for name in results.columns)
+    exact = {name.removeprefix(prefix): values for name, values in results.exact.items()}
+    units = {name.removeprefix(prefix): unit for name, unit in results.units.items()}
+    return RecordedRun(carried.fmu, "the FMU", replace(results, columns=columns, exact=exact, units=units))
+
+
+def _judge(carried: Carried, compared: Compared) -> tuple[list[str], list[Fault]]:
+    """Return the comparison with the expected results as notes or as a fault."""
+    title, differences = carried.title, compared.ranking
+    if carried.role == VALIDATION:
+        rms = {name: float(np.sqrt(np.nanmean((b - a) ** 2))) for name, (a, b) in compared.values.items()}
+        errors = ", ".join(f"{d.name} {amount(rms[d.name], d.unit)}" for d in compared.differences if d.name in rms)
+        return [messages.MEASURED(experiment=title, errors=errors)], []
+    largest = describe_largest(differences[0]) if differences[0].largest else "no difference"
+    if compared.same:
+        count = counted(len(differences), "signal")
+        return [messages.REPRODUCED(experiment=title, count=count, share=100 * TOLERANCE, largest=largest)], []
+    reasons = _within(carried, ", ".join(compared.reasons))
+    message = messages.DEVIATES(experiment=title, reasons=reasons, largest=largest)
+    return [], [Fault(carried.fmu, 0, 0, message, NOT_MET)]
+
+
+def _within(carried: Carried, text: str) -> str:
+    """Return a text with the names of files as they are in the archive."""
+    return text.replace(f"{carried.folder}/", "")
+
+
+def with_default(fmu: Path, folder: Path, source: str) -> Carried:
+    """Return the default experiment of an FMU with a file of expected results."""
+    return Carried(fmu, folder, Experiment("default experiment", references=source), role="result")
+
+
+def labels_text(labels: Sequence[tuple[str, str]]) -> str:
+    """Return labels for a message."""
+    return "".join(f", {name}" for name, _ in labels)
