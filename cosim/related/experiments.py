@@ -15,7 +15,7 @@ from cosim.base.text import amount, counted
 from cosim.comparison.differences import Compared, compare_runs, describe_largest
 from cosim.fmi.related_files import FOLDER, Experiment, member_of
 from cosim.related import messages
-from cosim.related.expected import in_form_of
+from cosim.related.expected_results import in_form_of
 from cosim.simulation.run_files import RecordedRun, read_ran
 from cosim.simulation.workflow import run
 from cosim.ssp.parameter_sets import read_parameter_file
