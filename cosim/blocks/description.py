@@ -15,7 +15,7 @@ from cosim.blocks import messages
 from cosim.blocks.component import SI
 from cosim.blocks.guard import check_fmu_file, check_identifiers, check_numbers, reason_of
 
-Way = Literal["co-simulation", "model-exchange"]
+Way = Literal["co-simulation", "model-exchange", "scheduled-execution"]
 PLATFORMS, SOURCES = "binaries/", "sources/"
 LIBRARIES, C, CPP = (".so", ".dll", ".dylib"), (".c",), (".cpp", ".cc", ".cxx", ".c++")  # file endings
 C_CODE = "c-code"  # name of the source platform in FMI
@@ -23,10 +23,13 @@ MOST_ELEMENTS = 1_000_000  # elements of an array; each gets a name
 _slips: WeakKeyDictionary[Any, tuple[str, ...]] = WeakKeyDictionary()
 
 
-def read_description(path: Path) -> Any:
+def read_description(path: Path, *, scheduled: bool = False) -> Any:
     """Return FMPy's model description of a runnable FMU.
 
     Violations of the schema alone are accepted; see `slips_of`.
+
+    Args:
+        scheduled: Whether an FMU for scheduled execution only is accepted; scenarios run it.
 
     Raises:
         FmuError: The FMU is invalid or cannot be run.
@@ -50,8 +53,11 @@ def read_description(path: Path) -> Any:
             size = "×".join(map(str, variable.shape))
             text = messages.ARRAY_TOO_LARGE(file=path, variable=variable.name, size=size, limit=MOST_ELEMENTS)
             raise FmuError(text)
-    if not ways(description):
+    offered = ways(description)
+    if not offered:
         raise FmuError(messages.UNSUPPORTED_INTERFACE(file=path, interface=_kind(description)))
+    if offered == ("scheduled-execution",) and not scheduled:
+        raise FmuError(messages.SCHEDULED_ONLY(file=path))
     _slips[description] = slips
     return description
 
@@ -67,6 +73,8 @@ def ways(description: Any) -> tuple[Way, ...]:
     if version not in {"1.0", "2.0", "3.0"} and not version.startswith("3.0."):
         return ()
     parts: dict[Way, Any] = {"co-simulation": description.coSimulation, "model-exchange": description.modelExchange}
+    if version.startswith("3"):
+        parts["scheduled-execution"] = description.scheduledExecution
     return tuple(way for way, part in parts.items() if part is not None)
 
 

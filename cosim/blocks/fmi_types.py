@@ -78,6 +78,7 @@ FAMILIES = {
     "Boolean": "boolean",
     "String": "text",
     "Binary": "binary",
+    "Clock": "clock",
     "": "number",  # of a reference or a recording; fits if its values do
 }
 FLOWS = {  # allowed connections: no value may be lost
@@ -86,6 +87,7 @@ FLOWS = {  # allowed connections: no value may be lost
     "boolean": {"boolean", "whole", "real"},
     "text": {"text"},
     "binary": {"binary"},
+    "clock": {"clock"},
     "number": {"real", "whole", "boolean"},
 }
 

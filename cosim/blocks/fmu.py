@@ -50,6 +50,9 @@ CALLS: dict[tuple[str, Way], type[Calls]] = {
 class FmuBlock:
     """An FMU instance as a component.
 
+    Attributes:
+        clock_types: Types of variables that are neither set nor read like others, but known.
+
     Args:
         connected: Names of connected inputs; the rest keep their start values.
         way: Co-simulation or model exchange; None prefers co-simulation.
@@ -59,6 +62,8 @@ class FmuBlock:
         solver: Solver for model exchange.
         compiles: Whether sources may be compiled for a missing library; None for the current permission.
     """
+
+    clock_types: frozenset[str] = frozenset()
 
     def __init__(
         self,
@@ -88,7 +93,7 @@ class FmuBlock:
             compiles=compiles,
         )
         self._recipe = make, (name, path, description, start, connected)
-        self._calls = CALLS[description.fmiVersion[0], way or ways(description)[0]](name, description)
+        self._calls = self._make_calls(way)
         self._calls.tolerance = default_tolerance(description) if tolerance is None else tolerance
         if isinstance(self._calls, ModelExchange2):
             self._calls.solver_name = solver
@@ -96,10 +101,17 @@ class FmuBlock:
         # With equal steps, a replay of a run of pythonfmu's FMUs repeats the run bit for bit.
         self.nominal_step = self.instance.by_pythonfmu
         self._variables = {v.name: v for v in description.modelVariables}
-        self._ports = ports = Ports(description, connected, recorded, self._optional(connected | start.keys()))
+        self._ports = ports = self._make_ports(recorded)
         self.inputs, self.outputs = ports.inputs, ports.outputs
         self.exact_inputs, self.exact_outputs = ports.exact_inputs, ports.exact_outputs
         self._values = Values(self.instance, ports)
+
+    def _make_calls(self, way: Way | None) -> Calls:
+        return CALLS[self.description.fmiVersion[0], way or ways(self.description)[0]](self.name, self.description)
+
+    def _make_ports(self, recorded: frozenset[str]) -> Ports:
+        optional = self._optional(self.connected | self.start_values.keys())
+        return Ports(self.description, self.connected, recorded, optional)
 
     def __reduce__(self) -> tuple[Callable[..., FmuBlock], tuple[Any, ...]]:
         """Return a recipe for an instance in another process."""
@@ -154,7 +166,7 @@ class FmuBlock:
         if slips := slips_of(self.description):
             more = f" (and {len(slips) - 1} more)" if len(slips) > 1 else ""
             warnings.append(messages.SCHEMA_VIOLATION(file=self.path.name, violation=slips[0], more=more))
-        if types := {v.type for v in self.description.modelVariables} - self._ports.kinds.keys():
+        if types := {v.type for v in self.description.modelVariables} - self._ports.kinds.keys() - self.clock_types:
             warnings.append(messages.UNSUPPORTED_TYPES(types=", ".join(sorted(types))))
         return tuple(warning.after(f"{self.name}: ") for warning in warnings)
 

@@ -179,6 +179,11 @@ class Instance:
                 self.fmu.setFMUstate(state)
                 self.fmu.freeFMUstate(state)
 
+    def free_state(self, state: Any) -> None:
+        """Free a state that is not restored."""
+        with self.check_calls():
+            (self.fmu.freeFMUState if self.fmi3 else self.fmu.freeFMUstate)(state)
+
     # -- messages -------------------------------------------------------------------------
 
     def listen(self, status: int, message: bytes | None) -> None:

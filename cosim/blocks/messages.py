@@ -18,6 +18,10 @@ UNSUPPORTED_INTERFACE = Template(
     "E-BLK-007", "{file} is {interface}; FMI 1.0, 2.0 and 3.0 for co-simulation or model exchange are run here"
 )
 
+SCHEDULED_ONLY = Template(
+    "E-BLK-070", "{file} is for scheduled execution, which a scenario runs (components: {{name: {{fmu: FILE}}}})"
+)
+
 # -- loading its library ---------------------------------------------------------------------------
 
 NOT_LOADED = Template("E-BLK-008", "{file} does not load: {error}")
@@ -169,4 +173,14 @@ SLOPES_NOT_FINITE = Template(
     "E-BLK-058",
     "the slopes of its derivatives or outputs are not finite at these states and inputs; choose another operating "
     "point",
+)
+
+# -- event mode and clocks ---------------------------------------------------------------------------
+
+BAD_INTERVAL = Template(
+    "E-BLK-071", "its interval is {interval:g} s; a periodic clock needs one above 0, another clock one of 0 or more"
+)
+TWICE_AT_ONCE = Template(
+    "W-BLK-072",
+    "clock {clock} was due twice at t = {time:.6g} s; FMI allows one activation at a time, so one is left out",
 )

@@ -80,8 +80,7 @@ class Values:
                 self.raise_not_finite(values)
         if self._other_gets:
             for exchange in self._other_gets:
-                self.read_in(exchange)
-                self._check_finite(exchange)
+                self.get_from(exchange)
 
     @property
     def direct_arguments(self) -> tuple[Arguments | None, Arguments] | None:
@@ -94,7 +93,7 @@ class Values:
         return self._put_arguments, self._get_arguments
 
     def _put_if_changed(self) -> None:
-        values = [self._target(e)[e.places] for e in self.ports.fed]
+        values = [self.content(e) for e in self.ports.fed]
         if values == self.watched:
             return
         self.watched = values
@@ -107,7 +106,7 @@ class Values:
             if status:
                 self.instance.judge(self.setter, status)
         for exchange in self._other_puts:
-            self._write(exchange)
+            self.put_in(exchange)
 
     # -- single exchanges -------------------------------------------------------------------------
 
@@ -124,9 +123,19 @@ class Values:
             self.instance.judge(f"{self._calls.prefix}Get{function}", status)
         self._target(exchange)[exchange.places] = exchange.decode()
 
-    def _write(self, exchange: Exchange) -> None:
+    def get_from(self, exchange: Exchange) -> None:
+        """Read values of the FMU; raise SimulationError if an output is not finite."""
+        self.read_in(exchange)
+        self._check_finite(exchange)
+
+    def content(self, exchange: Exchange) -> list[Any]:
+        """Return the values of an exchange, from the row or beside it."""
+        values: list[Any] = self._target(exchange)[exchange.places]
+        return values
+
+    def put_in(self, exchange: Exchange) -> None:
         """Write values to the FMU."""
-        function, values = exchange.kind.function, self._target(exchange)[exchange.places]
+        function, values = exchange.kind.function, self.content(exchange)
         if exchange.buffer is None:
             with self.instance.check_calls():
                 self.instance.fmu.setBinary(exchange.vrs, values)
@@ -208,7 +217,7 @@ class Values:
         if reason == StopReason.NOT_FINITE:
             self._check_finite(read[plan.moving])
         elif reason == StopReason.UNFIT:
-            self._write(fed[plan.moving])
+            self.put_in(fed[plan.moving])
         else:
             verb, exchanges = ("Set", fed) if plan.called == PUT else ("Get", read)
             self.instance.judge(f"{self._calls.prefix}{verb}{exchanges[plan.moving].kind.function}", plan.status)

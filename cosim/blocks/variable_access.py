@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from typing import Any
 
 from cosim.blocks.component import Signal
@@ -20,6 +20,12 @@ class Ports:
         unfed: Unconnected inputs.
         read: Variables to read after each step: outputs, then recorded variables.
         inward: Variables to set: all inputs except unconnected optional ones.
+        clock_inputs: Triggered clocks; their places, behind the inputs, hold the number of ticks.
+        clock_outputs: All other clocks, likewise behind the outputs.
+
+    Args:
+        part: Function of a variable; variables of different parts are moved by calls of their own.
+        clocks: Signals of triggered input clocks, and of all other clocks.
     """
 
     def __init__(
@@ -28,8 +34,12 @@ class Ports:
         connected: frozenset[str],
         recorded: frozenset[str],
         optional: frozenset[str] = frozenset(),
+        *,
+        part: Callable[[Any], Hashable] = lambda variable: None,
+        clocks: tuple[tuple[Signal, ...], tuple[Signal, ...]] = ((), ()),
     ) -> None:
-        self.description = description
+        self.description, self._part = description, part
+        self.clock_inputs, self.clock_outputs = clocks
         self.kinds, self.fmi3 = kinds_of(description.fmiVersion), description.fmiVersion.startswith("3")
         supported = [v for v in description.modelVariables if v.type in self.kinds]
         inputs = [v for v in supported if v.causality == "input" and v.name not in optional - connected]
@@ -43,18 +53,21 @@ class Ports:
         self.unfed = self._exchanges(unfed)
         self.read = self._exchanges([*outputs, *others])
         self.inward = (*self.fed, *self.unfed)
-        self.inputs = self._signals(self.inward, beside=False)
+        self.inputs = self._signals(self.inward, beside=False) + self.clock_inputs
         self.exact_inputs = self._signals(self.inward, beside=True)
-        self.outputs = self._signals(self.read, beside=False)
+        self.outputs = self._signals(self.read, beside=False) + self.clock_outputs
         self.exact_outputs = self._signals(self.read, beside=True)
 
     def place(self, first: int, first_beside: int) -> None:
         """Assign places to all exchanges, inputs first."""
         place = {False: first, True: first_beside}
-        for exchange in (*self.inward, *self.read):
-            begin = place[exchange.kind.beside]
-            exchange.places = slice(begin, begin + exchange.count)
-            place[exchange.kind.beside] += exchange.count
+        for exchanges in (self.inward, self.read):
+            for exchange in exchanges:
+                begin = place[exchange.kind.beside]
+                exchange.places = slice(begin, begin + exchange.count)
+                place[exchange.kind.beside] += exchange.count
+            if exchanges is self.inward:
+                place[False] += len(self.clock_inputs)
 
     def split(self, exchanges: Sequence[Exchange], address: int) -> tuple[tuple[Any, ...] | None, tuple[Exchange, ...]]:
         """Return direct arguments for doubles, and the remaining exchanges.
@@ -86,12 +99,12 @@ class Ports:
         return tuple(name for name in exchange.names if name in self._outputs)
 
     def _exchanges(self, variables: Iterable[Any]) -> tuple[Exchange, ...]:
-        """Return an exchange per type, doubles first."""
-        groups: dict[Any, list[Any]] = {}
+        """Return an exchange per type and part, doubles first."""
+        groups: dict[tuple[Any, Hashable], list[Any]] = {}
         for variable in variables:
-            groups.setdefault(self.kinds[variable.type], []).append(variable)
-        kinds = sorted(groups, key=lambda kind: kind.ctype is not ctypes.c_double)
-        return tuple(Exchange(kind, groups[kind]) for kind in kinds)
+            groups.setdefault((self.kinds[variable.type], self._part(variable)), []).append(variable)
+        keys = sorted(groups, key=lambda key: key[0].ctype is not ctypes.c_double)
+        return tuple(Exchange(key[0], groups[key]) for key in keys)
 
     def _signals(self, exchanges: Iterable[Exchange], *, beside: bool) -> tuple[Signal, ...]:
         """Return the signals in the row, or beside the row."""

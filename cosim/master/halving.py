@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from cosim.base.errors import SimulationError
+from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import SourceBlock
 from cosim.isolation.rows import GET, OTHER
@@ -28,6 +29,8 @@ def rollback_objection(system: System) -> str:
         return "values beside numbers, events, several rates or processes are not taken back"
     for stage in system.stages:
         component = stage.component
+        if isinstance(component, EventFmu):
+            return f"{component.name} has event mode, so its steps end at its events"
         if isinstance(component, FmuBlock):
             if not component.instance.rolls_back:
                 return f"{component.name} gives no state away, or takes no step of another length"

@@ -19,6 +19,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError, Terminated, stop_error
 from cosim.blocks.component import EarlyEnd
+from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.stepping import NEVER, NotCompiled
 from cosim.isolation.rows import CALLS, OTHER, Rows
 from cosim.master import messages
@@ -26,6 +27,7 @@ from cosim.master.c_loop import CompiledSteps, LoopData, prepare_steps
 from cosim.master.copying import Copying, Noisy, Plain, Through, doubles
 from cosim.master.inbox import Inbox
 from cosim.master.initialization import Initialization
+from cosim.master.instants import Instants
 from cosim.storage.files import hold_stops
 from cosim.storage.results import Results
 from cosim.system.schedule import Stage
@@ -101,6 +103,8 @@ class Master:
         self.table, self.row_count, self.doing = rows.table, rows.made, rows.doing
         self.time = system.start + h * np.arange(steps + 1, dtype=np.float64)  # counted, not summed
         self.done = 0
+        self.has_events = any(isinstance(c, EventFmu) for c in self.components)
+        self.instants: Instants | None = None
         self.notes: list[str] = []
         self.events, self.inbox = sorted(system.events), inbox
         self.calls = self._calls(progress)
@@ -114,6 +118,9 @@ class Master:
             self._open()
             data = self.components, self.row, self.beside, self.pulls, self.held
             Initialization(*data, self.system.start, self.doing).run()
+            if self.has_events:
+                self.instants = Instants(self)
+                self.instants.at_start()
             self._record_first()
             self._step_on()
             hold_stops()  # The rows must be saved.
@@ -152,6 +159,10 @@ class Master:
 
     def _step_on(self) -> None:
         """Make all steps, in C if possible, otherwise in Python."""
+        if self.instants is not None:
+            self._store_loop("Python: event mode")
+            self.instants.run()
+            return
         try:
             steps = self._prepare_c()
         except NotCompiled as reason:

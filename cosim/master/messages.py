@@ -1,4 +1,4 @@
-"""Messages of stepping: initialization, early ends, observers, disk space."""
+"""Messages of stepping: initialization, events and clocks, early ends, observers, disk space."""
 
 from cosim.base.messages import Template
 
@@ -17,3 +17,25 @@ UNEXPECTED_ERROR = Template("E-MAS-004", "{call}: {error}: {reason} (--in-proces
 DISK_FULL = Template("E-MAS-005", "the disk is full: it has room for {count} of {rows} rows while the run lasts")
 END_REQUESTED = Template("N-MAS-006", "it asked for the end")
 ENDED_EARLY = Template("N-MAS-007", "{component} ended the simulation at t = {time:.6g} s: {reason}")
+
+# Events and clocks
+EVENT_NOT_SETTLED = Template(
+    "E-MAS-031",
+    "it still changes after {count} exchanges of values at one event: an algebraic loop between FMUs in event mode that "
+    "exchanging values does not settle",
+)
+EVENTS_WITHOUT_END = Template(
+    "E-MAS-032",
+    "it still changes after {count} updates of discrete states at one time; these FMUs ask for another one: {names}",
+)
+EVENTS_CROWD = Template("E-MAS-033", "{count} events within {span:.2g} s, so that time stands still")
+CLOCK_TOO_FAST = Template(
+    "E-MAS-034",
+    "the clock ticks every {interval:g} s, but its FMU takes only steps of {step:g} s; shorten the step of the scenario",
+)
+AHEAD_OF_EVENT = Template(
+    "W-MAS-035",
+    "{component} was up to {lead:.3g} s ahead of an event of another FMU, because both may return early from a step and "
+    "it cannot go back: it gets such events that much later. A shorter step of the scenario shortens this",
+)
+EVENT_MODE = Template("N-MAS-036", "event mode: {counts}")

@@ -124,13 +124,28 @@ class Event(Part):
     set: dict[Variable, Annotated[Any, AfterValidator(_scalar)]] = Field(min_length=1)
 
 
+class ClockTiming(Part):
+    """Times of an input clock of an FMU, for clocks whose times the FMU does not give.
+
+    interval: time [s] between two ticks, of a fixed, tunable or triggered clock
+    shift:    time [s] from the start of the run to the first tick of a triggered clock
+    at:       times [s] of all ticks of a triggered clock, in order
+    """
+
+    interval: PositiveSeconds | None = None
+    shift: NotNegativeSeconds | None = None
+    at: list[Seconds] = Field(default_factory=list)
+
+
 class FmuComponent(Part):
     """FMU with start values: a number in the variable's unit, or text such as `12 deg`.
 
     fmu:     file, relative to the scenario
     start:   variable → value, for parameters and unconnected inputs
     process: `own` for a process shared with no other FMU
-    interface: FMI interface, if the FMU offers both
+    interface: FMI interface, if the FMU offers several
+    event_mode: whether FMI 3.0 co-simulation uses event mode; by default if the FMU has clocks
+    clocks:    input clock → its times, for clocks whose times the FMU does not give
     step:      its communication step [s], a whole multiple of the scenario's
     tolerance: relative tolerance of its solver
     logging:   whether debug logging is on
@@ -141,7 +156,9 @@ class FmuComponent(Part):
     fmu: str
     process: Literal["own"] | None = None
     start: dict[str, Annotated[Any, AfterValidator(_scalar)]] = Field(default_factory=dict)
-    interface: Literal["co-simulation", "model-exchange"] | None = None
+    interface: Literal["co-simulation", "model-exchange", "scheduled-execution"] | None = None
+    event_mode: bool | None = None
+    clocks: dict[str, ClockTiming] = Field(default_factory=dict)
     step: PositiveSeconds | None = None
     tolerance: Positive | None = None
     logging: bool = False

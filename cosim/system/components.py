@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from cosim.scenario.scenario_file import ScenarioFile
 from cosim.scenario.start_values import Misfit, convert_value, kind_of, settable, with_elements
 from cosim.storage.yaml_file import did_you_mean
 from cosim.system import messages
+from cosim.system.event_blocks import event_block
 
 Designed = Mapping[str, Mapping[str, float]]  # component → start values
 
@@ -27,7 +28,7 @@ Designed = Mapping[str, Mapping[str, float]]  # component → start values
 def build_components(file: ScenarioFile, designed: Designed, diagnosis: Diagnosis) -> dict[str, Component]:
     """Return the sound components by name, in file order."""
     components: dict[str, Component] = {}
-    read = cache(read_description)  # Several components may use the same FMU.
+    read = cache(partial(read_description, scheduled=True))  # Several components may use the same FMU.
     for name, component in file.scenario.components.items():
         try:
             block = _component(file, name, component, designed.get(name, {}), read, diagnosis)
@@ -102,7 +103,10 @@ def _fmu(
         diagnosis.note(("components", name, "interface"), message)
         return None
     scenario = file.scenario
-    return FmuBlock(
+    make = event_block(file, name, component, path, read, diagnosis)
+    if make is None:
+        return None
+    return make(
         name,
         path,
         description,

@@ -100,3 +100,32 @@ FAULT_OUTSIDE_RUN = Template("E-SYS-044", "acts at no communication point of {st
 DELAY_ROUNDED = Template(
     "W-SYS-045", "a delay of {delay:g} s on {target} is no whole number of steps: it is {rounded:g} s"
 )
+
+# Event mode and clocks
+NO_EVENT_MODE = Template("E-SYS-071", "{component} has no event mode: {reason}")
+NO_CLOCK = Template("E-SYS-072", '{component} has no input clock "{name}"{hint}')
+CLOCK_WITHOUT_EVENT_MODE = Template(
+    "E-SYS-073", "{component} ticks no clocks without event mode; leave out event_mode: false"
+)
+CLOCK_TIME_OF_FMU = Template(
+    "E-SYS-074", "{name} is a {kind} clock, whose FMU gives its times; leave out its times in the scenario"
+)
+CLOCK_WITHOUT_SHIFT = Template(
+    "E-SYS-075", "{name} is a {kind} clock: give its interval only; only triggered clocks have shift: and at:"
+)
+CLOCK_NEEDS_ONE = Template("E-SYS-076", "{name} needs either interval: or at:")
+CLOCK_TIMES_UNORDERED = Template("E-SYS-077", "the times of {name} are not in order, from the start of the run on")
+CLOCK_TWICE = Template("E-SYS-078", "{name} has times in the scenario and a connection; keep one")
+CLOCK_CHANGED = Template("E-SYS-079", "{source} to {target}: no factor, offset, noise or fault acts on a clock")
+CLOCK_NEVER_TICKS = Template(
+    "W-SYS-080", "{names}: never ticks; connect it to an output clock, or give its times under clocks:"
+)
+APART_WITH_EVENTS = Template(
+    "E-SYS-081",
+    "{component} has event mode, which needs the process of the other FMUs; leave out process: own, and use an FMU that "
+    "allows one instance in a process only once",
+)
+EVENTS_AT_POINTS = Template(
+    "W-SYS-082",
+    "{component} takes only steps of one length: an event within a step reaches it at the end of the step",
+)

@@ -27,10 +27,11 @@ class Stage:
 
 @dataclass(frozen=True)
 class Schedule:
-    """Stages in stepping order, and transfers at the end of a step."""
+    """Stages in stepping order, transfers at the end of a step, and connected clocks: output, input."""
 
     stages: tuple[Stage, ...] = ()
     held: tuple[Transfer, ...] = ()
+    clock_wires: tuple[tuple[str, str], ...] = ()
 
 
 def schedule(
@@ -46,8 +47,10 @@ def schedule(
     user_order = scenario.order if algorithm.sequential else None
     if user_order is not None and not _names_all(user_order, components, diagnosis):
         return Schedule()
+    clocks = tuple((t.origin, t.name) for ends in transfers for t in ends if t.is_clock)
+    wired = [(c, ends) for c, ends in zip(scenario.connections, transfers, strict=True) if not ends[0].is_clock]
     try:
-        order, immediate, notes = algorithm.plan(components, list(map(_edge, scenario.connections)), user_order)
+        order, immediate, notes = algorithm.plan(components, [_edge(c) for c, _ in wired], user_order)
     except AlgebraicLoop as loop:
         names = {"names": ", ".join(sorted(set(loop.cycle))), "cycle": " → ".join(loop.cycle)}
         message = messages.ALGEBRAIC_LOOP(algorithm=algorithm.name, other=WITHOUT_ORDER.name, **names)
@@ -60,10 +63,10 @@ def schedule(
     diagnosis.warnings += notes
     held: list[Transfer] = []
     pulls: dict[str, list[Transfer]] = {name: [] for name in order}
-    for connection, is_immediate in zip(transfers, immediate, strict=True):
-        for transfer in connection:
+    for (_, ends), is_immediate in zip(wired, immediate, strict=True):
+        for transfer in ends:
             (pulls[transfer.name.partition(".")[0]] if is_immediate else held).append(transfer)
-    return Schedule(tuple(Stage(components[n], tuple(pulls[n]), every[n]) for n in order), tuple(held))
+    return Schedule(tuple(Stage(components[n], tuple(pulls[n]), every[n]) for n in order), tuple(held), clocks)
 
 
 def _every(scenario: Scenario, name: str, diagnosis: Diagnosis) -> int:

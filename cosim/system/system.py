@@ -18,6 +18,7 @@ from cosim.scenario.scenario_file import ScenarioFile
 from cosim.storage.yaml_file import did_you_mean
 from cosim.system import messages
 from cosim.system.components import Designed, build_components
+from cosim.system.event_blocks import check_events
 from cosim.system.events import Events, changes_of
 from cosim.system.feasible import check_feasible
 from cosim.system.schedule import Schedule, Stage, schedule
@@ -35,6 +36,7 @@ class System:
         events: Communication point → component → values to set.
         apart: Names of components with their own process.
         halved: Whether rows hold the differences made by halving each step, instead of signals.
+        clock_wires: Connected clocks, output and input, as `component.clock`.
     """
 
     stages: tuple[Stage, ...]
@@ -50,6 +52,7 @@ class System:
     events: Events = field(default_factory=dict)
     apart: frozenset[str] = frozenset()
     halved: bool = False
+    clock_wires: tuple[tuple[str, str], ...] = ()
 
 
 def build_system(file: ScenarioFile, start_values: Designed | None = None) -> System:
@@ -73,6 +76,7 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
     plan = Schedule()
     if is_whole and all(transfers):
         plan = schedule(scenario, components, transfers, diagnosis)
+    check_events(file, plan.stages, diagnosis)
     blocks = {name: c for name, c in components.items() if isinstance(c, FmuBlock)}
     events = changes_of(file, blocks, diagnosis)
     _check_record(file, components, diagnosis)
@@ -92,6 +96,7 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
         layout.signals,
         events,
         frozenset(n for n, c in scenario.components.items() if isinstance(c, FmuComponent) and c.process == "own"),
+        clock_wires=plan.clock_wires,
     )
 
 

@@ -63,6 +63,7 @@ class Transfer:
         name: Target as `component.variable`, also the name of its random stream.
         items: Items of an enumeration as target; `origin` is the name of the source.
         beside: Whether source and target are beside the row.
+        is_clock: Whether clocks are connected, whose ticks are no values to copy.
     """
 
     source: int
@@ -75,6 +76,7 @@ class Transfer:
     beside: tuple[bool, bool] = (False, False)
     items: Mapping[str, int] | None = None
     origin: str = ""
+    is_clock: bool = False
 
     @property
     def plain(self) -> bool:
@@ -229,6 +231,10 @@ class _Wiring:
         name = f"{connection.target.partition('.')[0]}.{target.name}"
         (from_beside, at), (to_beside, to) = self.layout.place[origin], self.layout.place[name]
         faults = tuple(f for key in dict.fromkeys((connection.target, name)) for f in self._faults.get(key, ()))
+        if target.kind == "Clock":
+            if connection.noise or connection.conversion is not None or faults:
+                return Misfit(messages.CLOCK_CHANGED(source=connection.source, target=connection.target))
+            return Transfer(at, to, name, origin=origin, is_clock=True)
         changes = [f"{fault.kind} fault" for fault in faults if fault.kind not in PASSING]
         changes += ["noise or factor"] if noise or (factor, offset) != (1.0, 0.0) else []
         if changes and (from_beside or to_beside):
@@ -342,7 +348,9 @@ def connection_warnings(file: ScenarioFile, components: Components) -> Iterator[
         free = [
             f"{name}.{s.name}"
             for s in _signals(component, "inputs")
-            if driven.isdisjoint({f"{name}.{s.name}", f"{name}.{s.array}"}) and start.isdisjoint({s.name, s.array})
+            if s.kind != "Clock"
+            and driven.isdisjoint({f"{name}.{s.name}", f"{name}.{s.array}"})
+            and start.isdisjoint({s.name, s.array})
         ]
         is_sensor = isinstance(declared, FixComponent)
         template = messages.FIXES_NOT_CONNECTED if is_sensor else messages.INPUTS_NOT_CONNECTED

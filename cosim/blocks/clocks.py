@@ -1,0 +1,154 @@
+"""Clocks of an FMI 3.0 FMU: their declaration, and timers that say when time-based clocks tick."""
+
+from __future__ import annotations
+
+import math
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+from xml.etree import ElementTree
+
+from cosim.storage.archive import DESCRIPTION
+
+ClockKind = Literal["constant", "fixed", "tunable", "changing", "countdown", "triggered"]
+PERIODIC = ("constant", "fixed", "tunable")
+LOWEST = 2**31  # priority of a clock without one: after all others
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Times of a clock, as the scenario states them.
+
+    Attributes:
+        interval: Time [s] between two ticks.
+        shift: Time [s] from the start of the run to the first tick.
+        at: Times of all ticks [s], ordered; takes the place of `interval`.
+    """
+
+    interval: float | None = None
+    shift: float | None = None
+    at: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Clock:
+    """A clock as an FMU declares it.
+
+    Attributes:
+        interval: Declared interval [s]; None if the FMU computes it.
+        priority: Order of the model partitions due at the same time, smallest first.
+        clocks: Names of the clocks with which this clock ticks.
+    """
+
+    name: str
+    reference: int
+    kind: ClockKind
+    causality: str
+    interval: float | None = None
+    shift: float = 0.0
+    priority: int = LOWEST
+    clocks: frozenset[str] = frozenset()
+
+    @property
+    def is_time_based(self) -> bool:
+        """Return whether the clock ticks at times that are known beforehand."""
+        return self.kind != "triggered"
+
+    @property
+    def asks_fmu(self) -> bool:
+        """Return whether the FMU computes the interval."""
+        return self.interval is None and self.is_time_based
+
+
+def read_clocks(path: Path, description: Any) -> dict[str, Clock]:
+    """Return the clocks of an FMU by name. FMPy does not read their intervals and priorities."""
+    variables = {v.name: v for v in description.modelVariables if v.type == "Clock"}
+    if not variables:
+        return {}
+    root = ElementTree.fromstring(zipfile.ZipFile(path).read(DESCRIPTION))
+    types = {node.get("name"): node.attrib for node in root.iter("ClockType")}
+    clocks = {}
+    for node in root.iter("Clock"):
+        name = node.get("name", "")
+        if name in variables:
+            attributes = {**types.get(node.get("declaredType"), {}), **node.attrib}
+            clocks[name] = _clock(variables[name], attributes)
+    return clocks
+
+
+def _clock(variable: Any, attributes: Mapping[str, str]) -> Clock:
+    resolution = float(attributes.get("resolution") or 1)
+    kind = attributes.get("intervalVariability", "triggered")
+    interval = attributes.get("intervalDecimal")
+    if interval is None and "intervalCounter" in attributes:
+        interval = str(float(attributes["intervalCounter"]) / resolution)
+    shift = attributes.get("shiftDecimal") or float(attributes.get("shiftCounter") or 0) / resolution
+    return Clock(
+        variable.name,
+        variable.valueReference,
+        kind,  # type: ignore[arg-type]  # checked by FMPy against the schema
+        variable.causality,
+        None if interval is None or kind not in PERIODIC else float(interval),
+        float(shift),
+        int(attributes.get("priority") or LOWEST),
+        frozenset(clock.name for clock in variable.clocks or ()),
+    )
+
+
+@dataclass
+class Timer:
+    """Ticks of a clock: ticks are counted and times derived, so that errors do not add up.
+
+    Attributes:
+        base: Time [s] of tick 0 of the current interval.
+        count: Number of ticks since `base`.
+        interval: Current interval [s]; None: only the tick at `base` is known.
+        times: Times of all ticks [s], if they are stated one by one.
+        is_set: Whether a next tick is known.
+    """
+
+    base: float = 0.0
+    count: int = 0
+    interval: float | None = None
+    times: Sequence[float] = field(default_factory=tuple)
+    is_set: bool = False
+
+    @classmethod
+    def stated(cls, timing: Timing, start: float) -> Timer:
+        """Return the timer of a clock whose times the scenario states."""
+        if timing.at:
+            return cls(times=timing.at, is_set=True)
+        return cls(start + (timing.shift or 0.0), 0, timing.interval, is_set=True)
+
+    @property
+    def next(self) -> float:
+        """Return the time [s] of the next tick; infinity if none is known."""
+        if not self.is_set:
+            return math.inf
+        if self.times:
+            return self.times[self.count] if self.count < len(self.times) else math.inf
+        if self.interval is None:
+            return self.base if self.count == 0 else math.inf
+        return self.base + self.count * self.interval
+
+    def once(self, time: float) -> None:
+        """Tick once, at `time` [s]."""
+        self.base, self.count, self.interval, self.is_set = time, 0, None, True
+
+    def every(self, interval: float, base: float, count: int = 0) -> None:
+        """Tick every `interval` [s], from tick number `count` after `base` on."""
+        self.base, self.count, self.interval, self.is_set = base, count, interval, True
+
+    def tick(self) -> None:
+        """Count a tick."""
+        self.count += 1
+
+    def state(self) -> list[Any]:
+        """Return the state, for a checkpoint."""
+        return [self.base, self.count, self.interval, self.is_set]
+
+    def restore(self, state: Sequence[Any]) -> None:
+        """Take back a state."""
+        self.base, self.count, self.interval, self.is_set = state

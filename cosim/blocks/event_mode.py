@@ -1,0 +1,443 @@
+"""FMUs of FMI 3.0 that are stepped with event mode and clocks.
+
+Between events such an FMU is in step mode. It may return early from a step, because of an event or because it was asked
+to. At an instant (a communication point or an event) the master calls
+
+    enter, (tick)*, (put, get, fired)*, update, [(tick)*, (put, get, fired)*, update]*, leave
+
+on every FMU that takes part. Discrete inputs and clocked variables are set and read there only, clocked ones while one of
+their clocks ticks.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from collections.abc import Collection, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from cosim.base.errors import SimulationError, Terminated
+from cosim.blocks import messages
+from cosim.blocks.clocks import PERIODIC, Clock, Timer, Timing, read_clocks
+from cosim.blocks.component import Row, Signal
+from cosim.blocks.description import Way, takes_any_step
+from cosim.blocks.fmi import BOOLEAN, DOUBLE, Calls, CoSimulation3, Listen, end_of
+from cosim.blocks.fmi_types import Exchange, element_names
+from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.variable_access import Ports
+
+NOT_YET_KNOWN, UNCHANGED, CHANGED = range(3)  # fmi3IntervalQualifier
+INITIALIZATION, EVENT, STEP = "initialization", "event", "step"
+
+
+class EventCoSimulation3(CoSimulation3):
+    """Calls of an FMU for FMI 3.0 co-simulation with event mode.
+
+    Attributes:
+        may_return: Whether the FMU may return early from a step. An FMU with steps of one length may not.
+        in_small_steps: Whether the FMU is asked to return after each of its own steps.
+        stop: Interruption of the run that arrived during a step.
+    """
+
+    def __init__(self, name: str, description: Any) -> None:
+        super().__init__(name, description)
+        self.may_return = takes_any_step(description)
+        self.in_small_steps = False
+        self.stop: BaseException | None = None
+        self.event, self.ends, self.is_early, self.last = BOOLEAN(), BOOLEAN(), BOOLEAN(), DOUBLE()
+
+    @property
+    def gives_updates(self) -> bool:
+        """Return whether the FMU calls the importer back during a step."""
+        return bool(self.description.coSimulation.providesIntermediateUpdate)
+
+    def instantiate(self, listen: Listen, logging: bool) -> None:
+        self.fmu.instantiate(
+            loggingOn=logging,
+            logMessage=lambda _, status, category, message: listen(status, message),
+            eventModeUsed=True,
+            earlyReturnAllowed=self.may_return,
+            intermediateUpdate=self._update_between if self.gives_updates else None,
+        )
+
+    def prepare_steps(self) -> None:
+        """Look up the step function of the instance."""
+        self._do_step = self.bare_step()
+
+    def do_step(self, component: Any, t: float, h: float) -> int:
+        """Step; the outcome is in `event`, `ends`, `is_early` and `last`."""
+        flags = (ctypes.byref(cell) for cell in (self.event, self.ends, self.is_early, self.last))
+        status = int(self._do_step(component, t, h, True, *flags))
+        stop, self.stop = self.stop, None
+        if stop is not None:
+            raise stop
+        return status
+
+    def _update_between(
+        self, _: Any, t: float, sets: bool, gets: bool, done: bool, can: bool, asked: Any, at: Any
+    ) -> None:
+        """Ask for an early return after an interruption, or after each own step of the FMU.
+
+        No values are set or read: inputs are constant during a step, and rows belong to communication points.
+        """
+        try:
+            if can and (self.stop is not None or (self.in_small_steps and done)):
+                asked[0], at[0] = True, t
+            else:
+                asked[0] = False
+        except (KeyboardInterrupt, Terminated) as stop:  # Exceptions cannot pass through C.
+            self.stop = stop
+
+
+class EventFmu(FmuBlock):
+    """A co-simulation FMU with event mode and clocks.
+
+    Attributes:
+        clocks: Declared clocks by name.
+        timers: Timers of the clocks that tick at known times.
+        reached: Time [s] to which the FMU has come; ahead of the master after an early return of another FMU.
+        next_event: Time [s] of the next event that the FMU announced; infinity without one.
+        asks: Whether the FMU asked for event mode.
+        active: Clocks that tick at the current instant.
+
+    Args:
+        timings: Clock → times stated by the scenario.
+        jumping: Inputs whose values jump, because their sources do.
+    """
+
+    clock_types = frozenset({"Clock"})
+    steps = True  # whether time passes in steps
+
+    def __init__(
+        self,
+        name: str,
+        path: Path,
+        description: Any,
+        start: Mapping[str, Any],
+        connected: frozenset[str],
+        *,
+        timings: Mapping[str, Timing] | None = None,
+        jumping: frozenset[str] = frozenset(),
+        **settings: Any,
+    ) -> None:
+        self.clocks = read_clocks(path, description)
+        self.timings, self._jumping = dict(timings or {}), jumping
+        self.timers: dict[str, Timer] = {}
+        self.mode, self.reached, self.next_event, self.asks = INITIALIZATION, 0.0, math.inf, False
+        self.active: set[str] = set()
+        self._changes: dict[str, Any] = {}  # values of the scenario's events, to set at the next instant
+        self._given: dict[int, list[Any]] = {}  # inputs as last set
+        self._seen: list[list[Any]] = []
+        self._places: dict[str, int] = {}  # places of the numbers of ticks
+        super().__init__(name, path, description, start, connected, **settings)
+        make, arguments = self._recipe
+        self._recipe = partial(make, timings=self.timings, jumping=jumping), arguments
+        self._exchanges = {id(e): self._clocks_of(e.variables[0]) for e in (*self._ports.fed, *self._ports.read)}
+        self._steady = [e for e in self._ports.fed if not self._is_jumping(e.variables[0])]
+        self._discrete = [e for e in self._ports.fed if e not in self._steady and not self._exchanges[id(e)]]
+
+    # -- description ----------------------------------------------------------------------------
+
+    def _make_calls(self, way: Way | None) -> Calls:
+        return EventCoSimulation3(self.name, self.description)
+
+    def _make_ports(self, recorded: frozenset[str]) -> Ports:
+        inputs = [c for c in self.clocks.values() if self._is_triggered_by_others(c)]
+        others = [c for c in self.clocks.values() if c not in inputs]
+
+        def signals(clocks: Sequence[Clock]) -> tuple[Signal, ...]:
+            return tuple(
+                Signal(c.name, kind="Clock", local=c.causality != "output" and c not in inputs) for c in clocks
+            )
+
+        def part(variable: Any) -> tuple[frozenset[str], bool]:
+            return self._clocks_of(variable), variable.causality == "input" and self._is_jumping(variable)
+
+        return Ports(self.description, self.connected, recorded, part=part, clocks=(signals(inputs), signals(others)))
+
+    def _is_triggered_by_others(self, clock: Clock) -> bool:
+        return clock.causality == "input" and not clock.is_time_based and clock.name not in self.timings
+
+    def _clocks_of(self, variable: Any) -> frozenset[str]:
+        return frozenset(clock.name for clock in variable.clocks or ())
+
+    def _is_jumping(self, variable: Any) -> bool:
+        """Return whether an input is set in event mode only, or clocked."""
+        is_continuous = variable.type in ("Float64", "Float32") and variable.variability in (None, "continuous")
+        return (
+            not is_continuous
+            or bool(variable.clocks)
+            or not self._jumping.isdisjoint({variable.name, *element_names(variable)})
+        )
+
+    @property
+    def event_calls(self) -> EventCoSimulation3:
+        """Return the calls of co-simulation with event mode."""
+        calls = self._calls
+        assert isinstance(calls, EventCoSimulation3)
+        return calls
+
+    @property
+    def may_return(self) -> bool:
+        """Return whether a step may end early."""
+        return self.event_calls.may_return
+
+    @property
+    def output_clocks(self) -> list[Clock]:
+        """Return the clocks that the FMU ticks by itself."""
+        return [c for c in self.clocks.values() if c.causality != "input"]
+
+    # -- initialization ----------------------------------------------------------------------------
+
+    def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
+        super().bind(row, first, beside, first_beside)
+        ports = self._ports
+        ends = first + len(self.inputs), first + len(self.inputs) + len(self.outputs)
+        for clocks, end in zip((ports.clock_inputs, ports.clock_outputs), ends, strict=True):
+            self._places |= {c.name: end - len(clocks) + k for k, c in enumerate(clocks)}
+
+    def start(self) -> None:
+        instance = self.instance
+        with instance.check_calls():
+            self._read_first_intervals()
+            self._calls.leave()
+        instance.initialized = True
+        self.reached = self._calls.start_time
+        self._enter_first()
+
+    def _enter_first(self) -> None:
+        """Note that the FMU is in event mode after initialization."""
+        self.event_calls.prepare_steps()
+        self.mode, self.active = EVENT, set()
+
+    def _read_first_intervals(self) -> None:
+        """Set stated intervals, and read those that the FMU knows at the start."""
+        start = self._calls.start_time
+        for clock in self.clocks.values():
+            timing = self.timings.get(clock.name)
+            if clock.is_time_based:
+                self.timers[clock.name] = timer = Timer()
+                interval = clock.interval
+                if timing is not None and timing.interval is not None:
+                    interval = timing.interval
+                    self._set_interval(clock, interval)
+                if interval is not None:
+                    timer.every(interval, start + clock.shift)
+                    continue
+                qualifier, interval = self._interval(clock)
+                if qualifier != NOT_YET_KNOWN and clock.kind in PERIODIC:
+                    timer.every(self._checked(clock, interval), start + self._shift(clock))
+                elif qualifier != NOT_YET_KNOWN:
+                    timer.once(start + self._checked(clock, interval))
+            elif timing is not None:
+                self.timers[clock.name] = Timer.stated(timing, start)
+
+    # -- values --------------------------------------------------------------------------------------
+
+    def put(self) -> None:
+        """Set the inputs that the current mode allows, as far as they have changed."""
+        values, begins = self._values, self.mode == INITIALIZATION
+        for exchange in self._ports.fed if self.mode != STEP else self._steady:
+            clocks = self._exchanges[id(exchange)]
+            if clocks and not begins and not clocks & self.active:
+                continue
+            content = values.content(exchange)
+            if begins or self._given.get(id(exchange)) != content:
+                self._given[id(exchange)] = content
+                values.put_in(exchange)
+
+    def get(self) -> None:
+        """Read the outputs that the current mode allows; others hold their values."""
+        for exchange in self._ports.read:
+            clocks = self._exchanges[id(exchange)]
+            if not clocks or self.mode == INITIALIZATION or clocks & self.active:
+                self._values.get_from(exchange)
+
+    @property
+    def has_jumped(self) -> bool:
+        """Return whether a discrete input differs from its last value, which only event mode changes."""
+        return any(self._values.content(e) != self._given.get(id(e)) for e in self._discrete)
+
+    def look(self) -> None:
+        """Remember the inputs of this instant."""
+        self._seen = self._inputs()
+
+    @property
+    def is_stirred(self) -> bool:
+        """Return whether inputs have changed since `look`, thus at one time."""
+        return self._inputs() != self._seen
+
+    def _inputs(self) -> list[list[Any]]:
+        return [self._values.content(e) for e in self._ports.fed if not self._exchanges[id(e)]]
+
+    def change(self, values: Mapping[str, Any]) -> None:
+        """Keep the values of a scenario's event for the next instant."""
+        self._changes |= values
+        self.asks = True
+
+    # -- steps ------------------------------------------------------------------------------------
+
+    def go(self, target: float) -> float:
+        """Step to a time [s]; return the time reached, earlier after an early return.
+
+        Raises:
+            EarlyEnd: The FMU ended the simulation.
+        """
+        calls, instance = self.event_calls, self.instance
+        status = calls.do_step(instance.component, self.reached, target - self.reached)
+        if status:
+            instance.time = self.reached
+            instance.judge(instance.step_name, status)
+        self.reached = min(target, calls.last.value) if calls.is_early.value else target
+        instance.time = self.reached
+        if calls.ends.value:
+            raise end_of(self.name, self.reached)
+        self.asks = self.asks or bool(calls.event.value)
+        return self.reached
+
+    def advance(self, t: float, h: float) -> None:
+        """Step with the master's own stepping; unused in runs with event mode."""
+        raise AssertionError("an FMU with event mode is stepped from instant to instant")
+
+    def save(self) -> Any:
+        """Return the state of the FMU and of its schedule, for one restoration."""
+        return self.instance.save_state(), self.reached, self.asks, dict(self._given)
+
+    def go_back(self, state: Any) -> None:
+        """Take back a saved state."""
+        fmu, self.reached, self.asks, self._given = state
+        self.instance.restore_state(fmu)
+        self.instance.time = self.reached
+
+    # -- events -------------------------------------------------------------------------------------
+
+    @property
+    def due(self) -> float:
+        """Return the time [s] of the next tick or announced event."""
+        return min((self.next_event, *(timer.next for timer in self.timers.values())))
+
+    def due_clocks(self, t: float, close: float) -> list[str]:
+        """Return the clocks that tick at `t` [s], within rounding, in the order of their priorities."""
+        due = [name for name, timer in self.timers.items() if timer.next <= t + close]
+        return sorted(due, key=lambda name: self.clocks[name].priority)
+
+    def enter(self) -> None:
+        """Enter event mode, and set the values of the scenario's events."""
+        if self.mode != EVENT:
+            with self.instance.check_calls():
+                self.instance.fmu.enterEventMode()
+            self.mode, self.active = EVENT, set()
+        self.asks = False
+        changes, self._changes = self._changes, {}
+        if changes:
+            with self.instance.check_calls():
+                self._values.set(changes)
+            for exchange in self._ports.unfed:
+                self._values.read_in(exchange)
+
+    def tick(self, names: Collection[str]) -> None:
+        """Activate input clocks."""
+        with self.instance.check_calls():
+            self.instance.fmu.setClock([self.clocks[name].reference for name in names], [True] * len(names))
+        self._count(names)
+
+    def _count(self, names: Collection[str]) -> None:
+        self.active |= set(names)
+        for name in names:
+            self._values.row[self._places[name]] += 1.0
+            if name in self.timers:
+                self.timers[name].tick()
+
+    def fired(self) -> list[str]:
+        """Return output clocks that tick since the last call at this instant."""
+        idle = [c for c in self.output_clocks if c.name not in self.active]
+        idle = [c for c in idle if not c.clocks or c.clocks & self.active]
+        if not idle:
+            return []
+        with self.instance.check_calls():
+            states = self.instance.fmu.getClock([c.reference for c in idle])
+        names = [clock.name for clock, is_active in zip(idle, states, strict=True) if is_active]
+        self._count(names)
+        return names
+
+    def update(self) -> bool:
+        """End the current instant of superdense time; return whether the FMU needs another one.
+
+        Raises:
+            EarlyEnd: The FMU ended the simulation.
+        """
+        with self.instance.check_calls():
+            more, ends, _, _, is_announced, time = self.instance.fmu.updateDiscreteStates()
+        if ends:
+            raise end_of(self.name, self.instance.time)
+        self.next_event = time if is_announced else math.inf
+        self._read_intervals()
+        self.active = set()
+        return bool(more)
+
+    def leave(self) -> None:
+        """Return to step mode."""
+        with self.instance.check_calls():
+            self.instance.fmu.enterStepMode()
+        self.mode, self.active = STEP, set()
+
+    # -- intervals ----------------------------------------------------------------------------------
+
+    def _read_intervals(self) -> None:
+        """Read the intervals that may have changed at this instant."""
+        t = self.instance.time
+        for clock in self.clocks.values():
+            if not clock.asks_fmu or clock.kind in ("constant", "fixed"):
+                continue
+            if clock.kind == "changing" and clock.name not in self.active:
+                continue
+            with self.instance.check_calls():
+                qualifier, interval = self._interval(clock)
+            timer = self.timers[clock.name]
+            if clock.kind == "tunable" and qualifier == CHANGED:
+                timer.every(self._checked(clock, interval), t, 1)
+            elif clock.kind == "changing" and qualifier != NOT_YET_KNOWN:
+                timer.once(t + self._checked(clock, interval))
+            elif clock.kind == "countdown" and qualifier == CHANGED:
+                timer.once(t + self._checked(clock, interval))
+
+    def _interval(self, clock: Clock) -> tuple[int, float]:
+        """Return qualifier and interval [s] of a clock."""
+        interval, qualifier = ctypes.c_double(), ctypes.c_int()
+        self.instance.fmu.getIntervalDecimal(
+            (ctypes.c_uint * 1)(clock.reference), ctypes.byref(interval), ctypes.byref(qualifier)
+        )
+        return qualifier.value, interval.value
+
+    def _set_interval(self, clock: Clock, interval: float) -> None:
+        self.instance.fmu.setIntervalDecimal((ctypes.c_uint * 1)(clock.reference), (ctypes.c_double * 1)(interval))
+
+    def _shift(self, clock: Clock) -> float:
+        shift = (ctypes.c_double * 1)()
+        self.instance.fmu.getShiftDecimal((ctypes.c_uint * 1)(clock.reference), shift)
+        return float(shift[0])
+
+    def _checked(self, clock: Clock, interval: float) -> float:
+        """Return an interval of the FMU; raise SimulationError if FMI forbids it."""
+        if math.isfinite(interval) and (interval > 0.0 or (interval == 0.0 and clock.kind not in PERIODIC)):
+            return interval
+        message = messages.BAD_INTERVAL(interval=interval)
+        raise SimulationError(f"{self.name}.{clock.name}", self.instance.time, message)
+
+    # -- checkpoints ----------------------------------------------------------------------------------
+
+    def schedule(self) -> dict[str, Any]:
+        """Return the schedule as plain data, for a checkpoint at a communication point."""
+        timers = {name: timer.state() for name, timer in self.timers.items()}
+        return {"timers": timers, "next_event": self.next_event if math.isfinite(self.next_event) else None}
+
+    def restore_schedule(self, schedule: Mapping[str, Any], t: float) -> None:
+        """Take back a schedule at time `t` [s], with the FMU in step mode."""
+        for name, state in schedule["timers"].items():
+            self.timers[name].restore(state)
+        announced = schedule["next_event"]
+        self.next_event = math.inf if announced is None else float(announced)
+        self.reached, self.mode, self.active, self.asks = t, STEP, set(), False
+        self._given = {}

@@ -1,0 +1,177 @@
+"""FMUs of FMI 3.0 for scheduled execution: model partitions that their clocks activate, in the order of priority.
+
+Partitions run one after another and are never interrupted, so the FMU's locks against preemption are not needed.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+import os
+from collections.abc import Collection
+from typing import Any
+
+from cosim.blocks import messages
+from cosim.blocks.description import Way
+from cosim.blocks.event_mode import CHANGED, EVENT, INITIALIZATION, EventCoSimulation3, EventFmu
+from cosim.blocks.fmi import Calls, Listen
+
+
+class ScheduledExecution3(EventCoSimulation3):
+    """Calls of an FMU for FMI 3.0 scheduled execution.
+
+    Attributes:
+        on_update: Function called when the FMU says that a clock has changed.
+    """
+
+    fmpy_class, way = "fmi3.FMU3ScheduledExecution", "scheduled-execution"
+
+    def __init__(self, name: str, description: Any) -> None:
+        super().__init__(name, description)
+        self.may_return = False
+        self.on_update: Any = lambda: None
+
+    @property
+    def identifier(self) -> str:
+        return str(self.description.scheduledExecution.modelIdentifier)
+
+    def instantiate(self, listen: Listen, logging: bool) -> None:
+        from fmpy import fmi3
+
+        fmu = self.fmu  # FMPy's own method drops the updates of clocks; the callbacks must live as long as the FMU.
+        fmu.logMessage = fmi3.fmi3LogMessageCallback(lambda _, status, category, message: listen(status, message))
+        fmu.clockUpdate = fmi3.fmi3ClockUpdateCallback(lambda _: self.on_update())
+        fmu.lockPreemption = fmi3.fmi3LockPreemptionCallback(lambda: None)
+        fmu.unlockPreemption = fmi3.fmi3UnlockPreemptionCallback(lambda: None)
+        fmu.component = fmu.fmi3InstantiateScheduledExecution(
+            fmu.instanceName.encode(),
+            fmu.guid.encode(),
+            (os.path.join(fmu.unzipDirectory, "resources") + os.path.sep).encode(),
+            False,
+            logging,
+            None,
+            fmu.logMessage,
+            fmu.clockUpdate,
+            fmu.lockPreemption,
+            fmu.unlockPreemption,
+        )
+        if not fmu.component:
+            raise Exception("Failed to instantiate FMU")  # as FMPy does
+
+    def prepare_steps(self) -> None:
+        """Do nothing; only clocks let time pass."""
+
+
+class ScheduledFmu(EventFmu):
+    """An FMU for scheduled execution, whose clocks activate its model partitions."""
+
+    steps = False
+
+    def _make_calls(self, way: Way | None) -> Calls:
+        calls = ScheduledExecution3(self.name, self.description)
+        calls.on_update = self._on_update
+        return calls
+
+    def _enter_first(self) -> None:
+        self.mode, self.active = EVENT, set()
+        self._fired: list[str] = []
+        self._last: dict[str, float] = {}  # clock → time of its last activation [s]
+        self._failure: BaseException | None = None
+
+    def put(self) -> None:
+        """Set the inputs during initialization; later each partition takes its own."""
+        if self.mode == INITIALIZATION:
+            super().put()
+
+    def get(self) -> None:
+        """Read the outputs during initialization; later they are read after each partition."""
+        if self.mode == INITIALIZATION:
+            super().get()
+
+    @property
+    def has_jumped(self) -> bool:
+        """Return False: inputs are taken by the partitions."""
+        return False
+
+    @property
+    def is_stirred(self) -> bool:
+        """Return False: inputs are taken by the partitions."""
+        return False
+
+    def go(self, target: float) -> float:
+        """Let time pass without a call of the FMU."""
+        self.reached = self.instance.time = target
+        return target
+
+    def enter(self) -> None:
+        """Set the values of the scenario's events; the FMU has no event mode."""
+        self.mode = EVENT
+        super().enter()
+
+    def tick(self, names: Collection[str]) -> None:
+        """Activate the partitions of clocks by priority, and those that they activate in turn."""
+        t = self.instance.time
+        queue = [(self.clocks[name].priority, k, name) for k, name in enumerate(names)]
+        heapq.heapify(queue)
+        while queue:
+            _, k, name = heapq.heappop(queue)
+            self._activate(name, t)
+            waiting = {name for *_, name in queue}
+            for other in self.due_clocks(t, 0.0):
+                if other not in waiting and other != name:
+                    heapq.heappush(queue, (self.clocks[other].priority, k, other))
+
+    def _activate(self, name: str, t: float) -> None:
+        """Run the partition of a clock, with its inputs before and its outputs after it."""
+        if self._last.get(name, -math.inf) >= t:
+            self.instance.remember(messages.TWICE_AT_ONCE(clock=name, time=t))
+            if name in self.timers:
+                self.timers[name].tick()
+            return
+        self._last[name] = t
+        self.active = set()
+        self._count([name])
+        super().put()
+        with self.instance.check_calls():
+            self.instance.fmu.activateModelPartition(self.clocks[name].reference, t)
+        failure, self._failure = self._failure, None
+        if failure is not None:
+            raise failure
+        super().get()
+        self._read_intervals()
+
+    def _on_update(self) -> None:
+        """Read the clocks that the running partition has changed; FMI allows it within this call only."""
+        try:
+            self._read_countdowns()
+            idle = [c for c in self.output_clocks if c.name not in self._fired]
+            if idle:
+                with self.instance.check_calls():
+                    states = self.instance.fmu.getClock([c.reference for c in idle])
+                self._fired += [clock.name for clock, is_active in zip(idle, states, strict=True) if is_active]
+        except BaseException as failure:  # Exceptions cannot pass through C.
+            self._failure = failure
+
+    def _read_countdowns(self) -> None:
+        for clock in self.clocks.values():
+            if clock.kind == "countdown":
+                with self.instance.check_calls():
+                    qualifier, interval = self._interval(clock)
+                if qualifier == CHANGED:
+                    self.timers[clock.name].once(self.instance.time + self._checked(clock, interval))
+
+    def fired(self) -> list[str]:
+        """Return output clocks that the partitions have activated since the last call."""
+        names, self._fired = self._fired, []
+        for name in names:
+            self._values.row[self._places[name]] += 1.0
+        return names
+
+    def update(self) -> bool:
+        """Return False: partitions leave nothing to be updated."""
+        self.active = set()
+        return False
+
+    def leave(self) -> None:
+        """Wait for the next clock."""
+        self.mode, self.active = EVENT, set()

@@ -1,0 +1,456 @@
+"""Stepping of systems with event mode and clocks: from instant to instant instead of from row to row.
+
+An instant is a communication point, a tick of a clock, or an event at which an FMU returned early from its step. All
+components are stepped to it. Then the FMUs concerned enter event mode, and values and clocks are exchanged in superdense
+time until nothing changes:
+
+    enter, [tick, (put, get, fired)* until settled, update]* until no FMU needs another round, leave
+
+Rows belong to communication points only and hold the values after the instant.
+
+An early return ends the step of all. Components that have gone further go back by restoring their state. Therefore the
+components that cannot go back step after those that may return early. A component that takes only steps of one length
+gets an event within a step at the end of the step.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from cosim.base.errors import SimulationError
+from cosim.blocks.event_mode import EventFmu
+from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.model_exchange import AT_ONCE, CLOSE, MOST_EVENTS, ULPS
+from cosim.blocks.sources import SourceBlock
+from cosim.isolation.rows import ADVANCE, CALLS, GET, OTHER, PUT
+from cosim.master import messages
+from cosim.master.copying import Copies, copy_values, doubles
+from cosim.master.initialization import EXACT_SWEEPS, is_settled
+from cosim.system.event_blocks import is_exchange, takes_part_of_step
+
+if TYPE_CHECKING:
+    from cosim.master.master import Master
+
+MOST_SWEEPS = 1000  # exchanges of values at one instant of superdense time
+MOST_RECORDED = 100_000  # events that the record of a run holds
+SOURCES, EARLY, REPEATABLE, LAST = range(4)  # ranks of the order within a step
+
+
+@dataclass(eq=False)
+class Part:
+    """A component in the order of a step.
+
+    Attributes:
+        number: Number of the component among all, for observers.
+        pulls: Copies before its step.
+        time: Time [s] to which it has come.
+        rank: SOURCES, EARLY (may return early, cannot go back), REPEATABLE or LAST.
+        lead: Longest time [s] by which it was ahead of an event.
+    """
+
+    component: Any
+    number: int
+    pulls: Copies
+    every: int
+    is_flexible: bool
+    time: float
+    rank: int = LAST
+    lead: float = 0.0
+
+    def __post_init__(self) -> None:
+        if isinstance(self.component, SourceBlock):
+            self.rank = SOURCES
+        elif isinstance(self.component, FmuBlock) and self.component.instance.rolls_back:
+            self.rank = REPEATABLE
+        elif self.may_return:
+            self.rank = EARLY
+
+    @property
+    def may_return(self) -> bool:
+        """Return whether its steps may end early."""
+        return self.is_flexible and isinstance(self.component, EventFmu) and self.component.may_return
+
+    def save(self) -> Any:
+        """Return the state before a step; None if it cannot be restored."""
+        if self.rank == SOURCES:
+            return self.time
+        if self.rank != REPEATABLE:
+            return None
+        if isinstance(self.component, EventFmu):
+            return self.component.save()
+        return self.time, self.component.instance.save_state()
+
+    def go_back(self, state: Any) -> None:
+        """Take back a state."""
+        if self.rank == SOURCES:
+            self.time = state
+        elif isinstance(self.component, EventFmu):
+            self.component.go_back(state)
+            self.time = self.component.reached
+        else:
+            self.time, fmu = state
+            self.component.instance.restore_state(fmu)
+
+    def forget(self, state: Any) -> None:
+        """Free a state that is not needed."""
+        if self.rank == REPEATABLE:
+            fmu = state[0] if isinstance(self.component, EventFmu) else state[1]
+            self.component.instance.free_state(fmu)
+
+
+@dataclass
+class EventRecord:
+    """Handled events and ticks of a run.
+
+    Attributes:
+        events: (time [s], component, cause), the first MOST_RECORDED.
+        counts: (component, cause) → number.
+    """
+
+    events: list[tuple[float, str, str]] = field(default_factory=list)
+    counts: dict[tuple[str, str], int] = field(default_factory=dict)
+
+    def add(self, time: float, component: str, cause: str) -> None:
+        """Add an event."""
+        self.counts[component, cause] = self.counts.get((component, cause), 0) + 1
+        if len(self.events) < MOST_RECORDED:
+            self.events.append((time, component, cause))
+
+
+class Instants:
+    """The stepping of a run with event mode."""
+
+    def __init__(self, master: Master) -> None:
+        system = master.system
+        self.master, self.begin, self.h = master, system.start, master.h
+        self.record = EventRecord()
+        self.close = CLOSE * self.h
+        index = {id(c): k for k, c in enumerate(master.components)}
+        parts = [
+            Part(
+                stage.component,
+                index[id(stage.component)],
+                master.pulls[stage.component.name],
+                stage.every,
+                takes_part_of_step(stage),
+                self.begin,
+            )
+            for stage in system.stages
+        ]
+        self.flexible = [part for part in parts if part.is_flexible]
+        if any(part.may_return for part in self.flexible):
+            self.flexible.sort(key=lambda part: part.rank)
+        self.rigid = [part for part in parts if not part.is_flexible]
+        self.last_early = max((k for k, part in enumerate(self.flexible) if part.may_return), default=-1)
+        self.events = [part for part in parts if isinstance(part.component, EventFmu)]
+        self.exchanges = [part for part in parts if is_exchange(part.component)]
+        self.by_name = {part.component.name: part for part in self.events}
+        self.wires: dict[tuple[str, str], list[tuple[str, str]]] = {}
+        for origin, target in system.clock_wires:
+            owner, _, clock = origin.partition(".")
+            goal, _, name = target.partition(".")
+            self.wires.setdefault((owner, clock), []).append((goal, name))
+        self.pending: dict[str, list[str]] = {}  # component → clocks to tick when it has come to the time
+        self.all = master.copying.of((*system.held, *(t for stage in system.stages for t in stage.pulls)))
+        self._times: deque[float] = deque(maxlen=MOST_EVENTS)
+        self._apply_events = master._apply_events
+        master.calls = tuple(call for call in master.calls if call != self._apply_events)
+        self._ask_for_small_steps()
+
+    def _ask_for_small_steps(self) -> None:
+        """Bound the lead of FMUs that can neither go back nor know of each other's events."""
+        alone = [part for part in self.flexible if part.rank == EARLY]
+        if len(alone) > 1:
+            for part in alone:
+                calls = part.component.event_calls
+                about = part.component.description.coSimulation
+                calls.in_small_steps = calls.gives_updates and about.canReturnEarlyAfterIntermediateUpdate
+
+    # -- course ----------------------------------------------------------------------------------------
+
+    def at_start(self) -> None:
+        """Handle the instant at the start of the run, at which all FMUs are in event mode after initialization."""
+        t = self.begin
+        for part in self.events:
+            part.time = t
+        self._apply_events(0)
+        self._copy_all(0)
+        self._handle(t, 0, self.events, list(self.events))
+
+    def run(self) -> None:
+        """Make all steps."""
+        master, row, width = self.master, self.master.view, len(self.master.view)
+        table = doubles(master.table)
+        call_point = master._next_call(1)
+        try:
+            for k in range(1, master.steps + 1):
+                self._step_to_point(k)
+                if k == call_point:
+                    for call in master.calls:
+                        call(k)
+                    call_point = master._next_call(k + 1)
+                table[k * width : k * width + width] = row
+                master.done = master.row_count[0] = k + 1
+        finally:
+            master.done = master.row_count[0]
+            self._note_leads()
+
+    def _step_to_point(self, k: int) -> None:
+        t, end = self.begin + (k - 1) * self.h, self.begin + k * self.h
+        self.close = CLOSE * self.h + 2 * ULPS * math.ulp(max(abs(t), abs(end)))
+        for part in self.rigid:
+            if (k - 1) % part.every == 0:
+                self._put(part, k)
+        while True:
+            t = self._advance(self._target(t, end), k)
+            if t >= end - self.close:
+                break
+            self._instant(t, k - 1, [part for part in self.events if part.is_flexible])
+        for part in self.rigid:
+            if k % part.every == 0:
+                self._step_rigid(part, k, end)
+        self._apply_events(k)
+        self._instant(end, k, self.events)
+
+    def _target(self, t: float, end: float) -> float:
+        """Return the time [s] of the next instant that is known."""
+        target = end
+        for part in self.events:
+            if part.is_flexible:
+                due = part.component.due
+                ahead = part.time if part.time > t + self.close else math.inf
+                target = min(target, due if due > t + self.close else math.inf, ahead)
+        return end if target > end - self.close else target
+
+    # -- steps ---------------------------------------------------------------------------------------
+
+    def _advance(self, target: float, k: int) -> float:
+        """Step all flexible components to a time [s], or to the first early return; return the time."""
+        while True:
+            saved: list[tuple[Part, Any]] = []
+            early: Part | None = None
+            for place, part in enumerate(self.flexible):
+                if target - part.time <= self.close:
+                    continue
+                if place < self.last_early and (state := part.save()) is not None:
+                    saved.append((part, state))
+                if self._step(part, target, k) < target - self.close:
+                    early = part
+                    break
+            if early is None:
+                for part, state in saved:
+                    part.forget(state)
+                return target
+            target = early.time
+            self._take_back(saved, target, early)
+
+    def _step(self, part: Part, target: float, k: int) -> float:
+        self._put(part, k)
+        component, doing = part.component, self.master.doing
+        doing[0] = CALLS * part.number + ADVANCE
+        if isinstance(component, EventFmu):
+            part.time = component.go(target)
+        else:
+            component.advance(part.time, target - part.time)
+            part.time = target
+        doing[0] = CALLS * part.number + GET
+        component.get()
+        return part.time
+
+    def _step_rigid(self, part: Part, k: int, end: float) -> None:
+        component, doing = part.component, self.master.doing
+        since = self.begin + (k - part.every) * self.h
+        doing[0] = CALLS * part.number + ADVANCE
+        if isinstance(component, EventFmu):
+            component.go(end)
+        else:
+            component.advance(since, part.every * self.h if component.nominal_step else end - since)
+        part.time = end
+        doing[0] = CALLS * part.number + GET
+        component.get()
+
+    def _put(self, part: Part, k: int) -> None:
+        copy_values(self.master.row, part.pulls, k)
+        self.master.doing[0] = CALLS * part.number + PUT
+        part.component.put()
+
+    def _take_back(self, saved: Iterable[tuple[Part, Any]], target: float, early: Part) -> None:
+        """Take back the components that have gone beyond an early return, and note those that cannot."""
+        for part, state in saved:
+            self.master.doing[0] = CALLS * part.number + OTHER
+            if part is early or part.time <= target + self.close:
+                part.forget(state)
+            else:
+                part.go_back(state)
+        for part in self.flexible:
+            if part.time > target + self.close:
+                part.lead = max(part.lead, part.time - target)
+
+    def _note_leads(self) -> None:
+        for part in self.flexible:
+            if part.lead:
+                self.master.notes.append(messages.AHEAD_OF_EVENT(component=part.component.name, lead=part.lead))
+
+    # -- instants --------------------------------------------------------------------------------
+
+    def _instant(self, t: float, k: int, events: Sequence[Part]) -> None:
+        """Exchange values at a time [s], and handle its events."""
+        here = [part for part in events if abs(part.time - t) <= self.close or not part.is_flexible]
+        self._copy_all(k)
+        asked = []
+        for part in here:
+            fmu = part.component
+            fmu.look()
+            if fmu.asks or fmu.due <= t + self.close or fmu.has_jumped or fmu.name in self.pending:
+                asked.append(part)
+        if asked:
+            self._check_progress(t)
+            self._handle(t, k, here, asked)
+
+    def _handle(self, t: float, k: int, here: Sequence[Part], asked: Sequence[Part]) -> None:
+        """Iterate in superdense time until no FMU needs another round."""
+        joined: list[Part] = []
+        for part in asked:
+            self._record_cause(part, t)
+        for _ in range(MOST_EVENTS):
+            before = bytes(self.master.row)
+            for part in asked:
+                self._join(part, joined)
+                self._tick(part, t)
+            self._settle(t, k, here, joined)
+            again = []
+            for part in joined:
+                self._announce(part)
+                if part.component.update():
+                    again.append(part)
+            for part in joined:
+                self._announce(part, GET)
+                part.component.get()
+            self._propagate(k)
+            asked = [p for p in here if p in again or p.component.is_stirred or self._ticks(p, t)]
+            if not asked:
+                for part in joined:
+                    self._announce(part)
+                    part.component.leave()
+                return
+        self._raise_restless(t, before, asked)
+
+    def _settle(self, t: float, k: int, here: Sequence[Part], joined: list[Part]) -> None:
+        """Exchange values and clocks within one instant of superdense time, until they settle."""
+        master = self.master
+        for sweep in range(1, MOST_SWEEPS + 1):
+            before, row, beside = bytes(master.row), list(master.row), list(master.beside)
+            is_quiet = True
+            for part in tuple(joined):
+                self._announce(part, PUT)
+                part.component.put()
+                part.component.look()
+                self._announce(part, GET)
+                part.component.get()
+                for clock in part.component.fired():
+                    is_quiet = False
+                    self.record.add(t, part.component.name, f"clock {clock}")
+                    self._trigger(part.component.name, clock, t, here, joined)
+                copy_values(master.row, self.all, k)
+            self._propagate(k)
+            for part in here:
+                if part not in joined and part.component.is_stirred:
+                    is_quiet = False
+                    self.record.add(t, part.component.name, "input")
+                    self._join(part, joined)
+            settled = bytes(master.row) == before or (sweep > EXACT_SWEEPS and is_settled(row, master.row))
+            if is_quiet and settled and list(master.beside) == beside:
+                return
+        name = self._changed(before) or joined[-1].component.name
+        raise SimulationError(name, t, messages.EVENT_NOT_SETTLED(count=MOST_SWEEPS))
+
+    def _propagate(self, k: int) -> None:
+        """Copy all values; FMUs for model exchange answer to changed inputs at once."""
+        self._copy_all(k)
+        for part in self.exchanges:
+            self._announce(part, PUT)
+            part.component.put()
+            self._announce(part, GET)
+            part.component.get()
+        if self.exchanges:
+            self._copy_all(k)
+
+    def _join(self, part: Part, joined: list[Part]) -> None:
+        if part not in joined:
+            joined.append(part)
+            self._announce(part)
+            part.component.enter()
+
+    def _ticks(self, part: Part, t: float) -> list[str]:
+        """Return the clocks of a component that are due."""
+        return [*part.component.due_clocks(t, self.close), *self.pending.get(part.component.name, ())]
+
+    def _tick(self, part: Part, t: float) -> None:
+        names = self._ticks(part, t)
+        if names:
+            self.pending.pop(part.component.name, None)
+            self._announce(part)
+            part.component.tick(names)
+            for name in names:
+                self.record.add(t, part.component.name, f"clock {name}")
+            self._check_periods(part, names, t)
+
+    def _check_periods(self, part: Part, names: Iterable[str], t: float) -> None:
+        """Raise SimulationError if a periodic clock ticks more often than the component can be stepped."""
+        for name in names:
+            timer = part.component.timers.get(name)
+            if timer is not None and timer.interval is not None and timer.next <= t + self.close:
+                message = messages.CLOCK_TOO_FAST(interval=timer.interval, step=self.h)
+                raise SimulationError(f"{part.component.name}.{name}", t, message)
+
+    def _trigger(self, owner: str, clock: str, t: float, here: Sequence[Part], joined: list[Part]) -> None:
+        """Tick the clocks that are connected to a clock that ticks."""
+        for name, target in self.wires.get((owner, clock), ()):
+            part = self.by_name[name]
+            if part not in here:
+                self.pending.setdefault(name, []).append(target)
+                continue
+            self._join(part, joined)
+            self._announce(part)
+            part.component.tick([target])
+            self.record.add(t, name, f"clock {target}")
+
+    def _copy_all(self, k: int) -> None:
+        copy_values(self.master.row, self.all, k)
+
+    def _announce(self, part: Part, call: int = OTHER) -> None:
+        self.master.doing[0] = CALLS * part.number + call
+
+    def _record_cause(self, part: Part, t: float) -> None:
+        fmu = part.component
+        if fmu.asks:
+            self.record.add(t, fmu.name, "event")
+        elif fmu.next_event <= t + self.close:
+            self.record.add(t, fmu.name, "time event")
+        elif fmu.has_jumped:
+            self.record.add(t, fmu.name, "input")
+
+    # -- failures -----------------------------------------------------------------------------------
+
+    def _check_progress(self, t: float) -> None:
+        """Raise SimulationError if events follow one another at almost one time."""
+        self._times.append(t)
+        if len(self._times) == self._times.maxlen and t - self._times[0] <= AT_ONCE * self.h:
+            names = ", ".join(sorted({part.component.name for part in self.events if part.component.asks}))
+            message = messages.EVENTS_CROWD(count=len(self._times), span=AT_ONCE * self.h)
+            raise SimulationError(names or "the run", t, message)
+
+    def _changed(self, before: bytes) -> str:
+        """Return the first signal that differs from a former row; "" if none does."""
+        old = memoryview(before).cast("d")
+        pairs = zip(self.master.system.columns, old, self.master.row, strict=True)
+        return next((column for column, a, b in pairs if a != b), "")
+
+    def _raise_restless(self, t: float, before: bytes, asked: Sequence[Part]) -> None:
+        name = self._changed(before) or asked[0].component.name
+        names = ", ".join(part.component.name for part in asked)
+        raise SimulationError(name, t, messages.EVENTS_WITHOUT_END(count=MOST_EVENTS, names=names))

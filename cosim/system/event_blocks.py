@@ -1,0 +1,160 @@
+"""FMUs with event mode: which of them use it, their clocks, and their fitness for a scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from cosim.blocks.clocks import PERIODIC, Clock, Timing, read_clocks
+from cosim.blocks.component import Component
+from cosim.blocks.description import Way, takes_any_step, ways
+from cosim.blocks.event_mode import EventFmu
+from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.model_exchange import ModelExchange2
+from cosim.blocks.scheduled import ScheduledFmu
+from cosim.blocks.sources import SourceBlock
+from cosim.fmi.sampled import sampled_by
+from cosim.scenario.diagnosis import Diagnosis
+from cosim.scenario.scenario import ClockTiming, FmuComponent
+from cosim.scenario.scenario_file import ScenarioFile
+from cosim.storage.yaml_file import did_you_mean
+from cosim.system import messages
+from cosim.system.schedule import Stage
+
+
+def event_block(
+    file: ScenarioFile,
+    name: str,
+    component: FmuComponent,
+    path: Path,
+    read: Callable[[Path], Any],
+    diagnosis: Diagnosis,
+) -> Callable[..., FmuBlock] | None:
+    """Return the class of an FMU's block with its event settings; None after a fault."""
+    description = read(path)
+    way = component.interface or ways(description)[0]
+    clocks = read_clocks(path, description)
+    uses = way == "scheduled-execution" or _uses_events(component, description, way, clocks)
+    if component.event_mode and not uses:
+        message = messages.NO_EVENT_MODE(component=name, reason=_reason(description, way))
+        diagnosis.note(("components", name, "event_mode"), message)
+        return None
+    if not uses:
+        if component.clocks:
+            template = messages.CLOCK_WITHOUT_EVENT_MODE if clocks else messages.NO_EVENT_MODE
+            message = template(component=name, **({} if clocks else {"reason": "its FMU declares no clocks"}))
+            diagnosis.note(("components", name, "clocks"), message)
+        return FmuBlock
+    timings = _timings(file, name, component, clocks, diagnosis)
+    kind = ScheduledFmu if way == "scheduled-execution" else EventFmu
+    return partial(kind, timings=timings, jumping=_jumping(file, name, read))
+
+
+def _uses_events(component: FmuComponent, description: Any, way: Way, clocks: Mapping[str, Clock]) -> bool:
+    has = way == "co-simulation" and bool(getattr(description.coSimulation, "hasEventMode", False))
+    return has and (bool(clocks) if component.event_mode is None else component.event_mode)
+
+
+def _reason(description: Any, way: Way) -> str:
+    if not description.fmiVersion.startswith("3") or way != "co-simulation":
+        return f"it is run as FMI {description.fmiVersion} for {way}; event mode is part of FMI 3.0 for co-simulation"
+    return "its FMU declares none (hasEventMode)"
+
+
+def _timings(
+    file: ScenarioFile, name: str, component: FmuComponent, clocks: Mapping[str, Clock], diagnosis: Diagnosis
+) -> dict[str, Timing]:
+    """Return the times of clocks that a scenario states; note faults."""
+    connected = {c.target for c in file.scenario.connections}
+    timings = {}
+    for clock_name, timing in component.clocks.items():
+        clock, full_name = clocks.get(clock_name), f"{name}.{clock_name}"
+        if clock is None or clock.causality != "input":
+            hint = did_you_mean(clock_name, [c.name for c in clocks.values() if c.causality == "input"])
+            message = messages.NO_CLOCK(component=name, name=clock_name, hint=hint)
+        elif full_name in connected:
+            message = messages.CLOCK_TWICE(name=full_name)
+        elif (objection := _objection(clock, full_name, timing, file.scenario.start_time)) is not None:
+            message = objection
+        else:
+            timings[clock_name] = Timing(timing.interval, timing.shift, tuple(timing.at))
+            continue
+        diagnosis.note(("components", name, "clocks", clock_name), message)
+    return timings
+
+
+def _objection(clock: Clock, name: str, timing: ClockTiming, start: float) -> Any:
+    """Return the fault of the times that a scenario states for a clock, or None."""
+    if clock.kind == "constant" or (clock.is_time_based and clock.interval is None):
+        return messages.CLOCK_TIME_OF_FMU(name=name, kind=clock.kind)
+    if clock.kind in PERIODIC and (timing.at or timing.shift is not None):
+        return messages.CLOCK_WITHOUT_SHIFT(name=name, kind=clock.kind)
+    if bool(timing.at) == (timing.interval is not None):
+        return messages.CLOCK_NEEDS_ONE(name=name)
+    if timing.at != sorted(set(timing.at)) or (timing.at and timing.at[0] < start):
+        return messages.CLOCK_TIMES_UNORDERED(name=name)
+    return None
+
+
+def _jumping(file: ScenarioFile, name: str, read: Callable[[Path], Any]) -> frozenset[str]:
+    """Return the inputs of an FMU whose sources jump: blocks, sampled FMUs and discrete outputs."""
+    jumping = set()
+    for connection in file.scenario.connections:
+        owner, _, variable = connection.target.partition(".")
+        source, _, output = connection.source.partition(".")
+        if owner == name and _jumps(file, source, output, read):
+            jumping.add(variable)
+    return frozenset(jumping)
+
+
+def _jumps(file: ScenarioFile, source: str, output: str, read: Callable[[Path], Any]) -> bool:
+    component = file.scenario.components.get(source)
+    if not isinstance(component, FmuComponent) or component.step is not None:
+        return True
+    path = file.resolve(component.fmu)
+    if not path.is_file():
+        return False
+    variables = (v for v in read(path).modelVariables if v.name in (output, output.partition("[")[0]))
+    return any(
+        v.variability not in (None, "continuous") or v.type not in ("Real", "Float64", "Float32") for v in variables
+    )
+
+
+def is_exchange(component: Component) -> bool:
+    """Return whether a component is an FMU for model exchange."""
+    return isinstance(component, FmuBlock) and isinstance(component.calls, ModelExchange2)
+
+
+def takes_part_of_step(stage: Stage) -> bool:
+    """Return whether a component can be stepped to an event within a step of the run."""
+    component = stage.component
+    if stage.every > 1 or component.nominal_step is True and isinstance(component, FmuBlock):
+        return False
+    if isinstance(component, EventFmu):
+        return component.may_return or not component.steps
+    if isinstance(component, SourceBlock) or is_exchange(component):
+        return True
+    return isinstance(component, FmuBlock) and takes_any_step(component.description) and not sampled_by(component.path)
+
+
+def check_events(file: ScenarioFile, stages: Sequence[Stage], diagnosis: Diagnosis) -> None:
+    """Note faults and warnings of a run with event mode: processes, steps of one length, and clocks without a source."""
+    events = [stage.component for stage in stages if isinstance(stage.component, EventFmu)]
+    if not events:
+        return
+    for fmu in events:
+        about = fmu.description.coSimulation or fmu.description.scheduledExecution
+        single = bool(getattr(about, "canBeInstantiatedOnlyOncePerProcess", False))
+        is_second = single and sum(other.path == fmu.path for other in events) > 1
+        if getattr(file.scenario.components[fmu.name], "process", None) == "own" or is_second:
+            where = ("components", fmu.name, "fmu" if is_second else "process")
+            diagnosis.note(where, messages.APART_WITH_EVENTS(component=fmu.name))
+    for stage in stages:
+        if not takes_part_of_step(stage):
+            diagnosis.warnings.append(messages.EVENTS_AT_POINTS(component=stage.component.name))
+    connected = {c.target for c in file.scenario.connections}
+    idle = [f"{f.name}.{s.name}" for f in events for s in f.inputs if s.kind == "Clock"]
+    if idle := [name for name in idle if name not in connected]:
+        diagnosis.warnings.append(messages.CLOCK_NEVER_TICKS(names=", ".join(idle)))
