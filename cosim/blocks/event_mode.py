@@ -5,8 +5,8 @@ to. At an instant (a communication point or an event) the master calls
 
     enter, (tick)*, (put, get, fired)*, update, [(tick)*, (put, get, fired)*, update]*, leave
 
-on every FMU that takes part. Discrete inputs and clocked variables are set and read there only, clocked ones while one of
-their clocks ticks.
+on every FMU that takes part. Discrete inputs and clocked variables are set and read there only, clocked variables while
+one of their clocks ticks.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from cosim.blocks.clocks import PERIODIC, Clock, Timer, Timing, read_clocks
 from cosim.blocks.component import Row, Signal
 from cosim.blocks.description import Way, takes_any_step
 from cosim.blocks.fmi import BOOLEAN, DOUBLE, Calls, CoSimulation3, Listen, end_of
-from cosim.blocks.fmi_types import Exchange, element_names
+from cosim.blocks.fmi_types import element_names
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.variable_access import Ports
 
@@ -75,18 +75,18 @@ class EventCoSimulation3(CoSimulation3):
             raise stop
         return status
 
-    def _update_between(
-        self, _: Any, t: float, sets: bool, gets: bool, done: bool, can: bool, asked: Any, at: Any
-    ) -> None:
+    def _update_between(self, *arguments: Any) -> None:
         """Ask for an early return after an interruption, or after each own step of the FMU.
 
         No values are set or read: inputs are constant during a step, and rows belong to communication points.
+
+        Args:
+            arguments: Those of fmi3IntermediateUpdateCallback.
         """
+        _, t, _, _, is_finished, can_return, is_asked, at = arguments
         try:
-            if can and (self.stop is not None or (self.in_small_steps and done)):
-                asked[0], at[0] = True, t
-            else:
-                asked[0] = False
+            is_asked[0] = can_return and (self.stop is not None or (self.in_small_steps and is_finished))
+            at[0] = t
         except (KeyboardInterrupt, Terminated) as stop:  # Exceptions cannot pass through C.
             self.stop = stop
 
@@ -396,11 +396,10 @@ class EventFmu(FmuBlock):
             with self.instance.check_calls():
                 qualifier, interval = self._interval(clock)
             timer = self.timers[clock.name]
-            if clock.kind == "tunable" and qualifier == CHANGED:
-                timer.every(self._checked(clock, interval), t, 1)
-            elif clock.kind == "changing" and qualifier != NOT_YET_KNOWN:
-                timer.once(t + self._checked(clock, interval))
-            elif clock.kind == "countdown" and qualifier == CHANGED:
+            if clock.kind == "tunable":
+                if qualifier == CHANGED:
+                    timer.every(self._checked(clock, interval), t, 1)
+            elif qualifier == CHANGED or (clock.kind == "changing" and qualifier == UNCHANGED):
                 timer.once(t + self._checked(clock, interval))
 
     def _interval(self, clock: Clock) -> tuple[int, float]:

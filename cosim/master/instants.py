@@ -1,16 +1,17 @@
 """Stepping of systems with event mode and clocks: from instant to instant instead of from row to row.
 
 An instant is a communication point, a tick of a clock, or an event at which an FMU returned early from its step. All
-components are stepped to it. Then the FMUs concerned enter event mode, and values and clocks are exchanged in superdense
-time until nothing changes:
+components are stepped to it. Then the FMUs concerned enter event mode, and values and clocks are exchanged in
+superdense time until nothing changes:
 
     enter, [tick, (put, get, fired)* until settled, update]* until no FMU needs another round, leave
 
 Rows belong to communication points only and hold the values after the instant.
 
-An early return ends the step of all. Components that have gone further go back by restoring their state. Therefore the
-components that cannot go back step after those that may return early. A component that takes only steps of one length
-gets an event within a step at the end of the step.
+An early return ends the step of all. Components that have gone further go back by restoring their state. Therefore
+components that can go back step first, then those that may return early, then all others. Where two may return early
+and cannot go back, the one that did so last steps first; the other may be ahead of an event, which a note tells. A
+component that takes only steps of one length gets an event within a step at the end of the step.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import SimulationError
@@ -30,14 +31,15 @@ from cosim.isolation.rows import ADVANCE, CALLS, GET, OTHER, PUT
 from cosim.master import messages
 from cosim.master.copying import Copies, copy_values, doubles
 from cosim.master.initialization import EXACT_SWEEPS, is_settled
+from cosim.storage.results import Results
 from cosim.system.event_blocks import is_exchange, takes_part_of_step
 
 if TYPE_CHECKING:
     from cosim.master.master import Master
 
 MOST_SWEEPS = 1000  # exchanges of values at one instant of superdense time
-MOST_RECORDED = 100_000  # events that the record of a run holds
-SOURCES, EARLY, REPEATABLE, LAST = range(4)  # ranks of the order within a step
+MOST_RECORDED = 1000  # events that the record of a run holds
+SOURCES, REPEATABLE, EARLY, LAST = range(4)  # ranks of the order within a step
 
 
 @dataclass(eq=False)
@@ -48,8 +50,9 @@ class Part:
         number: Number of the component among all, for observers.
         pulls: Copies before its step.
         time: Time [s] to which it has come.
-        rank: SOURCES, EARLY (may return early, cannot go back), REPEATABLE or LAST.
+        rank: SOURCES, REPEATABLE, EARLY (may return early, cannot go back) or LAST.
         lead: Longest time [s] by which it was ahead of an event.
+        late: Number of such events.
     """
 
     component: Any
@@ -60,6 +63,7 @@ class Part:
     time: float
     rank: int = LAST
     lead: float = 0.0
+    late: int = 0
 
     def __post_init__(self) -> None:
         if isinstance(self.component, SourceBlock):
@@ -114,6 +118,13 @@ class EventRecord:
     events: list[tuple[float, str, str]] = field(default_factory=list)
     counts: dict[tuple[str, str], int] = field(default_factory=dict)
 
+    def add_to(self, results: Results) -> Results:
+        """Return results with the events."""
+        counts: dict[str, dict[str, int]] = {}
+        for (component, cause), count in sorted(self.counts.items()):
+            counts.setdefault(component, {})[cause] = count
+        return replace(results, events=tuple(self.events), event_counts=counts)
+
     def add(self, time: float, component: str, cause: str) -> None:
         """Add an event."""
         self.counts[component, cause] = self.counts.get((component, cause), 0) + 1
@@ -143,7 +154,7 @@ class Instants:
         ]
         self.flexible = [part for part in parts if part.is_flexible]
         if any(part.may_return for part in self.flexible):
-            self.flexible.sort(key=lambda part: part.rank)
+            self.flexible.sort(key=lambda part: (part.rank, not self._ticks_others(part)))
         self.rigid = [part for part in parts if not part.is_flexible]
         self.last_early = max((k for k, part in enumerate(self.flexible) if part.may_return), default=-1)
         self.events = [part for part in parts if isinstance(part.component, EventFmu)]
@@ -160,6 +171,11 @@ class Instants:
         self._apply_events = master._apply_events
         master.calls = tuple(call for call in master.calls if call != self._apply_events)
         self._ask_for_small_steps()
+
+    @staticmethod
+    def _ticks_others(part: Part) -> bool:
+        """Return whether a component has output clocks, which its own events tick."""
+        return isinstance(part.component, EventFmu) and bool(part.component.output_clocks)
 
     def _ask_for_small_steps(self) -> None:
         """Bound the lead of FMUs that can neither go back nor know of each other's events."""
@@ -286,14 +302,18 @@ class Instants:
                 part.forget(state)
             else:
                 part.go_back(state)
-        for part in self.flexible:
-            if part.time > target + self.close:
-                part.lead = max(part.lead, part.time - target)
+        ahead = [part for part in self.flexible if part.time > target + self.close]
+        for part in ahead:
+            part.lead, part.late = max(part.lead, part.time - target), part.late + 1
+        if ahead and early.rank == EARLY:
+            self.flexible.remove(early)
+            self.flexible.insert(min(map(self.flexible.index, ahead)), early)
 
     def _note_leads(self) -> None:
         for part in self.flexible:
             if part.lead:
-                self.master.notes.append(messages.AHEAD_OF_EVENT(component=part.component.name, lead=part.lead))
+                note = messages.AHEAD_OF_EVENT(component=part.component.name, lead=part.lead, count=part.late)
+                self.master.notes.append(note)
 
     # -- instants --------------------------------------------------------------------------------
 
@@ -316,9 +336,11 @@ class Instants:
         joined: list[Part] = []
         for part in asked:
             self._record_cause(part, t)
-        for _ in range(MOST_EVENTS):
+        for update in range(MOST_EVENTS):
             before = bytes(self.master.row)
             for part in asked:
+                if update and part not in joined:
+                    self.record.add(t, part.component.name, "input")
                 self._join(part, joined)
                 self._tick(part, t)
             self._settle(t, k, here, joined)

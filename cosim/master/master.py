@@ -301,7 +301,8 @@ class Master:
     def _rows_so_far(self) -> Results:
         beside = self.beside_rows if isinstance(self.beside_rows, list) else []
         time, table = self.time[: self.done], self.table[: self.done]
-        return results_of(self.system, time, table, beside, self.notes, self.loop)
+        results = results_of(self.system, time, table, beside, self.notes, self.loop)
+        return results if self.instants is None else self.instants.record.add_to(results)
 
 
 def results_of(

@@ -21,8 +21,8 @@ ENDED_EARLY = Template("N-MAS-007", "{component} ended the simulation at t = {ti
 # Events and clocks
 EVENT_NOT_SETTLED = Template(
     "E-MAS-031",
-    "it still changes after {count} exchanges of values at one event: an algebraic loop between FMUs in event mode that "
-    "exchanging values does not settle",
+    "it still changes after {count} exchanges of values at one event: an algebraic loop between FMUs in event mode "
+    "that exchanging values does not settle",
 )
 EVENTS_WITHOUT_END = Template(
     "E-MAS-032",
@@ -31,11 +31,11 @@ EVENTS_WITHOUT_END = Template(
 EVENTS_CROWD = Template("E-MAS-033", "{count} events within {span:.2g} s, so that time stands still")
 CLOCK_TOO_FAST = Template(
     "E-MAS-034",
-    "the clock ticks every {interval:g} s, but its FMU takes only steps of {step:g} s; shorten the step of the scenario",
+    "the clock ticks every {interval:g} s, but its FMU takes only steps of {step:g} s; shorten the step of the "
+    "scenario",
 )
 AHEAD_OF_EVENT = Template(
     "W-MAS-035",
-    "{component} was up to {lead:.3g} s ahead of an event of another FMU, because both may return early from a step and "
-    "it cannot go back: it gets such events that much later. A shorter step of the scenario shortens this",
+    "{component} was up to {lead:.3g} s ahead of an event of another FMU, because both may return early from a step "
+    "and it cannot go back: it got {count} such events that much later. A shorter step of the scenario shortens this",
 )
-EVENT_MODE = Template("N-MAS-036", "event mode: {counts}")

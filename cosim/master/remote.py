@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -121,6 +121,8 @@ class WorkerEnd:
     failure: SimulationError | None = None
     last: float | None = None
     notes: Sequence[str] = ()
+    events: tuple[tuple[float, str, str], ...] = ()
+    event_counts: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
 
 
 def simulate_rows(system: System, steps: int, h: float, table: Path, limits: Limits, observed: bool) -> WorkerEnd:
@@ -154,7 +156,7 @@ def simulate_rows(system: System, steps: int, h: float, table: Path, limits: Lim
     finally:
         beside.close()
     last = float(results.time[-1]) if len(results.time) else None
-    return WorkerEnd(_log_lines(system), failure, last, results.notes)
+    return WorkerEnd(_log_lines(system), failure, last, results.notes, results.events, results.event_counts)
 
 
 def _store_loop(loop: str) -> None:
@@ -229,7 +231,9 @@ def simulate_apart(
     if failure is None and done == count <= steps:
         failure = _disk_full(time[count - 1].item(), count, steps + 1)
     loop = counters.loop.decode("utf-8", "ignore")
-    return SteppedRun(results_of(system, time[:done], values, beside, end.notes, loop), end.log, failure, changes)
+    results = results_of(system, time[:done], values, beside, end.notes, loop)
+    results = replace(results, events=end.events, event_counts=end.event_counts)
+    return SteppedRun(results, end.log, failure, changes)
 
 
 def _convert_unexpected(error: Exception, watch: Watch, counters: Progress) -> SimulationError:

@@ -164,6 +164,9 @@ def _add_outcome(record: dict[str, Any], scenario: Scenario, stepped: SteppedRun
     else:
         record["status"] = f"failed: {stepped.failure}"
     record["warnings"] += [*stepped.results.notes, *stepped.log]
+    if stepped.results.event_counts:
+        record["event_counts"] = stepped.results.event_counts
+        record["first_events"] = [list(event) for event in stepped.results.events]
     if not watched and scenario.limits is not None:
         record["warnings"].append(messages.LIMITS_NOT_WATCHED())
 

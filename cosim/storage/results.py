@@ -40,6 +40,8 @@ class Results:
         whole: Columns of integers, Booleans and enumerations.
         notes: Notes on the run.
         loop: Stepping loop: "C", or "Python: " with the reason; "" if unknown.
+        events: Handled events and ticks of a run with event mode: time [s], component, cause; the first ones.
+        event_counts: Their numbers, by component and cause.
     """
 
     time: Array
@@ -50,6 +52,8 @@ class Results:
     whole: frozenset[str] = frozenset()
     notes: tuple[str, ...] = ()
     loop: str = ""
+    events: tuple[tuple[float, str, str], ...] = ()
+    event_counts: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> Array:
         return self.values[:, self._places[name]]

@@ -130,7 +130,7 @@ def is_exchange(component: Component) -> bool:
 def takes_part_of_step(stage: Stage) -> bool:
     """Return whether a component can be stepped to an event within a step of the run."""
     component = stage.component
-    if stage.every > 1 or component.nominal_step is True and isinstance(component, FmuBlock):
+    if stage.every > 1 or (component.nominal_step is True and isinstance(component, FmuBlock)):
         return False
     if isinstance(component, EventFmu):
         return component.may_return or not component.steps
@@ -140,7 +140,7 @@ def takes_part_of_step(stage: Stage) -> bool:
 
 
 def check_events(file: ScenarioFile, stages: Sequence[Stage], diagnosis: Diagnosis) -> None:
-    """Note faults and warnings of a run with event mode: processes, steps of one length, and clocks without a source."""
+    """Note faults and warnings of a run with event mode: processes, steps of one length, clocks without a source."""
     events = [stage.component for stage in stages if isinstance(stage.component, EventFmu)]
     if not events:
         return

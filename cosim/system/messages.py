@@ -122,8 +122,8 @@ CLOCK_NEVER_TICKS = Template(
 )
 APART_WITH_EVENTS = Template(
     "E-SYS-081",
-    "{component} has event mode, which needs the process of the other FMUs; leave out process: own, and use an FMU that "
-    "allows one instance in a process only once",
+    "{component} has event mode, which needs the process of the other FMUs; leave out process: own, and use an FMU "
+    "that allows one instance in a process only once",
 )
 EVENTS_AT_POINTS = Template(
     "W-SYS-082",

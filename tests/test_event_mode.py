@@ -1,0 +1,375 @@
+"""Event mode, early return, clocks and scheduled execution of FMI 3.0, by FMUs that refuse what FMI forbids."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cosim.base.errors import InputError, SimulationError
+from cosim.blocks.clocks import Timer
+from cosim.blocks.event_mode import EventFmu
+from cosim.isolation.rows import Rows
+from cosim.master.halving import rollback_objection
+from cosim.master.master import Master, StoppedRun, simulate
+from cosim.scenario.scenario_file import ScenarioFile
+from cosim.simulation.workflow import run
+from cosim.storage.results import Results
+from cosim.system.system import System, build_system
+from tests.instants import CONSTANT, instants_fmu
+from tests.slider import slider_fmu
+
+RISES = {"fmu": "plain.fmu", "event_mode": True, "start": {"u": 3.0}}  # reaches level 1 at 1/3, 2/3 and 1 s
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place: Path = tmp_path_factory.mktemp("instants")
+    instants_fmu(place / "plain.fmu")
+    instants_fmu(place / "states.fmu", states=True)
+    instants_fmu(place / "updates.fmu", updates=True)
+    instants_fmu(place / "rigid.fmu", steps=False)
+    instants_fmu(place / "clocked.fmu", CONSTANT)
+    instants_fmu(place / "clocked_states.fmu", CONSTANT, states=True)
+    instants_fmu(place / "rigid_clocked.fmu", CONSTANT, steps=False)
+    instants_fmu(place / "scheduled.fmu", CONSTANT, scheduled=True)
+    return place
+
+
+def scenario(folder: Path, components: dict[str, Any], connections: Sequence[str] = (), **more: Any) -> ScenarioFile:
+    wires = [dict(zip(("from", "to"), text.split(" → "), strict=True)) for text in connections]
+    content = {"name": "s", "duration": 1, "step": 0.1, "components": components, "connections": wires} | more
+    path = folder / "s.yaml"
+    path.write_text(json.dumps(content))
+    return ScenarioFile(path)
+
+
+def system_of(folder: Path, *arguments: Any, **more: Any) -> System:
+    return build_system(scenario(folder, *arguments, **more))
+
+
+def simulated(folder: Path, *arguments: Any, **more: Any) -> Results:
+    file = scenario(folder, *arguments, **more)
+    return simulate(build_system(file), file.scenario.steps, file.scenario.step)
+
+
+def messages_of(folder: Path, *arguments: Any, **more: Any) -> list[str]:
+    with pytest.raises(InputError) as refused:
+        system_of(folder, *arguments, **more)
+    return [fault.message for fault in refused.value.faults]
+
+
+# -- events ---------------------------------------------------------------------------------------
+
+
+def test_an_event_of_one_fmu_reaches_the_others_at_its_own_time(folder: Path) -> None:
+    follower = {"fmu": "states.fmu", "event_mode": True, "start": {"level": 9.0}}
+    results = simulated(folder, {"b": follower, "a": RISES}, ["a.events → b.kick"])
+    assert results.loop == "Python: event mode"
+    assert results["a.at"][[4, 7, 10]] == pytest.approx([1 / 3, 2 / 3, 1], abs=1e-9)
+    assert results["b.at"] == pytest.approx(results["a.at"], abs=1e-12)
+    assert results["b.x"].tolist() == [0] * 4 + [1] * 3 + [3] * 3 + [6]  # 1 + 2 + 3, added in event mode
+    assert results.event_counts == {"a": {"event": 3}, "b": {"input": 3}}
+    assert [cause for _, _, cause in results.events] == ["event", "input"] * 3
+    assert not results.notes
+
+
+def test_an_event_is_located_as_the_solver_of_model_exchange_locates_it(folder: Path) -> None:
+    """The same FMU, alone and beside one that ends its steps elsewhere, falls at the analytic times."""
+    alone = simulated(folder, {"a": RISES})
+    beside = simulated(folder, {"a": RISES, "b": {"fmu": "states.fmu", "event_mode": True, "start": {"u": 7.0}}})
+    for results in (alone, beside):
+        assert [t for t, *cause in results.events if cause == ["a", "event"]] == pytest.approx(
+            [1 / 3, 2 / 3, 1], abs=1e-9
+        )
+    assert len(beside.events) > len(alone.events)
+
+
+@pytest.mark.parametrize("kind", ["plain.fmu", "states.fmu"])
+def test_events_of_two_fmus_are_exact_if_one_of_them_goes_back(folder: Path, kind: str) -> None:
+    second = {"fmu": kind, "event_mode": True, "start": {"u": 7.0}}  # reaches level 1 at 1/7 s and so on
+    results = simulated(folder, {"a": RISES, "b": second, "c": {"fmu": "states.fmu", "event_mode": True}})
+    for name, rate in (("a", 3.0), ("b", 7.0)):
+        times = [t for t, *cause in results.events if cause == [name, "event"]]
+        assert times == pytest.approx([k / rate for k in range(1, len(times) + 1)], abs=1e-9)
+        assert len(times) == rate
+    assert bool(results.notes) is (kind == "plain.fmu")
+    assert all(" was up to 0.0" in note for note in results.notes)
+
+
+def test_an_fmu_that_was_late_once_steps_after_the_one_that_returned(folder: Path) -> None:
+    target = RISES | {"start": {"level": 9.0}}
+    results = simulated(folder, {"b": target, "a": RISES}, ["a.events → b.kick"], algorithm="jacobi")
+    assert results["b.at"][[4, 7]] == pytest.approx([0.4, 2 / 3], abs=1e-9)
+    assert "b was up to 0.0667 s ahead of an event" in results.notes[0]
+    assert "it got 1 such events" in results.notes[0]
+
+
+def test_intermediate_updates_bound_the_lead_of_fmus_that_cannot_go_back(folder: Path) -> None:
+    components = {
+        name: {"fmu": "updates.fmu", "event_mode": True, "start": {"u": u, "own_step": 0.004}}
+        for name, u in (("a", 3.0), ("b", 7.0))
+    }
+    results = simulated(folder, components, record=["*.returns"])
+    assert results["a.returns"][-1] + results["b.returns"][-1] > 200  # 250 own steps
+    leads = [float(note.split(" up to ")[1].split(" s ")[0]) for note in results.notes]
+    assert max(leads, default=0.0) <= 0.004 + 1e-12
+    assert results["a.at"][-1] == pytest.approx(1.0, abs=1e-9)
+
+
+def test_an_announced_event_is_a_communication_point_of_all(folder: Path) -> None:
+    results = simulated(folder, {"a": RISES | {"start": {"announced": 0.13}}})
+    assert results["a.timely"].tolist() == [0, 0, 1, 2, 3, 3, 4, 5, 6, 6, 7]
+    assert results.event_counts["a"]["time event"] == 7
+
+
+def test_fmus_of_other_kinds_are_stepped_to_the_events(folder: Path) -> None:
+    slider_fmu(folder / "exchange.fmu", exchange=True)
+    slider_fmu(folder / "slider.fmu")
+    components = {
+        "a": RISES,
+        "m": {"fmu": "exchange.fmu", "start": {"gain": 1.0, "damping": 1.0}, "tolerance": 1e-8},
+        "s": {"fmu": "slider.fmu", "start": {"gain": 1.0, "damping": 1.0}},
+    }
+    results = simulated(folder, components, ["a.events → m.force", "a.events → s.force"], algorithm="jacobi")
+    exact = sum(np.where(results.time > at, 1 - np.exp(-(results.time - at)), 0) for at in (1 / 3, 2 / 3))
+    assert results["m.velocity"] == pytest.approx(exact, abs=1e-6)  # tolerance of the solver
+    assert results["s.velocity"] == pytest.approx(exact, abs=1e-4)  # its midpoint rule
+
+
+def test_a_component_with_steps_of_one_length_is_named_and_gets_events_at_the_end_of_its_step(folder: Path) -> None:
+    components = {"a": RISES, "r": {"fmu": "rigid.fmu", "event_mode": True, "start": {"u": 0.5}}}
+    file = scenario(folder, components, ["a.events → r.kick"])
+    system = build_system(file)
+    assert any("r takes only steps of one length" in warning for warning in system.warnings)
+    results = simulate(system, file.scenario.steps, file.scenario.step)
+    assert results["a.at"][4] == pytest.approx(1 / 3, abs=1e-9)
+    assert results["r.at"][4] == pytest.approx(0.4)
+
+
+def test_discrete_inputs_are_set_in_event_mode(folder: Path) -> None:
+    signal = {"block": "reference", "signals": {"n": {"start": 0, "changes": [{"at": 0.3, "to": 2}]}}}
+    components = {"r": signal, "a": RISES | {"start": {}}}
+    results = simulated(folder, components, ["r.n → a.kick"])
+    assert results["a.x"].tolist() == [0] * 3 + [2] * 8
+    assert results["a.at"][3] == pytest.approx(0.3)
+
+
+def test_events_of_the_scenario_act_in_event_mode(folder: Path) -> None:
+    events = [{"at": 0.2, "set": {"a.kick": 3}}, {"at": 0, "set": {"a.kick": 1}}]
+    results = simulated(folder, {"a": RISES | {"start": {}}}, events=events)
+    assert results["a.x"].tolist() == [1] * 2 + [4] * 9
+    assert results["a.kick"].tolist() == [1] * 2 + [3] * 9
+
+
+def test_a_loop_of_discrete_values_settles_in_superdense_time(folder: Path) -> None:
+    loop = RISES | {"start": {"plus": 1, "most": 5, "u": 0.0}}
+    results = simulated(folder, {"a": loop, "b": loop}, ["a.echo → b.kick", "b.echo → a.kick"], algorithm="jacobi")
+    assert results["a.kick"].tolist() == results["b.kick"].tolist() == [5] * 11
+
+
+def test_a_loop_without_an_end_is_refused_with_fmu_variable_and_time(folder: Path) -> None:
+    grows = RISES | {"start": {"u": 3.0, "plus": 0}}
+    first = {"a": grows, "b": RISES | {"start": {"u": 0.0, "plus": 1}}, "c": RISES | {"start": {"u": 0.0}}}
+    wires = ["a.events → c.kick", "c.echo → b.kick"]
+    assert simulated(folder, first, wires)["b.echo"][-1] == 4
+    chatters = {"a": RISES | {"start": {"u": 1.0, "floor": 1.0 - 1e-13}}}
+    with pytest.raises(StoppedRun, match=r"^a at t = 1 s: 1000 events within 1e-07 s") as stopped:
+        simulated(folder, chatters, duration=2)
+    assert len(stopped.value.results.time) == 11
+
+
+def test_runs_without_event_mode_are_stepped_in_c_as_before(folder: Path) -> None:
+    plain = {"fmu": "plain.fmu", "start": {"u": 3.0}}
+    results = simulated(folder, {"a": plain}, record=["a.returns"])
+    assert results.loop == "C"
+    assert results["a.returns"][-1] == 0
+    assert not results.events
+
+
+# -- clocks -----------------------------------------------------------------------------------------
+
+
+def test_a_clock_reads_and_writes_its_variables_at_its_ticks(folder: Path) -> None:
+    results = simulated(folder, {"a": RISES, "b": {"fmu": "clocked.fmu"}}, ["a.x → b.w"])
+    ticks = np.arange(1, 12)
+    assert results["b.sample"].tolist() == results["b.ticks"].tolist() == ticks.tolist()
+    # At 1 s the clock ticks before the event that lets x fall from 1 to 0.
+    assert results["b.y"] == pytest.approx([*(results["a.x"] + ticks)[:-1], 1 + 11])
+    assert results.whole >= {"b.sample", "b.crossed"}
+
+
+def test_an_output_clock_ticks_the_clocks_connected_to_it_and_starts_a_countdown(folder: Path) -> None:
+    source = {"fmu": "clocked.fmu", "start": {"u": 3.0}}
+    target = {"fmu": "clocked_states.fmu", "start": {"delay": 0.125}}
+    results = simulated(folder, {"b": target, "a": source}, ["a.crossed → b.trigger"])
+    assert results["b.triggered"].tolist() == [0] * 4 + [1] * 3 + [2] * 3 + [3]
+    assert results["b.rung"][[5, 8]] == pytest.approx([1 / 3 + 0.125, 2 / 3 + 0.125], abs=1e-9)
+    assert results["b.alarm"][-1] == 2
+
+
+@pytest.mark.parametrize(
+    ("sample", "settings", "ticks"),
+    [
+        (CONSTANT, {}, 11),
+        ('intervalVariability="constant" intervalCounter="1" shiftCounter="1" resolution="4"', {}, 4),
+        ('intervalVariability="fixed" intervalDecimal="0.1"', {}, 11),
+        ('intervalVariability="fixed" intervalDecimal="0.1"', {"interval": 0.25}, 5),
+        ('intervalVariability="fixed"', {}, 10),  # the FMU says 0.1 s, from 0.05 s on
+        ('intervalVariability="tunable"', {}, 4),  # 0.05 s and then 0.2, 0.4, 0.8 s
+        ('intervalVariability="changing"', {}, 4),  # 0.1 s and then 0.2, 0.4, 0.8 s later
+        ('intervalVariability="triggered"', {"at": [0, 0.31, 0.99]}, 3),
+        ('intervalVariability="triggered"', {"interval": 0.3, "shift": 0.2}, 3),
+    ],
+)
+def test_clocks_tick_at_the_times_that_their_kind_gives(
+    tmp_path: Path, sample: str, settings: dict[str, Any], ticks: int
+) -> None:
+    instants_fmu(tmp_path / "a.fmu", sample)
+    clocks = {"clocks": {"sample": settings}} if settings else {}
+    results = simulated(tmp_path, {"a": {"fmu": "a.fmu", **clocks}})
+    expected = {'intervalVariability="tunable"': 3, 'intervalVariability="changing"': 3}.get(sample, ticks)
+    assert results["a.ticks"][-1] == results["a.sample"][-1] == expected
+
+
+def test_ticks_are_counted_so_that_their_times_do_not_drift() -> None:
+    timer = Timer()
+    timer.every(0.1, 0.0)
+    for _ in range(10_000):
+        timer.tick()
+    assert timer.next == 10_000 * 0.1
+    again = Timer()
+    again.restore(json.loads(json.dumps(timer.state())))
+    assert again == timer
+
+
+def test_a_clock_faster_than_the_steps_of_its_fmu_is_refused(folder: Path) -> None:
+    with pytest.raises(
+        StoppedRun, match=r"r.sample at t = 0\.2 s: the clock ticks every 0\.1 s, but its FMU takes only"
+    ):
+        simulated(folder, {"r": {"fmu": "rigid_clocked.fmu"}}, step=0.2)
+
+
+def test_a_schedule_goes_to_a_checkpoint_and_back(folder: Path) -> None:
+    system = system_of(folder, {"a": {"fmu": "clocked.fmu", "start": {"announced": 0.13}}})
+    master = Master(system, 10, 0.1, None, Rows.in_memory(11, len(system.columns)))
+    master.results()
+    fmu = master.components[0]
+    assert isinstance(fmu, EventFmu)
+    schedule = json.loads(json.dumps(fmu.schedule()))
+    assert schedule["next_event"] == pytest.approx(1.04)
+    other = system_of(folder, {"a": {"fmu": "clocked.fmu"}}).stages[0].component
+    assert isinstance(other, EventFmu)
+    other.timers = {name: Timer() for name in schedule["timers"]}
+    other.restore_schedule(schedule, 1.0)
+    assert (other.due, other.schedule()) == (fmu.due, schedule)
+
+
+# -- scheduled execution ------------------------------------------------------------------------------
+
+
+def test_partitions_run_in_the_order_of_their_priorities(folder: Path) -> None:
+    clocks = {"trigger": {"at": [0.2]}}
+    results = simulated(folder, {"a": {"fmu": "scheduled.fmu", "clocks": clocks, "start": {"delay": 0.0, "gain": 2.0}}})
+    assert results["a.ticks"].tolist() == list(range(1, 12))
+    assert results["a.order"][3] == 112311  # at 0.2 s the trigger (priority 1), its alarm (0), then the sample (2)
+    assert results["a.rung"][-1] == pytest.approx(0.2)
+    assert results["a.y"].tolist() == list(range(1, 12))
+
+
+def test_scheduled_partitions_exchange_values_and_clocks_with_other_fmus(folder: Path) -> None:
+    partition = {"fmu": "scheduled.fmu", "start": {"u": 2.5, "delay": 0.05}}  # counts a crossing at 0.4 and 0.8 s
+    components = {"p": partition, "a": RISES, "b": {"fmu": "clocked.fmu"}}
+    wires = ["a.x → p.w", "p.crossed → b.trigger", "b.crossed → p.trigger", "p.events → b.kick"]
+    results = simulated(folder, components, wires)
+    assert results["p.y"][:-1] == pytest.approx((results["a.x"] + np.arange(1, 12))[:-1])
+    assert results["b.triggered"].tolist() == [0] * 4 + [1] * 4 + [2] * 3
+    assert results["b.x"].tolist() == [0] * 4 + [1] * 4 + [3] * 3
+
+
+def test_an_fmu_for_scheduled_execution_only_is_refused_outside_of_scenarios(folder: Path) -> None:
+    from cosim.blocks.description import read_description
+
+    with pytest.raises(Exception, match="is for scheduled execution, which a scenario runs"):
+        read_description(folder / "scheduled.fmu")
+
+
+# -- whole runs and mistakes ----------------------------------------------------------------------------
+
+
+def test_a_run_in_a_worker_tells_its_events_in_the_manifest(folder: Path, tmp_path: Path) -> None:
+    components = {"a": RISES, "b": {"fmu": "clocked.fmu"}}
+    file = scenario(folder, components, ["a.x → b.w"])
+    outcome = run(file.path, tmp_path / "out", report=False)
+    here = simulate(build_system(file), file.scenario.steps, file.scenario.step)
+    assert np.array_equal(outcome.results.values, here.values)
+    record = json.loads((tmp_path / "out" / "manifest.json").read_text())
+    assert record["loop"] == "Python: event mode"
+    assert record["event_counts"]["b"] == {"clock sample": 11, **record["event_counts"]["b"]}
+    assert record["first_events"][0][0] == 0.0
+
+
+def test_an_fmu_that_breaks_the_rules_of_event_mode_stops_the_run_with_its_words(folder: Path) -> None:
+    system = system_of(folder, {"b": {"fmu": "clocked.fmu"}})
+    fmu = system.stages[0].component
+    assert isinstance(fmu, EventFmu)
+    fmu.bind_nothing()
+    fmu.open(0.0, 1.0)
+    fmu.start()
+    with pytest.raises(SimulationError, match="a clocked variable is read while its clock does not tick"):
+        fmu._values.get_from(next(e for e in fmu._ports.read if "y" in e.names))
+    fmu.close()
+
+
+@pytest.mark.parametrize(
+    ("component", "connections", "words"),
+    [
+        ({"fmu": "clocked.fmu", "event_mode": False, "clocks": {"sample": {"interval": 1}}}, (), "without event mode"),
+        ({"fmu": "plain.fmu", "clocks": {"sample": {"interval": 1}}}, (), "declares no clocks"),
+        (
+            {"fmu": "clocked.fmu", "clocks": {"trigge": {"at": [1]}}},
+            (),
+            'no input clock "trigge"; did you mean "trigger"',
+        ),
+        ({"fmu": "clocked.fmu", "clocks": {"crossed": {"at": [1]}}}, (), 'no input clock "crossed"'),
+        ({"fmu": "clocked.fmu", "clocks": {"sample": {"interval": 1}}}, (), "is a constant clock, whose FMU gives"),
+        ({"fmu": "clocked.fmu", "clocks": {"alarm": {"at": [1]}}}, (), "is a countdown clock, whose FMU gives"),
+        ({"fmu": "clocked.fmu", "clocks": {"trigger": {}}}, (), "needs either interval: or at:"),
+        ({"fmu": "clocked.fmu", "clocks": {"trigger": {"at": [1, 0.5]}}}, (), "are not in order"),
+        ({"fmu": "clocked.fmu", "clocks": {"trigger": {"at": [1]}}}, ("b.crossed → b.trigger",), "keep one"),
+        ({"fmu": "clocked.fmu"}, ("b.x → b.trigger",), "types do not agree"),
+        ({"fmu": "clocked.fmu", "process": "own"}, (), "needs the process of the other FMUs"),
+        ({"fmu": "clocked.fmu", "start": {"sample": 1}}, (), "Clock"),
+    ],
+)
+def test_mistakes_with_clocks_are_answered(
+    folder: Path, component: dict[str, Any], connections: Sequence[str], words: str
+) -> None:
+    found = messages_of(folder, {"b": component}, connections)
+    assert any(words in message for message in found), found
+
+
+def test_clocks_take_no_factor_and_warn_where_they_never_tick(folder: Path) -> None:
+    wire = {"from": "b.crossed", "to": "b.trigger", "factor": 2}
+    file = scenario(folder, {"b": {"fmu": "clocked.fmu"}})
+    file.path.write_text(json.dumps(json.loads(file.path.read_text()) | {"connections": [wire]}))
+    with pytest.raises(InputError) as refused:
+        build_system(ScenarioFile(file.path))
+    found = [fault.message for fault in refused.value.faults]
+    assert any("no factor, offset, noise or fault acts on a clock" in message for message in found)
+    system = system_of(folder, {"b": {"fmu": "clocked.fmu"}})
+    assert any("b.trigger: never ticks" in warning for warning in system.warnings)
+
+
+def test_event_mode_is_refused_where_the_fmu_has_none(folder: Path) -> None:
+    slider_fmu(folder / "two.fmu")
+    found = messages_of(folder, {"b": {"fmu": "two.fmu", "event_mode": True}})
+    assert any("b has no event mode: it is run as FMI 2.0" in message for message in found)
+
+
+def test_steps_with_event_mode_are_not_halved(folder: Path) -> None:
+    assert "has event mode" in rollback_objection(system_of(folder, {"a": RISES}))
