@@ -136,41 +136,53 @@ class Instants:
     """The stepping of a run with event mode."""
 
     def __init__(self, master: Master) -> None:
-        system = master.system
-        self.master, self.begin, self.h = master, system.start, master.h
+        self.master, self.begin, self.h = master, master.system.start, master.h
         self.record = EventRecord()
         self.close = CLOSE * self.h
-        index = {id(c): k for k, c in enumerate(master.components)}
-        parts = [
+        parts = self._parts()
+        self.flexible = [part for part in parts if part.is_flexible]
+        self.rigid = [part for part in parts if not part.is_flexible]
+        self.events = [part for part in parts if isinstance(part.component, EventFmu)]
+        self.exchanges = [part for part in parts if is_exchange(part.component)]
+        self.by_name = {part.component.name: part for part in self.events}
+        self.wires = self._clock_wires()
+        self.pending: dict[str, list[str]] = {}  # component → clocks to tick when it has come to the time
+        self._times: deque[float] = deque(maxlen=MOST_EVENTS)
+        self._apply_events = master._apply_events
+        master.calls = tuple(call for call in master.calls if call != self._apply_events)
+        self._sort()
+        self._ask_for_small_steps()
+
+    def _parts(self) -> list[Part]:
+        """Return the components in the order of the schedule; note the copies of all values."""
+        master, stages = self.master, self.master.system.stages
+        self.all = master.copying.of((*master.system.held, *(t for stage in stages for t in stage.pulls)))
+        return [
             Part(
                 stage.component,
-                index[id(stage.component)],
+                k,
                 master.pulls[stage.component.name],
                 stage.every,
                 takes_part_of_step(stage),
                 self.begin,
             )
-            for stage in system.stages
+            for k, stage in enumerate(stages)
         ]
-        self.flexible = [part for part in parts if part.is_flexible]
-        if any(part.may_return for part in self.flexible):
-            self.flexible.sort(key=lambda part: (part.rank, not self._ticks_others(part)))
-        self.rigid = [part for part in parts if not part.is_flexible]
-        self.last_early = max((k for k, part in enumerate(self.flexible) if part.may_return), default=-1)
-        self.events = [part for part in parts if isinstance(part.component, EventFmu)]
-        self.exchanges = [part for part in parts if is_exchange(part.component)]
-        self.by_name = {part.component.name: part for part in self.events}
-        self.wires: dict[tuple[str, str], list[tuple[str, str]]] = {}
-        for origin, target in system.clock_wires:
+
+    def _clock_wires(self) -> dict[tuple[str, str], list[tuple[str, str]]]:
+        """Return component and output clock → components and input clocks."""
+        wires: dict[tuple[str, str], list[tuple[str, str]]] = {}
+        for origin, target in self.master.system.clock_wires:
             owner, _, clock = origin.partition(".")
             goal, _, name = target.partition(".")
-            self.wires.setdefault((owner, clock), []).append((goal, name))
-        self.pending: dict[str, list[str]] = {}  # component → clocks to tick when it has come to the time
-        self.all = master.copying.of((*system.held, *(t for stage in system.stages for t in stage.pulls)))
-        self._times: deque[float] = deque(maxlen=MOST_EVENTS)
-        self._apply_events = master._apply_events
-        master.calls = tuple(call for call in master.calls if call != self._apply_events)
-        self._ask_for_small_steps()
+            wires.setdefault((owner, clock), []).append((goal, name))
+        return wires
+
+    def _sort(self) -> None:
+        """Let components step first that others need not wait for after an early return."""
+        if any(part.may_return for part in self.flexible):
+            self.flexible.sort(key=lambda part: (part.rank, not self._ticks_others(part)))
+        self.last_early = max((k for k, part in enumerate(self.flexible) if part.may_return), default=-1)
 
     @staticmethod
     def _ticks_others(part: Part) -> bool:
@@ -344,22 +356,30 @@ class Instants:
                 self._join(part, joined)
                 self._tick(part, t)
             self._settle(t, k, here, joined)
-            again = []
-            for part in joined:
-                self._announce(part)
-                if part.component.update():
-                    again.append(part)
-            for part in joined:
-                self._announce(part, GET)
-                part.component.get()
-            self._propagate(k)
+            again = self._update(joined, k)
             asked = [p for p in here if p in again or p.component.is_stirred or self._ticks(p, t)]
             if not asked:
-                for part in joined:
-                    self._announce(part)
-                    part.component.leave()
+                self._leave(joined)
                 return
         self._raise_restless(t, before, asked)
+
+    def _update(self, joined: Iterable[Part], k: int) -> list[Part]:
+        """End an instant of superdense time; return the components that need another one."""
+        again = []
+        for part in joined:
+            self._announce(part)
+            if part.component.update():
+                again.append(part)
+        for part in joined:
+            self._announce(part, GET)
+            part.component.get()
+        self._propagate(k)
+        return again
+
+    def _leave(self, joined: Iterable[Part]) -> None:
+        for part in joined:
+            self._announce(part)
+            part.component.leave()
 
     def _settle(self, t: float, k: int, here: Sequence[Part], joined: list[Part]) -> None:
         """Exchange values and clocks within one instant of superdense time, until they settle."""

@@ -145,16 +145,21 @@ def check_events(file: ScenarioFile, stages: Sequence[Stage], diagnosis: Diagnos
     if not events:
         return
     for fmu in events:
-        about = fmu.description.coSimulation or fmu.description.scheduledExecution
-        single = bool(getattr(about, "canBeInstantiatedOnlyOncePerProcess", False))
-        is_second = single and sum(other.path == fmu.path for other in events) > 1
-        if getattr(file.scenario.components[fmu.name], "process", None) == "own" or is_second:
-            where = ("components", fmu.name, "fmu" if is_second else "process")
-            diagnosis.note(where, messages.APART_WITH_EVENTS(component=fmu.name))
+        _check_process(file, fmu, events, diagnosis)
     for stage in stages:
         if not takes_part_of_step(stage):
             diagnosis.warnings.append(messages.EVENTS_AT_POINTS(component=stage.component.name))
     connected = {c.target for c in file.scenario.connections}
-    idle = [f"{f.name}.{s.name}" for f in events for s in f.inputs if s.kind == "Clock"]
-    if idle := [name for name in idle if name not in connected]:
+    clocks = (f"{fmu.name}.{signal.name}" for fmu in events for signal in fmu.inputs if signal.kind == "Clock")
+    if idle := [name for name in clocks if name not in connected]:
         diagnosis.warnings.append(messages.CLOCK_NEVER_TICKS(names=", ".join(idle)))
+
+
+def _check_process(file: ScenarioFile, fmu: EventFmu, events: Sequence[EventFmu], diagnosis: Diagnosis) -> None:
+    """Note a fault if an FMU needs a process of its own."""
+    about = fmu.description.coSimulation or fmu.description.scheduledExecution
+    is_single = bool(getattr(about, "canBeInstantiatedOnlyOncePerProcess", False))
+    if is_single and sum(other.path == fmu.path for other in events) > 1:
+        diagnosis.note(("components", fmu.name, "fmu"), messages.APART_WITH_EVENTS(component=fmu.name))
+    elif getattr(file.scenario.components[fmu.name], "process", None) == "own":
+        diagnosis.note(("components", fmu.name, "process"), messages.APART_WITH_EVENTS(component=fmu.name))

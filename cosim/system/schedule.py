@@ -47,7 +47,6 @@ def schedule(
     user_order = scenario.order if algorithm.sequential else None
     if user_order is not None and not _names_all(user_order, components, diagnosis):
         return Schedule()
-    clocks = tuple((t.origin, t.name) for ends in transfers for t in ends if t.is_clock)
     wired = [(c, ends) for c, ends in zip(scenario.connections, transfers, strict=True) if not ends[0].is_clock]
     try:
         order, immediate, notes = algorithm.plan(components, [_edge(c) for c, _ in wired], user_order)
@@ -61,12 +60,26 @@ def schedule(
         diagnosis.note(("algorithm",), message)
         return Schedule()
     diagnosis.warnings += notes
+    pulls, held = _divide([ends for _, ends in wired], immediate)
+    stages = tuple(Stage(components[n], tuple(pulls.get(n, ())), every[n]) for n in order)
+    return Schedule(stages, tuple(held), _clock_wires(transfers))
+
+
+def _divide(
+    transfers: Sequence[Sequence[Transfer]], immediate: Sequence[bool]
+) -> tuple[dict[str, list[Transfer]], list[Transfer]]:
+    """Return the transfers right before the step of each component, and those at the end of the step."""
     held: list[Transfer] = []
-    pulls: dict[str, list[Transfer]] = {name: [] for name in order}
-    for (_, ends), is_immediate in zip(wired, immediate, strict=True):
+    pulls: dict[str, list[Transfer]] = {}
+    for ends, is_immediate in zip(transfers, immediate, strict=True):
         for transfer in ends:
-            (pulls[transfer.name.partition(".")[0]] if is_immediate else held).append(transfer)
-    return Schedule(tuple(Stage(components[n], tuple(pulls[n]), every[n]) for n in order), tuple(held), clocks)
+            (pulls.setdefault(transfer.name.partition(".")[0], []) if is_immediate else held).append(transfer)
+    return pulls, held
+
+
+def _clock_wires(transfers: Sequence[Sequence[Transfer]]) -> tuple[tuple[str, str], ...]:
+    """Return the connected clocks: output, input."""
+    return tuple((transfer.origin, transfer.name) for ends in transfers for transfer in ends if transfer.is_clock)
 
 
 def _every(scenario: Scenario, name: str, diagnosis: Diagnosis) -> int:

@@ -225,16 +225,14 @@ class _Wiring:
         """Return the transfer between two signals, or the objection."""
         if objection := _objection(connection, source, target):
             return Misfit(objection)
+        if target.kind == "Clock":
+            return self._clock_wire(connection, source, target)
         noise = connection.noise if self.file.scenario.noise else None
         factor, offset = self._conversion(connection, source, target)
         origin = f"{connection.source.partition('.')[0]}.{source.name}"
         name = f"{connection.target.partition('.')[0]}.{target.name}"
         (from_beside, at), (to_beside, to) = self.layout.place[origin], self.layout.place[name]
         faults = tuple(f for key in dict.fromkeys((connection.target, name)) for f in self._faults.get(key, ()))
-        if target.kind == "Clock":
-            if connection.noise or connection.conversion is not None or faults:
-                return Misfit(messages.CLOCK_CHANGED(source=connection.source, target=connection.target))
-            return Transfer(at, to, name, origin=origin, is_clock=True)
         changes = [f"{fault.kind} fault" for fault in faults if fault.kind not in PASSING]
         changes += ["noise or factor"] if noise or (factor, offset) != (1.0, 0.0) else []
         if changes and (from_beside or to_beside):
@@ -243,6 +241,14 @@ class _Wiring:
             return Misfit(message)
         sides = from_beside, to_beside
         return Transfer(at, to, name, noise, factor, offset, faults, sides, target.items, origin)
+
+    def _clock_wire(self, connection: Connection, source: Signal, target: Signal) -> Transfer | Misfit:
+        """Return the connection of two clocks, or the objection."""
+        origin = f"{connection.source.partition('.')[0]}.{source.name}"
+        name = f"{connection.target.partition('.')[0]}.{target.name}"
+        if connection.noise or connection.conversion is not None or name in self._faults:
+            return Misfit(messages.CLOCK_CHANGED(source=connection.source, target=connection.target))
+        return Transfer(self.layout.place[origin][1], self.layout.place[name][1], name, origin=origin, is_clock=True)
 
     def _conversion(self, connection: Connection, source: Signal, target: Signal) -> tuple[float, float]:
         """Return the factor and the offset of a connection; note a warning if a unit is assumed."""
