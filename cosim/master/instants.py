@@ -216,7 +216,7 @@ class Instants:
         call_point = master._next_call(1)
         try:
             for k in range(1, master.steps + 1):
-                self._step_to_point(k)
+                self._step_to_point(k, has_calls=k == call_point)
                 if k == call_point:
                     for call in master.calls:
                         call(k)
@@ -227,7 +227,7 @@ class Instants:
             master.done = master.row_count[0]
             self._note_leads()
 
-    def _step_to_point(self, k: int) -> None:
+    def _step_to_point(self, k: int, *, has_calls: bool) -> None:
         t, end = self.begin + (k - 1) * self.h, self.begin + k * self.h
         self.close = CLOSE * self.h + 2 * ULPS * math.ulp(max(abs(t), abs(end)))
         for part in self.rigid:
@@ -241,7 +241,8 @@ class Instants:
         for part in self.rigid:
             if k % part.every == 0:
                 self._step_rigid(part, k, end)
-        self._apply_events(k)
+        if has_calls:
+            self._apply_events(k)
         self._instant(end, k, self.events)
 
     def _target(self, t: float, end: float) -> float:
