@@ -72,7 +72,14 @@ WORDS = {  # file → what it is called
 DESCRIBED = """<fmiModelDescription fmiVersion="2.0" modelName="x" guid="1"><CoSimulation modelIdentifier="x"/>
 <ModelVariables/><ModelStructure/></fmiModelDescription>"""
 SCENARIOS = {"scenario.yaml", "ran/manifest.json", "x.ssp"}
-MODELS = {"model.yaml", "model.py", "refined", "refined/refine.json", "study.yaml", "fit.yaml"}  # a study says which model it names
+MODELS = {
+    "model.yaml",
+    "model.py",
+    "refined",
+    "refined/refine.json",
+    "study.yaml",
+    "fit.yaml",
+}  # a study says which model it names
 LOGS = {"log.csv", "ran/results.csv"}
 FMUS = {"x.fmu", "as.zip"}
 CHECKED = (
