@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
+import runpy
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +15,7 @@ import pytest
 
 from cosim.base.errors import InputError, SimulationError
 from cosim.blocks.clocks import Timer
+from cosim.blocks.compiling import compiling
 from cosim.blocks.event_mode import EventFmu
 from cosim.isolation.rows import Rows
 from cosim.master.halving import rollback_objection
@@ -20,9 +24,11 @@ from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
 from cosim.storage.results import Results
 from cosim.system.system import System, build_system
-from tests.instants import CONSTANT, instants_fmu
+from tests.conftest import ROOT
+from tests.instants import CONSTANT, instants_fmu, library
 from tests.slider import slider_fmu
 
+EXAMPLE = ROOT / "examples" / "clocks"
 RISES = {"fmu": "plain.fmu", "event_mode": True, "start": {"u": 3.0}}  # reaches level 1 at 1/3, 2/3 and 1 s
 
 
@@ -329,7 +335,7 @@ def test_an_fmu_that_breaks_the_rules_of_event_mode_stops_the_run_with_its_words
     ("component", "connections", "words"),
     [
         ({"fmu": "clocked.fmu", "event_mode": False, "clocks": {"sample": {"interval": 1}}}, (), "without event mode"),
-        ({"fmu": "plain.fmu", "clocks": {"sample": {"interval": 1}}}, (), "declares no clocks"),
+        ({"fmu": "plain.fmu", "clocks": {"sample": {"interval": 1}}}, (), "b has no clocks; leave out clocks:"),
         (
             {"fmu": "clocked.fmu", "clocks": {"trigge": {"at": [1]}}},
             (),
@@ -373,3 +379,41 @@ def test_event_mode_is_refused_where_the_fmu_has_none(folder: Path) -> None:
 
 def test_steps_with_event_mode_are_not_halved(folder: Path) -> None:
     assert "has event mode" in rollback_objection(system_of(folder, {"a": RISES}))
+
+
+# -- the example ----------------------------------------------------------------------------------------
+
+
+def test_the_example_of_a_clocked_tank_follows_its_equations(tmp_path: Path) -> None:
+    library()  # skips the test without a compiler
+    runpy.run_path(str(EXAMPLE / "build.py"))["build"](tmp_path)
+    shutil.copy(EXAMPLE / "tank.yaml", tmp_path)
+    with compiling(True):
+        outcome = run(tmp_path / "tank.yaml", tmp_path / "out", report=False)
+    results, manifest = outcome.results, outcome.manifest
+    assert all(criterion["met"] for criterion in manifest["criteria"])
+    events = manifest["first_events"]
+    over, resumed = (next(t for t, *cause in events if cause == c) for c in (["tank", "clock over"], RESUMES))
+    assert over == pytest.approx(first_crossing(), abs=1e-9)
+    assert resumed == pytest.approx(over + 30.0, abs=1e-9)
+    assert results["monitor.alarmed"][-1] == over
+    assert results["tank.P"][[116, 145]].tolist() == [0.0, 0.0]
+    assert results["tank.P"][150] > 0.0
+
+
+RESUMES = ["controller", "clock resume"]
+
+
+def first_crossing() -> float:
+    """Return the time [s] at which the tank of the example first rises through 60 °C, by its equations."""
+    temperature, integral, t = 20.0, 0.0, 0.0
+    while True:
+        error = 58.0 - temperature
+        wanted = 100.0 * (error + integral / 30.0)
+        power = min(max(wanted, 0.0), 2000.0)
+        integral += 5.0 * error if power == wanted else 0.0
+        final = 20.0 + power / 20.0
+        at = 200.0 * math.log((final - temperature) / (final - 60.0)) if final > 60.0 else math.inf
+        if at <= 5.0:
+            return t + at
+        temperature, t = final + (temperature - final) * math.exp(-5.0 / 200.0), t + 5.0

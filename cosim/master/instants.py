@@ -18,28 +18,52 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, MutableSequence, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
+from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
+from cosim.blocks.component import Component
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.model_exchange import AT_ONCE, CLOSE, MOST_EVENTS, ULPS
 from cosim.blocks.sources import SourceBlock
 from cosim.isolation.rows import ADVANCE, CALLS, GET, OTHER, PUT
 from cosim.master import messages
-from cosim.master.copying import Copies, copy_values, doubles
+from cosim.master.copying import Copies, Copying, copy_values, doubles
 from cosim.master.initialization import EXACT_SWEEPS, is_settled
 from cosim.storage.results import Results
 from cosim.system.event_blocks import is_exchange, takes_part_of_step
-
-if TYPE_CHECKING:
-    from cosim.master.master import Master
+from cosim.system.system import System
 
 MOST_SWEEPS = 1000  # exchanges of values at one instant of superdense time
 MOST_RECORDED = 1000  # events that the record of a run holds
 SOURCES, REPEATABLE, EARLY, LAST = range(4)  # ranks of the order within a step
+
+
+class EventRun(Protocol):
+    """What the stepping takes from a run, and leaves in it: see `Master`."""
+
+    system: System
+    components: list[Component]
+    steps: int
+    h: float
+    row: Any
+    view: memoryview[float]
+    beside: list[Any]
+    copying: Copying
+    pulls: Mapping[str, Copies]
+    table: Array
+    row_count: MutableSequence[int]
+    doing: MutableSequence[int]
+    done: int
+    notes: list[str]
+    calls: tuple[Callable[[int], None], ...]
+
+    def _next_call(self, k: int) -> int: ...
+
+    def _apply_events(self, k: int) -> None: ...
 
 
 @dataclass(eq=False)
@@ -135,7 +159,7 @@ class EventRecord:
 class Instants:
     """The stepping of a run with event mode."""
 
-    def __init__(self, master: Master) -> None:
+    def __init__(self, master: EventRun) -> None:
         self.master, self.begin, self.h = master, master.system.start, master.h
         self.record = EventRecord()
         self.close = CLOSE * self.h

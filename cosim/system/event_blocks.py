@@ -37,19 +37,24 @@ def event_block(
     way = component.interface or ways(description)[0]
     clocks = read_clocks(path, description)
     uses = way == "scheduled-execution" or _uses_events(component, description, way, clocks)
-    if component.event_mode and not uses:
-        message = messages.NO_EVENT_MODE(component=name, reason=_reason(description, way))
-        diagnosis.note(("components", name, "event_mode"), message)
-        return None
     if not uses:
-        if component.clocks:
-            template = messages.CLOCK_WITHOUT_EVENT_MODE if clocks else messages.NO_EVENT_MODE
-            message = template(component=name, **({} if clocks else {"reason": "its FMU declares no clocks"}))
-            diagnosis.note(("components", name, "clocks"), message)
-        return FmuBlock
+        return FmuBlock if _is_without_events(name, component, clocks, _reason(description, way), diagnosis) else None
     timings = _timings(file, name, component, clocks, diagnosis)
     kind = ScheduledFmu if way == "scheduled-execution" else EventFmu
     return partial(kind, timings=timings, jumping=_jumping(file, name, read))
+
+
+def _is_without_events(
+    name: str, component: FmuComponent, clocks: Mapping[str, Clock], reason: str, diagnosis: Diagnosis
+) -> bool:
+    """Return whether an FMU runs without event mode; note a fault if the scenario needs it."""
+    if component.event_mode:
+        diagnosis.note(("components", name, "event_mode"), messages.NO_EVENT_MODE(component=name, reason=reason))
+    elif component.clocks and clocks:
+        diagnosis.note(("components", name, "clocks"), messages.CLOCK_WITHOUT_EVENT_MODE(component=name))
+    elif component.clocks:
+        diagnosis.note(("components", name, "clocks"), messages.NO_CLOCKS(component=name))
+    return not component.event_mode
 
 
 def _uses_events(component: FmuComponent, description: Any, way: Way, clocks: Mapping[str, Clock]) -> bool:

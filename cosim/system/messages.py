@@ -129,3 +129,4 @@ EVENTS_AT_POINTS = Template(
     "W-SYS-082",
     "{component} takes only steps of one length: an event within a step reaches it at the end of the step",
 )
+NO_CLOCKS = Template("E-SYS-083", "{component} has no clocks; leave out clocks:")
