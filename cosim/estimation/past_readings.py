@@ -40,3 +40,15 @@ def lagged(time: Array, values: Array, constant: float) -> Array:
         before = values[k] - slope + fades * (before - values[last] + slope)
         result[k] = before
     return result
+
+
+def lagged_table(outputs: Array, lags: Array | None) -> Array:
+    """Return the readings of lagging sensors.
+
+    Args:
+        lags: Time constant of each output's sensor in rows.
+    """
+    if lags is None:
+        return outputs
+    rows = np.arange(len(outputs), dtype=np.float64)
+    return np.column_stack([lagged(rows, y, constant) for y, constant in zip(outputs.T, lags, strict=True)])

@@ -179,9 +179,17 @@ def coarsen(problem: Problem, values: Mapping[str, float] | None = None) -> Prob
 
 
 def halve_log(problem: Problem) -> Problem:
-    """Return the problem with its single log in two halves; the second half starts from the filtered state."""
+    """Return the problem with its single log in two halves; the second half starts from the filtered state.
+
+    Free runs last the whole log, of which each half has its readings only.
+    """
     (log,), (x0,) = problem.logs, problem.x0
     half = len(log.u) // 2
+    if problem.layout.additions:
+        early = np.arange(len(log.u))[:, None] < half
+        parts = [replace(log, y=np.where(rows, log.y, np.nan)) for rows in (early, ~early)]
+        readings = [readings_of(d.y, count_unscored(d)) for d in parts]
+        return replace(problem, logs=parts, readings=readings, x0=[x0, x0], origins=[*problem.origins] * 2)
     halves = [log.rows(0, half), log.rows(half, len(log.u))]
     following = replace(problem, trusted=False, sensing=None)
     run = following.run(problem.values, following.plain, 0, states=True)

@@ -29,8 +29,9 @@ def predictable_horizon(problem: Problem, horizon: float) -> float:
     """Return the horizon [s], shortened if start errors of the given model grow exponentially and a hundredfold.
 
     Within the shorter horizon, start errors grow tenfold in the median over starts and logs.
+    A free run keeps its length.
     """
-    if problem.table or not problem.layout.states:
+    if problem.table or problem.layout.additions or not problem.layout.states:
         return horizon
     step = problem.logs[0].step
     curves = [curve for index in range(len(problem.logs)) for curve in _growth_curves(problem, index, horizon)]

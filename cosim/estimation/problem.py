@@ -359,6 +359,15 @@ class Problem:
             e[:, k], s[:, k] = np.roll(e[:, k], round(late)), np.roll(s[:, k], round(late))
         return e, s
 
+    def begin_replay(self, filtered: Filtered, row: int) -> Array:
+        """Return the filtered state at a row, to begin a replay: without unknown inputs.
+
+        Start states of a free run are those that all rows of the log tell.
+        """
+        state, places = filtered.states[row].copy(), self.layout.start_places
+        state[places] = filtered.states[-1][places]
+        return self.drop_unknown_inputs(state)
+
     def own_run(self, index: int) -> Simulated:
         """Return the noise-free response to a log's commands."""
         p, memory = self.numbers(self.of_log(self.values, index)), np.zeros(self.layout.memory)

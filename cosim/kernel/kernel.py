@@ -10,10 +10,13 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Protocol
 
-from cosim.base.arrays import Array
+import numpy as np
+
+from cosim.base.arrays import Array, Rows
 
 DISTURBANCE = "disturbance."  # prefix of a forced state's unknown input, a state of its own
 CONSTANT = "constant."  # prefix of a parameter as constant state, for the filter to estimate
+START = "start."  # prefix of a start value of an FMU for co-simulation, a constant state
 MEMORY = "disturbance.time"  # parameter with the correlation time of unknown inputs [s]
 
 
@@ -59,6 +62,11 @@ class Layout:
     def noise_places(self) -> list[int]:
         """Return the indices of the states with process noise."""
         return [self.stochastic[k] for k in self.noisy]
+
+    @property
+    def start_places(self) -> list[int]:
+        """Return the indices of the start states of a free run."""
+        return [k for k, name in enumerate(self.states) if name.startswith(START)]
 
     @property
     def forced_places(self) -> list[int]:
@@ -164,3 +172,21 @@ class Kernel(Protocol):
         Args:
             kicks: Increments added to the state at each row, shape (rows, states).
         """
+
+
+def single_steps(
+    kernel: Kernel, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int
+) -> tuple[Array, Array]:
+    """Return the state at the next row and the outputs at each row, from given states.
+
+    Args:
+        points: Rows of the log, with the states and memories there.
+        back: Rows of commands before a step that a delay may reach back to.
+    """
+    rows, states, memories = points
+    following, outputs = np.empty((len(rows), states.shape[1])), np.empty((len(rows), len(kernel.layout.outputs)))
+    for k, row in enumerate(rows.tolist()):
+        before = min(row, back)
+        run = kernel.simulate(data.rows(row - before, row + 2), p, states[k], memories[k], first=before)
+        following[k], outputs[k] = run.states[before + 1], run.outputs[before]
+    return following, outputs

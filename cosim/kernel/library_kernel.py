@@ -8,21 +8,23 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from cosim.base.arrays import Array
+from cosim.base.arrays import Array, Rows
 from cosim.blocks.derivatives import DifferentiableFmu, reals
 from cosim.blocks.fmu import FmuBlock
 from cosim.isolation.limits import Limits
 from cosim.kernel.c_filter import CompiledKernel
 from cosim.kernel.generate import Generated
-from cosim.kernel.kernel import MEMORY, Data, Filtered, Simulated
+from cosim.kernel.kernel import MEMORY, Data, Filtered, Simulated, single_steps
 
 NAME = "model"  # component name in messages
 RUNS = 16  # kept free runs
 STEP = 1e-6  # step of differences, as a share of a state's usual size
+START_STEP = 1e-2  # step of a start state, as a share of the change that moves an output by its spread
 
 _loading = threading.Lock()  # the working folder changes while a library is loaded
 
@@ -47,14 +49,16 @@ class LibraryOf(NamedTuple):
 
     Attributes:
         sizes: Usual size of each state, for differences.
-        starts: In co-simulation: index of an output, start parameter, and factor from the output to the parameter.
+        starts: In co-simulation: variable of each start state, with its usual size.
+        values: Parameter values for the effect of start states on the outputs.
         limits: Limits of a pass over a log; `step` limits its duration.
     """
 
     path: Path
     description: Any
     sizes: Sequence[float]
-    starts: tuple[tuple[int, str, float], ...] = ()
+    starts: tuple[tuple[str, float], ...] = ()
+    values: Mapping[str, float] = MappingProxyType({})
     limits: Limits = NO_LIMITS
 
 
@@ -120,6 +124,7 @@ class LibraryKernel(CompiledKernel):
         self._places = {v: self.layout.parameters.index(n) for n, v in parameters.items()}
         self._own, self._stepped = threading.local(), generated.stepped
         self._runs: deque[tuple[Any, Simulated]] = deque(maxlen=RUNS)
+        self._slopes: deque[tuple[Any, Array]] = deque(maxlen=RUNS)
 
     def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
         """Filter one log, as `Kernel.run`."""
@@ -127,7 +132,7 @@ class LibraryKernel(CompiledKernel):
             self._use(p, data, x0)
             return super().run(data, p, x0, P0, q, r, states=states)
         run = self._free_run(data, p, x0)
-        arrays = [np.ascontiguousarray(a) for a in (run.outputs, run.states, run.memory)]
+        arrays = [np.ascontiguousarray(a) for a in (run.outputs, run.states, run.memory, self._start_slopes(data, x0))]
         self._library.use_run(*(a.ctypes.data_as(ctypes.c_void_p) for a in arrays))
         return super().run(data, p, x0, P0, q, r, states=states)
 
@@ -137,6 +142,10 @@ class LibraryKernel(CompiledKernel):
         """Simulate with the commands of a log, as `Kernel.simulate`."""
         self._use(p, data, x0)
         return super().simulate(data, p, x0, memory, kicks, first=first)
+
+    def step(self, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int) -> tuple[Array, Array]:
+        """Return single steps from rows of a log, as `single_steps`."""
+        return single_steps(self, data, p, points, back)
 
     def _free_run(self, data: Data, p: Array, x0: Array) -> Simulated:
         """Return the free run at parameter values; the last ones are kept, since noise levels change more often."""
@@ -150,12 +159,34 @@ class LibraryKernel(CompiledKernel):
         self._runs.append((key, run))
         return run
 
+    def _start_slopes(self, data: Data, x0: Array) -> Array:
+        """Return the slopes of the outputs by each start state, shape (rows, outputs, start states).
+
+        They are those at given parameter values, and change little with the parameters.
+        """
+        count, rows = len(self._fmu.starts), len(data.u)
+        key = data.u.tobytes(), data.start, data.substeps, x0.tobytes()
+        known = next((slopes for other, slopes in self._slopes if other == key), None)
+        if known is None:
+            p = np.array([self._fmu.values.get(name, 0.0) for name in self.layout.parameters])
+            memory, first = np.zeros(self.layout.memory), len(x0) - count
+            plain = self.simulate(data, p, x0, memory).outputs
+            known = np.zeros((rows, plain.shape[1], count))
+            for k, (_, size) in enumerate(self._fmu.starts):
+                moved = x0.copy()
+                moved[first + k] += START_STEP * size
+                slopes = (self.simulate(data, p, moved, memory).outputs - plain) / (moved[first + k] - x0[first + k])
+                known[:, :, k] = np.nan_to_num(slopes, posinf=0.0, neginf=0.0)
+            self._slopes.append((key, known))
+        return known
+
     def _use(self, p: Array, data: Data, x0: Array) -> None:
         """Prepare this thread's instance for the parameter and start values."""
         instance = getattr(self._own, "instance", None)
         if instance is None:
             instance = self._own.instance = LibraryInstance(self._fmu, stepped=self._stepped)
         values = {name: float(p[k]) for name, k in self._places.items()}
-        values |= {name: factor * float(x0[k]) for k, name, factor in self._fmu.starts}
+        first = len(x0) - len(self._fmu.starts)
+        values |= {name: float(x0[first + k]) for k, (name, _) in enumerate(self._fmu.starts)}
         prepared = instance.prepare(values, data.start, data.start + len(data.u) * data.step)
         self._library.use_library(ctypes.byref(prepared))

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
+from cosim.base.arrays import Array, Rows
 from cosim.base.errors import SimulationError
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import OTHER
@@ -128,3 +128,13 @@ class RemoteLibraryKernel:
             rows, counts = len(data.u), (len(self.layout.outputs), len(self.layout.states), self.layout.memory)
             return Simulated(*(np.full((rows, count), np.nan) for count in counts))
         return simulated
+
+    def step(self, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int) -> tuple[Array, Array]:
+        """Return single steps from rows of a log, as `single_steps`."""
+        try:
+            stepped: tuple[Array, Array] = workers.call(self, "step", (data, p, points, back))
+        except SimulationError as error:
+            self.failures.append(error)
+            rows, layout = len(points[0]), self.layout
+            return np.full((rows, len(layout.states)), np.nan), np.full((rows, len(layout.outputs)), np.nan)
+        return stepped

@@ -19,6 +19,7 @@ from cosim.probing.fmu_structure import Pair, Port, ProbedParameter, Structure
 from cosim.probing.log_runs import SAME, Course, Fmu, amplitude_of, limits_of, moved_within, run_along
 from cosim.probing.parameter_trials import settable_parameters, tried_parameters
 from cosim.probing.prober import Prober, no_flags, quantities, separate_pairs
+from cosim.probing.start_trials import start_values
 
 ROWS = 300  # rows of a simulation for responses
 FEW_ROWS, FEWEST_ROWS = 60, 5  # rows of a first simulation for a parameter
@@ -78,6 +79,7 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
         scales={**spreads, **dict(zip(outputs, map(float, values.std(axis=0)), strict=True))},
         step=min(course.step for course in courses),
         parameters=_parameters(prober, short, size),
+        starts=start_values(prober, outputs_along, short, base[: short.time.size], responses.noise),
         stops=tuple(str(stop) for _, stop in runs if stop),
     )
 
@@ -163,13 +165,16 @@ class Responses:
     Args:
         base: Outputs without a step.
         size: Magnitude of each output.
+
+    Attributes:
+        noise: Differences of equal outputs, by rounding or by chance.
     """
 
     def __init__(self, prober: Prober, course: Course, base: Array, size: Array) -> None:
         self._prober, self._size, self._course = prober, size, course
         repeated, _ = prober.call(outputs_along, prober.fmu, course)
         rows = min(len(repeated), len(base))
-        self._noise = 10.0 * np.abs(repeated[:rows] - base[:rows]).max(axis=0, initial=0.0) + SAME * size
+        self.noise = 10.0 * np.abs(repeated[:rows] - base[:rows]).max(axis=0, initial=0.0) + SAME * size
         self._bases: dict[tuple[float, int], Array] = {}
 
     def flags(self, inputs: Sequence[str]) -> Flags:
@@ -178,7 +183,7 @@ class Responses:
         for name in inputs:
             row, parted = self._place(STEPS[0], 1)
             difference, _ = self._response(name, row, STEPS[0], parted)
-            columns.append((np.abs(difference) > self._noise).any(axis=0))
+            columns.append((np.abs(difference) > self.noise).any(axis=0))
         return np.column_stack(columns) if columns else no_flags(self._size.size, 0)
 
     def ports(self, inputs: Sequence[str], velocities: Sequence[int]) -> dict[int, tuple[Port, ...]]:
@@ -214,7 +219,7 @@ class Responses:
             if len(difference) <= row + 2:
                 continue
             once, twice = difference[row + 1 : row + 3, velocity]
-            if abs(once) > self._noise[velocity] and abs(twice) < DIRECT * abs(once):
+            if abs(once) > self.noise[velocity] and abs(twice) < DIRECT * abs(once):
                 gains.append(float(once) / (size * float(course.time[row + 1] - course.time[row])))
         return float(np.median(gains)) if 2 * len(gains) > len(STEPS) else 0.0
 

@@ -83,6 +83,27 @@ class ProbedParameter:
         return self.quantity.name
 
 
+@dataclass(frozen=True)
+class StartValue:
+    """A start value of an FMU for co-simulation, for an unknown start state.
+
+    Attributes:
+        size: Change that moves some output by its spread.
+        shown: Number of the output that shows it after initialization; −1 without one.
+        gain: Change of that output relative to that of the start value.
+    """
+
+    quantity: Quantity
+    size: float
+    shown: int = -1
+    gain: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """Return the name of the variable."""
+        return self.quantity.name
+
+
 @dataclass(frozen=True, eq=False)
 class Structure:
     """Structure of an FMU along logs.
@@ -103,6 +124,7 @@ class Structure:
         scales: Standard deviation along the logs by name; the rate of x is `der(x)`.
         step: Shortest usual step of the logs [s].
         events: Events along each log, in model exchange.
+        starts: In co-simulation, start values of states that change an output.
         stops: Reason for each simulation that ended early.
     """
 
@@ -124,6 +146,7 @@ class Structure:
     step: float
     events: tuple[EventCount, ...] = ()
     parameters: tuple[ProbedParameter, ...] = ()
+    starts: tuple[StartValue, ...] = ()
     stops: tuple[str, ...] = ()
 
     @property

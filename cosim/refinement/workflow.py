@@ -24,6 +24,7 @@ from cosim.estimation.posing import build_problem, coarsen, varied_inputs
 from cosim.estimation.predictability import predictable_horizon
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import at_rest, noise_warnings, sensor_noise
+from cosim.estimation.start_states import with_likely_starts
 from cosim.loading.refined import ANSWER, NEAREST, REFINED
 from cosim.refinement import messages
 from cosim.refinement.decision.claims import Claims, Nearest, judge
@@ -174,7 +175,8 @@ def _build_problem(study: Study) -> Problem:
     noise = study.content.noise
     problem = build_problem(study.subject, study.logs, noise=noise, settings=study.settings)
     stated = {*study.subject.sensor_variance, *noise}
-    return problem.with_noise({n: s for n, s in sensor_noise(problem).items() if n not in stated and s > 0.0})
+    problem = problem.with_noise({n: s for n, s in sensor_noise(problem).items() if n not in stated and s > 0.0})
+    return with_likely_starts(problem)
 
 
 def _with_predictable_horizon(study: Study, problem: Problem) -> Study:
@@ -218,6 +220,8 @@ def _judge(study: Study, a: Attribution, result: SearchResult, progress: Progres
     subject, search = study.subject, result.search
     progress("looking for what has no name", 0.0)
     bare = build_problem(subject, study.logs, True, study.content.noise, study.settings)
+    if bare.layout.additions:
+        bare = replace(bare, x0=search.problem.x0)
     trusted = search.problem.trusted
     coarse, scatter = coarsen(bare, a.best.fit.values), search.problem.scatter
     nameless = replace(coarse, sensing=a.best.fit.noise, trusted=trusted, scatter=scatter)

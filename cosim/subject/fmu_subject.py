@@ -11,7 +11,6 @@ from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from shutil import copyfile
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -23,12 +22,12 @@ from cosim.fmi.native.compiler import CompilerFailed, NoCompiler
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.kernel.backend import kernel
-from cosim.kernel.kernel import DISTURBANCE, Data, Kernel
+from cosim.kernel.kernel import DISTURBANCE, START, Data, Kernel
 from cosim.kernel.library_kernel import NO_LIMITS, LibraryOf
 from cosim.kernel.messages import NO_CONSTANTS
 from cosim.loading.file import LoadedModel
 from cosim.logs.log import Log
-from cosim.probing.fmu_structure import Structure
+from cosim.probing.fmu_structure import StartValue, Structure
 from cosim.residuals.remote_drive import MODULES, DriveApart
 from cosim.residuals.starts import StartParameter, start_parameters
 from cosim.residuals.windows import Replay
@@ -36,6 +35,7 @@ from cosim.subject.interface import Predict, Replayer, Start, Workplace
 from cosim.subject.model_subject import FILES, ModelSubject
 from cosim.subject.probed_model import ProbedModel
 from cosim.subject.start_state import start_state
+from cosim.terms.alike import experiments_for
 from cosim.terms.fmu_model import FmuModel, fmu_model
 from cosim.terms.language import with_place
 from cosim.terms.term_printing import term_code
@@ -53,23 +53,18 @@ class FmuSubject(ModelSubject):
 
     Attributes:
         structure: Structure of the FMU along the logs.
-        starts: Output → start parameter, for free runs.
         limits: Limits of a pass of the filter over a log.
     """
 
-    def __init__(
-        self,
-        loaded: LoadedModel,
-        structure: Structure,
-        starts: Mapping[str, StartParameter] = MappingProxyType({}),
-        limits: Limits = NO_LIMITS,
-    ) -> None:
+    def __init__(self, loaded: LoadedModel, structure: Structure, limits: Limits = NO_LIMITS) -> None:
         super().__init__(loaded)
-        self.starts, self.limits = starts, limits
-        self.structure = structure
+        self.structure, self.limits = structure, limits
         self.is_stepped = structure.way == "co-simulation"
         self.source = f"{structure.fmu}, {WAYS[structure.way]}"
         self._description = read_description(structure.fmu)
+        names = (kind.name for kind in (*self.model.catalogue, *self.model.sensors))
+        self.told_apart_by = {**self.model.told_apart_by, **experiments_for(names)}
+        self.start_variance = {START + with_place(s.name): s.size**2 for s in structure.starts}
 
     @classmethod
     def of_fmu(
@@ -85,11 +80,11 @@ class FmuSubject(ModelSubject):
             logs: Estimation logs, for usual sizes.
             terms: Terms of the user.
         """
+        if structure.way == "co-simulation":
+            with Worker(*MODULES) as worker, DriveApart(worker, logs[0], structure.fmu) as drive:
+                structure = _with_start_parameters(structure, start_parameters(drive))
         loaded = LoadedModel(ProbedModel(structure, logs, terms).model(), str(structure.fmu))
-        if structure.way == "model-exchange":
-            return cls(loaded, structure, limits=limits)
-        with Worker(*MODULES) as worker, DriveApart(worker, logs[0], structure.fmu) as drive:
-            return cls(loaded, structure, start_parameters(drive), limits)
+        return cls(loaded, structure, limits)
 
     @property
     def names(self) -> dict[str, str]:
@@ -101,7 +96,7 @@ class FmuSubject(ModelSubject):
     def measured_states(self) -> frozenset[str]:
         """Return the states that an output shows; the model gives them its name."""
         if self.is_stepped:
-            return frozenset(map(with_place, self.starts))
+            return frozenset(with_place(q.name) for q in self.structure.outputs)
         return frozenset(map(with_place, self.structure.shown.values()))
 
     def kernel(self, measured: Sequence[str], *, unnamed: bool = False, constant: Sequence[str] = ()) -> Kernel:
@@ -117,12 +112,23 @@ class FmuSubject(ModelSubject):
     def _library_of(self, fmu: Path, description: Any) -> LibraryOf:
         """Return an FMU for a kernel, with the usual sizes and the start parameters."""
         sizes = [self.structure.scales.get(q.name, 0.0) for q in self.structure.states]
-        starts = [(k, self.starts[q.name]) for k, q in enumerate(self.structure.outputs) if q.name in self.starts]
-        return LibraryOf(fmu, description, sizes, tuple((k, p.name, 1.0 / p.gain) for k, p in starts), self.limits)
+        starts = tuple((s.name, s.size) for s in self.structure.starts)
+        return LibraryOf(fmu, description, sizes, starts, self.values, self.limits)
 
     def start(self) -> dict[str, float]:
         """Return the start value of each state."""
-        return {q.name: q.start for q in self.states}
+        own = {START + with_place(s.name): s.quantity.start for s in self.structure.starts}
+        return {q.name: q.start for q in self.states} | own
+
+    def start_of_log(self, readings: Mapping[str, float]) -> dict[str, float]:
+        """Return the start value of each state, of a start state from the output that shows it."""
+        start, outputs = self.start(), self.outputs
+        for s in self.structure.starts:
+            if s.gain and (name := outputs[s.shown].name) in readings:
+                low, high = s.quantity.bounds
+                value = s.quantity.start + (readings[name] - outputs[s.shown].start) / s.gain
+                start[START + with_place(s.name)] = min(max(value, low), high)
+        return {**start, **readings}
 
     def substeps(self, step: float) -> int:
         """Return the number of integration steps, or of steps of co-simulation, between rows."""
@@ -140,7 +146,7 @@ class FmuSubject(ModelSubject):
 
     def refined(self, claims: Mapping[str, float]) -> FmuSubject:
         """Return the subject with claimed values."""
-        return FmuSubject(super().refined(claims).loaded, self.structure, self.starts, self.limits)
+        return FmuSubject(super().refined(claims).loaded, self.structure, self.limits)
 
     def replayer(self, place: Workplace) -> LibraryReplayer:
         """Return a replayer of the delivered FMU, or of the model if no FMU can stand for it."""
@@ -185,7 +191,7 @@ class FmuSubject(ModelSubject):
         """Return the kernel of a delivered FMU, which holds terms and values itself."""
         model = self.model
         assert isinstance(model, FmuModel)
-        kept = {"dependencies", "rates", "variables", "stepped", "substep", "integrator"}
+        kept = {"dependencies", "rates", "variables", "stepped", "starts", "substep", "integrator"}
         attributes = {name: getattr(type(model), name) for name in kept}
         plain = fmu_model(model.title, (model.base_states, model.inputs, model.outputs), (), (), **attributes)
         of_fmu = self._library_of(fmu, read_description(fmu))
@@ -225,6 +231,8 @@ class LibraryReplayer(Replayer):
                 self._fill_windows(table, data, grid, p, begins)
             elif math.isinf(horizon):  # a library begins at the start of a log only
                 x0 = start_state(self.subject, replace(data, y=_readings(log, units, grid)), [*units], layout.states)
+                estimated = begins[min(begins)].states
+                x0[layout.start_places] = [estimated[layout.states[k]] for k in layout.start_places]
                 first = min(begins) + 1
                 table[first:] = kernel.simulate(data, p, x0, np.zeros(layout.memory)).outputs[grid[first:]]
             begun = {k: {n: v for n, v in start.states.items() if "." not in n} for k, start in begins.items()}
@@ -239,6 +247,21 @@ class LibraryReplayer(Replayer):
             part = data.rows(0, int(grid[last]) + 1), p, np.array(known), memory
             run = self.kernel.simulate(*part, first=int(grid[k]))
             table[k + 1 : last + 1] = run.outputs[grid[k + 1 : last + 1]]
+
+
+def _with_start_parameters(structure: Structure, shown: Mapping[str, StartParameter]) -> Structure:
+    """Return the structure with start parameters as start values, not as parameters."""
+    known = {s.shown for s in structure.starts}
+    variables = {p.name: p.quantity for p in structure.parameters}
+    more = []
+    for k, output in enumerate(structure.outputs):
+        parameter = shown.get(output.name)
+        if parameter is not None and k not in known and parameter.name in variables:
+            size = (structure.scales.get(output.name) or 1.0) / abs(parameter.gain)
+            more.append(StartValue(variables[parameter.name], size, k, parameter.gain))
+    names = {p.name for p in shown.values()}
+    left = tuple(p for p in structure.parameters if p.name not in names)
+    return replace(structure, starts=(*structure.starts, *more), parameters=left)
 
 
 def _readings(log: Log, names: Iterable[str], grid: Rows) -> Array:

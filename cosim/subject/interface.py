@@ -193,6 +193,14 @@ class Subject(Protocol):
         """Return further signal properties for the checks of logs."""
         return Traits(static=self.static)
 
+    def start_of_log(self, readings: Mapping[str, float]) -> Mapping[str, float]:
+        """Return the start value of each state in a log.
+
+        Args:
+            readings: State → first reading of the output with its name.
+        """
+        return {**self.start(), **readings}
+
     @property
     def measured_states(self) -> frozenset[str]:
         """Return states measured by outputs of the same name."""

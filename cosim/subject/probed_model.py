@@ -142,6 +142,7 @@ class ProbedModel:
             suspect={p.name: tuple(with_place(n) for n, width in self.ranges.items() if width) for p in parameters},
             horizon=math.inf if self.is_stepped else self._horizon(),
             stepped=self.is_stepped,
+            starts=tuple(with_place(v.name) for v in s.starts),
             rate=self.step,
             substep=min(self.step, fastest),
             integrator="rk4",

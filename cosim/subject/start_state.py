@@ -16,7 +16,7 @@ STARTING = 0.2  # [s] within which a measurement counts as initial
 
 def start_state(subject: Subject, data: Data, measured: Sequence[str], states: Sequence[str]) -> Array:
     """Return the subject's start state, with initial measurements inserted."""
-    start = {**subject.start(), **first_measured(subject, data, measured)}
+    start = subject.start_of_log(first_measured(subject, data, measured))
     return np.array([start.get(name, 0.0) for name in states])
 
 

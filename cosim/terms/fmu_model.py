@@ -35,12 +35,14 @@ class FmuModel(Model):
         rates: Position → velocity that equals its derivative, by index.
         variables: Name in the model → name of the FMU's variable.
         stepped: True for an FMU for co-simulation; its outputs stand in place of states.
+        starts: Its start states.
     """
 
     dependencies: ClassVar[Dependencies]
     rates: ClassVar[Mapping[int, int]]
     variables: ClassVar[Mapping[str, str]]
     stepped: ClassVar[bool] = False
+    starts: ClassVar[tuple[str, ...]] = ()
 
     def equations(self, m: Namespace) -> Equations:
         """Return the equations with symbols.

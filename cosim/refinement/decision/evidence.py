@@ -22,6 +22,7 @@ from cosim.estimation.data import count_unscored
 from cosim.estimation.expected import fit_for_held_out
 from cosim.estimation.fit import Fit, fit, inverse, scores
 from cosim.estimation.parallel import in_parallel
+from cosim.estimation.past_readings import lagged_table
 from cosim.estimation.posing import halve_log
 from cosim.estimation.problem import Problem, Scored
 from cosim.logs.channel_noise import NORMAL_95
@@ -251,17 +252,22 @@ class Replays:
         self.length = rows_of_replay(problem, horizon, index)
         self.rows = range(first, len(self.data.u) - self.length, self.length) if rows is None else rows
         run = problem.run(f.values, f.noise, index, states=True)
-        self.starts = [(problem.drop_unknown_inputs(run.states[k]), run.memory[k]) for k in self.rows]
+        self.starts = [(problem.begin_replay(run, k), run.memory[k]) for k in self.rows]
 
     def residuals(self, values: Mapping[str, float]) -> Array:
         """Return measurement − prediction with these parameters, NaN beyond 1e30, shape (replays, rows, outputs)."""
         problem, data = self.problem, self.data
         p = problem.numbers(problem.of_log(values, self.index))
         residuals = np.full((len(self.rows), self.length, data.y.shape[1]), np.nan)
+        if problem.layout.additions and len(self.rows):  # a library begins at the start of a log only
+            begin, memory = self.starts[0][0], np.zeros(problem.layout.memory)
+            whole = data.y - lagged_table(problem.kernel.simulate(data, p, begin, memory).outputs, data.lags)
+            residuals[:] = [whole[row + 1 : row + 1 + self.length] for row in self.rows]
+            return np.where(np.abs(residuals) < 1e30, residuals, np.nan)
         for replay, row, (state, memory) in zip(residuals, self.rows, self.starts, strict=True):
             back, end = min(row, BACK), row + self.length + 1
             predicted = problem.kernel.simulate(data.rows(row - back, end), p, state, memory, first=back).outputs
-            replay[:] = data.y[row + 1 : end] - predicted[back + 1 :]
+            replay[:] = data.y[row + 1 : end] - lagged_table(predicted[back:], data.lags)[1:]
         return np.where(np.abs(residuals) < 1e30, residuals, np.nan)
 
 

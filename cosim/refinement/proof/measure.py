@@ -17,11 +17,12 @@ import numpy as np
 from cosim.base.arrays import Array, Rows
 from cosim.base.linear_algebra import square_roots
 from cosim.estimation.data import count_unscored, data_of
-from cosim.estimation.past_readings import lagged, past_reading
+from cosim.estimation.past_readings import lagged_table, past_reading
 from cosim.estimation.per_log import own, spread
 from cosim.estimation.posing import origins, start_covariance
 from cosim.estimation.problem import Problem
 from cosim.estimation.readings import readings_of
+from cosim.estimation.start_states import with_likely_starts
 from cosim.kernel.kernel import MEMORY as LASTS
 from cosim.kernel.kernel import Data, Filtered
 from cosim.logs.log import Log
@@ -57,6 +58,12 @@ def filter_problem(problem: Problem, subject: Subject, logs: Sequence[Log]) -> P
     return replace(posed, P0=start_covariance(subject, posed))
 
 
+def _begun(variant: Variant, problem: Problem, logs: Sequence[Log]) -> Problem:
+    """Return a variant's fitting problem on other logs, of free runs with the variant's likely start states."""
+    posed = filter_problem(problem, variant.subject, logs)
+    return with_likely_starts(posed, variant.values, variant.noise)
+
+
 def replay_logs(
     variant: Variant, replayer: Replayer, problem: Problem, logs: Sequence[Log], horizons: Sequence[float] = ()
 ) -> dict[float, Evidence]:
@@ -64,7 +71,7 @@ def replay_logs(
 
     The subject's own horizon comes first. On further horizons, a log on which an unstable FMU stops is skipped.
     """
-    problem = filter_problem(problem, variant.subject, logs)
+    problem = _begun(variant, problem, logs)
     judged = variant.subject.horizon
     played: dict[float, Evidence] = {judged: [], **{horizon: [] for horizon in horizons}}
     for index, log in enumerate(logs):
@@ -99,9 +106,10 @@ def _starts(
     starts = {}
     for k in rows:
         row = int(log.grid[k])
-        here = problem.drop_unknown_inputs(filtered.states[row])
+        here = problem.begin_replay(filtered, row)
         per_log = {name: float(here[place]) for name, place in layout.constants.items()}
         states = dict(zip(layout.states, filtered.states[row].tolist(), strict=True))
+        states |= {layout.states[k]: float(here[k]) for k in layout.start_places}
         starts[k] = Start(states, filtered.memory[row], per_log)
     return starts, _parameters_at_starts(problem, filtered, log.grid[rows], log.grid)
 
@@ -173,7 +181,7 @@ def _parameters_at_starts(problem: Problem, filtered: Filtered, starts: Rows, ro
 
 def predicted_errors(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
     """Return the RMSE of each channel in kernel replays."""
-    problem = filter_problem(problem, variant.subject, logs)
+    problem = _begun(variant, problem, logs)
     replays = (
         _KernelReplays.of(variant, problem, log, k, problem.data(variant.values, k)) for k, log in enumerate(logs)
     )
@@ -205,7 +213,7 @@ def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np
     Each simulation starts near the filtered state of a replay's first row, at a random deviation with the filter's
     covariance, and so stays near the motion of the log. A floor above the standard deviation of its channel is omitted.
     """
-    problem = filter_problem(problem, variant.subject, logs)
+    problem = _begun(variant, problem, logs)
     draws: list[list[Array]] = [[] for _ in range(-(-DRAWS // len(logs)))]
     for index, log in enumerate(logs):
         replays = _KernelReplays.of(variant, problem, log, index, problem.data(variant.values, index))
@@ -253,18 +261,6 @@ def _shift(outputs: Array, late: Array | None) -> Array:
     return outputs if late is None else outputs - np.nan_to_num(late) * np.diff(outputs, axis=0, prepend=outputs[:1])
 
 
-def _lag(outputs: Array, lags: Array | None) -> Array:
-    """Return the readings of lagging sensors.
-
-    Args:
-        lags: Time constant of each output's sensor in rows.
-    """
-    if lags is None:
-        return outputs
-    rows = np.arange(len(outputs), dtype=np.float64)
-    return np.column_stack([lagged(rows, y, constant) for y, constant in zip(outputs.T, lags, strict=True)])
-
-
 @dataclass(frozen=True, eq=False)
 class _KernelReplays:
     """Kernel replays of a log over the model's horizon, each from the state filtered from past data.
@@ -306,7 +302,9 @@ class _KernelReplays:
         """Return the errors against a simulation with random noise and random deviations of the starts."""
         problem, noise, data, rows = self.problem, self.variant.noise, self.data, self.rows
         errors = rng.standard_normal(data.y.shape) * np.sqrt(problem.variances(noise, self.index))
-        if not data.table:
+        if problem.layout.additions:
+            errors += self._random_additions(rng)
+        elif not data.table:
             layout, starts = problem.layout, self.filtered.states.copy()
             if self.filtered.covariances is not None:
                 roots = square_roots(self.filtered.covariances[rows])
@@ -323,9 +321,19 @@ class _KernelReplays:
             errors += self._simulate({**self.variant.values, **memory}, starts, kicks) - self._predict()
         return np.asarray(np.where(np.isnan(data.y), np.nan, errors) / self.gains)
 
+    def _random_additions(self, rng: np.random.Generator) -> Array:
+        """Return random additions to the outputs of a free run, with the fitted variance and correlation time."""
+        noise, shape = self.variant.noise, self.data.y.shape
+        fades = math.exp(-self.data.step / math.exp(noise.memory))
+        deviation = np.exp(0.5 * noise.power)
+        additions = rng.standard_normal(shape) * deviation
+        for k in range(1, shape[0]):
+            additions[k] = fades * additions[k - 1] + math.sqrt(1.0 - fades**2) * additions[k]
+        return np.asarray(additions)
+
     def _predict(self) -> Array:
         """Return the outputs of the replays, NaN elsewhere."""
-        starts = {k: self.problem.drop_unknown_inputs(self.filtered.states[k]) for k in self.rows}
+        starts = {k: self.problem.begin_replay(self.filtered, k) for k in self.rows}
         return self._simulate(self.variant.values, starts)
 
     def _simulate(
@@ -340,7 +348,7 @@ class _KernelReplays:
             part = data.rows(0, end + 1)
             run = problem.kernel.simulate(part, p, starts[k], self.filtered.memory[k], kicks, first=k)
             outputs[k + 1 : end + 1] = _shift(run.outputs[k:], None if part.late is None else part.late[k:])[1:]
-        return _lag(outputs, data.lags)
+        return lagged_table(outputs, data.lags)
 
 
 def _root_mean_squares(problem: Problem, errors: Sequence[Array]) -> dict[str, float]:

@@ -201,9 +201,7 @@ def _readings(problem: Problem, c: Candidate, with_it: Fit, index: int, kind: ty
     without = Steps(problem, index, {**with_it.values, **{n: problem.values[n] for n in c.parameters}})
     with_error = Steps(problem, index, with_it.values)
     count = min(len(data.u), MOST_ROWS) - 1
-    clean, wrong = (
-        np.array([s.step(k, run.states[k], run.memory[k])[1] for k in range(count)]) for s in (without, with_error)
-    )
+    clean, wrong = (s.outputs_along(run, count) for s in (without, with_error))
     k = np.arange(count, dtype=np.float64)
     if kind.depends_on_past():
         sensor = kind(value=with_it.values[c.parameters[0]])

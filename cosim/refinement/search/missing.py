@@ -17,13 +17,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cosim.base.arrays import Array
+from cosim.base.arrays import Array, Rows
 from cosim.base.linear_algebra import least_squares, solution
 from cosim.estimation.data import count_unscored
 from cosim.estimation.fit import DIFFERENCE, Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.problem import Problem
-from cosim.kernel.kernel import Data
+from cosim.kernel.kernel import Data, Filtered, single_steps
+from cosim.kernel.remote_kernel import RemoteLibraryKernel
 
 MOST_ROWS = 3000  # largest number of smoothed rows of a log
 LOGS = 2  # number of smoothed logs, from the first
@@ -57,20 +58,25 @@ class Steps:
     """Single kernel steps from any row of a log."""
 
     def __init__(self, problem: Problem, index: int, values: Mapping[str, float]) -> None:
-        self.kernel, self.data = problem.kernel, problem.logs[index]
+        self.problem, self.kernel, self.data = problem, problem.kernel, problem.logs[index]
         layout = problem.layout
         # Unknown inputs keep their usual correlation time.
         self.p = problem.numbers(problem.of_log({**problem.values, **values}, index))
         late = self.p[layout.delay] / self.data.step if layout.delay >= 0 else 0.0
         self.back = 2 + math.ceil(late)  # rows of commands before a step that a delay may reach back to
 
-    def step(self, row: int, state: Array, memory: Array) -> tuple[Array, Array]:
-        """Return the state at the next row and the outputs at this row."""
-        d = self.data
-        back = min(row, self.back)
-        first = row - back
-        run = self.kernel.simulate(d.rows(first, row + 2), self.p, state, memory, first=back)
-        return run.states[back + 1], run.outputs[back]
+    def step(self, rows: Rows, states: Array, memories: Array) -> tuple[Array, Array]:
+        """Return the state at the next row and the outputs at each row."""
+        if isinstance(self.kernel, RemoteLibraryKernel):  # a call of a process is dear
+            return self.kernel.step(self.data, self.p, (rows, states, memories), self.back)
+        return single_steps(self.kernel, self.data, self.p, (rows, states, memories), self.back)
+
+    def outputs_along(self, run: Filtered, count: int) -> Array:
+        """Return the outputs of the first rows along filtered states, or of a free run."""
+        if not self.problem.layout.additions:
+            return self.step(np.arange(count), run.states, run.memory)[1]
+        begin, memory = self.problem.begin_replay(run, 0), np.zeros(self.problem.layout.memory)
+        return np.asarray(self.kernel.simulate(self.data, self.p, begin, memory).outputs[:count])
 
 
 def smooth_log(problem: Problem, base: Fit, index: int, every: int = 1) -> MissingInput:
@@ -83,12 +89,24 @@ def smooth_log(problem: Problem, base: Fit, index: int, every: int = 1) -> Missi
     noise = loosen_noise(problem, base.noise)
     run = problem.run({**problem.values, **base.values}, noise, index, states=True)
     rows = min(len(data.u), MOST_ROWS)
+    if layout.additions:
+        return _additions(problem, run, rows, index)
     model = _linear(problem, Steps(problem, index, base.values), run.states, run.memory, rows, every)
     readings = problem.data({**problem.values, **base.values}, index).y[:rows]
     value, sigma = _smooth(problem, model, run.states, noise, index, readings)
     scored = slice(min(count_unscored(data), rows - 1), rows - 1)
     time = data.start + data.step * np.arange(rows, dtype=np.float64)
     return MissingInput(time[scored], layout.forced, value[scored], sigma[scored], run.states[:rows][scored])
+
+
+def _additions(problem: Problem, run: Filtered, rows: int, index: int) -> MissingInput:
+    """Return the filtered additions to the outputs of a free run."""
+    layout, data, scored = problem.layout, problem.logs[index], slice(count_unscored(problem.logs[index]), rows)
+    assert run.covariances is not None
+    variances = np.diagonal(run.covariances, axis1=1, axis2=2)[scored, list(layout.noisy)]
+    time = data.start + data.step * np.arange(rows, dtype=np.float64)
+    value = run.states[scored, layout.noise_places]
+    return MissingInput(time[scored], layout.forced, value, np.sqrt(variances), run.states[scored])
 
 
 def smoothed_logs(problem: Problem) -> range:
@@ -107,15 +125,21 @@ def unknown_inputs(
 ) -> dict[str, float]:
     """Return forced state → size of its unknown input relative to the derivatives of states with the same unit.
 
+    An addition to an output counts relative to the outputs with the same unit.
+
     Args:
         units: Units of the states.
     """
     names, powers = problem.layout.forced, np.exp(0.5 * at.noise.power)
     largest: dict[str, float] = {}  # unit → range of the derivatives
     runs = [problem.run({**problem.values, **at.values}, at.noise, k, states=True) for k in range(len(problem.logs))]
+    additions = problem.layout.additions  # to outputs, not to derivatives
     for name, place in zip(names, problem.layout.forced_places, strict=True):
         change = [
-            np.diff(run.states[count_unscored(d) :, place]) / d.step for run, d in zip(runs, problem.logs, strict=True)
+            run.states[count_unscored(d) :, place]
+            if additions
+            else np.diff(run.states[count_unscored(d) :, place]) / d.step
+            for run, d in zip(runs, problem.logs, strict=True)
         ]
         low, high = np.percentile(np.concatenate(change), (2.5, 97.5))
         largest[units[name]] = max(largest.get(units[name], 1e-300), float(high - low))
@@ -143,17 +167,21 @@ def contributions(problem: Problem, base: Fit, after: Fit, index: int) -> Array:
     """
     layout, data = problem.layout, problem.logs[index]
     runs = [problem.run({**problem.values, **f.values}, f.noise, index, states=True) for f in (base, after)]
+    if layout.additions:
+        change = (runs[1].states - runs[0].states)[:, layout.forced_places]
+        return np.asarray(change[min(count_unscored(data), len(change) - 1) : MOST_ROWS])
     without, with_it = (Steps(problem, index, f.values) for f in (base, after))
     shared, forced = list(layout.stochastic), layout.forced_places
     rows = min(len(data.u), MOST_ROWS)
     added = np.full((rows, len(forced)), np.nan)
+    without_states, with_states = (np.empty((rows - 1, len(layout.states))) for _ in runs)
     for k in range(rows - 1):
-        without_state = problem.drop_unknown_inputs(runs[0].states[k])
-        with_state = problem.drop_unknown_inputs(runs[1].states[k])
-        without_state[shared] = with_state[shared]
-        plain = without.step(k, without_state, runs[0].memory[k])[0]
-        fuller = with_it.step(k, with_state, runs[1].memory[k])[0]
-        added[k] = (fuller - plain)[forced] / data.step
+        without_states[k] = problem.drop_unknown_inputs(runs[0].states[k])
+        with_states[k] = problem.drop_unknown_inputs(runs[1].states[k])
+    without_states[:, shared] = with_states[:, shared]
+    plain = without.step(np.arange(rows - 1), without_states, runs[0].memory)[0]
+    fuller = with_it.step(np.arange(rows - 1), with_states, runs[1].memory)[0]
+    added[: rows - 1] = (fuller - plain)[:, forced] / data.step
     return added[min(count_unscored(data), rows - 1) : rows - 1]
 
 
@@ -195,18 +223,15 @@ def _linear(problem: Problem, steps: Steps, states: Array, memory: Array, rows: 
     n, ny = len(reached), problem.logs[0].y.shape[1]
     F, C = np.zeros((rows, n, n)), np.zeros((rows, ny, n))
     b, g = np.zeros((rows, n)), np.zeros((rows, ny))
-    for k in range(rows - 1):
-        ahead, g[k] = steps.step(k, states[k], memory[k])
-        b[k] = ahead[reached] - states[k + 1, reached]
-        if k % every:
-            F[k], C[k] = F[k - 1], C[k - 1]
-            continue
-        for j, state in enumerate(reached):
-            nudged = states[k].copy()
-            nudged[state] += size[j]
-            next_state, outputs = steps.step(k, nudged, memory[k])
-            F[k, :, j] = (next_state - ahead)[reached] / size[j]
-            C[k, :, j] = (outputs - g[k]) / size[j]
+    every_row, some = np.arange(rows - 1), np.arange(0, rows - 1, every)
+    ahead, g[:-1] = steps.step(every_row, states[: rows - 1], memory[: rows - 1])
+    b[:-1] = ahead[:, reached] - states[1:rows, reached]
+    for j, state in enumerate(reached):
+        nudged = states[some].copy()
+        nudged[:, state] += size[j]
+        next_states, outputs = steps.step(some, nudged, memory[some])
+        F[:-1, :, j] = ((next_states - ahead[some])[:, reached] / size[j])[every_row // every]
+        C[:-1, :, j] = ((outputs - g[some]) / size[j])[every_row // every]
     return _Linear(F, b, C, g)
 
 

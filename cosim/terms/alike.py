@@ -1,0 +1,45 @@
+"""Classes of terms that look alike in many logs, each with the experiment that tells them apart."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+ALIKE: tuple[tuple[frozenset[str], str], ...] = (
+    (
+        frozenset({"delay", "lag", "second_order_lag", "rate_limit", "latency"}),
+        "steps of each input in several sizes, with five times as many rows: a delay waits, a lag begins at once, "
+        "and a limit of the rate takes longer for a larger step",
+    ),
+    (
+        frozenset({"dead_band", "play", "coulomb", "stribeck"}),
+        "slow ramps of each input through zero and back, and again with a reversal halfway: a dead band has no memory, "
+        "play answers late at each reversal only, and friction holds until a level",
+    ),
+    (
+        frozenset({"gain", "scale", "saturation", "offset", "bias", "drift"}),
+        "steps of each input in three sizes and both directions, with pauses at zero at the begin and the end",
+    ),
+    (
+        frozenset({"coulomb", "stribeck", "viscous", "quadratic_drag"}),
+        "constant speeds in both directions, from creeping to the fastest, each followed by coasting to rest",
+    ),
+    (
+        frozenset({"cubic_spring", "cogging", "offset"}),
+        "slow motion over the whole travel, up and down, several times",
+    ),
+    (
+        frozenset({"leak", "overflow", "bias", "drift"}),
+        "fill slowly to the top and drain to the bottom, each followed by a long pause",
+    ),
+)
+
+
+def experiments_for(names: Iterable[str]) -> dict[frozenset[str], str]:
+    """Return names of terms that look alike → experiment that tells them apart.
+
+    Args:
+        names: Names of all terms and sensor errors, `kind_at_place`.
+    """
+    every = [*names]
+    rows = ((frozenset(n for n in every if n.partition("_at_")[0] in kinds), text) for kinds, text in ALIKE)
+    return {row: text for row, text in rows if len(row) > 1}

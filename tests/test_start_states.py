@@ -1,0 +1,86 @@
+"""Start states of free runs of an FMU: which variables set them, and their estimates from a log."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim.estimation.posing import build_problem, halve_log
+from cosim.estimation.problem import Problem
+from cosim.estimation.start_states import with_likely_starts
+from cosim.refinement.decision.evidence import Replays
+from cosim.refinement.search.missing import unknown_inputs
+from cosim.refinement.study import Study, read_study
+from cosim.residuals.drive import Drive, log_of_fmu
+from tests.blind.fmu_build import build
+from tests.logs import write_log
+
+ROWS, STEP = 400, 0.01
+NOISE = {"motor_phi": 0.01, "motor_w": 0.3, "load_phi": 0.01}
+BEGIN = {"motor.phi": 0.4, "motor.w": 14.0, "load.phi": 0.3, "load.w": 15.0}
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
+    """The study of a turning drive; the speed of its load is not measured."""
+    folder = tmp_path_factory.mktemp("drive")
+    fmu = build(folder / "drive.fmu", "drive", ways=("co_simulation",))
+    time = STEP * np.arange(ROWS)
+    torque = np.sign(np.sin(3.0 * time))
+    raw = write_log(folder / "raw.csv", {"time": time, "torque": torque, "motor.phi": time})
+    with Drive(log_of_fmu(raw, fmu), fmu) as drive:
+        table = dict(zip(drive.outputs, drive.run(0, ROWS - 1, BEGIN).T, strict=True))
+    rng = np.random.default_rng(4)
+    levels = {name.replace("_", ".", 1): sigma for name, sigma in NOISE.items()}
+    readings = {name: y + levels[name] * rng.standard_normal(ROWS) for name, y in table.items()}
+    write_log(folder / "e1.csv", {"time": time, "torque": torque, **readings})
+    path = folder / "study.yaml"
+    path.write_text(json.dumps({"model": fmu.name, "logs": {"estimation": ["e1.csv"], "validation": []}}))
+    return read_study(path)
+
+
+@pytest.fixture(scope="module")
+def problem(study: Study) -> Problem:
+    return with_likely_starts(build_problem(study.subject, study.logs, noise=NOISE))
+
+
+def test_every_state_that_shows_in_an_output_is_a_start_state(problem: Problem) -> None:
+    names = [problem.layout.states[k] for k in problem.layout.start_places]
+    assert names == ["start.motor_phi", "start.motor_w", "start.load_phi", "start.load_w"]
+
+
+def test_start_states_are_those_of_the_log(problem: Problem) -> None:
+    estimates = problem.x0[0][problem.layout.start_places]
+    assert np.abs(estimates - [*BEGIN.values()]).max() < 0.4  # of 15 rad/s, with a noise of 0.3 rad/s in each row
+
+
+def test_a_free_run_leaves_no_more_than_the_noise(problem: Problem) -> None:
+    noise = problem.at(problem.noise.smallest)
+    errors, variances = problem.innovations(problem.values, noise, 0)
+    assert np.nanmean(errors[100:] ** 2 / variances[100:]) == pytest.approx(1.0, abs=0.2)
+
+
+def test_predictions_are_parts_of_the_free_run(study: Study, problem: Problem) -> None:
+    from cosim.estimation.fit import initial_fit
+
+    residuals = Replays(problem, study.subject.horizon, initial_fit(problem), 0).residuals(problem.values)
+    sizes = np.sqrt(np.nanmean(residuals**2, axis=(0, 1)))
+    assert sizes == pytest.approx([*NOISE.values()], rel=0.3)
+
+
+def test_half_a_log_keeps_the_whole_run(problem: Problem) -> None:
+    halves = halve_log(problem)
+    assert [len(data.u) for data in halves.logs] == [ROWS, ROWS]
+    assert [int(np.isfinite(data.y[:, 0]).sum()) for data in halves.logs] == [ROWS // 2, ROWS // 2]
+
+
+def test_an_addition_counts_relative_to_its_output(problem: Problem) -> None:
+    from cosim.estimation.fit import initial_fit
+
+    at, units = initial_fit(problem), {"motor_phi": "rad", "motor_w": "rad/s", "load_phi": "rad"}
+    shares = unknown_inputs(problem, at, [True] * 3, units)
+    swing = np.ptp(problem.logs[0].y[:, 1])
+    assert shares["motor_w"] == pytest.approx(np.exp(0.5 * at.noise.power[1]) / swing, rel=0.5)
