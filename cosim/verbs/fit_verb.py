@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -146,7 +145,6 @@ def command(
 
     Example: cosim fit a.csv b.csv --fmu motor.fmu --vary mass=20% --sealed c.csv; or: cosim fit study.yaml
     """
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the simulations take the time
     from cosim.blocks.compiling import compiling
     from cosim.calibration.fit_study import request_of
     from cosim.calibration.workflow import fit as fit_logs

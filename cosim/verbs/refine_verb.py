@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 from collections.abc import Callable, Mapping
 from os import PathLike
@@ -89,8 +88,6 @@ def command(
 
     Example: cosim refine study.yaml --out results/refine
     """
-    # fits run side by side; more threads within each only wait for one another (read when numpy is first imported)
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from cosim.refinement.stages import stage_number
     from cosim.refinement.workflow import refine as refine_study
 
