@@ -20,6 +20,7 @@ from cosim.subject.candidates import Free
 from cosim.subject.interface import Subject
 from cosim.subject.start_state import first_measured, start_state
 
+FEW = 2  # steps of co-simulation between rows while a search ranks candidates
 SAME, ALIKE = 0.5, 1e-5  # allowed NLL change by fewer substeps, absolute and relative to the NLL of a wrong model
 NO_SETTINGS = Settings()
 USUAL_MEMORY = 0.15  # [s] default correlation time of an unknown input: more than a few rows
@@ -167,7 +168,8 @@ def coarsen(problem: Problem, values: Mapping[str, float] | None = None) -> Prob
         values: Parameter values to test with, by default the base model's. An active effect may need finer steps.
     """
     if problem.layout.additions:  # substeps matter to forces that follow the outputs, and to no model without them
-        return problem
+        few = [replace(log, substeps=min(log.substeps, FEW)) for log in problem.logs]
+        return replace(problem, logs=few) if values is None else problem
     noise, values = problem.plain, {**problem.values, **(values or {})}
     exact = problem.score(values, noise).nll
     most = max(log.substeps for log in problem.logs)

@@ -16,7 +16,7 @@ from cosim.estimation.data import UNSCORED, count_unscored
 from cosim.estimation.noise_model import GRID, Noise, NoiseLimits, NoiseRange, noise_range
 from cosim.estimation.per_log import Origin, own, spread, start_of_log
 from cosim.estimation.readings import Readings, readings_of
-from cosim.kernel.kernel import MEMORY, Data, Filtered, Kernel, Layout, Simulated
+from cosim.kernel.kernel import MEMORY, Data, Filtered, Inputs, Kernel, Layout, Simulated, run_all
 from cosim.logs.log import slowness
 from cosim.subject.candidates import Free
 
@@ -112,6 +112,7 @@ class Problem:
     scatter: float = 1.0  # scatter of estimates relative to a white residual; scales the priors
     own: tuple[Free, ...] = ()
     origins: Sequence[Origin] = ()
+    ranges: list[tuple[Any, NoiseRange]] = field(default_factory=list)  # shared by problems made from this one
 
     def with_noise(self, levels: Mapping[str, float]) -> Problem:
         """Return the problem with initial noise levels (standard deviations) of some outputs."""
@@ -135,7 +136,15 @@ class Problem:
 
     @cached_property
     def noise(self) -> NoiseRange:
-        """Return the search range of process noise."""
+        """Return the search range of process noise; it does not depend on fitted noise."""
+        matter = self.kernel, self.values, self.P0, self.r, *self.logs, *self.x0
+        for known, noise in self.ranges:
+            if len(known) == len(matter) and all(a is b for a, b in zip(known, matter, strict=True)):
+                return noise
+        self.ranges.append((matter, self._range_of_noise()))
+        return self.ranges[-1][1]
+
+    def _range_of_noise(self) -> NoiseRange:
         short = self._short()
         lasting = float(np.log(self.longest_memory)) if self.layout.is_coloured else None
 
@@ -318,6 +327,10 @@ class Problem:
             states: Return the filtered states too.
             data: Measurements to filter, by default those of the log.
         """
+        return self.kernel.run(*self._inputs(values, noise, index, data), states=states)
+
+    def _inputs(self, values: Mapping[str, float], noise: Noise, index: int, data: Data | None = None) -> Inputs:
+        """Return the arguments of the kernel's filter for a log."""
         data = self.data(values, index) if data is None else data
         lasting = {MEMORY: float(np.exp(noise.memory))} if self.layout.is_coloured else {}
         x0, more = self.start(values, index)
@@ -325,8 +338,7 @@ class Problem:
         if self.layout.is_coloured:
             places = list(self.layout.noisy)
             P0[places, places] = np.exp(noise.power)
-        variances = self.variances(noise, index)
-        return self.kernel.run(data, p, x0, P0, self.densities(noise), variances, states=states)
+        return data, p, x0, P0, self.densities(noise), self.variances(noise, index)
 
     def filter_causally(
         self, data: Data, values: Mapping[str, float], noise: Noise, index: int, rows: Sequence[int]
@@ -353,7 +365,10 @@ class Problem:
 
     def innovations(self, values: Mapping[str, float], noise: Noise, index: int) -> tuple[Array, Array]:
         """Return innovations and variances of a log (rows, outputs)."""
-        filtered = self.run(values, noise, index)
+        return self._aligned(self.run(values, noise, index), values, index)
+
+    def _aligned(self, filtered: Filtered, values: Mapping[str, float], index: int) -> tuple[Array, Array]:
+        """Return innovations and variances at the rows of the readings, not at those of their measurement."""
         e, s = filtered.errors, filtered.variances
         for k, late in self.in_rows(self.late, values, index).items():
             e[:, k], s[:, k] = np.roll(e[:, k], round(late)), np.roll(s[:, k], round(late))
@@ -385,8 +400,11 @@ class Problem:
     def score(self, values: Mapping[str, float], noise: Noise, only: Sequence[int] | None = None) -> Scored:
         """Return innovations and variances of some logs, by default all, one after the other."""
         errors, variances, rows = [], [], []
-        for index in range(len(self.logs)) if only is None else only:
-            (e, s), readings = self.innovations(values, noise, index), self.readings[index]
+        chosen = range(len(self.logs)) if only is None else only
+        for index, filtered in zip(
+            chosen, run_all(self.kernel, [self._inputs(values, noise, k) for k in chosen]), strict=True
+        ):
+            (e, s), readings = self._aligned(filtered, values, index), self.readings[index]
             errors.append(e.take(readings.places))
             variances.append(s.take(readings.places))
             rows.append(readings.rows)

@@ -5,7 +5,7 @@ A kernel need not be generated: any object with a `Layout` and the two calls wil
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Protocol
@@ -172,6 +172,15 @@ class Kernel(Protocol):
         Args:
             kicks: Increments added to the state at each row, shape (rows, states).
         """
+
+
+Inputs = tuple[Data, Array, Array, Array, Array, Array]  # arguments of `Kernel.run`
+
+
+def run_all(kernel: Kernel, inputs: Sequence[Inputs]) -> Sequence[Filtered]:
+    """Filter several logs, in one call if the kernel offers it."""
+    together = getattr(kernel, "run_all", None)
+    return [kernel.run(*each) for each in inputs] if together is None else together(inputs)
 
 
 def single_steps(

@@ -19,7 +19,7 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.isolation.limits import Limits
 from cosim.kernel.c_filter import CompiledKernel
 from cosim.kernel.generate import Generated
-from cosim.kernel.kernel import MEMORY, Data, Filtered, Simulated, single_steps
+from cosim.kernel.kernel import MEMORY, Data, Filtered, Inputs, Simulated, single_steps
 
 NAME = "model"  # component name in messages
 RUNS = 16  # kept free runs
@@ -135,6 +135,10 @@ class LibraryKernel(CompiledKernel):
         arrays = [np.ascontiguousarray(a) for a in (run.outputs, run.states, run.memory, self._start_slopes(data, x0))]
         self._library.use_run(*(a.ctypes.data_as(ctypes.c_void_p) for a in arrays))
         return super().run(data, p, x0, P0, q, r, states=states)
+
+    def run_all(self, inputs: Sequence[Inputs]) -> list[Filtered]:
+        """Filter several logs."""
+        return [self.run(*each) for each in inputs]
 
     def simulate(
         self, data: Data, p: Array, x0: Array, memory: Array, kicks: Array | None = None, *, first: int = 0

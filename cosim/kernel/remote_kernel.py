@@ -6,27 +6,55 @@ import atexit
 import itertools
 import queue
 import time
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from typing import Any
+from threading import Lock
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from cosim.base.arrays import Array, Rows
 from cosim.base.errors import SimulationError
+from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import OTHER
 from cosim.isolation.watch import Watch
 from cosim.kernel.generate import Generated
-from cosim.kernel.kernel import Data, Filtered, Simulated
+from cosim.kernel.kernel import Data, Filtered, Inputs, Simulated
 from cosim.kernel.library_kernel import NAME, LibraryKernel, LibraryOf
 
 MODULES = ("cosim.kernel.remote_kernel", "fmpy.fmi2")
+MOST_KEPT = 32  # logs that a worker keeps
 LONGEST = 60.0  # default limit of a pass over a log [s]
 
 # -- in the worker ----------------------------------------------------------------------------
 
 _made: dict[int, LibraryKernel] = {}
+_kept: dict[int, Data] = {}  # logs that are filtered again and again
+
+
+class _Log(NamedTuple):
+    """A log on its way: a number under which the worker keeps it, and its data where the worker does not know it."""
+
+    number: int
+    data: Data | None
+
+
+def _unpack(argument: Any) -> Any:
+    """Return arguments with the data of logs."""
+    if isinstance(argument, list):
+        return [_unpack(each) for each in argument]
+    if isinstance(argument, tuple) and argument and isinstance(argument[0], _Log):
+        number, data = argument[0]
+        if data is None:
+            data = _kept[number]
+        elif number >= 0:
+            _kept[number] = data
+            for old in [*_kept][: -2 * MOST_KEPT]:
+                del _kept[old]
+        return (data, *argument[1:])
+    return argument
 
 
 def make(number: int, *arguments: Any) -> None:
@@ -34,9 +62,11 @@ def make(number: int, *arguments: Any) -> None:
     _made[number] = LibraryKernel(*arguments)
 
 
-def call(number: int, method: str, arguments: tuple[Any, ...], options: Mapping[str, Any]) -> tuple[Any, float]:
+def call(number: int, method: str, arguments: Any, options: Mapping[str, Any]) -> tuple[Any, float]:
     """Call a method of a kernel; return its result and the processor time [s]."""
     begin = time.process_time()
+    unpacked = _unpack(arguments)
+    arguments = (unpacked,) if isinstance(unpacked, list) else unpacked
     result = getattr(_made[number], method)(*arguments, **options)
     return result, time.process_time() - begin
 
@@ -54,8 +84,11 @@ class _Workers:
     def __init__(self) -> None:
         self._idle: queue.LifoQueue[tuple[Worker, set[tuple[int, int]]]] = queue.LifoQueue()
         self.spent = 0.0
+        self._numbering, self._numbers = Lock(), itertools.count()
+        self._logs: deque[tuple[int, Data]] = deque(maxlen=MOST_KEPT)
+        self._seen: deque[Data] = deque(maxlen=MOST_KEPT)
 
-    def call(self, kernel: RemoteLibraryKernel, method: str, arguments: tuple[Any, ...], **options: Any) -> Any:
+    def call(self, kernel: RemoteLibraryKernel, method: str, arguments: Any, **options: Any) -> Any:
         """Return the result of a kernel's method; raise SimulationError if the FMU fails, crashes or hangs."""
         try:
             worker, known = self._idle.get_nowait()
@@ -63,15 +96,41 @@ class _Workers:
             worker, known = Worker(*MODULES), set()
         try:
             worker.start()
-            watch = Watch((NAME,), limits=kernel.limits)
+            watch = Watch((NAME,), limits=kernel.limits_of(len(arguments) if isinstance(arguments, list) else 1))
             if (worker.starts, kernel.number) not in known:
                 worker.call(make, kernel.number, *kernel.recipe, watch=watch, doing=OTHER)
                 known.add((worker.starts, kernel.number))
-            result, spent = worker.call(call, kernel.number, method, arguments, options, watch=watch, doing=OTHER)
+            packed = self._pack(arguments, worker.starts, known)
+            result, spent = worker.call(call, kernel.number, method, packed, options, watch=watch, doing=OTHER)
             self.spent += spent
             return result
         finally:
             self._idle.put((worker, known))
+
+    def _pack(self, arguments: Any, starts: int, known: set[tuple[int, int]]) -> Any:
+        """Return arguments without the data of logs that the worker keeps."""
+        if isinstance(arguments, list):
+            return [self._pack(each, starts, known) for each in arguments]
+        if not isinstance(arguments[0], Data):
+            return arguments
+        number = self._number(arguments[0])
+        key = starts, -1 - number
+        is_known = number >= 0 and key in known
+        if number >= 0:
+            known.add(key)
+        return (_Log(number, None if is_known else arguments[0]), *arguments[1:])
+
+    def _number(self, data: Data) -> int:
+        """Return the number of a log that comes for the second time, −1 for others."""
+        with self._numbering:
+            for number, other in self._logs:
+                if other is data:
+                    return number
+            if not any(other is data for other in self._seen):
+                self._seen.append(data)
+                return -1
+            self._logs.append((next(self._numbers), data))
+            return self._logs[-1][0]
 
     def end(self) -> None:
         """End all idle processes."""
@@ -105,6 +164,10 @@ class RemoteLibraryKernel:
         self.limits = fmu.limits.model_copy(update={"load": fmu.limits.step or fmu.limits.load or LONGEST})
         self.failures: list[SimulationError] = []
 
+    def limits_of(self, logs: int) -> Limits:
+        """Return the limits of a call for several logs."""
+        return self.limits.model_copy(update={"load": (self.limits.load or LONGEST) * logs})
+
     def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
         """Filter one log, as `Kernel.run`."""
         try:
@@ -115,6 +178,14 @@ class RemoteLibraryKernel:
             shape, count = data.y.shape, len(self.layout.stochastic)
             nothing = np.full((rows, len(self.layout.states)), np.nan), np.full((rows, self.layout.memory), np.nan)
             return Filtered(np.full(shape, np.inf), np.ones(shape), *nothing, np.full((rows, count, count), np.nan))
+        return filtered
+
+    def run_all(self, inputs: Sequence[Inputs]) -> Sequence[Filtered]:
+        """Filter several logs, one after the other if the FMU fails."""
+        try:
+            filtered: Sequence[Filtered] = workers.call(self, "run_all", [*inputs])
+        except SimulationError:
+            return [self.run(*each) for each in inputs]
         return filtered
 
     def simulate(

@@ -191,7 +191,7 @@ class FmuSubject(ModelSubject):
         """Return the kernel of a delivered FMU, which holds terms and values itself."""
         model = self.model
         assert isinstance(model, FmuModel)
-        kept = {"dependencies", "rates", "variables", "stepped", "starts", "substep", "integrator"}
+        kept = {"dependencies", "rates", "variables", "shown", "stepped", "starts", "substep", "integrator"}
         attributes = {name: getattr(type(model), name) for name in kept}
         plain = fmu_model(model.title, (model.base_states, model.inputs, model.outputs), (), (), **attributes)
         of_fmu = self._library_of(fmu, read_description(fmu))

@@ -14,7 +14,7 @@ from cosim.base.units import unit_product
 from cosim.logs.log import Log
 from cosim.model.quantities import Parameter, Quantity
 from cosim.probing.fmu_structure import Pair, Structure
-from cosim.terms.catalogue import Stribeck, bound_terms, delay_of, sensor_errors
+from cosim.terms.catalogue import bound_terms, delay_of, sensor_errors
 from cosim.terms.fmu_model import Dependencies, FmuModel, fmu_model
 from cosim.terms.language import Place, with_place
 
@@ -141,6 +141,7 @@ class ProbedModel:
             calibrated=tuple(p.name for p in parameters),
             suspect={p.name: tuple(with_place(n) for n, width in self.ranges.items() if width) for p in parameters},
             horizon=math.inf if self.is_stepped else self._horizon(),
+            shown=self._shown(),
             stepped=self.is_stepped,
             starts=tuple(with_place(v.name) for v in s.starts),
             rate=self.step,
@@ -158,11 +159,16 @@ class ProbedModel:
         pairs = [pair for pair in self.structure.pairs if pair.gain == 1.0 and not self.is_stepped]
         return {names.index(pair.position): names.index(pair.velocity) for pair in pairs}
 
+    def _shown(self) -> dict[int, int]:
+        """Return output → state that equals it, by index."""
+        outputs = [q.name for q in self.structure.outputs]
+        return {
+            outputs.index(y): k for k, q in enumerate(self.structure.states) if (y := self.structure.shown.get(q.name))
+        }
+
     def _catalogue(self) -> list[type[Any]]:
         inputs = _named(self.structure.inputs)
-        # a force held over a substep is too coarse for the shape of friction near rest
-        left_out = Stribeck if self.is_stepped else ()
-        bound = [term for term in bound_terms([*self.places()], self.terms) if not issubclass(term, left_out)]
+        bound = bound_terms([*self.places()], self.terms)
         return [*([delay_of(inputs, LATEST * self.step)] if inputs else []), *bound]
 
     def _sensors(self, output: Quantity) -> Iterator[type[Any]]:

@@ -34,6 +34,7 @@ class FmuModel(Model):
         dependencies: States and inputs on which each derivative and output depends.
         rates: Position → velocity that equals its derivative, by index.
         variables: Name in the model → name of the FMU's variable.
+        shown: Output → state that equals it, by index.
         stepped: True for an FMU for co-simulation; its outputs stand in place of states.
         starts: Its start states.
     """
@@ -41,6 +42,7 @@ class FmuModel(Model):
     dependencies: ClassVar[Dependencies]
     rates: ClassVar[Mapping[int, int]]
     variables: ClassVar[Mapping[str, str]]
+    shown: ClassVar[Mapping[int, int]] = {}
     stepped: ClassVar[bool] = False
     starts: ClassVar[tuple[str, ...]] = ()
 
@@ -68,7 +70,10 @@ class FmuModel(Model):
             if self.stepped:
                 return tuple(state[: len(self.outputs)])
             first = len(self.base_states)
-            return tuple(value(first + k, state, command) for k in range(len(self.outputs)))
+            shown = self.shown
+            return tuple(
+                state[shown[k]] if k in shown else value(first + k, state, command) for k in range(len(self.outputs))
+            )
 
         return Equations(derivative, output)
 
