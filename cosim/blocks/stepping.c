@@ -17,8 +17,9 @@
 typedef void (*Function)(void);
 
 enum { PUT, ADVANCE, GET };                                       /* what is called, as in isolation/rows.py */
-enum { FINISHED, STATUS, NOT_FINITE, UNFIT, NO_ITEM, TERMINATED, PAUSED, LATER }; /* why `run` returned */
+enum { FINISHED, STATUS, NOT_FINITE, UNFIT, NO_ITEM, TERMINATED, PAUSED, LATER, FAILED }; /* why `run` returned */
 enum { DOUBLES, FLOAT32, INT8, UINT8, INT16, UINT16, INT32, UINT32, INT64, BOOL8 };
+enum { PREPARED, CALLED };                                        /* versions of slots that are no FMU of C */
 enum { AFFINE, ADDED, BIAS, SCALE, STUCK, SPIKES, DELAYED, HELD, ITEMS };
 
 typedef struct {           /* what becomes of a value on its way, at points first..last or always */
@@ -48,7 +49,9 @@ typedef struct {           /* variables of one type, moved in one call; `values`
     int32_t type;
 } Move;
 
-typedef struct {           /* an FMU, or (`version` 0) values that were prepared, `scalars` for each point from `since` on */
+/* An FMU; or (PREPARED) values that were prepared, `scalars` for each point from `since` on; or (CALLED) a component whose
+   `step` is a function of Python that puts, steps and gets, and sets the flag at `instance` where it succeeds */
+typedef struct {
     int32_t version;
     Function step;
     void *instance;
@@ -82,6 +85,7 @@ typedef struct {
 typedef int (*Exchange2)(void *, const unsigned *, size_t, void *);
 typedef int (*Exchange3)(void *, const unsigned *, size_t, void *, size_t);
 typedef int (*Step2)(void *, double, double, int);
+typedef void (*Call)(double, double);
 typedef int (*Step3)(void *, double, double, bool, bool *, bool *, bool *, double *);
 
 /* `*ok` false where a value is no item of the enumeration it goes to */
@@ -196,7 +200,15 @@ static int step_slot(Plan *p, Slot *s, int64_t k)
     switch (p->phase) {
     case PULLS:
         if (!make_transfers(s->pull, s->pulls, k)) return NO_ITEM;
-        if (s->version == 0) {
+        if (s->version == CALLED) {
+            bool *done = s->instance;
+            *done = false;
+            ((Call)s->step)(since, length);
+            if (!*done) return FAILED;
+            s->time = since + length;
+            return FINISHED;
+        }
+        if (s->version == PREPARED) {
             memcpy(s->row, s->prepared + (size_t)(k - s->since) * s->scalars, s->scalars * sizeof(double));
             s->time = since + length;
             return FINISHED;

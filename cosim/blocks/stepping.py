@@ -11,7 +11,7 @@ previous values. The caller allocates everything. A step gives the same bytes as
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from ctypes import c_void_p
 from enum import IntEnum
 from functools import cache
@@ -25,6 +25,8 @@ from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, load_library
 
 SOURCE = Path(__file__).with_name("stepping.c")
 NEVER = -1
+CALLED = 1  # version of a slot that a function of Python steps
+CALL = ctypes.CFUNCTYPE(None, ctypes.c_double, ctypes.c_double)
 C_TYPES = {
     **{name: getattr(ctypes, f"c_{name}") for name in ("double", "int32", "int64", "bool")},
     "size": ctypes.c_size_t,
@@ -39,10 +41,10 @@ class StopReason(IntEnum):
 
     STATUS: a call returned a status other than OK; NOT_FINITE: an output is not finite; UNFIT: an input does not fit
     its type; NO_ITEM: a value is no item of the target enumeration; TERMINATED: an FMU ended the simulation; PAUSED:
-    the row of a point is complete but not stored; LATER: a second has passed
+    the row of a point is complete but not stored; LATER: a second has passed; FAILED: a function of Python failed
     """
 
-    FINISHED, STATUS, NOT_FINITE, UNFIT, NO_ITEM, TERMINATED, PAUSED, LATER = range(8)
+    FINISHED, STATUS, NOT_FINITE, UNFIT, NO_ITEM, TERMINATED, PAUSED, LATER, FAILED = range(9)
 
 
 class LinkKind(IntEnum):
@@ -93,10 +95,14 @@ class Slot(ctypes.Structure):
     """Data of one stepped component for the loop in C.
 
     The component is an FMU of FMI `version` 2 or 3. With version 0 it is a source with `scalars` values prepared for
-    each point, beginning at point `since`.
+    each point, beginning at point `since`. With version CALLED a function of Python steps it.
+
+    Attributes:
+        failures: Errors of this function.
     """
 
     keeping: Any
+    failures: list[BaseException]
 
     _fields_ = _fields(
         "int32 version; pointer step, instance; int64 every, doing, pulls, puts, gets; double length; "
@@ -151,6 +157,24 @@ def fmu_slot(version: int, step: Any, instance: Any, puts: Sequence[Move], gets:
     slot = Slot(version, ctypes.cast(step, c_void_p), instance, every=1, time=time)
     slot.puts, slot.gets, slot.put, slot.get = len(put), len(get), ctypes.addressof(put), ctypes.addressof(get)
     slot.keeping = put, get
+    return slot
+
+
+def called_slot(step: Callable[[float, float], None], time: float) -> Slot:
+    """Return the slot of a component at `time` [s] whose step is a function of Python."""
+    is_done, failures = ctypes.c_bool(), list[BaseException]()
+
+    def call(t: float, h: float) -> None:
+        try:
+            step(t, h)
+        except BaseException as failure:  # Exceptions cannot pass through C.
+            failures.append(failure)
+        else:
+            is_done.value = True
+
+    function = CALL(call)
+    slot = Slot(CALLED, ctypes.cast(function, c_void_p), ctypes.addressof(is_done), every=1, time=time)
+    slot.keeping, slot.failures = (function, is_done), failures
     return slot
 
 

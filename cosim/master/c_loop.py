@@ -16,10 +16,12 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.blocks.faults import LinkFunction
+from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import SourceBlock
-from cosim.blocks.stepping import Loop, NotCompiled, Slot, StopReason, library, transfer
+from cosim.blocks.stepping import Loop, NotCompiled, Slot, StopReason, called_slot, library, transfer
 from cosim.blocks.stepping import Transfer as CTransfer
 from cosim.isolation.rows import CALLS, Rows
+from cosim.system.event_blocks import is_exchange
 from cosim.system.system import System
 from cosim.system.wiring import Transfer
 
@@ -52,13 +54,21 @@ def prepare_steps(run: LoopData) -> CompiledSteps:
     if run.system.beside:
         raise NotCompiled(f"{run.system.beside[0]} is no number that a double holds")
     slots = []
-    for component in run.components:
+    for number, component in enumerate(run.components):
         slot = component.slot() if hasattr(component, "slot") else f"{component.name} has a process of its own"
+        if isinstance(slot, str) and is_exchange(component) and any(is_stepped_in_c(c) for c in run.components):
+            # Solvers of model exchange are Python; beside FMUs that C steps, C calls them.
+            slot = called_slot(component.stepping(run.rows.doing, CALLS * number), run.system.start)
         if isinstance(slot, str):
             raise NotCompiled(slot)
         slots.append(slot)
     library()  # compiled only if used
     return CompiledSteps(run, slots)
+
+
+def is_stepped_in_c(component: Any) -> bool:
+    """Return whether C steps a component as an FMU."""
+    return isinstance(component, FmuBlock) and isinstance(component.slot(), Slot)
 
 
 def compile_beforehand(system: System) -> None:
@@ -73,7 +83,7 @@ class CompiledSteps:
     """All steps of a run after initialization, made in C."""
 
     def __init__(self, run: LoopData, slots: Sequence[Slot]) -> None:
-        self.run, system = run, run.system
+        self.run, self.slots, system = run, slots, run.system
         every = {stage.component.name: stage.every for stage in system.stages}
         for k, (slot, stage) in enumerate(zip(slots, system.stages, strict=True)):
             slot.every, slot.doing = stage.every, CALLS * k
@@ -117,6 +127,8 @@ class CompiledSteps:
                 pause = run.next_call(pause + 1)
             elif why == StopReason.NO_ITEM:
                 self._raise_no_item()
+            elif why == StopReason.FAILED:  # without an error after Ctrl-C between C and Python
+                raise next(iter(self.slots[loop.plan.place].failures), KeyboardInterrupt())
             elif why != StopReason.LATER:
                 run.components[loop.plan.place].raise_error(why, loop.plan, loop.slots[loop.plan.place])
 
