@@ -13,12 +13,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.base.errors import InputError, SimulationError
+from cosim.base.errors import FmuError, InputError, SimulationError
 from cosim.blocks.clocks import Timer
 from cosim.blocks.compiling import compiling
+from cosim.blocks.description import read_description
 from cosim.blocks.event_mode import EventFmu
+from cosim.blocks.fmu import FmuBlock
 from cosim.isolation.rows import Rows
 from cosim.master.halving import rollback_objection
+from cosim.master.instants import Instants
 from cosim.master.master import Master, StoppedRun, simulate
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
@@ -260,19 +263,69 @@ def test_a_clock_faster_than_the_steps_of_its_fmu_is_refused(folder: Path) -> No
         simulated(folder, {"r": {"fmu": "rigid_clocked.fmu"}}, step=0.2)
 
 
-def test_a_schedule_goes_to_a_checkpoint_and_back(folder: Path) -> None:
-    system = system_of(folder, {"a": {"fmu": "clocked.fmu", "start": {"announced": 0.13}}})
+def test_a_run_goes_on_from_its_saved_schedule_with_the_same_bytes(folder: Path) -> None:
+    components = {
+        "b": {"fmu": "clocked_states.fmu", "start": {"delay": 0.125, "announced": 0.13}},
+        "a": {"fmu": "clocked_states.fmu", "start": {"u": 3.0}},
+    }
+    system = system_of(folder, components, ["a.crossed → b.trigger", "a.events → b.kick", "a.x → b.w"])
     master = Master(system, 10, 0.1, None, Rows.in_memory(11, len(system.columns)))
+    outcomes: list[tuple[bytes, list[Any]]] = []
+
+    def go_on(instants: Instants) -> None:
+        for k in range(1, 6):
+            instants._step_to_point(k, has_calls=False)
+        fmus = [part.component for part in instants.events]
+        row, schedule = bytes(master.row), json.dumps(instants.state())
+        states = [[fmu.instance.save_state() for fmu in fmus] for _ in range(2)]
+        for saved in states:
+            master.row[:] = np.frombuffer(row).tolist()
+            for fmu, state in zip(fmus, saved, strict=True):
+                fmu.instance.restore_state(state)
+            instants.restore(json.loads(schedule))
+            rows = []
+            for k in range(6, 11):
+                instants._step_to_point(k, has_calls=False)
+                rows.append(bytes(master.row))
+            outcomes.append((b"".join(rows), list(instants.record.events)))
+
+    master._step_on = lambda: go_on(master.instants)  # type: ignore[method-assign, arg-type]
     master.results()
-    fmu = master.components[0]
-    assert isinstance(fmu, EventFmu)
-    schedule = json.loads(json.dumps(fmu.schedule()))
-    assert schedule["next_event"] == pytest.approx(1.04)
-    other = system_of(folder, {"a": {"fmu": "clocked.fmu"}}).stages[0].component
-    assert isinstance(other, EventFmu)
-    other.timers = {name: Timer() for name in schedule["timers"]}
-    other.restore_schedule(schedule, 1.0)
-    assert (other.due, other.schedule()) == (fmu.due, schedule)
+    assert outcomes[0] == outcomes[1]
+    whole = simulate(
+        system_of(folder, components, ["a.crossed → b.trigger", "a.events → b.kick", "a.x → b.w"]), 10, 0.1
+    )
+    assert outcomes[0][0] == whole.values[6:].tobytes()
+    assert outcomes[0][1] == list(whole.events)
+
+
+def test_an_event_of_the_scenario_changes_the_interval_of_a_tunable_clock(tmp_path: Path) -> None:
+    instants_fmu(tmp_path / "a.fmu", 'intervalVariability="tunable" intervalDecimal="0.1"')
+    events = [{"at": 0.2, "set": {"a.sample": "250 ms"}}]
+    results = simulated(tmp_path, {"a": {"fmu": "a.fmu"}}, events=events)
+    assert results["a.ticks"].tolist() == [1, 2, 3, 3, 3, 4, 4, 5, 5, 5, 6]  # at 0.45, 0.7, 0.95 s
+    assert results["a.rung"][-1] == 0.25  # told to the FMU
+    for value, words in ((-1, "a time above 0 s"), ("fast", "a time above 0 s"), (True, "a time above 0 s")):
+        events[0]["set"]["a.sample"] = value
+        assert any(words in m for m in messages_of(tmp_path, {"a": {"fmu": "a.fmu"}}, events=events)), value
+    found = messages_of(tmp_path, {"a": {"fmu": "a.fmu"}}, events=[{"at": 0, "set": {"a.trigger": 1}}])
+    assert any("is a clock whose interval cannot be set" in message for message in found)
+
+
+def test_an_interruption_ends_a_long_step_at_the_next_step_of_the_fmu(folder: Path) -> None:
+    fmu = system_of(folder, {"a": {"fmu": "updates.fmu", "event_mode": True, "start": {"own_step": 0.01}}})
+    block = fmu.stages[0].component
+    assert isinstance(block, EventFmu)
+    block.bind_nothing()
+    block.open(0.0, 1.0)
+    block.start()
+    block.update()
+    block.leave()
+    block.event_calls.stop = KeyboardInterrupt()
+    with pytest.raises(KeyboardInterrupt):
+        block.go(1.0)
+    assert block.event_calls.last.value == pytest.approx(0.01)
+    block.close()
 
 
 # -- scheduled execution ------------------------------------------------------------------------------
@@ -298,10 +351,9 @@ def test_scheduled_partitions_exchange_values_and_clocks_with_other_fmus(folder:
 
 
 def test_an_fmu_for_scheduled_execution_only_is_refused_outside_of_scenarios(folder: Path) -> None:
-    from cosim.blocks.description import read_description
-
-    with pytest.raises(Exception, match="is for scheduled execution, which a scenario runs"):
-        read_description(folder / "scheduled.fmu")
+    description = read_description(folder / "scheduled.fmu")
+    with pytest.raises(FmuError, match="is for scheduled execution, which a scenario runs"):
+        FmuBlock("a", folder / "scheduled.fmu", description, {}, frozenset())
 
 
 # -- whole runs and mistakes ----------------------------------------------------------------------------

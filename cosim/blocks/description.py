@@ -23,13 +23,10 @@ MOST_ELEMENTS = 1_000_000  # elements of an array; each gets a name
 _slips: WeakKeyDictionary[Any, tuple[str, ...]] = WeakKeyDictionary()
 
 
-def read_description(path: Path, *, scheduled: bool = False) -> Any:
+def read_description(path: Path) -> Any:
     """Return FMPy's model description of a runnable FMU.
 
     Violations of the schema alone are accepted; see `slips_of`.
-
-    Args:
-        scheduled: Whether an FMU for scheduled execution only is accepted; scenarios run it.
 
     Raises:
         FmuError: The FMU is invalid or cannot be run.
@@ -53,11 +50,8 @@ def read_description(path: Path, *, scheduled: bool = False) -> Any:
             size = "×".join(map(str, variable.shape))
             text = messages.ARRAY_TOO_LARGE(file=path, variable=variable.name, size=size, limit=MOST_ELEMENTS)
             raise FmuError(text)
-    offered = ways(description)
-    if not offered:
+    if not ways(description):
         raise FmuError(messages.UNSUPPORTED_INTERFACE(file=path, interface=_kind(description)))
-    if offered == ("scheduled-execution",) and not scheduled:
-        raise FmuError(messages.SCHEDULED_ONLY(file=path))
     _slips[description] = slips
     return description
 

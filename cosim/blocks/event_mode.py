@@ -29,6 +29,7 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.variable_access import Ports
 
 NOT_YET_KNOWN, UNCHANGED, CHANGED = range(3)  # fmi3IntervalQualifier
+TICK_NOW = 1e-9  # fraction of an interval within which a tick is due
 INITIALIZATION, EVENT, STEP = "initialization", "event", "step"
 
 
@@ -227,7 +228,8 @@ class EventFmu(FmuBlock):
                     timer.every(interval, start + clock.shift)
                     continue
                 qualifier, interval = self._interval(clock)
-                if qualifier != NOT_YET_KNOWN and clock.kind in PERIODIC:
+                if clock.kind in PERIODIC:
+                    interval = math.nan if qualifier == NOT_YET_KNOWN else interval
                     timer.every(self._checked(clock, interval), start + self._shift(clock))
                 elif qualifier != NOT_YET_KNOWN:
                     timer.once(start + self._checked(clock, interval))
@@ -331,6 +333,12 @@ class EventFmu(FmuBlock):
             self.mode, self.active = EVENT, set()
         self.asks = False
         changes, self._changes = self._changes, {}
+        for name in changes.keys() & self.clocks.keys():
+            interval = changes.pop(name)
+            with self.instance.check_calls():
+                self._set_interval(self.clocks[name], interval)
+            timer, t = self.timers[name], self.instance.time
+            timer.every(interval, t, 0 if timer.next <= t + TICK_NOW * interval else 1)
         if changes:
             with self.instance.check_calls():
                 self._values.set(changes)
@@ -430,13 +438,15 @@ class EventFmu(FmuBlock):
     def schedule(self) -> dict[str, Any]:
         """Return the schedule as plain data, for a checkpoint at a communication point."""
         timers = {name: timer.state() for name, timer in self.timers.items()}
-        return {"timers": timers, "next_event": self.next_event if math.isfinite(self.next_event) else None}
+        announced = self.next_event if math.isfinite(self.next_event) else None
+        return {"timers": timers, "next_event": announced, "reached": self.reached, "asks": self.asks}
 
-    def restore_schedule(self, schedule: Mapping[str, Any], t: float) -> None:
-        """Take back a schedule at time `t` [s], with the FMU in step mode."""
+    def restore_schedule(self, schedule: Mapping[str, Any]) -> None:
+        """Take back a schedule, with the FMU in step mode and the inputs in the row as they were."""
         for name, state in schedule["timers"].items():
             self.timers[name].restore(state)
         announced = schedule["next_event"]
         self.next_event = math.inf if announced is None else float(announced)
-        self.reached, self.mode, self.active, self.asks = t, STEP, set(), False
-        self._given = {}
+        self.reached = self.instance.time = float(schedule["reached"])
+        self.mode, self.active, self.asks = STEP, set(), bool(schedule["asks"])
+        self._given = {id(e): self._values.content(e) for e in self._ports.fed}

@@ -14,6 +14,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
+from cosim.base.errors import FmuError
 from cosim.blocks import messages
 from cosim.blocks.compiling import permission
 from cosim.blocks.component import ADVANCE, GET, PUT, Row, in_turn
@@ -107,7 +108,10 @@ class FmuBlock:
         self._values = Values(self.instance, ports)
 
     def _make_calls(self, way: Way | None) -> Calls:
-        return CALLS[self.description.fmiVersion[0], way or ways(self.description)[0]](self.name, self.description)
+        kind = CALLS.get((self.description.fmiVersion[0], way or ways(self.description)[0]))
+        if kind is None:
+            raise FmuError(messages.SCHEDULED_ONLY(file=self.path))
+        return kind(self.name, self.description)
 
     def _make_ports(self, recorded: frozenset[str]) -> Ports:
         optional = self._optional(self.connected | self.start_values.keys())

@@ -50,7 +50,7 @@ class Summary:
     """Overview of an FMU.
 
     Attributes:
-        ways: Usable interfaces: co-simulation, model-exchange.
+        ways: Usable interfaces: co-simulation, model-exchange, scheduled-execution.
         capabilities: Interface → flags and numbers set in the description.
         runs_here: Whether a library for this machine exists. Sources (`c-code` among the platforms) can be compiled on
             request.
@@ -138,6 +138,7 @@ def experiment_of(description: Any) -> dict[str, float]:
 def _capabilities(description: Any) -> dict[str, dict[str, Any]]:
     """Return each interface's set flags and numbers."""
     parts = {"co-simulation": description.coSimulation, "model-exchange": description.modelExchange}
+    parts["scheduled-execution"] = getattr(description, "scheduledExecution", None)
     return {way: _flags(part) for way, part in parts.items() if part is not None}
 
 

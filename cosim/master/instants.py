@@ -352,6 +352,36 @@ class Instants:
                 note = messages.AHEAD_OF_EVENT(component=part.component.name, lead=part.lead, count=part.late)
                 self.master.notes.append(note)
 
+    # -- checkpoints -------------------------------------------------------------------------------
+
+    def state(self) -> dict[str, Any]:
+        """Return the schedule of the run as plain data, for a checkpoint at a communication point."""
+        return {
+            "order": [part.component.name for part in self.flexible],
+            "parts": {p.component.name: [p.time, p.lead, p.late] for p in (*self.flexible, *self.rigid)},
+            "clocks": {part.component.name: part.component.schedule() for part in self.events},
+            "pending": {name: list(clocks) for name, clocks in self.pending.items()},
+            "times": list(self._times),
+            "events": [list(event) for event in self.record.events],
+            "counts": [[*key, count] for key, count in self.record.counts.items()],
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take back a schedule, after the signals and the states of all components."""
+        by_name = {part.component.name: part for part in (*self.flexible, *self.rigid)}
+        self.flexible[:] = [by_name[name] for name in state["order"]]
+        for name, (time, lead, late) in state["parts"].items():
+            part = by_name[name]
+            part.time, part.lead, part.late = time, lead, late
+        for part in self.events:
+            part.component.restore_schedule(state["clocks"][part.component.name])
+        self.pending = {name: list(clocks) for name, clocks in state["pending"].items()}
+        self._times = deque(state["times"], maxlen=MOST_EVENTS)
+        self.record = EventRecord(
+            [(time, component, cause) for time, component, cause in state["events"]],
+            {(component, cause): count for component, cause, count in state["counts"]},
+        )
+
     # -- instants --------------------------------------------------------------------------------
 
     def _instant(self, t: float, k: int, events: Sequence[Part]) -> None:

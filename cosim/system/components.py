@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ Designed = Mapping[str, Mapping[str, float]]  # component → start values
 def build_components(file: ScenarioFile, designed: Designed, diagnosis: Diagnosis) -> dict[str, Component]:
     """Return the sound components by name, in file order."""
     components: dict[str, Component] = {}
-    read = cache(partial(read_description, scheduled=True))  # Several components may use the same FMU.
+    read = cache(read_description)  # Several components may use the same FMU.
     for name, component in file.scenario.components.items():
         try:
             block = _component(file, name, component, designed.get(name, {}), read, diagnosis)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from cosim.base.units import read_quantity
 from cosim.blocks.clocks import PERIODIC, Clock, Timing, read_clocks
 from cosim.blocks.component import Component
 from cosim.blocks.description import Way, takes_any_step, ways
@@ -19,6 +21,7 @@ from cosim.fmi.sampled import sampled_by
 from cosim.scenario.diagnosis import Diagnosis
 from cosim.scenario.scenario import ClockTiming, FmuComponent
 from cosim.scenario.scenario_file import ScenarioFile
+from cosim.scenario.start_values import Misfit
 from cosim.storage.yaml_file import did_you_mean
 from cosim.system import messages
 from cosim.system.schedule import Stage
@@ -142,6 +145,23 @@ def takes_part_of_step(stage: Stage) -> bool:
     if isinstance(component, SourceBlock) or is_exchange(component):
         return True
     return isinstance(component, FmuBlock) and takes_any_step(component.description) and not sampled_by(component.path)
+
+
+def clock_interval(block: FmuBlock | None, target: str, value: Any) -> Any:
+    """Return the interval [s] that an event of the scenario gives to a clock, or the reason for a refusal.
+
+    The result is None if the target is no clock.
+    """
+    clock = block.clocks.get(target.partition(".")[2]) if isinstance(block, EventFmu) else None
+    if clock is None:
+        return None
+    if clock.kind != "tunable" or clock.interval is None:
+        return Misfit(messages.CLOCK_NOT_TUNABLE(name=target))
+    with suppress(ValueError):
+        value = read_quantity(value, "s") if isinstance(value, str) else value
+    if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
+        return Misfit(messages.NO_INTERVAL(name=target, value=value))
+    return float(value)
 
 
 def check_events(file: ScenarioFile, stages: Sequence[Stage], diagnosis: Diagnosis) -> None:

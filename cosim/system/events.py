@@ -15,6 +15,7 @@ from cosim.scenario.scenario_file import ScenarioFile
 from cosim.scenario.start_values import Misfit, bounds_of, convert_value
 from cosim.storage.yaml_file import did_you_mean
 from cosim.system import messages
+from cosim.system.event_blocks import clock_interval
 
 Events = Mapping[int, Mapping[str, Mapping[str, Any]]]  # communication point → component → variable → value
 
@@ -50,7 +51,8 @@ def changes_of(file: ScenarioFile, blocks: Mapping[str, FmuBlock], diagnosis: Di
             continue
         for target, written in event.set.items():
             name, _, variable = target.partition(".")
-            value = targets.value(target, written)
+            value = clock_interval(blocks.get(name), target, written)
+            value = targets.value(target, written) if value is None else value
             if isinstance(value, Misfit):
                 diagnosis.note(("events", k, "set", target), value.reason)
             elif (first := values.setdefault((event.at, target), value)) != value:
@@ -144,4 +146,5 @@ class Targets:
 
 def _is_changeable(variable: Any) -> bool:
     """Return whether FMI allows setting the variable mid-run."""
-    return bool(variable.causality == "input" or (variable.causality, variable.variability) == ("parameter", "tunable"))
+    is_tunable = (variable.causality, variable.variability) == ("parameter", "tunable")
+    return variable.type != "Clock" and bool(variable.causality == "input" or is_tunable)

@@ -130,3 +130,7 @@ EVENTS_AT_POINTS = Template(
     "{component} takes only steps of one length: an event within a step reaches it at the end of the step",
 )
 NO_CLOCKS = Template("E-SYS-083", "{component} has no clocks; leave out clocks:")
+CLOCK_NOT_TUNABLE = Template(
+    "E-SYS-084", "{name} is a clock whose interval cannot be set; a tunable clock with intervalDecimal takes one"
+)
+NO_INTERVAL = Template("E-SYS-085", "{name} is {value!r}; give the interval of the clock, a time above 0 s")
