@@ -36,7 +36,7 @@ def block(name: str, inputs: str = "", **direct: Any) -> Block:
 
 def scenario(step: float = 0.1, steps: int = 10, connections: Any = (), **more: Any) -> Any:
     ends = [SimpleNamespace(source=a, target=b) for a, b in connections]
-    default = {"algorithm": "gauss-seidel", "order": None, "components": {}}
+    default = {"algorithm": "gauss-seidel", "order": None, "loops": None, "components": {}}
     return SimpleNamespace(step=step, steps=steps, duration=step * steps, connections=ends, **(default | more))
 
 
@@ -146,7 +146,7 @@ def test_events_act_at_their_point_before_its_row_is_kept() -> None:
 def test_a_direct_input_is_of_the_same_time_and_any_other_of_the_last() -> None:
     blocks = {"b": block("b", "u", u=True), "a": block("a", "u", u=False)}
     edges = [("a", "b", "u", "y"), ("b", "a", "u", "y")]
-    assert order_by_dependencies(blocks, edges, None) == (("a", "b"), (True, False), ())
+    assert order_by_dependencies(blocks, edges, None) == (("a", "b"), (True, False), (), ())
 
 
 def test_a_loop_of_direct_inputs_is_told_unless_an_order_is_given() -> None:
@@ -157,13 +157,13 @@ def test_a_loop_of_direct_inputs_is_told_unless_an_order_is_given() -> None:
     assert loop.value.cycle[0] == loop.value.cycle[-1]
     needs = {("a", "c"), ("b", "a"), ("c", "b")}
     assert all(pair in needs for pair in zip(loop.value.cycle, loop.value.cycle[1:], strict=False))
-    assert order_by_dependencies(blocks, edges, ["b", "c", "a"]) == (("b", "c", "a"), (True, False, True), ())
+    assert order_by_dependencies(blocks, edges, ["b", "c", "a"]) == (("b", "c", "a"), (True, False, True), (), ())
     assert order_by_dependencies(blocks | {"s": block("s")}, edges, ["b", "c", "a"])[0] == ("s", "b", "c", "a")
 
 
 def test_a_component_that_declares_nothing_gives_way_in_a_loop_and_that_is_noted() -> None:
     blocks = {"a": block("a", "u", u=True), "b": block("b", "u", u=None)}
-    order, immediate, notes = order_by_dependencies(blocks, [("a", "b", "u", "y"), ("b", "a", "u", "y")], None)
+    order, immediate, notes, _ = order_by_dependencies(blocks, [("a", "b", "u", "y"), ("b", "a", "u", "y")], None)
     assert (order, immediate) == (("b", "a"), (False, True))
     assert len(notes) == 1
     assert notes[0].startswith("b does not declare")
@@ -199,12 +199,21 @@ def test_jacobi_passes_everything_on_at_the_end_of_a_step_and_gauss_seidel_befor
     assert noted.faults == []
 
 
-def test_a_loop_is_a_fault_of_the_connections_with_both_cures() -> None:
+def test_a_loop_is_a_fault_of_the_connections_for_an_algorithm_that_solves_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Plain(Algorithm):
+        name = "plain"
+
+        def plan(self, components: Any, edges: Any, order: Any) -> Plan:
+            return order_by_dependencies(components, edges, order)
+
+    monkeypatch.setattr("cosim.coupling.algorithms.OWN", (*OWN, Plain()))
     components = {"a": block("a", "u", u=True), "b": block("b", "u", u=True)}
     ends, transfers = [("a.y", "b.u"), ("b.y", "a.u")], [(Transfer(0, 1, "b.u"),), (Transfer(2, 3, "a.u"),)]
     noted = Noted()
     named = {name: SimpleNamespace() for name in components}
-    found = schedule(scenario(connections=ends, components=named), components, transfers, noted)  # type: ignore[arg-type]
+    found = schedule(scenario(connections=ends, components=named, algorithm="plain"), components, transfers, noted)  # type: ignore[arg-type]
     assert found.stages == ()
     ((where, message),) = noted.faults
     assert where == ("connections",)

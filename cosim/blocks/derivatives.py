@@ -14,7 +14,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
 from cosim.blocks import messages
-from cosim.blocks.description import unit_of
+from cosim.blocks.description import declares_slopes, unit_of
 from cosim.blocks.fmi_types import element_names
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.model_exchange import ModelExchange1, ModelExchange2
@@ -86,11 +86,8 @@ class DifferentiableFmu(FmuBlock):
     @property
     def gives_slopes(self) -> bool:
         """Return whether directional derivatives of scalars are available."""
-        about = ElementTree.fromstring(zipfile.ZipFile(self.path).read(DESCRIPTION)).find("ModelExchange")
-        # FMPy reads the attribute of FMI 2.0 only; FMI 3.0 has a plural s.
-        flags = [] if about is None else [about.get(f"providesDirectionalDerivative{s}") for s in ("", "s")]
         plain = all(not v.shape for v in (*self._states, *self._inputs, *self._outputs))
-        return plain and any(flag in ("true", "1") for flag in flags)
+        return plain and declares_slopes(self.path, "model-exchange")
 
     def state_references(self) -> list[int]:
         """Return the value references of the states, FMI 1.0 only."""

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
+import zipfile
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Literal
 from weakref import WeakKeyDictionary
+from xml.etree import ElementTree
 
 from cosim.base.errors import FmuError
 from cosim.base.messages import Message
 from cosim.blocks import messages
 from cosim.blocks.component import SI
 from cosim.blocks.guard import check_fmu_file, check_identifiers, check_numbers, reason_of
+from cosim.storage.archive import DESCRIPTION
 
 Way = Literal["co-simulation", "model-exchange", "scheduled-execution"]
 PLATFORMS, SOURCES = "binaries/", "sources/"
@@ -88,6 +91,15 @@ def takes_any_step(description: Any) -> bool:
     """Return whether communication steps may have any length."""
     cosimulation = description.coSimulation
     return cosimulation is None or bool(cosimulation.canHandleVariableCommunicationStepSize)
+
+
+def declares_slopes(path: Path, way: Way) -> bool:
+    """Return whether an FMU declares directional derivatives for an interface."""
+    tag = "CoSimulation" if way == "co-simulation" else "ModelExchange"
+    about = ElementTree.fromstring(zipfile.ZipFile(path).read(DESCRIPTION)).find(tag)
+    # FMPy reads the attribute of FMI 2.0 only; FMI 3.0 has a plural s.
+    flags = [] if about is None else [about.get(f"providesDirectionalDerivative{s}") for s in ("", "s")]
+    return any(flag in ("true", "1") for flag in flags)
 
 
 def _kind(description: Any) -> str:

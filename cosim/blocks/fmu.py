@@ -9,7 +9,7 @@ from __future__ import annotations
 import ctypes
 import math
 from collections import deque
-from collections.abc import Callable, Collection, Mapping, MutableSequence
+from collections.abc import Callable, Collection, Mapping, MutableSequence, Sequence
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from cosim.blocks.compiling import permission
 from cosim.blocks.component import ADVANCE, GET, PUT, Row, in_turn
 from cosim.blocks.description import (
     Way,
+    declares_slopes,
     default_tolerance,
     matches,
     read_description,
@@ -261,6 +262,35 @@ class FmuBlock:
 
     def put(self) -> None:
         self._values.put()
+
+    def try_inputs(self) -> None:
+        """Set the inputs without an event, to read outputs of the same time; `put` makes the event later."""
+        self._values.put_all()
+
+    @property
+    def changes_by_events(self) -> bool:
+        """Return whether a change of inputs is an event, as in model exchange."""
+        return isinstance(self._calls, ModelExchange2)
+
+    def slopes(self, outputs: Sequence[str], inputs: Sequence[str]) -> list[list[float]] | None:
+        """Return directional derivatives of outputs (rows) with respect to inputs (columns); None if unavailable."""
+        if not self._declares_slopes or not {*outputs, *inputs} <= self._variables.keys():
+            return None  # Elements of arrays have no value reference of their own.
+        unknowns, knowns = ([self._variables[n].valueReference for n in names] for names in (outputs, inputs))
+        slope = self.instance.fmu.getDirectionalDerivative
+        with self.instance.check_calls():
+            columns = [slope(unknowns, [known], [1.0]) for known in knowns]
+        return [list(row) for row in zip(*columns, strict=True)]
+
+    @cached_property
+    def _declares_slopes(self) -> bool:
+        return declares_slopes(self.path, self._calls.way)
+
+    def nominal(self, name: str) -> float:
+        """Return the nominal value of a variable or array element, 1 without one."""
+        variable = self._variables.get(name) or self._variables.get(name.rpartition("[")[0])
+        own = getattr(variable, "nominal", None) or getattr(getattr(variable, "declaredType", None), "nominal", None)
+        return abs(float(own or 1.0))
 
     def get(self) -> None:
         self._values.get()

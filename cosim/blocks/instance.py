@@ -165,19 +165,19 @@ class Instance:
         return bool(any_step and isinstance(self.calls, CoSimulation2 | CoSimulation3))
 
     def save_state(self) -> Any:
-        """Return the state for a single restoration."""
+        """Return the state, to restore and free."""
         with self.check_calls():
             return self.fmu.getFMUState() if self.fmi3 else self.fmu.getFMUstate()
 
-    def restore_state(self, state: Any) -> None:
-        """Restore a state and free it."""
+    def restore_state(self, state: Any, *, keep: bool = False) -> None:
+        """Restore a state and free it, unless it is kept for another restoration."""
         with self.check_calls():
             if self.fmi3:
                 self.fmu.setFMUState(state)
-                self.fmu.freeFMUState(state)
             else:
                 self.fmu.setFMUstate(state)
-                self.fmu.freeFMUstate(state)
+        if not keep:
+            self.free_state(state)
 
     def free_state(self, state: Any) -> None:
         """Free a state that is not restored."""

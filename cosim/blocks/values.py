@@ -66,7 +66,7 @@ class Values:
         if self.watched is not None:
             self._put_if_changed()
         elif self.ports.fed:
-            self._put_all()
+            self.put_all()
 
     def get(self) -> None:
         """Read outputs and recorded variables; raise SimulationError if an output is not finite."""
@@ -98,9 +98,10 @@ class Values:
             return
         self.watched = values
         with self.instance.check_calls():
-            self._calls.inputs_changed(self._put_all)
+            self._calls.inputs_changed(self.put_all)
 
-    def _put_all(self) -> None:
+    def put_all(self) -> None:
+        """Set all connected inputs, without an event in model exchange."""
         if self._put_arguments is not None:
             status = self._set_real(self._component, *self._put_arguments)
             if status:

@@ -16,7 +16,8 @@ from pydantic_core.core_schema import no_info_plain_validator_function, str_sche
 
 from cosim.base.registry import ALGORITHMS, load, names
 from cosim.blocks.component import Component
-from cosim.coupling.order import Edge, Plan, order_by_dependencies
+from cosim.coupling.order import Plan, order_by_dependencies
+from cosim.coupling.strong_components import Edge
 
 
 class Algorithm:
@@ -28,12 +29,14 @@ class Algorithm:
         about: Description that follows the name in a sentence, e.g. "steps one after the other".
         sequential: True if a component sees the new values of components stepped before it. The order then matters, the
             scenario may state it by `order`, and an algebraic loop has no order.
+        solves_loops: Whether `plan_with_loops` returns algebraic loops to be solved.
     """
 
     name = ""
     title = ""
     about = ""
     sequential = True
+    solves_loops = False
 
     def plan(self, components: Mapping[str, Component], edges: Sequence[Edge], order: Sequence[str] | None) -> Plan:
         """Return the plan of a communication step.
@@ -46,6 +49,24 @@ class Algorithm:
         """
         raise NotImplementedError
 
+    def plan_with_loops(
+        self,
+        components: Mapping[str, Component],
+        edges: Sequence[Edge],
+        order: Sequence[str] | None,
+        *,
+        undeclared: bool,
+    ) -> Plan:
+        """Return the plan, with algebraic loops if the algorithm has them solved.
+
+        Args:
+            undeclared: Whether inputs without declared dependencies may be part of a loop.
+
+        Raises:
+            AlgebraicLoop: No order of the components satisfies the plan.
+        """
+        return self.plan(components, edges, order)
+
 
 class GaussSeidel(Algorithm):
     """Gauss-Seidel: components step in sequence; inputs with direct feedthrough get values of the same time."""
@@ -53,10 +74,22 @@ class GaussSeidel(Algorithm):
     name = "gauss-seidel"
     title = "Gauss-Seidel"
     about = "steps one after the other"
+    solves_loops = True
 
     def plan(self, components: Mapping[str, Component], edges: Sequence[Edge], order: Sequence[str] | None) -> Plan:
         """Return a plan in the user's order, by default in the order of direct feedthrough."""
         return order_by_dependencies(components, edges, order)
+
+    def plan_with_loops(
+        self,
+        components: Mapping[str, Component],
+        edges: Sequence[Edge],
+        order: Sequence[str] | None,
+        *,
+        undeclared: bool,
+    ) -> Plan:
+        """Return the plan; components without an order become loops."""
+        return order_by_dependencies(components, edges, order, loops=True, undeclared=undeclared)
 
 
 class Jacobi(Algorithm):

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 from cosim.blocks.component import Component
 from cosim.coupling import messages
+from cosim.coupling.strong_components import Edge, order_with_loops
 
-Edge = tuple[str, str, str, str]  # source component, target component, target input, source output
 Input = tuple[str, str]  # component, input
 
 
@@ -26,11 +26,14 @@ class Plan(NamedTuple):
         order: Names of all components.
         immediate: For each connection, whether its value is copied right before the target steps.
         notes: Warnings about assumptions.
+        loops: Components of each algebraic loop, consecutive in `order`. Immediate connections within a loop are
+            solved at each communication point.
     """
 
     order: tuple[str, ...]
     immediate: tuple[bool, ...]
     notes: tuple[str, ...] = ()
+    loops: tuple[tuple[str, ...], ...] = ()
 
 
 class AlgebraicLoop(Exception):
@@ -45,14 +48,24 @@ class AlgebraicLoop(Exception):
 
 
 def order_by_dependencies(
-    components: Mapping[str, Component], edges: Sequence[Edge], order: Sequence[str] | None
+    components: Mapping[str, Component],
+    edges: Sequence[Edge],
+    order: Sequence[str] | None,
+    *,
+    loops: bool = False,
+    undeclared: bool = False,
 ) -> Plan:
     """Return a plan with values of the same time for inputs with direct feedthrough.
 
     An order stated by the user is kept: connections along this order are immediate, all others are held.
 
+    Args:
+        loops: Whether components without an order become algebraic loops of the plan.
+        undeclared: Whether inputs without declared dependencies may be part of a loop. Otherwise they are assumed to
+            have no direct feedthrough where a loop would need it.
+
     Raises:
-        AlgebraicLoop: No order exists.
+        AlgebraicLoop: No order exists, and the plan must not have loops.
     """
     if order is not None:
         return _plan_in_order(components, edges, order)
@@ -64,13 +77,24 @@ def order_by_dependencies(
             return Plan(_sort(components, edges, immediate), immediate, tuple(notes))
         except CycleError as error:
             cycle = list(reversed(error.args[1]))
-        removed, note = _open_cycle(components, edges, direct, cycle)
+        try:
+            removed, note = _open_cycle(components, edges, direct, cycle, undeclared=undeclared)
+        except AlgebraicLoop:
+            if not loops:
+                raise
+            order_of_all, groups = order_with_loops(components, edges, immediate)
+            return Plan(order_of_all, immediate, tuple(notes), groups)
         direct -= removed
         notes += [note] if note else []
 
 
 def _open_cycle(
-    components: Mapping[str, Component], edges: Sequence[Edge], direct: set[Input], cycle: Sequence[str]
+    components: Mapping[str, Component],
+    edges: Sequence[Edge],
+    direct: set[Input],
+    cycle: Sequence[str],
+    *,
+    undeclared: bool,
 ) -> tuple[set[Input], str]:
     """Return inputs of a cycle without direct feedthrough, which open the cycle, and a note.
 
@@ -84,11 +108,11 @@ def _open_cycle(
     if unneeded:
         return unneeded, ""
     unknown = {component for component, name in inputs if components[component].depends_on(name) is None}
-    undeclared = next((component for component in components if component in unknown), None)
-    if undeclared is None:
+    assumed = None if undeclared else next((component for component in components if component in unknown), None)
+    if assumed is None:
         raise AlgebraicLoop(cycle)
-    note = messages.ASSUMED_WITHOUT_FEEDTHROUGH(component=undeclared)
-    return {(component, name) for component, name in direct if component == undeclared}, note
+    note = messages.ASSUMED_WITHOUT_FEEDTHROUGH(component=assumed)
+    return {(component, name) for component, name in direct if component == assumed}, note
 
 
 def _find_connected(edges: Sequence[Edge], component: str) -> set[str]:

@@ -12,6 +12,7 @@ from cosim.blocks.component import Component
 from cosim.isolation.rows import CALLS, GET, OTHER, PUT
 from cosim.master import messages
 from cosim.master.copying import Copies, copy_values
+from cosim.master.loops import LoopSolver
 
 EXACT_SWEEPS = 10  # sweeps that must settle exactly; later sweeps settle within a tolerance
 MOST_SWEEPS = 1000  # sweeps after which unsettled values are an error, unless their changes shrink
@@ -29,6 +30,7 @@ class Initialization:
         held: Copies after all calls.
         start: Time [s].
         doing: Current call, for observers.
+        solvers: Solvers of algebraic loops.
     """
 
     components: Sequence[Component]
@@ -38,6 +40,7 @@ class Initialization:
     held: Copies
     start: float
     doing: MutableSequence[int]
+    solvers: Sequence[LoopSolver] = ()
 
     def run(self) -> None:
         """Exchange values until settled, then end initialization; raise SimulationError after a failure."""
@@ -67,8 +70,13 @@ class Initialization:
         raise SimulationError("initialization", self.start, messages.NOT_SETTLED(count=sweep))
 
     def _sweep(self) -> None:
+        solver_of = {member.component.name: solver for solver in self.solvers for member in solver.members}
         for k, component in enumerate(self.components):
             copy_values(self.row, self.pulls[component.name], 0)
+            if (solver := solver_of.get(component.name)) is not None:
+                if component.name == solver.last:
+                    solver.solve_start()
+                continue
             self.doing[0] = CALLS * k + PUT
             component.put()
             self.doing[0] = CALLS * k + GET

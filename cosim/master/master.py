@@ -12,6 +12,7 @@ import ctypes
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ from cosim.master.copying import Copying, Noisy, Plain, Through, doubles
 from cosim.master.inbox import Inbox
 from cosim.master.initialization import Initialization
 from cosim.master.instants import Instants
+from cosim.master.loops import solvers_of, step_function
 from cosim.storage.files import hold_stops
 from cosim.storage.results import Results
 from cosim.system.schedule import Stage
@@ -111,13 +113,16 @@ class Master:
         self.copying = Copying(system, self.row, self.beside, steps, h)
         self.pulls = self.copying.by_component()
         self.held = self.copying.of(system.held)
+        self.solvers = solvers_of(system, self.copying, self.row, self.doing)
 
     def results(self) -> Results:
         """Run from beginning to end."""
         try:
             self._open()
             data = self.components, self.row, self.beside, self.pulls, self.held
-            Initialization(*data, self.system.start, self.doing).run()
+            Initialization(*data, self.system.start, self.doing, self.solvers).run()
+            for solver in self.solvers:
+                self.notes += solver.begin()
             if self.has_events:
                 self.instants = Instants(self)
                 self.instants.at_start()
@@ -230,6 +235,8 @@ class Master:
         """Return the steps, prepared for C; raise NotCompiled with the reason if C cannot make them."""
         if not self.in_c:
             raise NotCompiled("asked for")
+        if self.solvers:
+            raise NotCompiled("algebraic loops are solved")
         links = self.copying.links
         data = self.system, self.components, self.steps, self.h, self.row, self.rows
         return prepare_steps(LoopData(*data, lambda t: links[t.name], self.calls, self._next_call))
@@ -294,6 +301,11 @@ class Master:
 
     def _active(self, stage: Stage) -> Active:
         component = stage.component
+        for solver in self.solvers:
+            if component.name in {member.component.name for member in solver.members}:
+                is_last = component.name == solver.last
+                loop = step_function(solver, self.system.start, self.h) if is_last else lambda t, h: None
+                return loop, 1, 0.0, *self.pulls[component.name]
         length = stage.every * self.h if component.nominal_step else 0.0
         step = component.stepping(self.doing, CALLS * self.components.index(component))
         return step, stage.every, length, *self.pulls[component.name]
@@ -301,17 +313,28 @@ class Master:
     def _rows_so_far(self) -> Results:
         beside = self.beside_rows if isinstance(self.beside_rows, list) else []
         time, table = self.time[: self.done], self.table[: self.done]
-        results = results_of(self.system, time, table, beside, self.notes, self.loop)
+        results = results_of(self.system, time, table, beside, self.notes, self.loop, details=self.details())
         return results if self.instants is None else self.instants.record.add_to(results)
+
+    def details(self) -> dict[str, Any]:
+        """Return entries of the manifest about the steps."""
+        return {"loops": [solver.record() for solver in self.solvers]} if self.solvers else {}
 
 
 def results_of(
-    system: System, time: Array, table: Array, beside: Sequence[Any], notes: Sequence[str] = (), loop: str = ""
+    system: System,
+    time: Array,
+    table: Array,
+    beside: Sequence[Any],
+    notes: Sequence[str] = (),
+    loop: str = "",
+    *,
+    details: Mapping[str, Any] = MappingProxyType({}),
 ) -> Results:
     """Return the results of a run from its rows."""
     exact = {name: [row[k] for row in beside[: len(time)]] for k, name in enumerate(system.beside)}
     whole = frozenset(c for c in system.columns if system.signals[c].is_whole)
-    return Results(time, system.columns, table, system.units, exact, whole, tuple(notes), loop)
+    return Results(time, system.columns, table, system.units, exact, whole, tuple(notes), loop, details=details)
 
 
 def _first_places(columns: Sequence[str]) -> dict[str, int]:

@@ -4,8 +4,8 @@ from cosim.base.messages import Template
 
 NOT_SETTLED = Template(
     "E-MAS-001",
-    "values still change after {count} exchanges: an algebraic loop that exchanging values does not settle; an FMU "
-    "without direct feedthrough in the loop breaks it",
+    "values still change after {count} exchanges: an algebraic loop that exchanging values does not settle; loops: "
+    "{{}} solves it under gauss-seidel, and an FMU without direct feedthrough in the loop breaks it",
 )
 STATE_NOT_RESTORED = Template(
     "E-MAS-002",
@@ -17,6 +17,22 @@ UNEXPECTED_ERROR = Template("E-MAS-004", "{call}: {error}: {reason} (--in-proces
 DISK_FULL = Template("E-MAS-005", "the disk is full: it has room for {count} of {rows} rows while the run lasts")
 END_REQUESTED = Template("N-MAS-006", "it asked for the end")
 ENDED_EARLY = Template("N-MAS-007", "{component} ended the simulation at t = {time:.6g} s: {reason}")
+LOOP_NOT_SOLVED = Template(
+    "E-MAS-008",
+    "{loop} does not converge: after {count} iterations {signal} is {value:.6g}, and the loop returns {residual:+.3g} "
+    "more (relative tolerance {tolerance:g}). Signals of the loop: {signals}. If it has a solution, start values near "
+    "it help, or more iterations (loops: {{iterations: {more}}}); order: [...] or algorithm: jacobi do not solve it",
+)
+NO_WAY_BACK = Template(
+    "E-MAS-009",
+    "{output} follows {input} only after a step, which cannot be repeated, because the FMU saves no state; so the "
+    "algebraic loop {loop} cannot be solved. State the order of the components (order: [...]), or algorithm: jacobi",
+)
+NO_REACTION = Template(
+    "W-MAS-010",
+    "{component}: no output in the algebraic loop {loop} follows an input without a step, and its state cannot be "
+    "saved; its outputs are those after a step with the inputs of the step's start",
+)
 
 # Events and clocks
 EVENT_NOT_SETTLED = Template(

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -115,6 +116,7 @@ class WorkerEnd:
 
     Attributes:
         last: Time of the last row [s], if any.
+        details: Entries of the manifest about the steps.
     """
 
     log: Sequence[str] = ()
@@ -123,6 +125,7 @@ class WorkerEnd:
     notes: Sequence[str] = ()
     events: tuple[tuple[float, str, str], ...] = ()
     event_counts: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    details: Mapping[str, Any] = field(default_factory=dict)
 
 
 def simulate_rows(system: System, steps: int, h: float, table: Path, limits: Limits, observed: bool) -> WorkerEnd:
@@ -156,7 +159,8 @@ def simulate_rows(system: System, steps: int, h: float, table: Path, limits: Lim
     finally:
         beside.close()
     last = float(results.time[-1]) if len(results.time) else None
-    return WorkerEnd(_log_lines(system), failure, last, results.notes, results.events, results.event_counts)
+    ends = results.events, results.event_counts, results.details
+    return WorkerEnd(_log_lines(system), failure, last, results.notes, *ends)
 
 
 def _store_loop(loop: str) -> None:
@@ -231,7 +235,7 @@ def simulate_apart(
     if failure is None and done == count <= steps:
         failure = _disk_full(time[count - 1].item(), count, steps + 1)
     loop = counters.loop.decode("utf-8", "ignore")
-    results = results_of(system, time[:done], values, beside, end.notes, loop)
+    results = results_of(system, time[:done], values, beside, end.notes, loop, details=end.details)
     results = replace(results, events=end.events, event_counts=end.event_counts)
     return SteppedRun(results, end.log, failure, changes)
 

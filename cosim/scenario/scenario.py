@@ -235,6 +235,20 @@ class Design(Part):
     nearest: bool | None = None
 
 
+class LoopSettings(Part):
+    """Solution of algebraic loops at each communication point.
+
+    tolerance:  largest residual, relative to a signal's magnitude or its nominal value, whichever is larger
+    iterations: most iterations at a communication point
+    method:     newton, or anderson for fixed-point iterations with Anderson acceleration; by default newton, and
+        anderson for a loop of too many signals for differences
+    """
+
+    tolerance: Positive = 1e-8
+    iterations: Annotated[int, Field(strict=True, ge=1)] = 20
+    method: Literal["newton", "anderson"] | None = None
+
+
 class Criterion(Part):
     """Figure of merit with a limit.
 
@@ -285,6 +299,7 @@ class Scenario(Part):
     start_time:  [s]
     seed:        seed of all random streams; the same seed gives the same bytes
     order:       stepping order of components with inputs, if their FMUs do not determine it
+    loops:       solution of algebraic loops; inputs without declared dependencies may then be part of one
     noise:       on or off, for all connections
     tolerance:   relative tolerance of the solvers; by default each FMU's own
     record:      patterns such as `plant.*` of locals and parameters to record beside inputs and outputs
@@ -305,6 +320,7 @@ class Scenario(Part):
     seed: Annotated[int, Field(strict=True, ge=0)] = 0
     algorithm: Annotated[str, AlgorithmKey()] = DEFAULT.name  # The registered algorithms supply its description.
     order: list[Name] | None = None
+    loops: LoopSettings | None = None
     noise: bool = True
     tolerance: Positive | None = None
     record: list[str] = Field(default_factory=list)

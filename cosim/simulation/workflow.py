@@ -159,6 +159,7 @@ def _read(
 
 def _add_outcome(record: dict[str, Any], scenario: Scenario, stepped: SteppedRun, *, watched: bool) -> None:
     """Add the outcome of the steps to the manifest."""
+    record |= stepped.results.details
     if stepped.failure is None:
         record["criteria"] = evaluate(scenario, stepped.results)
     else:

@@ -42,6 +42,7 @@ class Results:
         loop: Stepping loop: "C", or "Python: " with the reason; "" if unknown.
         events: Handled events and ticks of a run with event mode: time [s], component, cause; the first ones.
         event_counts: Their numbers, by component and cause.
+        details: Entries of the manifest about the steps.
     """
 
     time: Array
@@ -54,6 +55,7 @@ class Results:
     loop: str = ""
     events: tuple[tuple[float, str, str], ...] = ()
     event_counts: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    details: Mapping[str, Any] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> Array:
         return self.values[:, self._places[name]]

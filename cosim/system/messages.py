@@ -57,6 +57,23 @@ ALGEBRAIC_LOOP = Template(
     "algebraic loop under {algorithm}: {cycle}; each needs the other's value of the same time. State their order "
     "(order: [{names}]) or algorithm: {other}",
 )
+ORDER_AND_LOOPS = Template(
+    "E-SYS-046", "order states which values are of the last step, loops solves for all of the same time; leave one out"
+)
+NO_LOOPS = Template("E-SYS-047", "{algorithm} solves no algebraic loops; leave loops out, or set algorithm: {other}")
+OWN_STEP_IN_LOOP = Template(
+    "E-SYS-048", "{component} has a step of its own, and is part of the algebraic loop {loop}; leave its step out"
+)
+EVENT_MODE_IN_LOOP = Template(
+    "E-SYS-050",
+    "{component} runs in event mode, with which algebraic loops are not solved ({loop}); state the order of the "
+    "components (order: [...]), or set event_mode: false",
+)
+LOOP_OF_NO_REALS = Template(
+    "E-SYS-049",
+    "{signal} is part of an algebraic loop and {type}; only real signals are solved. State the order of the components "
+    "(order: [...]), so that it has the value of the last step",
+)
 PLAN_INCOMPLETE = Template("E-SYS-023", "{algorithm} steps {order}; it must step each component once")
 STEP_NOT_A_MULTIPLE = Template(
     "E-SYS-024", "step is {step:g} s, that of the scenario {base:g} s; use a whole multiple, {cure:g} s for one"

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from cosim.blocks.component import Component
+from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.faults import steps_in
-from cosim.coupling.algorithms import WITHOUT_ORDER, algorithms
-from cosim.coupling.order import AlgebraicLoop, Edge
+from cosim.coupling.algorithms import DEFAULT, WITHOUT_ORDER, Algorithm, algorithms
+from cosim.coupling.order import AlgebraicLoop, Plan
+from cosim.coupling.strong_components import Edge
 from cosim.scenario.diagnosis import Diagnosis
 from cosim.scenario.scenario import Connection, Scenario
 from cosim.storage.yaml_file import did_you_mean
@@ -26,12 +28,26 @@ class Stage:
 
 
 @dataclass(frozen=True)
+class Loop:
+    """An algebraic loop: components, consecutive in stepping order, and the transfers between them that are solved."""
+
+    members: tuple[str, ...]
+    transfers: tuple[Transfer, ...]
+
+    @property
+    def name(self) -> str:
+        """Return the components as a closed path."""
+        return " → ".join((*self.members, self.members[0]))
+
+
+@dataclass(frozen=True)
 class Schedule:
-    """Stages in stepping order, transfers at the end of a step, and connected clocks: output, input."""
+    """Stages in stepping order, transfers at the end of a step, connected clocks (output, input), algebraic loops."""
 
     stages: tuple[Stage, ...] = ()
     held: tuple[Transfer, ...] = ()
     clock_wires: tuple[tuple[str, str], ...] = ()
+    loops: tuple[Loop, ...] = ()
 
 
 def schedule(
@@ -45,41 +61,82 @@ def schedule(
     every = {name: _every(scenario, name, diagnosis) for name in components}
     algorithm = algorithms()[scenario.algorithm]
     user_order = scenario.order if algorithm.sequential else None
-    if user_order is not None and not _names_all(user_order, components, diagnosis):
+    if not _keys_agree(scenario, algorithm, user_order, components, diagnosis):
         return Schedule()
     wired = [(c, ends) for c, ends in zip(scenario.connections, transfers, strict=True) if not ends[0].is_clock]
+    edges, undeclared = [_edge(c) for c, _ in wired], scenario.loops is not None
     try:
-        order, immediate, notes = algorithm.plan(components, [_edge(c) for c, _ in wired], user_order)
+        plan = algorithm.plan_with_loops(components, edges, user_order, undeclared=undeclared)
     except AlgebraicLoop as loop:
         names = {"names": ", ".join(sorted(set(loop.cycle))), "cycle": " → ".join(loop.cycle)}
         message = messages.ALGEBRAIC_LOOP(algorithm=algorithm.name, other=WITHOUT_ORDER.name, **names)
         diagnosis.note(("connections",), message)
         return Schedule()
-    if sorted(order) != sorted(components):
-        message = messages.PLAN_INCOMPLETE(algorithm=algorithm.name, order=", ".join(order))
+    if sorted(plan.order) != sorted(components):
+        message = messages.PLAN_INCOMPLETE(algorithm=algorithm.name, order=", ".join(plan.order))
         diagnosis.note(("algorithm",), message)
         return Schedule()
-    diagnosis.warnings += notes
-    pulls, held = _divide([ends for _, ends in wired], immediate)
-    stages = tuple(Stage(components[n], tuple(pulls.get(n, ())), every[n]) for n in order)
-    return Schedule(stages, tuple(held), _clock_wires(transfers))
-
-
-def _divide(
-    transfers: Sequence[Sequence[Transfer]], immediate: Sequence[bool]
-) -> tuple[dict[str, list[Transfer]], list[Transfer]]:
-    """Return the transfers right before the step of each component, and those at the end of the step."""
-    held: list[Transfer] = []
-    pulls: dict[str, list[Transfer]] = {}
-    for ends, is_immediate in zip(transfers, immediate, strict=True):
-        for transfer in ends:
-            (pulls.setdefault(transfer.name.partition(".")[0], []) if is_immediate else held).append(transfer)
-    return pulls, held
+    diagnosis.warnings += plan.notes
+    held, pulls, solved = _sorted_transfers(plan, edges, [ends for _, ends in wired])
+    loops = tuple(Loop(members, tuple(solved[k])) for k, members in enumerate(plan.loops))
+    _check_loops(loops, components, every, diagnosis)
+    stages = tuple(Stage(components[n], tuple(pulls[n]), every[n]) for n in plan.order)
+    return Schedule(stages, tuple(held), _clock_wires(transfers), loops)
 
 
 def _clock_wires(transfers: Sequence[Sequence[Transfer]]) -> tuple[tuple[str, str], ...]:
     """Return the connected clocks: output, input."""
     return tuple((transfer.origin, transfer.name) for ends in transfers for transfer in ends if transfer.is_clock)
+
+
+def _sorted_transfers(
+    plan: Plan, edges: Sequence[Edge], transfers: Sequence[Sequence[Transfer]]
+) -> tuple[list[Transfer], dict[str, list[Transfer]], list[list[Transfer]]]:
+    """Return transfers at the end of a step, by component before its step, and by loop."""
+    loop_of = {name: k for k, members in enumerate(plan.loops) for name in members}
+    held: list[Transfer] = []
+    solved: list[list[Transfer]] = [[] for _ in plan.loops]
+    pulls: dict[str, list[Transfer]] = {name: [] for name in plan.order}
+    for (source, target, *_), connection, is_immediate in zip(edges, transfers, plan.immediate, strict=True):
+        if not is_immediate:
+            held += connection
+        elif target in loop_of and loop_of.get(source) == loop_of[target]:
+            solved[loop_of[target]] += connection
+        else:
+            pulls[target] += connection
+    return held, pulls, solved
+
+
+def _keys_agree(
+    scenario: Scenario, algorithm: Algorithm, order: Sequence[str] | None, components: Components, diagnosis: Diagnosis
+) -> bool:
+    """Return whether the order names all components, and `loops` agrees with algorithm and order; note faults."""
+    if order is not None and not _names_all(order, components, diagnosis):
+        return False
+    if scenario.loops is None or (algorithm.solves_loops and order is None):
+        return True
+    if algorithm.solves_loops:
+        diagnosis.note(("order",), messages.ORDER_AND_LOOPS())
+    else:
+        diagnosis.note(("loops",), messages.NO_LOOPS(algorithm=algorithm.name, other=DEFAULT.name))
+    return False
+
+
+def _check_loops(loops: Sequence[Loop], components: Components, every: Mapping[str, int], diagnosis: Diagnosis) -> None:
+    """Note faults of loops that cannot be solved: signals without slopes, and steps of their own."""
+    for loop in loops:
+        for name in (n for n, component in components.items() if isinstance(component, EventFmu)):
+            diagnosis.note(("components", name), messages.EVENT_MODE_IN_LOOP(component=name, loop=loop.name))
+        for name in loop.members:
+            if every[name] > 1:
+                diagnosis.note(("components", name, "step"), messages.OWN_STEP_IN_LOOP(component=name, loop=loop.name))
+        for transfer in loop.transfers:
+            name, _, variable = transfer.name.partition(".")
+            signals = (*components[name].inputs, *components[name].exact_inputs)
+            signal = next((s for s in signals if s.name == variable), None)
+            if any(transfer.beside) or (signal is not None and signal.is_whole):
+                kind = signal.kind if signal is not None else ""
+                diagnosis.note(("connections",), messages.LOOP_OF_NO_REALS(signal=transfer.name, type=kind))
 
 
 def _every(scenario: Scenario, name: str, diagnosis: Diagnosis) -> int:

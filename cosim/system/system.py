@@ -13,7 +13,7 @@ from typing import Any
 from cosim.blocks.component import Component, Signal
 from cosim.blocks.fmu import FmuBlock
 from cosim.scenario.diagnosis import Diagnosis, Place
-from cosim.scenario.scenario import FmuComponent, Scenario
+from cosim.scenario.scenario import FmuComponent, LoopSettings, Scenario
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.storage.yaml_file import did_you_mean
 from cosim.system import messages
@@ -21,7 +21,7 @@ from cosim.system.components import Designed, build_components
 from cosim.system.event_blocks import check_events
 from cosim.system.events import Events, changes_of
 from cosim.system.feasible import check_feasible
-from cosim.system.schedule import Schedule, Stage, schedule
+from cosim.system.schedule import Loop, Schedule, Stage, schedule
 from cosim.system.wiring import Transfer, connect, connection_warnings, lay_out
 
 
@@ -37,6 +37,8 @@ class System:
         apart: Names of components with their own process.
         halved: Whether rows hold the differences made by halving each step, instead of signals.
         clock_wires: Connected clocks, output and input, as `component.clock`.
+        loops: Algebraic loops to solve at each communication point.
+        solving: Settings of their solution, None for the default.
     """
 
     stages: tuple[Stage, ...]
@@ -53,6 +55,8 @@ class System:
     apart: frozenset[str] = frozenset()
     halved: bool = False
     clock_wires: tuple[tuple[str, str], ...] = ()
+    loops: tuple[Loop, ...] = ()
+    solving: LoopSettings | None = None
 
 
 def build_system(file: ScenarioFile, start_values: Designed | None = None) -> System:
@@ -97,6 +101,8 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
         events,
         frozenset(n for n, c in scenario.components.items() if isinstance(c, FmuComponent) and c.process == "own"),
         clock_wires=plan.clock_wires,
+        loops=plan.loops,
+        solving=scenario.loops,
     )
 
 

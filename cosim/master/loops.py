@@ -1,0 +1,390 @@
+"""Algebraic loops of a run: inputs and outputs of the same time that depend on each other.
+
+The unknowns z are the inputs fed by connections that lead back in the order of a loop's components. One sweep through
+the components gives g(z), the values that these connections return; the solution is g(z) = z. Its slopes are chained
+from those of the components: their directional derivatives, or differences.
+
+At a communication point the components have stepped with the inputs of the point before. They are then asked for
+outputs to other inputs without a step. An FMU that answers only after a step repeats the step from its saved state with
+each try, so that its input acts during the whole step.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import SimulationError
+from cosim.blocks.component import EarlyEnd
+from cosim.blocks.fmu import FmuBlock
+from cosim.coupling.strong_components import torn
+from cosim.isolation.rows import ADVANCE, CALLS, GET, OTHER, PUT
+from cosim.master import messages
+from cosim.master.copying import Copying, copy_values
+from cosim.master.root_finding import NotDefined, Outcome, RootFinding
+from cosim.scenario.scenario import LoopSettings
+from cosim.system.schedule import Loop
+from cosim.system.system import System
+from cosim.system.wiring import Transfer
+
+SHIFT = 1e-5  # displacement of an input for differences, relative to its magnitude
+PROBES = (1e-3, -1e-3, 0.5, -0.5)  # displacements that show whether an output depends on an input
+REACTION = 1e-9  # smallest relative change of an output that counts
+ROUNDING = 1e-6  # share of a step
+RANGE = -3, 5  # exponents of 2 of other first points, where a component refuses the inputs
+MOST_DIFFERENCES = 50  # inputs of a loop without derivatives, beyond which Newton's method costs too much
+
+
+class Member:
+    """A component of a loop, with the places in the row of its inputs and outputs within the loop.
+
+    Attributes:
+        repeats: Whether its outputs follow its inputs only after a step, which is therefore repeated.
+        reacts: Whether an output (row) followed an input (column) in initialization.
+        promised: Whether its last slopes were its own directional derivatives.
+    """
+
+    def __init__(self, component: Any, number: int, inputs: Sequence[int], outputs: Sequence[int], row: Any) -> None:
+        self.component, self.number, self.row = component, number, row
+        self.inputs, self.outputs = tuple(inputs), tuple(outputs)
+        self.repeats, self.promised = False, False
+        self.reacts = np.zeros((len(self.outputs), len(self.inputs)), bool)
+        self._state: Any = None
+        self._is_stepped = True
+        self._step: tuple[float, float] = (0.0, 0.0)
+
+    def begin_step(self, doing: Any, t: float, h: float) -> None:
+        """Step with the current inputs, or save the state for repeated steps."""
+        if self.repeats:
+            doing[0] = CALLS * self.number + OTHER
+            self._state, self._is_stepped, self._step = self.component.instance.save_state(), False, (t, h)
+            return
+        doing[0] = CALLS * self.number + PUT
+        self.component.put()
+        doing[0] = CALLS * self.number + ADVANCE
+        self.component.advance(t, h)
+
+    def evaluate(self, doing: Any) -> None:
+        """Write the outputs to the current inputs."""
+        if self._state is not None and self._is_stepped:
+            doing[0] = CALLS * self.number + OTHER
+            self.component.instance.restore_state(self._state, keep=True)
+        doing[0] = CALLS * self.number + PUT
+        getattr(self.component, "try_inputs", self.component.put)()
+        if self._state is not None:
+            doing[0] = CALLS * self.number + ADVANCE
+            self._is_stepped = True
+            self.component.advance(*self._step)
+        doing[0] = CALLS * self.number + GET
+        self.component.get()
+
+    def end_step(self, doing: Any) -> None:
+        """Make the event of changed inputs, and free a saved state."""
+        if self._state is not None:
+            state, self._state = self._state, None
+            doing[0] = CALLS * self.number + OTHER
+            self.component.instance.free_state(state)
+        elif getattr(self.component, "changes_by_events", False):
+            doing[0] = CALLS * self.number + PUT
+            self.component.put()
+            doing[0] = CALLS * self.number + GET
+            self.component.get()
+
+    def try_at(self, doing: Any, place: int, value: float) -> Array | None:
+        """Return the outputs with another value of an input, None where the component refuses it."""
+        before, self.row[place] = self.row[place], value
+        try:
+            self.evaluate(doing)
+        except EarlyEnd:
+            raise
+        except SimulationError:
+            return None
+        finally:
+            self.row[place] = before
+        return self.values()
+
+    def values(self) -> Array:
+        """Return the current outputs."""
+        return np.array([self.row[k] for k in self.outputs])
+
+
+class LoopSolver:
+    """Solver of an algebraic loop of a run.
+
+    Attributes:
+        name: Components of the loop in a message.
+    """
+
+    def __init__(self, loop: Loop, system: System, copying: Copying, row: Any, doing: Any) -> None:
+        self.row, self.doing, self.start = row, doing, system.start
+        self.settings = system.solving or LoopSettings()
+        self.name, self.last = loop.name, loop.members[-1]
+        owners = [column.partition(".")[0] for column in system.columns]
+        ends = [(owners[t.source], owners[t.target]) for t in loop.transfers]
+        marked = list(zip(loop.transfers, torn(loop.members, ends), strict=True))
+        self.back = [t for t, is_back in marked if is_back]
+        self.unknowns = [t.target for t in self.back]
+        self._transfers, self._columns = loop.transfers, system.columns
+        self._forward = {n: [t for t, is_back in marked if owners[t.target] == n and not is_back] for n in loop.members}
+        self._into = {name: copying.of(transfers) for name, transfers in self._forward.items()}
+        self._to_back = copying.of(self.back)
+        self._one = {t.name: copying.of([t]) for t in loop.transfers}
+        self.members = _members(loop, system, row)
+        scale = np.array([self._nominal(t.target) for t in self.back])
+        self._roots = RootFinding(self.settings.tolerance, self.settings.iterations, scale)
+        self._point, self._is_probed = 0, False
+        self._iterations: list[int] = []
+        self._at_start = 0
+        self._guesses: list[Array] = []
+        self._refusal: SimulationError | None = None
+
+    # -- solutions ----------------------------------------------------------------------------------
+
+    def solve_start(self) -> None:
+        """Solve the loop in initialization."""
+        if not self._is_probed:
+            self._probe_start()
+        self._at_start += self._solve(self.start)
+
+    def begin(self) -> list[str]:
+        """Find components whose outputs follow their inputs only after a step, once initialization has ended.
+
+        Returns:
+            Warnings.
+
+        Raises:
+            SimulationError: The steps of such a component cannot be repeated.
+        """
+        self._roots.slopes = None
+        members = [m for m in self.members if m.inputs and not getattr(m.component, "changes_by_events", False)]
+        return [warning for member in members for warning in self._find_repeats(member)]
+
+    def step(self, t: float, h: float, k: int) -> None:
+        """Step the components to communication point k, and solve the loop there."""
+        self._point = k
+        for member in self.members:
+            member.begin_step(self.doing, t, h)
+        self._iterations.append(self._solve(t + h))
+        for member in self.members:
+            member.end_step(self.doing)
+
+    def record(self) -> dict[str, Any]:
+        """Return the entry of the loop in the manifest."""
+        counts = self._iterations
+        return {
+            "components": [member.component.name for member in self.members],
+            "signals": [t.name for t in self._transfers],
+            "unknowns": [t.name for t in self.back],
+            "method": self.method,
+            "tolerance": self.settings.tolerance,
+            "derivatives": {
+                m.component.name: "directional" if m.promised else "differences" for m in self.members if m.inputs
+            },
+            "repeated": [m.component.name for m in self.members if m.repeats],
+            "slopes_computed": self._roots.computed,
+            "iterations": {"start": self._at_start, "most": max(counts, default=0), "total": sum(counts)},
+            "points": len(counts),
+        }
+
+    @property
+    def method(self) -> str:
+        """Return the method of solution."""
+        if self.settings.method is not None:
+            return self.settings.method
+        differences = sum(len(m.inputs) for m in self.members if not m.promised)
+        return "anderson" if differences > MOST_DIFFERENCES else "newton"
+
+    # -- internal -------------------------------------------------------------------------------
+
+    def _solve(self, t: float) -> int:
+        """Solve the loop from the current inputs; return the number of iterations.
+
+        Raises:
+            SimulationError: The iterations do not converge.
+        """
+        outcome = self._outcome(np.array([self.row[k] for k in self.unknowns]))
+        if outcome.converged:
+            for place, value in zip(self.unknowns, outcome.z.tolist(), strict=True):
+                self.row[place] = value
+            return outcome.iterations
+        worst = int(np.argmax(np.abs(outcome.residual) / np.maximum(np.abs(outcome.z), self._roots.scale)))
+        fields = {"signal": self.back[worst].name, "value": float(outcome.z[worst])}
+        fields |= {"residual": float(outcome.residual[worst]), "loop": self.name, "count": outcome.iterations}
+        fields |= {"more": 5 * self.settings.iterations}
+        signals = ", ".join(t.name for t in self._transfers)
+        message = messages.LOOP_NOT_SOLVED(signals=signals, tolerance=self.settings.tolerance, **fields)
+        raise SimulationError("algebraic loop", t, message)
+
+    def _outcome(self, z: Array) -> Outcome:
+        """Return the end of the iterations from z, or from another point where a component refuses z."""
+        shifts = (z + s * self._roots.scale for k in range(*RANGE) for s in (2.0**k, -(2.0**k)))
+        for start in (z, *self._guesses, *shifts):
+            try:
+                if self.method == "newton":
+                    return self._roots.newton(self._sweep, start, self._slopes)
+                return self._roots.anderson(self._sweep, start)
+            except NotDefined:
+                self._roots.slopes = None
+        assert self._refusal is not None
+        raise self._refusal
+
+    def _sweep(self, z: Array) -> Array | None:
+        """Return g(z), None where a component refuses its inputs."""
+        for place, value in zip(self.unknowns, z.tolist(), strict=True):
+            self.row[place] = value
+        try:
+            for member in self.members:
+                copy_values(self.row, self._into[member.component.name], self._point)
+                member.evaluate(self.doing)
+        except EarlyEnd:
+            raise
+        except SimulationError as error:
+            if any(isinstance(m.component, FmuBlock) and m.component.instance.fmu is None for m in self.members):
+                raise  # An FMU is lost after Fatal.
+            self._refusal = error
+            return None
+        copy_values(self.row, self._to_back, self._point)
+        returned = np.array([self.row[k] for k in self.unknowns])
+        for place, value in zip(self.unknowns, z.tolist(), strict=True):
+            self.row[place] = value
+        return returned
+
+    def _slopes(self, z: Array, g: Array, *, fresh: bool) -> Array:
+        """Return ∂g/∂z: slopes of components and transfers, chained in the order of the loop."""
+        for place, value in zip(self.unknowns, z.tolist(), strict=True):
+            self.row[place] = value
+        along = dict(zip(self.unknowns, np.eye(z.size), strict=True))
+        for member in self.members:
+            for t in self._forward[member.component.name]:
+                along[t.target] = self._gain(t) * along[t.source]
+            slopes = self._member_slopes(member, fresh=fresh)
+            for place, row in zip(member.outputs, slopes, strict=True):
+                along[place] = sum((s * along[k] for s, k in zip(row, member.inputs, strict=True)), np.zeros(z.size))
+        return np.array([self._gain(t) * along[t.source] for t in self.back])
+
+    def _member_slopes(self, member: Member, *, fresh: bool) -> Array:
+        """Return the slopes of a component's outputs with respect to its inputs."""
+        shape = len(member.outputs), len(member.inputs)
+        variables = [[self._columns[k].partition(".")[2] for k in ends] for ends in (member.outputs, member.inputs)]
+        promise = getattr(member.component, "slopes", None)
+        member.promised = False
+        if promise is not None and not fresh and all(shape):
+            try:
+                promised = promise(*variables)
+            except SimulationError:
+                promised = None
+            if promised is not None and np.isfinite(promised).all():
+                member.promised = True
+                return np.array(promised).reshape(shape)
+        base, slopes = member.values(), np.zeros(shape)
+        for j, place in enumerate(member.inputs):
+            shift = SHIFT * max(abs(self.row[place]), self._nominal(place))
+            for step in (shift, -shift):
+                values = member.try_at(self.doing, place, self.row[place] + step)
+                if values is not None:
+                    slopes[:, j] = (values - base) / step
+                    break
+        for place, value in zip(member.outputs, base.tolist(), strict=True):
+            self.row[place] = value
+        return slopes
+
+    def _gain(self, transfer: Transfer) -> float:
+        """Return the slope of a transfer at its current value."""
+        value, at = self.row[transfer.source], self.row[transfer.target]
+        results = []
+        for shifted in (value + 1.0, value):  # The last one leaves the memory of faults as it was.
+            self.row[transfer.source] = shifted
+            copy_values(self.row, self._one[transfer.name], self._point)
+            results.append(self.row[transfer.target])
+        self.row[transfer.target] = at
+        return float(results[0] - results[1])
+
+    def _nominal(self, place: int) -> float:
+        name, _, variable = self._columns[place].partition(".")
+        component = next(m.component for m in self.members if m.component.name == name)
+        return component.nominal(variable) if isinstance(component, FmuBlock) else 1.0
+
+    # -- outputs that follow inputs only after a step ------------------------------------------------
+
+    def _probe_start(self) -> None:
+        """Note which outputs follow which inputs in initialization, each component at its own start values."""
+        self._is_probed = True
+        before = list(self.row)
+        for member in self.members:
+            try:
+                member.evaluate(self.doing)
+            except EarlyEnd:
+                raise
+            except SimulationError:
+                continue
+            member.reacts = self._reactions(member)
+        copy_values(self.row, self._to_back, 0)
+        self._guesses = [np.array([self.row[k] for k in self.unknowns])]
+        for place in self.unknowns:
+            self.row[place] = before[place]
+
+    def _reactions(self, member: Member) -> Any:
+        """Return whether an output (row) follows an input (column) without a step."""
+        base = member.values()
+        reacts = np.zeros((len(member.outputs), len(member.inputs)), bool)
+        least = REACTION * np.maximum(np.abs(base), 1e-300)
+        for j, place in enumerate(member.inputs):
+            size = max(abs(self.row[place]), self._nominal(place))
+            for share in PROBES:
+                values = member.try_at(self.doing, place, self.row[place] + share * size)
+                if values is not None:
+                    reacts[:, j] |= np.abs(values - base) > least
+        return reacts
+
+    def _find_repeats(self, member: Member) -> list[str]:
+        """Note whether a component's steps must be repeated; return warnings."""
+        member.evaluate(self.doing)
+        reacts = self._reactions(member)
+        member.evaluate(self.doing)
+        missing = member.reacts & ~reacts
+        is_declared = any(member.component.depends_on(self._columns[k].partition(".")[2]) for k in member.inputs)
+        is_silent = is_declared and not (member.reacts.any() or reacts.any())
+        can_repeat = isinstance(member.component, FmuBlock) and member.component.instance.rolls_back
+        member.repeats = can_repeat and bool(missing.any() or is_silent)
+        if can_repeat or not (missing.any() or is_silent):
+            return []
+        if is_silent:
+            return [messages.NO_REACTION(component=member.component.name, loop=self.name)]
+        j, k = (int(each[0]) for each in np.nonzero(missing))
+        ends = {"output": self._columns[member.outputs[j]], "input": self._columns[member.inputs[k]]}
+        raise SimulationError(member.component.name, self.start, messages.NO_WAY_BACK(loop=self.name, **ends))
+
+
+def _members(loop: Loop, system: System, row: Any) -> list[Member]:
+    """Return the components of a loop in their order."""
+    owners = [column.partition(".")[0] for column in system.columns]
+    members = []
+    for k, stage in enumerate(system.stages):
+        name = stage.component.name
+        if name in loop.members:
+            inputs = sorted({t.target for t in loop.transfers if owners[t.target] == name})
+            outputs = sorted({t.source for t in loop.transfers if owners[t.source] == name})
+            members.append(Member(stage.component, k, inputs, outputs, row))
+    return members
+
+
+def solvers_of(system: System, copying: Copying, row: Any, doing: Any) -> tuple[LoopSolver, ...]:
+    """Return the solvers of all loops of a system."""
+    return tuple(LoopSolver(loop, system, copying, row, doing) for loop in system.loops)
+
+
+def step_function(solver: LoopSolver, start: float, h: float) -> Callable[[float, float], None]:
+    """Return a function of (t, h) that steps the components of a loop and solves it.
+
+    Args:
+        h: Step of the run [s].
+    """
+
+    def step(t: float, length: float) -> None:
+        solver.step(t, length, math.ceil((t + length - start) / h - ROUNDING))
+
+    return step

@@ -1,0 +1,91 @@
+"""FMUs of C for algebraic loops and step control, with one of the laws of coupled.c; compiled once a session."""
+
+from __future__ import annotations
+
+import platform
+import subprocess
+import tempfile
+import zipfile
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from cosim.fmi.native.compiler import compiler
+
+LINEAR, LOOP_A, LOOP_B, SQUARE, CHASSIS, WHEEL = range(6)
+INPUTS, OUTPUTS = (1, 1, 2, 1, 1, 1), (1, 2, 1, 1, 2, 2)
+TRUCK = {  # a quarter of a truck over a bump of 0.1 m and 0.1 s; chassis, wheel
+    CHASSIS: {"p0": 400.0},
+    WHEEL: {"p0": 40.0, "p1": 150e3, "p2": 15e3, "p3": 1e3, "p4": 0.1, "p5": 0.1},
+}
+
+
+@cache
+def library(law: int) -> Path:
+    """Return the library compiled for this machine; skip the test without a compiler."""
+    command = compiler()
+    if command is None or platform.system() != "Linux" or platform.machine() != "x86_64":
+        pytest.skip("no C compiler for this platform")
+    made = Path(tempfile.mkdtemp(prefix="coupled-")) / "coupled.so"
+    source = Path(__file__).with_name("coupled.c")
+    options = ["-O1", "-w", "-shared", "-fPIC", f"-DLAW={law}"]
+    subprocess.run([*command, *options, "-o", str(made), str(source), "-lm"], check=True)
+    return made
+
+
+def coupled_fmu(
+    path: Path,
+    law: int,
+    *,
+    declares: bool = True,
+    slopes: bool = False,
+    saves: bool = True,
+    exchange: bool = False,
+    variable_step: bool = True,
+    dependent: tuple[int, ...] | None = None,
+) -> Path:
+    """Build an FMU.
+
+    Args:
+        declares: Whether it declares dependencies.
+        dependent: Outputs that depend on all inputs; None for those of the law.
+    """
+    if dependent is None:
+        dependent = () if law == CHASSIS else (0,)
+    inputs, outputs = INPUTS[law], OUTPUTS[law]
+
+    def scalar(name: str, reference: int, attributes: str, real: str = "") -> str:
+        head = f'<ScalarVariable name="{name}" valueReference="{reference}" {attributes}>'
+        return f"{head}<Real {real}/></ScalarVariable>\n"
+
+    fixed = 'causality="parameter" variability="fixed"'
+    variables = "".join(scalar(f"u{k}", k, 'causality="input"', 'start="0"') for k in range(inputs))
+    variables += "".join(scalar(f"y{k}", 3 + k, 'causality="output"') for k in range(outputs))
+    variables += "".join(scalar(f"p{k}", 6 + k, fixed, 'start="0"') for k in range(6))
+    variables += scalar("late", 12, fixed, 'start="0"')
+    variables += scalar("tries", 13, 'causality="local"') + scalar("steps", 14, 'causality="local"')
+    variables += "".join(scalar(f"x{k}", 15 + k, 'causality="local" variability="continuous"') for k in range(4))
+    ends = " ".join(str(k + 1) for k in range(inputs))
+    unknowns = "".join(
+        f'<Unknown index="{inputs + k + 1}"'
+        + (f' dependencies="{ends if k in dependent else ""}"' if declares else "")
+        + "/>"
+        for k in range(outputs)
+    )
+    flags = f'canGetAndSetFMUstate="{str(saves).lower()}" providesDirectionalDerivative="{str(slopes).lower()}"'
+    steps = f'canHandleVariableCommunicationStepSize="{str(variable_step).lower()}"'
+    part = f'<ModelExchange modelIdentifier="coupled" {flags}/>'
+    if not exchange:
+        part = f'<CoSimulation modelIdentifier="coupled" {steps} {flags}/>'
+    text = (
+        '<?xml version="1.0" encoding="UTF-8"?>\n'
+        f'<fmiModelDescription fmiVersion="2.0" modelName="coupled{law}" guid="g" numberOfEventIndicators="0">\n'
+        f"{part}\n"
+        f"<ModelVariables>\n{variables}</ModelVariables>\n<ModelStructure><Outputs>{unknowns}</Outputs></ModelStructure>\n"
+        "</fmiModelDescription>\n"
+    )
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("modelDescription.xml", text)
+        archive.write(library(law), "binaries/linux64/coupled.so")
+    return path

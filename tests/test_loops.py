@@ -1,0 +1,251 @@
+"""Algebraic loops: found from dependencies, solved at the start and at every communication point."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cosim.base.errors import InputError, SimulationError
+from cosim.coupling.strong_components import order_with_loops, strong_components
+from cosim.master.root_finding import RootFinding
+from cosim.simulation.workflow import run
+from tests.coupled import LINEAR, LOOP_A, LOOP_B, SQUARE, coupled_fmu
+
+TWO = "connections: [{from: a.y0, to: b.u0}, {from: b.y0, to: a.u0}]\n"
+LOOP_808 = "connections: [{from: a.y0, to: b.u0}, {from: a.y1, to: b.u1}, {from: b.y0, to: a.u0}]\n"
+
+
+def ran(folder: Path, starts: dict[str, dict[str, float]], connections: str, more: str = "", steps: int = 5) -> Any:
+    """Run a scenario of FMUs named as its components; return its results and its manifest."""
+    components = "".join(f"  {n}: {{fmu: {n}.fmu, start: {s}}}\n" for n, s in starts.items())
+    file = folder / "loop.yaml"
+    head = f"name: loop\nduration: {0.1 * steps:g}\nstep: 0.1\nrecord: ['*.steps']\n"
+    file.write_text(f"{head}components:\n{components}{connections}{more}")
+    outcome = run(file, folder / "out", report=False, in_process=True)
+    return outcome.results, outcome.manifest
+
+
+def linear(folder: Path, gain: float, more: str = "", **options: Any) -> Any:
+    """Run y_a = gain·y_b + 1, y_b = y_a."""
+    coupled_fmu(folder / "a.fmu", LINEAR, **options)
+    coupled_fmu(folder / "b.fmu", LINEAR, **options)
+    return ran(folder, {"a": {"p0": gain, "p1": 1.0}, "b": {"p0": 1.0}}, TWO, more)
+
+
+# -- solutions ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("gain", [-0.99, 5.0, -40.0])
+@pytest.mark.parametrize("slopes", [True, False])
+def test_a_linear_loop_is_solved_whatever_its_gain(gain: float, slopes: bool, tmp_path: Path) -> None:
+    results, manifest = linear(tmp_path, gain, slopes=slopes)
+    assert results["a.y0"] == pytest.approx(1.0 / (1.0 - gain), rel=1e-8)
+    assert results["b.u0"] == pytest.approx(results["a.y0"], rel=1e-8)
+    (loop,) = manifest["loops"]
+    assert loop["components"] == ["a", "b"]
+    assert loop["unknowns"] == ["a.u0"]  # one connection leads back
+    assert loop["iterations"]["start"] <= 3
+    assert loop["iterations"]["most"] <= 1  # at rest, each point starts at its solution
+    assert set(loop["derivatives"].values()) == {"directional" if slopes else "differences"}
+
+
+@pytest.mark.parametrize("exchange", [False, True])
+@pytest.mark.parametrize("slopes", [True, False])
+def test_the_loop_of_omsimulator_808_is_solved_in_eight_iterations(
+    exchange: bool, slopes: bool, tmp_path: Path
+) -> None:
+    coupled_fmu(tmp_path / "a.fmu", LOOP_A, slopes=slopes, exchange=exchange)
+    coupled_fmu(tmp_path / "b.fmu", LOOP_B, slopes=slopes, exchange=exchange)
+    results, manifest = ran(tmp_path, {"a": {}, "b": {}}, LOOP_808)
+    a, b, c = results["a.y0"][-1], results["a.y1"][-1], results["b.y0"][-1]
+    assert abs(a + b + c) < 1e-7
+    assert abs(2 * a - 3 * b + 2 * c - 9) < 1e-7
+    assert abs(a * a + b * b + c * c - 5) < 1e-7
+    (loop,) = manifest["loops"]
+    assert 1 <= loop["iterations"]["start"] <= 8
+    assert loop["points"] == 5
+
+
+def test_anderson_acceleration_solves_where_a_fixed_point_diverges(tmp_path: Path) -> None:
+    results, manifest = linear(tmp_path, 5.0, "loops: {method: anderson}\n")
+    assert results["a.y0"] == pytest.approx(-0.25, rel=1e-7)
+    assert manifest["loops"][0]["method"] == "anderson"
+
+
+def test_a_loop_with_states_has_values_of_the_same_time_at_every_point(tmp_path: Path) -> None:
+    """y_a = 0.5·u + x_a, x_a' = u − x_a, y_b = −2·u: at each point u_a = y_b and u_b = y_a."""
+    for name in "ab":
+        coupled_fmu(tmp_path / f"{name}.fmu", LINEAR)
+    starts = {"a": {"p0": 0.5, "p1": 1.0, "p2": 1.0, "p3": 1.0}, "b": {"p0": -2.0}}
+    results, _ = ran(tmp_path, starts, TWO, steps=20)
+    y = results["a.y0"]
+    assert results["a.u0"] == pytest.approx(-2.0 * y, rel=1e-7)
+    assert results["b.u0"] == pytest.approx(y, rel=1e-7)
+    # 2·y = 1 + x; x' = −2·y − x = −1 − 2·x by steps of 0.1 s with u held
+    x, exact = 0.0, []
+    for _ in range(21):
+        exact.append(0.5 * (1.0 + x))
+        x = x * math.exp(-0.1) - (1.0 + x) * (1.0 - math.exp(-0.1))
+    assert y == pytest.approx(exact, rel=1e-6)
+
+
+def test_an_fmu_that_answers_only_after_a_step_repeats_it(tmp_path: Path) -> None:
+    for name in "ab":
+        coupled_fmu(tmp_path / f"{name}.fmu", LINEAR)
+    results, manifest = ran(tmp_path, {"a": {"p0": 5.0, "p1": 1.0, "late": 1.0}, "b": {"p0": 1.0}}, TWO)
+    assert manifest["loops"][0]["repeated"] == ["a"]
+    assert results["a.y0"] == pytest.approx(-0.25, rel=1e-7)
+    assert results["a.steps"][-1] >= 5
+    assert results["b.steps"][-1] == 5
+
+
+def test_a_loop_through_noise_and_units_counts_them(tmp_path: Path) -> None:
+    for name in "ab":
+        coupled_fmu(tmp_path / f"{name}.fmu", LINEAR)
+    connections = (
+        "connections:\n  - {from: a.y0, to: b.u0, factor: 3, noise: {variance: 0.01}}\n  - {from: b.y0, to: a.u0}\n"
+    )
+    results, _ = ran(tmp_path, {"a": {"p0": 2.0, "p1": 1.0}, "b": {"p0": 1.0}}, connections, "seed: 3\n", steps=10)
+    noise = results["b.u0"] - 3.0 * results["a.y0"]
+    assert results["a.y0"] == pytest.approx((2.0 * noise + 1.0) / (1.0 - 6.0), abs=1e-6)
+    assert np.std(noise) > 0.02
+    assert len(set(noise.round(9))) == 11
+
+
+# -- where loops are ------------------------------------------------------------------------------------
+
+
+def test_undeclared_inputs_are_assumed_indirect_unless_loops_are_to_be_solved(tmp_path: Path) -> None:
+    before, manifest = linear(tmp_path, 0.5, declares=False)
+    assert "loops" not in manifest
+    assert any("does not declare" in warning for warning in manifest["warnings"])
+    assert before["b.u0"][1] == before["a.y0"][0] != before["a.y0"][1] or before["a.y0"][0] == pytest.approx(2.0)
+    after, manifest = linear(tmp_path, 5.0, "loops: {}\n", declares=False)
+    assert after["a.y0"] == pytest.approx(-0.25, rel=1e-8)
+    assert manifest["loops"][0]["signals"] == ["b.u0", "a.u0"]
+
+
+def test_a_coarse_dependency_without_effect_costs_one_iteration_at_most(tmp_path: Path) -> None:
+    for name in "ab":
+        coupled_fmu(tmp_path / f"{name}.fmu", LINEAR)
+    results, manifest = ran(tmp_path, {"a": {"p2": 1.0, "p3": 1.0}, "b": {"p0": 1.0, "p1": 1.0}}, TWO, steps=20)
+    assert manifest["loops"][0]["iterations"]["most"] <= 1
+    assert results["b.u0"] == pytest.approx(results["a.y0"], abs=1e-12)
+
+
+def test_components_outside_the_loop_step_before_or_after_it() -> None:
+    edges = [("s", "a", "u", "y"), ("a", "b", "u", "y"), ("b", "a", "v", "y"), ("b", "z", "u", "y")]
+    order, loops = order_with_loops("zabs", edges, [True] * 4)
+    assert (order, loops) == (("s", "a", "b", "z"), (("a", "b"),))
+    assert strong_components(list("abc"), [("a", "a"), ("a", "b"), ("b", "c")]) == [("a",), ("b",), ("c",)]
+    assert order_with_loops("ab", [("a", "a", "u", "y")], [True])[1] == (("a",),)
+
+
+def test_the_order_within_a_loop_has_the_fewest_connections_back() -> None:
+    edges = [("c", "b", "u", "y"), ("b", "a", "u", "y"), ("a", "c", "u", "y"), ("b", "a", "v", "z")]
+    order, _ = order_with_loops("abc", edges, [True] * 4)
+    place = {name: k for k, name in enumerate(order)}
+    assert sum(place[s] >= place[t] for s, t, _, _ in edges) == 1
+
+
+# -- faults -----------------------------------------------------------------------------------------
+
+
+def test_a_loop_without_solution_is_named_with_residual_and_time_and_keeps_its_rows(tmp_path: Path) -> None:
+    coupled_fmu(tmp_path / "a.fmu", SQUARE)
+    coupled_fmu(tmp_path / "b.fmu", LINEAR)
+    # a drifts: y_b = u + x_b, x_b' = 1·(u − x_b), so that y = y² + p0 + x_b loses its solution
+    starts = {"a": {"p0": 0.1}, "b": {"p0": 1.0, "p2": 1.0, "p3": 1.0}}
+    with pytest.raises(SimulationError) as failure:
+        ran(tmp_path, starts, TWO, steps=40)
+    message = str(failure.value)
+    assert failure.value.exit_code == 4
+    assert failure.value.time > 0.0
+    for part in ("a → b → a", "a.u0", "b.u0", "does not converge: after", "tolerance 1e-08"):
+        assert part in message, message
+    rows = (tmp_path / "out" / "results.csv").read_text().splitlines()
+    assert len(rows) == 1 + round(failure.value.time / 0.1)
+
+
+def test_a_loop_that_never_has_a_solution_fails_at_the_start(tmp_path: Path) -> None:
+    coupled_fmu(tmp_path / "a.fmu", SQUARE)
+    coupled_fmu(tmp_path / "b.fmu", LINEAR)
+    with pytest.raises(SimulationError, match=r"algebraic loop at t = 0 s: .*does not converge"):
+        ran(tmp_path, {"a": {"p0": 1.0}, "b": {"p0": 1.0}}, TWO)
+
+
+def test_a_loop_of_gain_one_has_no_solution(tmp_path: Path) -> None:
+    with pytest.raises(SimulationError, match=r"does not converge: after .* returns \+1 more"):
+        linear(tmp_path, 1.0)
+
+
+def test_a_late_fmu_without_states_is_named(tmp_path: Path) -> None:
+    for name in "ab":
+        coupled_fmu(tmp_path / f"{name}.fmu", LINEAR, saves=False)
+    with pytest.raises(SimulationError, match=r"a at t = 0 s: a\.y0 follows a\.u0 only after a step") as failure:
+        ran(tmp_path, {"a": {"p0": 5.0, "p1": 1.0, "late": 1.0}, "b": {"p0": 1.0}}, TWO)
+    assert failure.value.exit_code == 4
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ("loops: {}\norder: [a, b]\n", "leave one out"),
+        ("loops: {}\nalgorithm: jacobi\n", "jacobi solves no algebraic loops"),
+        ("loops: {tolerance: 0}\n", "loops.tolerance"),
+        ("loops: {iterations: 0}\n", "loops.iterations"),
+        ("loops: {method: guess}\n", "loops.method"),
+        ("loops: {solver: newton}\n", "solver"),
+    ],
+)
+def test_keys_of_loops_that_contradict_are_named(more: str, words: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=words):
+        linear(tmp_path, 0.5, more)
+
+
+def test_a_member_with_a_step_of_its_own_is_a_fault(tmp_path: Path) -> None:
+    coupled_fmu(tmp_path / "a.fmu", LINEAR)
+    file = tmp_path / "own.yaml"
+    components = "components: {a: {fmu: a.fmu, step: 0.2}, b: {fmu: a.fmu}}\n"
+    file.write_text(f"name: own\nduration: 1\nstep: 0.1\n{components}{TWO}")
+    with pytest.raises(InputError, match=r"own\.yaml:4:.*a has a step of its own"):
+        run(file, tmp_path / "out", report=False, in_process=True)
+
+
+# -- numerics ---------------------------------------------------------------------------------------
+
+
+def test_a_newton_step_that_leaves_the_domain_is_shortened() -> None:
+    def g(z: Any) -> Any:  # z = sqrt(1 − z)/2: a full step from 0.99 leaves the domain
+        return None if z[0] > 1.0 else 0.5 * np.sqrt(1.0 - z)
+
+    def slopes(z: Any, value: Any, *, fresh: bool) -> Any:
+        return np.array([[-0.25 / math.sqrt(1.0 - z[0])]])
+
+    outcome = RootFinding(1e-10, 20, np.ones(1)).newton(g, np.array([0.999]), slopes)
+    assert outcome.converged
+    assert outcome.z[0] == pytest.approx(0.5 * math.sqrt(1.0 - outcome.z[0]), rel=1e-9)
+
+
+def test_wrong_derivatives_are_replaced_by_differences() -> None:
+    asked: list[bool] = []
+
+    def slopes(z: Any, value: Any, *, fresh: bool) -> Any:
+        asked.append(fresh)
+        return np.array([[5.0 if fresh else -1e-3]])
+
+    outcome = RootFinding(1e-10, 20, np.ones(1)).newton(lambda z: 5.0 * z + 1.0, np.array([3.0]), slopes)
+    assert outcome.converged
+    assert (asked[0], asked[-1]) == (False, True)
+
+
+def test_anderson_solves_a_linear_map_of_n_unknowns_in_n_iterations_more() -> None:
+    rng = np.random.default_rng(1)
+    matrix, offset = rng.normal(size=(4, 4)), rng.normal(size=4)
+    outcome = RootFinding(1e-9, 20, np.ones(4)).anderson(lambda z: matrix @ z + offset, np.zeros(4))
+    assert outcome.converged
+    assert outcome.iterations <= 6
