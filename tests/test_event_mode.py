@@ -28,6 +28,7 @@ from cosim.simulation.workflow import run
 from cosim.storage.results import Results
 from cosim.system.system import System, build_system
 from tests.conftest import ROOT
+from tests.decay import DEEDS, decay_fmu
 from tests.instants import CONSTANT, instants_fmu, library
 from tests.slider import slider_fmu
 
@@ -148,6 +149,27 @@ def test_fmus_of_other_kinds_are_stepped_to_the_events(folder: Path) -> None:
     exact = sum(np.where(results.time > at, 1 - np.exp(-(results.time - at)), 0) for at in (1 / 3, 2 / 3))
     assert results["m.velocity"] == pytest.approx(exact, abs=1e-6)  # tolerance of the solver
     assert results["s.velocity"] == pytest.approx(exact, abs=1e-4)  # its midpoint rule
+
+
+def test_an_event_of_model_exchange_reaches_the_others_at_its_own_time(folder: Path) -> None:
+    """y = exp(−t) crosses 0.8, and a time event at 0.15 s, while another FMU returns early at 1/7 s and so on."""
+    decay_fmu(folder / "decay.fmu")
+    decay = {"fmu": "decay.fmu", "start": {"deed": DEEDS.index("due at once")}, "tolerance": 1e-8}
+    components = {
+        "a": {"fmu": "states.fmu", "event_mode": True, "start": {"u": 7.0}},
+        "m": decay,
+        "b": {"fmu": "states.fmu", "event_mode": True, "start": {"level": 99.0}},
+    }
+    alone = simulated(folder, {"m": decay})
+    results = simulated(folder, components, ["m.events → b.u"])
+    assert results["m.events"].tolist() == alone["m.events"].tolist()
+    assert results["m.y"] == pytest.approx(alone["m.y"], abs=1e-7)
+    crossing, due = (next(t for t, *c in results.events if c == ["m", f"{w} event"]) for w in ("state", "time"))
+    assert crossing == pytest.approx(-math.log(0.8), abs=1e-6)  # as exact as the solver
+    assert due == pytest.approx(0.15, abs=1e-12)
+    kicked = [t for t, *cause in results.events if cause == ["b", "input"]]
+    assert kicked[-2:] == [due, crossing]
+    assert not results.notes
 
 
 def test_a_component_with_steps_of_one_length_is_named_and_gets_events_at_the_end_of_its_step(folder: Path) -> None:

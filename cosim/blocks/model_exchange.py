@@ -18,7 +18,7 @@ from cosim.blocks import messages
 from cosim.blocks.component import EarlyEnd
 from cosim.blocks.description import Way
 from cosim.blocks.fmi import EXCHANGE3, Calls, CoSimulation3, Listen, Step, Version1
-from cosim.blocks.solvers import Solver, SolverFailed, solver
+from cosim.blocks.solvers import DOUBLES, Solver, SolverFailed, solver
 
 TOLERANCE = 1e-5  # relative tolerance by default, as in FMPy
 LONGEST = 50  # largest solver step as a fraction 1/50 of the whole time, as in FMPy
@@ -30,7 +30,12 @@ ULPS = 4  # multiples of the spacing of doubles, too short for CVODE
 
 
 class ModelExchange2(Calls):
-    """FMI 2.0 model exchange."""
+    """FMI 2.0 model exchange.
+
+    Attributes:
+        stops_at_events: Whether a step ends at its first event, which `handle_event` then handles.
+        cause: Kind of the event at which the last step ended; "" without one.
+    """
 
     way: Way = "model-exchange"
     fmpy_class = "fmi2.FMU2Model"
@@ -44,6 +49,7 @@ class ModelExchange2(Calls):
         self._started = False
         self._events: deque[float] = deque(maxlen=MOST_EVENTS)  # times of the last events
         self.event_counts = {"state": 0, "time": 0, "step": 0}
+        self.stops_at_events, self.cause = False, ""
 
     def prepare(self) -> None:
         self._started, self.solver = False, None
@@ -74,6 +80,28 @@ class ModelExchange2(Calls):
             change()
         self.update()
         self._enter_continuous_time()
+
+    @property
+    def goes_back(self) -> bool:
+        """Return whether the continuous states are all that a step changes, up to its first event."""
+        return not self.description.modelExchange.needsCompletedIntegratorStep
+
+    def save(self) -> tuple[float, list[float]]:
+        """Return time [s] and continuous states, for `go_back`."""
+        states = (ctypes.c_double * max(1, self.description.numberOfContinuousStates))()
+        if self.description.numberOfContinuousStates:
+            self.fmu.getContinuousStates(ctypes.cast(states, DOUBLES), self.description.numberOfContinuousStates)
+        return self.time, list(states)
+
+    def go_back(self, saved: tuple[float, list[float]]) -> None:
+        """Take back the states before a step, whose event, if any, has not been handled."""
+        self.time, states = saved
+        self.cause = ""
+        self.fmu.setTime(self.time)
+        if self.description.numberOfContinuousStates:
+            cells = (ctypes.c_double * len(states))(*states)
+            self.fmu.setContinuousStates(ctypes.cast(cells, DOUBLES), len(states))
+        self.solver.reset(self.time)
 
     # -- calls that differ between versions -----------------------------------------------------
 
@@ -128,8 +156,10 @@ class ModelExchange2(Calls):
             if terminate:
                 self._end()
             if state_event or at_event or step_event:
-                self.event_counts["state" if state_event else "time" if at_event else "step"] += 1
-                self._handle_event(h)
+                self.cause = "state" if state_event else "time" if at_event else "step"
+                if self.stops_at_events:
+                    return 0
+                self.handle_event(h)
         return 0
 
     def _integrate(self, target: float, min_span: float) -> tuple[bool, float]:
@@ -155,7 +185,10 @@ class ModelExchange2(Calls):
         name = derivatives[number].variable.name if are_scalar else f"number {number + 1}"
         return messages.DERIVATIVE_NOT_FINITE(name=name, value=value)
 
-    def _handle_event(self, h: float) -> None:
+    def handle_event(self, h: float) -> None:
+        """Handle the event at which the step of `h` [s] has come to; raise SimulationError for chattering."""
+        self.event_counts[self.cause] += 1
+        self.cause = ""
         self._events.append(self.time)
         if len(self._events) == self._events.maxlen and self._events[-1] - self._events[0] <= AT_ONCE * h:
             fault = messages.CHATTERING(count=len(self._events), span=AT_ONCE * h)
@@ -191,6 +224,7 @@ class ModelExchange1(Version1, ModelExchange2):
     """Calls of an FMU for FMI 1.0 model exchange, without modes and with a single call per event."""
 
     fmpy_class = "fmi1.FMU1Model"
+    goes_back = False  # FMI 1.0 demands completedIntegratorStep.
     _first: Any = None  # event information from the initialization
 
     def prepare(self) -> None:

@@ -27,7 +27,7 @@ from cosim.base.errors import SimulationError
 from cosim.blocks.component import Component
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.model_exchange import AT_ONCE, CLOSE, MOST_EVENTS, ULPS
+from cosim.blocks.model_exchange import AT_ONCE, CLOSE, MOST_EVENTS, ULPS, ModelExchange2
 from cosim.blocks.sources import SourceBlock
 from cosim.isolation.rows import ADVANCE, CALLS, GET, OTHER, PUT
 from cosim.master import messages
@@ -94,13 +94,24 @@ class Part:
             self.rank = SOURCES
         elif isinstance(self.component, FmuBlock) and self.component.instance.rolls_back:
             self.rank = REPEATABLE
+        elif self.exchange is not None:
+            self.exchange.stops_at_events = True
+            self.rank = REPEATABLE if self.exchange.goes_back else EARLY
         elif self.may_return:
             self.rank = EARLY
 
     @property
     def may_return(self) -> bool:
         """Return whether its steps may end early."""
-        return self.is_flexible and isinstance(self.component, EventFmu) and self.component.may_return
+        if isinstance(self.component, EventFmu):
+            return self.is_flexible and self.component.may_return
+        return self.exchange is not None
+
+    @property
+    def exchange(self) -> ModelExchange2 | None:
+        """Return the calls of an FMU for model exchange that is stepped to events."""
+        calls = self.component.calls if self.is_flexible and isinstance(self.component, FmuBlock) else None
+        return calls if isinstance(calls, ModelExchange2) else None
 
     def save(self) -> Any:
         """Return the state before a step; None if it cannot be restored."""
@@ -110,6 +121,8 @@ class Part:
             return None
         if isinstance(self.component, EventFmu):
             return self.component.save()
+        if self.exchange is not None:
+            return self.exchange.save()
         return self.time, self.component.instance.save_state()
 
     def go_back(self, state: Any) -> None:
@@ -119,13 +132,16 @@ class Part:
         elif isinstance(self.component, EventFmu):
             self.component.go_back(state)
             self.time = self.component.reached
+        elif self.exchange is not None:
+            self.exchange.go_back(state)
+            self.time = self.component.instance.time = self.exchange.time
         else:
             self.time, fmu = state
             self.component.instance.restore_state(fmu)
 
     def forget(self, state: Any) -> None:
         """Free a state that is not needed."""
-        if self.rank == REPEATABLE:
+        if self.rank == REPEATABLE and self.exchange is None:
             fmu = state[0] if isinstance(self.component, EventFmu) else state[1]
             self.component.instance.free_state(fmu)
 
@@ -215,7 +231,7 @@ class Instants:
 
     def _ask_for_small_steps(self) -> None:
         """Bound the lead of FMUs that can neither go back nor know of each other's events."""
-        alone = [part for part in self.flexible if part.rank == EARLY]
+        alone = [part for part in self.flexible if part.rank == EARLY and isinstance(part.component, EventFmu)]
         if len(alone) > 1:
             for part in alone:
                 calls = part.component.event_calls
@@ -231,6 +247,8 @@ class Instants:
             part.time = t
         self._apply_events(0)
         self._copy_all(0)
+        for part in self.events:
+            part.component.look()
         self._handle(t, 0, self.events, list(self.events))
 
     def run(self) -> None:
@@ -271,32 +289,29 @@ class Instants:
 
     def _target(self, t: float, end: float) -> float:
         """Return the time [s] of the next instant that is known."""
-        target = end
-        for part in self.events:
-            if part.is_flexible:
-                due = part.component.due
-                ahead = part.time if part.time > t + self.close else math.inf
-                target = min(target, due if due > t + self.close else math.inf, ahead)
+        times = [end, *(part.time for part in self.flexible)]  # of components that are ahead
+        times += [part.component.due for part in self.events if part.is_flexible]
+        target = min(time for time in times if time > t + self.close)
         return end if target > end - self.close else target
 
     # -- steps ---------------------------------------------------------------------------------------
 
     def _advance(self, target: float, k: int) -> float:
         """Step all flexible components to a time [s], or to the first early return; return the time."""
+        saved: dict[int, Any] = {}  # place in the order → state before the step
         while True:
-            saved: list[tuple[Part, Any]] = []
             early: Part | None = None
             for place, part in enumerate(self.flexible):
                 if target - part.time <= self.close:
                     continue
-                if place < self.last_early and (state := part.save()) is not None:
-                    saved.append((part, state))
+                if place <= self.last_early and self.last_early and (state := part.save()) is not None:
+                    saved[place] = state
                 if self._step(part, target, k) < target - self.close:
                     early = part
                     break
             if early is None:
-                for part, state in saved:
-                    part.forget(state)
+                for place, state in saved.items():
+                    self.flexible[place].forget(state)
                 return target
             target = early.time
             self._take_back(saved, target, early)
@@ -310,6 +325,8 @@ class Instants:
         else:
             component.advance(part.time, target - part.time)
             part.time = target
+            if part.exchange is not None and part.exchange.cause:
+                part.time = component.instance.time = part.exchange.time
         doing[0] = CALLS * part.number + GET
         component.get()
         return part.time
@@ -331,14 +348,12 @@ class Instants:
         self.master.doing[0] = CALLS * part.number + PUT
         part.component.put()
 
-    def _take_back(self, saved: Iterable[tuple[Part, Any]], target: float, early: Part) -> None:
+    def _take_back(self, saved: dict[int, Any], target: float, early: Part) -> None:
         """Take back the components that have gone beyond an early return, and note those that cannot."""
-        for part, state in saved:
+        for place in [place for place in saved if self.flexible[place].time > target + self.close]:
+            part = self.flexible[place]
             self.master.doing[0] = CALLS * part.number + OTHER
-            if part is early or part.time <= target + self.close:
-                part.forget(state)
-            else:
-                part.go_back(state)
+            part.go_back(saved.pop(place))
         ahead = [part for part in self.flexible if part.time > target + self.close]
         for part in ahead:
             part.lead, part.late = max(part.lead, part.time - target), part.late + 1
@@ -388,15 +403,31 @@ class Instants:
         """Exchange values at a time [s], and handle its events."""
         here = [part for part in events if abs(part.time - t) <= self.close or not part.is_flexible]
         self._copy_all(k)
+        for part in here:
+            part.component.look()
+        self._handle_exchanges(t, k)
         asked = []
         for part in here:
             fmu = part.component
-            fmu.look()
-            if fmu.asks or fmu.due <= t + self.close or fmu.has_jumped or fmu.name in self.pending:
+            is_due = fmu.asks or fmu.due <= t + self.close or fmu.name in self.pending
+            if is_due or fmu.has_jumped or fmu.is_stirred:
                 asked.append(part)
         if asked:
             self._check_progress(t)
             self._handle(t, k, here, asked)
+
+    def _handle_exchanges(self, t: float, k: int) -> None:
+        """Let FMUs for model exchange handle the events at which their steps ended."""
+        for part in self.exchanges:
+            calls = part.exchange
+            if calls is not None and calls.cause and abs(part.time - t) <= self.close:
+                self.record.add(t, part.component.name, f"{calls.cause} event")
+                self._announce(part)
+                with part.component.instance.check_calls():
+                    calls.handle_event(self.h)
+                self._announce(part, GET)
+                part.component.get()
+                self._copy_all(k)
 
     def _handle(self, t: float, k: int, here: Sequence[Part], asked: Sequence[Part]) -> None:
         """Iterate in superdense time until no FMU needs another round."""
@@ -528,7 +559,7 @@ class Instants:
             self.record.add(t, fmu.name, "event")
         elif fmu.next_event <= t + self.close:
             self.record.add(t, fmu.name, "time event")
-        elif fmu.has_jumped:
+        elif fmu.has_jumped or fmu.is_stirred:
             self.record.add(t, fmu.name, "input")
 
     # -- failures -----------------------------------------------------------------------------------
