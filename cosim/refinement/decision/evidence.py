@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -28,6 +29,7 @@ from cosim.estimation.problem import Problem, Scored
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.search.fits import SCREEN_ITERATIONS, Search
 from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.subject.candidates import Free
 
 BLOCK = 100  # least rows of a block
 LASTING = 3.0  # length of a block, as a multiple of the correlation time of an unknown input
@@ -65,39 +67,83 @@ def correlation_length(scored: Scored) -> float:
     return longest
 
 
-def steadiness(problem: Problem, better: Fit, worse: Fit, costs: float = 0.0) -> float:
-    """Return the likelihood gain of a fit divided by the scatter of the gain over time blocks.
+def steadiness(problem: Problem, better: Fit, worse: Fit) -> float:
+    """Return the likelihood gain of a fit over a fit that it contains, divided by the scatter of the gain by chance."""
+    block, scored, others = _scored_in_blocks(problem, better, worse)
+    return gain_per_chance(block, others, scored, worse.penalty - better.penalty) if block.size else math.inf
+
+
+def preference(problem: Problem, better: Fit, worse: Fit, costs: float) -> float:
+    """Return the likelihood gain of a fit over a fit that it does not contain, divided by the scatter of the gain.
 
     Args:
         costs: Additional cost of `worse` relative to `better` (Vuong 1989, eq. 5.9).
     """
-    scored = [problem.score(f.values, f.noise) for f in (better, worse)]
-    if scored[0].errors.size != scored[1].errors.size:
-        return math.inf
-    block = blocks_of(problem, scored[0], math.exp(better.noise.memory))
-    return gain_per_scatter(block, scored[1], scored[0], costs + worse.penalty - better.penalty)
+    block, scored, others = _scored_in_blocks(problem, better, worse)
+    return gain_per_scatter(block, others, scored, costs + worse.penalty - better.penalty) if block.size else math.inf
+
+
+def _scored_in_blocks(problem: Problem, better: Fit, worse: Fit) -> tuple[Rows, Scored, Scored]:
+    """Return the time block of each measurement, and both scores; no blocks if one filter scores fewer measurements."""
+    scored, others = (problem.score(f.values, f.noise) for f in (better, worse))
+    if scored.errors.size != others.errors.size:
+        return np.zeros(0, np.intp), scored, others
+    return blocks_of(problem, scored, math.exp(better.noise.memory)), scored, others
+
+
+def gain_per_chance(block: Rows, worse: Scored, better: Scored, constant: float = 0.0) -> float:
+    """Return a likelihood gain divided by its scatter about the gain that the better fit expects.
+
+    Excitation is given: an effect that acts in few blocks gains there only, and that is no chance. Chance is the
+    difference of the gain g_b of a block from the Kullback-Leibler divergence k_b of both predictions,
+
+        z = Σ g_b / √(Σ ((g_b − k_b)/(1 − h_b))²)      h_b = k_b/Σ k_b
+
+    The factor 1/(1 − h_b) is that of the jackknife over blocks; a gain in a single block would have no scatter without
+    it (CV3 of MacKinnon, Nielsen and Webb 2023, J. Appl. Econometrics 38:671).
+    """
+    gains = _by_block(block, _terms(worse) - _terms(better))
+    moved, ratio = worse.errors - better.errors, better.variances / worse.variances
+    with np.errstate(over="ignore", invalid="ignore"):
+        expected = 0.5 * (ratio - 1.0 - np.log(ratio) + moved**2 / worse.variances)
+    expected = _by_block(block, np.nan_to_num(expected, nan=0.0, posinf=0.0))
+    share = expected / (np.sum(expected) or 1.0)
+    chance = (gains - expected) / np.maximum(1.0 - share, np.finfo(float).eps)
+    return _ratio(constant + float(np.sum(gains)), math.sqrt(float(np.sum(chance**2))))
+
+
+def _terms(scored: Scored) -> Array:
+    """Return the NLL of each measurement, finite for a diverged filter too."""
+    return np.nan_to_num(scored.terms, nan=DIVERGED, posinf=DIVERGED)
+
+
+def _by_block(block: Rows, numbers: Array) -> Array:
+    """Return the sums over the blocks that contain a measurement."""
+    return np.bincount(block, numbers).astype(np.float64)[np.bincount(block) > 0]
 
 
 def gain_per_scatter(block: Rows, worse: Scored, better: Scored, constant: float) -> float:
-    """Return a likelihood gain per scatter over time blocks."""
-    terms, others = (np.nan_to_num(s.terms, nan=DIVERGED, posinf=DIVERGED) for s in (worse, better))
-    gains = np.bincount(block, terms - others).astype(np.float64)
-    return sum_per_scatter(gains[np.bincount(block) > 0], constant)
+    """Return a likelihood gain per scatter over time blocks, for hypotheses of which none contains the other."""
+    return sum_per_scatter(_by_block(block, _terms(worse) - _terms(better)), constant)
 
 
 def sum_per_scatter(gains: Array, constant: float = 0.0) -> float:
     """Return a sum divided by its standard deviation, estimated from the scatter of the terms."""
-    total, spread = constant + float(np.sum(gains)), float(np.std(gains)) * math.sqrt(gains.size)
+    return _ratio(constant + float(np.sum(gains)), float(np.std(gains)) * math.sqrt(gains.size))
+
+
+def _ratio(total: float, spread: float) -> float:
     return total / spread if spread > 0.0 else math.copysign(math.inf, total) if total else 0.0
 
 
 def held_out_gains(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[float, float]:
     """Return the gains on held-out logs: of the likelihood, and of open-loop predictions per scatter.
 
-    Parameters of a single hypothesis keep the values fitted to the remaining logs, or those of the model. For the
-    likelihood, all further parameters and the noise are refitted on the held-out log for both hypotheses, because a log
-    with little excitation does not determine them. Open-loop predictions use nothing of the held-out log. A single log
-    is halved.
+    The remaining logs give the parameters of a single hypothesis a normal distribution, with their estimates and
+    standard deviations. The likelihood is the mean over it (Laplace's approximation; Geisser and Eddy 1979, J. Am.
+    Stat. Assoc. 74:153): alone, the estimate of an effect that the remaining logs do not excite is worthless. Further
+    parameters and the noise are refitted on the held-out log for both hypotheses, because a log with little excitation
+    does not determine them. Predictions use the same fits. A single log is halved.
     """
     problem = search.problem if len(search.problem.logs) > 1 else halve_log(search.problem)
     both = set(better.names) & set(worse.names)
@@ -108,20 +154,40 @@ def held_out_gains(search: Search, better: Hypothesis, worse: Hypothesis) -> tup
     def compare(log: int) -> tuple[float, list[Array]]:
         objectives, errors = [], []
         for h in (worse, better):
-            others = fit_without(search, problem, h, log)
-            errors.append(open_loop(problem, search.subject.horizon, others, log))
+            refit = others = fit_without(search, problem, h, log)
             if problem.table:  # A few rows of a table cannot determine parameters.
                 objectives.append(problem.score(others.values, others.noise, [log]).nll)
-                continue
-            own = {f.name for c in h.candidates for f in c.free}
-            fixed = {n: others.values[n] if n in own else problem.values[n] for n in names}
-            values = {**h.fit.values, **fixed}
-            refit = fit(problem, settling, values, h.fit.noise, [log], SCREEN_ITERATIONS, sensing=False)
-            objectives.append(refit.objective)
+            else:
+                own = [
+                    _with_prior_of(others, f, problem.scatter) for c in h.candidates for f in c.free if f.name in names
+                ]
+                values = {
+                    **h.fit.values,
+                    **{n: problem.values[n] for n in names},
+                    **{f.name: others.values[f.name] for f in own},
+                }
+                refit = fit(problem, [*settling, *own], values, h.fit.noise, [log], SCREEN_ITERATIONS, sensing=False)
+                objectives.append(refit.objective + _log_width(refit, own, problem.scatter))
+            errors.append(open_loop(problem, search.subject.horizon, refit, log))
         return objectives[0] - objectives[1], errors
 
     gains, errors = zip(*in_parallel(compare, list(range(len(problem.logs)))), strict=True)
     return sum(gains), sum_per_scatter(_error_decreases(errors))
+
+
+def _with_prior_of(others: Fit, f: Free, scatter: float) -> Free:
+    """Return a parameter with its estimate from other logs as prior; its usual size where they say nothing."""
+    sigma = others.sigma(f.name) * math.sqrt(scatter)
+    return replace(f, prior=(others.values[f.name], sigma or f.size))
+
+
+def _log_width(f: Fit, own: Sequence[Free], scatter: float) -> float:
+    """Return ln of the ratio of the prior's to the posterior's volume, the rest of Laplace's approximation."""
+    if not own:
+        return 0.0
+    sigmas = np.array([x.prior[1] for x in own if x.prior])
+    information = f.marginal([x.name for x in own]) * np.outer(sigmas, sigmas) / scatter
+    return 0.5 * scatter * max(0.0, float(np.linalg.slogdet(information)[1]))
 
 
 def open_loop_gain(problem: Problem, horizon: float, better: Fit, worse: Fit) -> float:
@@ -305,18 +371,28 @@ def _widen_for_few_rows(covariance: Array, rows: int, free: int) -> Array:
 def with_intervals(search: Search, h: Hypothesis) -> Hypothesis:
     """Return the hypothesis with the covariance of its estimates: scatter over blocks of time, and from log to log.
 
-    The variance from log to log is the jackknife's: (n − 1)/n·Σ(θ₋ₖ − θ̄)² over fits to all logs but one.
+    An estimate without one log should differ from the estimate of all by N(0, σ₋ₖ² − σ²) (Hausman 1978). The variance
+    grows by the ratio of these squared differences to their expectation, if above 1 (Birge 1932). For logs that say
+    equally much this is the jackknife; a log that says nothing of a parameter does not widen its interval.
     """
     f, logs = with_sandwich_covariance(search.problem, h.fit), len(search.problem.logs)
     if logs < 2 or f.scattered is None or search.problem.table:
         return replace(h, fit=f)
-    fits = in_parallel(lambda k: fit_without(search, search.problem, h, k), list(range(logs)))
-    values = np.array([[other.values[x.name] for x in f.free] for other in fits])
-    between = (logs - 1) / logs * np.sum((values - values.mean(axis=0)) ** 2, axis=0)
-    between[[bool(x.group) for x in f.free]] = 0.0  # A fit without its log says nothing of a parameter per log.
+    white, fits = replace(f, scattered=None), in_parallel(partial(fit_without, search, search.problem, h), range(logs))
+    variances = np.array([_variance_with_logs(white, fits, x) for x in f.free])
     within = np.diag(f.scattered)
-    wider = np.sqrt(np.maximum(1.0, np.divide(between, within, out=np.ones_like(within), where=within > 0.0)))
+    wider = np.sqrt(np.maximum(1.0, np.divide(variances, within, out=np.ones_like(within), where=within > 0.0)))
     return replace(h, fit=replace(f, scattered=f.scattered * np.outer(wider, wider)))
+
+
+def _variance_with_logs(f: Fit, fits: Sequence[Fit], x: Free) -> float:
+    """Return the variance of an estimate from its differences to the estimates without each log."""
+    if x.group:  # A fit without its log says nothing of a parameter per log.
+        return 0.0
+    variance = f.sigma(x.name) ** 2
+    expected = sum(max(0.0, other.sigma(x.name) ** 2 - variance) for other in fits)
+    moved = sum((other.values[x.name] - f.values[x.name]) ** 2 for other in fits)
+    return variance * moved / expected if expected > 0.0 else 0.0
 
 
 def with_sandwich_covariance(problem: Problem, f: Fit) -> Fit:

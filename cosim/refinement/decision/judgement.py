@@ -17,6 +17,7 @@ from cosim.refinement.decision.evidence import (
     error_ratios,
     fit_given_model,
     held_out_gains,
+    preference,
     steadiness,
     with_intervals,
 )
@@ -26,12 +27,10 @@ from cosim.subject.base_parameters import WIDTHS
 from cosim.subject.candidates import Candidate, Free
 
 RIVAL = 3.0  # score difference within which another hypothesis explains the logs equally well
-UNSURE = 2.0  # gain per scatter below which a difference in log-likelihood is not significant
-SMALL = 3.0  # gain, as a multiple of the cost, below which chance must be excluded by the scatter
+UNSURE = 2.0  # difference in log-likelihood to a rival per scatter, below which it is not significant
 NEAR = 8.0  # score difference beyond which no hypothesis is a rival, whatever the scatter
 SIGNIFICANT = 3.0  # standard deviations from the neutral value
-LITTLE = "gains little"
-HELD = 0.7  # share of a part's gain that must also appear on held-out logs
+LITTLE = "its gain may be chance"
 PLAIN, PLAINLY = 100.0, 4.0  # gain, and gain per scatter, from which a part needs no test on held-out logs
 NO_WORSE = 1.0  # NLL by which a final fit may exceed the objective of a hypothesis contained in it
 WORSE, BETTER = -3.0, 3.0  # gain per scatter of held-out predictions that rejects or supports a part
@@ -141,10 +140,8 @@ def _doubt(search: Search, h: Hypothesis, c: Candidate, s: Support) -> str:
         return f"{limits[0]} is at its limit"
     if c.kind == "parameter":  # Held-out logs say the same about the base model.
         return "" if is_outside_tolerance(search, h, c) else "is within its tolerance"
-    if s.gain < SMALL * search.cost([c]) and s.steady < chance_limit(search.problem, h.fit, search.on_trial):
-        return f"{LITTLE}, and that is {s.steady:.1f} times its own scatter over time"
-    if s.steady < UNSURE and not s.held_out > HELD * s.gain:  # A rare effect gains in few blocks, but in each log.
-        return f"what it gains is {s.steady:.1f} times its own scatter over time"
+    if s.steady < chance_limit(search.problem, h.fit, search.on_trial) and not s.held_out > search.cost([c]):
+        return f"{LITTLE}: {s.gain:.1f}, {s.steady:.1f} times its scatter"
     if s.held_out <= 0.0 and not s.predicted > BETTER:
         return "gains nothing on logs left out"
     if s.predicted < WORSE:
@@ -186,7 +183,7 @@ def _is_rival(search: Search, best: Hypothesis, h: Hypothesis) -> bool:
     if any(_with_tolerance(h, t, weight) + cost < _with_tolerance(best, t, weight) + least for t in TOLERANCES):
         return True
     # The larger cost of a richer hypothesis counts against it; otherwise every extension of the best would be a rival.
-    return steadiness(search.problem, best.fit, h.fit, max(0.0, cost - least)) < UNSURE
+    return preference(search.problem, best.fit, h.fit, max(0.0, cost - least)) < UNSURE
 
 
 def _with_tolerance(h: Hypothesis, times: float, weight: float) -> float:
