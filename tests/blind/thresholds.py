@@ -60,9 +60,7 @@ ORIGIN = {  # by module and name; what is not here was set by hand, and nobody w
 }
 DECIDING = {  # module below cosim → thresholds that decide a verdict
     "refinement.decision.claims": ("MUCH", "MOVED", "LARGE"),
-    "refinement.decision.judgement": (
-        "RIVAL", "UNSURE", "SMALL", "NEAR", "SIGNIFICANT", "HELD", "PLAIN", "PLAINLY", "BETTER",
-    ),
+    "refinement.decision.judgement": ("RIVAL", "UNSURE", "NEAR", "SIGNIFICANT", "PLAIN", "PLAINLY", "BETTER"),
     "refinement.decision.trust": ("CLEARLY",),
     "refinement.decision.evidence": ("BY_CHANCE",),
     "refinement.proof.replay_check": ("PART", "HALF"),

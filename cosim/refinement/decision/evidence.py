@@ -5,8 +5,8 @@ estimate is therefore computed from blocks of time longer than the correlation o
 
     z = Σ g_b / √(Σ (g_b − ḡ)²)      cov θ̂ = F⁻¹ (Σ s_b s_b') F⁻¹      g_b, s_b: gain and score of block b
 
-(Vuong 1989; White 1982). On a held-out log, parameters keep the values fitted to the other logs. Each hypothesis
-predicts in open loop from its own filtered state.
+(Vuong 1989; White 1982), for a part of a hypothesis as in `gain_per_chance`. On a held-out log, what the other logs say
+of a parameter is its prior. Each hypothesis predicts in open loop from its own filtered state.
 """
 
 from __future__ import annotations
