@@ -98,6 +98,7 @@ class FileChannel:
     def __init__(self, folder: Path, counters: Progress) -> None:
         self._sent, self._noted, self._counters = folder / "sent", folder / "noted", counters
         self._received = 0
+        self._changes: Sequence[Change] = ()  # also after the end, when the files are gone
         self._lock = threading.Lock()
 
     @property
@@ -129,7 +130,8 @@ class FileChannel:
 
     def noted(self) -> Sequence[Change]:
         """Return all changes so far."""
-        return tuple(_records(self._noted))
+        self._changes = tuple(_records(self._noted)) or self._changes
+        return self._changes
 
     def wait(self) -> None:
         """Wait for the end of a pause, or for a requested end; meanwhile no call is running."""

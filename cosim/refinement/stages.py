@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Protocol
 
 ORDER: Sequence[tuple[str, ...]] = (  # messages of each stage; a finished stage does not return
     ("reading the logs",),
@@ -32,3 +33,31 @@ _PLACE = {words: number for number, stage in enumerate(ORDER, 1) for words in st
 def stage_number(words: str) -> tuple[int, int]:
     """Return the number of a stage from its progress message, 0 if unknown, and the number of stages."""
     return _PLACE.get(words.partition(":")[0], 0), len(ORDER)
+
+
+class Ranked(Protocol):
+    """A hypothesis in a ranking: names of its candidates and score, lower is better; the base model has no names."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the candidates."""
+
+    @property
+    def score(self) -> float:
+        """Return the score."""
+
+
+class Watcher:
+    """Base class of progress functions that also receive the ranking so far."""
+
+    def __call__(self, stage: str, share: float) -> None:
+        """Take the current stage and its completed share."""
+
+    def ranking(self, hypotheses: Sequence[Ranked]) -> None:
+        """Take all hypotheses fitted so far."""
+
+
+def report_ranking(progress: Callable[[str, float], None], hypotheses: Sequence[Ranked]) -> None:
+    """Report all hypotheses fitted so far to a progress function that takes them."""
+    if isinstance(progress, Watcher):
+        progress.ranking(hypotheses)

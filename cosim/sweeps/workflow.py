@@ -5,9 +5,9 @@ from __future__ import annotations
 import itertools
 import json
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from cosim.storage.folders import check_overwritable, content_of, folder_named, 
 from cosim.sweeps import messages
 from cosim.sweeps.batch import obstacle_to_arrays
 from cosim.sweeps.reading import Sweep, read_sweep
-from cosim.sweeps.run_chunks import MAX_COMPARED_ROWS, Job, Way, sampled_rows
+from cosim.sweeps.run_chunks import MAX_COMPARED_ROWS, Job, RunResult, Way, sampled_rows
 from cosim.sweeps.run_statistics import share_interval
 from cosim.sweeps.store import CHECKS, DATABASE, RUNS, TABLE, Database, read_table, write_table
 from cosim.sweeps.sweep_result import EQUAL, Swept, criterion_names, largest_difference
@@ -42,6 +42,25 @@ SCHEMA_VERSION = 1
 Progress = Callable[[int, int], None]
 
 
+@dataclass(frozen=True)
+class CriterionLimit:
+    """Name of a criterion, its largest allowed value and the unit."""
+
+    name: str
+    max: float
+    unit: str
+
+
+class RunsObserver:
+    """Base class of observers that receive the finished runs of a sweep; methods are optional."""
+
+    def begin(self, title: str, count: int, limits: Sequence[CriterionLimit], earlier: Iterable[RunResult]) -> None:
+        """Prepare for `count` runs, some of which an earlier call has made."""
+
+    def add(self, results: Sequence[RunResult]) -> None:
+        """Take finished runs."""
+
+
 @one_stop()
 @folder_locks()
 def sweep(
@@ -54,6 +73,7 @@ def sweep(
     force: bool = False,
     in_process: bool = False,
     progress: Progress | None = None,
+    observers: Sequence[RunsObserver] = (),
 ) -> Swept:
     """Run a scenario many times with varied values.
 
@@ -68,6 +88,7 @@ def sweep(
         force: Start again. In results/NAME the files of the earlier sweep move to `runs`.
         in_process: Load FMUs into this process, for a debugger.
         progress: Function of (completed runs, all runs).
+        observers: Objects that receive the finished runs.
 
     Returns:
         Content of sweep.json, sentences and the folder.
@@ -96,7 +117,7 @@ def sweep(
         record, count = _read_completed(folder, study.key), 0
         if record is None:
             base = stack.enter_context(Database(folder, study.key))
-            state = _Sweep(study, folder, base, progress)
+            state = _Sweep(study, folder, base, progress, observers)
             record, count = state.make_runs(workers, client, in_process=in_process)
     swept = Swept(study, folder, record, count)
     if report:
@@ -127,13 +148,23 @@ def _read_completed(folder: Path, key: str) -> dict[str, Any] | None:
 class _Sweep:
     """State of a call: finished and pending runs."""
 
-    def __init__(self, study: Sweep, folder: Path, base: Database, progress: Progress | None) -> None:
+    def __init__(
+        self,
+        study: Sweep,
+        folder: Path,
+        base: Database,
+        progress: Progress | None,
+        observers: Sequence[RunsObserver] = (),
+    ) -> None:
         self.study, self.folder, self.base, self.progress = study, folder, base, progress
+        self.observers = observers
         self.seconds = 0.0
         self.count = 0
 
     def make_runs(self, workers: int | None, client: Any, *, in_process: bool) -> tuple[dict[str, Any], int]:
         """Return the record and the number of new runs."""
+        for observer in self.observers:
+            observer.begin(self.study.name, self.study.count, self._limits(), self.base.runs())
         try:
             with executor(workers, client, in_process=in_process) as pool:
                 way, why = self._choose_way(pool)
@@ -208,8 +239,18 @@ class _Sweep:
                 results = pool.runs(future)
                 with delay_stops():
                     self.base.add(results, table)
+                for observer in self.observers if table == RUNS else ():
+                    observer.add(results)
                 count += len(results)
             yield count
+
+    def _limits(self) -> list[CriterionLimit]:
+        """Return the limits of all criteria."""
+        names, goals = criterion_names(self.study), self.study.scenario.goals
+        return [
+            CriterionLimit(name, goal.max, _unit(kind, goal, self.study))
+            for name, (kind, _, goal) in zip(names, goals, strict=True)
+        ]
 
     def _record(self, way: Way, why: str) -> dict[str, Any]:
         study, scenario = self.study, self.study.scenario
@@ -247,16 +288,14 @@ class _Sweep:
             "units": {name: study.system.units.get(name, "") for name in study.job.signals},
             "criteria": [
                 {
-                    "name": name,
-                    "max": goal.max,
-                    "unit": _unit(kind, goal, study),
+                    "name": limit.name,
+                    "max": limit.max,
+                    "unit": limit.unit,
                     "met": hits,
                     "of": count - failed,
                     "ci95": [*share_interval(hits, count - failed)],
                 }
-                for name, (kind, _, goal), hits in zip(
-                    criterion_names(study), scenario.goals, met.tolist(), strict=True
-                )
+                for limit, hits in zip(self._limits(), met.tolist(), strict=True)
             ],
         }
 

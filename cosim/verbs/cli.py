@@ -25,7 +25,7 @@ from cosim.verbs.help import WHOLE_WIDTH, GroupedHelp, VerbHelp
 from cosim.verbs.manner import with_manner
 from cosim.verbs.outcome import say_partial
 from cosim.verbs.streams import open_streams
-from cosim.verbs.terminal import say, say_error, say_failure, say_usage, warn
+from cosim.verbs.terminal import LAST, say, say_error, say_failure, say_usage, warn
 
 app = typer.Typer(
     cls=GroupedHelp,
@@ -73,7 +73,11 @@ def entry() -> None:
     collecting = collect_seldom()
     try:
         with _terminable():
-            _run()
+            try:
+                _run()
+            finally:
+                while LAST:
+                    LAST.pop()()
     finally:
         gc.set_threshold(*collecting)
 

@@ -16,6 +16,7 @@ from cosim.base.settings import Files
 from cosim.storage.files import FilePath
 from cosim.storage.folders import folder_of_file
 from cosim.verbs import messages
+from cosim.verbs.live_option import Live, Port, live_page
 from cosim.verbs.options import Force, InProcess, Json, Open, Report, out_option
 from cosim.verbs.terminal import files_in, say, say_json, show, stages, table, warn
 
@@ -81,6 +82,8 @@ def command(
     open_: Open = False,
     force: Force = False,
     as_json: Json = False,
+    live: Live = False,
+    port: Port = None,
 ) -> None:
     """Find the effect that a model lacks, from measured logs.
 
@@ -92,10 +95,16 @@ def command(
     from cosim.refinement.workflow import refine as refine_study
 
     place = folder_of_file(study) if out is None else out
-    with stages(stage_number) as progress, ending_when_stuck():
-        result = refine_study(
-            study, place, progress, report=report, force=force, keep=out is None, in_process=in_process
-        )
+    keep = out is None
+    with (
+        stages(stage_number) as progress,
+        ending_when_stuck(),
+        live_page("refine", study.stem, live=live, port=port, progress=progress) as page,
+    ):
+        told = progress if page is None else page
+        result = refine_study(study, place, told, report=report, force=force, keep=keep, in_process=in_process)
+        if page is not None:
+            page.show_verdict(result.record, place / "report.html")
     warn(*result.study.warnings)
     _say_verdict(result, place, report=report)
     if as_json:

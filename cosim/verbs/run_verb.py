@@ -17,6 +17,7 @@ from cosim.base.scratch import temporary_folder
 from cosim.base.settings import Given, Seed, texts
 from cosim.storage.files import FilePath
 from cosim.verbs import messages
+from cosim.verbs.live_option import Live, Port, live_page
 from cosim.verbs.options import Compile, Force, Format, InProcess, Json, Nearest, Open, Overrides, Report, out_option
 from cosim.verbs.outcome import say_outcome
 from cosim.verbs.scratch_results import results_in
@@ -128,6 +129,8 @@ def command(
             "--coupling-error", help="Run again with half the step and print the largest change of each output."
         ),
     ] = False,
+    live: Live = False,
+    port: Port = None,
 ) -> None:
     """Simulate a scenario or an SSP.
 
@@ -139,9 +142,12 @@ def command(
     from cosim.simulation.workflow import run as run_scenario
 
     overrides = [*(set_ or []), *([] if seed is None else [f"seed={seed}"])]
-    with compiling(compile_), progress_bar() as progress:
-        steps = partial(run_scenario, nearest=nearest, in_process=in_process, progress=progress)
+    with compiling(compile_), progress_bar() as progress, live_page("run", scenario.stem, live=live, port=port) as page:
+        observers = () if page is None else (page,)
+        steps = partial(run_scenario, nearest=nearest, in_process=in_process, progress=progress, observers=observers)
         outcome = steps(scenario, out, overrides, force=force, report=report, figures=figures, format_=format_)
+        if page is not None:
+            page.show_outcome(outcome)
     if coupling:
         from cosim.simulation.coupling import coupling_error
 

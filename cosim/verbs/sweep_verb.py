@@ -5,11 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from cosim.verbs.live_option import Live, Port, live_page
 from cosim.verbs.options import Json, Open, Report, out_option
 from cosim.verbs.terminal import MANNER, progress_bar, say, say_json, say_more, show, warn
 
@@ -31,6 +33,8 @@ def command(
     open_: Open = False,
     force: Annotated[bool, typer.Option("--force", help="Start again instead of resuming an earlier sweep.")] = False,
     as_json: Json = False,
+    live: Live = False,
+    port: Port = None,
 ) -> None:
     """Run a scenario many times with varied values.
 
@@ -40,8 +44,12 @@ def command(
     """
     from cosim.sweeps.workflow import sweep as run_sweep
 
-    with _progress() as progress:
-        swept = run_sweep(study, out, workers=workers, dask=dask, report=report, force=force, progress=progress)
+    with _progress() as progress, live_page("sweep", study.stem, live=live, port=port) as page:
+        observers = () if page is None else (page,)
+        runs = partial(run_sweep, workers=workers, dask=dask, progress=progress, observers=observers)
+        swept = runs(study, out, report=report, force=force)
+        if page is not None:
+            page.report = swept.folder / "report.html"
     warn(*swept.sweep.warnings)
     if swept.check.code.startswith("W-"):
         warn(swept.check)

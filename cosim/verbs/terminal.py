@@ -45,6 +45,7 @@ class Manner:
     messages: list[dict[str, str]] = field(default_factory=list)
 
 
+LAST: list[Callable[[], None]] = []  # functions called when everything about the command has been printed
 MANNER = Manner()  # of this process, set by the options -q and -v of any command
 
 

@@ -20,6 +20,7 @@ from cosim.estimation.noise_model import Noise
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
 from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.refinement.stages import report_ranking
 from cosim.subject.base_parameters import base_parameters
 from cosim.subject.candidates import Candidate, Free
 from cosim.subject.interface import Subject
@@ -195,6 +196,7 @@ class Search:
 
         fitted = in_parallel(fit_and_report, todo)
         self.tried |= {h.names: h for h in fitted}
+        report_ranking(self.progress, [*self.tried.values()])
         return fitted
 
     def _refit_if_better(self, h: Hypothesis, noise: Noise) -> Hypothesis:

@@ -1,0 +1,8 @@
+"""Messages of the live page."""
+
+from cosim.base.messages import Template
+
+LIVE_PAGE = Template("N-LIV-001", "live page: {url}")
+PAGE_STAYS = Template("N-LIV-002", "the live page stays until it is closed in the browser; Ctrl-C ends it")
+NOT_RUNNING = Template("E-LIV-003", "the {activity} has ended, so that nothing can be changed")
+WRONG_REQUEST = Template("E-LIV-004", "is {value}; give {wanted}")

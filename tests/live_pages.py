@@ -1,0 +1,52 @@
+"""Runs with a live page for tests: a slow scenario with variables of every kind, and the command in a process."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from tests.deeds import deeds_fmu
+from tests.typed import typed_fmu
+
+GAIN = '<Real start="1"/></ScalarVariable>\n    <ScalarVariable name="h"'
+BOUNDED = '<Real start="1" min="0" max="10" unit="m"/></ScalarVariable>\n    <ScalarVariable name="h"'
+SCENARIO = """name: mill
+duration: {duration}
+step: 0.01
+components:
+  mill: {{fmu: typed.fmu, start: {{r_in: 2.0}}}}
+  slow: {{fmu: slow.fmu}}
+connections:
+  - {{from: slow.y1, to: slow.u1}}
+"""
+
+
+def slow_scenario(folder: Path, duration: float = 60.0) -> Path:
+    """A mill with r_out = gain·r_in, gain in 0 … 10, and an FMU that takes 20 ms a step."""
+    typed_fmu(folder, units=("rpm", "rad/s"), **{GAIN: BOUNDED})
+    deeds_fmu(folder / "slow.fmu", "DoStep", "slow", 0)
+    path = folder / "mill.yaml"
+    path.write_text(SCENARIO.format(duration=duration), encoding="utf-8")
+    return path
+
+
+@contextmanager
+def live_command(*arguments: str | Path, folder: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """Start a command with --live; yield the process and the address of its page."""
+    command = [sys.executable, "-m", "cosim", *map(str, arguments), "--live"]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(
+        command, cwd=folder, stdin=subprocess.DEVNULL, stdout=pipe, stderr=pipe, text=True
+    ) as process:
+        try:
+            assert process.stderr is not None
+            address = next((found for line in process.stderr if (found := re.search(r"http://\S+", line))), None)
+            assert address is not None, process.communicate()
+            yield process, address.group()
+        finally:
+            if process.poll() is None:
+                process.kill()

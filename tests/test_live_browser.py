@@ -1,0 +1,174 @@
+"""The live page in a real browser: rows appear, changes act, stop keeps the rows, keys do all."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from cosim.storage.results import read_results
+from tests.live_pages import live_command, slow_scenario
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+PATIENCE = 60_000  # [ms] on a busy machine
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    api = pytest.importorskip("playwright.sync_api", reason="no playwright")
+    with api.sync_playwright() as playwright:
+        started = playwright.chromium.launch(
+            executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu", "--disable-background-networking"]
+        )
+        yield started
+        started.close()
+
+
+def opened(browser: Browser, url: str, faults: list[str], **settings: object) -> Page:
+    page = browser.new_page(reduced_motion="reduce", **settings)  # type: ignore[arg-type]
+    page.set_default_timeout(PATIENCE)
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.on("console", lambda message: faults.append(message.text) if "Security" in message.text else None)
+    page.goto(url)
+    return page
+
+
+def until(page: Page, expression: str) -> None:
+    """Wait until JavaScript is true; the page's policy forbids Playwright's own way."""
+    end = time.monotonic() + PATIENCE / 1000
+    while not page.evaluate(f"() => Boolean({expression})"):
+        assert time.monotonic() < end, expression
+        page.wait_for_timeout(50)
+
+
+def curve(page: Page, name: str) -> str:
+    """The path of a signal's curve."""
+    found: str = page.evaluate(
+        """name => { const entries = [...document.querySelectorAll("figure .entry")];
+        const entry = entries.find((e) => e.children[1].textContent === name), figure = entry?.closest("figure");
+        const place = [...(figure?.querySelectorAll(".entry") ?? [])].indexOf(entry);
+        return figure?.querySelectorAll(".box .line")[place]?.getAttribute("d") ?? ""; }""",
+        name,
+    )
+    return found
+
+
+def test_rows_appear_changes_act_and_stop_keeps_the_rows(browser: Browser, tmp_path: Path) -> None:
+    faults: list[str] = []
+    arguments = ("run", slow_scenario(tmp_path), "--out", tmp_path / "o")
+    with live_command(*arguments, folder=tmp_path) as (process, url):
+        page = opened(browser, url, faults, viewport={"width": 1300, "height": 900})
+        page.wait_for_selector("html[data-live=running]", state="attached")
+        until(page, "parseFloat(document.querySelector('#now').textContent) > 0.1")
+        first = curve(page, "mill.r_out")
+        until(page, "parseFloat(document.querySelector('#now').textContent) > 0.3")
+        assert len(curve(page, "mill.r_out")) > len(first) > 5  # rows appear
+
+        field = page.get_by_role("textbox", name="mill.r_in [rpm]")  # by keys alone
+        field.focus()
+        page.keyboard.press("Control+a")
+        page.keyboard.type("3 kg")
+        page.keyboard.press("Enter")
+        page.wait_for_selector(".change .error:not([hidden])")
+        assert "rpm" in page.locator(".change .error:not([hidden])").inner_text()
+        assert field.get_attribute("aria-invalid") == "true"
+        page.keyboard.press("Control+a")
+        page.keyboard.type("30")
+        page.keyboard.press("Enter")
+        page.wait_for_selector("#log li")
+        assert page.locator(".change .error:not([hidden])").count() == 0
+        page.get_by_role("slider", name="mill.gain").fill("4")
+        until(page, "document.querySelectorAll('#log li').length === 2")
+        assert "mill.gain = 4" in page.locator("#log li").first.inner_text()
+        page.get_by_role("textbox", name="mill.gain [m]").fill("11")
+        page.locator("form", has_text="mill.gain").get_by_role("button").click()
+        assert "[0, 10]" in page.locator(".change .error:not([hidden])").inner_text()
+        until(
+            page,
+            "[...document.querySelectorAll('figure .entry')].some((e) =>"
+            " e.children[1].textContent === 'mill.r_out' && parseFloat(e.children[2].textContent) > 100)",
+        )  # the effect: r_out = 4·30
+
+        page.get_by_role("button", name="Pause").click()
+        page.wait_for_selector("html[data-live=paused]", state="attached")
+        page.wait_for_timeout(300)
+        held = page.locator("#now").inner_text()
+        page.wait_for_timeout(300)
+        assert page.locator("#now").inner_text() == held
+        page.reload()  # nothing is lost
+        page.wait_for_selector("html[data-live=paused]", state="attached")
+        assert page.locator("#log li").count() == 2
+        page.get_by_role("button", name="Continue").click()
+        until(page, f"document.querySelector('#now').textContent !== '{held}'")
+
+        page.get_by_role("button", name="Stop").click()
+        page.wait_for_selector("html[data-live=stopped]", state="attached")
+        assert "interrupted" in page.locator("#message").inner_text()
+        page.reload()
+        page.wait_for_selector("html[data-live=stopped]", state="attached")
+        with page.context.expect_page() as popup:
+            page.get_by_role("link", name="Open the report").click()
+        popup.value.wait_for_selector("html[data-ready]", state="attached")
+        assert popup.value.locator("[data-chart]").count() > 0
+        assert popup.value.evaluate("fetch('events').then(() => 'read', () => 'refused')") == "refused"
+        popup.value.close()
+        page.close()
+        _, errors = process.communicate(timeout=60)
+        assert process.returncode == 130, errors
+    assert faults == []
+    results = read_results(tmp_path / "o" / "results.csv")
+    manifest = json.loads((tmp_path / "o" / "manifest.json").read_text())
+    assert 10 < len(results.time) < 6000
+    assert results["mill.r_out"][0] == 2.0
+    assert results["mill.r_out"][-1] == 120.0
+    assert [change["set"] for change in manifest["changes"]] == [{"mill.r_in": 30.0}, {"mill.gain": 4.0}]
+    assert manifest["status"].startswith("failed: the run")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_page_is_accessible_and_fits_narrow_screens(browser: Browser, tmp_path: Path, scheme: str) -> None:
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="no axe").Axe()
+    faults: list[str] = []
+    with live_command("run", slow_scenario(tmp_path), "--out", tmp_path / "o", folder=tmp_path) as (_, url):
+        page = opened(browser, url, faults, viewport={"width": 1300, "height": 900}, color_scheme=scheme)
+        until(page, "document.querySelectorAll('.x-ticks span').length > 4")
+        page.evaluate("document.querySelector('#stop').focus()")
+        found = axe.run(page).response["violations"]
+        assert [(v["id"], [node["html"] for node in v["nodes"]][:3]) for v in found] == []
+        box = page.locator(".charts .box").first
+        box.focus()
+        box.press("Home")
+        page.wait_for_selector(".charts.reading", state="attached")
+        assert page.locator(".charts .when").first.inner_text().endswith("s")
+        box.press("Escape")
+        page.wait_for_selector(".charts:not(.reading)", state="attached")
+        page.set_viewport_size({"width": 360, "height": 740})
+        page.wait_for_timeout(300)
+        assert page.evaluate("document.documentElement.scrollWidth") <= 360
+        assert page.get_by_role("button", name="Stop").is_visible()
+    assert faults == []
+
+
+def test_a_run_that_ends_shows_it_and_the_command_ends_with_its_page(browser: Browser, tmp_path: Path) -> None:
+    faults: list[str] = []
+    path = slow_scenario(tmp_path, duration=1.0)
+    with live_command("run", path, "--out", tmp_path / "o", folder=tmp_path) as (process, url):
+        page = opened(browser, url, faults)
+        page.wait_for_selector("html[data-live=finished]", state="attached")
+        assert page.get_by_role("link", name="Open the report").is_visible()
+        assert page.get_by_role("button", name="Stop").count() == 0
+        assert page.locator("#variables button").first.is_disabled()
+        page.close()
+        output, errors = process.communicate(timeout=60)
+        assert process.returncode == 0, errors
+        assert "results:" in output
+    assert faults == []
