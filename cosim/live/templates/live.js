@@ -155,7 +155,8 @@
           this.draw();
         });
         const unit = make("span", { class: "unit" }, signal.unit ? `[${signal.unit}]` : "");
-        const label = make("label", { "data-name": signal.name.toLowerCase() }, box, signal.name.slice(name.length + 1));
+        const words = signal.name.slice(name.length + 1),
+          label = make("label", { "data-name": signal.name.toLowerCase() }, box, words);
         label.append(" ", unit);
         parts.get(name).append(label);
       });
@@ -226,7 +227,8 @@
         const t = view.from + this.cursor * (view.to - view.from);
         row = Math.max(0, Math.min(count - 1, Math.round((t - first) / every)));
         const at = first + row * every;
-        one(".charts").style.setProperty("--cursor", `${((100 * (at - view.from)) / (view.to - view.from)).toFixed(3)}%`);
+        const share = (at - view.from) / (view.to - view.from);
+        one(".charts").style.setProperty("--cursor", `${(100 * share).toFixed(3)}%`);
         one(".charts").classList.toggle("cursor-late", this.cursor > 0.8);
         for (const tag of all(".charts .when")) put(tag, `${text(at)} s`);
       }
@@ -494,7 +496,8 @@
         make("b", { style: `left:${percent(low)};width:${percent(high - low)}` }),
       );
       const share = make("td", { class: "sized" }, bar);
-      share.append(make("span", { class: "note" }, of ? `${percent(met / of)} (${percent(low)} … ${percent(high)})` : ""));
+      const words = of ? `${percent(met / of)} (${percent(low)} … ${percent(high)})` : "";
+      share.append(make("span", { class: "note" }, words));
       return make(
         "tr",
         {},
