@@ -196,6 +196,11 @@ def test_slow_steps_are_looked_at_one_by_one_and_fast_ones_seldom() -> None:
     point = 1000
     assert point <= (due := inbox.next_look(point)) <= point + MOST_STEPS - 1
     assert inbox.next_look(due) == due
+    inbox.most = 1 << 40
+    assert inbox.next_look(1 << 40) > (1 << 40) + MOST_STEPS
+    time.sleep(0.6)
+    late = (1 << 40) + 3  # three steps in that time: the next step is looked at
+    assert inbox.next_look(late) == late
 
 
 @pytest.mark.parametrize("kind", ["memory", "file"])

@@ -94,12 +94,14 @@ def test_groups_of_rows_have_the_least_and_the_largest_of_their_rows(
     assert found.low.shape == found.high.shape
     assert found.low.shape[1] <= 2 * count + 1
     for k in range(found.low.shape[1]):
-        rows = values[found.first + k * found.size : found.first + (k + 1) * found.size]
-        rows = rows[: min(len(rows), found.size)]
-        last = k == found.low.shape[1] - 1
-        if not last or found.first + (k + 1) * found.size >= len(values):
-            assert found.low[:, k].tolist() == rows.min(axis=0).tolist()
-            assert found.high[:, k].tolist() == rows.max(axis=0).tolist()
+        begin = found.first + k * found.size
+        rows, asked = values[begin : begin + found.size], values[begin : min(begin + found.size, end)]
+        low, high = found.low[:, k], found.high[:, k]
+        assert (rows.min(axis=0) <= low).all()
+        assert (high <= rows.max(axis=0)).all()
+        assert len(asked)
+        assert (low <= asked.min(axis=0)).all()
+        assert (high >= asked.max(axis=0)).all()
     wanted = min(end, len(values))
     if first < wanted:
         assert found.first <= first

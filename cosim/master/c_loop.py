@@ -129,7 +129,9 @@ class CompiledSteps:
                 self._raise_no_item()
             elif why == StopReason.FAILED:  # without an error after Ctrl-C between C and Python
                 raise next(iter(self.slots[loop.plan.place].failures), KeyboardInterrupt())
-            elif why != StopReason.LATER:
+            elif why == StopReason.LATER:
+                pause = run.next_call(loop.plan.next)  # Steps may have become slower.
+            else:
                 run.components[loop.plan.place].raise_error(why, loop.plan, loop.slots[loop.plan.place])
 
     # -- internal -------------------------------------------------------------------------------

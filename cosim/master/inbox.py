@@ -1,7 +1,7 @@
 """Changes of parameters and inputs that arrive while a run is stepped, and pauses.
 
-The caller sends changes through a `Control`; the master takes them through an `Inbox` at its next look, at most
-`LOOK` [s] or `MOST_STEPS` steps later, and notes the communication point. An event at that point repeats the change.
+The caller sends changes through a `Control`; the master takes them through an `Inbox` at its next look, about
+`LOOK` [s] later, and notes the communication point. An event at that point repeats the change.
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ from cosim.system.events import Targets, Variable
 from cosim.system.system import System
 
 Values = Mapping[str, Mapping[str, Any]]  # component → variable → value
-LOOK, MOST_STEPS = 0.01, 50  # [s] between looks, and steps
+LOOK = 0.01  # [s] between looks
+MOST_STEPS, MOST_IN_C = 50, 5000  # steps between looks; the loop in C returns after a second at the latest
+LATE = 0.5  # [s] after which steps have become slower than expected
 PAUSE = 0.01  # [s] between looks during a pause
 
 
@@ -157,19 +159,23 @@ def _records(path: Path) -> Iterator[Any]:
 
 
 class Inbox:
-    """Received changes for the master."""
+    """Received changes for the master.
+
+    Attributes:
+        most: Most steps between looks.
+    """
 
     def __init__(self, channel: Channel) -> None:
-        self._channel = channel
+        self._channel, self.most = channel, MOST_STEPS
         self._point, self._due, self._time = 0, 0, -1.0
 
     def next_look(self, k: int) -> int:
         """Return the next point, from k on, at which to look; sooner if steps take long."""
-        if self._due < k:
-            now = time.perf_counter()
+        now = time.perf_counter()
+        if self._due < k or now - self._time > LATE:
             rate = (k - self._point) / max(now - self._time, 1e-9) if self._time >= 0.0 else 0.0  # [steps/s]
             self._point, self._time = k, now
-            self._due = k - 1 + max(1, min(MOST_STEPS, int(LOOK * rate)))
+            self._due = k - 1 + max(1, min(self.most, int(LOOK * rate)))
         return self._due
 
     def take(self, k: int, events: Values) -> Values:

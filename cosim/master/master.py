@@ -26,7 +26,7 @@ from cosim.isolation.rows import CALLS, OTHER, Rows
 from cosim.master import messages
 from cosim.master.c_loop import CompiledSteps, LoopData, prepare_steps
 from cosim.master.copying import Copying, Noisy, Plain, Through, doubles
-from cosim.master.inbox import Inbox
+from cosim.master.inbox import MOST_IN_C, Inbox
 from cosim.master.initialization import Initialization
 from cosim.master.instants import Instants
 from cosim.master.loops import solvers_of, step_function
@@ -175,6 +175,8 @@ class Master:
             self._step_in_python()
             return
         self._store_loop("C")
+        if self.inbox is not None:
+            self.inbox.most = MOST_IN_C
         try:
             steps.make_all()
         finally:
@@ -255,10 +257,10 @@ class Master:
             return k
         place = bisect.bisect_left(self.events, k)
         points = self.events[place : place + 1]
-        if self.progress is not None:
-            points.append(-(-k // PROGRESS_EVERY) * PROGRESS_EVERY)
-        if self.inbox is not None:
+        if self.inbox is not None:  # Progress is reported at its looks.
             points.append(self.inbox.next_look(k))
+        elif self.progress is not None:
+            points.append(-(-k // PROGRESS_EVERY) * PROGRESS_EVERY)
         return min(points, default=NEVER)
 
     def _calls(self, progress: Progress | None) -> tuple[Progress, ...]:
@@ -269,7 +271,8 @@ class Master:
         if self.beside:
             calls.append(lambda k: self.beside_rows.append(tuple(self.beside)))
         if progress is not None:
-            calls.append(lambda k: progress(k) if k and k % PROGRESS_EVERY == 0 else None)
+            every = PROGRESS_EVERY if self.inbox is None else 1
+            calls.append(lambda k: progress(k) if k and k % every == 0 else None)
         return tuple(calls)
 
     def _apply_events(self, k: int) -> None:
