@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import importlib
+import json
 import math
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -150,7 +155,8 @@ def test_units_of_a_column_are_in_its_metadata_or_its_name(tmp_path: Path) -> No
     assert playback("r", stated).functions[0](1.0) == pytest.approx(math.radians(1.0))
 
 
-def test_rows_of_every_kind_come_back_from_parquet_as_from_csv(tmp_path: Path) -> None:
+@pytest.mark.parametrize("suffix", [".parquet", ".mat", ".h5", ".mcap"])
+def test_rows_of_every_kind_come_back_as_from_csv(tmp_path: Path, suffix: str) -> None:
     values: Array = np.column_stack(
         (TIME**3 / 3.0, [0.0, 1.0, -2.0, 3.0, 4.0], [np.nan, 1e-300, -0.0, 5e-324, 1.7e308])
     )
@@ -161,13 +167,13 @@ def test_rows_of_every_kind_come_back_from_parquet_as_from_csv(tmp_path: Path) -
     }
     written = Results(TIME, ("a.x", "a.n", "a.odd"), values, {"a.x": "m"}, exact, frozenset({"a.n"}))
     read = []
-    for suffix in (".csv", ".parquet"):
-        written.write(tmp_path / f"r{suffix}")
-        read.append(read_results(tmp_path / f"r{suffix}", {"a.x": "m"}, tuple(exact)))
+    for each in (".csv", suffix):
+        written.write(tmp_path / f"r{each}")
+        read.append(read_results(tmp_path / f"r{each}", {"a.x": "m"}, tuple(exact)))
     csv, other = read
     assert csv.values.tobytes() == other.values.tobytes() == values.tobytes()
     assert (csv.columns, csv.units, csv.exact, csv.whole) == (other.columns, other.units, other.exact, other.whole)
-    assert written.write_what_fits(tmp_path / "fits.parquet") == 5
+    assert written.write_what_fits(tmp_path / f"fits{suffix}") == 5
 
 
 @pytest.mark.parametrize(
@@ -291,3 +297,103 @@ def test_a_format_that_is_unknown_is_one_message_before_any_work(project: Path) 
     with pytest.raises(InputError, match=r'no format "xls"; known here: CSV \(.csv\), Parquet \(.parquet\)'):
         cosim.run(project / "scenarios" / "regulate.yaml", project / "out", format="xls")
     assert not (project / "out").exists()
+
+
+# -- formats of other tools --------------------------------------------------------------------------------
+
+
+def _results(folder: Path, suffix: str) -> Path:
+    values = np.column_stack((TIME**2, 2.0 * TIME))
+    Results(TIME, ("tank.level", "tank.a[1]"), values, {"tank.level": "m"}).write(folder / f"r{suffix}")
+    return folder / f"r{suffix}"
+
+
+def test_mat_is_read_by_scipy_and_variables_of_other_tools_become_columns(tmp_path: Path) -> None:
+    scipy_io = pytest.importorskip("scipy.io")
+    content = scipy_io.loadmat(_results(tmp_path, ".mat"), simplify_cells=True)
+    assert list(content["names"]) == ["tank.level", "tank.a[1]"]
+    assert content["values"][:, 0].tolist() == (TIME**2).tolist()
+    scipy_io.savemat(tmp_path / "other.mat", {"t": TIME, "level": TIME**2, "gain": 3.0, "note": "text"})
+    other = read_results(tmp_path / "other.mat")
+    assert other.columns == ("level",)
+    assert other["level"].tolist() == (TIME**2).tolist()
+
+
+def test_mat_is_read_by_octave(tmp_path: Path) -> None:
+    octave = shutil.which("octave-cli")
+    if octave is None:
+        pytest.skip("no Octave")
+    path = _results(tmp_path, ".mat")
+    code = f"load('{path}'); printf('%s %g\\n', names{{1}}, values(end, 1))"
+    done = subprocess.run([octave, "--no-gui", "--eval", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["tank.level", "4"]
+
+
+def test_hdf5_is_read_by_h5py_and_datasets_of_other_tools_become_columns(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(_results(tmp_path, ".h5")) as file:
+        assert file["tank/level"][:].tolist() == (TIME**2).tolist()
+        assert dict(file["tank/level"].attrs) == {"name": "tank.level", "unit": "m", "column": 1}
+    with h5py.File(tmp_path / "other.hdf5", "w") as file:
+        file["time"], file["run/level [cm]"], file["run/short"] = TIME, TIME**2, [1.0]
+    other = read_results(tmp_path / "other.hdf5")
+    assert (other.columns, other.units) == (("run.level",), {"run.level": "cm"})
+
+
+def test_mcap_is_read_by_its_own_library(tmp_path: Path) -> None:
+    reader = pytest.importorskip("mcap.reader")
+    with _results(tmp_path, ".mcap").open("rb") as stream:
+        messages = list(reader.make_reader(stream).iter_messages())
+    schema, channel, message = messages[1]
+    assert (channel.topic, channel.message_encoding, message.log_time) == ("/tank", "json", 500_000_000)
+    assert json.loads(message.data) == {"time": 0.5, "level": 0.25, "a[1]": 1.0}
+    assert json.loads(schema.data)["properties"]["level"]["unit"] == "m"
+
+
+def test_mcap_has_no_times_before_zero(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="MCAP counts from 0"):
+        Results(TIME - 1.0, ("a.x",), TIME.reshape(-1, 1)).write(tmp_path / "r.mcap")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("suffix", [".mat", ".h5", ".mcap"])
+def test_a_torn_file_of_another_format_is_one_message(tmp_path: Path, suffix: str) -> None:
+    whole = _results(tmp_path, suffix).read_bytes()
+    torn = tmp_path / f"torn{suffix}"
+    for size in (0, 40, len(whole) // 2):
+        torn.write_bytes(whole[:size])
+        assert len(faults_of(torn)) == 1
+
+
+@pytest.mark.parametrize(("library", "format_"), [("h5py", "hdf5"), ("mcap", "mcap"), ("pyarrow", "parquet")])
+def test_a_library_that_is_missing_is_named_before_a_run(
+    project: Path, monkeypatch: pytest.MonkeyPatch, library: str, format_: str
+) -> None:
+    monkeypatch.setitem(sys.modules, library, None)
+    monkeypatch.setattr("cosim.base.extras.import_module", _without(library))
+    with pytest.raises(InputError, match=rf"pip install 'fmu-cosim\[{format_}\]'"):
+        cosim.run(project / "scenarios" / "regulate.yaml", project / "out", format=format_)
+    assert not (project / "out").exists()
+
+
+def _without(library: str) -> Any:
+    def load(module: str) -> Any:
+        if module.partition(".")[0] == library:
+            raise ModuleNotFoundError(f"No module named {library!r}", name=library)
+        return importlib.import_module(module)
+
+    return load
+
+
+@pytest.mark.parametrize("format_", ["mat", "hdf5", "mcap"])
+def test_a_run_in_another_format_is_read_again(tmp_path: Path, format_: str) -> None:
+    (tmp_path / "s.yaml").write_text(
+        "name: s\nduration: 1\nstep: 0.1\ncomponents:\n  ref:\n    block: reference\n"
+        "    signals: {x: {start: 1, unit: m, changes: [{at: 0.5, to: 2}]}}\n",
+        encoding="utf-8",
+    )
+    ran = cosim.run(tmp_path / "s.yaml", tmp_path / "out", format=format_, report=False)
+    read = cosim.read(tmp_path / "out")
+    assert isinstance(read, Run)
+    assert read.results.values.tobytes() == ran.results.values.tobytes()
+    assert read.results.units == ran.results.units

@@ -14,6 +14,8 @@ DISTRIBUTION = "fmu-cosim"
 EXTRAS = {  # library → extra that installs it
     "SALib": "sweep",
     "distributed": "dask",
+    "h5py": "hdf5",
+    "mcap": "mcap",
     "pandas": "sweep",
     "pyarrow": "parquet",
     "ziglang": "native",

@@ -31,7 +31,13 @@ from cosim.storage.table_columns import (
     note_missing,
 )
 
-OWN = {"csv": "cosim.storage.csv_source:CSV", "parquet": "cosim.storage.parquet_source:PARQUET"}
+OWN = {
+    "csv": "cosim.storage.csv_source:CSV",
+    "parquet": "cosim.storage.parquet_source:PARQUET",
+    "mat": "cosim.storage.mat_source:MAT",
+    "hdf5": "cosim.storage.hdf5_source:HDF5",
+    "mcap": "cosim.storage.mcap_source:MCAP",
+}
 HEAD = 64  # bytes examined to detect a format
 
 
@@ -159,6 +165,11 @@ def _note_values(column: Column, values: Array, lines: Sequence[int], faults: Fa
     if column.role:
         for row in np.flatnonzero(np.isnan(values)).tolist():
             note_missing(faults, lines[row], column)
+
+
+def as_text(value: Any) -> str:
+    """Return a value that is no double as text, binary data as hexadecimal digits."""
+    return value.hex() if isinstance(value, bytes) else str(value)
 
 
 # -- detection ----------------------------------------------------------------------------------

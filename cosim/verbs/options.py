@@ -51,7 +51,7 @@ Compile = Annotated[
 Format = Annotated[
     str,
     typer.Option(
-        "--format", help="File format of the rows: csv, parquet (needs pyarrow), or a format of an installed package."
+        "--format", help="File format of the rows: csv, parquet, mat, hdf5, mcap, or a format of an installed package."
     ),
 ]
 Nearest = Annotated[

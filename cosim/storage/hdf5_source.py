@@ -1,0 +1,90 @@
+"""HDF5: a dataset per signal, with its unit as an attribute. Needs h5py (extra `hdf5`)."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Container, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.drafts import draft_of
+from cosim.base.errors import Fault, InputError
+from cosim.base.extras import optional
+from cosim.storage import messages
+from cosim.storage.table_columns import split_heading
+from cosim.storage.table_source import Frame, Source, SourceColumn, as_text
+
+MAGIC = b"\x89HDF\r\n\x1a\n"
+
+
+class Hdf5(Source):
+    """HDF5, read and written by h5py. A dataset's attribute `name` is its full name, `unit` its unit."""
+
+    name = "HDF5"
+    suffixes = (".h5", ".hdf5")
+    magic = MAGIC
+    writes = True
+
+    def frame(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Frame:
+        """Read every dataset as long as `time`, in the order in which they were written."""
+        h5py = optional("h5py", lambda message: Fault(path, 0, 0, message))
+        columns: list[SourceColumn] = []
+        order: dict[str, int] = {}
+
+        def add(place: str, item: Any) -> None:
+            if not isinstance(item, h5py.Dataset) or item.ndim != 1:
+                return
+            name, unit = item.attrs.get("name"), item.attrs.get("unit")
+            if name is None:
+                name, unit = split_heading(place.replace("/", "."), names)
+            order[str(name)] = int(item.attrs.get("column", len(order)))
+            columns.append(SourceColumn(str(name), str(unit or ""), _values(item)))
+
+        try:
+            with h5py.File(path, "r") as file:
+                file.visititems(add)
+        except (OSError, RuntimeError, ValueError, KeyError) as error:
+            reason = str(error).strip().partition("\n")[0][:200]
+            raise InputError.at(path, messages.BAD_TABLE(format="HDF5", reason=reason)) from None
+        time = next((c for c in columns if c.name.lower() in {"time", "t"}), None)
+        if time is None:
+            return Frame()
+        rows = len(time.values)
+        columns.sort(key=lambda c: order[c.name])
+        others = [c for c in columns if c is not time and len(c.values) == rows]
+        return Frame([SourceColumn("time", time.unit or "s", time.values), *others], range(1, rows + 1))
+
+    def check_writable(self) -> None:
+        """Raise InputError if h5py is not installed."""
+        optional("h5py", "--format hdf5")
+
+    def write(self, path: Path, columns: Sequence[SourceColumn]) -> None:
+        """Write a dataset per column; dots of a name separate groups."""
+        h5py = optional("h5py", "--format hdf5")
+        with draft_of(path) as draft, h5py.File(draft, "w") as file:
+            for number, column in enumerate(columns):
+                place = column.name if column.name == "time" else _place(column.name)
+                place = place if place not in file else f"signal {number}"
+                values: Any = column.values
+                if not isinstance(values, np.ndarray):
+                    values = np.array([as_text(v) for v in values], dtype=h5py.string_dtype())
+                data = file.create_dataset(place, data=values, compression="gzip" if len(values) else None)
+                data.attrs.update({"name": column.name, "unit": column.unit, "column": number})
+
+
+HDF5 = Hdf5()
+
+
+def _place(name: str) -> str:
+    """Return the path of a signal: a group for its component."""
+    component, _, variable = name.partition(".")
+    return f"{component}/{variable.replace('/', '|') or 'value'}"
+
+
+def _values(item: Any) -> Any:
+    """Return the values of a dataset: numbers, or a list of texts."""
+    if item.dtype.kind in "biuf":
+        values = item[:]
+        return values.astype(np.int64) if item.dtype.kind in "biu" else values.astype(np.float64)
+    return [str(v) for v in (item.asstr()[:] if item.dtype.kind in "OS" else item[:])]

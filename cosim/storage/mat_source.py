@@ -1,0 +1,125 @@
+"""MAT files of MATLAB and Octave, version 5: time, a matrix of numbers, and the names of its columns.
+
+A file of another tool may have a variable of numbers per signal instead, as long as time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Container, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.drafts import draft_of
+from cosim.base.errors import InputError
+from cosim.storage import messages
+from cosim.storage.table_columns import split_heading
+from cosim.storage.table_source import Frame, Source, SourceColumn, as_text
+
+MAGIC = b"MATLAB 5.0 MAT-file"
+MOST_BYTES = 2**31 - 1  # of a variable
+
+
+class Mat(Source):
+    """MAT-file version 5, read and written by scipy.
+
+    Variables: `time`, `values` with a row per time, `names`, `units` and `whole` (integers) of its columns; `text`,
+    `text_names` and `text_units` for values that are no doubles.
+    """
+
+    name = "MAT"
+    suffixes = (".mat",)
+    magic = MAGIC
+    writes = True
+
+    def frame(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Frame:
+        """Read all columns."""
+        content = _content(path)
+        columns = [*_own_columns(content)] if "names" in content else [*_variables(content, names)]
+        return Frame(columns, range(1, len(columns[0].values) + 1 if columns else 1))
+
+    def write(self, path: Path, columns: Sequence[SourceColumn]) -> None:
+        """Write columns, time first.
+
+        Raises:
+            InputError: The rows need more than the 2 GB of a variable.
+        """
+        from scipy.io import savemat
+
+        time, *others = columns
+        numbers = [c for c in others if isinstance(c.values, np.ndarray)]
+        texts = [c for c in others if not isinstance(c.values, np.ndarray)]
+        rows = len(time.values)
+        if 8 * rows * max(1, len(numbers)) > MOST_BYTES:
+            raise InputError.at(path, messages.LARGE_MAT(rows=rows, columns=len(numbers)))
+        content: dict[str, Any] = {
+            "time": np.asarray(time.values, dtype=np.float64).reshape(-1, 1),
+            "values": np.column_stack([c.values for c in numbers]).astype(np.float64)
+            if numbers
+            else np.empty((rows, 0)),
+            "whole": np.array([[c.values.dtype.kind == "i" for c in numbers]], dtype=bool),  # type: ignore[union-attr]
+            "names": _cells([c.name for c in numbers]),
+            "units": _cells([c.unit for c in numbers]),
+        }
+        if texts:
+            cells = _cells([as_text(value) for c in texts for value in c.values]).reshape(len(texts), rows).T
+            content |= {"text": cells, "text_names": _cells([c.name for c in texts])}
+            content["text_units"] = _cells([c.unit for c in texts])
+        with draft_of(path) as draft, draft.open("wb") as stream:
+            savemat(stream, content, do_compression=True)
+
+
+MAT = Mat()
+
+
+def _content(path: Path) -> Mapping[str, Any]:
+    from scipy.io import loadmat
+
+    try:
+        content: Mapping[str, Any] = loadmat(path)
+    except NotImplementedError:  # version 7.3
+        raise InputError.at(path, messages.MAT_73()) from None
+    except OSError as error:
+        raise InputError.at(path, messages.BAD_TABLE(format="MAT", reason=error.strerror or error)) from None
+    except Exception as error:  # scipy reports damage by many kinds of errors
+        raise InputError.at(path, messages.BAD_TABLE(format="MAT", reason=str(error)[:200])) from None
+    return content
+
+
+def _own_columns(content: Mapping[str, Any]) -> Iterator[SourceColumn]:
+    """Yield the columns of a file written by `Mat.write`."""
+    yield SourceColumn("time", "s", np.ravel(content["time"]).astype(np.float64))
+    whole = np.ravel(content["whole"])
+    for k, (name, unit) in enumerate(zip(_words(content["names"]), _words(content["units"]), strict=True)):
+        values: Array = np.ascontiguousarray(content["values"][:, k], dtype=np.float64)
+        yield SourceColumn(name, unit, values.astype(np.int64) if whole[k] else values)
+    if "text" in content:
+        heads = zip(_words(content["text_names"]), _words(content["text_units"]), strict=True)
+        for k, (name, unit) in enumerate(heads):
+            yield SourceColumn(name, unit, _words(content["text"][:, k]))
+
+
+def _variables(content: Mapping[str, Any], names: Container[str]) -> Iterator[SourceColumn]:
+    """Yield the variables as long as `time`, which comes first."""
+    vectors = {name: np.ravel(v) for name, v in content.items() if isinstance(v, np.ndarray) and max(v.shape) == v.size}
+    time = next((v for name, v in vectors.items() if split_heading(name)[0].lower() in {"time", "t"}), None)
+    if time is None:
+        return
+    yield SourceColumn("time", "s", time.astype(np.float64))
+    for heading, values in vectors.items():
+        if values is not time and values.size == time.size and values.dtype.kind in "biuf":
+            name, unit = split_heading(heading, names)
+            yield SourceColumn(name, unit, values.astype(np.int64 if values.dtype.kind in "biu" else np.float64))
+
+
+def _cells(texts: Sequence[str]) -> Any:
+    """Return a cell array of one row."""
+    cells = np.empty((1, len(texts)), dtype=object)
+    cells[0, :] = texts
+    return cells
+
+
+def _words(cells: Any) -> list[str]:
+    return ["".join(map(str, np.ravel(cell))) for cell in np.ravel(cells)]
