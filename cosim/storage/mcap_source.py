@@ -38,6 +38,7 @@ class Mcap(Source):
         reader = optional("mcap.reader", lambda message: Fault(path, 0, 0, message))
         signals: dict[str, dict[float, Any]] = {}
         units: dict[str, str] = {}
+        properties: dict[int, dict[str, Any]] = {}
         try:
             with path.open("rb") as stream:
                 for schema, channel, message in reader.make_reader(stream).iter_messages():
@@ -45,11 +46,13 @@ class Mcap(Source):
                         continue
                     content = json.loads(message.data)
                     t = float(content.pop("time", message.log_time / NANO))
-                    about = json.loads(schema.data).get("properties", {}) if schema is not None else {}
+                    if channel.id not in properties:
+                        properties[channel.id] = _properties(schema)
+                    topic = channel.topic.strip("/").replace("/", ".")
                     for name, value in content.items():
-                        full = f"{channel.topic.strip('/').replace('/', '.')}.{name}".removeprefix(".")
+                        full = f"{topic}.{name}".removeprefix(".")
                         signals.setdefault(full, {})[t] = value
-                        units.setdefault(full, about.get(name, {}).get("unit", ""))
+                        units.setdefault(full, properties[channel.id].get(name, {}).get("unit", ""))
         except Exception as error:  # mcap reports damage by errors of its own and of struct
             raise InputError.at(path, messages.BAD_TABLE(format="MCAP", reason=str(error)[:200])) from None
         times = sorted({t for values in signals.values() for t in values})
@@ -100,6 +103,12 @@ class Mcap(Source):
 
 
 MCAP = Mcap()
+
+
+def _properties(schema: Any) -> dict[str, Any]:
+    """Return name → description of the variables of a JSON schema."""
+    content: dict[str, Any] = json.loads(schema.data) if schema is not None and schema.data else {}
+    return content.get("properties", {})
 
 
 def _cell(value: Any) -> Any:
