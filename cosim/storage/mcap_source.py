@@ -108,7 +108,8 @@ MCAP = Mcap()
 def _properties(schema: Any) -> dict[str, Any]:
     """Return name → description of the variables of a JSON schema."""
     content: dict[str, Any] = json.loads(schema.data) if schema is not None and schema.data else {}
-    return content.get("properties", {})
+    properties: dict[str, Any] = content.get("properties", {})
+    return properties
 
 
 def _cell(value: Any) -> Any:
