@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -83,3 +84,14 @@ def test_an_addition_counts_relative_to_its_output(problem: Problem) -> None:
     shares = unknown_inputs(problem, at, [True] * 3, units)
     swing = np.ptp(problem.logs[0].y[:, 1])
     assert shares["motor_w"] == pytest.approx(np.exp(0.5 * at.noise.power[1]) / swing, rel=0.5)
+
+
+def test_a_late_reading_lies_between_two_rows_of_the_run(problem: Problem) -> None:
+    late, rows = 2.634, np.arange(ROWS)
+    own = problem.own_run(0).outputs
+    y = own.copy()
+    y[:, 0] = np.interp(rows - late, rows, own[:, 0])
+    posed = replace(problem, logs=[replace(problem.logs[0], y=y)])
+    values = {**problem.values, "latency_at_motor_phi.value": late * STEP}
+    errors, _ = posed.innovations(values, problem.at(problem.noise.smallest), 0)
+    assert np.nanmax(np.abs(errors[10:-5, 0])) < 1e-9 * np.ptp(y[:, 0])

@@ -18,7 +18,7 @@ from cosim.base.linear_algebra import least_squares, pseudo_inverse
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem, Scored
-from cosim.kernel.remote_kernel import processor_time
+from cosim.kernel.remote_kernel import RemoteLibraryKernel, processor_time
 from cosim.subject.candidates import Free
 
 ITERATIONS = 30
@@ -29,6 +29,7 @@ LONGER = 3  # factor on the iterations of a fit above the objective of its parts
 FAIR = 3  # iterations granted to a fit that starts away from its base; otherwise one
 FAR, LEVELS = 3.0, 9  # innovations in standard deviations, from which so many levels of the unknown inputs are compared
 MAX_SECONDS = 240.0  # [s] of processor time of one fit, after which the search goes on with the values reached
+GOOD = 0.7  # share of the expected improvement from which the slopes serve for a second step
 PROMISE = 3.0  # factor on the improvement of the quadratic model before a fit is abandoned
 
 
@@ -183,30 +184,38 @@ class _Scoring:
         self.theta = self._within(np.array([*(self.start[f.name] for f in free), *self.noise_start[self.free_noise]]))
         self.damping = 1e-3
         self.enough = CONVERGED if sensing else NEARLY
+        self.is_dear = isinstance(problem.kernel, RemoteLibraryKernel)  # slopes then serve two steps
 
     def run(self, iterations: int, patience: Patience) -> Fit:
         """Iterate until the objective converges."""
         self.scored = self._evaluate(self.theta)
-        done, converged, is_cut, pace, limit = 0, False, False, 0.0, iterations
+        done, converged, is_cut, pace, limit, is_kept = 0, False, False, 0.0, iterations, False
+        slopes = np.zeros((0, 0)), np.zeros((0, 0))
         end = processor_time() + MAX_SECONDS  # unlike the clock, no matter of what else the machine does
         information = np.zeros((len(self.theta),) * 2)
         if not np.isfinite(self.scored.nll):
             limit = 0  # The filter diverges at the start values.
         while done < limit and not (converged or is_cut):
-            gradient, curvature = self.derivatives(*self.sensitivities())
+            slopes = slopes if is_kept else self.sensitivities()
+            gradient, curvature = self.derivatives(*slopes)
             if not (np.isfinite(gradient).all() and np.isfinite(curvature).all()):
                 break  # The model diverges near this point, so no search direction exists.
             information = curvature
             before = self._objective(self.theta, self.scored)
-            hope = PROMISE * 0.5 * float(gradient @ least_squares(information, gradient))
+            expected = 0.5 * float(gradient @ least_squares(information, gradient))
+            hope = PROMISE * expected
             limit = iterations
             if before > patience.reached:  # The optimum is far away.
                 limit *= LONGER
                 hope = max(hope, pace * (limit - done))
             if done >= patience.fair and before - hope > patience.goal:
                 break
+            damping = self.damping
             pace = self._move(gradient, information)
-            converged = pace < self.enough
+            if is_kept and not pace:
+                self.damping = damping  # the slopes are to blame
+            converged = pace < self.enough and not is_kept
+            is_kept = not is_kept and self.is_dear and pace > max(self.enough, GOOD * expected)
             is_cut = not converged and processor_time() > end
             done += 1
         unscaled, penalty = information / np.outer(self.size, self.size), self._penalty(self.theta)

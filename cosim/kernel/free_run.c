@@ -23,6 +23,13 @@ static double lag_over_row(const Lags *lags, int j, double *m, double value)
     return reading;
 }
 
+/* The next reading, for one that is younger than its row: the run is known there. */
+static double following(const Lags *lags, const Log *log, int k, int j)
+{
+    const double value = run_outputs[NY * (k + 1 < log->rows ? k + 1 : k) + j];
+    return lags->on[j] ? lags->m[j] + lags->alpha[j] * value : value;
+}
+
 int filter(const Log *log, const double *p, const double *x0, const double *P0, const double *q, const double *r,
            double *errors, double *variances, double *states, double *memories, double *covariances)
 {
@@ -48,7 +55,8 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
             P[(NS + 1) * j] += q[j] * log->step;
         }
         for (int j = 0; j < NY; j++) {
-            const double measured = log->y[NY * k + j], part = log->late && k ? log->late[NY * k + j] : 0.0;
+            const double measured = log->y[NY * k + j], age = log->late ? log->late[NY * k + j] : 0.0;
+            const double part = k == 0 && age > 0.0 ? 0.0 : age;
             double slopes[NK + 1], PH[NS + 1];
             for (int i = 0; i < NK; i++) {
                 slopes[i] = run_slopes[NK * (NY * k + j) + i];
@@ -58,7 +66,7 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
             }
             errors[NY * k + j] = variances[NY * k + j] = NAN;
             if (isnan(measured)) continue;
-            const double late = part != 0.0 ? part * (y[j] - before[j]) : 0.0;
+            const double late = part == 0.0 ? 0.0 : part * (part > 0.0 ? y[j] - before[j] : following(&lags, log, k, j) - y[j]);
             double e = measured - (y[j] - late) - z[j], s = r[NY * k + j];
             for (int l = 0; l < NS; l++) {
                 PH[l] = P[NS * l + j];

@@ -56,6 +56,8 @@ class FmuSubject(ModelSubject):
         limits: Limits of a pass of the filter over a log.
     """
 
+    probed = True
+
     def __init__(self, loaded: LoadedModel, structure: Structure, limits: Limits = NO_LIMITS) -> None:
         super().__init__(loaded)
         self.structure, self.limits = structure, limits

@@ -104,6 +104,7 @@ class Subject(Protocol):
         told_apart_by: Rivals → experiment that separates them, in words.
         drawn_against: Candidate → signals for plots.
         inestimable: Parameters that a filter cannot estimate, such as a delay of commands.
+        probed: True for an FMU, whose terms are those of a general catalogue.
         static: True without states; a log is a table without time.
         source: Origin, for the provenance.
         undelivered: Reason why `write` writes nothing although it should.
@@ -128,6 +129,7 @@ class Subject(Protocol):
     told_apart_by: Mapping[frozenset[str], str] = {}
     drawn_against: Mapping[str, tuple[str, ...]] = {}
     inestimable: frozenset[str] = frozenset()
+    probed: bool = False
     static: bool = False
     source: str = "an object of Python"
     undelivered: str = ""

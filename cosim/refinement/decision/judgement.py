@@ -43,7 +43,7 @@ def decide(result: SearchResult) -> Attribution:
     rest = _drop_unsupported(search, result.best)
     best = rest.best
     if best.candidates:
-        best = with_intervals(search, best)
+        best = _with_certain_parts(search, best, rest.dropped)
     rivals = _rivals(search, best)
     tried = tuple(sorted(search.tried.values(), key=lambda h: h.score))
     reasons = {h.names: _reason(search, h, best, rivals, rest.dropped) for h in tried if h.names != best.names}
@@ -95,6 +95,25 @@ def _drop_unsupported(search: Search, best: Hypothesis) -> _Remainder:
         return rest
     support = {c.name: _support(search, fuller, of_fuller[c.name]) for c in fuller.candidates}
     return _Remainder(fuller, support, {n: doubt for n, doubt in rest.dropped.items() if n not in fuller.names})
+
+
+def _with_certain_parts(search: Search, best: Hypothesis, dropped: dict[str, str]) -> Hypothesis:
+    """Return a hypothesis with intervals; of an FMU, without parts that may have no effect.
+
+    Of the many terms of a general catalogue one often corrects another one, at a value that differs between the logs.
+
+    Args:
+        dropped: Name of a dropped part → reason, to add to.
+    """
+    best = with_intervals(search, best)
+    weak = [c for c in best.candidates if c.kind != "parameter" and not best.is_away(c, NORMAL_95)]
+    if not (search.subject.probed and weak):
+        return best
+    dropped[weak[0].name] = "its interval contains the value without effect"
+    others = tuple(c for c in best.candidates if c is not weak[0])
+    rest = search.tried.get(key_of(others)) or search.hypothesis(others, best.fit)
+    search.tried[rest.names] = rest
+    return _with_certain_parts(search, rest, dropped) if others else rest
 
 
 def _gain_together(search: Search, fuller: Hypothesis, rest: Hypothesis) -> bool:

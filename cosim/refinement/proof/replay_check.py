@@ -14,7 +14,15 @@ from cosim.base.arrays import Array
 from cosim.estimation.fit import Fit
 from cosim.estimation.problem import Problem
 from cosim.refinement.decision.claims import Claims, Doubt, MovedParameter, Part, experiment_for, name_of
-from cosim.refinement.decision.judgement import BETTER, RIVAL, SIGNIFICANT, is_beyond_tolerance, is_outside_tolerance
+from cosim.refinement.decision.evidence import open_loop, sum_per_scatter
+from cosim.refinement.decision.judgement import (
+    BETTER,
+    RIVAL,
+    SIGNIFICANT,
+    UNSURE,
+    is_beyond_tolerance,
+    is_outside_tolerance,
+)
 from cosim.refinement.proof.measure import FLOOR_SEED, noise_floor, predicted_errors
 from cosim.refinement.proof.refined_models import refined_subject, variants_of, with_log_noise
 from cosim.refinement.search.fits import Search, SearchResult
@@ -47,7 +55,12 @@ def check_with_replays(study: Study, a: Attribution, claims: Claims, result: Sea
     error, floor = _replay_errors(study, a, claims, problem, result.sensors)
     if is_single and (doubt := _error_doubt(error, floor)):
         return claims.withdraw(doubt)
-    claims = check_claim(claims, error, floor, a.support, recalibrated=is_within, halves=a.halves_error)
+    nearer = not study.subject.probed or _is_clearly_worse(
+        problem, study.subject.horizon, claims.claimed.fit, a.base.fit
+    )
+    claims = check_claim(
+        claims, error, floor, a.support, recalibrated=is_within, halves=a.halves_error, must_be_nearer=nearer
+    )
     if claims.claimed is None or claims.claimed.is_of_sensors or claims.further:
         return claims
     return replace(claims, further=beyond_tolerance(claims.claimed.fit))
@@ -85,6 +98,7 @@ def check_claim(
     *,
     recalibrated: bool = True,
     halves: bool = False,
+    must_be_nearer: bool = True,
 ) -> Claims:
     """Return the claims, graded or withdrawn according to replays.
 
@@ -93,11 +107,12 @@ def check_claim(
     Args:
         recalibrated: True if the recalibrated base model is within its tolerances and so an alternative.
         halves: True if the claim halves the error on held-out logs. It is then at least a part of the answer.
+        must_be_nearer: True if effects must reduce the error of some channel.
     """
     if claims.claimed is None:
         return claims
     is_of_sensors = claims.claimed.is_of_sensors
-    effects = recalibrated and "effect" in {c.kind for c in claims.claimed.candidates}
+    effects = must_be_nearer and recalibrated and "effect" in {c.kind for c in claims.claimed.candidates}
     doubt = _error_doubt(error, floor) if is_of_sensors else _plant_doubt(error, floor, effects=effects)
     if doubt and not halves:
         return claims.withdraw(doubt)
@@ -110,6 +125,21 @@ def check_claim(
     if weak:
         return claims.withdraw(Doubt("unsteady", names=weak))
     return replace(claims, grade="part", part=Part(worst, share))
+
+
+def _is_clearly_worse(problem: Problem, horizon: float, claimed: Fit, base: Fit) -> bool:
+    """Return True if replays with a claim are worse than without, beyond their scatter.
+
+    Replays of small effects tell less than innovations, and a few windows dominate a mean square. So the logarithms of
+    the errors of each replay are compared.
+    """
+    gains = []
+    for k in range(len(problem.logs)):
+        errors = [np.sqrt(np.nanmean(open_loop(problem, horizon, f, k) ** 2, axis=1)) for f in (base, claimed)]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratios = np.log(errors[0] / errors[1])
+        gains += [float(np.mean(row)) for row in ratios if np.isfinite(row).all()]
+    return sum_per_scatter(np.array(gains)) < -UNSURE
 
 
 def _weak_parts(claimed: Hypothesis, support: Mapping[str, Support]) -> tuple[str, ...]:
