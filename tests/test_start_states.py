@@ -8,13 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cosim.estimation import fit as fitting
 from cosim.estimation.posing import build_problem, halve_log
 from cosim.estimation.problem import Problem
 from cosim.estimation.start_states import with_likely_starts
+from cosim.kernel.remote_kernel import RemoteLibraryKernel
 from cosim.refinement.decision.evidence import Replays
 from cosim.refinement.search.missing import unknown_inputs
 from cosim.refinement.study import Study, read_study
 from cosim.residuals.drive import Drive, log_of_fmu
+from cosim.subject.candidates import Free
 from tests.blind.fmu_build import build
 from tests.logs import write_log
 
@@ -64,9 +67,7 @@ def test_a_free_run_leaves_no_more_than_the_noise(problem: Problem) -> None:
 
 
 def test_predictions_are_parts_of_the_free_run(study: Study, problem: Problem) -> None:
-    from cosim.estimation.fit import initial_fit
-
-    residuals = Replays(problem, study.subject.horizon, initial_fit(problem), 0).residuals(problem.values)
+    residuals = Replays(problem, study.subject.horizon, fitting.initial_fit(problem), 0).residuals(problem.values)
     sizes = np.sqrt(np.nanmean(residuals**2, axis=(0, 1)))
     assert sizes == pytest.approx([*NOISE.values()], rel=0.3)
 
@@ -78,9 +79,7 @@ def test_half_a_log_keeps_the_whole_run(problem: Problem) -> None:
 
 
 def test_an_addition_counts_relative_to_its_output(problem: Problem) -> None:
-    from cosim.estimation.fit import initial_fit
-
-    at, units = initial_fit(problem), {"motor_phi": "rad", "motor_w": "rad/s", "load_phi": "rad"}
+    at, units = fitting.initial_fit(problem), {"motor_phi": "rad", "motor_w": "rad/s", "load_phi": "rad"}
     shares = unknown_inputs(problem, at, [True] * 3, units)
     swing = np.ptp(problem.logs[0].y[:, 1])
     assert shares["motor_w"] == pytest.approx(np.exp(0.5 * at.noise.power[1]) / swing, rel=0.5)
@@ -95,3 +94,15 @@ def test_a_late_reading_lies_between_two_rows_of_the_run(problem: Problem) -> No
     values = {**problem.values, "latency_at_motor_phi.value": late * STEP}
     errors, _ = posed.innovations(values, problem.at(problem.noise.smallest), 0)
     assert np.nanmax(np.abs(errors[10:-5, 0])) < 1e-9 * np.ptp(y[:, 0])
+
+
+def test_slopes_that_serve_two_steps_lead_to_the_same_values(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+    free = [Free("motor_b", 0.0, 1.0, 0.002, (0.02, 0.002)), Free("load_J", 0.001, 1.0, 0.003, (0.03, 0.003))]
+    start = {**problem.values, "motor_b": 0.024, "load_J": 0.033}
+    noise, results = problem.plain, []
+    for kernel in (RemoteLibraryKernel, type(None)):
+        monkeypatch.setattr(fitting, "RemoteLibraryKernel", kernel)
+        results.append(fitting.fit(problem, free, start, noise, sensing=False))
+    assert results[0].objective == pytest.approx(results[1].objective, abs=0.5)
+    for name in ("motor_b", "load_J"):
+        assert abs(results[0].values[name] - results[1].values[name]) < 0.3 * results[1].sigma(name)

@@ -1,0 +1,63 @@
+"""Rules of decision for FMUs: parts without a certain effect, replays of small effects, experiments for rivals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cosim.estimation.fit import Fit
+from cosim.refinement.decision import judgement
+from cosim.refinement.proof import replay_check
+from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.subject.candidates import Candidate, Free
+from cosim.terms.alike import experiments_for
+
+
+def hypothesis(estimates: Mapping[str, tuple[float, float]]) -> Hypothesis:
+    """Return a fit of effects with one parameter each: name → value and standard deviation."""
+    free = {name: Free(f"{name}.value", -9.0, 9.0, 0.1, neutral=0.0) for name in estimates}
+    values = {free[name].name: value for name, (value, _) in estimates.items()}
+    information = np.diag([sigma**-2 for _, sigma in estimates.values()])
+    noise: Any = None
+    fit = Fit(values, noise, tuple(free.values()), (0.0,), 0.0, information, 1, True)
+    return Hypothesis(tuple(Candidate(name, "sensor", (f,), ({},)) for name, f in free.items()), fit, 0.0)
+
+
+@pytest.mark.parametrize(("probed", "names"), [(True, ("late",)), (False, ("lag", "late"))])
+def test_a_part_of_an_fmus_claim_has_an_interval_without_the_neutral_value(
+    monkeypatch: pytest.MonkeyPatch, probed: bool, names: tuple[str, ...]
+) -> None:
+    monkeypatch.setattr(judgement, "with_intervals", lambda search, h: h)
+    alone = hypothesis({"late": (2.6, 0.1)})
+    search: Any = SimpleNamespace(subject=SimpleNamespace(probed=probed), tried={("late",): alone})
+    dropped: dict[str, str] = {}
+    best = judgement._with_certain_parts(search, hypothesis({"lag": (0.2, 0.3), "late": (2.4, 0.3)}), dropped)
+    assert best.names == names
+    assert list(dropped) == (["lag"] if probed else [])
+
+
+@pytest.mark.parametrize(("others", "is_worse"), [(0.9, False), (1.1, True)])
+def test_one_window_does_not_speak_against_a_small_effect(
+    monkeypatch: pytest.MonkeyPatch, others: float, is_worse: bool
+) -> None:
+    """The claim is worse in one window, where an unstable motion parts from the log, and better or worse elsewhere."""
+    rng = np.random.default_rng(1)
+    base = rng.uniform(0.9, 1.1, (9, 20, 2))
+    claim = others * base
+    claim[4] *= 50.0 if others < 1.0 else 1.0
+    base[4] *= 40.0 if others < 1.0 else 1.0
+    monkeypatch.setattr(replay_check, "open_loop", lambda problem, horizon, f, k: {"base": base, "claim": claim}[f])
+    problem: Any = SimpleNamespace(logs=[None])
+    fits: Any = ("claim", "base")
+    assert replay_check._is_clearly_worse(problem, 1.0, *fits) is is_worse
+
+
+def test_rivals_that_look_alike_have_an_experiment() -> None:
+    names = ["delay", "lag_at_torque", "latency_at_angle", "leak_at_level"]
+    rows = experiments_for(names)
+    (text,) = [text for row, text in rows.items() if {"delay", "lag_at_torque"} <= row]
+    assert "a delay waits" in text
