@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -54,6 +55,25 @@ def test_one_window_does_not_speak_against_a_small_effect(
     problem: Any = SimpleNamespace(logs=[None])
     fits: Any = ("claim", "base")
     assert replay_check._is_clearly_worse(problem, 1.0, *fits) is is_worse
+
+
+@pytest.mark.parametrize(
+    ("simple", "rich", "gain", "is_rival"),
+    [
+        ("coulomb_at_v", "stribeck_at_v", 4.1, True),  # more than chance, less than the cost of two parameters
+        ("coulomb_at_v", "stribeck_at_v", 1.0, False),
+        ("coulomb_at_v", "stribeck_at_w", 4.1, False),
+        ("coulomb_at_v", "cogging_at_v", 4.1, False),
+    ],
+)
+def test_a_richer_term_that_looks_alike_is_a_rival_beyond_chance(
+    simple: str, rich: str, gain: float, is_rival: bool
+) -> None:
+    best, other = hypothesis({simple: (1.0, 0.1)}), hypothesis({rich: (1.0, 0.1)})
+    (candidate,) = other.candidates
+    more = replace(candidate, free=(*candidate.free, *(replace(candidate.free[0], name=n) for n in "ab")))
+    other = replace(other, candidates=(more,), fit=replace(other.fit, nll_by_log=(-gain,)))
+    assert judgement._is_richer_twin(best, other) is is_rival
 
 
 def test_rivals_that_look_alike_have_an_experiment() -> None:

@@ -25,9 +25,11 @@ from cosim.refinement.search.fits import Search, SearchResult, key_of
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
 from cosim.subject.base_parameters import WIDTHS
 from cosim.subject.candidates import Candidate, Free
+from cosim.terms.alike import are_alike
 
 RIVAL = 3.0  # score difference within which another hypothesis explains the logs equally well
 UNSURE = 2.0  # difference in log-likelihood to a rival per scatter, below which it is not significant
+BY_CHANCE = 0.05  # probability below which the gain of a richer term that looks alike is no chance
 NEAR = 8.0  # score difference beyond which no hypothesis is a rival, whatever the scatter
 SIGNIFICANT = 3.0  # standard deviations from the neutral value
 LITTLE = "its gain may be chance"
@@ -196,13 +198,27 @@ def _rivals(search: Search, best: Hypothesis) -> tuple[Hypothesis, ...]:
 
 
 def _is_rival(search: Search, best: Hypothesis, h: Hypothesis) -> bool:
-    if h.score - best.score < RIVAL:
+    if h.score - best.score < RIVAL or (search.subject.probed and _is_richer_twin(best, h)):
         return True
     weight, cost, least = search.problem.scatter, search.cost(h.candidates), search.cost(best.candidates)
     if any(_with_tolerance(h, t, weight) + cost < _with_tolerance(best, t, weight) + least for t in TOLERANCES):
         return True
     # The larger cost of a richer hypothesis counts against it; otherwise every extension of the best would be a rival.
     return preference(search.problem, best.fit, h.fit, max(0.0, cost - least)) < UNSURE
+
+
+def _is_richer_twin(best: Hypothesis, h: Hypothesis) -> bool:
+    """Return True if a hypothesis has a richer term in place of one that looks alike, and gains more than chance.
+
+    The gain need not be worth the cost of the further parameters: the simpler term alone would be a wrong name.
+    """
+    from scipy.special import chdtri
+
+    own, others = set(best.names) - set(h.names), set(h.names) - set(best.names)
+    more = sum(len(c.free) for c in h.candidates) - sum(len(c.free) for c in best.candidates)
+    if len(own) != 1 or len(others) != 1 or more < 1 or not are_alike(own.pop(), others.pop()):
+        return False
+    return best.fit.objective - h.fit.objective > 0.5 * float(chdtri(more, BY_CHANCE))
 
 
 def _with_tolerance(h: Hypothesis, times: float, weight: float) -> float:

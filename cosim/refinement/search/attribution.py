@@ -26,6 +26,7 @@ from cosim.refinement.search.fits import SCREEN_ITERATIONS, Progress, Search, Se
 from cosim.refinement.search.hypotheses import Hypothesis, best_hypothesis
 from cosim.subject.candidates import Candidate
 from cosim.subject.interface import Subject
+from cosim.terms.alike import are_alike
 
 FITTED = 6  # sets fitted in each round
 AMONG = 10  # most promising candidates from which pairs and larger sets are formed
@@ -282,8 +283,11 @@ class Attributor:
             terms = [t for t in in_parallel(test.terms, others) if not t.switched]
             promises = Choice(test, terms, (), search.problem.values).extensions(())
             likely = [name for name in promises if promises[name].within][:REPLACING]
+            if search.subject.probed:
+                likely += [c.name for c in others if are_alike(part.name, c.name)]
             for c in (c for c in others if c.name in likely):
-                yield (*rest, c), {**without.fit.values, **promises[c.name].values}
+                promised = promises[c.name].values if c.name in promises else {}
+                yield (*rest, c), {**without.fit.values, **promised}
 
     def _finalists(self, best: Hypothesis) -> list[Hypothesis]:
         """Return hypotheses close to the best that neither contain it nor are contained in it."""
