@@ -286,8 +286,8 @@ class Attributor:
             if search.subject.probed:
                 likely += [c.name for c in others if are_alike(part.name, c.name)]
             for c in (c for c in others if c.name in likely):
-                promised = promises[c.name].values if c.name in promises else {}
-                yield (*rest, c), {**without.fit.values, **promised}
+                promised = promises.get(c.name)
+                yield (*rest, c), {**without.fit.values, **promised.values} if promised else None
 
     def _finalists(self, best: Hypothesis) -> list[Hypothesis]:
         """Return hypotheses close to the best that neither contain it nor are contained in it."""
