@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ import pytest
 import cosim
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError, SimulationError
+from cosim.blocks.description import read_description
 from cosim.isolation.rows import Progress
 from cosim.master.inbox import MOST_STEPS, Change, Control, FileChannel, Inbox, MemoryChannel
 from cosim.master.observer import ObservedRun, Observer
@@ -143,6 +145,17 @@ def test_what_can_be_changed_is_listed_with_unit_bounds_items_and_start(tmp_path
     assert (listed["a.gain"].start, listed["a.gain"].is_input) == (4.0, False)
     assert listed["a.e_in"].items == {"first": 1, "second": 2}
     assert listed["a.i_in"].bounds == (-(2**31), 2**31 - 1)
+
+
+def test_an_input_within_an_algebraic_loop_is_connected(tmp_path: Path) -> None:
+    fmu = typed_fmu(tmp_path)
+    loop = SimpleNamespace(transfers=(SimpleNamespace(name="a.r_in"),))
+    system: Any = SimpleNamespace(held=(), stages=(), loops=(loop,), fmus={"a": (fmu, read_description(fmu))})
+    control = Control(system, channel := MemoryChannel())
+    assert "a.r_in" not in {v.name for v in control.variables}
+    with pytest.raises(InputError, match=r"a\.r_in"):
+        control.set({"a.gain": 1, "a.r_in": 1})
+    assert channel.receive() == []
 
 
 def test_a_pause_holds_the_run_and_no_time_limit_counts_it(tmp_path: Path) -> None:

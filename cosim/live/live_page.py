@@ -72,6 +72,8 @@ class LivePage:
         if left is not None:
             self.report = left / "report.html"
         message = str(error) if isinstance(error, CosimError) else type(error).__name__
+        if isinstance(error, Interrupted):
+            message = messages.STOPPED(time=error.time)
         self.update(phase="stopped" if is_stop else "failed", message=message)
 
     # -- state -----------------------------------------------------------------------------------

@@ -21,11 +21,12 @@ from cosim.master.observer import ObservedRun, Observer
 from cosim.server.answers import Answer, Handler, Request, json_answer
 from cosim.simulation.criteria import sentence
 from cosim.simulation.workflow import Outcome
+from cosim.system.events import Variable
 
 MAX_GROUPS = 4000  # groups of rows in an answer
 NO_COLUMNS = ObservedRun((), 0, 0.0, 1.0)
 NO_NUMBERS = {"Boolean", "String", "Binary", "Enumeration"}
-LARGEST_BOUND = 1e15  # larger bounds are those of a type
+LARGEST_BOUND = 2**31 - 1  # larger bounds are those of a type
 HEAD = struct.Struct("<5d")  # first time, time between groups, groups, signals, rows so far
 
 
@@ -37,6 +38,7 @@ class LiveRun(LivePage, Observer):
     def __init__(self, title: str, port: int = 0) -> None:
         self._run, self._envelope = NO_COLUMNS, Envelope(0)
         self._control: Control | None = None
+        self._inputs: list[int] = []  # places of the inputs that can be changed
         self._rate = (0.0, 0.0)  # time of the first row on the clock [s], and its simulated time [s]
         super().__init__(title, port)
 
@@ -46,6 +48,8 @@ class LiveRun(LivePage, Observer):
         """Prepare for the rows of a run."""
         with self._lock:
             self._run, self._envelope, self._control = run, Envelope(len(run.columns)), run.control
+        names = {v.name for v in (run.control.variables if run.control is not None else ()) if v.is_input}
+        self._inputs = [k for k, column in enumerate(run.columns) if column in names]
         self.update(phase="starting", total=run.rows, start=run.start, step=run.step, made=id(run))
 
     def rows(self, time: Array, values: Array) -> None:
@@ -87,9 +91,8 @@ class LiveRun(LivePage, Observer):
 
     def _values(self) -> dict[str, float | None]:
         """Return the current values of the inputs that can be changed."""
-        columns, last = self._run.columns, self._envelope.last()
-        names = {v.name for v in (self._control.variables if self._control is not None else ()) if v.is_input}
-        return {name: _finite(value) for name, value in zip(columns, last.tolist(), strict=True) if name in names}
+        last = self._envelope.last()
+        return {self._run.columns[k]: _finite(float(last[k])) for k in self._inputs}
 
     def _is_paused(self) -> bool:
         return self._control is not None and self._control.paused
@@ -125,7 +128,7 @@ class LiveRun(LivePage, Observer):
                 "input": v.is_input,
                 "kind": v.kind,
                 "unit": v.unit,
-                "start": v.start if isinstance(v.start, (int, float, str, bool)) or v.start is None else str(v.start),
+                "start": _start(v),
                 "bounds": [_finite(bound) if abs(bound) < LARGEST_BOUND else None for bound in v.bounds],
                 "items": list(v.items),
                 "description": v.description,
@@ -185,6 +188,13 @@ class LiveRun(LivePage, Observer):
         self._controlled().paused = request.content
         self.update()
         return json_answer({"paused": request.content})
+
+
+def _start(variable: Variable) -> Any:
+    """Return the start value as the page shows it: that of an enumeration by name."""
+    names = {str(number): name for name, number in variable.items.items()}
+    start = names.get(str(variable.start), variable.start)
+    return start if isinstance(start, (int, float, str, bool)) or start is None else str(start)
 
 
 def _now() -> float:

@@ -81,6 +81,8 @@ class LiveSweep(LivePage, RunsObserver):
         about |= {"low": low, "high": high, "undefined": of - values.size}
         if not values.size:
             return {**about, "counts": [], "ends": [0.0, limit.max]}
-        ends = min(0.0, float(values.min())), max(limit.max, float(np.quantile(values, 0.98)))
+        least, most = min(limit.max, float(values.min())), max(limit.max, float(np.quantile(values, 0.98)))
+        margin = 0.05 * (most - least) or 1.0
+        ends = least - margin, most + margin
         counts, _ = np.histogram(np.clip(values, *ends), BINS, ends)
         return {**about, "counts": counts.tolist(), "ends": [*ends]}

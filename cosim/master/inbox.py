@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -199,18 +200,23 @@ def _merge(*every: Values) -> Values:
 
 
 class Control:
-    """Control of a running simulation, for any thread.
-
-    Attributes:
-        variables: Tunable parameters and unconnected inputs, which `set` may change.
-    """
+    """Control of a running simulation, for any thread."""
 
     def __init__(self, system: System, channel: Channel) -> None:
-        self._channel = channel
-        names = {t.name for t in (*system.held, *(t for stage in system.stages for t in stage.pulls))}
-        self._targets = Targets({name: description for name, (_, description) in system.fmus.items()}, names)
-        starts = {s.component.name: getattr(s.component, "start_values", {}) for s in system.stages}
-        self.variables: Sequence[Variable] = self._targets.variables(starts)
+        self._system, self._channel = system, channel
+
+    @cached_property
+    def _targets(self) -> Targets:
+        system = self._system
+        parts = system.held, *(stage.pulls for stage in system.stages), *(loop.transfers for loop in system.loops)
+        names = {transfer.name for part in parts for transfer in part}
+        return Targets({name: description for name, (_, description) in system.fmus.items()}, names)
+
+    @cached_property
+    def variables(self) -> Sequence[Variable]:
+        """Tunable parameters and unconnected inputs, which `set` may change."""
+        starts = {s.component.name: getattr(s.component, "start_values", {}) for s in self._system.stages}
+        return self._targets.variables(starts)
 
     def set(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Set variables at the next communication point; a value may be text with a unit, such as `12 deg`.

@@ -171,7 +171,7 @@
         const { name, unit } = this.signals[place],
           component = name.split(".")[0],
           key = unit ? `${component} ${unit}` : name;
-        const group = groups.get(key) ?? { title: unit ? component : name, unit: unit || "1", places: [], key };
+        const group = groups.get(key) ?? { title: unit ? component : name, unit: unit || "no unit", places: [], key };
         const full = group.places.length === IN_CHART;
         if (full) {
           groups.delete(key);
@@ -391,11 +391,12 @@
     }
     field.setAttribute("aria-describedby", `${id}-about`);
     const acting = { class: "unit", [variable.input && isNumber ? "data-now" : "data-set"]: name };
-    const range = least !== null || most !== null ? `${text(least)} … ${text(most)} ${unit}` : "";
+    const range = !items.length && (least !== null || most !== null) ? `${text(least)} … ${text(most)} ${unit}` : "";
     const note = make("p", { class: "note", id: `${id}-about` }, [range, description].filter(Boolean).join(" · "));
     const error = make("p", { class: "error", role: "alert", hidden: "" });
     const label = make("label", { for: id }, `${name} `, make("span", { class: "unit" }, unit ? `[${unit}]` : ""));
-    const head = make("div", { class: "head" }, label, make("span", acting));
+    const now = start === null ? "" : `now ${text(isNumber && !isNaN(Number(start)) ? Number(start) : start)}`;
+    const head = make("div", { class: "head" }, label, make("span", acting, now));
     const row = make("div", { class: "row" }, field, make("button", { class: "act" }, "Set"));
     const form = make("form", { class: "change", "data-name": name.toLowerCase() }, head, row);
     const send = async (value) => {
@@ -487,7 +488,7 @@
         "svg",
         { class: "histogram", viewBox: "0 0 240 44", role: "img", "aria-label": told },
         ...bars,
-        make("path", { d: `M${at.toFixed(1)} 0v44` }),
+        make("path", { d: counts.length ? `M${at.toFixed(1)} 0v44` : "" }),
       );
       const bar = make(
         "span",
@@ -498,6 +499,8 @@
       const share = make("td", { class: "sized" }, bar);
       const words = of ? `${percent(met / of)} (${percent(low)} … ${percent(high)})` : "";
       share.append(make("span", { class: "note" }, words));
+      const scale = make("span", { class: "scale note", "aria-hidden": "true" });
+      for (const end of counts.length ? [from, to] : []) scale.append(make("span", {}, text(+end.toPrecision(3))));
       return make(
         "tr",
         {},
@@ -505,7 +508,7 @@
         make("td", { class: "num" }, `${text(max)} ${unit}`),
         make("td", { class: "num" }, `${met} of ${of}`),
         share,
-        make("td", {}, picture),
+        make("td", {}, picture, scale),
       );
     },
   };
