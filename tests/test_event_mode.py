@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import runpy
 import shutil
 from collections.abc import Sequence
@@ -463,9 +464,11 @@ def test_the_example_of_a_clocked_tank_follows_its_equations(tmp_path: Path) -> 
     runpy.run_path(str(EXAMPLE / "build.py"))["build"](tmp_path)
     shutil.copy(EXAMPLE / "tank.yaml", tmp_path)
     with compiling(True):
-        outcome = run(tmp_path / "tank.yaml", tmp_path / "out", report=False)
+        outcome = run(tmp_path / "tank.yaml", tmp_path / "out")
     results, manifest = outcome.results, outcome.manifest
     assert all(criterion["met"] for criterion in manifest["criteria"])
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert re.search(r"tank</th><td[^>]*>clock over</td><td[^>]*>1</td><td[^>]*>115\.125 s</td>", page)
     events = manifest["first_events"]
     over, resumed = (next(t for t, *cause in events if cause == c) for c in (["tank", "clock over"], RESUMES))
     assert over == pytest.approx(first_crossing(), abs=1e-9)

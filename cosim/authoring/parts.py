@@ -19,6 +19,7 @@ from cosim.blocks.description import takes_any_step
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.summary import experiment_of, read_fmus
 from cosim.fmi.sampled import sampled_by
+from cosim.system.event_blocks import default_block
 
 STOP, STEPS = 1.0, 500  # defaults without an FMU's declaration: duration [s], number of steps
 LONGEST = 24  # characters of a component's name, which precedes every signal
@@ -41,7 +42,7 @@ class DraftPart:
     @property
     def block(self) -> FmuBlock:
         """Return the FMU as an unconnected, unloaded block."""
-        return FmuBlock(self.name, self.path, self.description, {}, frozenset())
+        return default_block(self.path, self.description)(self.name, self.path, self.description, {}, frozenset())
 
     @property
     def ports(self) -> tuple[list[Port], list[Port]]:

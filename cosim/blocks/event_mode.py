@@ -199,6 +199,12 @@ class EventFmu(FmuBlock):
         for clocks, end in zip((ports.clock_inputs, ports.clock_outputs), ends, strict=True):
             self._places |= {c.name: end - len(clocks) + k for k, c in enumerate(clocks)}
 
+    def _begin(self, start: float, stop: float) -> None:
+        self.timers, self.mode, self.reached = {}, INITIALIZATION, start
+        self.next_event, self.asks, self.active = math.inf, False, set()
+        self._changes, self._given, self._seen = {}, {}, []
+        super()._begin(start, stop)
+
     def start(self) -> None:
         instance = self.instance
         with instance.check_calls():

@@ -47,6 +47,19 @@ def event_block(
     return partial(kind, timings=timings, jumping=_jumping(file, name, read))
 
 
+def default_block(path: Path, description: Any) -> type[FmuBlock]:
+    """Return the class of an FMU's block without settings of a scenario."""
+    way = ways(description)[0]
+    if way == "scheduled-execution":
+        return ScheduledFmu
+    return EventFmu if has_event_mode(description, way) and read_clocks(path, description) else FmuBlock
+
+
+def has_event_mode(description: Any, way: Way) -> bool:
+    """Return whether an FMU has event mode through an interface."""
+    return way == "co-simulation" and bool(getattr(description.coSimulation, "hasEventMode", False))
+
+
 def _is_without_events(
     name: str, component: FmuComponent, clocks: Mapping[str, Clock], reason: str, diagnosis: Diagnosis
 ) -> bool:
@@ -61,8 +74,7 @@ def _is_without_events(
 
 
 def _uses_events(component: FmuComponent, description: Any, way: Way, clocks: Mapping[str, Clock]) -> bool:
-    has = way == "co-simulation" and bool(getattr(description.coSimulation, "hasEventMode", False))
-    return has and (bool(clocks) if component.event_mode is None else component.event_mode)
+    return has_event_mode(description, way) and (bool(clocks) if component.event_mode is None else component.event_mode)
 
 
 def _reason(description: Any, way: Way) -> str:

@@ -23,6 +23,33 @@ STEP = "time between two exchanges of values among the components"
 
 
 @dataclass(frozen=True)
+class EventRow:
+    """Events of a component with one cause: their number, and the time of the first."""
+
+    component: str
+    cause: str
+    count: str
+    first: str
+
+
+def event_rows(run: Run) -> list[EventRow]:
+    """Return the events of a run with event mode, by component and cause."""
+    events = run.manifest.get("first_events")
+    firsts: dict[tuple[str, str], float] = {}
+    for event in events if isinstance(events, list) else []:
+        time, *cause = event if isinstance(event, list) else [None]
+        if isinstance(time, int | float) and len(cause) == 2:
+            firsts.setdefault((str(cause[0]), str(cause[1])), float(time))
+    return [
+        EventRow(
+            component, cause, str(count), f"{firsts[component, cause]:.6g} s" if (component, cause) in firsts else "–"
+        )
+        for component, counts in mapping(run.manifest.get("event_counts")).items()
+        for cause, count in mapping(counts).items()
+    ]
+
+
+@dataclass(frozen=True)
 class ConnectionRow:
     """A connection with its noise and faults."""
 
