@@ -26,9 +26,11 @@ from tests.test_first_steps import told
 from tests.typed import typed_fmu
 
 SNIPPETS = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "python.md").read_text(encoding="utf-8"), re.DOTALL)
+EXAMPLES = [p for p in (ROOT / "examples").glob("*/*.yaml") if p.stem not in {"protocol", "sweep", "fit"}]
+RUN = {p for p in EXAMPLES if "components:" in p.read_text(encoding="utf-8").splitlines()}
 SHIPPED = {
-    "scenario": sorted((ROOT / "scenarios").glob("*.yaml")),
-    "study": sorted(p for p in (ROOT / "examples").glob("*/*.yaml") if p.stem not in {"protocol", "sweep", "fit"}),
+    "scenario": sorted((*(ROOT / "scenarios").glob("*.yaml"), *RUN)),
+    "study": sorted(p for p in EXAMPLES if p not in RUN),
     "fit": sorted((ROOT / "examples").glob("*/fit.yaml")),
     "protocol": sorted((ROOT / "examples").glob("*/protocol.yaml")),
     "model": sorted(p for p in (ROOT / "examples/bench/overshoot").glob("*.yaml") if p.stem != "study"),

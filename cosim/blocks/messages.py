@@ -15,7 +15,9 @@ ARRAY_TOO_LARGE = Template(
     "E-BLK-006", "{file} is not a valid FMU: its array {variable} is {size}, not 0 … {limit:g} elements"
 )
 UNSUPPORTED_INTERFACE = Template(
-    "E-BLK-007", "{file} is {interface}; FMI 1.0, 2.0 and 3.0 for co-simulation or model exchange are run here"
+    "E-BLK-007",
+    "{file} is {interface}; FMI 1.0, 2.0 and 3.0 for co-simulation or model exchange, and 3.0 for scheduled "
+    "execution, are run here",
 )
 
 SCHEDULED_ONLY = Template(
