@@ -27,6 +27,7 @@ from cosim.subject.fmu_subject import FmuSubject
 from cosim.subject.model_subject import ModelSubject
 from tests.blind.fmu_build import build
 from tests.logs import write_log
+from tests.users import cosim as command
 
 STEP, NOISE = 0.02, {"current": 0.01, "angle": 0.002, "speed": 0.05}
 RESISTANCE, INDUCTANCE, CONSTANT, INERTIA, DAMPING = 1.2, 6e-3, 0.05, 2e-4, 1e-4
@@ -216,6 +217,44 @@ def test_faults_of_a_study_of_an_fmu(folder: Path) -> None:
         read_study(write_study(folder, folder / "motor.fmu", [folder / "e1.csv"]))
     with pytest.raises(InputError, match="per_log"):
         build_problem_of_per_log(folder, fmu)
+
+
+def test_check_says_what_refine_can_find_and_what_not(folder: Path) -> None:
+    fmu = build(folder / "co_simulation2.fmu", "dc_motor", 2, ways=("co_simulation",))
+    columns = columns_of(folder / "e1.csv")
+    still = write_log(folder / "still.csv", {**columns, "load_torque": 0.0 * columns["time"]})
+    told = cosim.check(write_study(folder, fmu, [still], noise=NOISE))
+    text = "\n".join(told)
+    for words in (
+        "`cosim refine` will use co-simulation: free runs of the FMU, with an estimated addition to each output",
+        "forces at speed (through ",
+        "not visible: terms at load_torque, which never changes",
+        "at least 2 estimation logs are needed",
+        "no validation log",
+    ):  # fmt: skip
+        assert words in text, (words, text)
+    assert cosim.check(write_study(folder, fmu, [still]), load=False)[0].endswith("tolerance are not checked")
+
+
+def test_a_replay_leaves_the_study_that_goes_on(folder: Path, tmp_path: Path) -> None:
+    fmu = build(folder / "model_exchange2.fmu", "dc_motor", 2, ways=("model_exchange",))
+    columns = columns_of(folder / "dry_e1.csv")
+    log = write_log(tmp_path / "log.csv", {n.replace("speed", "w"): v for n, v in columns.items()})
+    done = command("replay", log, "--plant", fmu, "--column", "w=speed", "--no-report", "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assert f"next: cosim refine {tmp_path / 'out' / 'study.yaml'}" in done.stdout
+    study = read_study(tmp_path / "out" / "study.yaml")
+    assert (study.content.columns, len(study.logs)) == ({"w": "speed"}, 1)
+    fitted = cosim.fit(tmp_path / "out" / "study.yaml", vary=["resistance"], in_process=True, report=False)
+    assert set(fitted.values) == {"resistance"}
+    cosim.replay(folder / "e1.csv", tmp_path / "out", fmu, report=False, force=True)  # nothing is missing
+    assert not (tmp_path / "out" / "study.yaml").exists()
+
+
+def columns_of(path: Path) -> dict[str, Any]:
+    """Return the columns of a log."""
+    table = np.genfromtxt(path, delimiter=",", names=True)
+    return {name: table[name] for name in table.dtype.names}
 
 
 def build_problem_of_per_log(folder: Path, fmu: Path) -> None:

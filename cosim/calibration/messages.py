@@ -53,7 +53,7 @@ FAILED_RUNS = Template(
 ABOVE_NOISE = Template(
     "W-CAL-020",
     "the error of {names} stays above the noise and is not white: no value of these parameters explains it. "
-    "If the equations exist as a model file, `cosim refine` looks for the missing effect",
+    "`cosim refine` looks for what the FMU lacks, with a study of the same logs",
 )
 NO_COPY = Template(
     "W-CAL-021",

@@ -350,6 +350,11 @@ def without_execution() -> Iterator[list[Path]]:
         _skipped.reset(token)
 
 
+def is_execution_allowed() -> bool:
+    """Return False within `without_execution`."""
+    return _skipped.get() is None
+
+
 def _execute(path: Path) -> tuple[ModelText, ModuleType]:
     """Execute a file; return its text and module.
 

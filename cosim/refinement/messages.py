@@ -119,3 +119,29 @@ FAILED_EVALUATIONS = Template(
     "W-REF-043",
     "the FMU failed in {evaluations}, which count as diverged; the first time: {reason}",
 )
+
+# Outlook of `cosim check` on a study of an FMU
+WILL_USE = Template("N-REF-050", "`cosim refine` will use {way}")
+WILL_TRY = Template("N-REF-051", "`cosim refine` will try {count} terms and parameters: {places}")
+NEEDS_COMPILER = Template(
+    "W-REF-052", "`cosim refine` needs a C compiler for FMUs, and there is none here: pip install 'fmu-cosim[native]'"
+)
+STILL_INPUTS = Template("W-REF-053", "not visible: terms at {names}, which never changes in the estimation logs")
+UNLOGGED_OUTPUTS = Template("W-REF-054", "not visible: errors of the sensors of {names}, which no estimation log has")
+IDLE_PARAMETERS = Template("N-REF-055", "not visible: {names}, which changes no output along these logs")
+NO_PORT = Template(
+    "W-REF-056",
+    "not visible: forces at {names}, because no input acts there and co-simulation gives no access to derivatives",
+)
+FEW_LOGS = Template(
+    "W-REF-057", "co-simulation has free runs only, so at least {least} estimation logs are needed to judge a claim"
+)
+ONE_WAY = Template(
+    "W-REF-058", "not visible: dry friction at {names} apart from a constant force, because the velocity never reverses"
+)
+NOTHING_SEALED = Template(
+    "N-REF-059", "no validation log: a claim from {logs} will not be proven on data that no decision has used"
+)
+NOT_PROBED = Template(
+    "W-REF-060", "{model} is not loaded (--no-load), so the names of candidates, noise and tolerance are not checked"
+)

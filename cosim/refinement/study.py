@@ -22,7 +22,7 @@ from cosim.base.text import counted, plain
 from cosim.base.units import has_unit, read_quantity
 from cosim.estimation.problem import Settings
 from cosim.isolation.limits import Limits
-from cosim.loading.file import LoadedModel, load_model, own_terms
+from cosim.loading.file import LoadedModel, is_execution_allowed, load_model, own_terms
 from cosim.loading.substep import with_substep
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.holes import fill_holes
@@ -195,12 +195,23 @@ class Study:
 
 
 def check_study(path: Path, checking: Checking) -> list[str]:
-    """Return the warnings of a study.
+    """Return the warnings of a study, and what a refinement can find in its FMU.
 
     Raises:
         InputError: The study has faults.
     """
-    return [with_prefix("warning: ", text) for text in read_study(path).warnings]
+    from cosim.refinement.outlook import outlook
+
+    content = YamlFile(path).root
+    model = str(content.get("model", "")) if isinstance(content, dict) else ""
+    if model.lower().endswith(FMU_SUFFIX) and checking.worker is None and not is_execution_allowed():
+        _read_of_fmu(*_keys_of(path))
+        return [messages.NOT_PROBED(model=model).after("warning: ")]
+    study = read_study(path)
+    return [
+        *(with_prefix("warning: ", text) for text in study.warnings),
+        *(text.after("" if text.code.startswith("N") else "warning: ") for text in outlook(study)),
+    ]
 
 
 def read_study(path: Path) -> Study:
@@ -209,12 +220,7 @@ def read_study(path: Path) -> Study:
     Raises:
         InputError: Every fault of the study, its model and its logs.
     """
-    check_form(path, STUDY)
-    yaml = YamlFile(path)
-    refuse_other(path, kind_by_keys(yaml.root), STUDY)
-    content, faults = yaml.partly(StudyFile, "model")
-    if content is None:
-        raise InputError(faults)
+    yaml, content, faults = _keys_of(path)
     if content.model.lower().endswith(FMU_SUFFIX):
         return _of_fmu(yaml, content, faults)
     if content.terms:
@@ -244,8 +250,19 @@ def read_study(path: Path) -> Study:
     return Study(path, content, ModelSubject(loaded), tuple(logs["estimation"]), tuple(warnings))
 
 
-def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
-    """Return the study of an FMU, probed along the estimation logs.
+def _keys_of(path: Path) -> tuple[YamlFile, StudyFile, list[Fault]]:
+    """Return a study file, its keys without faulty parts, and the faults."""
+    check_form(path, STUDY)
+    yaml = YamlFile(path)
+    refuse_other(path, kind_by_keys(yaml.root), STUDY)
+    content, faults = yaml.partly(StudyFile, "model")
+    if content is None:
+        raise InputError(faults)
+    return yaml, content, faults
+
+
+def _read_of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> tuple[Path, list[Log], list[type[Any]]]:
+    """Return the FMU, its estimation logs and the user's terms.
 
     Raises:
         InputError: Every fault of the study and its logs.
@@ -275,6 +292,17 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
         except InputError as error:
             faults += error.faults
     refuse(faults)
+    return fmu, logs, terms
+
+
+def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
+    """Return the study of an FMU, probed along the estimation logs.
+
+    Raises:
+        InputError: Every fault of the study and its logs.
+        FmuError: Only the FMU has faults.
+    """
+    fmu, logs, terms = _read_of_fmu(yaml, content, faults)
     probed = probe_places(fmu, logs)
     subject = FmuSubject.of_fmu(probed.structure, logs, terms, content.limits or Limits())
     subject.source += f", because {probed.reason}"

@@ -29,6 +29,7 @@ from cosim.report.template import render
 from cosim.residuals import messages
 from cosim.residuals.compare import Comparison, compare, steps_of
 from cosim.residuals.drive import PLANT, Drive, StoppedReplay, as_columns, check_files, log_of_fmu
+from cosim.residuals.next_study import NEXT_STUDY, lacks_something, next_study
 from cosim.residuals.remote_drive import MODULES, DriveApart
 from cosim.residuals.replay_sentences import verdict
 from cosim.residuals.replay_settings import start_values
@@ -72,7 +73,8 @@ def replay(
 ) -> Comparison:
     """Replay a log file through an FMU, by default through the base model's FMU.
 
-    Writes results.csv, residual.csv, replay.json and report.html to `folder`.
+    Writes results.csv, residual.csv, replay.json and report.html to `folder`, and study.yaml if a named FMU lacks
+    something.
 
     Args:
         start: Start values and parameters of the FMU as NAME=VALUE, `gain=0.9`, `angle=12 deg`.
@@ -98,7 +100,9 @@ def replay(
             worker.start()  # The worker starts while files are read.
         scratch = stack.enter_context(temporary_folder("replay"))
         driven = Path(fmu) if fmu else build_fmu(load_model(BASE, Path()).recipe(), scratch / "plant.fmu")
-        read = log_of_fmu(Path(log), driven, read_column_names(columns, Path(log)))
+        names = read_column_names(columns, Path(log))
+        read = log_of_fmu(Path(log), driven, names)
+        proposed = next_study(place, driven, Path(log), names, start) if fmu else ""
         return write_replay(
             place,
             read,
@@ -106,6 +110,7 @@ def replay(
             given=start_values(driven, start),
             report=report,
             passing=fmu is None,
+            proposed=proposed,
             worker=worker,
             limits=most,
             format_=format_,
@@ -125,6 +130,7 @@ def write_replay(
     rate: float | None = None,
     report: bool = True,
     passing: bool = False,
+    proposed: str = "",
     worker: Worker | None = None,
     limits: Limits | None = None,
     format_: str = "csv",
@@ -137,6 +143,7 @@ def write_replay(
         start: Start of the free run, instead of an estimate from its first rows.
         given: Start values and parameters of every run.
         passing: True if the FMU was built for this replay only.
+        proposed: Study to write if the FMU lacks something.
         rate: Required step of the log [s]; by default the FMU's own step only causes a warning.
         worker: Process of the FMU, within limits; default: this process.
         keep: Move the files of an earlier replay to `runs` in the folder.
@@ -156,10 +163,10 @@ def write_replay(
         findings += _version_findings(drive)
         findings += input_unit_findings(log, drive.starts, drive.traits.bounds if drive.traits else {})
         refuse_faults(log, findings)
-        check_writable(folder, (rows_file.name, residual_file.name, REPLAY, "report.html"), (log.path, fmu))
+        check_writable(folder, (rows_file.name, residual_file.name, REPLAY, NEXT_STUDY, "report.html"), (log.path, fmu))
         if keep:
             keep_earlier(folder, "cosim replay")
-        for name in ("report.html", REPLAY):  # outdated results
+        for name in ("report.html", REPLAY, NEXT_STUDY):  # outdated results
             (folder / name).unlink(missing_ok=True)
         remove_rows(folder, "residual")
         remove_rows(folder, "results", besides=rows_file.name)
@@ -173,6 +180,8 @@ def write_replay(
             units = {**results(drive, comparison.replays[FREE_RUN].outputs).units, **errors.units}
             sources = {"log": str(log.path), "fmu": "" if passing else str(fmu)}
             _record(folder, {**sources, "sentence": verdict(comparison), "units": units})
+            if proposed and lacks_something(comparison):
+                write_text(folder / NEXT_STUDY, proposed)
             if report:
                 write_text(folder / "report.html", render(TEMPLATE, context(comparison, passing=passing)))
         except OSError as error:

@@ -11,7 +11,7 @@ from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from shutil import copyfile
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -203,6 +203,10 @@ class FmuSubject(ModelSubject):
         """Write plant.fmu or nearest.fmu: the original with the terms and values."""
         fmu = self._delivered(scratch)
         return () if fmu is None else (Path(copyfile(fmu, scratch / FILES[name][1])),)
+
+    def main_file(self, name: Literal["refined", "nearest"]) -> str:
+        """Return the name of the FMU, the only file."""
+        return FILES[name][1]
 
     def use(self, folder: Path) -> list[str]:
         """Return a command line that simulates the delivered FMU."""

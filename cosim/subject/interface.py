@@ -15,12 +15,13 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 from cosim.base.arrays import Array, Rows
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.kernel.kernel import Data, Kernel
+from cosim.loading.refined import NEAREST, REFINED
 from cosim.logs.log import Log
 from cosim.model.quantities import Parameter, Quantity, parameters_of
 from cosim.model.traits import Traits
@@ -244,6 +245,10 @@ class Subject(Protocol):
             name: `refined` or `nearest`.
         """
         return ()
+
+    def main_file(self, name: Literal["refined", "nearest"]) -> str:
+        """Return the name of the file that `write` writes for further use."""
+        return (REFINED if name == "refined" else NEAREST)[0]
 
     def use(self, folder: Path) -> Sequence[str]:
         """Return a command line for the delivered files in `folder`; empty without files."""

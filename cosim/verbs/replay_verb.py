@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -113,12 +114,13 @@ def command(
 ) -> None:
     """Simulate an FMU with the recorded inputs of a log, and compare.
 
-    Writes results.csv, residual.csv and report.html.
+    Writes results.csv, residual.csv and report.html, and study.yaml for `cosim refine` if a named FMU lacks something.
 
     Example: cosim replay log.csv --plant motor.fmu --column speed=w
     """
     from cosim.blocks.compiling import compiling
     from cosim.residuals.comparison_data import as_json as numbers
+    from cosim.residuals.next_study import NEXT_STUDY
     from cosim.residuals.replay_sentences import verdict
     from cosim.residuals.workflow import replay as replay_log
 
@@ -132,12 +134,15 @@ def command(
             say_finding(finding.line)
     say(verdict(comparison))
     say(*_error_table(comparison))
+    if (study := place / NEXT_STUDY).is_file():
+        name = shlex.quote(str(study))
+        say(f"next: cosim refine {name}, or its parameters alone: cosim fit {name}")
     say(f"residual: {rows_in(place, 'residual')}" + (f", report: {place / 'report.html'}" if report else ""))
     if as_json:
         findings = [finding.line for finding in comparison.findings]
         content = {"sentence": verdict(comparison), "findings": findings, "channels": numbers(comparison)}
         rows = [path.name for stem in ("results", "residual") if (path := rows_in(place, stem))]
-        say_json({**content, **files_in(place, *rows)})
+        say_json({**content, **files_in(place, *rows, NEXT_STUDY)})
     show(place / "report.html", open_=report and open_)
 
 

@@ -8,11 +8,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
-from typing import Any
+from typing import Any, Literal
 
 from cosim.base.messages import Message
 from cosim.base.text import MOST_NAMED, amount, append_unit, counted, finer, join_names, percent, plain, size, written
-from cosim.loading.refined import NEAREST, REFINED
+from cosim.loading.refined import NEAREST
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement import messages
 from cosim.refinement.decision.claims import Claims, Doubt, MovedParameter
@@ -36,8 +36,10 @@ NO_TERM = "no term in a state, an input or time explains even"
 def sentence(c: Claims, subject: Subject) -> str:
     """Return the verdict in words: improvement or rise on sealed logs, claim, dispute, remainder, nearest model."""
     units = {q.name: q.unit for q in subject.outputs}
-    files = (REFINED[0], NEAREST[0]) if c.written else ("the refined object", "the nearest object")
-    rise = rise_text(c.risen, units, files[c.claimed is None])  # a reader must know it before the answer
+    name: Literal["refined", "nearest"] = "nearest" if c.claimed is None else "refined"
+    rise = rise_text(
+        c.risen, units, subject.main_file(name) if c.written else f"the {name} object"
+    )  # a reader must know it before the answer
     names = c.claimed.names if c.claimed is not None else ()
     opening = rise or improvement_text(c.remaining, c.baseline, names)
     return " ".join(filter(None, (opening, _answer_text(c, subject), *_share_texts(c), *_remark_texts(c, subject))))
@@ -106,7 +108,7 @@ def _remark_texts(c: Claims, subject: Subject) -> Iterator[str]:
         output, signal = c.left_of
         yield f"A part of {output} remains unexplained; it {dependence_text(signal)}."
     if c.nearest is not None:
-        file = NEAREST[0] if c.written else "The nearest object"
+        file = subject.main_file("nearest") if c.written else "The nearest object"
         same = c.claimed is None and c.nearest.names == c.rivals and c.name == "unexplained"
         moved = _moved_text(c.nearest.moved, _units(subject))
         yield nearest_text(c.nearest.names, fitted=c.nearest.hypothesis is not None, file=file, same=same, moved=moved)

@@ -1,0 +1,93 @@
+"""Outlook on a refinement: what `cosim refine` can find in an FMU with the logs of a study, and what it cannot."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from cosim.base.messages import Message
+from cosim.base.text import counted, join_names
+from cosim.fmi.native.compiler import compiler
+from cosim.logs.log import Log
+from cosim.probing.fmu_structure import Pair, Structure
+from cosim.refinement import messages
+from cosim.refinement.study import Study
+from cosim.subject.fmu_subject import FmuSubject
+from cosim.terms.language import with_place
+
+FEWEST_STEPPED = 2  # estimation logs in co-simulation, where the filter has no process noise inside the FMU
+RARE = 0.02  # least share of rows against the usual direction, for a velocity that reverses
+
+
+def outlook(study: Study) -> list[Message]:
+    """Return what a refinement of an FMU will do with these logs, and what it cannot see; nothing for a model."""
+    subject = study.subject
+    if not isinstance(subject, FmuSubject):
+        return []
+    return [*_plan(study, subject), *_blind_spots(study, subject)]
+
+
+def _plan(study: Study, subject: FmuSubject) -> Iterator[Message]:
+    """Yield the interface, the places and the number of candidates."""
+    structure = subject.structure
+    yield messages.WILL_USE(way=subject.source.removeprefix(f"{structure.fmu}, "))
+    count = len(subject.candidates([q.name for q in subject.inputs]))
+    yield messages.WILL_TRY(count=count, places="; ".join(_places(structure)))
+    if compiler() is None:
+        yield messages.NEEDS_COMPILER()
+
+
+def _places(s: Structure) -> Iterator[str]:
+    """Yield each kind of place with its names."""
+    velocities = [_force_place(p) for p in s.pairs if p.ports or s.way == "model-exchange"]
+    for text, names in (
+        ("at inputs", [q.name for q in s.inputs]),
+        ("forces at", velocities),
+        ("at storages", list(s.storages)),
+        ("at sensors", [q.name for q in s.outputs]),
+        ("parameters", [p.name for p in s.acting]),
+    ):
+        if names:
+            yield f"{text} {join_names(names)}"
+
+
+def _force_place(pair: Pair) -> str:
+    ports = [p.input for p in pair.ports]
+    return f"{pair.velocity} (through {ports[0]})" if ports else pair.velocity
+
+
+def _blind_spots(study: Study, subject: FmuSubject) -> Iterator[Message]:
+    """Yield what these logs, or this interface, cannot show."""
+    s, logs, names = subject.structure, study.logs, subject.names
+    still = [q.name for q in s.inputs if not any(np.ptp(log.inputs[names[q.name]]) > 0.0 for log in logs)]
+    if still:
+        yield messages.STILL_INPUTS(names=join_names(still))
+    logged = {name for log in logs for name in log.outputs}
+    missing = [q.name for q in s.outputs if names[q.name] not in logged]
+    if missing:
+        yield messages.UNLOGGED_OUTPUTS(names=join_names(missing))
+    idle = [p.name for p in s.parameters if not p.acts and not p.starts]
+    if idle:
+        yield messages.IDLE_PARAMETERS(names=join_names(idle))
+    without = [p.velocity for p in s.pairs if not p.ports]
+    if s.way == "co-simulation":
+        if without:
+            yield messages.NO_PORT(names=join_names(without))
+        if len({log.path for log in logs}) < FEWEST_STEPPED:
+            yield messages.FEW_LOGS(least=FEWEST_STEPPED)
+    one_way = [p.velocity for p in s.pairs if _goes_one_way(logs, with_place(s.shown.get(p.velocity, p.velocity)))]
+    if one_way:
+        yield messages.ONE_WAY(names=join_names(one_way))
+    if not study.content.logs.validation:
+        yield messages.NOTHING_SEALED(logs=counted(len(study.content.logs.estimation), "log"))
+
+
+def _goes_one_way(logs: Sequence[Log], name: str) -> bool:
+    """Return whether a measured velocity keeps its sign in all logs; False for one that no log has."""
+    readings = [log.outputs[name] for log in logs if name in log.outputs]
+    if not readings:
+        return False
+    values = np.concatenate(readings)
+    values = values[np.isfinite(values)]
+    return bool(values.size) and min(np.mean(values > 0.0), np.mean(values < 0.0)) < RARE
