@@ -90,4 +90,4 @@ def _goes_one_way(logs: Sequence[Log], name: str) -> bool:
         return False
     values = np.concatenate(readings)
     values = values[np.isfinite(values)]
-    return bool(values.size) and min(np.mean(values > 0.0), np.mean(values < 0.0)) < RARE
+    return bool(values.size and min(np.mean(values > 0.0), np.mean(values < 0.0)) < RARE)
