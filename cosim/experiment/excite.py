@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from shutil import copyfile
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from cosim.estimation.posing import build_problem
 from cosim.experiment import messages
 from cosim.experiment.chosen_input import Excitation, merit_of
 from cosim.experiment.excitation import draw_signals
+from cosim.experiment.fmu_experiment import FmuOpenLoop
 from cosim.experiment.question import Question, ask, refinement_folder
 from cosim.experiment.rigs import OpenLoop, Rig, Trial
 from cosim.experiment.separation import Separation
@@ -29,7 +31,6 @@ from cosim.storage.files import FilePath, check_writable, named_path, write_text
 from cosim.storage.folder_lock import folder_locks
 from cosim.storage.folders import check_overwritable, keep_earlier
 from cosim.storage.table import write_columns
-from cosim.subject.model_subject import ModelSubject
 
 EXPERIMENTS = 48
 DURATION, SHORTEST, LONGEST = 40.0, 5.0, 600.0  # [s] for a model with a step of 50 ms or less
@@ -62,7 +63,7 @@ def excite(
     """Design the input that separates rival hypotheses best.
 
     Args:
-        text: Registered model, model.yaml, file.py:Class, refine.json or its folder.
+        text: Registered model, model.yaml, file.py:Class, FMU, refine.json or its folder.
         folder: Folder for excitation.csv, excitation.yaml and the FMUs.
         against: Effects, sensor errors or parameters that are rival hypotheses.
         limits: Texts "name=value": largest distance of an input or output from its start value.
@@ -85,10 +86,10 @@ def excite(
     show_stage = progress or (lambda stage, share: None)
     show_stage("reading the model", 0.0)
     folder = named_path(folder)
-    question = ask(text, against, limits, measured, ranges)
+    question = ask(text, against, limits, measured, ranges, duration)
     model = question.loaded.model
     time = _times(text, model.rate, duration)
-    rig: Rig = registry.rig_of(type(model), OpenLoop)(model, question.limits, question.ranges, float(time[-1]))
+    rig = _rig(question, float(time[-1]))
     files = ("excitation.csv", "excitation.yaml", "plant.fmu", REPORT, *rig.files)
     check_overwritable(folder, "cosim excite", force=force, keep=keep)
     check_writable(folder, files, [source / "plant.fmu"] if (source := refinement_folder(text)) else [])
@@ -109,6 +110,15 @@ def excite(
     return excitation
 
 
+def _rig(question: Question, duration: float) -> Rig:
+    """Return the rig of an FMU, of the model's class, or that of any model."""
+    model, common = question.loaded.model, (question.limits, question.ranges, duration)
+    if question.of_fmu is not None:
+        return FmuOpenLoop(question.of_fmu, question.first, *common)
+    rig: Rig = registry.rig_of(type(model), OpenLoop)(model, *common)
+    return rig
+
+
 def _times(text: str, step: float, duration: float | None) -> Array:
     """Return the times of all rows [s]; a model with long steps gets a longer default duration."""
     default, shortest, longest = (slowness(step) * seconds for seconds in (DURATION, SHORTEST, LONGEST))
@@ -121,7 +131,7 @@ def _times(text: str, step: float, duration: float | None) -> Array:
 
 def _choose(question: Question, rig: Rig, time: Array, seed: int, count: int, report: Progress) -> Excitation | None:
     """Return the best of `count` experiments, None if all exceed the limits."""
-    model, subject = question.loaded.model, ModelSubject(question.base)
+    model, subject = question.loaded.model, question.subject
     usual_trial = rig.play(model, rig.usual_signals(time))
     log = usual_trial.log(model, question.measured)
     problem = build_problem(subject, [log], noise=question.noise)
@@ -169,7 +179,10 @@ def _write(folder: Path, excitation: Excitation, seed: int) -> None:
 
     trial, loaded = excitation.trial, excitation.question.loaded
     write_columns(folder / "excitation.csv", trial.time, trial.inputs, {q.name: q.unit for q in loaded.model.inputs})
-    build(loaded.recipe(), folder / "plant.fmu")
+    if (of_fmu := excitation.question.of_fmu) is None:
+        build(loaded.recipe(), folder / "plant.fmu")
+    else:
+        copyfile(of_fmu.structure.fmu, folder / "plant.fmu")
     excitation.rig.write(folder, trial)
     write_text(folder / "excitation.yaml", "\n".join(_scenario(excitation, seed)) + "\n")
 

@@ -54,3 +54,4 @@ USUAL_INPUT_IS_BETTER = Template(
     "{usual} separates better ({count} of {pairs}, the nearest {distance:.1f} standard deviations apart) "
     "but goes {excess:.1f} times as far as --limit allows",
 )
+NO_RIVALS = Template("E-EXP-018", "has no terms that are hard to separate; name rivals as --against ({names})")

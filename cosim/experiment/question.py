@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict
 from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.messages import Message
 from cosim.experiment import messages
+from cosim.experiment.fmu_experiment import confused_groups, first_outputs, subject_of_fmu
 from cosim.experiment.ranges import inputs_to_limit, limits_and_ranges, logged_ranges
 from cosim.experiment.rigs import Ranges
 from cosim.experiment.separation import Pair, Rival, all_pairs, typical_rival
@@ -22,13 +23,16 @@ from cosim.logs.log import read_log
 from cosim.model.model import Model
 from cosim.refinement.decision.judgement import SIGNIFICANT
 from cosim.refinement.search.hypotheses import TOGETHER
-from cosim.refinement.study import StudyFile
-from cosim.storage.kinds import ANSWER, CODE, MODEL, check_form, check_given
+from cosim.refinement.study import StudyFile, read_study
+from cosim.storage.kinds import ANSWER, CODE, FMU, MODEL, check_form, check_given
 from cosim.storage.yaml_file import YamlFile, did_you_mean
 from cosim.subject.candidates import Candidate
+from cosim.subject.fmu_subject import FmuSubject
 from cosim.subject.model_subject import ModelSubject
 
 NOTHING = "nothing"
+FMU_SUFFIX = ".fmu"
+NOISE_SHARE = 0.01  # assumed noise of an output, relative to its spread, without logs
 
 
 @dataclass(frozen=True)
@@ -41,6 +45,8 @@ class Question:
         measured: Logged outputs; `noise` holds standard deviations that differ from the model's.
         limits: Largest excursion of an input or output from its start.
         ranges: Input → least and largest command, declared, requested, or observed in logs.
+        of_fmu: Subject of an FMU; None for a model.
+        first: Output of an FMU → reading at the start.
     """
 
     loaded: LoadedModel
@@ -51,6 +57,13 @@ class Question:
     noise: Mapping[str, float]
     limits: Mapping[str, float]
     ranges: Ranges = field(default_factory=dict)
+    of_fmu: FmuSubject | None = None
+    first: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def subject(self) -> ModelSubject:
+        """Return the subject of the base model, with the library of its FMU if it is one."""
+        return ModelSubject(self.base) if self.of_fmu is None else self.of_fmu
 
     def model_if(self, rival: Rival) -> Model:
         """Return the model under a rival hypothesis; sensor errors do not change the model."""
@@ -88,20 +101,25 @@ def ask(
     limits: Sequence[str] = (),
     measured: Sequence[str] = (),
     ranges: Sequence[str] = (),
+    duration: float | None = None,
 ) -> Question:
     """Return the question of an experiment: a model, its rival hypotheses, and limits of signals.
 
     Args:
-        text: `base`, a model file, or a refine.json or its folder.
+        text: `base`, a model file, an FMU, or a refine.json or its folder.
         against: Names of rivals; by default those of the refinement, or those hard to separate in the model.
         limits: Texts NAME=VALUE: largest distance of an input or output from its start value, with unit.
         measured: Outputs that will be logged; by default those of the refinement or of the model.
         ranges: Texts NAME=MIN..MAX: range of an input, with unit.
+        duration: Duration of the experiment [s], for the probe of an FMU.
 
     Raises:
         InputError: An argument has faults, or the model has no states.
     """
-    path, question = _read_question(text, against)
+    if Path(text).suffix.lower() == FMU_SUFFIX:
+        path, question = Path(text), _question_of_fmu(Path(text), against, limits, ranges, duration)
+    else:
+        path, question = _read_question(text, against)
     model, faults = question.base.model, list[Message]()
     if model.static:
         raise InputError.at(path, messages.NO_STATES(model=model.title))
@@ -123,7 +141,7 @@ def _read_question(text: str, against: Sequence[str]) -> tuple[Path, Question]:
     """
     path = Path(text)
     if path.exists() and not names_refine(path) and ".py:" not in text:
-        (check_given if path.suffix == ".json" else check_form)(path, ANSWER, MODEL, CODE)
+        (check_given if path.suffix == ".json" else check_form)(path, ANSWER, MODEL, CODE, FMU)
     if (folder := refinement_folder(text)) and path.exists():
         path = folder / "refine.json" if path.is_dir() else path
         return path, _question_of_refinement(path, against)
@@ -148,7 +166,23 @@ def _question_of_refinement(path: Path, against: Sequence[str]) -> Question:
         raise InputError([yaml.fault(("study",), messages.NO_STUDY(study=file))])
     yaml = YamlFile(file)
     study = yaml.validate(StudyFile)
+    if study.model.lower().endswith(FMU_SUFFIX):
+        of_study = read_study(file)
+        subject, noise = of_study.subject, {**content.sensor_noise, **of_study.content.noise}
+        assert isinstance(subject, FmuSubject)
+        question = _rivals_of_refinement(path, content, subject.loaded, against)
+        ranges = logged_ranges(of_study.logs) if inputs_to_limit(subject.model) else {}
+        return replace(question, noise=noise, ranges=ranges, of_fmu=subject, first=first_outputs(of_study.logs[0]))
     loaded, _ = with_substep(load_model(study.model, file.parent, yaml))
+    question = _rivals_of_refinement(path, content, loaded, against)
+    noise, ranges = {**content.sensor_noise, **study.noise}, _read_logged_ranges(loaded.model, file.parent, study)
+    return replace(question, noise=noise, ranges=ranges)
+
+
+def _rivals_of_refinement(
+    path: Path, content: RefineResultPart, loaded: LoadedModel, against: Sequence[str]
+) -> Question:
+    """Return the question of a refinement's rivals, without noise and ranges."""
     candidates = _candidates(loaded)
     names = list(against) or [n for n in content.rivals if n != "no_effect"]
     if any(TOGETHER in name for name in names):
@@ -161,8 +195,7 @@ def _question_of_refinement(path: Path, against: Sequence[str]) -> Question:
         rivals, pairs = _rivals(loaded, candidates, names)
         values = ModelSubject(loaded).values
         fitted = tuple(_fitted_rival(r, names, content, candidates, values) for r in rivals)
-    noise, ranges = {**content.sensor_noise, **study.noise}, _read_logged_ranges(loaded.model, file.parent, study)
-    return Question(loaded, loaded, fitted, tuple(pairs), tuple(content.measured), noise, {}, ranges)
+    return Question(loaded, loaded, fitted, tuple(pairs), tuple(content.measured), {}, {})
 
 
 def _joint_rival(
@@ -218,6 +251,33 @@ def _is_significant(c: Candidate, h: Ranked, content: RefineResultPart, values: 
     rest = set(h.names) - {c.name}
     without = max((o.log_likelihood_gain or 0.0 for o in content.candidates if rest.issuperset(o.names)), default=0.0)
     return h.log_likelihood_gain - without > 0.5 * SIGNIFICANT**2
+
+
+def _question_of_fmu(
+    path: Path, against: Sequence[str], limits: Sequence[str], ranges: Sequence[str], duration: float | None
+) -> Question:
+    """Return the question of an FMU.
+
+    Args:
+        against: Names of the rivals; by default the terms that are hard to separate at each place.
+        duration: Duration of the pulses along which it is probed [s].
+    """
+    check_given(path, FMU)
+    subject, first = subject_of_fmu(path, duration, limits, ranges)
+    candidates = _candidates(subject.loaded)
+    _check_names(path, against, candidates)
+    if against:
+        rivals, pairs = _rivals(subject.loaded, candidates, list(against))
+    else:
+        pairs = tuple(pair for group in confused_groups(subject.model) for pair in all_pairs(sorted(group)))
+        names = dict.fromkeys(chain.from_iterable(pairs))
+        rivals = tuple(typical_rival(subject, candidates[name]) for name in names)
+    if not pairs:
+        raise InputError.at(path, messages.NO_RIVALS(names=", ".join(candidates)))
+    measured = tuple(q.name for q in subject.outputs)
+    variables = {name: variable for variable, name in subject.names.items()}
+    noise = {n: NOISE_SHARE * (subject.structure.scales.get(variables[n]) or 1.0) for n in measured}
+    return Question(subject.loaded, subject.loaded, rivals, pairs, measured, noise, {}, {}, subject, first)
 
 
 def _question_of_model(path: Path, loaded: LoadedModel, against: Sequence[str]) -> Question:

@@ -18,7 +18,7 @@ def command(
     model: Annotated[
         str,
         typer.Argument(
-            help="A registered model such as base, a model.yaml, FILE.py:CLASS, or a refine.json or its folder."
+            help="A registered model such as base, a model.yaml, FILE.py:CLASS, an FMU, or a refine.json or its folder."
         ),
     ],
     *,

@@ -1,0 +1,154 @@
+"""Experiments with an FMU: its usual response, the subject made of it, and the rig that plays signals through it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import Fault, refuse
+from cosim.base.messages import Message
+from cosim.blocks.description import read_description
+from cosim.estimation.data import data_of
+from cosim.experiment.ranges import limits_and_ranges
+from cosim.experiment.rigs import OpenLoop, Ranges, Signals, Trial, clip
+from cosim.isolation.limits import Limits
+from cosim.isolation.process import Worker
+from cosim.logs.log import Log
+from cosim.model.model import Model
+from cosim.probing.log_runs import sine_course
+from cosim.probing.places import probe_places
+from cosim.probing.prober import quantities
+from cosim.residuals.drive import model_signals
+from cosim.residuals.remote_drive import MODULES, DriveApart
+from cosim.subject.fmu_subject import FmuSubject
+from cosim.subject.model_subject import neutral_values
+from cosim.subject.start_state import start_state
+from cosim.terms.fmu_model import FmuModel, fmu_model
+from cosim.terms.language import with_place
+
+# Kinds of terms at one place that small or short experiments confuse.
+CONFUSED = (
+    ("delay", "lag", "second_order_lag", "rate_limit"),
+    ("dead_band", "play"),
+    ("gain", "saturation"),
+    ("coulomb", "viscous", "quadratic_drag"),
+    ("cubic_spring", "cogging"),
+    ("leak", "overflow"),
+)
+
+
+class FmuOpenLoop(OpenLoop):
+    """Open-loop rig that plays signals through the library of an FMU, with the terms of a hypothesis.
+
+    Args:
+        first: Output → reading at the start.
+    """
+
+    def __init__(
+        self,
+        subject: FmuSubject,
+        first: Mapping[str, float],
+        limits: Mapping[str, float],
+        ranges: Ranges,
+        duration: float,
+    ) -> None:
+        super().__init__(subject.model, limits, ranges, duration)
+        self.subject, self.first = subject, first
+        self.kernel = subject.kernel([q.name for q in subject.outputs])
+
+    def play(self, model: Model, signals: Signals) -> Trial:
+        """Simulate the FMU with the parameters of a model, and input signals clipped to the ranges."""
+        starts = {q.name: start for q, start in zip(model.inputs, model.start_command(), strict=True)}
+        inputs = {name: clip(start + signals[name], name, self.ranges) for name, start in starts.items()}
+        time = model.rate * np.arange(len(next(iter(signals.values()))), dtype=np.float64)
+        names = [q.name for q in model.outputs]
+        readings = {n: np.where(np.arange(time.size) == 0, self.first.get(n, np.nan), np.nan) for n in names}
+        log = Log(Path("trial.csv"), time, inputs, readings, {}, model.rate, {}, {})
+        layout = self.kernel.layout
+        data = data_of(self.subject, log, layout, 0.0)
+        values = neutral_values(model)
+        p = np.array([values.get(name, 1.0) for name in layout.parameters])
+        x0 = start_state(self.subject, data, layout.outputs, layout.states)
+        table = self.kernel.simulate(data, p, x0, np.zeros(layout.memory)).outputs
+        return Trial(time, signals, inputs, {}, dict(zip(names, table.T, strict=True)))
+
+    def connections(self, model: Model, trial: Trial, variance: Mapping[str, float]) -> Iterator[str]:
+        """Yield the connection of every input, to the variable of the FMU."""
+        assert isinstance(model, FmuModel)
+        yield from (f'  - {{from: excitation.{q.name}, to: "plant.{model.variables[q.name]}"}}' for q in model.inputs)
+
+
+def usual_log(fmu: Path, time: Array, inputs: Mapping[str, Array]) -> Log:
+    """Return the response of an FMU to inputs, in names of the FMU.
+
+    Raises:
+        FmuError: The FMU cannot be loaded.
+        SimulationError: The FMU fails.
+    """
+    signals = model_signals(fmu)
+    units = {q.name: q.unit for group in signals for q in group}
+    step = float(time[1] - time[0])
+    log = Log(fmu.with_suffix(".csv"), time, dict(inputs), {}, units, step, units, {})
+    with Worker(*MODULES) as worker, DriveApart(worker, log, fmu) as drive:
+        table = drive.run(0, time.size - 1, {})
+        return replace(log, outputs=dict(zip(drive.outputs, table.T, strict=True)))
+
+
+def subject_of_fmu(
+    fmu: Path, duration: float | None, limits: Sequence[str], ranges: Sequence[str]
+) -> tuple[FmuSubject, dict[str, float]]:
+    """Return the subject of an FMU that was probed along a pulse of each input, and its first outputs.
+
+    Args:
+        duration: Duration of the pulses [s]; None for the duration and step that the FMU declares.
+
+    Raises:
+        InputError: An input has no limit.
+        FmuError: The FMU cannot be loaded.
+        SimulationError: The FMU fails.
+    """
+    description = read_description(fmu)
+    course = sine_course(description, {})
+    step = float(course.time[1] - course.time[0])
+    time = step * np.arange(round((duration or float(course.time[-1])) / step) + 1, dtype=np.float64)
+    inputs, outputs = (quantities(description, [q.name for q in group]) for group in model_signals(fmu))
+    bare = _bare_model(fmu, inputs, outputs, step)
+    faults = list[Message]()
+    reaches, spans = limits_and_ranges(bare, limits, ranges, {}, faults)
+    refuse(Fault(fmu, 0, 0, fault) for fault in faults)
+    rig = OpenLoop(bare, reaches, spans, float(time[-1]))
+    pulses = rig.usual_signals(time)
+    names = {with_place(q.name): q for q in inputs}
+    played = {q.name: clip(q.start + pulses[name], name, spans) for name, q in names.items()}
+    log = usual_log(fmu, time, played)
+    subject = FmuSubject.of_fmu(probe_places(fmu, [log]).structure, [log], limits=Limits())
+    return subject, first_outputs(log)
+
+
+def first_outputs(log: Log) -> dict[str, float]:
+    """Return output → its first reading in a log, in names of the model."""
+    readings = {with_place(n): values[np.isfinite(values)] for n, values in log.outputs.items()}
+    return {name: float(values[0]) for name, values in readings.items() if values.size}
+
+
+def _bare_model(fmu: Path, inputs: Sequence[Any], outputs: Sequence[Any], step: float) -> FmuModel:
+    """Return a model with the signals of an FMU only, to read limits."""
+    signals = [tuple(replace(q, name=with_place(q.name)) for q in group) for group in (outputs, inputs, outputs)]
+    return fmu_model(fmu.stem, (signals[0], signals[1], signals[2]), (), (), rate=step)
+
+
+def confused_groups(model: Model) -> list[set[str]]:
+    """Return the groups of terms of an FMU that are hard to separate: kinds of `CONFUSED` at one place."""
+    groups = []
+    terms = [kind for kind in model.catalogue if hasattr(kind, "place")]
+    for _, at in groupby(sorted(terms, key=lambda t: t.place.name), key=lambda t: t.place.name):
+        kinds = {t.kind: t.name for t in at}
+        kinds |= {"delay": "delay"} if "lag" in kinds and any(k.name == "delay" for k in model.catalogue) else {}
+        groups += [{kinds[k] for k in confused if k in kinds} for confused in CONFUSED]
+    return [group for group in groups if len(group) > 1]
