@@ -17,6 +17,8 @@ import cosim
 from cosim.base.errors import InputError
 from cosim.estimation.posing import build_problem
 from cosim.estimation.problem import Problem
+from cosim.experiment.excite import excite
+from cosim.experiment.question import ask
 from cosim.kernel.remote_kernel import RemoteLibraryKernel
 from cosim.model import Equations, Model, Namespace, Quantity, Values, parameter
 from cosim.model.model import Number
@@ -276,3 +278,41 @@ def test_dry_friction_is_named_and_delivered(folder: Path, way: str, tmp_path: P
     assert refined.record["replays"]["apart"] < 1e-9  # the delivered FMU and the model of the filter
     error = refined.record["error"]
     assert error["after"]["validation"]["speed"] < 0.2 * error["before"]["validation"]["speed"]
+
+
+# -- experiments --------------------------------------------------------------------------------------
+
+LIMITS = ["voltage=6", "load_torque=0.002"]
+FRICTIONS = ["coulomb_at_speed", "viscous_at_speed"]
+
+
+@pytest.mark.thorough
+def test_excite_separates_terms_of_an_fmu_within_limits(folder: Path, way: str, tmp_path: Path) -> None:
+    fmu = build(folder / f"{way}2.fmu", "dc_motor", 2, ways=(way,))
+    planned = excite(str(fmu), tmp_path, FRICTIONS, limits=LIMITS, duration=6.0, experiments=4)
+    assert min(planned.apart.values()) >= min(planned.usual.values())
+    assert (tmp_path / "plant.fmu").read_bytes() == fmu.read_bytes()
+    rows = cosim.run(tmp_path / "excitation.yaml", tmp_path / "run", report=False)
+    assert np.abs(rows["plant.voltage"]).max() <= 6.0
+    assert np.abs(rows["plant.speed"] - planned.trial.outputs["speed"]).max() < 0.05 * np.ptp(rows["plant.speed"])
+
+
+def test_excite_goes_on_from_the_folder_that_refine_left(folder: Path, tmp_path: Path) -> None:
+    fmu = build(folder / "model_exchange2.fmu", "dc_motor", 2, ways=("model_exchange",))
+    study = write_study(folder, fmu, [folder / "e1.csv", folder / "e2.csv"], noise=NOISE)
+    fits = [{"coulomb_at_speed.level": 0.004, "coulomb_at_speed.softness": 0.5}, {"viscous_at_speed.coefficient": 1e-4}]
+    ranking = [
+        {"names": [name], "parameters": fit, "fitted": True, "log_likelihood_gain": 50.0}
+        for name, fit in zip(FRICTIONS, fits, strict=True)
+    ]
+    record = {"study": str(study), "rivals": FRICTIONS, "candidates": ranking, "hidden": [], "measured": [*NOISE]}
+    (tmp_path / "refine.json").write_text(json.dumps(record))
+    question = ask(str(tmp_path))
+    assert question.pairs == (tuple(FRICTIONS),)
+    assert question.of_fmu is not None
+    assert [dict(r.values) for r in question.rivals] == fits
+    assert question.ranges["voltage"][1] < 8.0  # that of the logs, since the FMU declares none
+    with pytest.raises(InputError, match="how far from 0 may load_torque go"):
+        ask(str(fmu), limits=["voltage=6"])
+    with pytest.raises(InputError, match="no candidate"):
+        ask(str(tmp_path), ["colomb_at_speed"])

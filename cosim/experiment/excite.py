@@ -197,6 +197,8 @@ def _scenario(excitation: Excitation, seed: int) -> Iterator[str]:
     yield f"duration: {trial.time[-1]:.9g}"
     yield f"step: {model.rate:.9g}"
     yield f"seed: {seed}"
+    if question.of_fmu is not None:
+        yield "algorithm: jacobi # the input of a row acts until the next one, also where outputs depend on inputs"
     yield ""
     yield "components:"
     yield "  plant: {fmu: plant.fmu}"
