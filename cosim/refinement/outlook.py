@@ -3,21 +3,43 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 
-from cosim.base.messages import Message
+from cosim.base.messages import Message, with_prefix
 from cosim.base.text import counted, join_names
 from cosim.fmi.native.compiler import compiler
+from cosim.loading.file import is_execution_allowed
 from cosim.logs.log import Log
 from cosim.probing.fmu_structure import Pair, Structure
 from cosim.refinement import messages
-from cosim.refinement.study import Study
+from cosim.refinement.study import FMU_SUFFIX, Study, keys_of, read_parts_of_fmu, read_study
+from cosim.storage.artefact import Checking
+from cosim.storage.yaml_file import YamlFile
 from cosim.subject.fmu_subject import FmuSubject
 from cosim.terms.language import with_place
 
 FEWEST_STEPPED = 2  # estimation logs in co-simulation, where the filter has no process noise inside the FMU
 RARE = 0.02  # least share of rows against the usual direction, for a velocity that reverses
+
+
+def check_study(path: Path, checking: Checking) -> list[str]:
+    """Return the warnings of a study, and what a refinement can find in its FMU.
+
+    Raises:
+        InputError: The study has faults.
+    """
+    content = YamlFile(path).root
+    model = str(content.get("model", "")) if isinstance(content, dict) else ""
+    if model.lower().endswith(FMU_SUFFIX) and checking.worker is None and not is_execution_allowed():
+        read_parts_of_fmu(*keys_of(path))
+        return [messages.NOT_PROBED(model=model).after("warning: ")]
+    study = read_study(path)
+    return [
+        *(with_prefix("warning: ", text) for text in study.warnings),
+        *(text.after("" if text.code.startswith("N") else "warning: ") for text in outlook(study)),
+    ]
 
 
 def outlook(study: Study) -> list[Message]:

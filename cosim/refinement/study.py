@@ -22,7 +22,7 @@ from cosim.base.text import counted, plain
 from cosim.base.units import has_unit, read_quantity
 from cosim.estimation.problem import Settings
 from cosim.isolation.limits import Limits
-from cosim.loading.file import LoadedModel, is_execution_allowed, load_model, own_terms
+from cosim.loading.file import LoadedModel, load_model, own_terms
 from cosim.loading.substep import with_substep
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.holes import fill_holes
@@ -33,7 +33,7 @@ from cosim.refinement import messages
 from cosim.refinement.search.groups import Places, full_name, group_of, per_log_faults
 from cosim.residuals.drive import log_of_fmu
 from cosim.residuals.windows import SKIPPED
-from cosim.storage.artefact import Checking, kind_by_keys
+from cosim.storage.artefact import kind_by_keys
 from cosim.storage.files import FilePath
 from cosim.storage.kinds import STUDY, check_form, refuse_other
 from cosim.storage.yaml_file import UNIT_OF_KEY, Positive, YamlFile, did_you_mean
@@ -194,33 +194,13 @@ class Study:
         )
 
 
-def check_study(path: Path, checking: Checking) -> list[str]:
-    """Return the warnings of a study, and what a refinement can find in its FMU.
-
-    Raises:
-        InputError: The study has faults.
-    """
-    from cosim.refinement.outlook import outlook
-
-    content = YamlFile(path).root
-    model = str(content.get("model", "")) if isinstance(content, dict) else ""
-    if model.lower().endswith(FMU_SUFFIX) and checking.worker is None and not is_execution_allowed():
-        _read_of_fmu(*_keys_of(path))
-        return [messages.NOT_PROBED(model=model).after("warning: ")]
-    study = read_study(path)
-    return [
-        *(with_prefix("warning: ", text) for text in study.warnings),
-        *(text.after("" if text.code.startswith("N") else "warning: ") for text in outlook(study)),
-    ]
-
-
 def read_study(path: Path) -> Study:
     """Read a study and its logs.
 
     Raises:
         InputError: Every fault of the study, its model and its logs.
     """
-    yaml, content, faults = _keys_of(path)
+    yaml, content, faults = keys_of(path)
     if content.model.lower().endswith(FMU_SUFFIX):
         return _of_fmu(yaml, content, faults)
     if content.terms:
@@ -250,7 +230,7 @@ def read_study(path: Path) -> Study:
     return Study(path, content, ModelSubject(loaded), tuple(logs["estimation"]), tuple(warnings))
 
 
-def _keys_of(path: Path) -> tuple[YamlFile, StudyFile, list[Fault]]:
+def keys_of(path: Path) -> tuple[YamlFile, StudyFile, list[Fault]]:
     """Return a study file, its keys without faulty parts, and the faults."""
     check_form(path, STUDY)
     yaml = YamlFile(path)
@@ -261,7 +241,9 @@ def _keys_of(path: Path) -> tuple[YamlFile, StudyFile, list[Fault]]:
     return yaml, content, faults
 
 
-def _read_of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> tuple[Path, list[Log], list[type[Any]]]:
+def read_parts_of_fmu(
+    yaml: YamlFile, content: StudyFile, faults: list[Fault]
+) -> tuple[Path, list[Log], list[type[Any]]]:
     """Return the FMU, its estimation logs and the user's terms.
 
     Raises:
@@ -302,7 +284,7 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
         InputError: Every fault of the study and its logs.
         FmuError: Only the FMU has faults.
     """
-    fmu, logs, terms = _read_of_fmu(yaml, content, faults)
+    fmu, logs, terms = read_parts_of_fmu(yaml, content, faults)
     probed = probe_places(fmu, logs)
     subject = FmuSubject.of_fmu(probed.structure, logs, terms, content.limits or Limits())
     subject.source += f", because {probed.reason}"
