@@ -63,7 +63,7 @@ class Estimate:
         return None if self.likelihood is None else self.likelihood.best
 
     def run(self, parameters: Sequence[Parameter], *, screening: bool) -> None:
-        """Estimate parameters; with `screening` only those that the logs determine.
+        """Estimate parameters, with `screening` only determined ones.
 
         Raises:
             InputError: The logs determine no parameter.
@@ -202,7 +202,7 @@ class Estimate:
         self.reason, self.logs.horizon = reason, max(horizons(d.log)[-1] for d in self.logs.drives)
 
     def _why_windows(self, slopes: Jacobian) -> str:
-        """Return the reason why free runs are useless, or ""."""
+        """Return why free runs are useless, or ""."""
         likelihood, point = self.likelihood, self.point
         assert likelihood is not None
         assert point is not None

@@ -49,7 +49,7 @@ def _changes(fitted: Outcome, part: Part) -> str:
 
 
 def _about_values(fitted: Outcome) -> Iterator[str]:
-    """Yield warnings about values at bounds, and about wide intervals."""
+    """Yield warnings about bounds and wide intervals."""
     for name, entry in fitted.parameters.items():
         if entry.status == "at_bound":
             yield messages.AT_BOUND(name=name, value=amount(entry.value, entry.unit, 4))

@@ -87,7 +87,7 @@ class Request:
         return Fault(Path("LOG"), 0, 0, message) if self.yaml is None else self.yaml.fault(("logs",), message)
 
     def log_fault(self, index: int, message: str) -> Fault:
-        """Return a fault of the file name of a log, by its index."""
+        """Return a fault of a log's name."""
         if self.yaml is None:
             return Fault(self.logs[index], 0, 0, message)
         count = len(self.estimation)
@@ -176,7 +176,7 @@ def request_of(
 
 
 def check_missing(request: Request) -> list[Fault]:
-    """Return faults of a study whose FMU or logs do not exist."""
+    """Return faults of missing files."""
     if request.yaml is None:
         return []
     faults = []

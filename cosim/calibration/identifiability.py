@@ -72,7 +72,7 @@ def stacked(likelihood: Likelihood, point: Point, slopes: Jacobian, sigma: Array
 
 
 def without(columns: Array, nuisance: Array) -> Array:
-    """Return columns without the part that nuisance columns can imitate."""
+    """Return columns without their projection on nuisance columns."""
     if not nuisance.shape[1] or not columns.shape[1]:
         return columns
     basis = orthonormal(nuisance / np.maximum(np.linalg.norm(nuisance, axis=0), 1e-300))

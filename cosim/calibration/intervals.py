@@ -129,7 +129,7 @@ class _Sandwich:
 
     @staticmethod
     def _draw(table: Array, models: Sequence[Autoregression], root: Array, rng: np.random.Generator) -> Array:
-        """Return residuals of the autoregressions where a log has values."""
+        """Return residuals of the autoregressions at measured values."""
         from scipy.signal import lfilter
 
         count, settling = table.shape[0], SETTLING * MOST_LAGS
@@ -169,7 +169,7 @@ def _autoregression(parts: Sequence[Array]) -> Autoregression:
 
 
 def _reflection(forward: Sequence[Array], backward: Sequence[Array]) -> float:
-    """Return the reflection coefficient that makes the prediction errors smallest."""
+    """Return the reflection coefficient with the smallest prediction errors."""
     pairs = [(float(f @ b), float(f @ f + b @ b)) for f, b in zip(forward, backward, strict=True)]
     size = sum(size for _, size in pairs)
     return -2.0 * sum(cross for cross, _ in pairs) / size if size > 0.0 else 0.0

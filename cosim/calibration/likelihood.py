@@ -76,7 +76,7 @@ class Likelihood:
         return {**self.given, **chosen}
 
     def table(self, x: Array, k: int) -> Array | None:
-        """Return the residuals of log k, None after a failure."""
+        """Return residuals of log k, None after failure."""
         return self.logs.errors(k, self.values(x, k))
 
     def point(self, x: Array) -> Point | None:
@@ -164,7 +164,7 @@ class Likelihood:
     # -- the estimate -------------------------------------------------------------------------
 
     def equations(self, point: Point, slopes: Jacobian) -> tuple[Array, Array]:
-        """Return the information matrix and the gradient of the cost."""
+        """Return information matrix and gradient of the cost."""
         weights = point.residuals.sigma**-2
         matrix = np.diag(self.precision)
         gradient = self.precision * (point.x - self.prior)

@@ -163,7 +163,7 @@ def _strong_pairs(record: Record) -> str:
 
 
 def _errors(record: Record) -> Iterator[dict[str, Any]]:
-    """Yield a table of errors for each set of logs."""
+    """Yield an error table for each set of logs."""
     titles = {"estimation": "Logs of the estimate", "sealed": "Sealed logs"}
     for part, errors in record.errors.items():
         horizon = horizon_name(FREE_RUN if errors.horizon is None else errors.horizon)

@@ -78,7 +78,7 @@ class Unknown:
 
     @property
     def is_shown(self) -> bool:
-        """Return True for a start value that an output shows."""
+        """Return whether an output shows the start value."""
         return self.log is not None and not self.hidden
 
 
@@ -158,7 +158,7 @@ class Logs:
         return np.column_stack(columns)
 
     def _outputs(self, k: int, values: Mapping[str, float]) -> Mapping[str, Array]:
-        """Return the outputs of a free run or of windows."""
+        """Return outputs of a free run or windows."""
         drive = self.drives[k]
         if self.horizon is None:
             table = drive.run(0, drive.log.rows - 1, values)

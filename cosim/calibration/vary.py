@@ -51,7 +51,7 @@ class Parameter:
 
     @property
     def sigma(self) -> float:
-        """Return the standard deviation of the prior; infinite without one."""
+        """Return the prior's standard deviation, infinite without one."""
         return math.inf if self.tolerance is None else self.tolerance / NORMAL_95
 
 
@@ -85,7 +85,7 @@ def _is_estimable(variable: Any) -> bool:
 
 
 def _limits(variable: Any) -> tuple[float, float]:
-    """Return min and max of a variable or of its type."""
+    """Return min and max of variable or type."""
     ends = []
     for end, default in (("min", -math.inf), ("max", math.inf)):
         values = getattr(variable, end, None), getattr(variable.declaredType, end, None)
@@ -153,7 +153,7 @@ def _not_offered(name: str, variables: Mapping[str, Any], offered: Mapping[str, 
 
 
 def _bounded(description: Any, variable: Any, parameter: Parameter, text: str) -> Parameter:
-    """Return the parameter with the bounds or the prior of a text."""
+    """Return the parameter with bounds or prior."""
     if text in FREE:
         return parameter
     if text.endswith("%"):

@@ -55,7 +55,7 @@ def fit(
     keep: bool = False,
     progress: Report = lambda stage, share: None,
 ) -> tuple[Record, list[str]]:
-    """Estimate parameters and start values of an FMU from logs.
+    """Estimate an FMU's parameters and start values.
 
     Writes fit.json, fitted.ssv, fitted.fmu (if its library follows the start values of the file) and report.html.
 
@@ -171,7 +171,7 @@ def _read(request: Request) -> tuple[list[Log], list[Parameter], dict[str, Any]]
 
 
 def _chosen(request: Request, description: Any, given: Mapping[str, Any]) -> list[Parameter]:
-    """Return the parameters to vary, or all that the FMU offers."""
+    """Return the parameters to vary, or all."""
     numbers = {n: v for n, v in given.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
     offered = candidates(description, numbers)
     if request.vary:
@@ -220,7 +220,7 @@ def _run(estimate: Estimate, chosen: Sequence[Parameter], *, screening: bool, li
 def _prove_or_stop(
     estimate: Estimate, chosen: Sequence[Parameter], opened: Sequence[Drive], closed: Sequence[Drive]
 ) -> tuple[tuple[Part, ...], SimulationError | None]:
-    """Return the proof; without it the values stand, and the reason is returned."""
+    """Return the proof, or the reason without one."""
     estimate.report("replaying with the values before and after", 0.0)
     try:
         return _prove(estimate, chosen, opened, closed), None
@@ -290,7 +290,7 @@ def _write(
 
 
 def _write_set(path: Path, outcome: Outcome, values: Mapping[str, float]) -> None:
-    """Write the values and the given real values as an SSV file."""
+    """Write estimated and set values as an SSV file."""
     described = read_description(outcome.fmu)
     units = {v.name: unit_of(v) for v in described.modelVariables}
     numbers = {n: v for n, v in outcome.given.items() if isinstance(v, float)}
@@ -309,6 +309,6 @@ def _values(outcome: Outcome) -> Iterator[tuple[str, float]]:
 
 
 def command(outcome: Outcome, values: Mapping[str, float]) -> str:
-    """Return the command that simulates the FMU with the values."""
+    """Return the command that simulates with the values."""
     sets = [word for n, v in values.items() for word in ("--set", f"{n}={v!r}")]
     return shlex.join(["cosim", "simulate", str(outcome.fmu), *sets, *(["--compile"] if permission.get() else [])])

@@ -79,13 +79,13 @@ class FmuOpenLoop(OpenLoop):
         return Trial(time, signals, inputs, {}, dict(zip(names, table.T, strict=True)))
 
     def connections(self, model: Model, trial: Trial, variance: Mapping[str, float]) -> Iterator[str]:
-        """Yield the connection of every input, to the variable of the FMU."""
+        """Yield the connection of every input."""
         assert isinstance(model, FmuModel)
         yield from (f'  - {{from: excitation.{q.name}, to: "plant.{model.variables[q.name]}"}}' for q in model.inputs)
 
 
 def usual_log(fmu: Path, time: Array, inputs: Mapping[str, Array]) -> Log:
-    """Return the response of an FMU to inputs, in names of the FMU.
+    """Return the response of an FMU to inputs.
 
     Raises:
         FmuError: The FMU cannot be loaded.
@@ -138,7 +138,7 @@ def first_outputs(log: Log) -> dict[str, float]:
 
 
 def _bare_model(fmu: Path, inputs: Sequence[Any], outputs: Sequence[Any], step: float) -> FmuModel:
-    """Return a model with the signals of an FMU only, to read limits."""
+    """Return a model with the FMU's signals only."""
     signals = [tuple(replace(q, name=with_place(q.name)) for q in group) for group in (outputs, inputs, outputs)]
     return fmu_model(fmu.stem, (signals[0], signals[1], signals[2]), (), (), rate=step)
 

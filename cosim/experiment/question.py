@@ -182,7 +182,7 @@ def _question_of_refinement(path: Path, against: Sequence[str]) -> Question:
 def _rivals_of_refinement(
     path: Path, content: RefineResultPart, loaded: LoadedModel, against: Sequence[str]
 ) -> Question:
-    """Return the question of a refinement's rivals, without noise and ranges."""
+    """Return the question of a refinement's rivals."""
     candidates = _candidates(loaded)
     names = list(against) or [n for n in content.rivals if n != "no_effect"]
     if any(TOGETHER in name for name in names):
@@ -330,7 +330,7 @@ def _groups(model: Model, candidates: Mapping[str, Candidate]) -> list[set[str]]
 def _rivals(
     loaded: LoadedModel, candidates: Mapping[str, Candidate], names: Sequence[str]
 ) -> tuple[tuple[Rival, ...], tuple[Pair, ...]]:
-    """Return rivals of typical size, and the pairs of rivals to separate.
+    """Return rivals of typical size and their pairs.
 
     A single named candidate is compared with the model without it. Without names, the model's groups supply the pairs.
     """

@@ -105,7 +105,7 @@ def _parameters(prober: Prober, course: Course, size: Array) -> tuple[ProbedPara
 
 
 def _react(prober: Prober, course: Course, fmu: Fmu) -> tuple[Array, Array]:
-    """Return the initial and the later outputs along a course."""
+    """Return initial and later outputs along a course."""
     table, stop = prober.call(outputs_along, fmu, course)
     if not len(table):
         raise stop

@@ -146,7 +146,7 @@ def simulated(fmu: Fmu, course: Course, first: Mapping[int, float]) -> Run:
 def evaluated(
     fmu: Fmu, course: Course, first: Mapping[int, float], rows: Sequence[int], points: Points, run: Run | None
 ) -> Points:
-    """Return points with the evaluations at rows of a course.
+    """Return points with evaluations at rows.
 
     Args:
         run: The simulation, so that the FMU is moved to its points; None to simulate again, as events demand.

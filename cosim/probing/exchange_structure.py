@@ -129,7 +129,7 @@ def _storages(states: Sequence[str], pairs: Sequence[Pair], depends: Flags) -> t
 
 
 def _nominal(description: Any, name: str) -> float:
-    """Return the nominal value of a variable, 1 without one."""
+    """Return a variable's nominal value, 1 without one."""
     for variable in description.modelVariables:
         if variable.name == name:
             own = getattr(variable, "nominal", None) or getattr(variable.declaredType, "nominal", None)

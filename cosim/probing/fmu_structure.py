@@ -151,5 +151,5 @@ class Structure:
 
     @property
     def acting(self) -> tuple[ProbedParameter, ...]:
-        """Return the parameters that change a rate or an output."""
+        """Return parameters that change a rate or output."""
         return tuple(p for p in self.parameters if p.acts)

@@ -152,7 +152,7 @@ class Fmu:
 
     @property
     def names(self) -> Named:
-        """Return the names of continuous states, real inputs and outputs."""
+        """Return names of continuous states, inputs and outputs."""
         listed = states_of(self.description), reals(self.description, "input"), reals(self.description, "output")
         states, inputs, outputs = (scalars(group) for group in listed)
         return states, inputs, outputs

@@ -85,7 +85,7 @@ def _entry(quantities: Sequence[Quantity], name: str) -> dict[str, Any]:
 
 
 def _shown(structure: Structure, output: str) -> str:
-    """Return the state that an output equals, "" without one."""
+    """Return the state that an output equals, or ""."""
     return next((state for state, shown in structure.shown.items() if shown == output), "")
 
 

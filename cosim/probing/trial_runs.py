@@ -177,7 +177,7 @@ def outputs_after_rollback(trial: Trial, at: int) -> tuple[Array, Array]:
 
 
 def _go(block: FmuBlock, row: Any, course: Course, rows: range) -> list[list[float]]:
-    """Step through rows of a course and return the outputs."""
+    """Step through a course and return the outputs."""
     table, first = [], len(block.inputs)
     for k in rows:
         step_row(block, row, course, k)

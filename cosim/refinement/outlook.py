@@ -43,7 +43,7 @@ def check_study(path: Path, checking: Checking) -> list[str]:
 
 
 def outlook(study: Study) -> list[Message]:
-    """Return what a refinement of an FMU will do with these logs, and what it cannot see; nothing for a model."""
+    """Return plans and blind spots of a refinement."""
     subject = study.subject
     if not isinstance(subject, FmuSubject):
         return []
@@ -51,7 +51,7 @@ def outlook(study: Study) -> list[Message]:
 
 
 def _plan(study: Study, subject: FmuSubject) -> Iterator[Message]:
-    """Yield the interface, the places and the number of candidates."""
+    """Yield interface, places and number of candidates."""
     structure = subject.structure
     yield messages.WILL_USE(way=subject.source.removeprefix(f"{structure.fmu}, "))
     count = len(subject.candidates([q.name for q in subject.inputs]))

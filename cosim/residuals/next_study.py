@@ -19,7 +19,7 @@ HEAD = """\
 
 
 def lacks_something(comparison: Comparison) -> bool:
-    """Return whether noise does not explain the error of an output."""
+    """Return whether an error exceeds the noise."""
     return any(not (c.is_matched and c.is_explained) for c in comparison.channels)
 
 

@@ -325,14 +325,14 @@ def bound_terms(places: Sequence[Place], own: Sequence[type[Any]] = ()) -> Itera
 
 
 def _fits(kind: type[Any], place: Place) -> bool:
-    """Return True if a term can act at a place."""
+    """Return whether a term can act at a place."""
     if place.position >= 0:
         return issubclass(kind, Force) and (kind is not Offset or place.input < 0)
     return issubclass(kind, RateTerm if place.state >= 0 else InputTerm)
 
 
 def delay_of(inputs: Sequence[Quantity], longest: float) -> type[Delay]:
-    """Return the delay of all inputs, up to `longest` [s]."""
+    """Return the delay of all inputs up to `longest`."""
 
     @dataclass(frozen=True, kw_only=True)
     class InputDelay(Delay):
@@ -348,7 +348,7 @@ def delay_of(inputs: Sequence[Quantity], longest: float) -> type[Delay]:
 
 
 def sensor_errors(output: Quantity, size: float, step: float, duration: float) -> Iterator[type[Any]]:
-    """Yield the possible errors of the sensor of an output.
+    """Yield the possible sensor errors of an output.
 
     Args:
         size: Spread of the output along the logs.

@@ -40,7 +40,7 @@ class Function:
 
 
 def functions_of(header: str) -> list[Function]:
-    """Return the functions declared as types in fmi2FunctionTypes.h or fmi3FunctionTypes.h."""
+    """Return the function types of FMI's header."""
     found = TYPEDEF.findall(COMMENT.sub("", header))
     return [Function(result.strip(), name[4:], tuple(_parameters(text))) for result, name, text in found]
 

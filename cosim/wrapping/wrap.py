@@ -158,7 +158,7 @@ class Wrapper:
         return {name: float(value) for name, value in self.values.items() if name not in ours}
 
     def check(self) -> None:
-        """Raise CannotWrap if the terms do not fit the original."""
+        """Raise CannotWrap if terms do not fit."""
         file, names = self.original.name, [p.name for p in self.terms.parameters]
         if taken := [name for name in names if name in self.variables]:
             raise CannotWrap(messages.NAME_TAKEN(file=file, name=taken[0]))
@@ -215,7 +215,7 @@ class Wrapper:
         return next(low + 1 for low, high in gaps if high - low > count)
 
     def description(self) -> DescriptionEdit:
-        """Return the model description, with the token of the original."""
+        """Return the model description with the original's token."""
         edit = DescriptionEdit(description_of(self.original), self.fmi)
         edit.keep_interfaces(self.interfaces)
         if any(self.values.get(p.name, p.default) != p.neutral for p in self.terms.parameters if p.neutral is not None):
@@ -234,7 +234,7 @@ class Wrapper:
         return edit
 
     def sources(self) -> dict[str, bytes]:
-        """Return the C sources without config.h, which differs between platforms."""
+        """Return the C sources without config.h."""
         headers = {p.name: p.read_text(encoding="utf-8") for p in sorted(fmi_headers().glob(f"fmi{self.fmi}*.h"))}
         types = headers[f"fmi{self.fmi}FunctionTypes.h"]
         order = ["config.h", f"fmi{self.fmi}Functions.h", "functions.h", "loading.c", "terms.c"]
@@ -309,7 +309,7 @@ class Wrapper:
         return made
 
     def _command(self, platform: Platform) -> list[str]:
-        """Return the compiler's command; raise NoCompiler if there is none."""
+        """Return the compiler's command, or raise NoCompiler."""
         names = (platform.name,) if self.platforms or platform != this_platform() else ()
         (command,) = commands(names).values()
         return command
