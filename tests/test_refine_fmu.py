@@ -63,13 +63,13 @@ class Motor(Model):
         return Equations(derivative, lambda t, state, command: state)
 
 
-def run_motor(path: Path, seed: int, friction: float = 0.0, seconds: float = 8.0) -> Path:
+def run_motor(path: Path, seed: int, friction: float = 0.0, seconds: float = 8.0, size: float = 1.0) -> Path:
     """Write a log of the motor with dry friction."""
     rng = np.random.default_rng(seed)
     time = STEP * np.arange(round(seconds / STEP) + 1)
     levels = rng.uniform(-6.0, 6.0, 1 + int(seconds))
-    voltage = levels[(time // 1.0).astype(int)] + np.sin(7.0 * time)
-    load = 0.002 * np.sign(np.sin(1.3 * time + seed))
+    voltage = size * (levels[(time // 1.0).astype(int)] + np.sin(7.0 * time))
+    load = size * 0.002 * np.sign(np.sin(1.3 * time + seed))
 
     def rates(_: float, x: Any, u: float, torque: float) -> list[float]:
         i, _, w = x

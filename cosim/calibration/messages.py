@@ -90,3 +90,8 @@ BESIDE_STUDY = Template(
 NO_FMU = Template("E-CAL-034", "no FMU is named; add --fmu X.fmu, or give a study file alone")
 WILL_ESTIMATE = Template("N-CAL-035", "`cosim fit` will estimate {names}")
 WILL_SCREEN = Template("N-CAL-036", "`cosim fit` will estimate what the logs determine of {names}")
+OWN_STEP_ABOVE = Template(
+    "E-CAL-037",
+    "its co-simulation takes steps of its own of about {own:.3g} s, above the {step:.3g} s of the logs, so its results "
+    "are wrong there; export it with a shorter step, or record rows every {own:.3g} s",
+)

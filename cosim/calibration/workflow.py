@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.errors import Fault, InputError, SimulationError, Terminated, TimedOut, refuse, stop_error
+from cosim.base.errors import Fault, FmuError, InputError, SimulationError, Terminated, TimedOut, refuse, stop_error
+from cosim.base.messages import Message
 from cosim.base.text import join_names
 from cosim.blocks.compiling import permission
 from cosim.blocks.description import read_description, unit_definition, unit_of
@@ -29,6 +30,9 @@ from cosim.isolation.process import Worker
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.log import Log, read_column_names
 from cosim.logs.unit_mistakes import input_unit_findings
+from cosim.probing.behaviour import probe_behaviour
+from cosim.probing.messages import EVENTS_ALWAYS, NO_PARAMETERS, NO_UNITS, OWN_STEP, RESET_REFUSED
+from cosim.probing.prober import LIMITS
 from cosim.refinement.proof.sealed import find_rises
 from cosim.residuals.drive import Drive, check_files, log_of_fmu
 from cosim.residuals.remote_drive import MODULES, DriveApart
@@ -40,6 +44,7 @@ from cosim.storage.files import FilePath, check_writable, hold_stops, named_path
 from cosim.storage.folder_lock import folder_locks
 from cosim.storage.folders import check_overwritable, keep_earlier
 
+UNIMPORTANT = {NO_PARAMETERS.code, NO_UNITS.code, EVENTS_ALWAYS.code, RESET_REFUSED.code}  # for a fit
 FILES = ("fit.json", "fitted.ssv", "fitted.fmu", "report.html")
 
 
@@ -77,6 +82,8 @@ def fit(
     read, chosen, given = _read(request)
     files = [*request.logs, path, *([request.yaml.path] if request.yaml else [])]
     check_writable(place, FILES, files)
+    progress("probing the FMU", 0.0)
+    behaved = [] if in_process else find_misbehaviour(request, read[0], given)
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         inner = most.model_copy(update={"total": None, "step": most.step or most.total})
@@ -97,8 +104,9 @@ def fit(
         if keep:
             keep_earlier(place, "cosim fit")
         _remove(place)
-        unused = [messages.UNUSED_KEYS(keys=join_names(request.unused))] if request.unused else []
-        written, told = _write(place, outcome, begin, stop, lambda file: load(read[0], file), unused)
+        if request.unused:
+            behaved.append(messages.UNUSED_KEYS(keys=join_names(request.unused)))
+        written, told = _write(place, outcome, begin, stop, lambda file: load(read[0], file), behaved)
         if report:
             from cosim.calibration.report import page
 
@@ -121,13 +129,15 @@ def check_fit_study(path: Path, checking: Checking) -> list[str]:
     """
     request = read_fit_study(path)
     logs, chosen, given = _read(request)
+    behaved: list[Message] = []
     if checking.worker is not None:
         with ExitStack() as stack:
             fixed = _without(given, chosen)
             apart = [DriveApart(checking.worker, g, request.fmu, limits=request.limits, given=fixed) for g in logs]
             _refuse_bad([stack.enter_context(drive) for drive in apart])
+        behaved = [finding.after("warning: ") for finding in find_misbehaviour(request, logs[0], given)]
     will = messages.WILL_ESTIMATE if request.vary else messages.WILL_SCREEN
-    return [will(names=join_names([p.name for p in chosen]))]
+    return [*behaved, will(names=join_names([p.name for p in chosen]))]
 
 
 def _read(request: Request) -> tuple[list[Log], list[Parameter], dict[str, Any]]:
@@ -168,6 +178,23 @@ def _read(request: Request) -> tuple[list[Log], list[Parameter], dict[str, Any]]
     logs = [attempt(read, None, path) for path in paths]
     refuse(faults)
     return logs, chosen, given
+
+
+def find_misbehaviour(request: Request, log: Log, given: Mapping[str, Any]) -> list[Message]:
+    """Return how the FMU misbehaves along a log.
+
+    Raises:
+        InputError: Its own step is above that of the log.
+    """
+    numbers = {n: v for n, v in given.items() if isinstance(v, float)}
+    try:
+        found = probe_behaviour(request.fmu, [log], numbers, limits=request.limits if request.limits.step else LIMITS)
+    except (FmuError, SimulationError):
+        return []  # the first simulation reports it
+    if found.way == "co-simulation" and found.has(OWN_STEP):
+        message = messages.OWN_STEP_ABOVE(own=found.own_step, step=log.step)
+        raise InputError.at(request.fmu, message)
+    return [f for f in found.findings if f.code not in UNIMPORTANT]
 
 
 def _chosen(request: Request, description: Any, given: Mapping[str, Any]) -> list[Parameter]:

@@ -145,3 +145,14 @@ NOTHING_SEALED = Template(
 NOT_PROBED = Template(
     "W-REF-060", "{model} is not loaded (--no-load), so the names of candidates, noise and tolerance are not checked"
 )
+OUT_OF_TIME = Template(
+    "E-REF-061",
+    "the limit of {limit:g} s (limits: total) is reached at {stage!r}; nothing is written: allow more time, or name "
+    "fewer candidates",
+)
+OWN_STEP_ABOVE = Template(
+    "E-REF-062",
+    "{name} has no usable model exchange ({reason}), and its co-simulation takes steps of its own of about {own:.3g} s,"
+    " above the {step:.3g} s of the logs, so its results are wrong there; export it for model exchange or with a "
+    "shorter step, or record rows every {own:.3g} s",
+)

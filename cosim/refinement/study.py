@@ -28,6 +28,7 @@ from cosim.logs.gate import gate, gate_faults
 from cosim.logs.holes import fill_holes
 from cosim.logs.log import Log, read_log, rename_signals, stretches
 from cosim.logs.spikes import drop_outliers, find_spikes
+from cosim.probing.messages import OWN_STEP
 from cosim.probing.places import probe_places
 from cosim.refinement import messages
 from cosim.refinement.search.groups import Places, full_name, group_of, per_log_faults
@@ -102,7 +103,7 @@ class StudyFile(BaseModel):
     columns:    Name in the logs → name in the model, if different.
     per_log:    Parameters with a separate value for each log.
     groups:     Name → logs with common values of per_log.
-    limits:     Limits of each FMU call in replays.
+    limits:     Limits of each FMU call; `total` ends a search that takes longer.
     terms:      File with further terms for an FMU, subclasses of `cosim.terms.Force`, `InputTerm` or `RateTerm`.
     carry_logs: Whether the refined FMU carries the validation logs, with the errors before and after.
     """
@@ -286,6 +287,10 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
     """
     fmu, logs, terms = read_parts_of_fmu(yaml, content, faults)
     probed = probe_places(fmu, logs)
+    if probed.way == "co-simulation" and probed.behaviour.has(OWN_STEP):
+        own = {"own": probed.behaviour.own_step, "step": probed.structure.step}
+        message = messages.OWN_STEP_ABOVE(name=content.model, reason=probed.reason, **own)
+        raise InputError([yaml.fault(("model",), message)])
     subject = FmuSubject.of_fmu(probed.structure, logs, terms, content.limits or Limits())
     subject.source += f", because {probed.reason}"
     content = _in_names_of(subject, content)

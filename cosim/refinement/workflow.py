@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.base.errors import Fault, refuse
+from cosim.base.errors import Fault, TimedOut, refuse
 from cosim.base.text import counted, plain
 from cosim.estimation.fit import Fit, initial_fit
 from cosim.estimation.per_log import drop_own_parameters
@@ -25,6 +25,7 @@ from cosim.estimation.predictability import predictable_horizon
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import at_rest, noise_warnings, sensor_noise
 from cosim.estimation.start_states import with_likely_starts
+from cosim.isolation.limits import Limits
 from cosim.loading.refined import ANSWER, NEAREST, REFINED
 from cosim.refinement import messages
 from cosim.refinement.decision.claims import Claims, Nearest, judge
@@ -102,24 +103,25 @@ def refine(
     Raises:
         InputError: The study or a log has faults.
         FmuError: An FMU cannot be loaded.
-        SimulationError: An FMU fails in a replay.
+        SimulationError: An FMU fails in a replay, or the search exceeds `limits: total` of the study.
     """
     start = time.perf_counter()
     progress = progress or (lambda stage, share: None)
     progress("reading the logs", 0.0)
     folder = named_path(folder)
     study = study if isinstance(study, Study) else read_study(Path(study))
+    limited = _within_limit(progress, study.content.limits, start)
     check_overwritable(folder, "cosim refine", *filter(None, [str(study.path or "")]), force=force, keep=keep)
     check_writable(folder, (*RESULTS, "report.html"), study.files)
     problem = _build_problem(study)
     refuse(_divergences(study, problem))
     study = _with_predictable_horizon(study, problem)
     subject = study.subject
-    result = attribute(subject, problem, _candidates(study), progress)
-    progress("weighing what was found", 0.0)
+    result = attribute(subject, problem, _candidates(study), limited)
+    limited("weighing what was found", 0.0)
     attribution = decide(result)
-    claims = _judge(study, attribution, result, progress)
-    claims = _add_nearest(study, claims, result, attribution, problem, progress)
+    claims = _judge(study, attribution, result, limited)
+    claims = _add_nearest(study, claims, result, attribution, problem, limited)
     between = between_rows(result.search.problem, attribution.base)
     warnings = [*noise_warnings(problem, attribution.best.fit.noise, subject), *between.warnings]
     limits = study.content.limits
@@ -168,6 +170,26 @@ def refine(
         progress("drawing the report", 0.0)
         write_refine_report(folder / "report.html", outcome)
     return outcome
+
+
+def _within_limit(progress: Progress, limits: Limits | None, start: float) -> Progress:
+    """Return a progress function that ends an overlong search.
+
+    The proof is not interrupted, because its sealed logs are opened once.
+
+    Args:
+        start: Clock time at the start of the study [s].
+    """
+    if limits is None or limits.total is None:
+        return progress
+    total = limits.total
+
+    def report(stage: str, share: float) -> None:
+        if time.perf_counter() - start > total:
+            raise TimedOut("the search", 0.0, messages.OUT_OF_TIME(limit=total, stage=stage))
+        progress(stage, share)
+
+    return report
 
 
 def _build_problem(study: Study) -> Problem:

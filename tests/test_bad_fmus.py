@@ -1,0 +1,151 @@
+"""FMUs that misbehave, through `cosim fit` and the studies of `cosim refine`: named, and handled or refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import cosim
+from cosim.base.errors import InputError, TimedOut
+from cosim.base.messages import Template
+from cosim.calibration import messages as fits
+from cosim.calibration.fit_record import Record
+from cosim.calibration.fit_study import request_of
+from cosim.calibration.workflow import fit
+from cosim.probing import messages
+from cosim.refinement import messages as studies
+from cosim.refinement.study import read_study
+from cosim.subject.fmu_subject import FmuSubject
+from tests.blind.fmu_build import WAYS, build
+from tests.test_refine_fmu import NOISE, RESISTANCE, run_motor, write_study
+
+STEPS = ("co_simulation",)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("bad")
+    for k, name in enumerate(("a", "b")):
+        run_motor(folder / f"{name}.csv", k, seconds=4.0)
+    return folder
+
+
+def motor(folder: Path, fault: str, ways: tuple[str, ...] = STEPS) -> Path:
+    """Return a motor that misbehaves."""
+    return build(folder / f"{fault}_{len(ways)}.fmu", "dc_motor", ways=ways, fault=fault)
+
+
+def fitted(folder: Path, fault: str) -> tuple[Record, set[str]]:
+    """Return the fit of the resistance from a wrong value, and the codes of its warnings."""
+    request = request_of(
+        [folder / "a.csv"], motor(folder, fault), vary=["resistance=0.5..3 ohm"], start=["resistance=1.0"]
+    )
+    record, told = fit(request, folder / f"out_{fault}", report=False)
+    return record, {getattr(text, "code", "") for text in told}
+
+
+# -- fit ----------------------------------------------------------------------------------------------
+
+
+def test_parameters_that_are_forgotten_are_set_again_and_named(folder: Path) -> None:
+    record, codes = fitted(folder, "forgets_parameters")
+    assert record.parameters["resistance"].value == pytest.approx(RESISTANCE, rel=0.01)
+    assert messages.FORGETS_EARLY.code in codes
+
+
+NAMED: list[tuple[str, Template]] = [
+    ("idle_reset", messages.IDLE_RESET),
+    ("leaks", messages.GROWS),
+    ("counts", messages.TWO_RUNS_DIFFER),
+    ("clock", messages.TWO_RUNS_DIFFER),
+    ("working_directory", messages.FOLDER_MATTERS),
+    ("crashes", messages.VALUE_FAILED),
+    ("hangs", messages.VALUE_FAILED),
+]
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(("fault", "template"), NAMED)
+def test_each_fault_is_named_beside_the_estimate(folder: Path, fault: str, template: Template) -> None:
+    record, codes = fitted(folder, fault)
+    assert record.parameters["resistance"].value == pytest.approx(RESISTANCE, rel=0.05)  # of faults of 1 and 5 %
+    assert template.code in codes
+
+
+def test_a_step_above_that_of_the_log_is_refused(folder: Path) -> None:
+    with pytest.raises(InputError) as refused:
+        fitted(folder, "hidden_own_step")
+    (fault,) = refused.value.faults
+    assert fault.code == fits.OWN_STEP_ABOVE.code
+    assert "of about 0.05 s, above the 0.02 s of the logs" in fault.message
+    assert not (folder / "out_hidden_own_step").exists()
+
+
+@pytest.mark.thorough
+def test_no_parameters_are_refused(folder: Path) -> None:
+    with pytest.raises(InputError, match="has no parameter to estimate"):
+        cosim.fit([folder / "a.csv"], motor(folder, "no_parameters"))
+
+
+# -- refine -------------------------------------------------------------------------------------------
+
+
+def test_a_step_above_that_of_the_logs_is_refused_without_model_exchange(folder: Path) -> None:
+    with pytest.raises(InputError) as refused:
+        read_study(write_study(folder, motor(folder, "hidden_own_step"), [folder / "a.csv"], noise=NOISE))
+    (fault,) = refused.value.faults
+    assert (fault.code, fault.line) == (studies.OWN_STEP_ABOVE.code, 1)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("fault", "template", "way"),
+    [
+        ("step_events", messages.EVENTS_ALWAYS, "co-simulation"),
+        ("time_events", messages.EVENTS_ALWAYS, "co-simulation"),
+        ("hidden_own_step", messages.OWN_STEP, "model-exchange"),
+        ("no_parameters", messages.NO_PARAMETERS, "model-exchange"),
+        ("no_units", messages.NO_UNITS, "model-exchange"),
+        ("forgets_parameters", messages.FORGETS_EARLY, "model-exchange"),
+        ("clock", messages.TWO_RUNS_DIFFER, "model-exchange"),
+        ("working_directory", messages.FOLDER_MATTERS, "model-exchange"),
+    ],
+)
+def test_a_study_takes_the_interface_that_works_and_names_the_fault(
+    folder: Path, fault: str, template: Template, way: str
+) -> None:
+    logs = [folder / "a.csv", folder / "b.csv"]
+    study = read_study(write_study(folder, motor(folder, fault, WAYS), logs, noise=NOISE))
+    assert isinstance(study.subject, FmuSubject)
+    assert study.subject.structure.way == way
+    assert template.code in {getattr(text, "code", "") for text in study.warnings}
+
+
+@pytest.mark.thorough
+def test_a_crash_costs_one_candidate_and_is_named_with_its_call(folder: Path, tmp_path: Path) -> None:
+    fmu = motor(folder, "crashes", ("model_exchange",))
+    file = write_study(
+        folder, fmu, [folder / "a.csv", folder / "b.csv"], noise=NOISE, candidates=["resistance", "bias_at_speed"]
+    )
+    refined = cosim.refine(file, tmp_path, report=False)
+    assert refined.verdict == "no_effect"
+    assert any("the FMU failed in" in w and "crashed" in w for w in refined.record["warnings"])
+
+
+@pytest.mark.thorough
+def test_logs_at_rest_show_nothing_and_hide_friction(folder: Path, tmp_path: Path) -> None:
+    logs = [run_motor(folder / f"still{k}.csv", k, size=0.0) for k in (1, 2)]
+    names = ["coulomb_at_speed", "gain_at_voltage", "bias_at_speed"]
+    fmu = build(folder / "sound.fmu", "dc_motor", ways=("model_exchange",))
+    refined = cosim.refine(write_study(folder, fmu, logs, noise=NOISE, candidates=names), tmp_path, report=False)
+    assert refined.effects == []
+    assert "coulomb_at_speed" in refined.record["hidden"]
+
+
+def test_the_time_limit_of_a_study_ends_its_search(folder: Path, tmp_path: Path) -> None:
+    fmu = build(folder / "sound.fmu", "dc_motor", ways=("model_exchange",))
+    file = write_study(folder, fmu, [folder / "a.csv"], noise=NOISE, limits={"total": "1 ms"})
+    with pytest.raises(TimedOut, match=r"the limit of 0\.001 s \(limits: total\) is reached at"):
+        cosim.refine(file, tmp_path / "out", report=False)
+    assert not (tmp_path / "out" / "refine.json").exists()
