@@ -203,8 +203,8 @@ def seconds_of(way: str, fmu: Any) -> float:
         library.steps(instance, *calls, references, ctypes.c_long(CALLS), ctypes.c_double(STEP))
     else:
         states = (ctypes.c_double * 64)()
-        calls = function("SetContinuousStates"), function("GetDerivatives")
-        library.rates(instance, *calls, ctypes.c_long(10 * CALLS), states, ctypes.c_size_t(fmu.order))
+        of_states = function("SetContinuousStates"), function("GetDerivatives")
+        library.rates(instance, *of_states, ctypes.c_long(10 * CALLS), states, ctypes.c_size_t(fmu.order))
     return time.thread_time() - begin
 
 

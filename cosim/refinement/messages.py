@@ -156,3 +156,8 @@ OWN_STEP_ABOVE = Template(
     " above the {step:.3g} s of the logs, so its results are wrong there; export it for model exchange or with a "
     "shorter step, or record rows every {own:.3g} s",
 )
+MISSING_PLATFORMS = Template(
+    "W-REF-063",
+    "the delivered FMU lacks the platforms {names} of the original: the library around it cannot be compiled for them "
+    "here; pip install 'fmu-cosim[native]' has a compiler for most",
+)

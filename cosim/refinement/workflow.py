@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from cosim.base.errors import Fault, TimedOut, refuse
-from cosim.base.text import counted, plain
+from cosim.base.text import counted, join_names, plain
 from cosim.estimation.fit import Fit, initial_fit
 from cosim.estimation.per_log import drop_own_parameters
 from cosim.estimation.posing import build_problem, coarsen, varied_inputs
@@ -146,6 +146,8 @@ def refine(
         hold_stops()  # From here, a result exists that must not be lost.
         warnings += failure_warnings(problem)
         warnings += [v.subject.undelivered for v in variants.values() if v.subject.undelivered][:1]
+        if lacking := next((v.subject.missing_platforms for v in variants.values() if v.subject.missing_platforms), ()):
+            warnings.append(messages.MISSING_PLATFORMS(names=join_names(lacking)))
         warnings += [*warnings_of(way), *_floor_warnings(floors, played, subject)]
         study = replace(study, warnings=(*study.warnings, *warnings))
         measured = Measurements(played, floors, way, ends, time.perf_counter() - start)

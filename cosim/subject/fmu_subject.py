@@ -182,11 +182,12 @@ class FmuSubject(ModelSubject):
             known = {*(p.name for p in code.parameters), *model.variables.values()}
             substep = self.rate / self.substeps(self.rate)
             try:
-                wrap(self.structure.fmu, code, {n: v for n, v in values.items() if n in known}, path, substep=substep)
+                kept = {n: v for n, v in values.items() if n in known}
+                wrapped = wrap(self.structure.fmu, code, kept, path, substep=substep)
             except (CannotWrap, NoCompiler, CompilerFailed) as error:
                 self.undelivered = str(error)
                 return None
-            self.fmu = path
+            self.fmu, self.missing_platforms = path, tuple(wrapped.left_out)
         return self.fmu
 
     def _kernel_of(self, fmu: Path) -> Kernel:

@@ -109,6 +109,7 @@ class Subject(Protocol):
         static: True without states; a log is a table without time.
         source: Origin, for the provenance.
         undelivered: Reason why `write` writes nothing although it should.
+        missing_platforms: Platforms of an FMU that the delivered FMU lacks.
     """
 
     title: str
@@ -134,6 +135,7 @@ class Subject(Protocol):
     static: bool = False
     source: str = "an object of Python"
     undelivered: str = ""
+    missing_platforms: Sequence[str] = ()
 
     # -- required members ------------------------------------------------------------------------
 

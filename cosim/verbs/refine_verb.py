@@ -121,6 +121,7 @@ def command(
 
 def _say_verdict(result: Refinement, place: Path, *, report: bool) -> None:
     """Print the verdict, a table of errors on the decisive logs, and the files."""
+    from cosim.probing.fmu_structure import Structure
     from cosim.refinement.report.error_tables import error_tables, second_sentence
 
     say(f"verdict: {result.record['verdict']}")
@@ -142,3 +143,5 @@ def _say_verdict(result: Refinement, place: Path, *, report: bool) -> None:
     for name, choices in files.items():
         if file := next((place / choice for choice in choices if (place / choice).is_file()), None):
             say(f"{name + ':':9}{file}")
+    if isinstance(original := getattr(result.study.subject, "structure", None), Structure):
+        say(f"The FMU holds {original.fmu.name} whole: check that its licence permits you to pass it on.")
