@@ -138,7 +138,7 @@ def bare_kernel(foreign: FmuSubject, fmu: Path) -> LibraryKernel:
 def noisy_log(subject: ModelSubject) -> Log:
     """Return a simulated log with noise."""
     rng = np.random.default_rng(1)
-    time_ = STEP * np.arange(ROWS)
+    time_ = STEP * np.arange(ROWS, dtype=np.float64)
     voltage = np.repeat(rng.uniform(-6.0, 6.0, ROWS // 50 + 1), 50)[:ROWS]
     units = {q.name: q.unit for q in (*subject.inputs, *subject.outputs)}
     empty = {name: np.zeros(ROWS) for name in NOISE}

@@ -30,7 +30,7 @@ from cosim.subject.fmu_subject import FmuSubject
 from cosim.subject.model_subject import neutral_values
 from cosim.subject.start_state import start_state
 from cosim.terms.fmu_model import FmuModel, fmu_model
-from cosim.terms.language import with_place
+from cosim.terms.language import Term, with_place
 
 # Kinds of terms at one place that small or short experiments confuse.
 CONFUSED = (
@@ -145,8 +145,8 @@ def _bare_model(fmu: Path, inputs: Sequence[Any], outputs: Sequence[Any], step: 
 
 def confused_groups(model: Model) -> list[set[str]]:
     """Return the groups of terms of an FMU that are hard to separate: kinds of `CONFUSED` at one place."""
-    groups = []
-    terms = [kind for kind in model.catalogue if hasattr(kind, "place")]
+    groups: list[set[str]] = []
+    terms = [kind for kind in model.catalogue if issubclass(kind, Term)]
     for _, at in groupby(sorted(terms, key=lambda t: t.place.name), key=lambda t: t.place.name):
         kinds = {t.kind: t.name for t in at}
         kinds |= {"delay": "delay"} if "lag" in kinds and any(k.name == "delay" for k in model.catalogue) else {}

@@ -171,8 +171,8 @@ def _question_of_refinement(path: Path, against: Sequence[str]) -> Question:
         subject, noise = of_study.subject, {**content.sensor_noise, **of_study.content.noise}
         assert isinstance(subject, FmuSubject)
         question = _rivals_of_refinement(path, content, subject.loaded, against)
-        ranges = logged_ranges(of_study.logs) if inputs_to_limit(subject.model) else {}
-        return replace(question, noise=noise, ranges=ranges, of_fmu=subject, first=first_outputs(of_study.logs[0]))
+        logged = logged_ranges(of_study.logs) if inputs_to_limit(subject.model) else {}
+        return replace(question, noise=noise, ranges=logged, of_fmu=subject, first=first_outputs(of_study.logs[0]))
     loaded, _ = with_substep(load_model(study.model, file.parent, yaml))
     question = _rivals_of_refinement(path, content, loaded, against)
     noise, ranges = {**content.sensor_noise, **study.noise}, _read_logged_ranges(loaded.model, file.parent, study)
