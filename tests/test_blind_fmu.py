@@ -7,6 +7,7 @@ import platform
 import subprocess
 import sys
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,9 @@ from scipy.integrate import solve_ivp
 from cosim.fmi.native.compiler import compiler
 from tests.blind import fmu_score, fmu_study, harness
 from tests.blind.field_rig import Floats, Run
-from tests.blind.fmu_build import FAULTS, PLANTS, WAYS, build
+from tests.blind.fmu_build import FAULTS, PLANTS, WAYS, build, build_slave
 from tests.blind.fmu_rig import FmuRig, place
+from tests.blind.fmu_study import OWN_C, PYTHONFMU, SLAVES, deal, draw
 from tests.blind.fmu_truths import RIGS
 
 pytestmark = pytest.mark.skipif(
@@ -305,3 +307,32 @@ def test_scores_are_by_size_and_way() -> None:
     assert figures["by"]["usual"]["right"] == figures["by"][WAYS[0]]["right"] == 1.0
     assert figures["by"]["fifth, co_simulation"]["wrong"] == 1.0
     assert "fifth, co_simulation" in fmu_score.table(lines)
+
+
+# -- a second exporter ------------------------------------------------------------------------------------
+
+
+def test_the_tanks_of_pythonfmu_are_those_of_own_c(tmp_path: Path) -> None:
+    own = build(tmp_path / "own.fmu", "tanks", ways=("co_simulation",))
+    other = build_slave(tmp_path / "other.fmu", "tanks")
+    start = {"left.h": 0.5, "pipe.k": 2e-4, "gain_left": 7e-6}
+    names = ["gauge_left", "gauge_right"]
+    tables = [
+        fmpy.simulate_fmu(str(p), stop_time=200.0, output_interval=2.0, start_values=start, output=names)
+        for p in (own, other)
+    ]
+    for name in names:
+        assert np.abs(tables[0][name] - tables[1][name]).max() < 1e-9
+        assert np.ptp(tables[0][name]) > 0.01
+
+
+def test_the_second_exporter_begins_at_a_seed_and_makes_half_of_its_studies() -> None:
+    def exporters(seeds: range) -> list[str]:
+        dealt = [deal(seed) for seed in seeds]
+        plain = [replace(draw_nothing, seed=d.seed, plant=d.plant, way=d.way, version=d.version) for d in dealt]
+        return [s.exporter for s, d in zip(plain, dealt, strict=True) if (d.plant, d.way, d.version) in SLAVES]
+
+    draw_nothing = draw(next(seed for seed in range(40) if deal(seed).kind == "nothing"))
+    assert set(exporters(range(1000))) == {OWN_C}
+    later = exporters(range(5000, 7400))
+    assert 0.3 < later.count(PYTHONFMU) / len(later) < 0.7

@@ -16,6 +16,7 @@ values (`initial` exact). A step of co-simulation has any length and is divided 
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -249,6 +250,15 @@ def build(
         for name, content in entries.items():
             archive.writestr(zipfile.ZipInfo(name, (2000, 1, 1, 0, 0, 0)), content)
     return path
+
+
+def build_slave(path: Path, plant: str) -> Path:
+    """Write the FMU of a plant by pythonfmu, from `fmus/PLANT_slave.py`, and return its path."""
+    from pythonfmu.builder import FmuBuilder
+
+    with tempfile.TemporaryDirectory() as folder:
+        made = FmuBuilder.build_FMU(SOURCES / f"{plant}_slave.py", dest=folder)
+        return Path(shutil.move(made, path))
 
 
 @cache

@@ -31,7 +31,7 @@ from tests.blind.field_recorder import Recorder
 from tests.blind.field_rig import Entry, Rig
 from tests.blind.field_study import LEAST, OUTSIDE_COST, Study, base_numbers, card, conditions, names_of, sized, stream
 from tests.blind.fmu_build import PLANTS as DECLARED
-from tests.blind.fmu_build import WAYS, build
+from tests.blind.fmu_build import WAYS, build, build_slave
 from tests.blind.fmu_rig import FmuRig, ModelExchange, place
 from tests.blind.fmu_truths import CLASSES, RIGS
 
@@ -41,6 +41,9 @@ BLOCK = ("known",) * 12 + ("nothing",) * 5 + ("outside",) * 3  # of twenty conse
 HIDDEN = (("usual", 1), ("fifth", 1), ("usual", 2), ("fifth", 1), ("usual", 1), ("fifth", 2))  # size, effects
 USUAL = (500.0, 5000.0)  # nats, log-uniform
 SMALLER = 5.0
+OWN_C, PYTHONFMU = "own C", "pythonfmu"
+FIRST_OF_TWO = 5000  # first seed with a second exporter; earlier studies stay as they were
+SLAVES = {("tanks", "co_simulation", 2)}  # plant, way and version of FMI that pythonfmu makes too
 OWN = 26  # first number of this suite's random streams
 
 
@@ -64,6 +67,12 @@ class FmuStudy(Study):
     way: str = ModelExchange
     version: int = 2
     size: str = ""
+
+    @property
+    def exporter(self) -> str:
+        """Return the exporter of the FMU: own C, or that of every second study which another exporter can make."""
+        made = (self.plant, self.way, self.version) in SLAVES and self.seed >= FIRST_OF_TWO
+        return PYTHONFMU if made and stream(self.seed, OWN + 2).uniform() < 0.5 else OWN_C
 
     @property
     def rig(self) -> Rig:
@@ -147,7 +156,7 @@ def known_names() -> set[str]:
 def write(study: FmuStudy, folder: Path) -> Path:
     """Write study.yaml, the FMU and the logs, without the answer; return the path of study.yaml."""
     field_write.write_logs(study, folder)
-    shutil.copyfile(_fmu(study.plant, study.version, study.way), folder / "plant.fmu")
+    shutil.copyfile(_fmu(study.plant, study.version, study.way, study.exporter), folder / "plant.fmu")
     names = {place(v.name): v.name for v in DECLARED[study.plant].parameters}
     tolerance = ", ".join(f"{names[name]}: {share:g}" for name, (_, share) in study.rig.sheet.items())
     path = folder / "study.yaml"
@@ -158,8 +167,9 @@ def write(study: FmuStudy, folder: Path) -> Path:
 
 
 @cache
-def _fmu(plant: str, version: int, way: str) -> Path:
-    return build(Path(tempfile.mkdtemp(prefix="blind-fmu-")) / "plant.fmu", plant, version, ways=(way,))
+def _fmu(plant: str, version: int, way: str, exporter: str = OWN_C) -> Path:
+    path = Path(tempfile.mkdtemp(prefix="blind-fmu-")) / "plant.fmu"
+    return build_slave(path, plant) if exporter == PYTHONFMU else build(path, plant, version, ways=(way,))
 
 
 def claimed(study: FmuStudy) -> dict[str, dict[str, float]]:

@@ -1,0 +1,207 @@
+"""`cosim fit` against estim8 and scipy on the same binaries and logs: held-out error and number of simulations.
+
+    python -m tests.fit_head_to_head                    cosim fit and scipy's least squares
+    python -m tests.fit_head_to_head --estim8 PYTHON    also estim8, by the interpreter of an environment of its own
+
+Each plant of own C has wrong parameters, two logs of its true ones with white noise, and a held-out log. Every method
+starts from the same values, within the same bounds. A simulation is one run over one log. The held-out error is that of
+a free run, relative to the noise, as the geometric mean over the outputs; 1 is the noise itself.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+import cosim
+from cosim.logs.log import Log
+from cosim.residuals.drive import Drive, log_of_fmu
+from tests.blind.fmu_build import PLANTS, build
+from tests.logs import write_log
+
+FACTOR = 3.0  # bounds of each parameter about its first value, up and down
+SHARE = 0.01  # noise relative to the spread of an output
+SHEET = Path(__file__).with_name("fit_by_estim8.py")
+
+
+@dataclass(frozen=True)
+class Case:
+    """A plant with its true parameters, and its experiment.
+
+    Attributes:
+        wrong: Parameter → first value relative to the true one.
+        reach: Largest distance of each input from its start value.
+        hold: Time for which a level of an input is held [s].
+    """
+
+    plant: str
+    wrong: Mapping[str, float]
+    reach: Mapping[str, float]
+    step: float
+    rows: int
+    hold: float
+
+
+PUMPS = ("pump_left", "pump_right")
+CASES = (
+    Case("dc_motor", {"resistance": 1.4, "inertia": 0.6, "damping": 2.0}, {"voltage": 6.0}, 0.02, 400, 0.6),
+    Case("tanks", {"pipe.k": 0.6, "outlet.k": 1.5, "gain_left": 0.8}, dict.fromkeys(PUMPS, 3.0), 2.0, 400, 60.0),
+    Case("heated_box", {"C_heater": 1.7, "C_air": 0.6, "G_wall": 1.5}, {"heater": 0.9}, 2.0, 400, 80.0),
+    Case("drive", {"load.J": 0.6, "shaft.c": 1.3, "motor.b": 2.0}, {"torque": 1.0}, 0.01, 400, 0.3),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Estimates of a method, its number of simulations and its time [s]."""
+
+    values: Mapping[str, float]
+    runs: int
+    seconds: float
+
+
+class Bench:
+    """A case in a folder: the FMU, its logs, and free runs."""
+
+    def __init__(self, case: Case, folder: Path) -> None:
+        self.case, self.folder = case, folder
+        self.fmu = build(folder / f"{case.plant}.fmu", case.plant, ways=("co_simulation",))
+        declared = {v.name: v.start for v in PLANTS[case.plant].parameters}
+        self.truth = {name: declared[name] for name in case.wrong}
+        self.first = {name: self.truth[name] * factor for name, factor in case.wrong.items()}
+        self.sigma: dict[str, float] = {}
+        self.logs = [self._record(k) for k in range(2)]
+        self.held_out = self._record(2)
+
+    @property
+    def bounds(self) -> dict[str, tuple[float, float]]:
+        """Return the bounds of each parameter."""
+        return {name: (value / FACTOR, value * FACTOR) for name, value in self.first.items()}
+
+    def _record(self, number: int) -> Path:
+        """Write a log of the true plant with noise, and return its path."""
+        case, rng = self.case, np.random.default_rng([7, number])
+        time_ = case.step * np.arange(case.rows)
+        blocks = (time_ // case.hold).astype(int)
+        columns: dict[str, Any] = {"time": time_}
+        for v in PLANTS[case.plant].inputs:
+            levels = rng.uniform(-1.0, 1.0, blocks[-1] + 1)
+            if v.name == "heater":
+                levels = np.abs(levels)
+            columns[v.name] = v.start + case.reach.get(v.name, 0.0) * levels[blocks]
+        empty = {n: np.zeros(case.rows) for n in PLANTS[case.plant].output_names}
+        path = write_log(self.folder / f"{case.plant}{number}.csv", {**columns, **empty})
+        with self.drive(path) as drive:
+            outputs = dict(zip(drive.outputs, drive.run(0, case.rows - 1, self.truth).T, strict=True))
+        self.sigma = self.sigma or {n: SHARE * float(np.std(outputs[n])) for n in empty}
+        noisy = {n: outputs[n] + self.sigma[n] * rng.standard_normal(case.rows) for n in empty}
+        return write_log(path, {**columns, **noisy})
+
+    @contextmanager
+    def drive(self, path: Path) -> Iterator[Drive]:
+        """Yield the FMU with the inputs of a log."""
+        with Drive(log_of_fmu(path, self.fmu), self.fmu) as drive:
+            yield drive
+
+    def error(self, values: Mapping[str, float]) -> float:
+        """Return the error of a free run on the held-out log, relative to the noise."""
+        with self.drive(self.held_out) as drive:
+            errors = residuals(drive, values)
+        return float(np.exp(np.mean([math.log(np.sqrt(np.mean(e**2)) / self.sigma[n]) for n, e in errors.items()])))
+
+
+def residuals(drive: Drive, values: Mapping[str, float]) -> dict[str, Any]:
+    """Return measured − model of each output in a free run."""
+    log: Log = drive.log
+    table = drive.run(0, log.rows - 1, values)
+    return {n: log.outputs[n] - y for n, y in zip(drive.outputs, table.T, strict=True) if n in log.outputs}
+
+
+# -- methods ------------------------------------------------------------------------------------------
+
+
+def by_cosim(bench: Bench) -> Answer:
+    """Return the answer of `cosim fit`."""
+    begin = time.monotonic()
+    fitted = cosim.fit(bench.logs, bench.fmu, vary=bench.bounds, start=bench.first, report=False, in_process=True)
+    return Answer(fitted.values, fitted.record["simulations"], time.monotonic() - begin)
+
+
+def by_scipy(bench: Bench) -> Answer:
+    """Return the answer of scipy's least squares with its default differences; outputs are weighted by their spread."""
+    begin, runs = time.monotonic(), 0
+    names = [*bench.first]
+    with bench.drive(bench.logs[0]) as one, bench.drive(bench.logs[1]) as two:
+        spread = {n: float(np.std(v)) for n, v in one.log.outputs.items()}
+
+        def miss(x: Any) -> Any:
+            nonlocal runs
+            runs += 2
+            values = dict(zip(names, x.tolist(), strict=True))
+            return np.concatenate([e / spread[n] for drive in (one, two) for n, e in residuals(drive, values).items()])
+
+        first, ends = np.array([*bench.first.values()]), np.array([*bench.bounds.values()]).T
+        found = least_squares(miss, first, bounds=(ends[0], ends[1]), x_scale=first)
+    return Answer(dict(zip(names, found.x.tolist(), strict=True)), runs, time.monotonic() - begin)
+
+
+def by_estim8(bench: Bench, python: str) -> Answer:
+    """Return the answer of estim8, with its default global optimizer, from a process of its own environment."""
+    request = {
+        "fmu": str(bench.fmu),
+        "logs": [str(p) for p in bench.logs],
+        "bounds": bench.bounds,
+        "sigma": bench.sigma,
+        "inputs": [v.name for v in PLANTS[bench.case.plant].inputs],
+    }
+    done = subprocess.run([python, str(SHEET), json.dumps(request)], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(done.stderr)
+    answer = json.loads(done.stdout.splitlines()[-1])
+    return Answer(answer["values"], answer["runs"], answer["seconds"])
+
+
+def table(python: str | None, plants: Sequence[str]) -> Iterator[str]:
+    """Yield the lines of the table."""
+    yield "| plant | method | held-out error / noise | simulations | time [s] |"
+    yield "|---|---|---|---|---|"
+    for case in CASES:
+        if plants and case.plant not in plants:
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            bench = Bench(case, Path(folder))
+            yield f"| {case.plant} | first values | {bench.error(bench.first):.3g} | | |"
+            yield f"| | true values | {bench.error(bench.truth):.4f} | | |"
+            methods: dict[str, Any] = {"cosim fit": by_cosim, "scipy least_squares": by_scipy}
+            if python:
+                methods["estim8"] = lambda b: by_estim8(b, python)
+            for name, method in methods.items():
+                answer = method(bench)
+                yield f"| | {name} | {bench.error(answer.values):.4f} | {answer.runs} | {answer.seconds:.1f} |"
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--estim8", help="interpreter of an environment with estim8")
+    parser.add_argument("plants", nargs="*")
+    options = parser.parse_args(arguments)
+    for line in table(options.estim8, options.plants):
+        print(line, flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
