@@ -22,6 +22,7 @@ from cosim.calibration.simulations import Logs
 from cosim.calibration.vary import candidates, read_vary
 from cosim.residuals.drive import Drive, log_of_fmu
 from cosim.storage.kinds import kind_of
+from tests.fit_head_to_head import CASES, Bench, by_cosim, by_scipy
 from tests.logs import write_log
 from tests.slider import PARAMETERS, TRUTH, slide, slider_fmu, slider_log
 from tests.users import cosim as command
@@ -400,3 +401,11 @@ def test_faults_of_a_study_stand_at_their_places(bench: Path, tmp_path: Path) ->
         cosim.fit([bench / "a.csv"], **QUICK)
     refused_by_refine = command("refine", study)
     assert "`cosim fit" in refused_by_refine.stderr
+
+
+@pytest.mark.thorough
+def test_a_fit_is_as_accurate_as_least_squares(tmp_path: Path) -> None:
+    bench = Bench(CASES[2], tmp_path)
+    fit, plain = by_cosim(bench), by_scipy(bench)
+    assert bench.error(fit.values) < 1.02 * bench.error(plain.values) < 0.1 * bench.error(bench.first)
+    assert fit.runs < 2 * plain.runs  # with start values, identifiability and intervals
