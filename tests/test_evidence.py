@@ -1,12 +1,16 @@
 """Evidence for a part of a hypothesis: its gain against the scatter of chance, over blocks of time."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 from scipy.special import stdtrit
 
+from cosim.estimation.fit import Fit
 from cosim.estimation.problem import Scored
-from cosim.refinement.decision.evidence import BY_CHANCE, gain_per_chance, gain_per_scatter
+from cosim.refinement.decision.evidence import BY_CHANCE, gain_per_chance, gain_per_scatter, with_flat_directions
+from cosim.subject.candidates import Free
 
 BLOCKS, ROWS = 30, 100
 BLOCK = np.repeat(np.arange(BLOCKS), ROWS)
@@ -61,3 +65,18 @@ def test_a_single_event_passes_for_no_effect() -> None:
     term = acting_in(BLOCKS, rng)
     event = np.where(BLOCK == 7, 40.0 * term, 0.0)
     assert not any(passes(term, event + rng.normal(size=term.size))[0] for _ in range(100))
+
+
+class Flat:
+    """A problem with a likelihood that is flat below 0.5, and falls as a normal one of σ = 0.1 above."""
+
+    def score(self, values, noise):
+        """Return an object with the negative log-likelihood."""
+        return SimpleNamespace(nll=0.5 * (max(0.0, values["lag"] - 0.5) / 0.1) ** 2)
+
+
+def test_an_estimate_without_information_has_the_interval_of_the_flat_likelihood() -> None:
+    lag = Free("lag", 0.0, 10.0, 1.0, neutral=0.0)
+    estimate = Fit({"lag": 0.1}, None, (lag,), (0.0,), 0.0, np.zeros((1, 1)), 1, True, np.zeros((1, 1)))
+    widened = with_flat_directions(Flat(), estimate)
+    assert 1.96 * widened.sigma("lag") == pytest.approx(0.4 + 0.196, rel=0.05)  # up to 1.96 σ above 0.5

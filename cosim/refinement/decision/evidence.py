@@ -37,6 +37,7 @@ FEWEST = 12  # least number of blocks over all logs
 DIVERGED = 1e6  # NLL of a measurement for which a filter has diverged
 BACK = 200  # rows before a replay that a delay may reach back to
 BY_CHANCE = 0.01  # probability below which chance is unlikely
+DOUBLINGS_FROM, HALVINGS = 0.01, 5  # search for the end of a flat likelihood: first distance in sizes, and bisections
 PREDICTED = 8  # least number of replays of a log for a model judged by a free run
 
 
@@ -375,7 +376,8 @@ def with_intervals(search: Search, h: Hypothesis) -> Hypothesis:
     grows by the ratio of these squared differences to their expectation, if above 1 (Birge 1932). For logs that say
     equally much this is the jackknife; a log that says nothing of a parameter does not widen its interval.
     """
-    f, logs = with_sandwich_covariance(search.problem, h.fit), len(search.problem.logs)
+    f = with_flat_directions(search.problem, with_sandwich_covariance(search.problem, h.fit))
+    logs = len(search.problem.logs)
     if logs < 2 or f.scattered is None or search.problem.table:
         return replace(h, fit=f)
     white, fits = replace(f, scattered=None), in_parallel(partial(fit_without, search, search.problem, h), range(logs))
@@ -383,6 +385,40 @@ def with_intervals(search: Search, h: Hypothesis) -> Hypothesis:
     within = np.diag(f.scattered)
     wider = np.sqrt(np.maximum(1.0, np.divide(variances, within, out=np.ones_like(within), where=within > 0.0)))
     return replace(h, fit=replace(f, scattered=f.scattered * np.outer(wider, wider)))
+
+
+def with_flat_directions(problem: Problem, f: Fit) -> Fit:
+    """Return the fit with a variance for each parameter on which the likelihood does not depend near the estimate.
+
+    Such an estimate has no information and would have an interval of width 0. Its interval reaches as far as the
+    likelihood is within its 95 % region (Venzon and Moolgavkar 1988, Appl. Stat. 37:87), the other parameters fixed.
+    """
+    flat = [k for k, x in enumerate(f.free) if f.information[k, k] == 0.0 and x.low < x.high]
+    if not flat or f.scattered is None:
+        return f
+    scattered = f.scattered.copy()
+    for k in flat:
+        x = f.free[k]
+        reach = max(_reach(problem, f, x, limit) for limit in (x.low, x.high))
+        scattered[k, k] = (reach / NORMAL_95) ** 2
+    return replace(f, scattered=scattered)
+
+
+def _reach(problem: Problem, f: Fit, x: Free, limit: float) -> float:
+    """Return the distance from an estimate towards a limit over which the NLL rises by less than ½·1.96²."""
+
+    def is_inside(distance: float) -> bool:
+        values = {**f.values, x.name: f.values[x.name] + math.copysign(distance, limit - f.values[x.name])}
+        return problem.score(values, f.noise).nll - f.nll < 0.5 * NORMAL_95**2
+
+    inside, outside = 0.0, DOUBLINGS_FROM * x.size
+    while outside < abs(limit - f.values[x.name]) and is_inside(outside):
+        inside, outside = outside, 2.0 * outside
+    outside = min(outside, abs(limit - f.values[x.name]))
+    for _ in range(HALVINGS):
+        middle = 0.5 * (inside + outside)
+        inside, outside = (middle, outside) if is_inside(middle) else (inside, middle)
+    return outside
 
 
 def _variance_with_logs(f: Fit, fits: Sequence[Fit], x: Free) -> float:
