@@ -53,7 +53,7 @@ class Clock:
 
     @property
     def is_time_based(self) -> bool:
-        """Return whether the clock ticks at times that are known beforehand."""
+        """Return whether ticks are known beforehand."""
         return self.kind != "triggered"
 
     @property
@@ -63,7 +63,10 @@ class Clock:
 
 
 def read_clocks(path: Path, description: Any) -> dict[str, Clock]:
-    """Return the clocks of an FMU by name. FMPy does not read their intervals and priorities."""
+    """Return the clocks of an FMU by name.
+
+    FMPy reads neither intervals nor priorities.
+    """
     variables = {v.name: v for v in description.modelVariables if v.type == "Clock"}
     if not variables:
         return {}
@@ -99,7 +102,7 @@ def _clock(variable: Any, attributes: Mapping[str, str]) -> Clock:
 
 @dataclass
 class Timer:
-    """Ticks of a clock: ticks are counted and times derived, so that errors do not add up.
+    """Times of a clock's ticks, derived from counts.
 
     Attributes:
         base: Time [s] of tick 0 of the current interval.
@@ -117,14 +120,14 @@ class Timer:
 
     @classmethod
     def stated(cls, timing: Timing, start: float) -> Timer:
-        """Return the timer of a clock whose times the scenario states."""
+        """Return the timer of a scenario's times."""
         if timing.at:
             return cls(times=timing.at, is_set=True)
         return cls(start + (timing.shift or 0.0), 0, timing.interval, is_set=True)
 
     @property
     def next(self) -> float:
-        """Return the time [s] of the next tick; infinity if none is known."""
+        """Return the time [s] of the next tick, or infinity."""
         if not self.is_set:
             return math.inf
         if self.times:
@@ -138,7 +141,7 @@ class Timer:
         self.base, self.count, self.interval, self.is_set = time, 0, None, True
 
     def every(self, interval: float, base: float, count: int = 0) -> None:
-        """Tick every `interval` [s], from tick number `count` after `base` on."""
+        """Tick every `interval` [s] from tick `count` on."""
         self.base, self.count, self.interval, self.is_set = base, count, interval, True
 
     def tick(self) -> None:

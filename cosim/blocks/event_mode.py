@@ -34,7 +34,7 @@ INITIALIZATION, EVENT, STEP = "initialization", "event", "step"
 
 
 class EventCoSimulation3(CoSimulation3):
-    """Calls of an FMU for FMI 3.0 co-simulation with event mode.
+    """FMI 3.0 co-simulation with event mode.
 
     Attributes:
         may_return: Whether the FMU may return early from a step. An FMU with steps of one length may not.
@@ -51,7 +51,7 @@ class EventCoSimulation3(CoSimulation3):
 
     @property
     def gives_updates(self) -> bool:
-        """Return whether the FMU calls the importer back during a step."""
+        """Return whether steps have intermediate updates."""
         return bool(self.description.coSimulation.providesIntermediateUpdate)
 
     def instantiate(self, listen: Listen, logging: bool) -> None:
@@ -68,7 +68,7 @@ class EventCoSimulation3(CoSimulation3):
         self._do_step = self.bare_step()
 
     def do_step(self, component: Any, t: float, h: float) -> int:
-        """Step; the outcome is in `event`, `ends`, `is_early` and `last`."""
+        """Step; the attributes hold the outcome."""
         flags = (ctypes.byref(cell) for cell in (self.event, self.ends, self.is_early, self.last))
         status = int(self._do_step(component, t, h, True, *flags))
         stop, self.stop = self.stop, None
@@ -77,7 +77,9 @@ class EventCoSimulation3(CoSimulation3):
         return status
 
     def _update_between(self, *arguments: Any) -> None:
-        """Ask for an early return after an interruption, or after each own step of the FMU.
+        """Ask for an early return where one is due.
+
+        It is due after an interruption, or after each own step of the FMU.
 
         No values are set or read: inputs are constant during a step, and rows belong to communication points.
 
@@ -165,7 +167,7 @@ class EventFmu(FmuBlock):
         return frozenset(clock.name for clock in variable.clocks or ())
 
     def _is_jumping(self, variable: Any) -> bool:
-        """Return whether an input is set in event mode only, or clocked."""
+        """Return whether an input is discrete or clocked."""
         is_continuous = variable.type in ("Float64", "Float32") and variable.variability in (None, "continuous")
         return (
             not is_continuous
@@ -215,12 +217,12 @@ class EventFmu(FmuBlock):
         self._enter_first()
 
     def _enter_first(self) -> None:
-        """Note that the FMU is in event mode after initialization."""
+        """Note the event mode after initialization."""
         self.event_calls.prepare_steps()
         self.mode, self.active = EVENT, set()
 
     def _read_first_intervals(self) -> None:
-        """Set stated intervals, and read those that the FMU knows at the start."""
+        """Set stated intervals; read those of the FMU."""
         start = self._calls.start_time
         for clock in self.clocks.values():
             timing = self.timings.get(clock.name)
@@ -245,7 +247,7 @@ class EventFmu(FmuBlock):
     # -- values --------------------------------------------------------------------------------------
 
     def put(self) -> None:
-        """Set the inputs that the current mode allows, as far as they have changed."""
+        """Set changed inputs, as far as the mode allows."""
         values, begins = self._values, self.mode == INITIALIZATION
         for exchange in self._ports.fed if self.mode != STEP else self._steady:
             clocks = self._exchanges[id(exchange)]
@@ -257,7 +259,7 @@ class EventFmu(FmuBlock):
                 values.put_in(exchange)
 
     def get(self) -> None:
-        """Read the outputs that the current mode allows; others hold their values."""
+        """Read outputs, as far as the mode allows."""
         for exchange in self._ports.read:
             clocks = self._exchanges[id(exchange)]
             if not clocks or self.mode == INITIALIZATION or clocks & self.active:
@@ -265,7 +267,7 @@ class EventFmu(FmuBlock):
 
     @property
     def has_jumped(self) -> bool:
-        """Return whether a discrete input differs from its last value, which only event mode changes."""
+        """Return whether a discrete input has a new value."""
         return any(self._values.content(e) != self._given.get(id(e)) for e in self._discrete)
 
     def look(self) -> None:
@@ -274,21 +276,21 @@ class EventFmu(FmuBlock):
 
     @property
     def is_stirred(self) -> bool:
-        """Return whether inputs have changed since `look`, thus at one time."""
+        """Return whether inputs have changed since `look`."""
         return self._inputs() != self._seen
 
     def _inputs(self) -> list[list[Any]]:
         return [self._values.content(e) for e in self._ports.fed if not self._exchanges[id(e)]]
 
     def change(self, values: Mapping[str, Any]) -> None:
-        """Keep the values of a scenario's event for the next instant."""
+        """Keep an event's values for the next instant."""
         self._changes |= values
         self.asks = True
 
     # -- steps ------------------------------------------------------------------------------------
 
     def go(self, target: float) -> float:
-        """Step to a time [s]; return the time reached, earlier after an early return.
+        """Step to a time [s]; return the time reached.
 
         Raises:
             EarlyEnd: The FMU ended the simulation.
@@ -306,11 +308,11 @@ class EventFmu(FmuBlock):
         return self.reached
 
     def advance(self, t: float, h: float) -> None:
-        """Step with the master's own stepping; unused in runs with event mode."""
+        """Raise AssertionError; `go` steps the FMU."""
         raise AssertionError("an FMU with event mode is stepped from instant to instant")
 
     def save(self) -> Any:
-        """Return the state of the FMU and of its schedule, for one restoration."""
+        """Return the state, for one restoration."""
         return self.instance.save_state(), self.reached, self.asks, dict(self._given)
 
     def go_back(self, state: Any) -> None:
@@ -323,16 +325,16 @@ class EventFmu(FmuBlock):
 
     @property
     def due(self) -> float:
-        """Return the time [s] of the next tick or announced event."""
+        """Return the time [s] of the next known event."""
         return min((self.next_event, *(timer.next for timer in self.timers.values())))
 
     def due_clocks(self, t: float, close: float) -> list[str]:
-        """Return the clocks that tick at `t` [s], within rounding, in the order of their priorities."""
+        """Return the clocks due at `t` [s] by priority."""
         due = [name for name, timer in self.timers.items() if timer.next <= t + close]
         return sorted(due, key=lambda name: self.clocks[name].priority)
 
     def enter(self) -> None:
-        """Enter event mode, and set the values of the scenario's events."""
+        """Enter event mode; set the scenario's values."""
         if self.mode != EVENT:
             with self.instance.check_calls():
                 self.instance.fmu.enterEventMode()
@@ -365,7 +367,7 @@ class EventFmu(FmuBlock):
                 self.timers[name].tick()
 
     def fired(self) -> list[str]:
-        """Return output clocks that tick since the last call at this instant."""
+        """Return output clocks that tick since the last call."""
         idle = [c for c in self.output_clocks if c.name not in self.active]
         idle = [c for c in idle if not c.clocks or c.clocks & self.active]
         if not idle:
@@ -377,7 +379,7 @@ class EventFmu(FmuBlock):
         return names
 
     def update(self) -> bool:
-        """End the current instant of superdense time; return whether the FMU needs another one.
+        """Update discrete states; return whether to repeat.
 
         Raises:
             EarlyEnd: The FMU ended the simulation.
@@ -400,7 +402,7 @@ class EventFmu(FmuBlock):
     # -- intervals ----------------------------------------------------------------------------------
 
     def _read_intervals(self) -> None:
-        """Read the intervals that may have changed at this instant."""
+        """Read intervals that may have changed."""
         t = self.instance.time
         for clock in self.clocks.values():
             if not clock.asks_fmu or clock.kind in ("constant", "fixed"):
@@ -433,7 +435,7 @@ class EventFmu(FmuBlock):
         return float(shift[0])
 
     def _checked(self, clock: Clock, interval: float) -> float:
-        """Return an interval of the FMU; raise SimulationError if FMI forbids it."""
+        """Return an interval; raise SimulationError if invalid."""
         if math.isfinite(interval) and (interval > 0.0 or (interval == 0.0 and clock.kind not in PERIODIC)):
             return interval
         message = messages.BAD_INTERVAL(interval=interval)
@@ -442,13 +444,13 @@ class EventFmu(FmuBlock):
     # -- checkpoints ----------------------------------------------------------------------------------
 
     def schedule(self) -> dict[str, Any]:
-        """Return the schedule as plain data, for a checkpoint at a communication point."""
+        """Return the schedule as plain data."""
         timers = {name: timer.state() for name, timer in self.timers.items()}
         announced = self.next_event if math.isfinite(self.next_event) else None
         return {"timers": timers, "next_event": announced, "reached": self.reached, "asks": self.asks}
 
     def restore_schedule(self, schedule: Mapping[str, Any]) -> None:
-        """Take back a schedule, with the FMU in step mode and the inputs in the row as they were."""
+        """Restore a schedule after state and row."""
         for name, state in schedule["timers"].items():
             self.timers[name].restore(state)
         announced = schedule["next_event"]

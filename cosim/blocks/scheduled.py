@@ -63,7 +63,7 @@ class ScheduledExecution3(EventCoSimulation3):
 
 
 class ScheduledFmu(EventFmu):
-    """An FMU for scheduled execution, whose clocks activate its model partitions."""
+    """An FMU for scheduled execution."""
 
     steps = False
 
@@ -79,12 +79,12 @@ class ScheduledFmu(EventFmu):
         self._failure: BaseException | None = None
 
     def put(self) -> None:
-        """Set the inputs during initialization; later each partition takes its own."""
+        """Set the inputs during initialization only."""
         if self.mode == INITIALIZATION:
             super().put()
 
     def get(self) -> None:
-        """Read the outputs during initialization; later they are read after each partition."""
+        """Read the outputs during initialization only."""
         if self.mode == INITIALIZATION:
             super().get()
 
@@ -104,12 +104,15 @@ class ScheduledFmu(EventFmu):
         return target
 
     def enter(self) -> None:
-        """Set the values of the scenario's events; the FMU has no event mode."""
+        """Set the values of the scenario's events."""
         self.mode = EVENT
         super().enter()
 
     def tick(self, names: Collection[str]) -> None:
-        """Activate the partitions of clocks by priority, and those that they activate in turn."""
+        """Activate the partitions of clocks by priority.
+
+        Clocks that a partition sets take their place among them.
+        """
         t = self.instance.time
         queue = [(self.clocks[name].priority, k, name) for k, name in enumerate(names)]
         heapq.heapify(queue)
@@ -122,7 +125,7 @@ class ScheduledFmu(EventFmu):
                     heapq.heappush(queue, (self.clocks[other].priority, k, other))
 
     def _activate(self, name: str, t: float) -> None:
-        """Run the partition of a clock, with its inputs before and its outputs after it."""
+        """Run a partition between its inputs and outputs."""
         if self._last.get(name, -math.inf) >= t:
             self.instance.remember(messages.TWICE_AT_ONCE(clock=name, time=t))
             if name in self.timers:
@@ -141,7 +144,7 @@ class ScheduledFmu(EventFmu):
         self._read_intervals()
 
     def _on_update(self) -> None:
-        """Read the clocks that the running partition has changed; FMI allows it within this call only."""
+        """Read the clocks that the partition has changed."""
         try:
             self._read_countdowns()
             idle = [c for c in self.output_clocks if c.name not in self._fired]
@@ -161,7 +164,7 @@ class ScheduledFmu(EventFmu):
                     self.timers[clock.name].once(self.instance.time + self._checked(clock, interval))
 
     def fired(self) -> list[str]:
-        """Return output clocks that the partitions have activated since the last call."""
+        """Return output clocks activated since the last call."""
         names, self._fired = self._fired, []
         for name in names:
             self._values.row[self._places[name]] += 1.0

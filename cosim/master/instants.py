@@ -43,7 +43,7 @@ SOURCES, REPEATABLE, EARLY, LAST = range(4)  # ranks of the order within a step
 
 
 class EventRun(Protocol):
-    """What the stepping takes from a run, and leaves in it: see `Master`."""
+    """The part of a `Master` that the stepping uses."""
 
     system: System
     components: list[Component]
@@ -109,12 +109,12 @@ class Part:
 
     @property
     def exchange(self) -> ModelExchange2 | None:
-        """Return the calls of an FMU for model exchange that is stepped to events."""
+        """Return the calls of model exchange, if any."""
         calls = self.component.calls if self.is_flexible and isinstance(self.component, FmuBlock) else None
         return calls if isinstance(calls, ModelExchange2) else None
 
     def save(self) -> Any:
-        """Return the state before a step; None if it cannot be restored."""
+        """Return the state, None if not restorable."""
         if self.rank == SOURCES:
             return self.time
         if self.rank != REPEATABLE:
@@ -194,7 +194,7 @@ class Instants:
         self._ask_for_small_steps()
 
     def _parts(self) -> list[Part]:
-        """Return the components in the order of the schedule; note the copies of all values."""
+        """Return the components in the schedule's order."""
         master, stages = self.master, self.master.system.stages
         self.all = master.copying.of((*master.system.held, *(t for stage in stages for t in stage.pulls)))
         return [
@@ -210,7 +210,7 @@ class Instants:
         ]
 
     def _clock_wires(self) -> dict[tuple[str, str], list[tuple[str, str]]]:
-        """Return component and output clock → components and input clocks."""
+        """Return output clock → connected input clocks."""
         wires: dict[tuple[str, str], list[tuple[str, str]]] = {}
         for origin, target in self.master.system.clock_wires:
             owner, _, clock = origin.partition(".")
@@ -219,18 +219,18 @@ class Instants:
         return wires
 
     def _sort(self) -> None:
-        """Let components step first that others need not wait for after an early return."""
+        """Sort components by their rank."""
         if any(part.may_return for part in self.flexible):
             self.flexible.sort(key=lambda part: (part.rank, not self._ticks_others(part)))
         self.last_early = max((k for k, part in enumerate(self.flexible) if part.may_return), default=-1)
 
     @staticmethod
     def _ticks_others(part: Part) -> bool:
-        """Return whether a component has output clocks, which its own events tick."""
+        """Return whether a component has output clocks."""
         return isinstance(part.component, EventFmu) and bool(part.component.output_clocks)
 
     def _ask_for_small_steps(self) -> None:
-        """Bound the lead of FMUs that can neither go back nor know of each other's events."""
+        """Bound the lead of FMUs that cannot go back."""
         alone = [part for part in self.flexible if part.rank == EARLY and isinstance(part.component, EventFmu)]
         if len(alone) > 1:
             for part in alone:
@@ -241,7 +241,7 @@ class Instants:
     # -- course ----------------------------------------------------------------------------------------
 
     def at_start(self) -> None:
-        """Handle the instant at the start of the run, at which all FMUs are in event mode after initialization."""
+        """Handle the instant at the start of the run."""
         t = self.begin
         for part in self.events:
             part.time = t
@@ -288,7 +288,7 @@ class Instants:
         self._instant(end, k, self.events)
 
     def _target(self, t: float, end: float) -> float:
-        """Return the time [s] of the next instant that is known."""
+        """Return the time [s] of the next instant."""
         times = [end, *(part.time for part in self.flexible)]  # of components that are ahead
         times += [part.component.due for part in self.events if part.is_flexible]
         target = min(time for time in times if time > t + self.close)
@@ -297,7 +297,7 @@ class Instants:
     # -- steps ---------------------------------------------------------------------------------------
 
     def _advance(self, target: float, k: int) -> float:
-        """Step all flexible components to a time [s], or to the first early return; return the time."""
+        """Step to a time [s] or the first early return."""
         saved: dict[int, Any] = {}  # place in the order → state before the step
         while True:
             early: Part | None = None
@@ -349,7 +349,7 @@ class Instants:
         part.component.put()
 
     def _take_back(self, saved: dict[int, Any], target: float, early: Part) -> None:
-        """Take back the components that have gone beyond an early return, and note those that cannot."""
+        """Take back components beyond an early return."""
         for place in [place for place in saved if self.flexible[place].time > target + self.close]:
             part = self.flexible[place]
             self.master.doing[0] = CALLS * part.number + OTHER
@@ -370,7 +370,7 @@ class Instants:
     # -- checkpoints -------------------------------------------------------------------------------
 
     def state(self) -> dict[str, Any]:
-        """Return the schedule of the run as plain data, for a checkpoint at a communication point."""
+        """Return the schedule of the run as plain data."""
         return {
             "order": [part.component.name for part in self.flexible],
             "parts": {p.component.name: [p.time, p.lead, p.late] for p in (*self.flexible, *self.rigid)},
@@ -382,7 +382,7 @@ class Instants:
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Take back a schedule, after the signals and the states of all components."""
+        """Restore a schedule after signals and states."""
         by_name = {part.component.name: part for part in (*self.flexible, *self.rigid)}
         self.flexible[:] = [by_name[name] for name in state["order"]]
         for name, (time, lead, late) in state["parts"].items():
@@ -400,7 +400,7 @@ class Instants:
     # -- instants --------------------------------------------------------------------------------
 
     def _instant(self, t: float, k: int, events: Sequence[Part]) -> None:
-        """Exchange values at a time [s], and handle its events."""
+        """Exchange values and handle events at a time."""
         here = [part for part in events if abs(part.time - t) <= self.close or not part.is_flexible]
         self._copy_all(k)
         for part in here:
@@ -417,7 +417,7 @@ class Instants:
             self._handle(t, k, here, asked)
 
     def _handle_exchanges(self, t: float, k: int) -> None:
-        """Let FMUs for model exchange handle the events at which their steps ended."""
+        """Handle the events of model exchange."""
         for part in self.exchanges:
             calls = part.exchange
             if calls is not None and calls.cause and abs(part.time - t) <= self.close:
@@ -430,7 +430,7 @@ class Instants:
                 self._copy_all(k)
 
     def _handle(self, t: float, k: int, here: Sequence[Part], asked: Sequence[Part]) -> None:
-        """Iterate in superdense time until no FMU needs another round."""
+        """Iterate until no FMU needs another round."""
         joined: list[Part] = []
         for part in asked:
             self._record_cause(part, t)
@@ -450,7 +450,7 @@ class Instants:
         self._raise_restless(t, before, asked)
 
     def _update(self, joined: Iterable[Part], k: int) -> list[Part]:
-        """End an instant of superdense time; return the components that need another one."""
+        """Update discrete states; return components to repeat."""
         again = []
         for part in joined:
             self._announce(part)
@@ -468,7 +468,7 @@ class Instants:
             part.component.leave()
 
     def _settle(self, t: float, k: int, here: Sequence[Part], joined: list[Part]) -> None:
-        """Exchange values and clocks within one instant of superdense time, until they settle."""
+        """Exchange values and clocks until they settle."""
         master = self.master
         for sweep in range(1, MOST_SWEEPS + 1):
             before, row, beside = bytes(master.row), list(master.row), list(master.beside)
@@ -497,7 +497,7 @@ class Instants:
         raise SimulationError(name, t, messages.EVENT_NOT_SETTLED(count=MOST_SWEEPS))
 
     def _propagate(self, k: int) -> None:
-        """Copy all values; FMUs for model exchange answer to changed inputs at once."""
+        """Copy all values, also through model exchange."""
         self._copy_all(k)
         for part in self.exchanges:
             self._announce(part, PUT)
@@ -528,7 +528,7 @@ class Instants:
             self._check_periods(part, names, t)
 
     def _check_periods(self, part: Part, names: Iterable[str], t: float) -> None:
-        """Raise SimulationError if a periodic clock ticks more often than the component can be stepped."""
+        """Raise SimulationError for a clock that is too fast."""
         for name in names:
             timer = part.component.timers.get(name)
             if timer is not None and timer.interval is not None and timer.next <= t + self.close:
@@ -536,7 +536,7 @@ class Instants:
                 raise SimulationError(f"{part.component.name}.{name}", t, message)
 
     def _trigger(self, owner: str, clock: str, t: float, here: Sequence[Part], joined: list[Part]) -> None:
-        """Tick the clocks that are connected to a clock that ticks."""
+        """Tick the clocks connected to a clock."""
         for name, target in self.wires.get((owner, clock), ()):
             part = self.by_name[name]
             if part not in here:
@@ -565,7 +565,7 @@ class Instants:
     # -- failures -----------------------------------------------------------------------------------
 
     def _check_progress(self, t: float) -> None:
-        """Raise SimulationError if events follow one another at almost one time."""
+        """Raise SimulationError for crowded events."""
         self._times.append(t)
         if len(self._times) == self._times.maxlen and t - self._times[0] <= AT_ONCE * self.h:
             names = ", ".join(sorted({part.component.name for part in self.events if part.component.asks}))
@@ -573,7 +573,7 @@ class Instants:
             raise SimulationError(names or "the run", t, message)
 
     def _changed(self, before: bytes) -> str:
-        """Return the first signal that differs from a former row; "" if none does."""
+        """Return the first changed signal, or ""."""
         old = memoryview(before).cast("d")
         pairs = zip(self.master.system.columns, old, self.master.row, strict=True)
         return next((column for column, a, b in pairs if a != b), "")

@@ -35,7 +35,7 @@ def event_block(
     read: Callable[[Path], Any],
     diagnosis: Diagnosis,
 ) -> Callable[..., FmuBlock] | None:
-    """Return the class of an FMU's block with its event settings; None after a fault."""
+    """Return the class of an FMU's block, or None."""
     description = read(path)
     way = component.interface or ways(description)[0]
     clocks = read_clocks(path, description)
@@ -48,7 +48,7 @@ def event_block(
 
 
 def default_block(path: Path, description: Any) -> type[FmuBlock]:
-    """Return the class of an FMU's block without settings of a scenario."""
+    """Return the default class of an FMU's block."""
     way = ways(description)[0]
     if way == "scheduled-execution":
         return ScheduledFmu
@@ -56,14 +56,14 @@ def default_block(path: Path, description: Any) -> type[FmuBlock]:
 
 
 def has_event_mode(description: Any, way: Way) -> bool:
-    """Return whether an FMU has event mode through an interface."""
+    """Return whether an FMU has event mode."""
     return way == "co-simulation" and bool(getattr(description.coSimulation, "hasEventMode", False))
 
 
 def _is_without_events(
     name: str, component: FmuComponent, clocks: Mapping[str, Clock], reason: str, diagnosis: Diagnosis
 ) -> bool:
-    """Return whether an FMU runs without event mode; note a fault if the scenario needs it."""
+    """Return whether an FMU runs without event mode."""
     if component.event_mode:
         diagnosis.note(("components", name, "event_mode"), messages.NO_EVENT_MODE(component=name, reason=reason))
     elif component.clocks and clocks:
@@ -86,7 +86,7 @@ def _reason(description: Any, way: Way) -> str:
 def _timings(
     file: ScenarioFile, name: str, component: FmuComponent, clocks: Mapping[str, Clock], diagnosis: Diagnosis
 ) -> dict[str, Timing]:
-    """Return the times of clocks that a scenario states; note faults."""
+    """Return the scenario's times of clocks."""
     connected = {c.target for c in file.scenario.connections}
     timings = {}
     for clock_name, timing in component.clocks.items():
@@ -106,7 +106,7 @@ def _timings(
 
 
 def _objection(clock: Clock, name: str, timing: ClockTiming, start: float) -> Any:
-    """Return the fault of the times that a scenario states for a clock, or None."""
+    """Return the fault of a clock's times, or None."""
     if clock.kind == "constant" or (clock.is_time_based and clock.interval is None):
         return messages.CLOCK_TIME_OF_FMU(name=name, kind=clock.kind)
     if clock.kind in PERIODIC and (timing.at or timing.shift is not None):
@@ -119,7 +119,7 @@ def _objection(clock: Clock, name: str, timing: ClockTiming, start: float) -> An
 
 
 def _jumping(file: ScenarioFile, name: str, read: Callable[[Path], Any]) -> frozenset[str]:
-    """Return the inputs of an FMU whose sources jump: blocks, sampled FMUs and discrete outputs."""
+    """Return the inputs of an FMU whose sources jump."""
     jumping = set()
     for connection in file.scenario.connections:
         owner, _, variable = connection.target.partition(".")
@@ -143,12 +143,12 @@ def _jumps(file: ScenarioFile, source: str, output: str, read: Callable[[Path], 
 
 
 def is_exchange(component: Component) -> bool:
-    """Return whether a component is an FMU for model exchange."""
+    """Return whether model exchange steps a component."""
     return isinstance(component, FmuBlock) and isinstance(component.calls, ModelExchange2)
 
 
 def takes_part_of_step(stage: Stage) -> bool:
-    """Return whether a component can be stepped to an event within a step of the run."""
+    """Return whether a component steps to any event."""
     component = stage.component
     if stage.every > 1 or (component.nominal_step is True and isinstance(component, FmuBlock)):
         return False
@@ -160,7 +160,7 @@ def takes_part_of_step(stage: Stage) -> bool:
 
 
 def clock_interval(block: FmuBlock | None, target: str, value: Any) -> Any:
-    """Return the interval [s] that an event of the scenario gives to a clock, or the reason for a refusal.
+    """Return a clock's interval [s] in an event, or a misfit.
 
     The result is None if the target is no clock.
     """
@@ -177,7 +177,7 @@ def clock_interval(block: FmuBlock | None, target: str, value: Any) -> Any:
 
 
 def check_events(file: ScenarioFile, stages: Sequence[Stage], diagnosis: Diagnosis) -> None:
-    """Note faults and warnings of a run with event mode: processes, steps of one length, clocks without a source."""
+    """Note faults and warnings of event mode."""
     events = [stage.component for stage in stages if isinstance(stage.component, EventFmu)]
     if not events:
         return
@@ -193,7 +193,7 @@ def check_events(file: ScenarioFile, stages: Sequence[Stage], diagnosis: Diagnos
 
 
 def _check_process(file: ScenarioFile, fmu: EventFmu, events: Sequence[EventFmu], diagnosis: Diagnosis) -> None:
-    """Note a fault if an FMU needs a process of its own."""
+    """Note a fault for a process of its own."""
     about = fmu.description.coSimulation or fmu.description.scheduledExecution
     is_single = bool(getattr(about, "canBeInstantiatedOnlyOncePerProcess", False))
     if is_single and sum(other.path == fmu.path for other in events) > 1:
